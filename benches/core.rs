@@ -86,7 +86,7 @@ fn detector_frames<P: Policy + Clone>(criterion: &mut Criterion, name: &str, pol
     group.finish();
 }
 
-/// Measures frames that `policy` predicts with its knob at `highest`, after ten observations of its objects.
+/// Measures frames that `policy` predicts with its threshold at `highest`, after ten observations of its objects.
 fn predicted_frames<P: Policy + Clone>(
     criterion: &mut Criterion,
     name: &str,
@@ -99,8 +99,8 @@ fn predicted_frames<P: Policy + Clone>(
         for detections in Scene::new(objects).film(10, 0) {
             camera.frame(&detections);
         }
-        let turned = camera.policy.set_knob(highest);
-        turned.expect("the knob goes so far");
+        let turned = camera.policy.set_threshold(highest);
+        turned.expect("the threshold goes so far");
         let start = camera.policy.clone();
         group.bench_function(BenchmarkId::from_parameter(objects), |bencher| {
             bencher.iter_custom(|frames| {

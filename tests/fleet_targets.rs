@@ -82,7 +82,7 @@ async fn a_target_set_at_the_hub_is_held_by_the_node_until_its_threshold_is_set_
     let again = r#"set-target {"skip_rate":0.5} --select car-1 --wait 60s"#;
     assert_eq!(fleet(&hub, again).1, Some(0));
     assert_eq!(at_node(&car).await["target"], json!({"skip_rate": 0.5}));
-    let value = "set-u 0.4 --knob lambda --select car-1 --wait 60s";
+    let value = "set-u 0.4 --threshold lambda --select car-1 --wait 60s";
     let (said, code) = fleet(&hub, value);
     assert_contains(&said, &["hold skip_rate 0.5 -> lambda 0.4"]);
     assert_eq!(code, Some(0), "{said}");

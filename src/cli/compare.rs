@@ -304,7 +304,7 @@ fn judge(
     for ((scheduled, played), boxes) in done.into_iter().zip(&boxes) {
         let variant = variants.get(scheduled.variant).context("a variant")?;
         runs.push(Run {
-            advice: played.advice(variant.config.build()?.knob()),
+            advice: played.advice(variant.config.build()?.threshold_spec()),
             round: scheduled.round,
             variant: scheduled.variant,
             cpu_s: played.cpu.as_secs_f64(),

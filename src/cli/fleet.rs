@@ -78,7 +78,7 @@ enum Command {
         #[arg(required = true)]
         nodes: Vec<String>,
     },
-    /// Set the uncertainty threshold u (or another knob) of selected nodes.
+    /// Set the threshold (u, or lambda under expected-loss) of selected nodes.
     SetU(set::Arguments),
     /// Let selected nodes hold a target instead of a threshold.
     SetTarget(set::TargetArguments),

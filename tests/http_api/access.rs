@@ -1,4 +1,4 @@
-use super::served::{KNOB, Served, board, problem};
+use super::served::{Served, THRESHOLD, board, problem};
 use crate::support::{assert_contains, until};
 use albireo_node::api::http::router;
 use albireo_node::config::NodeConfig;
@@ -42,7 +42,7 @@ async fn a_token_protects_everything_except_health_and_the_page() {
         problem(response, 401).await;
     }
     problem(node.put("/api/v1/threshold", r#"{"u": 5e-4}"#).await, 401).await;
-    assert_eq!(node.front().threshold(), Some(KNOB.default));
+    assert_eq!(node.front().threshold(), Some(THRESHOLD.default));
 }
 
 #[rstest]

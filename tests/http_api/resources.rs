@@ -62,7 +62,7 @@ async fn cameras_are_listed_in_configuration_order_with_advice_for_one_that_skip
         answered(rear, message);
     }
     let front = json!({"camera": "front", "width": null, "advice": null});
-    let advice = json!({"try": 4e-4, "knob": "u"});
+    let advice = json!({"try": 4e-4, "threshold": "u"});
     let rear = json!({"key": "albireo/car-7/rear/frame", "width": 320, "advice": advice});
     let cameras = json!({"cameras": [front, rear]});
     assert_has(&node.json("/api/v1/cameras").await, &cameras);

@@ -1,7 +1,7 @@
 //! The HTTP interface of a node on a free port, over a board that the test fills.
 
 use albireo_core::geometry::PictureSize;
-use albireo_core::policy::{Albireo, FrameState, Knob};
+use albireo_core::policy::{Albireo, FrameState, ThresholdSpec};
 use albireo_node::FrameRecord;
 use albireo_node::api::http::router;
 use albireo_node::config::{CameraConfig, NodeConfig};
@@ -21,7 +21,7 @@ use tokio::net::TcpListener;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
-pub(crate) const KNOB: Knob = Albireo::KNOB;
+pub(crate) const THRESHOLD: ThresholdSpec = Albireo::THRESHOLD;
 
 pub(crate) struct Served {
     pub board: Arc<Board>,

@@ -1,4 +1,4 @@
-use super::served::{KNOB, Served, board, problem};
+use super::served::{Served, THRESHOLD, board, problem};
 use crate::support::{assert_contains, assert_has};
 use albireo_service::config::HttpConfig;
 use reqwest::Method;
@@ -45,11 +45,14 @@ async fn an_invalid_threshold_is_rejected_with_the_allowed_range_and_changes_not
             let refused = problem(node.put(path, body).await, status).await;
             let detail = refused["detail"].as_str().unwrap();
             assert_contains(detail, &["number from 1e-9 to 1"]);
-            assert_has(&refused["knob"], &json!({"minimum": 1e-9, "maximum": 1.0}));
+            assert_has(
+                &refused["threshold"],
+                &json!({"minimum": 1e-9, "maximum": 1.0}),
+            );
         }
     }
     for camera in &node.board.cameras {
-        assert_eq!(camera.threshold(), Some(KNOB.default));
+        assert_eq!(camera.threshold(), Some(THRESHOLD.default));
     }
 }
 
@@ -78,7 +81,11 @@ async fn only_json_and_what_plain_curl_sends_is_accepted() {
                 assert_eq!(refused["allowed"], json!(["application/json"]));
                 let remedy = "-H 'content-type: application/json'";
                 assert_contains(refused["detail"].as_str().unwrap(), &[remedy]);
-                assert_eq!(node.front().threshold(), Some(KNOB.default), "{media:?}");
+                assert_eq!(
+                    node.front().threshold(),
+                    Some(THRESHOLD.default),
+                    "{media:?}"
+                );
             }
         }
     }
@@ -102,7 +109,7 @@ async fn a_change_for_one_camera_leaves_the_others_alone() {
     let response = node.put(PATHS[1], r#"{"u": 5e-4}"#).await;
     assert_eq!(response.status(), 200);
     let changed: Value = response.json().await.unwrap();
-    let expected = json!({"u": 5e-4, "knob": {"name": "u"}, "survives_restart": false});
+    let expected = json!({"u": 5e-4, "threshold": {"name": "u"}, "survives_restart": false});
     assert_has(&changed, &expected);
     let all = json!({"u": null, "cameras": [{"u": 5e-4}, {"u": 3e-4}]});
     assert_has(&node.json(PATHS[0]).await, &all);

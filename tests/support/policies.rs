@@ -2,7 +2,7 @@
 
 use albireo_core::policy::{Evidence, FrameHead, Need, Outcome, Policy};
 
-/// A wrapper that runs `before` ahead of each frame of `inner`, a policy without a knob.
+/// A wrapper that runs `before` ahead of each frame of `inner`, a policy without a threshold.
 pub(crate) struct Before<F> {
     pub(crate) inner: Box<dyn Policy>,
     pub(crate) before: F,

@@ -7,10 +7,10 @@ import { existsSync, readFileSync, writeFileSync } from "node:fs";
  * Where a threshold is read and set, its value has the policy's name for it beside other fields. OpenAPI says so by allowing
  * further numbers; in TypeScript that would ask every field to be a number, so it is left out there.
  */
-export function withoutFlattenedKnobs(schema) {
-  if (Array.isArray(schema)) return schema.map(withoutFlattenedKnobs);
+export function withoutFlattenedThresholds(schema) {
+  if (Array.isArray(schema)) return schema.map(withoutFlattenedThresholds);
   if (schema === null || typeof schema !== "object") return schema;
-  const copy = Object.fromEntries(Object.entries(schema).map(([key, value]) => [key, withoutFlattenedKnobs(value)]));
+  const copy = Object.fromEntries(Object.entries(schema).map(([key, value]) => [key, withoutFlattenedThresholds(value)]));
   // The names of the program's functions: they need not differ between modules, and nothing here asks for them.
   if (copy.responses) delete copy.operationId;
   if (copy.properties && copy.additionalProperties?.type === "number") delete copy.additionalProperties;
@@ -22,7 +22,7 @@ export function withoutFlattenedKnobs(schema) {
 
 export async function types(service) {
   const document = JSON.parse(readFileSync(`api/${service}.json`, "utf8"));
-  const tree = await openapiTS(withoutFlattenedKnobs(document));
+  const tree = await openapiTS(withoutFlattenedThresholds(document));
   return `// Made by \`npm run types\` from api/${service}.json. Do not edit.\n\n${astToString(tree)}`;
 }
 

@@ -15,7 +15,7 @@ vi.stubGlobal("document", { hidden: false });
 
 const { EventParser, follow } = await import("../src/shared/api");
 const { frameAt, placeOf } = await import("../src/node/ribbon");
-const { estimated, fromSlider, toSlider, usefulRange } = await import("../src/node/knob");
+const { estimated, fromSlider, toSlider, usefulRange } = await import("../src/node/threshold");
 const { graver } = await import("../src/node/log");
 const { cameraState } = await import("../src/node/cameras");
 const { afterReturn } = await import("../src/hub/rollouts");
@@ -182,7 +182,7 @@ describe("an order", () => {
 });
 
 describe("what is ordered", () => {
-  test("goes where it belongs, though a knob and a target have one name", () => {
+  test("goes where it belongs, though a threshold and a target have one name", () => {
     expect(ordered("skip_rate", 0.5)).toEqual({ path: "/api/v1/threshold", fields: { skip_rate: 0.5 } });
     expect(ordered("hold skip_rate", 0.5)).toEqual({ path: "/api/v1/target", fields: { target: { skip_rate: 0.5 } } });
     expect(ordered("hold nothing", undefined)).toEqual({ path: "/api/v1/target", fields: { target: null } });

@@ -247,10 +247,10 @@ impl Outcome {
     }
 }
 
-/// The number of a policy that a user may change while it runs, as declared by the policy.
+/// The threshold of a policy, which a user may change while it runs: its name, range and default.
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Knob {
+pub struct ThresholdSpec {
     /// Name in configuration, messages and reports: `u`, `lambda`, …
     pub name: &'static str,
     /// The effect of changing it, in one sentence.
@@ -267,10 +267,10 @@ pub struct Knob {
     pub useful_maximum: f64,
 }
 
-/// The error for a value outside a knob's range or a missing knob.
+/// The error for a value that is outside the threshold's range, or for a policy without a threshold.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum KnobError {
-    /// The policy has no knob.
+pub enum InvalidThreshold {
+    /// The policy has no threshold.
     #[error("policy `{policy}` has no threshold to change")]
     Absent {
         /// The policy's name.
@@ -283,7 +283,7 @@ pub enum KnobError {
         short(*.maximum)
     )]
     OutOfRange {
-        /// The knob's name.
+        /// The threshold's name.
         name: &'static str,
         /// Smallest value allowed.
         minimum: f64,
@@ -303,7 +303,7 @@ pub fn short(value: f64) -> String {
     }
 }
 
-impl Knob {
+impl ThresholdSpec {
     /// Returns the range of values, human-readable.
     pub fn range(&self) -> String {
         format!(
@@ -316,13 +316,13 @@ impl Knob {
     /// Returns `value` if it is a number inside the range.
     ///
     /// # Errors
-    /// [`KnobError::OutOfRange`] otherwise, including NaN and infinities.
-    pub fn check(&self, value: f64) -> Result<f64, KnobError> {
+    /// [`InvalidThreshold::OutOfRange`] otherwise, including NaN and infinities.
+    pub fn check(&self, value: f64) -> Result<f64, InvalidThreshold> {
         // NaN compares false to everything and is rejected.
         if value >= self.minimum && value <= self.maximum {
             Ok(value)
         } else {
-            Err(KnobError::OutOfRange {
+            Err(InvalidThreshold::OutOfRange {
                 name: self.name,
                 minimum: self.minimum,
                 maximum: self.maximum,
@@ -341,24 +341,24 @@ pub trait Policy: Send + Sync {
     /// The name in configuration and reports.
     fn name(&self) -> &'static str;
 
-    /// The number that a user may change, if there is one.
-    fn knob(&self) -> Option<Knob> {
+    /// The threshold that a user may change, if there is one.
+    fn threshold_spec(&self) -> Option<ThresholdSpec> {
         None
     }
 
-    /// The knob's current value.
-    fn knob_value(&self) -> Option<f64> {
+    /// The threshold's current value.
+    fn threshold(&self) -> Option<f64> {
         None
     }
 
-    /// Sets the knob; takes effect with the next `begin`.
+    /// Sets the threshold for the frames that follow; to be called between frames, before a `begin`.
     ///
     /// # Errors
-    /// [`KnobError`] if there is no knob or the value is out of its range; nothing changes then.
-    fn set_knob(&mut self, value: f64) -> Result<(), KnobError> {
+    /// [`InvalidThreshold`] if there is no threshold or the value is out of its range; nothing changes then.
+    fn set_threshold(&mut self, value: f64) -> Result<(), InvalidThreshold> {
         let _ = value;
         let policy = self.name();
-        Err(KnobError::Absent { policy })
+        Err(InvalidThreshold::Absent { policy })
     }
 
     /// Begins a frame: advances the filters by `frame.step` and returns the first need.
@@ -387,14 +387,14 @@ pub trait Policy: Send + Sync {
     /// [can rewind](Policy::can_rewind).
     fn save(&mut self) {}
 
-    /// Returns to the last saved state, any number of times; settings and the knob keep their current values. Does
+    /// Returns to the last saved state, any number of times; settings and the threshold keep their current values. Does
     /// nothing before the first [`save`](Policy::save).
     fn rewind(&mut self) {}
 
     /// Ends the frame and overwrites `outcome` with its state and boxes.
     fn finish(&mut self, outcome: &mut Outcome);
 
-    /// Forgets all objects, as at the start of a stream. Keeps settings and the knob's value.
+    /// Forgets all objects, as at the start of a stream. Keeps settings and the threshold's value.
     fn reset(&mut self);
 
     /// Calls `visit` with the record of every object kept, oldest first, for traces and evaluation. A policy that keeps

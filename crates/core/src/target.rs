@@ -1,8 +1,8 @@
-//! Targets instead of a fixed threshold: a slow controller moves a policy's knob until the target is met.
+//! Targets instead of a fixed threshold: a slow controller moves a policy's threshold until the target is met.
 //!
-//! [`TargetController::step`] receives the measurements once per second and returns the knob's value and the reason. It
-//! is an integral controller in the logarithm of the knob. The knob's value *is* the integral and never leaves its
-//! range, so it does not wind up while a target cannot be met, and reacts at once when it can.
+//! [`TargetController::step`] receives the measurements once per second and returns the threshold's value and the
+//! reason. It is an integral controller in the logarithm of the threshold. The threshold's value *is* the integral and
+//! never leaves its range, so it does not wind up while a target cannot be met, and reacts at once when it can.
 //!
 //! The load targets ([`Target::SkipRate`], [`Target::Watts`]) settle within a minute. [`Target::Recall`] follows the
 //! audit ([`crate::audit`]) and moves only after enough boxes have been compared since its last move.
@@ -13,7 +13,7 @@ mod recall;
 mod tests;
 
 use crate::audit::AuditSums;
-use crate::policy::{Knob, short};
+use crate::policy::{ThresholdSpec, short};
 use load::LoadControl;
 use recall::RecallControl;
 use serde::{Deserialize, Serialize};
@@ -108,59 +108,59 @@ pub enum TargetError {
         /// The value given.
         value: f64,
     },
-    /// The policy has no knob that a controller can move.
+    /// The policy has no threshold that a controller can move.
     #[error(
         "a target moves `u` or `lambda`, and policy `{policy}` has {}",
-        knob.map_or_else(|| "no threshold".to_owned(), |knob| format!("`{knob}`"))
+        threshold.map_or_else(|| "no threshold".to_owned(), |threshold| format!("`{threshold}`"))
     )]
     Policy {
         /// The policy.
         policy: String,
-        /// The policy's knob.
-        knob: Option<&'static str>,
+        /// The policy's threshold.
+        threshold: Option<&'static str>,
     },
-    /// The range is invalid or not within the knob's.
+    /// The range is invalid or not within the threshold's.
     #[error("the range of `{name}` must lie within {} to {}, and its ends must differ", short(*.least), short(*.most))]
     Range {
-        /// The knob's name.
+        /// The threshold's name.
         name: &'static str,
-        /// The knob's smallest value.
+        /// The threshold's smallest value.
         least: f64,
-        /// The knob's largest value.
+        /// The threshold's largest value.
         most: f64,
     },
 }
 
-/// The range within which a controller moves a knob.
+/// The range within which a controller moves a threshold.
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct KnobRange {
+pub struct ThresholdRange {
     /// Smallest value: the most accurate one.
     pub least: f64,
     /// Largest value that accuracy still allows.
     pub most: f64,
 }
 
-impl KnobRange {
-    /// Returns the range within which a controller moves `knob`: the given ends, or by default the range that costs
-    /// little accuracy: `u` 1.5e-4 to 2e-3, `lambda` 0.05 to 1.2 (on the recorded sequences `expected-loss` loses 2.4
-    /// points of AP@50 there against a detector on every frame, and `albireo` 3.3 at 1e-3).
+impl ThresholdRange {
+    /// Returns the range within which a controller moves `threshold`: the given ends, or by default the range that
+    /// costs little accuracy: `u` 1.5e-4 to 2e-3, `lambda` 0.05 to 1.2 (on the recorded sequences `expected-loss` loses
+    /// 2.4 points of AP@50 there against a detector on every frame, and `albireo` 3.3 at 1e-3).
     ///
     /// # Errors
-    /// [`TargetError`] if a controller cannot move the knob, or the range is not within the knob's.
+    /// [`TargetError`] if a controller cannot move the threshold, or the range is not within the threshold's.
     pub fn of(
         policy: &str,
-        knob: Option<&Knob>,
+        threshold: Option<&ThresholdSpec>,
         least: Option<f64>,
         most: Option<f64>,
     ) -> Result<Self, TargetError> {
-        let (knob, safe) = match knob {
-            Some(knob) if knob.name == "u" => (knob, (1.5e-4, 2e-3)),
-            Some(knob) if knob.name == "lambda" => (knob, (0.05, 1.2)),
+        let (threshold, safe) = match threshold {
+            Some(threshold) if threshold.name == "u" => (threshold, (1.5e-4, 2e-3)),
+            Some(threshold) if threshold.name == "lambda" => (threshold, (0.05, 1.2)),
             other => {
                 return Err(TargetError::Policy {
                     policy: policy.to_owned(),
-                    knob: other.map(|knob| knob.name),
+                    threshold: other.map(|threshold| threshold.name),
                 });
             }
         };
@@ -168,14 +168,14 @@ impl KnobRange {
             least: least.unwrap_or(safe.0),
             most: most.unwrap_or(safe.1),
         };
-        let inside = knob.check(range.least).is_ok() && knob.check(range.most).is_ok();
+        let inside = threshold.check(range.least).is_ok() && threshold.check(range.most).is_ok();
         if inside && range.least > 0.0 && range.least < range.most {
             Ok(range)
         } else {
             Err(TargetError::Range {
-                name: knob.name,
-                least: knob.minimum,
-                most: knob.maximum,
+                name: threshold.name,
+                least: threshold.minimum,
+                most: threshold.maximum,
             })
         }
     }
@@ -200,20 +200,20 @@ pub struct Measured {
     pub audit: AuditSums,
 }
 
-/// The reason for the knob's value.
+/// The reason for the threshold's value.
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TargetStatus {
     /// Too little has been measured yet.
     Measuring,
-    /// The target is not reached yet: the knob moves.
+    /// The target is not reached yet: the threshold moves.
     Moving,
     /// The target is held.
     Held,
-    /// The target is exceeded, and the knob is at the end of its range.
+    /// The target is exceeded, and the threshold is at the end of its range.
     MoreThanKept,
-    /// The target cannot be met inside the range: the knob is at the end.
+    /// The target cannot be met inside the range: the threshold is at the end.
     CannotBeMet,
     /// No frames arrive.
     NoFrames,
@@ -272,8 +272,8 @@ pub struct TargetState {
     /// The measured value; for recall, the lower end of its interval. Absent before the first measurement.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub actual: Option<f64>,
-    /// The knob's current value.
-    pub knob: f64,
+    /// The threshold's current value.
+    pub threshold: f64,
     /// The reason for that value.
     pub status: TargetStatus,
     /// Time during which the target could not be met inside the range, seconds.
@@ -285,7 +285,7 @@ pub struct TargetState {
     pub boxes: Option<u64>,
 }
 
-/// The state of the knob in a controller.
+/// The state of the threshold in a controller.
 #[derive(Clone, Copy, Debug)]
 struct Lever {
     /// Logarithm of the value.
@@ -294,15 +294,19 @@ struct Lever {
     most: f64,
     /// The value: exactly the given one before the first move, and exact at the ends of the range.
     value: f64,
-    range: KnobRange,
+    range: ThresholdRange,
 }
 
 impl Lever {
-    /// Creates a lever at `knob`, clamped to the range.
-    fn new(range: KnobRange, knob: f64) -> Self {
+    /// Creates a lever at `threshold`, clamped to the range.
+    fn new(range: ThresholdRange, threshold: f64) -> Self {
         let (least, most) = range.logarithms();
         // NaN and non-positive values have no logarithm; the accurate end is the safe one.
-        let value = if knob > 0.0 { knob } else { range.least };
+        let value = if threshold > 0.0 {
+            threshold
+        } else {
+            range.least
+        };
         let value = value.clamp(range.least, range.most);
         Self {
             x: value.ln().clamp(least, most),
@@ -348,7 +352,7 @@ enum Control {
     Recall(Box<RecallControl>),
 }
 
-/// Holds a target by moving a knob.
+/// Holds a target by moving a threshold.
 #[derive(Clone, Debug)]
 pub struct TargetController {
     target: Target,
@@ -360,14 +364,14 @@ pub struct TargetController {
 }
 
 impl TargetController {
-    /// Creates a controller that begins at the value `knob`, clamped to the range.
+    /// Creates a controller that begins at the value `threshold`, clamped to the range.
     ///
     /// # Errors
     /// [`TargetError::Value`] if the target's value is invalid.
-    pub fn new(target: Target, range: KnobRange, knob: f64) -> Result<Self, TargetError> {
+    pub fn new(target: Target, range: ThresholdRange, threshold: f64) -> Result<Self, TargetError> {
         Ok(Self {
             target: target.check()?,
-            lever: Lever::new(range, knob),
+            lever: Lever::new(range, threshold),
             control: match target {
                 Target::Recall(wanted) => Control::Recall(Box::new(RecallControl::new(wanted))),
                 _ => Control::Load(LoadControl::new(target)),
@@ -383,13 +387,13 @@ impl TargetController {
         self.target
     }
 
-    /// The knob's current value.
-    pub const fn knob(&self) -> f64 {
+    /// The threshold's current value.
+    pub const fn threshold(&self) -> f64 {
         self.lever.value
     }
 
-    /// Processes the measurements since the last step and moves the knob. Call it about once per second; a step whose
-    /// time is not positive and finite changes nothing.
+    /// Processes the measurements since the last step and moves the threshold. Call it about once per second; a step
+    /// whose time is not positive and finite changes nothing.
     pub fn step(&mut self, measured: &Measured) -> TargetState {
         let seconds = if measured.seconds > 0.0 && measured.seconds.is_finite() {
             measured.seconds
@@ -408,7 +412,7 @@ impl TargetController {
         self.could_be_met = !cannot;
         TargetState {
             actual: verdict.actual,
-            knob: self.knob(),
+            threshold: self.threshold(),
             status: verdict.status,
             unmet_s: self.unmet_s,
             unmet: self.unmet,

@@ -121,7 +121,7 @@ impl Recordings {
         let screen = ScreenRule::Nonempty;
         let spec = resolve(&[policy.to_owned()], &[], &base, screen, false)?.pop();
         let spec = spec.ok_or("there is no policy")?;
-        let value = spec.config.build()?.knob_value().unwrap_or_default();
+        let value = spec.config.build()?.threshold().unwrap_or_default();
         let clips = run::run(clips, &[spec], &self.settings, &|| ())?;
         Ok(Point { value, clips })
     }
@@ -133,16 +133,19 @@ impl Recordings {
         unjudged.iter_mut().for_each(|clip| clip.truth = None);
         let mut config = albireo_core::policy::PolicyConfig::default();
         config.select(name)?;
-        let knob = config.build()?.knob().ok_or("it has no threshold")?;
+        let spec = config
+            .build()?
+            .threshold_spec()
+            .ok_or("it has no threshold")?;
         // Half a frame.
         let frames: usize = self.clips.iter().map(|clip| clip.frames).sum();
         let near = 2e-4f64.max(0.5 / frames as f64);
         // On the square root: fine where the threshold is small, and zero can be reached.
-        let (mut low, mut high) = (knob.minimum.sqrt(), knob.maximum.sqrt());
+        let (mut low, mut high) = (spec.minimum.sqrt(), spec.maximum.sqrt());
         let mut best = (f64::INFINITY, String::new());
         for _ in 0..18 {
             let middle: f64 = (low + high) / 2.0;
-            let value = (middle * middle).clamp(knob.minimum, knob.maximum);
+            let value = (middle * middle).clamp(spec.minimum, spec.maximum);
             let policy = format!("{name}:{value:e}");
             let reached = self.run(&unjudged, &policy)?.skip_rate();
             if (reached - wanted).abs() < best.0 {

@@ -21,7 +21,7 @@ const DEFAULT_DECAY_U: f64 = 3e-4;
 
 /// Returns the threshold by which the published code decays confidences.
 pub(crate) fn decay_threshold(policy: &dyn Policy) -> f64 {
-    let u = policy.knob_value().filter(|_| takes_u(policy));
+    let u = policy.threshold().filter(|_| takes_u(policy));
     u.unwrap_or(DEFAULT_DECAY_U)
 }
 

@@ -50,7 +50,7 @@ pub struct PolicySpec {
 /// Values of a setting to try one after the other: `u=3e-4,5e-4`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sweep {
-    /// Name of the setting, as the policy's knob is named.
+    /// Name of the setting, as the policy's threshold is named.
     pub name: String,
     /// The values to try.
     pub values: Vec<f64>,
@@ -125,10 +125,10 @@ pub(crate) fn swept(
     let mut applied = vec![false; sweeps.len()];
     for asked in asked {
         let one = build(asked, base)?;
-        let knob = one.1.knob();
+        let spec = one.1.threshold_spec();
         let sweep = sweeps
             .iter()
-            .position(|sweep| knob.is_some_and(|knob| knob.name == sweep.name));
+            .position(|sweep| spec.is_some_and(|spec| spec.name == sweep.name));
         match sweep {
             Some(index) if !asked.contains(':') => {
                 applied[index] = true;
@@ -171,8 +171,8 @@ fn build(asked: &str, base: &PolicyConfig) -> Result<Built, EvalError> {
 /// True if the policy's threshold is the paper's `u`.
 pub(crate) fn takes_u(policy: &dyn Policy) -> bool {
     policy
-        .knob()
-        .is_some_and(|knob| knob.name == Albireo::KNOB.name)
+        .threshold_spec()
+        .is_some_and(|spec| spec.name == Albireo::THRESHOLD.name)
 }
 
 /// Labels a policy as the published traces do, if they contain it.
@@ -181,7 +181,7 @@ fn label(policy: &dyn Policy, screen: ScreenRule) -> String {
         FixedSkip::NAME => "fixedskip",
         name => name,
     };
-    let setting = match (policy.knob(), policy.knob_value()) {
+    let setting = match (policy.threshold_spec(), policy.threshold()) {
         (Some(_), Some(value)) if takes_u(policy) => format!("-u{value:e}"),
         (Some(_), Some(value)) if policy.name() == Ctd::NAME => format!("-{value:.2}"),
         (Some(_), Some(value)) => format!("-{value}"),

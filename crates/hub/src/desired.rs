@@ -92,7 +92,7 @@ mod tests {
             let mut highest = None;
             for revision in revisions {
                 let value = revision as f64;
-                // A value of the knob and a target take turns: there is one revision for both.
+                // A value of the threshold and a target take turns: there is one revision for both.
                 let setting = match revision % 2 {
                     0 => DesiredSetting::Threshold(Threshold::new("u", value)),
                     _ => DesiredSetting::Target(Some(Target::Watts(value))),

@@ -86,10 +86,10 @@ async fn sums_match_the_clips_and_never_mix_energy_qualities(database: &str) {
     assert_eq!(one["audit"]["recall"]["rate"], 0.8);
     let other = clips.iter().find(|clip| clip["count"] == 3).unwrap();
     assert!(other["audit"].is_null());
-    let knobs = hub.get("/api/v1/energy?by=knob").await;
-    let mut groups = knobs["groups"].as_array().unwrap().iter();
+    let thresholds = hub.get("/api/v1/energy?by=threshold").await;
+    let mut groups = thresholds["groups"].as_array().unwrap().iter();
     let are_right = groups.all(|group| group["group"] == "albireo u=0.0003");
-    assert!(are_right, "{knobs}");
+    assert!(are_right, "{thresholds}");
 
     // Pages and the file hold each clip once.
     let (mut seen, mut cursor) = (Vec::new(), String::new());

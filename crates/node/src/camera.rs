@@ -306,11 +306,11 @@ impl Camera {
         let clip = frame.clip.as_deref();
         parts.hand_over(self.tracker.arrive(frame.time_ns, clip, frame.received));
         let clip = self.tracker.clip().map_or_else(|| "".into(), Arc::clone);
-        let knob = (parts.board.knob).zip(self.decider.policy.policy().knob_value());
+        let spec = (parts.board.threshold_spec).zip(self.decider.policy.policy().threshold());
         Some(BegunFrame {
             head,
             clip,
-            threshold: knob.map(|(knob, value)| Threshold::new(knob.name, value)),
+            threshold: spec.map(|(spec, value)| Threshold::new(spec.name, value)),
             taken,
             incoming,
             first_answer: None,
@@ -364,7 +364,7 @@ impl Camera {
             return;
         }
         if let Some(value) = *self.threshold.borrow_and_update()
-            && let Err(error) = self.decider.policy.set_knob(value)
+            && let Err(error) = self.decider.policy.set_threshold(value)
         {
             tracing::error!(camera = self.parts.board.name(), %error, "the policy rejected a threshold");
         }

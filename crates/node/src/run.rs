@@ -165,14 +165,14 @@ fn log_start(config: &NodeConfig, board: &Board, node: &Node, http: SocketAddr, 
     let from: Vec<_> = (board.cameras.iter())
         .map(|camera| camera.source.as_deref().unwrap_or(&camera.key))
         .collect();
-    let knobs: BTreeSet<_> = (board.cameras.iter())
+    let names: BTreeSet<_> = (board.cameras.iter())
         .filter_map(|camera| Some(camera.threshold_in_force()?.to_string()))
         .collect();
     tracing::info!(
         version = env!("CARGO_PKG_VERSION"),
         node = config.node.name,
         policy = board.policy,
-        knob = knobs.into_iter().collect::<Vec<_>>().join(", "),
+        threshold = names.into_iter().collect::<Vec<_>>().join(", "),
         model = %config.detector.model.display(),
         provider = node.provider(),
         cameras = from.len(),

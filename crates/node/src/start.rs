@@ -74,7 +74,7 @@ impl PreparedNode {
     }
 
     /// Uses `policies` instead of the configured ones, for a program with its own policy. They should have the
-    /// configured policy's knob.
+    /// configured policy's threshold.
     #[must_use]
     pub fn with_policies(mut self, policies: PolicyMaker) -> Self {
         self.policies = policies;

@@ -6,7 +6,7 @@ use albireo_core::audit::{AuditDraw, AuditSums};
 use albireo_core::detection::{ClassId, Detection};
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_core::policy::{
-    BoxSource, Evidence, FrameHead, GreyPicture, KnobError, LatePolicy, Need, Outcome, OutputBox,
+    BoxSource, Evidence, FrameHead, GreyPicture, InvalidThreshold, LatePolicy, Need, Outcome, OutputBox,
     Policy, PolicyConfig, Profile, SettledFrame, Settler,
 };
 use numpy::{
@@ -57,10 +57,10 @@ impl Engine {
         }
     }
 
-    fn set_knob(&mut self, value: f64) -> Result<(), KnobError> {
+    fn set_threshold(&mut self, value: f64) -> Result<(), InvalidThreshold> {
         match self {
-            Self::Waiting(policy) => policy.set_knob(value),
-            Self::Late(late) => late.set_knob(value),
+            Self::Waiting(policy) => policy.set_threshold(value),
+            Self::Late(late) => late.set_threshold(value),
         }
     }
 }
@@ -130,7 +130,7 @@ impl Decider {
         config.select(policy).map_err(wrong)?;
         let mut policy = config.build().map_err(wrong)?;
         if let Some(threshold) = threshold {
-            policy.set_knob(threshold).map_err(wrong)?;
+            policy.set_threshold(threshold).map_err(wrong)?;
         }
         let engine = if late {
             Engine::Late(LatePolicy::new(policy).map_err(|error| {
@@ -421,19 +421,19 @@ impl Decider {
 
     /// Name, meaning, least and largest value of the threshold.
     #[getter]
-    fn knob(&self) -> Option<(&'static str, &'static str, f64, f64)> {
-        let knob = self.engine.policy().knob()?;
-        Some((knob.name, knob.meaning, knob.minimum, knob.maximum))
+    fn threshold_spec(&self) -> Option<(&'static str, &'static str, f64, f64)> {
+        let spec = self.engine.policy().threshold_spec()?;
+        Some((spec.name, spec.meaning, spec.minimum, spec.maximum))
     }
 
     #[getter]
     fn threshold(&self) -> Option<f64> {
-        self.engine.policy().knob_value()
+        self.engine.policy().threshold()
     }
 
     #[setter]
     fn set_threshold(&mut self, value: f64) -> PyResult<()> {
-        self.engine.set_knob(value).map_err(wrong)
+        self.engine.set_threshold(value).map_err(wrong)
     }
 
     #[getter]

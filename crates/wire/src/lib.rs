@@ -20,8 +20,8 @@ mod threshold;
 mod version;
 
 pub use albireo_core::audit::{AuditRate, AuditSquares, AuditSums};
-pub use albireo_core::policy::{CallCause, Knob, KnobError};
-pub use albireo_core::target::{KnobRange, Target, TargetError, TargetState, TargetStatus};
+pub use albireo_core::policy::{CallCause, InvalidThreshold, ThresholdSpec};
+pub use albireo_core::target::{Target, TargetError, TargetState, TargetStatus, ThresholdRange};
 pub use audit::{AuditFigures, AuditReport};
 pub use clip::{
     BoardState, ClipEnd, ClipEnergy, ClipReport, DomainEnergy, EnergyQuality, FULL_COVERAGE,

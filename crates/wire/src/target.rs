@@ -2,7 +2,7 @@
 
 use crate::version::current_version;
 use crate::{SettingSource, Threshold};
-use albireo_core::target::{KnobRange, Target, TargetState, TargetStatus};
+use albireo_core::target::{Target, TargetState, TargetStatus, ThresholdRange};
 use serde::{Deserialize, Serialize};
 use serde_with::skip_serializing_none;
 use utoipa::ToSchema;
@@ -35,7 +35,7 @@ pub struct TargetReport {
     /// Human-readable reason why there is no target any more.
     pub off: Option<String>,
     /// The range within which the threshold moves; absent without a target.
-    pub range: Option<KnobRange>,
+    pub range: Option<ThresholdRange>,
     /// The threshold in force; absent without a target.
     pub threshold: Option<Threshold>,
     /// The measured value and the reason for the threshold; absent without a target and before the first second.

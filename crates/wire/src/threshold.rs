@@ -1,7 +1,7 @@
 //! The threshold of a policy in messages: its name and its value.
 
 use crate::version::current_version;
-use albireo_core::policy::{Knob, short};
+use albireo_core::policy::{ThresholdSpec, short};
 use arrayvec::ArrayString;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -31,16 +31,16 @@ impl Threshold {
         }
     }
 
-    /// Returns the value if it belongs to `knob`.
+    /// Returns the value if it belongs to `spec`.
     ///
     /// # Errors
     /// [`OtherThreshold`] if it has another name.
-    pub fn value_of(&self, knob: &Knob) -> Result<f64, OtherThreshold> {
-        if self.name.as_str() == knob.name {
+    pub fn value_of(&self, spec: &ThresholdSpec) -> Result<f64, OtherThreshold> {
+        if self.name.as_str() == spec.name {
             Ok(self.value)
         } else {
             Err(OtherThreshold {
-                wanted: knob.name,
+                wanted: spec.name,
                 sent: self.name,
             })
         }
@@ -127,8 +127,8 @@ mod tests {
     #[test]
     fn a_threshold_of_another_policy_is_rejected_by_name() {
         let threshold = Threshold::new("u", 5e-4);
-        assert_eq!(threshold.value_of(&Albireo::KNOB), Ok(5e-4));
-        let error = threshold.value_of(&ExpectedLoss::KNOB).unwrap_err();
+        assert_eq!(threshold.value_of(&Albireo::THRESHOLD), Ok(5e-4));
+        let error = threshold.value_of(&ExpectedLoss::THRESHOLD).unwrap_err();
         assert_eq!(
             error.to_string(),
             "the threshold of the policy in use is `lambda`, not `u`"

@@ -5,7 +5,7 @@ use crate::cli::replay::{
     FrameSender, Pacing, PublishOptions, Rate, Sent, close, flush, open_session, publish,
 };
 use albireo_core::geometry::PictureSize;
-use albireo_core::policy::{Knob, PolicyConfig};
+use albireo_core::policy::{PolicyConfig, ThresholdSpec};
 use albireo_eval::compare::{Boxes, ClassNumbers, Suggestion};
 use albireo_eval::footage::{FrameSource, Pictures};
 use albireo_node::PreparedNode;
@@ -72,14 +72,14 @@ impl Played {
     }
 
     /// Suggests a threshold, if no frame was skipped although objects were tracked.
-    pub(super) fn advice(&self, knob: Option<Knob>) -> Option<Suggestion> {
+    pub(super) fn advice(&self, spec: Option<ThresholdSpec>) -> Option<Suggestion> {
         let mut watch = SkipWatch::default();
         for message in self.messages() {
             watch.count(&message);
         }
-        let advice = watch.advice_so_far(&knob?)?;
+        let advice = watch.advice_so_far(&spec?)?;
         Some(Suggestion {
-            knob: advice.knob,
+            threshold: advice.threshold,
             value: advice.attempt,
         })
     }

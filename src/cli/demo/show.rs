@@ -66,10 +66,10 @@ impl Show {
             self.address
         );
         let camera = self.board.cameras.first();
-        if let Some(knob) = camera.and_then(|camera| camera.knob) {
+        if let Some(spec) = camera.and_then(|camera| camera.threshold_spec) {
             // Twice the default, so that the difference is visible.
-            let value = (2.0 * knob.default).min(knob.maximum);
-            let value = serde_json::json!({ knob.name: value });
+            let value = (2.0 * spec.default).min(spec.maximum);
+            let value = serde_json::json!({ spec.name: value });
             println!(
                 "  tune it  curl -X PUT http://{}/api/v1/threshold \\\n             -H 'content-type: application/json' -d '{value}'",
                 self.address
@@ -160,9 +160,10 @@ fn live_line(board: &Board, message: &DetectionsMessage) -> String {
         .cameras
         .first()
         .map_or(0.0, |camera| camera.snapshot().skip_rate());
-    let knob = (message.threshold).map_or_else(String::new, |knob| format!("  {knob}"));
+    let threshold =
+        (message.threshold).map_or_else(String::new, |threshold| format!("  {threshold}"));
     let line = format!(
-        "frame {:>5}  {:<3} {:>5.1} ms{knob}  skip {:>4.1} %  {}",
+        "frame {:>5}  {:<3} {:>5.1} ms{threshold}  skip {:>4.1} %  {}",
         message.seq,
         message.state,
         message.latency_ms.total,

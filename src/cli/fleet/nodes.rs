@@ -60,7 +60,7 @@ pub(super) struct EnergyArguments {
     /// How far back: 7d, 12h; from two days on, the period begins with a day (UTC).
     #[arg(long, default_value = "7d", value_parser = seconds, value_name = "TIME")]
     since: f64,
-    /// One line for each node, camera, day, policy or knob.
+    /// One line for each node, camera, day, policy or threshold.
     #[arg(long, value_name = "WHAT")]
     by: Option<String>,
     /// Only this node.

@@ -140,7 +140,7 @@ struct Basics {
     /// The threshold's name, for nodes under another policy.
     #[arg(long, default_value = "u")]
     #[serde(skip)]
-    knob: String,
+    threshold: String,
     /// Length of the measurements before the change.
     #[arg(long = "baseline", value_parser = seconds, value_name = "TIME")]
     baseline_s: Option<f64>,
@@ -211,7 +211,7 @@ pub(super) async fn trial(context: &Context, command: TrialCommand) -> anyhow::R
     let client = &context.client;
     let trial: RunView = match command {
         TrialCommand::Start(plan) => {
-            let value = |value: &f64| json!({ (plan.basics.knob.as_str()): value });
+            let value = |value: &f64| json!({ (plan.basics.threshold.as_str()): value });
             let values = plan.values.iter().map(value).collect();
             begin(context, "/api/v1/trials", &plan, ("values", values)).await?
         }
@@ -246,7 +246,7 @@ async fn number(context: &Context, kind: &str, id: Option<i64>) -> anyhow::Resul
 }
 
 async fn start(context: &Context, arguments: RolloutArguments) -> anyhow::Result<Ended> {
-    let value = (arguments.basics.knob.as_str(), json!(arguments.value));
+    let value = (arguments.basics.threshold.as_str(), json!(arguments.value));
     let rollout = begin(context, "/api/v1/rollouts", &arguments, value).await?;
     let id = rollout.kept.id;
     if arguments.follow {

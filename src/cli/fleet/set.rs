@@ -15,9 +15,9 @@ use serde_json::{Value, json};
 pub(super) struct Arguments {
     /// The new value.
     value: f64,
-    /// The knob's name, for nodes under another policy.
+    /// The threshold's name, for nodes under another policy.
     #[arg(long, default_value = "u")]
-    knob: String,
+    threshold: String,
     #[command(flatten)]
     order: Order,
 }
@@ -50,7 +50,7 @@ struct Order {
 }
 
 pub(super) async fn set(context: &Context, arguments: Arguments) -> anyhow::Result<Ended> {
-    let what = (arguments.knob.as_str(), json!(arguments.value));
+    let what = (arguments.threshold.as_str(), json!(arguments.value));
     order(context, "/api/v1/threshold", what, arguments.order).await
 }
 

@@ -77,7 +77,7 @@ export function EnergyView() {
   const span = SPANS.find((span) => span.id === route.value.query.get("span")) ?? SPANS[0]!;
   const { points, fault } = usePoints(span);
   const since = points[0]?.at;
-  const by = useLoaded<Energy>(since === undefined ? undefined : `/api/v1/energy?by=knob&since_ms=${since}`, 30_000);
+  const by = useLoaded<Energy>(since === undefined ? undefined : `/api/v1/energy?by=threshold&since_ms=${since}`, 30_000);
   const qualities = useMemo(() => {
     const all = new Set<string>(points.flatMap((point) => point.groups.filter((group) => group.quality !== "unavailable").map((group) => group.quality)));
     return ["measured", "partial", "estimated"].filter((quality) => all.has(quality));
@@ -148,7 +148,7 @@ export function EnergyView() {
           />
         </Section>
       )}
-      <Section id="by-knob" title={`By policy and value, ${span.words}`} wide>
+      <Section id="by-threshold" title={`By policy and value, ${span.words}`} wide>
         <Fault text={by.fault} />
         <EnergyTable energy={by.value} />
       </Section>

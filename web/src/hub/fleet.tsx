@@ -32,7 +32,7 @@ const COLUMNS: { id: string; head: string; sort?: string; class: string }[] = [
   { id: "state", head: "state", sort: "state", class: "c-state" },
   { id: "why", head: "since, why", sort: "since", class: "c-why" },
   { id: "heard", head: "heard", sort: "heard", class: "c-heard" },
-  { id: "knob", head: "threshold", class: "c-knob" },
+  { id: "threshold", head: "threshold", class: "c-threshold" },
   { id: "skip", head: "skipped", class: "c-skip" },
   { id: "recall", head: "recall", class: "c-recall" },
   { id: "provider", head: "runs on", class: "c-provider" },
@@ -212,7 +212,7 @@ function Row(props: { index: number; node: NodeView | undefined; picked: boolean
       <span role="cell" class="c-heard">
         {heard === undefined ? "never" : ago(Math.max(0, heard))}
       </span>
-      <span role="cell" class="c-knob" title={held && `now ${value}`}>
+      <span role="cell" class="c-threshold" title={held && `now ${value}`}>
         {held ? `hold ${held[0]} = ${small(held[1])}` : value}
       </span>
       <span role="cell" class="c-skip" title="Share of today's frames that skipped the detector">

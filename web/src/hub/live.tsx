@@ -79,7 +79,7 @@ function Held({ report }: { report: TargetReport | null | undefined }) {
   return (
     <p class="message" id="held-now">
       Holds <b>{heldText(report.target)}</b>, now <b>{small(state?.actual)}</b>: {report.why ?? "starting"}. The threshold is{" "}
-      <b>{small(state?.knob)}</b>, allowed {small(range?.least)} to {small(range?.most)}.
+      <b>{small(state?.threshold)}</b>, allowed {small(range?.least)} to {small(range?.most)}.
       {state && state.unmet > 0 && ` Not met for ${duration(state.unmet_s)} in total.`}
     </p>
   );

@@ -34,7 +34,7 @@ export function Node({ name }: { name: string }) {
   const at = encodeURIComponent(name);
   const node = useLoaded<NodeDetail>(`/api/v1/nodes/${at}`, 3000);
   const since = Math.floor((Date.now() - WEEK_MS) / 3_600_000) * 3_600_000;
-  const energy = useLoaded<Energy>(`/api/v1/energy?by=knob&node=${at}&since_ms=${since}`, 30_000);
+  const energy = useLoaded<Energy>(`/api/v1/energy?by=threshold&node=${at}&since_ms=${since}`, 30_000);
   const clips = useLoaded<{ clips: StoredClip[] }>(`/api/v1/clips?node=${at}&limit=30`, 10_000);
   const changes = useLoaded<{ changes: ChangeView[] }>(`/api/v1/changes?node=${at}&limit=10`, 10_000);
   // Settings on this page apply to this node.
@@ -155,7 +155,7 @@ export function Node({ name }: { name: string }) {
                   <td>{milliseconds(clip.latency_mean_ms)}</td>
                   <td>{milliseconds(clip.latency_p99_ms)}</td>
                   <td>{milliseconds(clip.detector_mean_ms)}</td>
-                  <td>{clip.knob ? `${clip.knob} = ${small(clip.value)}` : "–"}</td>
+                  <td>{clip.threshold ? `${clip.threshold} = ${small(clip.value)}` : "–"}</td>
                 </tr>
               ))}
             </tbody>

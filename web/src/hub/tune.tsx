@@ -36,7 +36,7 @@ export class LineParser {
   }
 }
 
-/** The prefix of a target's name in the list of knobs: a knob may have the same name. */
+/** The prefix of a target's name in the list of thresholds: a threshold may have the same name. */
 const HOLD = "hold ";
 const NOTHING = `${HOLD}nothing`;
 
@@ -68,7 +68,7 @@ function buttonText(what: string, number: number | undefined): string {
 
 export function Tune() {
   const [select, setSelect] = useState("");
-  const [knob, setKnob] = useState("u");
+  const [name, setName] = useState("u");
   const [value, setValue] = useState("");
   const [why, setWhy] = useState("");
   const [fault, setFault] = useState("");
@@ -78,13 +78,13 @@ export function Tune() {
   const chosen = terms(select).length ? terms(select) : picked.length ? picked : terms(filtered);
   const forbidden = whyNot();
   const number = parsed(value);
-  const what = ordered(knob, number);
+  const what = ordered(name, number);
   const body = { ...what?.fields, select: chosen, why };
 
   const attempt = async (work: () => Promise<void>) => {
     setFault("");
     if (chosen.length === 0) return setFault("Choose nodes: select some above, or enter names, globs, labels or “all”.");
-    if (!what) return setFault(`Enter a value for ${knob.replace(HOLD, "")}, such as ${placeholder(knob)}.`);
+    if (!what) return setFault(`Enter a value for ${name.replace(HOLD, "")}, such as ${placeholder(name)}.`);
     try {
       await work();
     } catch (error) {
@@ -148,7 +148,7 @@ export function Tune() {
             />
           </Field>
           <Field label="threshold or target">
-            <select value={knob} onChange={(event) => setKnob(event.currentTarget.value)}>
+            <select value={name} onChange={(event) => setName(event.currentTarget.value)}>
               <optgroup label="a threshold">
                 {["u", "lambda", "n", "skip_rate", "threshold", "component_size", "drift"].map((name) => (
                   <option key={name}>{name}</option>
@@ -169,9 +169,9 @@ export function Tune() {
               type="text"
               inputmode="decimal"
               autocomplete="off"
-              placeholder={placeholder(knob)}
-              disabled={knob === NOTHING}
-              value={knob === NOTHING ? "" : value}
+              placeholder={placeholder(name)}
+              disabled={name === NOTHING}
+              value={name === NOTHING ? "" : value}
               onInput={(event) => setValue(event.currentTarget.value)}
             />
           </Field>
@@ -183,7 +183,7 @@ export function Tune() {
           <button type="button" class="plain" onClick={dry}>
             Show who would change
           </button>
-          <button disabled={forbidden !== undefined || said?.running}>{buttonText(knob, number)}</button>
+          <button disabled={forbidden !== undefined || said?.running}>{buttonText(name, number)}</button>
           <span class="quiet">
             for {chosen.length === 0 ? "no node yet" : chosen.length > 4 ? plural(chosen.length, "term") : chosen.join(", ")}
           </span>

@@ -6,7 +6,7 @@ import { Chart } from "../shared/chart";
 import { milliseconds, percent, small, watts } from "../shared/format";
 import { Quality, Section } from "../shared/parts";
 import { percentile, type Seen } from "./frames";
-import { counters, hour, knob, log, opened, pointed, power, samples, tick } from "./store";
+import { counters, hour, thresholdSpec, log, opened, pointed, power, samples, tick } from "./store";
 
 /** Length of an interval of the hour, seconds. */
 const SLOT_S = 10;
@@ -33,7 +33,7 @@ function seqOf(frame: Seen | { at: number } | undefined): number | undefined {
 /** τ_max of the last frames against the threshold they were decided with. */
 export function Uncertainty() {
   const now = tick.value;
-  const name = knob.value?.name ?? "u";
+  const name = thresholdSpec.value?.name ?? "u";
   const frames = useMemo(() => log.last(FRAMES), [now, opened.value]);
   const shownFrames = useMemo(() => withGaps(frames), [frames]);
   const data = useMemo((): uPlot.AlignedData => {

@@ -5,7 +5,7 @@ import { count, duration, joules, percent, plural, small, watts } from "../share
 import { Figure, Pill, Quality, Section, type Mood } from "../shared/parts";
 import type { AuditRate, Savings } from "./types";
 import { rate } from "./audit";
-import { cameras, counters, detector, knob, knobInForce, lost, missed, opened, overview } from "./store";
+import { cameras, counters, detector, thresholdSpec, thresholdInForce, lost, missed, opened, overview } from "./store";
 
 type Energy = NonNullable<Savings["energy"]>;
 
@@ -87,10 +87,10 @@ export function Header() {
             <dt>policy</dt>
             <dd>
               {now.policy}
-              {knob.value && (
+              {thresholdSpec.value && (
                 <>
                   {", "}
-                  {knob.value.name} = <b>{small(knobInForce.value)}</b>
+                  {thresholdSpec.value.name} = <b>{small(thresholdInForce.value)}</b>
                 </>
               )}
             </dd>

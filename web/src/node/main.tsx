@@ -11,7 +11,7 @@ import { DetectorTime, Power, Rates, Uncertainty } from "./charts";
 import { Clips } from "./clips";
 import { Header, Headline, Saving } from "./header";
 import { Health } from "./health";
-import { KnobPanel } from "./knob";
+import { ThresholdPanel } from "./threshold";
 import { Log } from "./log";
 import { Picture } from "./picture";
 import { Ribbon } from "./ribbon";
@@ -51,7 +51,7 @@ function Page() {
           </div>
           <div class="stack">
             <Saving />
-            <KnobPanel />
+            <ThresholdPanel />
           </div>
           {cameras.value.length > 1 && <Tiles />}
           <Ribbon />

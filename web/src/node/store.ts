@@ -63,13 +63,13 @@ export const power: PowerSample[] = [];
 /** The last hour of the opened camera in the intervals that the node stores. Frames that this page received follow. */
 export const hour = signal<CameraSlot[]>([]);
 
-export const knob = computed(() => {
+export const thresholdSpec = computed(() => {
   const mine = thresholds.value?.cameras.find((camera) => camera.camera === opened.value);
-  return mine?.knob ?? undefined;
+  return mine?.threshold_spec ?? undefined;
 });
-export const knobInForce = computed(() => {
+export const thresholdInForce = computed(() => {
   const mine = thresholds.value?.cameras.find((camera) => camera.camera === opened.value);
-  return mine?.knob ? (mine as Record<string, unknown>)[mine.knob.name] as number | undefined : undefined;
+  return mine?.threshold_spec ? (mine as Record<string, unknown>)[mine.threshold_spec.name] as number | undefined : undefined;
 });
 
 let dirty = false;
@@ -160,7 +160,7 @@ async function lookAtPast(camera: string, signal: AbortSignal): Promise<void> {
     { signal },
   );
   if (signal.aborted) return;
-  const name = thresholds.value?.cameras.find((entry) => entry.camera === camera)?.knob?.name;
+  const name = thresholds.value?.cameras.find((entry) => entry.camera === camera)?.threshold_spec?.name;
   log.unshift(past(history, name, Date.now() / 1000));
   hour.value = history.slots;
   dirty = true;
@@ -173,6 +173,7 @@ async function lookAtNode(): Promise<void> {
     // The node restarted: its frames are different ones.
     log.clear();
     pointed.value = undefined;
+    counters.value = new Map();
     samples.clear();
     power.length = 0;
     hour.value = [];

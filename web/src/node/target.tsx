@@ -5,7 +5,7 @@ import { every, json, Refused, send } from "../shared/api";
 import { duration, parsed, small } from "../shared/format";
 import { Section, whyNot } from "../shared/parts";
 import { nameAndValue, TARGETS, type TargetName } from "../shared/target";
-import { knob } from "./store";
+import { thresholdSpec } from "./store";
 import type { TargetReport } from "./types";
 
 const LOOK_MS = 2000;
@@ -21,7 +21,7 @@ export function TargetPanel() {
     return () => stop.abort();
   }, []);
   // A controller moves only these thresholds.
-  if (!report || !["u", "lambda"].includes(knob.value?.name ?? "")) return null;
+  if (!report || !["u", "lambda"].includes(thresholdSpec.value?.name ?? "")) return null;
   const set = async (target: Record<string, number> | null) => {
     try {
       setReport(await send<TargetReport>("PUT", "/api/v1/target", { target }));
@@ -45,13 +45,13 @@ export function TargetPanel() {
     <Section
       id="target"
       title="Target"
-      aside={<span id="target-why">{held ? (report.why ?? "starting") : (report.off ?? `none: ${knob.value!.name} stays as set`)}</span>}
+      aside={<span id="target-why">{held ? (report.why ?? "starting") : (report.off ?? `none: ${thresholdSpec.value!.name} stays as set`)}</span>}
     >
       <form onSubmit={submit}>
         {held && (
           <p class="message" id="target-state">
             {about?.words ?? held[0]} <b>{small(held[1])}</b> {about?.unit}, now{" "}
-            <b id="target-actual">{small(state?.actual)}</b>; {knob.value!.name} is <b>{small(state?.knob)}</b>, allowed {small(report.range?.least)} to{" "}
+            <b id="target-actual">{small(state?.actual)}</b>; {thresholdSpec.value!.name} is <b>{small(state?.threshold)}</b>, allowed {small(report.range?.least)} to{" "}
             {small(report.range?.most)}.
             {state && state.unmet > 0 && ` Not met for ${duration(state.unmet_s)} in total.`}
             {state?.boxes !== undefined && state?.boxes !== null && ` Based on ${state.boxes} boxes.`}
@@ -92,7 +92,7 @@ export function TargetPanel() {
         <p id="target-message" class="message bad" role="alert">
           {forbidden ?? said ?? ""}
         </p>
-        <p class="message quiet">A controller sets {knob.value!.name} for all cameras together. Setting it by hand turns the target off.</p>
+        <p class="message quiet">A controller sets {thresholdSpec.value!.name} for all cameras together. Setting it by hand turns the target off.</p>
       </form>
     </Section>
   );

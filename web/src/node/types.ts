@@ -27,4 +27,4 @@ export type States = Schemas["NodeStates"];
 export type Threshold = Schemas["ThresholdEvent"];
 export type Thresholds = Schemas["Thresholds"];
 export type CameraThreshold = Schemas["CameraThreshold"];
-export type Knob = Schemas["Knob"];
+export type ThresholdSpec = Schemas["ThresholdSpec"];

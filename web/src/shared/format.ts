@@ -88,7 +88,7 @@ const SUPERSCRIPT: Record<string, string> = {
   "-": "⁻", "0": "⁰", "1": "¹", "2": "²", "3": "³", "4": "⁴", "5": "⁵", "6": "⁶", "7": "⁷", "8": "⁸", "9": "⁹",
 };
 
-/** A knob's value or an uncertainty: `3.0×10⁻⁴` where it is small, else as it is. */
+/** A threshold's value or an uncertainty: `3.0×10⁻⁴` where it is small, else as it is. */
 export function small(value: number | undefined | null, precision = 2): string {
   if (value === undefined || value === null || !Number.isFinite(value)) return NONE;
   if (value === 0) return "0";

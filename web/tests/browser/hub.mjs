@@ -137,7 +137,7 @@ token = "a-token-that-may-look"
     await page.locator("#node-changes").getByText("hold skip_rate = 0.6").waitFor();
     await accessible(page, "a node with a target");
     await page.goto(`${address}/#/fleet?search=sim-000005`);
-    await page.locator(".fleet-body .c-knob").getByText("hold skip_rate = 0.6").waitFor();
+    await page.locator(".fleet-body .c-threshold").getByText("hold skip_rate = 0.6").waitFor();
     await page.goto(`${address}/#/nodes/sim-000005`);
     await page.getByLabel("threshold or target").selectOption("hold nothing");
     await page.getByRole("button", { name: "Hold nothing" }).click();

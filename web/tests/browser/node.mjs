@@ -118,7 +118,7 @@ export async function nodeTests(browser) {
   await test("a refused value is told with its reason", async () => {
     await page.fill("#u", "7");
     await page.getByRole("button", { name: "Set", exact: true }).click();
-    await until("the reason", async () => /1e-9|0\.000000001|from/.test(await page.textContent("#knob-message")));
+    await until("the reason", async () => /1e-9|0\.000000001|from/.test(await page.textContent("#threshold-message")));
     assert((await page.getAttribute("#u", "aria-invalid")) === "true", "the field is not marked");
     await page.getByRole("button", { name: /Leave at/ }).click();
     // The browser itself writes down that an answer was a refusal.
@@ -208,7 +208,7 @@ async function cameraTests(browser) {
     await faults.locator("summary").click();
     await faults.getByText(/127\.0\.0\.1:1/).first().waitFor();
     assert((await phone.locator(".tile").count()) === 7, "not seven tiles");
-    const below = await phone.evaluate(() => document.querySelector("#knob").getBoundingClientRect().top < document.querySelector("#uncertainty").getBoundingClientRect().top);
+    const below = await phone.evaluate(() => document.querySelector("#threshold").getBoundingClientRect().top < document.querySelector("#uncertainty").getBoundingClientRect().top);
     assert(below, "the threshold comes after the charts");
     await fits(phone);
     await accessible(phone, "seven cameras, 390, dark");

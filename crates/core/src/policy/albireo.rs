@@ -7,8 +7,8 @@
 use super::Ablation;
 use super::albireo_settings::{AlbireoSettings, PeriodicCap};
 use super::{
-    CallCause, Evidence, FrameHead, FrameState, Knob, KnobError, Need, ObjectRecord, Outcome,
-    OutputBox, Policy, PolicyConfig, PolicyConfigError,
+    CallCause, Evidence, FrameHead, FrameState, InvalidThreshold, Need, ObjectRecord, Outcome,
+    OutputBox, Policy, PolicyConfig, PolicyConfigError, ThresholdSpec,
 };
 use crate::detection::Detection;
 use crate::objects::{Missed, ObjectStates};
@@ -56,7 +56,7 @@ impl Albireo {
     /// The threshold. τ is a sum of variances of shares of the picture: at 1 an object's position is unknown, and below
     /// 1e-9 the detector runs on every frame. The useful range is from the smallest τ of a predicted frame to τ after
     /// six frames of prediction since a detection; the paper goes to 1e-3, two frames.
-    pub const KNOB: Knob = Knob {
+    pub const THRESHOLD: ThresholdSpec = ThresholdSpec {
         name: "u",
         meaning: "The detector is skipped while every object's uncertainty is below this: higher saves \
                   more energy, lower is more accurate",
@@ -72,7 +72,7 @@ impl Albireo {
     /// # Errors
     /// [`PolicyConfigError`] if the threshold is invalid.
     pub fn new(settings: AlbireoSettings, u: f64) -> Result<Self, PolicyConfigError> {
-        let u = Self::KNOB.check(u)?;
+        let u = Self::THRESHOLD.check(u)?;
         Ok(Self {
             name: Self::NAME,
             settings,
@@ -234,16 +234,16 @@ impl Policy for Albireo {
         self.name
     }
 
-    fn knob(&self) -> Option<Knob> {
-        Some(Self::KNOB)
+    fn threshold_spec(&self) -> Option<ThresholdSpec> {
+        Some(Self::THRESHOLD)
     }
 
-    fn knob_value(&self) -> Option<f64> {
+    fn threshold(&self) -> Option<f64> {
         Some(self.u)
     }
 
-    fn set_knob(&mut self, value: f64) -> Result<(), KnobError> {
-        self.u = Self::KNOB.check(value)?;
+    fn set_threshold(&mut self, value: f64) -> Result<(), InvalidThreshold> {
+        self.u = Self::THRESHOLD.check(value)?;
         Ok(())
     }
 

@@ -43,8 +43,8 @@ impl Default for PolicyConfig {
         Self {
             name: Albireo::NAME.to_owned(),
             profile: Profile::default(),
-            u: Albireo::KNOB.default,
-            lambda: ExpectedLoss::KNOB.default,
+            u: Albireo::THRESHOLD.default,
+            lambda: ExpectedLoss::THRESHOLD.default,
             fixed_skip: FixedSkipSettings::default(),
             ctd: CtdSettings::default(),
             statues: StatuesSettings::default(),
@@ -64,7 +64,7 @@ pub enum PolicyConfigError {
     },
     /// The threshold is out of range.
     #[error("policy.u: {0}")]
-    Threshold(#[from] super::KnobError),
+    Threshold(#[from] super::InvalidThreshold),
     /// The argument after the policy's name is invalid.
     #[error("`{policy}:{argument}`: {reason}")]
     Argument {
@@ -89,19 +89,19 @@ pub enum PolicyConfigError {
 struct Entry {
     name: &'static str,
     build: fn(&PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError>,
-    /// The field with the value of the policy's knob; `None` without a knob.
-    knob_value: Option<fn(&mut PolicyConfig) -> &mut f64>,
+    /// The field with the value of the policy's threshold; `None` without a threshold.
+    threshold: Option<fn(&mut PolicyConfig) -> &mut f64>,
 }
 
 const fn entry(
     name: &'static str,
     build: fn(&PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError>,
-    knob_value: Option<fn(&mut PolicyConfig) -> &mut f64>,
+    threshold: Option<fn(&mut PolicyConfig) -> &mut f64>,
 ) -> Entry {
     Entry {
         name,
         build,
-        knob_value,
+        threshold,
     }
 }
 
@@ -161,8 +161,8 @@ impl PolicyConfig {
         (self.entry()?.build)(self)
     }
 
-    /// Parses `NAME[:ARGUMENT]` from a command line: the policy and the value of its knob. Without an argument that
-    /// value is unchanged, as are all other settings. [`build`](Self::build) checks that the value is in range.
+    /// Parses `NAME[:ARGUMENT]` from a command line: the policy and the value of its threshold. Without an argument
+    /// that value is unchanged, as are all other settings. [`build`](Self::build) checks that the value is in range.
     ///
     /// # Errors
     /// [`PolicyConfigError`] if the name is unknown, the argument is not a number, or the policy takes none; the
@@ -183,10 +183,10 @@ impl PolicyConfig {
         taken
     }
 
-    /// Sets the knob of the configured policy to `argument`, a number as text.
+    /// Sets the threshold of the configured policy to `argument`, a number as text.
     ///
     /// # Errors
-    /// [`PolicyConfigError`] if the name is unknown, the policy has no knob, or `argument` is not a number.
+    /// [`PolicyConfigError`] if the name is unknown, the policy has no threshold, or `argument` is not a number.
     pub fn set_argument(&mut self, argument: &str) -> Result<(), PolicyConfigError> {
         let entry = self.entry()?;
         let wrong = |reason: &str| PolicyConfigError::Argument {
@@ -195,7 +195,7 @@ impl PolicyConfig {
             reason: reason.to_owned(),
         };
         let place = entry
-            .knob_value
+            .threshold
             .ok_or_else(|| wrong("this policy takes no argument"))?;
         *place(self) = argument
             .trim()

@@ -50,8 +50,8 @@ mod trigger;
 mod velocity;
 
 use super::{
-    CallCause, Evidence, FrameHead, FrameState, GreyPicture, Knob, KnobError, Need, ObjectRecord,
-    Outcome, Policy, PolicyConfigError, tracker::check_setting,
+    CallCause, Evidence, FrameHead, FrameState, GreyPicture, InvalidThreshold, Need, ObjectRecord,
+    Outcome, Policy, PolicyConfigError, ThresholdSpec, tracker::check_setting,
 };
 use crate::detection::Detection;
 use birth::BirthRate;
@@ -122,7 +122,7 @@ impl ExpectedLoss {
     ];
 
     /// λ, the price of a detector call. At 0 the detector runs on every frame.
-    pub const KNOB: Knob = Trigger::ExpectedLoss { lambda: 0.0 }.knob();
+    pub const THRESHOLD: ThresholdSpec = Trigger::ExpectedLoss { lambda: 0.0 }.threshold_spec();
 
     /// Creates a policy with these settings and this trigger.
     ///
@@ -136,7 +136,7 @@ impl ExpectedLoss {
             Trigger::ExpectedLoss { .. } => "lambda",
             Trigger::FixedSkip { .. } | Trigger::Even { .. } => "in_tracker",
         };
-        check_setting(table, trigger.knob(), trigger.value())?;
+        check_setting(table, trigger.threshold_spec(), trigger.value())?;
         Ok(Self {
             settings,
             trigger,
@@ -299,16 +299,16 @@ impl Policy for ExpectedLoss {
         }
     }
 
-    fn knob(&self) -> Option<Knob> {
-        Some(self.trigger.knob())
+    fn threshold_spec(&self) -> Option<ThresholdSpec> {
+        Some(self.trigger.threshold_spec())
     }
 
-    fn knob_value(&self) -> Option<f64> {
+    fn threshold(&self) -> Option<f64> {
         Some(self.trigger.value())
     }
 
-    fn set_knob(&mut self, value: f64) -> Result<(), KnobError> {
-        let value = self.trigger.knob().check(value)?;
+    fn set_threshold(&mut self, value: f64) -> Result<(), InvalidThreshold> {
+        let value = self.trigger.threshold_spec().check(value)?;
         self.trigger = self.trigger.with_value(value);
         Ok(())
     }

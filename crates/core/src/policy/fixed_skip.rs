@@ -7,8 +7,8 @@
 use super::detector_boxes::DetectorBoxes;
 use super::tracker::{Tracker, check_setting};
 use super::{
-    CallCause, Evidence, FrameHead, FrameState, Knob, KnobError, Need, ObjectRecord, Outcome,
-    Policy, PolicyConfig, PolicyConfigError, Profile,
+    CallCause, Evidence, FrameHead, FrameState, InvalidThreshold, Need, ObjectRecord, Outcome,
+    Policy, PolicyConfig, PolicyConfigError, Profile, ThresholdSpec,
 };
 use crate::objects::Missed;
 use serde::{Deserialize, Serialize};
@@ -46,7 +46,7 @@ pub struct FixedSkipSettings {
 impl Default for FixedSkipSettings {
     fn default() -> Self {
         Self {
-            n: FixedSkip::KNOB.default,
+            n: FixedSkip::THRESHOLD.default,
             skipped_boxes: None,
         }
     }
@@ -82,7 +82,7 @@ impl FixedSkip {
 
     /// N. It may be fractional: the detector runs whenever the frame index has passed a multiple of it, which skips
     /// 1 − 1/N of all frames.
-    pub const KNOB: Knob = Knob {
+    pub const THRESHOLD: ThresholdSpec = ThresholdSpec {
         name: "n",
         meaning: "The detector runs on one frame in this many: higher saves more energy, lower is more \
                   accurate",
@@ -99,7 +99,7 @@ impl FixedSkip {
             .skipped_boxes
             .unwrap_or(SkippedBoxes::of(config.profile));
         Ok(Box::new(Self {
-            n: check_setting("fixed_skip", Self::KNOB, settings.n)?,
+            n: check_setting("fixed_skip", Self::THRESHOLD, settings.n)?,
             memory: match skipped {
                 SkippedBoxes::Reuse => Memory::Boxes(DetectorBoxes::default()),
                 SkippedBoxes::Predict => Memory::Objects(Box::new(Tracker::from_config(config))),
@@ -127,16 +127,16 @@ impl Policy for FixedSkip {
         Self::NAME
     }
 
-    fn knob(&self) -> Option<Knob> {
-        Some(Self::KNOB)
+    fn threshold_spec(&self) -> Option<ThresholdSpec> {
+        Some(Self::THRESHOLD)
     }
 
-    fn knob_value(&self) -> Option<f64> {
+    fn threshold(&self) -> Option<f64> {
         Some(self.n)
     }
 
-    fn set_knob(&mut self, value: f64) -> Result<(), KnobError> {
-        self.n = Self::KNOB.check(value)?;
+    fn set_threshold(&mut self, value: f64) -> Result<(), InvalidThreshold> {
+        self.n = Self::THRESHOLD.check(value)?;
         Ok(())
     }
 

@@ -11,7 +11,7 @@
 //!
 //! The final state and boxes of frame k are the same as if the frame had waited for its detections.
 
-use super::{Evidence, FrameHead, KnobError, Need, Outcome, Policy};
+use super::{Evidence, FrameHead, InvalidThreshold, Need, Outcome, Policy};
 
 /// Frames after the pending one that are predicted again one by one; further ones are predicted as lost frames.
 const MOST_STEPS: usize = 256;
@@ -98,12 +98,13 @@ impl LatePolicy {
         self.pending.map(|pending| pending.head.index)
     }
 
-    /// Sets the policy's knob; takes effect with the next frame and is kept when a pending frame receives its evidence.
+    /// Sets the policy's threshold; takes effect with the next frame and is kept when a pending frame receives its
+    /// evidence.
     ///
     /// # Errors
-    /// Those of [`Policy::set_knob`].
-    pub fn set_knob(&mut self, value: f64) -> Result<(), KnobError> {
-        self.policy.set_knob(value)
+    /// Those of [`Policy::set_threshold`].
+    pub fn set_threshold(&mut self, value: f64) -> Result<(), InvalidThreshold> {
+        self.policy.set_threshold(value)
     }
 
     /// Answers a frame immediately: overwrites `outcome` with state `P` (not `degraded`, without a cause) and predicted
@@ -113,7 +114,7 @@ impl LatePolicy {
     pub fn frame(&mut self, head: FrameHead, outcome: &mut Outcome) -> Need {
         let step = Step {
             head,
-            threshold: self.policy.knob_value(),
+            threshold: self.policy.threshold(),
         };
         let need = self.policy.begin(head);
         if self.waits {
@@ -152,7 +153,7 @@ impl LatePolicy {
             let need = self.policy.answer(evidence);
             return Ok(self.finish_unless(need, outcome));
         }
-        let threshold = self.policy.knob_value();
+        let threshold = self.policy.threshold();
         self.policy.rewind();
         restore(&mut *self.policy, pending.threshold);
         let need = self.policy.answer(evidence);
@@ -215,7 +216,7 @@ fn predict(policy: &mut dyn Policy, mut need: Need, outcome: &mut Outcome) {
 /// Restores a threshold that was in force before, which no policy rejects.
 fn restore(policy: &mut dyn Policy, threshold: Option<f64>) {
     if let Some(value) = threshold {
-        let _ = policy.set_knob(value);
+        let _ = policy.set_threshold(value);
     }
 }
 

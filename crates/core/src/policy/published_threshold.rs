@@ -118,12 +118,12 @@ mod tests {
             PictureSize::new(1280, 720),
         );
         let taus = curve(&model);
-        let knob = Albireo::KNOB;
+        let spec = Albireo::THRESHOLD;
         // Below the first a seen object calls the detector on every frame.
-        assert!(knob.useful_minimum <= taus[1] && taus[1] <= 1.5 * knob.useful_minimum);
+        assert!(spec.useful_minimum <= taus[1] && taus[1] <= 1.5 * spec.useful_minimum);
         let predicted = taus[1..]
             .iter()
-            .take_while(|tau| **tau < knob.useful_maximum);
+            .take_while(|tau| **tau < spec.useful_maximum);
         assert_eq!(predicted.count(), 6);
     }
 }

@@ -153,9 +153,9 @@ proptest! {
                 }
             }
             // After a reset a policy decides like a new one with its threshold.
-            if let Some(knob) = policy.knob() {
-                let value = useful(knob, share);
-                policy.set_knob(value).unwrap();
+            if let Some(spec) = policy.threshold_spec() {
+                let value = useful(spec, share);
+                policy.set_threshold(value).unwrap();
                 config.set_argument(&value.to_string()).unwrap();
             }
             policy.reset();
@@ -181,9 +181,9 @@ proptest! {
         for name in names {
             let [mut off, mut flow] =
                 ["", "+flow"].map(|suffix| built(&format!("{name}{suffix}"), Profile::Paper));
-            let value = useful(off.knob().unwrap(), share);
-            off.set_knob(value).unwrap();
-            flow.set_knob(value).unwrap();
+            let value = useful(off.threshold_spec().unwrap(), share);
+            off.set_threshold(value).unwrap();
+            flow.set_threshold(value).unwrap();
             let mut index = 0;
             for event in &events {
                 let event = Event { given_up: None, grey: None, ..event.clone() };
@@ -197,30 +197,30 @@ proptest! {
 }
 
 #[test]
-fn a_knob_has_its_configured_value_and_rejects_values_out_of_range() {
+fn a_threshold_has_its_configured_value_and_rejects_values_out_of_range() {
     for name in known_policies() {
         let mut config = PolicyConfig {
             name: name.to_owned(),
             ..PolicyConfig::default()
         };
         let mut policy = config.build().unwrap();
-        let Some(knob) = policy.knob() else {
-            assert_eq!(policy.knob_value(), None, "{name}");
-            assert!(policy.set_knob(1.0).is_err(), "{name}");
+        let Some(spec) = policy.threshold_spec() else {
+            assert_eq!(policy.threshold(), None, "{name}");
+            assert!(policy.set_threshold(1.0).is_err(), "{name}");
             continue;
         };
-        assert_eq!(policy.knob_value(), Some(knob.default), "{name}");
-        let below = [knob.minimum - 1e-3, -1.0, f64::NEG_INFINITY];
-        let above = [knob.maximum * 1.1, f64::INFINITY, f64::NAN];
+        assert_eq!(policy.threshold(), Some(spec.default), "{name}");
+        let below = [spec.minimum - 1e-3, -1.0, f64::NEG_INFINITY];
+        let above = [spec.maximum * 1.1, f64::INFINITY, f64::NAN];
         for bad in [below, above].concat() {
-            assert!(policy.set_knob(bad).is_err(), "{name}: {bad}");
-            assert_eq!(policy.knob_value(), Some(knob.default), "{name}");
+            assert!(policy.set_threshold(bad).is_err(), "{name}: {bad}");
+            assert_eq!(policy.threshold(), Some(spec.default), "{name}");
             config.set_argument(&bad.to_string()).unwrap();
             assert!(config.build().is_err(), "{name}: {bad}");
         }
-        for good in [knob.minimum, knob.maximum] {
-            policy.set_knob(good).unwrap();
-            assert_eq!(policy.knob_value(), Some(good), "{name}");
+        for good in [spec.minimum, spec.maximum] {
+            policy.set_threshold(good).unwrap();
+            assert_eq!(policy.threshold(), Some(good), "{name}");
         }
     }
 }

@@ -2,8 +2,8 @@
 //! and removal rules.
 
 use super::{
-    AlbireoSettings, FrameHead, FrameState, Knob, ObjectRecord, Outcome, OutputBox, PolicyConfig,
-    PolicyConfigError,
+    AlbireoSettings, FrameHead, FrameState, ObjectRecord, Outcome, OutputBox, PolicyConfig,
+    PolicyConfigError, ThresholdSpec,
 };
 use crate::detection::Detection;
 use crate::objects::{Missed, ObjectState, ObjectStates};
@@ -85,13 +85,13 @@ impl Tracker {
     }
 }
 
-/// Checks that `knob` allows a number of the table `table`.
+/// Checks that `spec` allows a number of the table `table`.
 pub(super) fn check_setting(
     table: &'static str,
-    knob: Knob,
+    spec: ThresholdSpec,
     value: f64,
 ) -> Result<f64, PolicyConfigError> {
-    knob.check(value)
+    spec.check(value)
         .map_err(|error| PolicyConfigError::Setting {
             table,
             reason: error.to_string(),

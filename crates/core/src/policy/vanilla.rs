@@ -6,7 +6,7 @@ use super::{
     PolicyConfigError,
 };
 
-/// The vanilla policy. It keeps no objects and has no knob.
+/// The vanilla policy. It keeps no objects and has no threshold.
 #[derive(Clone, Debug, Default)]
 pub struct Vanilla {
     boxes: DetectorBoxes,

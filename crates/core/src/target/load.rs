@@ -1,8 +1,8 @@
 //! The load targets: skip rate and power.
 //!
-//! Both are controlled by one quantity, the logarithm of the load over the wanted load, whose response to the knob
-//! hardly depends on the scene: if a share `d` of frames uses the detector, a knob larger by a factor e reduces `d` by
-//! about 0.22 (the recorded sequences, `u` and `lambda` alike).
+//! Both are controlled by one quantity, the logarithm of the load over the wanted load, whose response to the threshold
+//! hardly depends on the scene: if a share `d` of frames uses the detector, a threshold larger by a factor e reduces
+//! `d` by about 0.22 (the recorded sequences, `u` and `lambda` alike).
 
 use super::{Lever, Measured, Target, TargetStatus, Verdict};
 use std::collections::VecDeque;
@@ -26,16 +26,16 @@ const LONGEST_S: f64 = 60.0;
 /// Time constant of the loop, seconds: slow compared with the window, and settled after four of them.
 const LOOP_S: f64 = 10.0;
 
-/// Longest step, seconds: after a pause of the machine, one old measurement does not move the knob for all of it.
+/// Longest step, seconds: after a pause of the machine, one old measurement does not move the threshold for all of it.
 const LONGEST_STEP_S: f64 = 2.0;
 
-/// Reduction of the share of frames with the detector for a knob larger by a factor e.
+/// Reduction of the share of frames with the detector for a threshold larger by a factor e.
 const STEEPNESS: f64 = 0.22;
 
-/// Largest error that the controller uses, so that the knob does not run away after one unusual window.
+/// Largest error that the controller uses, so that the threshold does not run away after one unusual window.
 const LARGEST_ERROR: f64 = 1.0;
 
-/// The knob does not move for an error up to this share of the wanted load.
+/// The threshold does not move for an error up to this share of the wanted load.
 const DEAD_BAND: f64 = 0.01;
 
 /// The target counts as held within this share of it.
@@ -98,7 +98,7 @@ impl LoadControl {
             };
         }
         let error = error.clamp(-LARGEST_ERROR, LARGEST_ERROR);
-        // A step of the knob changes the logarithm of the share by `STEEPNESS / share`, so the gain grows with the
+        // A step of the threshold changes the logarithm of the share by `STEEPNESS / share`, so the gain grows with the
         // share. A longer window slows the controller down.
         let constant = LOOP_S.max(2.0 * lately.seconds);
         let gain = (share / STEEPNESS / constant).clamp(0.01, 0.35);
@@ -106,7 +106,7 @@ impl LoadControl {
             lever.push(gain * error * seconds.min(LONGEST_STEP_S));
         }
         let is_held = (actual / wanted - 1.0).abs() <= HELD;
-        // The status waits at an end, because the window still contains earlier knob values.
+        // The status waits at an end, because the window still contains earlier threshold values.
         let beyond = !is_held
             && ((error > 0.0 && lever.is_at_most()) || (error < 0.0 && lever.is_at_least()));
         self.beyond_s = if beyond { self.beyond_s + seconds } else { 0.0 };

@@ -1,6 +1,6 @@
 //! The recall target: holds the lower end of the recall's interval.
 //!
-//! It uses the boxes that the audit compares, and so is as fast as they arrive: the knob moves whenever [`ENOUGH`]
+//! It uses the boxes that the audit compares, and so is as fast as they arrive: the threshold moves whenever [`ENOUGH`]
 //! independent boxes have been compared since its last move. If 2 % of 10 skipped frames per second are drawn, with
 //! five boxes each, that is every minute or two.
 
@@ -8,21 +8,21 @@ use super::{Lever, Measured, TargetStatus, Verdict};
 use crate::audit::AuditSums;
 use std::collections::VecDeque;
 
-/// Number of independent boxes of the detector after which the knob moves. At a recall of 0.9 the interval then reaches
-/// 0.1 below it, and 0.03 over all lots kept.
+/// Number of independent boxes of the detector after which the threshold moves. At a recall of 0.9 the interval then
+/// reaches 0.1 below it, and 0.03 over all lots kept.
 const ENOUGH: f64 = 60.0;
 
-/// Comparisons at a knob further than this from the current one (in its logarithm) are not used.
+/// Comparisons at a threshold further than this from the current one (in its logarithm) are not used.
 const NEAR: f64 = 0.4;
 
 /// Largest share of the drawn frames that may be missed. A detector has no time in the busiest scenes, so the rest
-/// would be the easier frames: the knob does not move.
+/// would be the easier frames: the threshold does not move.
 const MOST_MISSED: f64 = 0.2;
 
 /// Maximum number of lots kept.
 const MOST_LOTS: usize = 8;
 
-/// Change of the knob's logarithm for a recall error of one; a factor e of the knob costs about 0.05.
+/// Change of the threshold's logarithm for a recall error of one; a factor e of the threshold costs about 0.05.
 const GAIN: f64 = 10.0;
 
 /// Largest single change.
@@ -34,9 +34,9 @@ const HELD: f64 = 0.01;
 #[derive(Clone, Debug)]
 pub(super) struct RecallControl {
     wanted: f64,
-    /// Comparisons since the knob last moved.
+    /// Comparisons since the threshold last moved.
     lot: AuditSums,
-    /// The previous lots, each with the logarithm of its knob.
+    /// The previous lots, each with the logarithm of its threshold.
     lots: VecDeque<(f64, AuditSums)>,
     verdict: Verdict,
     without_audit_s: f64,

@@ -6,7 +6,7 @@ use crate::policy::tests::random;
 use crate::policy::{Albireo, ExpectedLoss, PolicyConfig};
 use proptest::prelude::*;
 
-const RANGE: KnobRange = KnobRange {
+const RANGE: ThresholdRange = ThresholdRange {
     least: 0.05,
     most: 2.0,
 };
@@ -15,7 +15,7 @@ const RANGE: KnobRange = KnobRange {
 struct Plant {
     /// Frames per second.
     rate: u64,
-    /// Share of frames with the detector at a knob of 0.3.
+    /// Share of frames with the detector at a threshold of 0.3.
     busy: f64,
     steepness: f64,
     detector_ms: f64,
@@ -36,18 +36,18 @@ impl Plant {
         }
     }
 
-    fn share(&self, knob: f64) -> f64 {
-        (self.busy - self.steepness * (knob / 0.3).ln()).clamp(0.04, 1.0)
+    fn share(&self, threshold: f64) -> f64 {
+        (self.busy - self.steepness * (threshold / 0.3).ln()).clamp(0.04, 1.0)
     }
 
-    /// Plays a second with the knob at this value. The pauses between calls vary as they do on roads.
-    fn second(&mut self, knob: f64) -> Measured {
+    /// Plays a second with the threshold at this value. The pauses between calls vary as they do on roads.
+    fn second(&mut self, threshold: f64) -> Measured {
         let mut calls = 0;
         for _ in 0..self.rate {
             self.until_call -= 1.0;
             if self.until_call <= 0.0 {
                 calls += 1;
-                let pause = 1.0 / self.share(knob);
+                let pause = 1.0 / self.share(threshold);
                 self.until_call += pause * (0.6 + 0.8 * (self.random)());
             }
         }
@@ -67,7 +67,7 @@ impl Plant {
 fn run(controller: &mut TargetController, plant: &mut Plant, seconds: u32) -> Vec<TargetState> {
     (0..seconds)
         .map(|_| {
-            let measured = plant.second(controller.knob());
+            let measured = plant.second(controller.threshold());
             controller.step(&measured)
         })
         .collect()
@@ -126,7 +126,7 @@ fn three_frames_per_second_settle_slower_without_oscillation() {
 }
 
 #[test]
-fn a_knob_with_twice_or_half_the_effect_settles_too() {
+fn a_threshold_with_twice_or_half_the_effect_settles_too() {
     for (steepness, seed) in [(0.44, 11), (0.12, 12)] {
         for target in LOAD_TARGETS {
             let mut plant = Plant::new(seed);
@@ -151,7 +151,7 @@ fn an_overload_is_reported_counted_and_left_within_a_minute_of_its_end() {
     let states = run(&mut controller, &mut plant, 600);
     let last = states.last().unwrap();
     assert_eq!(last.status, TargetStatus::CannotBeMet, "{target}: {last:?}");
-    assert!((last.knob - RANGE.most).abs() < 1e-9);
+    assert!((last.threshold - RANGE.most).abs() < 1e-9);
     assert_eq!(last.unmet, 1);
     assert!((450.0..600.0).contains(&last.unmet_s), "{last:?}");
     // No integral has wound up, however long it lasted.
@@ -170,20 +170,20 @@ fn a_load_below_the_target_at_the_accurate_end_counts_as_met() {
     let mut controller = TargetController::new(target, RANGE, 0.3).unwrap();
     let last = *run(&mut controller, &mut plant, 120).last().unwrap();
     assert_eq!(last.status, TargetStatus::MoreThanKept, "{last:?}");
-    assert!((last.knob - RANGE.least).abs() < 1e-9);
+    assert!((last.threshold - RANGE.least).abs() < 1e-9);
     assert_eq!((last.unmet, last.unmet_s), (0, 0.0));
 }
 
 #[test]
-fn a_step_of_a_minute_moves_the_knob_no_further_than_one_of_two_seconds() {
+fn a_step_of_a_minute_moves_the_threshold_no_further_than_one_of_two_seconds() {
     let turned = |seconds: f64| {
         let mut plant = Plant::new(61);
         let mut controller = TargetController::new(Target::SkipRate(0.8), RANGE, 0.1).unwrap();
         run(&mut controller, &mut plant, 10);
-        let before = controller.knob();
+        let before = controller.threshold();
         let last = plant.second(before);
         controller.step(&Measured { seconds, ..last });
-        (controller.knob() / before).ln()
+        (controller.threshold() / before).ln()
     };
     let (short, long) = (turned(2.0), turned(60.0));
     assert!(short > 0.05, "{short}");
@@ -196,7 +196,7 @@ fn a_restart_continues_from_the_stored_value() {
         let mut plant = Plant::new(41);
         let mut controller = TargetController::new(target, RANGE, 1.0).unwrap();
         settles(&mut controller, &mut plant, "before");
-        let mut after = TargetController::new(target, RANGE, controller.knob()).unwrap();
+        let mut after = TargetController::new(target, RANGE, controller.threshold()).unwrap();
         let states = run(&mut after, &mut plant, 120);
         assert_eq!(states[0].status, TargetStatus::Measuring);
         for state in states.iter().skip(5) {
@@ -207,7 +207,7 @@ fn a_restart_continues_from_the_stored_value() {
 }
 
 #[test]
-fn without_frames_or_power_the_knob_rests_and_the_reason_is_reported() {
+fn without_frames_or_power_the_threshold_rests_and_the_reason_is_reported() {
     let mut controller = TargetController::new(Target::Watts(6.0), RANGE, 0.3).unwrap();
     let mut plant = Plant::new(51);
     for _ in 0..30 {
@@ -226,16 +226,16 @@ fn without_frames_or_power_the_knob_rests_and_the_reason_is_reported() {
     for _ in 0..61 {
         controller.step(&silence);
     }
-    let knob = controller.knob();
+    let threshold = controller.threshold();
     for _ in 0..30 {
         assert_eq!(controller.step(&silence).status, TargetStatus::NoFrames);
     }
-    assert!((controller.knob() - knob).abs() < 1e-9);
+    assert!((controller.threshold() - threshold).abs() < 1e-9);
 }
 
-/// A second of audit: the detector's boxes, and how many were shown, which falls as the knob rises.
-fn audited(plant: &mut Plant, knob: f64, at_default: f64) -> AuditSums {
-    let recall = (at_default - 0.05 * (knob / 0.3).ln()).clamp(0.0, 1.0);
+/// A second of audit: the detector's boxes, and how many were shown, which falls as the threshold rises.
+fn audited(plant: &mut Plant, threshold: f64, at_default: f64) -> AuditSums {
+    let recall = (at_default - 0.05 * (threshold / 0.3).ln()).clamp(0.0, 1.0);
     let mut sums = AuditSums::default();
     // One frame of five boxes every three seconds.
     if (plant.random)() < 1.0 / 3.0 {
@@ -263,15 +263,15 @@ fn run_audited(
 ) -> Vec<TargetState> {
     (0..seconds)
         .map(|second| {
-            let knob = controller.knob();
-            let mut audit = audited(plant, knob, at_default);
+            let threshold = controller.threshold();
+            let mut audit = audited(plant, threshold, at_default);
             if audit.frames > 0 && second % 10 < missed_of_ten {
                 audit = AuditSums::default();
                 audit.add_missed(5);
             }
             controller.step(&Measured {
                 audit,
-                ..plant.second(knob)
+                ..plant.second(threshold)
             })
         })
         .collect()
@@ -281,12 +281,12 @@ fn run_audited(
 fn a_recall_target_pauses_while_more_than_a_fifth_of_the_audit_is_missed() {
     let mut plant = Plant::new(71);
     let mut controller = TargetController::new(Target::Recall(0.85), RANGE, 0.3).unwrap();
-    let before = controller.knob();
+    let before = controller.threshold();
     let states = run_audited(&mut controller, &mut plant, 3600, 0.99, 4);
     assert_eq!(states.last().unwrap().status, TargetStatus::Measuring);
-    assert_eq!(controller.knob() / before, 1.0);
+    assert_eq!(controller.threshold() / before, 1.0);
     run_audited(&mut controller, &mut plant, 3600, 0.99, 0);
-    let turned = controller.knob() / before;
+    let turned = controller.threshold() / before;
     assert!(turned > 1.5, "{turned}");
 }
 
@@ -298,7 +298,7 @@ fn the_lower_bound_of_recall_is_held_and_an_impossible_one_is_reported() {
     let states = run_audited(&mut controller, &mut plant, 3 * 3600, 0.90, 0);
     // After the first of three hours.
     let kept = &states[3600..];
-    let of_truth = |state: &TargetState| 0.90 - 0.05 * (state.knob / 0.3).ln();
+    let of_truth = |state: &TargetState| 0.90 - 0.05 * (state.threshold / 0.3).ln();
     let mean = kept.iter().map(of_truth).sum::<f64>() / kept.len() as f64;
     assert!((0.85..0.90).contains(&mean), "{mean}");
     let below = kept.iter().filter(|state| of_truth(state) < 0.84).count();
@@ -308,9 +308,9 @@ fn the_lower_bound_of_recall_is_held_and_an_impossible_one_is_reported() {
     let states = run_audited(&mut controller, &mut plant, 3 * 3600, 0.70, 0);
     let last = states.last().unwrap();
     assert_eq!(last.status, TargetStatus::CannotBeMet, "{last:?}");
-    assert!((last.knob - RANGE.least).abs() < 1e-9 && last.unmet_s > 3600.0);
+    assert!((last.threshold - RANGE.least).abs() < 1e-9 && last.unmet_s > 3600.0);
 
-    // Nothing is drawn any more: the status reports it, and the knob stays.
+    // Nothing is drawn any more: the status reports it, and the threshold stays.
     plant.busy = 0.3;
     let states = run(&mut controller, &mut plant, 701);
     assert_eq!(states[700].status, TargetStatus::NoAudit);
@@ -344,22 +344,22 @@ fn impossible_targets_are_rejected_with_a_reason() {
 }
 
 #[test]
-fn the_default_range_costs_little_accuracy_and_other_knobs_are_rejected() {
-    let range = KnobRange::of("albireo", Some(&Albireo::KNOB), None, None).unwrap();
+fn the_default_range_costs_little_accuracy_and_other_thresholds_are_rejected() {
+    let range = ThresholdRange::of("albireo", Some(&Albireo::THRESHOLD), None, None).unwrap();
     assert_eq!((range.least, range.most), (1.5e-4, 2e-3));
-    let knob = &ExpectedLoss::KNOB;
-    let range = KnobRange::of("expected-loss", Some(knob), Some(0.1), Some(0.6)).unwrap();
+    let threshold = &ExpectedLoss::THRESHOLD;
+    let range = ThresholdRange::of("expected-loss", Some(threshold), Some(0.1), Some(0.6)).unwrap();
     assert_eq!((range.least, range.most), (0.1, 0.6));
     for (least, most) in [(0.6, 0.1), (0.2, 0.2), (-1.0, 0.5), (0.1, 1e9)] {
-        let range = KnobRange::of("expected-loss", Some(knob), Some(least), Some(most));
+        let range = ThresholdRange::of("expected-loss", Some(threshold), Some(least), Some(most));
         assert!(range.is_err(), "{least} {most}");
     }
     let mut ctd = PolicyConfig::default();
     ctd.select("ctd").unwrap();
-    let ctd = ctd.build().unwrap().knob();
-    let refused = KnobRange::of("ctd", ctd.as_ref(), None, None).unwrap_err();
+    let ctd = ctd.build().unwrap().threshold_spec();
+    let refused = ThresholdRange::of("ctd", ctd.as_ref(), None, None).unwrap_err();
     assert!(refused.to_string().contains("`ctd`"), "{refused}");
-    let refused = KnobRange::of("vanilla", None, None, None).unwrap_err();
+    let refused = ThresholdRange::of("vanilla", None, None, None).unwrap_err();
     assert_eq!(
         refused.to_string(),
         "a target moves `u` or `lambda`, and policy `vanilla` has no threshold"
@@ -378,7 +378,7 @@ fn any_number() -> impl Strategy<Value = f64> {
 
 proptest! {
     #[test]
-    fn with_any_measurement_the_knob_stays_in_its_range(
+    fn with_any_measurement_the_threshold_stays_in_its_range(
         steps in prop::collection::vec(
             (any_number(), any::<u32>(), any::<u32>(), prop::option::of(any_number())),
             1..40
@@ -396,7 +396,7 @@ proptest! {
                 audit: AuditSums::default(),
             });
             prop_assert!(
-                (RANGE.least - 1e-9..=RANGE.most + 1e-9).contains(&state.knob),
+                (RANGE.least - 1e-9..=RANGE.most + 1e-9).contains(&state.threshold),
                 "{:?}", state
             );
         }

@@ -8,7 +8,7 @@ use crate::data::Clip;
 use crate::error::EvalError;
 use crate::run::Settings;
 use crate::source::ScreenRule;
-use albireo_core::policy::{ExpectedLoss, Knob, PolicyConfig, short};
+use albireo_core::policy::{ExpectedLoss, PolicyConfig, ThresholdSpec, short};
 use rayon::iter::{IntoParallelIterator, ParallelIterator};
 use serde::Serialize;
 
@@ -21,7 +21,7 @@ pub struct Proposal {
     /// Name of the policy.
     pub policy: String,
     /// Name of its threshold.
-    pub knob: &'static str,
+    pub threshold: &'static str,
     /// The threshold's value.
     pub value: f64,
     /// The empty-scene screen: one that never says "empty", or the recorded one.
@@ -93,8 +93,8 @@ pub fn advise(
     }
     let mut config = PolicyConfig::default();
     config.select(policy).map_err(refused)?;
-    let knob = config.build().map_err(refused)?.knob();
-    let knob = knob.ok_or_else(|| {
+    let spec = config.build().map_err(refused)?.threshold_spec();
+    let spec = spec.ok_or_else(|| {
         refused(format!(
             "{policy}: it has no threshold to meet a target with"
         ))
@@ -107,7 +107,7 @@ pub fn advise(
         let search = Search {
             clips,
             config: &config,
-            knob,
+            spec,
             screen,
             settings,
             target,
@@ -143,12 +143,12 @@ pub fn advise(
 }
 
 /// Returns rising values over the useful range in logarithmic steps, rounded to two digits.
-fn values(knob: &Knob) -> Vec<f64> {
-    let (low, high) = (knob.useful_minimum, knob.useful_maximum);
+fn values(spec: &ThresholdSpec) -> Vec<f64> {
+    let (low, high) = (spec.useful_minimum, spec.useful_maximum);
     let value = |step: usize| {
         let value = low * (high / low).powf(step as f64 / (VALUES - 1) as f64);
         let rounded = format!("{value:.1e}").parse().unwrap_or(value);
-        rounded.clamp(knob.minimum, knob.maximum)
+        rounded.clamp(spec.minimum, spec.maximum)
     };
     let mut values: Vec<f64> = (0..VALUES).map(value).collect();
     values.dedup();
@@ -158,7 +158,7 @@ fn values(knob: &Knob) -> Vec<f64> {
 struct Search<'a> {
     clips: &'a [Clip],
     config: &'a PolicyConfig,
-    knob: Knob,
+    spec: ThresholdSpec,
     screen: ScreenRule,
     settings: &'a Settings,
     target: Target,
@@ -183,7 +183,7 @@ impl Search<'_> {
     }
 
     fn propose(&self) -> Result<Proposal, EvalError> {
-        let trials = (values(&self.knob).into_par_iter())
+        let trials = (values(&self.spec).into_par_iter())
             .map(|value| try_out(self.clips, self.config, value, self.screen, self.settings))
             .collect::<Result<Vec<_>, _>>()?;
         let best = self.best_trial(&trials);
@@ -195,7 +195,7 @@ impl Search<'_> {
         let chosen = &trials[best.unwrap_or(nearest)];
         Ok(Proposal {
             policy: self.config.name.clone(),
-            knob: self.knob.name,
+            threshold: self.spec.name,
             value: chosen.value,
             screen: self.screen,
             meets_target: best.is_some(),
@@ -241,7 +241,7 @@ impl Search<'_> {
         }
         let mut text = format!(
             "[policy]\nname = \"{name}\"\n{table}{} = {number}\n",
-            self.knob.name
+            self.spec.name
         );
         if self.screen == ScreenRule::Recorded {
             text.push_str("[screen]\nmodel = \"the model whose verdicts were recorded\"\n");

@@ -40,7 +40,7 @@ pub fn render(advice: &Advice) -> String {
         Column::new(["  policy", ""], policies.collect()),
         Column::new(
             ["threshold", ""],
-            cells(&|found| format!("{} = {}", found.knob, digits(found.value))),
+            cells(&|found| format!("{} = {}", found.threshold, digits(found.value))),
         ),
         Column::new(
             ["screen", ""],
@@ -104,7 +104,7 @@ fn proposed(best: &Proposal) -> String {
     format!(
         "Proposed: {} with {} = {}{}. The detector is skipped on {} of the frames, and {} of its boxes on these frames are shown.",
         best.policy,
-        best.knob,
+        best.threshold,
         digits(best.value),
         match best.screen {
             ScreenRule::Recorded => " and the screen `model`",

@@ -52,7 +52,7 @@ pub struct Run {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Suggestion {
     /// Name of the threshold.
-    pub knob: &'static str,
+    pub threshold: &'static str,
     /// The value to try.
     #[serde(rename = "try")]
     pub value: f64,

@@ -1,10 +1,10 @@
-//! Lists the variants of a comparison: policies with the values of their knobs.
+//! Lists the variants of a comparison: policies with the values of their thresholds.
 
 use crate::error::EvalError;
 use crate::spec::{PolicySpec, Sweep, swept};
 use albireo_core::policy::{Albireo, Policy, PolicyConfig};
 
-/// Returns the variants of `asked` (`NAME[:ARGUMENT]` each) in order, without repetitions. A policy with the knob
+/// Returns the variants of `asked` (`NAME[:ARGUMENT]` each) in order, without repetitions. A policy with the threshold
 /// `u` and without an argument of its own occurs once for each value of `thresholds`; everything else is
 /// as in `base`.
 ///
@@ -18,7 +18,7 @@ pub fn variants(
 ) -> Result<Vec<PolicySpec>, EvalError> {
     let asked: Vec<&str> = asked.iter().map(String::as_str).collect();
     let sweep = (!thresholds.is_empty()).then(|| Sweep {
-        name: Albireo::KNOB.name.to_owned(),
+        name: Albireo::THRESHOLD.name.to_owned(),
         values: thresholds.to_vec(),
     });
     let found = swept(&asked, sweep.as_slice(), base, label)?;
@@ -33,11 +33,11 @@ pub fn variants(
 
 fn label(policy: &dyn Policy) -> String {
     let name = policy.name();
-    match (policy.knob(), policy.knob_value()) {
-        (Some(knob), Some(value)) if value != 0.0 && value.abs() < 0.01 => {
-            format!("{name} {}={value:e}", knob.name)
+    match (policy.threshold_spec(), policy.threshold()) {
+        (Some(spec), Some(value)) if value != 0.0 && value.abs() < 0.01 => {
+            format!("{name} {}={value:e}", spec.name)
         }
-        (Some(knob), Some(value)) => format!("{name} {}={value}", knob.name),
+        (Some(spec), Some(value)) => format!("{name} {}={value}", spec.name),
         _ => name.to_owned(),
     }
 }

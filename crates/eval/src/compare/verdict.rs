@@ -80,7 +80,7 @@ fn sentence(
         return match advice {
             Some(advice) => format!(
                 "{name}: no frame was skipped, so nothing was saved; try {} = {}.",
-                advice.knob,
+                advice.threshold,
                 short(advice.value)
             ),
             None => format!("{name}: no frame was skipped, so nothing was saved."),
@@ -203,7 +203,7 @@ mod tests {
     fn without_skipped_frames_the_verdict_gives_advice() {
         let mut runs = vec![run(0, 0, 100, None), run(0, 1, 100, None)];
         runs[1].advice = Some(Suggestion {
-            knob: "u",
+            threshold: "u",
             value: 4e-4,
         });
         let comparison = comparison(&["vanilla", "albireo u=1e-4"], runs);

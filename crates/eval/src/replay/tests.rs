@@ -6,7 +6,7 @@ use crate::run::Settings;
 use crate::source::{ScreenRule, StoredEvidence};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::BoundingBox;
-use albireo_core::policy::{BoxSource, Knob, KnobError, OutputBox, PolicyConfig};
+use albireo_core::policy::{BoxSource, InvalidThreshold, OutputBox, PolicyConfig, ThresholdSpec};
 use albireo_vision::picture::Picture;
 
 const PICTURE: PictureSize = PictureSize::new(100, 100);
@@ -31,14 +31,14 @@ impl Policy for Curious {
     fn name(&self) -> &'static str {
         "curious"
     }
-    fn knob(&self) -> Option<Knob> {
+    fn threshold_spec(&self) -> Option<ThresholdSpec> {
         None
     }
-    fn knob_value(&self) -> Option<f64> {
+    fn threshold(&self) -> Option<f64> {
         None
     }
-    fn set_knob(&mut self, _: f64) -> Result<(), KnobError> {
-        Err(KnobError::Absent { policy: "curious" })
+    fn set_threshold(&mut self, _: f64) -> Result<(), InvalidThreshold> {
+        Err(InvalidThreshold::Absent { policy: "curious" })
     }
     fn begin(&mut self, _: FrameHead) -> Need {
         self.step = 0;

@@ -181,7 +181,7 @@ pub(crate) fn record(report: &ClipReport, present: Present) -> Result<ClipRecord
     let threshold = report.threshold.as_ref();
     let setup = SetupKey {
         policy: name("policy", &report.policy)?,
-        knob: threshold.map_or_else(String::new, |threshold| threshold.name.to_string()),
+        threshold: threshold.map_or_else(String::new, |threshold| threshold.name.to_string()),
         value: threshold.map_or_else(String::new, |threshold| threshold.value.to_string()),
         model: name("model", &report.model)?,
         provider: name("provider", &report.provider)?,

@@ -166,7 +166,7 @@ impl dyn Database + '_ {
         }
         let setups: Vec<_> = setups.iter().collect();
         // The update changes nothing; it makes the statement return the row.
-        let conflict = "ON CONFLICT (policy, knob, value, model, provider, power_source, total_from) \
+        let conflict = "ON CONFLICT (policy, threshold, value, model, provider, power_source, total_from) \
                         DO UPDATE SET policy = excluded.policy RETURNING *";
         let numbered: Vec<Numbered> = read_all(self.insert("setups", &setups, conflict)?)?;
         let numbered = numbered.into_iter().map(|one| (one.setup, one.id));

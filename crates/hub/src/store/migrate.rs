@@ -5,8 +5,8 @@ use super::{Database, Kind, StoreError};
 use serde::Deserialize;
 use uuid::Uuid;
 
-/// The version of the tables. albireo 0.1.0 had version 5; 6 to 9 were never released.
-const VERSION: i64 = 10;
+/// The version of the tables. albireo 0.1.0 had version 5; 6 to 10 were never released.
+const VERSION: i64 = 11;
 
 /// The program's name in the table `hub_meta` of a hub's database.
 const MARK: &str = "albireo-hub";

@@ -103,7 +103,7 @@ pub(crate) struct NodeRow {
 pub(crate) struct SetupKey {
     pub(crate) policy: String,
     /// Name of the threshold.
-    pub(crate) knob: String,
+    pub(crate) threshold: String,
     /// Its value, as the shortest text that parses to the same number.
     pub(crate) value: String,
     pub(crate) model: String,

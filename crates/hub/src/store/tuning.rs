@@ -317,13 +317,13 @@ impl Store {
     ) -> Result<HashMap<String, Figures>, StoreError> {
         let text = match self.0.kind {
             Kind::Sqlite => concat!(
-                "WITH w AS (SELECT value ->> 'node' AS node, value ->> 'knob' AS knob, value ->> 'value' AS value, \
+                "WITH w AS (SELECT value ->> 'node' AS node, value ->> 'threshold' AS threshold, value ->> 'value' AS value, \
                  value ->> 'from_ms' AS from_ms, value ->> 'until_ms' AS until_ms FROM json_each($1))\n",
                 include_str!("sql/clip_sums.sql")
             ),
             Kind::Postgres => concat!(
                 "WITH w AS (SELECT * FROM jsonb_to_recordset($1::jsonb) \
-                 AS given (node text, knob text, value text, from_ms bigint, until_ms bigint))\n",
+                 AS given (node text, threshold text, value text, from_ms bigint, until_ms bigint))\n",
                 include_str!("sql/clip_sums.sql")
             ),
         };

@@ -230,7 +230,7 @@ impl Member {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Order {
     /// The value.
-    pub(crate) knob: Threshold,
+    pub(crate) threshold: Threshold,
     /// True if it returns the old value.
     pub(crate) is_return: bool,
     /// The nodes.
@@ -243,10 +243,10 @@ pub(crate) fn due(members: &[Member]) -> Vec<Order> {
     for member in members {
         let Some(due) = member.due() else { continue };
         let node = member.node.clone();
-        match (orders.iter_mut()).find(|order| (order.knob, order.is_return) == due) {
+        match (orders.iter_mut()).find(|order| (order.threshold, order.is_return) == due) {
             Some(order) => order.nodes.push(node),
             None => orders.push(Order {
-                knob: due.0,
+                threshold: due.0,
                 is_return: due.1,
                 nodes: vec![node],
             }),

@@ -86,7 +86,7 @@ named! {
 pub(crate) struct Window {
     pub(crate) node: String,
     /// Name of the threshold.
-    pub(crate) knob: String,
+    pub(crate) threshold: String,
     /// Its value, in the shortest text that reads back as the same.
     pub(crate) value: String,
     pub(crate) from_ms: Millis,
@@ -97,7 +97,7 @@ impl Window {
     fn new(node: &str, value: Threshold, from_ms: Millis, until_ms: Millis) -> Self {
         Self {
             node: node.to_owned(),
-            knob: value.name.to_string(),
+            threshold: value.name.to_string(),
             value: value.value.to_string(),
             from_ms,
             until_ms,
@@ -282,7 +282,7 @@ impl Run {
     pub(crate) fn asked(&mut self, order: &Order, revision: u64, now: Millis) {
         self.unsaved = true;
         for member in &mut self.members {
-            if member.due() == Some((order.knob, order.is_return)) {
+            if member.due() == Some((order.threshold, order.is_return)) {
                 member.asked(revision, now);
             }
         }

@@ -324,7 +324,7 @@ impl Tuner {
                 },
                 origin: format!("{} {id}", run.kind.name()),
                 selector: String::new(),
-                setting: order.knob.into(),
+                setting: order.threshold.into(),
             };
             let revision = self.order(change, order.nodes.clone()).await?;
             run.asked(&order, revision, now);

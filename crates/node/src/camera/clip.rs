@@ -8,7 +8,6 @@ mod tracker;
 
 pub(crate) use latencies::percentile;
 pub(crate) use report::Clip;
-pub use report::energy_delay_product;
 pub(crate) use tracker::ClipTracker;
 
 use serde::{Deserialize, Serialize};

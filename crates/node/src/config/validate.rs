@@ -4,8 +4,8 @@ use super::{CameraConfig, NodeConfig};
 use crate::camera::AnswerTime;
 use crate::input::Delivery;
 use crate::input::source::{RtspTransport, SourceAddress, SourceKind};
-use albireo_core::policy::{Albireo, ExpectedLoss, Knob, LatePolicy, Policy};
-use albireo_core::target::{KnobRange, Target};
+use albireo_core::policy::{Albireo, ExpectedLoss, LatePolicy, Policy, ThresholdSpec};
+use albireo_core::target::{Target, ThresholdRange};
 use albireo_service::config::{Configuration, DAY_S, Finding, Findings};
 use std::collections::{HashMap, HashSet};
 use zenoh::key_expr::KeyExpr;
@@ -88,10 +88,10 @@ power.gpu_busy_watts: the estimate is of the processor alone; a GPU needs a mete
         self.check_figures(&mut findings);
         self.log.check(&mut findings);
         let policy = self.check_policy(&mut findings);
-        let knob = policy.as_ref().map(|policy| policy.knob());
+        let spec = policy.as_ref().map(|policy| policy.threshold_spec());
         self.check_answers(policy, &mut findings);
-        self.check_target(knob, &mut findings);
-        self.check_cameras(knob, &mut findings);
+        self.check_target(spec, &mut findings);
+        self.check_cameras(spec, &mut findings);
         findings.into_vec()
     }
 }
@@ -150,8 +150,8 @@ impl NodeConfig {
         findings.add(key, reason);
         // An invalid name must not hide an invalid number.
         if key == "policy.name" {
-            findings.check("policy.u", Albireo::KNOB.check(self.policy.u));
-            let lambda = ExpectedLoss::KNOB.check(self.policy.lambda);
+            findings.check("policy.u", Albireo::THRESHOLD.check(self.policy.u));
+            let lambda = ExpectedLoss::THRESHOLD.check(self.policy.lambda);
             findings.check("policy.lambda", lambda);
         }
         None
@@ -179,22 +179,22 @@ impl NodeConfig {
         }
     }
 
-    fn check_target(&self, knob: Option<Option<Knob>>, findings: &mut Findings) {
+    fn check_target(&self, spec: Option<Option<ThresholdSpec>>, findings: &mut Findings) {
         let target = self.target.hold;
         findings.check("target.hold", target.map(Target::check).transpose());
         if matches!(target, Some(Target::Recall(_))) && self.audit.share == 0.0 {
             findings.add("target.hold", "`recall` needs an audit: audit.share is 0");
         }
         let (least, most) = (self.target.least, self.target.most);
-        if let Some(knob) = knob
+        if let Some(spec) = spec
             && (target.is_some() || least.is_some() || most.is_some())
         {
-            let range = KnobRange::of(&self.policy.name, knob.as_ref(), least, most);
+            let range = ThresholdRange::of(&self.policy.name, spec.as_ref(), least, most);
             findings.check("target", range);
         }
     }
 
-    fn check_cameras(&self, knob: Option<Option<Knob>>, findings: &mut Findings) {
+    fn check_cameras(&self, spec: Option<Option<ThresholdSpec>>, findings: &mut Findings) {
         if self.cameras.is_empty() {
             findings.add("camera", "is empty: a node needs at least one [[camera]]");
         }
@@ -202,7 +202,7 @@ impl NodeConfig {
         for (index, camera) in self.cameras.iter().enumerate() {
             let key = |name: &str| format!("camera[{index}].{name}");
             check_camera(camera, &key, findings);
-            self.check_threshold(camera, knob, &key, findings);
+            self.check_threshold(camera, spec, &key, findings);
             if !names.insert(camera.name.as_str()) {
                 findings.add(
                     key("name"),
@@ -253,16 +253,16 @@ impl NodeConfig {
     fn check_threshold(
         &self,
         camera: &CameraConfig,
-        knob: Option<Option<Knob>>,
+        spec: Option<Option<ThresholdSpec>>,
         key: &dyn Fn(&str) -> String,
         findings: &mut Findings,
     ) {
-        let (Some(threshold), Some(knob)) = (camera.threshold, knob) else {
+        let (Some(threshold), Some(spec)) = (camera.threshold, spec) else {
             return;
         };
         let none = || format!("policy `{}` has no threshold", self.policy.name);
-        if let Some(knob) = findings.check(key("threshold"), knob.ok_or_else(none)) {
-            findings.check(key("threshold"), knob.check(threshold));
+        if let Some(spec) = findings.check(key("threshold"), spec.ok_or_else(none)) {
+            findings.check(key("threshold"), spec.check(threshold));
         }
     }
 }

@@ -1,6 +1,6 @@
-//! Detects a policy that skips nothing although objects are tracked, and suggests a value for its knob.
+//! Detects a policy that skips nothing although objects are tracked, and suggests a value for its threshold.
 
-use albireo_core::policy::{Knob, short};
+use albireo_core::policy::{ThresholdSpec, short};
 use albireo_wire::{DetectionsMessage, Threshold};
 use serde::Serialize;
 use utoipa::ToSchema;
@@ -17,12 +17,12 @@ const KEPT: usize = 512;
 /// A policy that has skipped nothing, and a value to try.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub struct Advice {
-    /// Frames since the last change of the knob; the detector ran on every one.
+    /// Frames since the last change of the threshold; the detector ran on every one.
     pub frames: u64,
     /// The number of these frames with objects.
     pub followed: u64,
-    /// The knob's name.
-    pub knob: &'static str,
+    /// The threshold's name.
+    pub threshold: &'static str,
     /// Its value.
     pub value: f64,
     /// A value under which about half of those frames would have been predicted.
@@ -37,7 +37,7 @@ impl std::fmt::Display for Advice {
             "no frame of {} was skipped, although objects were tracked in {} of them; try {} = {} (it is {})",
             self.frames,
             self.followed,
-            self.knob,
+            self.threshold,
             short(self.attempt),
             short(self.value)
         )
@@ -55,8 +55,8 @@ pub struct SkipWatch {
 }
 
 impl SkipWatch {
-    /// Counts an answered frame; true at the frame with which it becomes clear that nothing is skipped. A changed knob
-    /// restarts the count. Degraded frames do not count.
+    /// Counts an answered frame; true at the frame with which it becomes clear that nothing is skipped. A changed
+    /// threshold restarts the count. Degraded frames do not count.
     pub fn count(&mut self, message: &DetectionsMessage) -> bool {
         if message.threshold != self.threshold {
             *self = Self {
@@ -85,32 +85,32 @@ impl SkipWatch {
         !self.skipped && self.frames >= FRAMES && self.followed >= FOLLOWED
     }
 
-    /// Suggests a value, if it is clear that nothing is skipped and `knob` can change that.
-    pub(crate) fn advice(&self, knob: &Knob) -> Option<Advice> {
-        self.is_clear().then(|| self.attempt(knob)).flatten()
+    /// Suggests a value, if it is clear that nothing is skipped and `spec` can change that.
+    pub(crate) fn advice(&self, spec: &ThresholdSpec) -> Option<Advice> {
+        self.is_clear().then(|| self.attempt(spec)).flatten()
     }
 
     /// Like [`Self::advice`], from any number of frames: for a finished clip.
-    pub fn advice_so_far(&self, knob: &Knob) -> Option<Advice> {
+    pub fn advice_so_far(&self, spec: &ThresholdSpec) -> Option<Advice> {
         (!self.skipped && self.followed > 0)
-            .then(|| self.attempt(knob))
+            .then(|| self.attempt(spec))
             .flatten()
     }
 
-    fn attempt(&self, knob: &Knob) -> Option<Advice> {
-        let value = self.threshold?.value_of(knob).ok()?;
-        let attempt = match knob.name {
+    fn attempt(&self, spec: &ThresholdSpec) -> Option<Advice> {
+        let value = self.threshold?.value_of(spec).ok()?;
+        let attempt = match spec.name {
             "u" => above_the_median(&self.taus)?,
-            "lambda" if value < knob.default => knob.default,
+            "lambda" if value < spec.default => spec.default,
             "lambda" => one_digit_above(value * 1.5),
-            // For other knobs, the value itself shows that they skip nothing.
+            // For other thresholds, the value itself shows that they skip nothing.
             _ => return None,
         };
         // If the threshold is already above it, a cap calls the detector, and no value helps.
-        (attempt > value && attempt <= knob.maximum).then_some(Advice {
+        (attempt > value && attempt <= spec.maximum).then_some(Advice {
             frames: self.frames,
             followed: self.followed,
-            knob: knob.name,
+            threshold: spec.name,
             value,
             attempt,
         })
@@ -146,55 +146,61 @@ mod tests {
     use crate::camera::answer;
     use albireo_core::policy::{Albireo, ExpectedLoss, FrameState};
 
-    fn count(watch: &mut SkipWatch, state: FrameState, knob: &Knob, value: f64, tau: f64) -> bool {
-        let threshold = Some(Threshold::new(knob.name, value));
+    fn count(
+        watch: &mut SkipWatch,
+        state: FrameState,
+        spec: &ThresholdSpec,
+        value: f64,
+        tau: f64,
+    ) -> bool {
+        let threshold = Some(Threshold::new(spec.name, value));
         let mut message = DetectionsMessage::clone(&answer(0, state, false, threshold));
         message.tau_max = Some(tau).filter(|tau| *tau > 0.0);
         watch.count(&message)
     }
 
     /// The advised value after frames that are all alike; without objects where `tau` is 0.
-    fn advised(state: FrameState, knob: &Knob, value: f64, tau: f64) -> Option<f64> {
+    fn advised(state: FrameState, spec: &ThresholdSpec, value: f64, tau: f64) -> Option<f64> {
         let mut watch = SkipWatch::default();
         for _ in 0..1000 {
-            count(&mut watch, state, knob, value, tau);
+            count(&mut watch, state, spec, value, tau);
         }
-        watch.advice(knob).map(|advice| advice.attempt)
+        watch.advice(spec).map(|advice| advice.attempt)
     }
 
     #[test]
     fn a_policy_that_skips_nothing_gets_a_value_that_would_skip() {
-        let knob = Albireo::KNOB;
+        let spec = Albireo::THRESHOLD;
         let mut watch = SkipWatch::default();
         let mut clear = 0;
         for frame in 0..400_u32 {
             let tau = 1.9e-4 + 1e-6 * f64::from(frame % 10);
-            clear += u32::from(count(&mut watch, FrameState::I, &knob, 1e-4, tau));
-            assert_eq!(watch.advice(&knob).is_some(), frame >= 299);
+            clear += u32::from(count(&mut watch, FrameState::I, &spec, 1e-4, tau));
+            assert_eq!(watch.advice(&spec).is_some(), frame >= 299);
         }
         assert_eq!(clear, 1, "it is given once");
-        let advice = watch.advice(&knob).unwrap();
+        let advice = watch.advice(&spec).unwrap();
         assert_eq!(advice.attempt, 2e-4);
         assert_eq!(
             advice.to_string(),
             "no frame of 400 was skipped, although objects were tracked in 400 of them; try u = 2e-4 (it is 1e-4)"
         );
         // Turned, it is another matter; and one skipped frame is enough to be silent.
-        count(&mut watch, FrameState::P, &knob, 2e-4, 1.9e-4);
+        count(&mut watch, FrameState::P, &spec, 2e-4, 1.9e-4);
         for _ in 0..400 {
-            count(&mut watch, FrameState::I, &knob, 2e-4, 3e-4);
+            count(&mut watch, FrameState::I, &spec, 2e-4, 3e-4);
         }
-        assert_eq!(watch.advice(&knob), None);
-        assert_eq!(watch.advice_so_far(&knob), None);
+        assert_eq!(watch.advice(&spec), None);
+        assert_eq!(watch.advice_so_far(&spec), None);
     }
 
     #[test]
     fn only_a_threshold_that_prevents_skipping_gets_advice() {
-        let knob = Albireo::KNOB;
+        let spec = Albireo::THRESHOLD;
         // An empty street, and a cap that calls the detector.
-        assert_eq!(advised(FrameState::EI, &knob, 3e-4, 0.0), None);
-        assert_eq!(advised(FrameState::I, &knob, 1e-3, 2e-4), None);
-        let lambda = ExpectedLoss::KNOB;
+        assert_eq!(advised(FrameState::EI, &spec, 3e-4, 0.0), None);
+        assert_eq!(advised(FrameState::I, &spec, 1e-3, 2e-4), None);
+        let lambda = ExpectedLoss::THRESHOLD;
         let advised = advised(FrameState::I, &lambda, 0.0, 0.1);
         assert_eq!(advised, Some(lambda.default));
     }

@@ -82,8 +82,8 @@ pub struct Board {
 
 impl Board {
     /// Creates the board of a node with this configuration, without frames. Thresholds kept in the state directory are
-    /// reused if the policy's knob still has that name and range and the configured value has not changed since; an
-    /// unreadable file is logged and otherwise ignored.
+    /// reused if the policy's threshold still has that name and range and the configured value has not changed since;
+    /// an unreadable file is logged and otherwise ignored.
     ///
     /// # Errors
     /// [`NodeError`] if the state directory cannot be used, or for errors that a checked configuration does not have.
@@ -98,8 +98,8 @@ impl Board {
         let target = Arc::new(NodeTarget::open(
             config.target,
             policy.name(),
-            policy.knob(),
-            begin.or_else(|| policy.knob_value()),
+            policy.threshold_spec(),
+            begin.or_else(|| policy.threshold()),
             settings.clone(),
         ));
         let shared = Shared {
@@ -267,7 +267,7 @@ impl Board {
         }
     }
 
-    /// Holds `target` from now on, or none: the knob then keeps its value, which is saved. Writes small files.
+    /// Holds `target` from now on, or none: the threshold then keeps its value, which is saved. Writes small files.
     ///
     /// # Errors
     /// [`TargetError`] if it cannot be held; then nothing changes.
@@ -277,8 +277,8 @@ impl Board {
         source: SettingSource,
     ) -> Result<(), TargetError> {
         let has_target = self.target.is_on();
-        let knob = self.cameras.first().and_then(|camera| camera.threshold());
-        self.target.set(target, knob, source)?;
+        let threshold = self.cameras.first().and_then(|camera| camera.threshold());
+        self.target.set(target, threshold, source)?;
         if has_target && target.is_none() {
             for camera in &self.cameras {
                 camera.keep_threshold(source);

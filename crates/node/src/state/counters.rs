@@ -16,7 +16,7 @@ use zenoh::qos::CongestionControl;
 /// The time between two counter messages of a camera.
 const PERIOD: Duration = Duration::from_secs(1);
 
-/// The number of counter messages between two saves of the target's knob for a restart.
+/// The number of counter messages between two saves of the target's threshold for a restart.
 const KEEP_EVERY: u32 = 60;
 
 /// Declares the counters key of every camera on the board, in their order.

@@ -1,4 +1,4 @@
-//! Holds a node's target with a controller that moves the knob of all its cameras together.
+//! Holds a node's target with a controller that moves the threshold of all its cameras together.
 
 #[cfg(test)]
 mod tests;
@@ -6,9 +6,9 @@ mod tests;
 use crate::state::board::{Board, Totals};
 use crate::state::settings::Settings;
 use albireo_core::audit::AuditSums;
-use albireo_core::policy::Knob;
+use albireo_core::policy::ThresholdSpec;
 use albireo_core::target::{
-    KnobRange, Measured, Target, TargetController, TargetError, TargetState,
+    Measured, Target, TargetController, TargetError, TargetState, ThresholdRange,
 };
 use albireo_wire::{SettingSource, TargetReport, Threshold, VERSION};
 use parking_lot::{Mutex, MutexGuard};
@@ -18,7 +18,7 @@ use std::time::Duration;
 /// The name of the setting in the state file.
 const SETTING: &str = "target";
 
-/// Smaller relative changes of a knob are skipped: every change is announced and recorded in the clip's report.
+/// Smaller relative changes of a threshold are skipped: every change is announced and recorded in the clip's report.
 const LEAST_CHANGE: f64 = 0.02;
 
 /// The target that the node holds by moving its threshold: the `[target]` section.
@@ -27,9 +27,9 @@ const LEAST_CHANGE: f64 = 0.02;
 pub struct TargetConfig {
     /// The target: `{ skip_rate = 0.5 }`. One at a time.
     pub hold: Option<Target>,
-    /// Smallest value of the knob; by default the end of the range that costs little accuracy.
+    /// Smallest value of the threshold; by default the end of the range that costs little accuracy.
     pub least: Option<f64>,
-    /// Largest value of the knob; by default the end of the range that costs little accuracy.
+    /// Largest value of the threshold; by default the end of the range that costs little accuracy.
     pub most: Option<f64>,
 }
 
@@ -38,8 +38,8 @@ pub struct TargetConfig {
 struct Kept {
     target: Option<Target>,
     source: SettingSource,
-    /// The knob's value when it was kept, with the policy's name for the knob.
-    knob: Option<(String, f64)>,
+    /// The threshold's value when it was kept, with the policy's name for the threshold.
+    threshold: Option<(String, f64)>,
     /// The configured target at that time. If that is edited later, it takes precedence, except over the hub's.
     configured: Option<Target>,
 }
@@ -57,7 +57,7 @@ struct State {
 pub(crate) struct NodeTarget {
     config: TargetConfig,
     policy: &'static str,
-    knob: Option<Knob>,
+    spec: Option<ThresholdSpec>,
     settings: Settings,
     /// Serialises kept changes, so that the file matches the last one. Held during disk writes: no async worker locks
     /// it.
@@ -67,12 +67,12 @@ pub(crate) struct NodeTarget {
 }
 
 impl NodeTarget {
-    /// Starts with the configured or the later kept target. Without a kept value, the controller begins with the knob
-    /// at `begin`.
+    /// Starts with the configured or the later kept target. Without a kept value, the controller begins with the
+    /// threshold at `begin`.
     pub(crate) fn open(
         config: TargetConfig,
         policy: &'static str,
-        knob: Option<Knob>,
+        spec: Option<ThresholdSpec>,
         begin: Option<f64>,
         settings: Settings,
     ) -> Self {
@@ -82,8 +82,10 @@ impl NodeTarget {
             kept.filter(|kept| kept.configured == config.hold || kept.source == SettingSource::Hub);
         let (target, source, place) = match kept {
             Some(kept) => {
-                let own = knob.map(|knob| knob.name);
-                let place = kept.knob.filter(|(name, _)| Some(name.as_str()) == own);
+                let own = spec.map(|spec| spec.name);
+                let place = kept
+                    .threshold
+                    .filter(|(name, _)| Some(name.as_str()) == own);
                 (kept.target, kept.source, place.map(|(_, value)| value))
             }
             None => (config.hold, SettingSource::Configuration, None),
@@ -91,7 +93,7 @@ impl NodeTarget {
         let mut opened = Self {
             config,
             policy,
-            knob,
+            spec,
             settings,
             changing: Mutex::default(),
             state: Mutex::new(State {
@@ -111,34 +113,35 @@ impl NodeTarget {
         opened
     }
 
-    fn range(&self) -> Result<KnobRange, TargetError> {
+    fn range(&self) -> Result<ThresholdRange, TargetError> {
         let TargetConfig { least, most, .. } = self.config;
-        KnobRange::of(self.policy, self.knob.as_ref(), least, most)
+        ThresholdRange::of(self.policy, self.spec.as_ref(), least, most)
     }
 
     fn controller(
         &self,
         target: Option<Target>,
-        knob: Option<f64>,
+        threshold: Option<f64>,
     ) -> Result<Option<TargetController>, TargetError> {
         let Some(target) = target else {
             return Ok(None);
         };
         let range = self.range()?;
-        TargetController::new(target, range, knob.unwrap_or(range.least)).map(Some)
+        TargetController::new(target, range, threshold.unwrap_or(range.least)).map(Some)
     }
 
-    /// Holds `target` from now on, beginning with the knob at `knob`; or none, and the knob stays. Writes a small file.
+    /// Holds `target` from now on, beginning with the threshold at `threshold`; or none, and the threshold stays.
+    /// Writes a small file.
     ///
     /// # Errors
-    /// [`TargetError`] if its value is invalid or the policy has no knob; then nothing changes.
+    /// [`TargetError`] if its value is invalid or the policy has no threshold; then nothing changes.
     pub(crate) fn set(
         &self,
         target: Option<Target>,
-        knob: Option<f64>,
+        threshold: Option<f64>,
         source: SettingSource,
     ) -> Result<(), TargetError> {
-        let controller = self.controller(target, knob)?;
+        let controller = self.controller(target, threshold)?;
         let _changing = self.changing.lock();
         let mut state = self.state.lock();
         // Setting the same target again keeps what the controller has learnt.
@@ -162,7 +165,7 @@ impl NodeTarget {
         Ok(())
     }
 
-    /// Ends the target, because somebody turns the knob by hand. Writes a small file if there was a target.
+    /// Ends the target, because somebody turns the threshold by hand. Writes a small file if there was a target.
     pub(crate) fn turned_by_hand(&self, source: SettingSource) {
         let _changing = self.changing.lock();
         let mut state = self.state.lock();
@@ -181,18 +184,18 @@ impl NodeTarget {
         self.keep(state);
     }
 
-    /// Runs a step of the controller; then `apply` gets the knob's value, before anybody can turn it by hand.
+    /// Runs a step of the controller; then `apply` gets the threshold's value, before anybody can turn it by hand.
     fn step(&self, measured: &Measured, apply: impl FnOnce(f64)) {
         let mut state = self.state.lock();
         let Some(controller) = &mut state.controller else {
             return;
         };
-        let before = controller.knob();
+        let before = controller.threshold();
         let now = controller.step(measured);
         let first = state.last.is_none();
         state.last = Some(now);
-        if first || now.knob != before {
-            apply(now.knob);
+        if first || now.threshold != before {
+            apply(now.threshold);
         }
     }
 
@@ -212,15 +215,15 @@ impl NodeTarget {
             source: state.source,
             off: state.off.clone(),
             range: controller.and_then(|_| self.range().ok()),
-            threshold: (self.knob.as_ref())
+            threshold: (self.spec.as_ref())
                 .zip(controller)
-                .map(|(knob, controller)| Threshold::new(knob.name, controller.knob())),
+                .map(|(spec, controller)| Threshold::new(spec.name, controller.threshold())),
             state: last,
             why: last.map(|last| last.status.as_str().to_owned()),
         }
     }
 
-    /// Keeps the knob's value, so that a restart continues from there. Writes a small file if a target is held.
+    /// Keeps the threshold's value, so that a restart continues from there. Writes a small file if a target is held.
     pub(crate) fn keep_place(&self) {
         let _changing = self.changing.lock();
         let state = self.state.lock();
@@ -232,11 +235,12 @@ impl NodeTarget {
     /// Writes the held target; unlocks the state first, because a disk may stall.
     fn keep(&self, state: MutexGuard<'_, State>) {
         let controller = state.controller.as_ref();
-        let knob = self.knob.zip(controller);
+        let threshold = self.spec.zip(controller);
         let kept = Kept {
             target: controller.map(TargetController::target),
             source: state.source,
-            knob: knob.map(|(knob, controller)| (knob.name.to_owned(), controller.knob())),
+            threshold: threshold
+                .map(|(spec, controller)| (spec.name.to_owned(), controller.threshold())),
             configured: self.config.hold,
         };
         drop(state);
@@ -245,13 +249,13 @@ impl NodeTarget {
 }
 
 impl Board {
-    /// Passes the counts of the last second to the controller, and the knob's new value to the cameras.
+    /// Passes the counts of the last second to the controller, and the threshold's new value to the cameras.
     pub(crate) fn step_target(&self, since: &Totals, time: Duration) {
         let mut audit = AuditSums::default();
         for camera in &self.cameras {
             audit.merge(&camera.take_audit());
         }
-        // While the detector does not answer, the load does not depend on the knob, which stays.
+        // While the detector does not answer, the load does not depend on the threshold, which stays.
         if since.degraded > 0 && since.detector_us == 0 {
             return;
         }

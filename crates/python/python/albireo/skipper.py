@@ -67,7 +67,7 @@ class Skipper:
 
     policy: `"expected-loss"`, `"albireo"`, `"fixed-skip"`, … With `+flow` (`"expected-loss+flow"`) optical flow moves the
         boxes of skipped frames; it needs the picture of every frame (`look`).
-    threshold: the price of a call; higher skips more. Its name and range depend on the policy (`knob`).
+    threshold: the price of a call; higher skips more. Its name and range depend on the policy (`threshold_spec`).
     size: width and height of the pictures in pixels.
     profile: `"paper"`, or `"reference"` for the published code's decisions.
     audit: the share of skipped frames that `audit_due` draws, 0 to 1; `seed` decides which.
@@ -256,9 +256,9 @@ class Skipper:
         return self._core.policy
 
     @property
-    def knob(self) -> tuple[str, str, float, float] | None:
+    def threshold_spec(self) -> tuple[str, str, float, float] | None:
         """Name, meaning, smallest and largest value of the threshold."""
-        return self._core.knob
+        return self._core.threshold_spec
 
     @property
     def looks(self) -> bool:
@@ -326,8 +326,8 @@ class Skipper:
         return "\n".join(lines)
 
     def __repr__(self) -> str:
-        knob = self.knob
-        threshold = f" with {knob[0]} = {self.threshold:g}" if knob and self.threshold is not None else ""
+        spec = self.threshold_spec
+        threshold = f" with {spec[0]} = {self.threshold:g}" if spec and self.threshold is not None else ""
         return f"<Skipper {self.policy}{threshold}, {self._size[0]}x{self._size[1]}>"
 
     def _called(self, event: tuple[Any, ...]) -> None:

@@ -1,6 +1,6 @@
 //! Errors as problem documents (RFC 9457), including the framework's own errors.
 
-use albireo_wire::{Knob, KnobError};
+use albireo_wire::{InvalidThreshold, ThresholdSpec};
 use axum::body::to_bytes;
 use axum::extract::{Request, State};
 use axum::http::StatusCode;
@@ -31,8 +31,8 @@ pub struct Problem {
     allowed: Vec<String>,
     /// The range of the threshold, if the request was about one.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<Knob>)]
-    knob: Option<Box<Knob>>,
+    #[schema(value_type = Option<ThresholdSpec>)]
+    threshold_spec: Option<Box<ThresholdSpec>>,
 }
 
 impl Problem {
@@ -44,7 +44,7 @@ impl Problem {
             status: status.as_u16(),
             detail: detail.into(),
             allowed: Vec::new(),
-            knob: None,
+            threshold_spec: None,
         }
     }
 
@@ -55,18 +55,18 @@ impl Problem {
     }
 
     /// Adds the range of the threshold.
-    pub fn with_knob(mut self, knob: Option<Knob>) -> Self {
-        self.knob = knob.map(Box::new);
+    pub fn with_threshold_spec(mut self, spec: Option<ThresholdSpec>) -> Self {
+        self.threshold_spec = spec.map(Box::new);
         self
     }
 
     /// Converts a threshold error.
-    pub fn from_knob_error(error: &KnobError, knob: Option<Knob>) -> Self {
+    pub fn from_invalid_threshold(error: &InvalidThreshold, spec: Option<ThresholdSpec>) -> Self {
         let status = match error {
-            KnobError::Absent { .. } => StatusCode::CONFLICT,
-            KnobError::OutOfRange { .. } => StatusCode::UNPROCESSABLE_ENTITY,
+            InvalidThreshold::Absent { .. } => StatusCode::CONFLICT,
+            InvalidThreshold::OutOfRange { .. } => StatusCode::UNPROCESSABLE_ENTITY,
         };
-        Self::new(status, error.to_string()).with_knob(knob)
+        Self::new(status, error.to_string()).with_threshold_spec(spec)
     }
 }
 

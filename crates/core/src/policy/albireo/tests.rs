@@ -58,7 +58,7 @@ fn in_the_reference_detector_frames_report_filtered_boxes_with_decayed_confidenc
     run.see(&[seen(0.52, 0.9)]);
     let detected = seen(0.52, 0.9).bounding_box;
     assert_ne!(run.outcome.boxes[0].bounding_box, detected);
-    run.policy.set_knob(1e-9).unwrap();
+    run.policy.set_threshold(1e-9).unwrap();
     run.see(&[seen(0.53, 0.9)]);
     assert_eq!(run.see(&[]), FrameState::AI);
     assert!((run.outcome.boxes[0].confidence - 0.09).abs() < 1e-12);
@@ -69,7 +69,7 @@ fn in_the_reference_detector_frames_report_filtered_boxes_with_decayed_confidenc
 fn predicted_frames_report_all_active_objects() {
     let mut run = watching(AlbireoSettings::paper());
     run.see(&[seen(0.5, 0.9), seen(0.8, 0.6)]);
-    run.policy.set_knob(1.0).unwrap();
+    run.policy.set_threshold(1.0).unwrap();
     assert_eq!(run.blind(), FrameState::P);
     assert!(!run.outcome.degraded);
     let found = run.outcome.boxes.iter().map(|b| (b.source, b.confidence));
@@ -98,7 +98,7 @@ fn the_age_limit_calls_the_detector_at_t_max() {
     let mut settings = AlbireoSettings::paper();
     settings.periodic_cap = u32::MAX;
     let mut run = watching(settings);
-    run.policy.set_knob(1.0).unwrap();
+    run.policy.set_threshold(1.0).unwrap();
     for _ in 1..15 {
         assert_eq!(run.blind(), FrameState::P);
         assert!(!run.outcome.degraded);
@@ -117,7 +117,7 @@ fn the_periodic_cap_counts_as_configured() {
         settings.periodic_cap = 7;
         settings.periodic_cap_counts = counts;
         let mut run = watching(settings);
-        run.policy.set_knob(1.0).unwrap();
+        run.policy.set_threshold(1.0).unwrap();
         let mut called = Vec::new();
         while run.index < 17 {
             let index = run.index;
@@ -137,7 +137,7 @@ fn a_due_frame_that_is_lost_or_abandoned_makes_the_next_one_due() {
     settings.periodic_cap = 7;
     settings.periodic_cap_counts = PeriodicCap::FrameIndex;
     let mut run = watching(settings);
-    run.policy.set_knob(1.0).unwrap();
+    run.policy.set_threshold(1.0).unwrap();
     run.index = 6;
     assert_eq!(run.blind(), FrameState::P);
     // 7 and 8 are lost.
@@ -154,7 +154,7 @@ fn a_due_frame_that_is_lost_or_abandoned_makes_the_next_one_due() {
 #[test]
 fn gaps_predictions_and_abandoned_frames_leave_the_same_objects() {
     let mut gap = watching(AlbireoSettings::paper());
-    gap.policy.set_knob(1.0).unwrap();
+    gap.policy.set_threshold(1.0).unwrap();
     let again = || {
         let mut run = Run::with(gap.policy.clone());
         run.index = gap.index;
@@ -181,7 +181,7 @@ fn gaps_predictions_and_abandoned_frames_leave_the_same_objects() {
 fn a_new_threshold_applies_from_the_next_frame() {
     let mut run = watching(AlbireoSettings::paper());
     assert_eq!(run.begin(1), Need::Detections);
-    run.policy.set_knob(1.0).unwrap();
+    run.policy.set_threshold(1.0).unwrap();
     let found = [seen(0.5, 0.9)];
     run.policy.answer(Evidence::Detections(&found));
     run.policy.finish(&mut run.outcome);
@@ -268,7 +268,12 @@ fn decisions_do_not_depend_on_the_picture_size() {
         assert!(others.iter().all(|other| *other == expected), "u = {u}");
     }
     // The published code counts pixels, and skips nothing in small pictures.
-    let published =
-        |size| decided_in_pictures_of(size, AlbireoSettings::reference(), Albireo::KNOB.default);
+    let published = |size| {
+        decided_in_pictures_of(
+            size,
+            AlbireoSettings::reference(),
+            Albireo::THRESHOLD.default,
+        )
+    };
     assert_ne!(published(sizes[0]), published(sizes[1]));
 }

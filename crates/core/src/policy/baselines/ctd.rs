@@ -13,8 +13,8 @@
 use crate::objects::{Missed, ObjectState};
 use crate::policy::tracker::{Tracker, check_setting};
 use crate::policy::{
-    CallCause, Evidence, FrameHead, FrameState, Knob, KnobError, Need, ObjectRecord, Outcome,
-    Policy, PolicyConfig, PolicyConfigError,
+    CallCause, Evidence, FrameHead, FrameState, InvalidThreshold, Need, ObjectRecord, Outcome,
+    Policy, PolicyConfig, PolicyConfigError, ThresholdSpec,
 };
 use serde::{Deserialize, Serialize};
 
@@ -34,7 +34,7 @@ pub struct CtdSettings {
 impl Default for CtdSettings {
     fn default() -> Self {
         Self {
-            threshold: Ctd::KNOB.default,
+            threshold: Ctd::THRESHOLD.default,
             longest_skip: 8,
             lost_frames: 10,
         }
@@ -67,7 +67,7 @@ impl Ctd {
     pub const NAME: &'static str = "ctd";
 
     /// The confidence threshold. The default is the recommendation of Ding et al.
-    pub const KNOB: Knob = Knob {
+    pub const THRESHOLD: ThresholdSpec = ThresholdSpec {
         name: "threshold",
         meaning: "The detector is skipped while the confidence in every prediction is at least this: \
                   lower saves more energy, higher is more accurate",
@@ -82,7 +82,7 @@ impl Ctd {
         config: &PolicyConfig,
     ) -> Result<Box<dyn Policy>, PolicyConfigError> {
         let settings = config.ctd;
-        let threshold = check_setting(Self::NAME, Self::KNOB, settings.threshold)?;
+        let threshold = check_setting(Self::NAME, Self::THRESHOLD, settings.threshold)?;
         Ok(Box::new(Self {
             settings,
             largest_distance: distance_with_confidence(threshold),
@@ -136,16 +136,16 @@ impl Policy for Ctd {
         Self::NAME
     }
 
-    fn knob(&self) -> Option<Knob> {
-        Some(Self::KNOB)
+    fn threshold_spec(&self) -> Option<ThresholdSpec> {
+        Some(Self::THRESHOLD)
     }
 
-    fn knob_value(&self) -> Option<f64> {
+    fn threshold(&self) -> Option<f64> {
         Some(self.settings.threshold)
     }
 
-    fn set_knob(&mut self, value: f64) -> Result<(), KnobError> {
-        self.settings.threshold = Self::KNOB.check(value)?;
+    fn set_threshold(&mut self, value: f64) -> Result<(), InvalidThreshold> {
+        self.settings.threshold = Self::THRESHOLD.check(value)?;
         self.largest_distance = distance_with_confidence(value);
         Ok(())
     }

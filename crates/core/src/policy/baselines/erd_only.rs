@@ -18,7 +18,7 @@ enum ErdOnlyPhase {
     Decided(FrameState),
 }
 
-/// The screen-only policy. It keeps no objects and has no knob.
+/// The screen-only policy. It keeps no objects and has no threshold.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ErdOnly {
     boxes: DetectorBoxes,

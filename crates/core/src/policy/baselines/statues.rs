@@ -14,8 +14,8 @@ use crate::geometry::PictureSize;
 use crate::policy::detector_boxes::DetectorBoxes;
 use crate::policy::tracker::check_setting;
 use crate::policy::{
-    CallCause, Evidence, FrameHead, FrameState, GreyPicture, Knob, KnobError, Need, Outcome,
-    Policy, PolicyConfig, PolicyConfigError,
+    CallCause, Evidence, FrameHead, FrameState, GreyPicture, InvalidThreshold, Need, Outcome,
+    Policy, PolicyConfig, PolicyConfigError, ThresholdSpec,
 };
 use serde::{Deserialize, Serialize};
 
@@ -32,7 +32,7 @@ pub struct StatuesSettings {
 impl Default for StatuesSettings {
     fn default() -> Self {
         Self {
-            component_size: Statues::KNOB.default,
+            component_size: Statues::THRESHOLD.default,
             pixel_difference: 30,
         }
     }
@@ -67,7 +67,7 @@ impl Statues {
     pub const NAME: &'static str = "statues";
 
     /// The size of a change. The Albireo paper uses 25, 75, 200 and 500; the default is that of the Statues paper.
-    pub const KNOB: Knob = Knob {
+    pub const THRESHOLD: ThresholdSpec = ThresholdSpec {
         name: "component_size",
         meaning: "The detector is skipped while no more pixels than this have changed in one piece: \
                   higher saves more energy, lower is more accurate",
@@ -82,7 +82,7 @@ impl Statues {
         config: &PolicyConfig,
     ) -> Result<Box<dyn Policy>, PolicyConfigError> {
         let settings = config.statues;
-        check_setting(Self::NAME, Self::KNOB, settings.component_size)?;
+        check_setting(Self::NAME, Self::THRESHOLD, settings.component_size)?;
         if settings.pixel_difference == 0 {
             return Err(PolicyConfigError::Setting {
                 table: Self::NAME,
@@ -134,16 +134,16 @@ impl Policy for Statues {
         Self::NAME
     }
 
-    fn knob(&self) -> Option<Knob> {
-        Some(Self::KNOB)
+    fn threshold_spec(&self) -> Option<ThresholdSpec> {
+        Some(Self::THRESHOLD)
     }
 
-    fn knob_value(&self) -> Option<f64> {
+    fn threshold(&self) -> Option<f64> {
         Some(self.settings.component_size)
     }
 
-    fn set_knob(&mut self, value: f64) -> Result<(), KnobError> {
-        self.settings.component_size = Self::KNOB.check(value)?;
+    fn set_threshold(&mut self, value: f64) -> Result<(), InvalidThreshold> {
+        self.settings.component_size = Self::THRESHOLD.check(value)?;
         Ok(())
     }
 

@@ -15,7 +15,7 @@ fn error(text: &str) -> String {
 fn the_default_is_albireo_with_the_papers_threshold() {
     let policy = config("").build().unwrap();
     assert_eq!(policy.name(), "albireo");
-    assert_eq!(policy.knob_value(), Some(3e-4));
+    assert_eq!(policy.threshold(), Some(3e-4));
 }
 
 #[test]
@@ -28,21 +28,21 @@ fn an_unknown_policy_is_rejected_with_the_known_names() {
 }
 
 #[test]
-fn a_name_and_an_argument_select_a_policy_and_the_value_of_its_knob() {
+fn a_name_and_an_argument_select_a_policy_and_the_value_of_its_threshold() {
     let selected = |asked: &str| {
         let mut config = PolicyConfig::default();
         config.select(asked).unwrap();
         let policy = config.build().unwrap();
-        (policy.name(), policy.knob_value())
+        (policy.name(), policy.threshold())
     };
     for name in known_policies() {
         let policy = config(&format!("name = '{name}'")).build().unwrap();
-        let knob = policy.knob();
-        assert_eq!(selected(name), (name, knob.map(|knob| knob.default)));
-        if let Some(knob) = knob {
+        let spec = policy.threshold_spec();
+        assert_eq!(selected(name), (name, spec.map(|spec| spec.default)));
+        if let Some(spec) = spec {
             // It fits into a message.
-            assert!(knob.name.len() <= 24, "{name}: {}", knob.name);
-            for value in [knob.minimum, knob.maximum] {
+            assert!(spec.name.len() <= 24, "{name}: {}", spec.name);
+            for value in [spec.minimum, spec.maximum] {
                 let found = selected(&format!("{name}:{value:e}"));
                 assert_eq!(found, (name, Some(value)));
             }
@@ -109,7 +109,7 @@ fn the_baselines_have_their_own_tables() {
     assert_eq!(read.fixed_skip.skipped_boxes, Some(SkippedBoxes::Predict));
     assert_eq!(read.ctd.longest_skip, 4);
     assert_eq!(read.statues.component_size, 75.0);
-    assert_eq!(read.build().unwrap().knob_value(), Some(0.7));
+    assert_eq!(read.build().unwrap().threshold(), Some(0.7));
     let written = toml::to_string(&read).unwrap();
     assert_eq!(config(&written), read);
     let message = error("name = 'statues'\n[statues]\npixel_difference = 0");

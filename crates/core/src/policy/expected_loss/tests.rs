@@ -125,7 +125,7 @@ fn a_gap_predicts_as_many_single_frames_do() {
         let mut single = policy(0.0);
         calls(&mut single, 10);
         // Only the longest pause calls the detector.
-        single.policy.set_knob(100.0).unwrap();
+        single.policy.set_threshold(100.0).unwrap();
         let mut gap = Run::with(single.policy.clone());
         for _ in 0..frames {
             assert_eq!(single.see(&[]), FrameState::P);

@@ -1,7 +1,7 @@
 //! The triggers of a detector call: the expected loss, or a schedule that ignores the scene. All share the same
 //! objects, so that the gains of trigger and tracking can be measured separately.
 
-use crate::policy::{CallCause, Knob};
+use crate::policy::{CallCause, ThresholdSpec};
 
 /// The trigger of detector calls.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,7 +24,7 @@ pub enum Trigger {
 }
 
 impl Trigger {
-    const LAMBDA: Knob = Knob {
+    const LAMBDA: ThresholdSpec = ThresholdSpec {
         name: "lambda",
         meaning: "The detector is called when the boxes expected to be lost without it are worth this: \
                   higher saves more energy, lower is more accurate",
@@ -35,7 +35,7 @@ impl Trigger {
         useful_maximum: 3.0,
     };
 
-    const N: Knob = Knob {
+    const N: ThresholdSpec = ThresholdSpec {
         name: "n",
         meaning: "The detector runs on one frame in this many: higher saves more energy, lower is more \
                   accurate",
@@ -46,7 +46,7 @@ impl Trigger {
         useful_maximum: 20.0,
     };
 
-    const SKIP_RATE: Knob = Knob {
+    const SKIP_RATE: ThresholdSpec = ThresholdSpec {
         name: "skip_rate",
         meaning: "Share of frames on which the detector is skipped, evenly spaced: higher saves more \
                   energy, lower is more accurate",
@@ -57,8 +57,8 @@ impl Trigger {
         useful_maximum: 0.95,
     };
 
-    /// Returns the trigger's knob.
-    pub const fn knob(&self) -> Knob {
+    /// Returns the trigger's threshold.
+    pub const fn threshold_spec(&self) -> ThresholdSpec {
         match self {
             Self::ExpectedLoss { .. } => Self::LAMBDA,
             Self::FixedSkip { .. } => Self::N,
@@ -66,7 +66,7 @@ impl Trigger {
         }
     }
 
-    /// Returns the value of the trigger's knob.
+    /// Returns the value of the trigger's threshold.
     pub const fn value(&self) -> f64 {
         match *self {
             Self::ExpectedLoss { lambda: value }

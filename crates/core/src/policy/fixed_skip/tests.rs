@@ -99,6 +99,6 @@ fn a_due_frame_that_is_lost_or_abandoned_makes_the_next_one_due() {
 fn a_new_threshold_applies_from_the_next_frame() {
     let mut run = Run::new("fixed-skip:2", Profile::Paper);
     assert_eq!(asked(&mut run, 4), [0, 2]);
-    run.policy.set_knob(4.0).unwrap();
+    run.policy.set_threshold(4.0).unwrap();
     assert_eq!(asked(&mut run, 9), [4, 8, 12]);
 }

@@ -61,7 +61,7 @@ impl Event {
 
     /// The threshold set before the frame.
     fn threshold(&self, policy: &dyn Policy) -> Option<f64> {
-        Some(useful(policy.knob()?, self.threshold?))
+        Some(useful(policy.threshold_spec()?, self.threshold?))
     }
 }
 
@@ -107,7 +107,7 @@ fn from_the_start(policy: &mut dyn Policy, script: &[Event], given: &[usize]) ->
     let mut outcomes = Vec::new();
     for ((event, head), &given) in script.iter().zip(heads(script)).zip(given) {
         if let Some(value) = event.threshold(policy) {
-            policy.set_knob(value).unwrap();
+            policy.set_threshold(value).unwrap();
         }
         let mut known = event.known();
         let mut need = policy.begin(head);
@@ -164,7 +164,7 @@ impl<'a> Camera<'a> {
             return false;
         };
         if let Some(value) = event.threshold(self.late.policy()) {
-            self.late.set_knob(value).unwrap();
+            self.late.set_threshold(value).unwrap();
         }
         let need = self.late.frame(self.heads[self.next], &mut self.live);
         assert_eq!(self.live.state, FrameState::P);
@@ -232,7 +232,7 @@ proptest! {
             let mut camera = Camera::new(built(name, profile), &script);
             for (frame, (event, head)) in script.iter().zip(heads(&script)).enumerate() {
                 if let Some(value) = event.threshold(&*waiting) {
-                    waiting.set_knob(value).unwrap();
+                    waiting.set_threshold(value).unwrap();
                 }
                 let mut expected = Outcome::default();
                 let Ok(()) = decide(&mut *waiting, head, &mut event.known(), &mut expected);
@@ -268,7 +268,7 @@ proptest! {
                 let mut policy = built(name, profile);
                 let after = from_the_start(&mut *policy, so_far, &camera.given);
                 prop_assert_eq!(records(camera.late.policy()), records(&*policy), "{}", name);
-                prop_assert_eq!(camera.late.policy().knob_value(), policy.knob_value());
+                prop_assert_eq!(camera.late.policy().threshold(), policy.threshold());
                 for (frame, outcome) in &camera.settled {
                     prop_assert_eq!(outcome, &after[*frame], "{}, frame {}", name, frame);
                 }

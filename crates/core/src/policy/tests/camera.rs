@@ -42,9 +42,9 @@ pub(in crate::policy) fn built(asked: &str, profile: Profile) -> Box<dyn Policy>
     config.build().unwrap()
 }
 
-/// The value of `knob` at this share of its useful range.
-pub(in crate::policy) fn useful(knob: Knob, share: f64) -> f64 {
-    knob.useful_minimum + share * (knob.useful_maximum - knob.useful_minimum)
+/// The value of `spec` at this share of its useful range.
+pub(in crate::policy) fn useful(spec: ThresholdSpec, share: f64) -> f64 {
+    spec.useful_minimum + share * (spec.useful_maximum - spec.useful_minimum)
 }
 
 pub(in crate::policy) fn records<P: Policy + ?Sized>(policy: &P) -> Vec<ObjectRecord> {

@@ -112,7 +112,7 @@ fn the_proposed_lines_are_a_valid_node_configuration() {
             let node: Node = toml::from_str(&proposal.node_toml).unwrap();
             assert_eq!(node.policy.name, policy);
             let policy = node.policy.build().unwrap();
-            assert_eq!(policy.knob_value(), Some(proposal.value));
+            assert_eq!(policy.threshold(), Some(proposal.value));
         }
     }
 }
@@ -136,12 +136,12 @@ fn the_text_fits() {
 
 #[test]
 fn values_have_two_digits_and_increase_through_the_useful_range() {
-    let knob = ExpectedLoss::KNOB;
-    let values = values(&knob);
+    let spec = ExpectedLoss::THRESHOLD;
+    let values = values(&spec);
     assert!(values.is_sorted(), "{values:?}");
     assert!(values.len() > VALUES / 2, "{values:?}");
-    assert_eq!(values.first(), Some(&knob.useful_minimum));
-    assert_eq!(values.last(), Some(&knob.useful_maximum));
+    assert_eq!(values.first(), Some(&spec.useful_minimum));
+    assert_eq!(values.last(), Some(&spec.useful_maximum));
     for value in values {
         assert_eq!(format!("{value:.1e}").parse(), Ok(value));
     }

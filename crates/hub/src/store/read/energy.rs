@@ -25,7 +25,7 @@ pub enum EnergyBy {
     /// Policy.
     Policy,
     /// Policy and value of its threshold.
-    Knob,
+    Threshold,
     /// Camera and name of the clip; the parts of a long clip are added. Only clips that are still kept individually.
     Clip,
 }
@@ -56,7 +56,7 @@ pub enum Sort {
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct EnergyQuery {
-    /// `all`, `node`, `camera`, `day`, `policy`, `knob` or `clip`.
+    /// `all`, `node`, `camera`, `day`, `policy`, `threshold` or `clip`.
     #[serde(default)]
     pub by: EnergyBy,
     /// Only clips that began at this time or later, milliseconds since the Unix epoch; seven days ago by default.

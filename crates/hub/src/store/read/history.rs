@@ -84,7 +84,7 @@ pub struct StoredClip {
     /// Policy.
     pub policy: String,
     /// Name of its threshold; empty without one.
-    pub knob: String,
+    pub threshold: String,
     /// The threshold's value at the end of the clip.
     #[serde(deserialize_with = "json_text::deserialize")]
     pub value: Option<f64>,

@@ -50,13 +50,13 @@ CREATE TABLE cameras (
 CREATE TABLE setups (
     id INTEGER PRIMARY KEY AUTOINCREMENT,
     policy TEXT NOT NULL,
-    knob TEXT NOT NULL,
+    threshold TEXT NOT NULL,
     value TEXT NOT NULL,
     model TEXT NOT NULL,
     provider TEXT NOT NULL,
     power_source TEXT NOT NULL,
     total_from TEXT NOT NULL,
-    UNIQUE (policy, knob, value, model, provider, power_source, total_from)
+    UNIQUE (policy, threshold, value, model, provider, power_source, total_from)
 );
 
 -- A clip, or a part of a long one. `day` is that of the report's identity, or that of receipt where the identity's cannot be

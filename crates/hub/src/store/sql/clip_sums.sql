@@ -25,7 +25,7 @@ JOIN nodes n ON n.name = w.node
 JOIN cameras k ON k.node_id = n.id
 JOIN clips c ON c.camera_id = k.id AND c.at_ms >= w.from_ms - 86400000
 JOIN setups s ON s.id = c.setup_id
-WHERE s.knob = w.knob AND s.value = w.value
+WHERE s.threshold = w.threshold AND s.value = w.value
     AND c.received_ms >= w.from_ms AND c.received_ms <= w.until_ms
     AND c.threshold_changed = 0
 GROUP BY n.name

@@ -6,7 +6,7 @@ SELECT CASE $1
            WHEN 'clip' THEN n.name || '/' || m.name || '/' || t.clip
            WHEN 'day' THEN CAST(t.bucket_s - t.bucket_s % 86400 AS TEXT)
            WHEN 'policy' THEN s.policy
-           WHEN 'knob' THEN s.policy || CASE s.knob WHEN '' THEN '' ELSE ' ' || s.knob || '=' || s.value END
+           WHEN 'threshold' THEN s.policy || CASE s.threshold WHEN '' THEN '' ELSE ' ' || s.threshold || '=' || s.value END
            ELSE ''
        END AS "group",
        CASE t.quality WHEN 0 THEN 'measured' WHEN 1 THEN 'partial' WHEN 2 THEN 'estimated' ELSE 'unavailable' END AS quality,

@@ -87,8 +87,8 @@ impl World {
         self.nodes.iter().map(candidate).collect()
     }
 
-    fn have(&self, knob: Threshold) -> usize {
-        self.nodes.values().filter(|n| n.has == knob).count()
+    fn have(&self, threshold: Threshold) -> usize {
+        self.nodes.values().filter(|n| n.has == threshold).count()
     }
 
     /// Advances by 1 s.
@@ -98,7 +98,7 @@ impl World {
             self.revision += 1;
             for name in &order.nodes {
                 if let Some(node) = self.nodes.get_mut(name) {
-                    node.desired = Some((self.revision, order.knob));
+                    node.desired = Some((self.revision, order.threshold));
                 }
             }
             rollout.asked(&order, self.revision, self.now);
@@ -108,9 +108,9 @@ impl World {
                 Some((revision, _)) if node.refuses => {
                     node.refused = Some(revision);
                 }
-                Some((revision, knob)) if revision > node.revision => {
+                Some((revision, threshold)) if revision > node.revision => {
                     node.revision = revision;
-                    node.has = knob;
+                    node.has = threshold;
                 }
                 _ if node.dies && node.has == new() => node.reachable = false,
                 _ => {}

@@ -5,7 +5,7 @@ use crate::state::advice::Advice;
 use crate::state::board::{Board, CameraBoard};
 use crate::state::readiness::CAMERAS;
 use albireo_core::geometry::PictureSize;
-use albireo_core::policy::Knob;
+use albireo_core::policy::ThresholdSpec;
 use albireo_service::clock::{seconds, significant};
 use albireo_service::http::Problem;
 use albireo_wire::{DetectionsMessage, DroppedFrames, FrameStates, SettingSource, Threshold};
@@ -75,7 +75,7 @@ pub(super) struct CameraDetail {
     set_by: Option<SettingSource>,
     /// The name, range and default of the policy's threshold; absent if the policy has none.
     #[serde(skip_serializing_if = "Option::is_none")]
-    knob: Option<Knob>,
+    threshold_spec: Option<ThresholdSpec>,
     /// Number of frames in each state; they add up to `frames`.
     states: FrameStates,
     /// Share of frames that skipped the detector: state E or P and not degraded.
@@ -144,8 +144,8 @@ pub(super) async fn one(
         version: env!("CARGO_PKG_VERSION"),
         policy: camera.policy,
         threshold: camera.threshold_in_force(),
-        set_by: camera.knob.map(|_| camera.threshold_source()),
-        knob: camera.knob,
+        set_by: camera.threshold_spec.map(|_| camera.threshold_source()),
+        threshold_spec: camera.threshold_spec,
         states: snapshot.states,
         skip_rate,
         degraded_frames: snapshot.degraded_frames,

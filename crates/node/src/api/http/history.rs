@@ -196,7 +196,8 @@ pub(super) async fn skip_estimate(
     let values = query(values, &["values"])?;
     let camera = shared.camera(&camera)?;
     let cannot = |why: &str| Problem::new(StatusCode::CONFLICT, why);
-    let (Some(threshold), Some(about)) = (camera.threshold_in_force(), camera.knob) else {
+    let (Some(threshold), Some(about)) = (camera.threshold_in_force(), camera.threshold_spec)
+    else {
         return Err(cannot("the policy has no threshold to estimate with"));
     };
     if threshold.name.as_str() != "u" {

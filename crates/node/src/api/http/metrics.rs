@@ -187,12 +187,12 @@ fn target(page: &mut MetricsPage, board: &Board) {
     );
     page.counters(
         "albireo_target_unmet_total",
-        "Times since the target was set that it became impossible to meet within the knob's range",
+        "Times since the target was set that it became impossible to meet within the threshold's range",
         state.map(|state| ([], state.unmet as f64)),
     );
     page.counters(
         "albireo_target_unmet_seconds_total",
-        "Time since the target was set during which it could not be met within the knob's range",
+        "Time since the target was set during which it could not be met within the threshold's range",
         state.map(|state| ([], state.unmet_s)),
     );
 }

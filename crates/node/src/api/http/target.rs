@@ -25,8 +25,8 @@ pub(super) async fn get(State(shared): State<RouteState>) -> Json<TargetReport> 
 /// Sets a target instead of a threshold
 ///
 /// One of `recall` (against the detector, the lower end of its interval), `skip_rate` and `watts`, or null for none. A
-/// controller then moves the knob of all cameras together, inside its range; setting the threshold by hand switches it
-/// off.
+/// controller then moves the threshold of all cameras together, inside its range; setting the threshold by hand
+/// switches it off.
 /// `curl -X PUT -d '{"target": {"skip_rate": 0.5}}' http://127.0.0.1:8080/api/v1/target`
 #[utoipa::path(
     put, operation_id = "set_target", path = "/api/v1/target", tag = "threshold", request_body = TargetMessage,

@@ -3,7 +3,7 @@
 use super::RouteState;
 use super::change::{message, off_the_runtime};
 use crate::state::board::{Board, CameraBoard, ThresholdError, set_thresholds};
-use albireo_core::policy::{Knob, short};
+use albireo_core::policy::{ThresholdSpec, short};
 use albireo_service::http::Problem;
 use albireo_wire::{SettingSource, Threshold, VERSION};
 use axum::Json;
@@ -48,7 +48,7 @@ pub(super) struct CameraThreshold {
     value: NamedValue,
     /// Its name in the policy, its range and its default; absent if the policy has none.
     #[serde(skip_serializing_if = "Option::is_none")]
-    knob: Option<Knob>,
+    threshold_spec: Option<ThresholdSpec>,
     /// True if a value set at run time survives a restart; absent in a list.
     #[serde(skip_serializing_if = "Option::is_none")]
     survives_restart: Option<bool>,
@@ -71,7 +71,7 @@ fn of(camera: &CameraBoard) -> CameraThreshold {
     CameraThreshold {
         camera: camera.name().to_owned(),
         value: named(camera.threshold_in_force()),
-        knob: camera.knob,
+        threshold_spec: camera.threshold_spec,
         survives_restart: None,
     }
 }
@@ -100,14 +100,14 @@ async fn put(
     headers: &HeaderMap,
     body: Result<Bytes, BytesRejection>,
 ) -> Result<(), Problem> {
-    let knob = cameras.first().and_then(|camera| camera.knob);
-    let expected = expected(knob);
+    let spec = cameras.first().and_then(|camera| camera.threshold_spec);
+    let expected = expected(spec);
     let fault = |what: &dyn Display| {
         let detail = format!("the body must be {expected}: {what}");
-        Problem::new(StatusCode::UNPROCESSABLE_ENTITY, detail).with_knob(knob)
+        Problem::new(StatusCode::UNPROCESSABLE_ENTITY, detail).with_threshold_spec(spec)
     };
     let sent: NewThreshold =
-        message(headers, body, &expected).map_err(|problem| problem.with_knob(knob))?;
+        message(headers, body, &expected).map_err(|problem| problem.with_threshold_spec(spec))?;
     if let Some(v) = sent.v.filter(|v| *v != VERSION) {
         let what = format!("version {v} is not known here, only {VERSION}");
         return Err(fault(&what));
@@ -121,17 +121,17 @@ async fn put(
         .await?
         .map_err(|error| match error {
             ThresholdError::Name(error) => fault(&error),
-            ThresholdError::Value(error) => Problem::from_knob_error(&error, knob),
+            ThresholdError::Value(error) => Problem::from_invalid_threshold(&error, spec),
         })
 }
 
-fn expected(knob: Option<Knob>) -> String {
-    match knob {
-        Some(knob) => format!(
+fn expected(spec: Option<ThresholdSpec>) -> String {
+    match spec {
+        Some(spec) => format!(
             "a JSON object such as {{\"{}\": {}}} with {}",
-            knob.name,
-            short(knob.default),
-            knob.range()
+            spec.name,
+            short(spec.default),
+            spec.range()
         ),
         None => "a JSON object such as {\"u\": 0.0003}".to_owned(),
     }

@@ -114,7 +114,7 @@ fn new_id() -> Uuid {
 
 /// Energy-delay product, J·ms/frame: energy × duration ÷ frames (paper, evaluation). `None` without frames, or if
 /// samples do not cover the whole clip: the energy would be that of a part of the time.
-pub fn energy_delay_product(energy: &ClipEnergy, duration: Duration, frames: u64) -> Option<f64> {
+fn energy_delay_product(energy: &ClipEnergy, duration: Duration, frames: u64) -> Option<f64> {
     let joules = energy.whole_joules().filter(|_| frames > 0)?;
     Some(joules * duration.as_secs_f64() * 1e3 / frames as f64)
 }

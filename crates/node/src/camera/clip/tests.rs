@@ -106,7 +106,7 @@ impl Camera {
     fn result(&self, at: u64, seq: u64, u: Option<f64>) -> FrameRecord {
         let state = FrameState::ALL[(seq % 5) as usize];
         let degraded = state == FrameState::P && seq.is_multiple_of(7);
-        let threshold = u.map(|u| Threshold::new(Albireo::KNOB.name, u));
+        let threshold = u.map(|u| Threshold::new(Albireo::THRESHOLD.name, u));
         FrameRecord {
             answered: self.at(at) + ms(12),
             times: Times {
@@ -244,7 +244,7 @@ fn a_clip_is_returned_when_its_pending_frame_has_its_final_answer() {
     let mut camera = Camera::new();
     camera.frame(0, Some("a"));
     camera.tracker.arrive(0, Some("a"), camera.at(100));
-    let u = |u| Some(Threshold::new(Albireo::KNOB.name, u));
+    let u = |u| Some(Threshold::new(Albireo::THRESHOLD.name, u));
     camera.tracker.pending(1, u(3e-4));
     // The next clip begins, and its frames are its own.
     assert!(camera.frame_with(200, Some("b"), Some(5e-4)).is_none());

@@ -132,7 +132,7 @@ mod tests {
         assert_eq!(off.as_deref(), Some("the threshold was set by the hub"));
         assert!(!keeper.take(&with_target(3, HALF), &board));
         assert_eq!(target(&board), None);
-        // Nothing to hold leaves the knob where it is.
+        // Nothing to hold leaves the threshold where it is.
         assert!(keeper.take(&with_target(5, HALF), &board));
         assert!(keeper.take(&with_target(6, None), &board));
         assert_eq!((target(&board), keeper.kept().in_force), (None, 6));
@@ -167,7 +167,7 @@ mod tests {
         drop((before, keeper));
         let (restarted, keeper) = opened(folder.path());
         assert_eq!((target(&restarted), keeper.kept().revision), (HALF, 7));
-        // A knob turned at the node ends it, until the hub desires something new.
+        // A threshold turned at the node ends it, until the hub desires something new.
         set_by_hand(&restarted.cameras[1..], 0.01).unwrap();
         assert!(!keeper.take(&with_target(7, HALF), &restarted));
         assert_eq!(target(&restarted), None);

@@ -10,7 +10,7 @@ use crate::state::settings::Settings;
 use crate::state::target::NodeTarget;
 use albireo_core::audit::AuditSums;
 use albireo_core::geometry::PictureSize;
-use albireo_core::policy::{BoxSource, FrameState, Knob, Policy, Profile, short};
+use albireo_core::policy::{BoxSource, FrameState, Policy, Profile, ThresholdSpec, short};
 use albireo_service::metrics::LatencyHistogram;
 use albireo_vision::picture::{EncodedPicture, FrameLimits, PictureFormat, to_jpeg};
 use albireo_wire::{
@@ -190,8 +190,8 @@ pub struct CameraBoard {
     pub(crate) source: Option<String>,
     /// Name of its policy.
     pub(crate) policy: &'static str,
-    /// The policy's knob, if it has one.
-    pub knob: Option<Knob>,
+    /// The policy's threshold, if it has one.
+    pub threshold_spec: Option<ThresholdSpec>,
     /// True if `u` is independent of the picture size, as with the filter of the profile `paper`. The published code,
     /// where it is not, then has a different value for it.
     pub(super) is_sizeless: bool,
@@ -216,10 +216,10 @@ impl CameraBoard {
         policy: &dyn Policy,
         shared: Shared,
     ) -> Result<Self, KeyError> {
-        let (name, knob) = (camera.name.as_str(), policy.knob());
-        let wanted = camera.threshold.or_else(|| policy.knob_value());
-        let configured = knob.map(|knob| threshold::configured(name, &knob, wanted));
-        let kept = knob.and_then(|knob| threshold::kept(&shared.settings, name, &knob, configured));
+        let (name, spec) = (camera.name.as_str(), policy.threshold_spec());
+        let wanted = camera.threshold.or_else(|| policy.threshold());
+        let configured = spec.map(|spec| threshold::configured(name, &spec, wanted));
+        let kept = spec.and_then(|spec| threshold::kept(&shared.settings, name, &spec, configured));
         let mut counts = Counts::default();
         let share = config.audit.share;
         counts.shown.audit = (share > 0.0).then(|| AuditReport {
@@ -232,7 +232,7 @@ impl CameraBoard {
             key: config.frame_key(camera)?,
             source: camera.source.as_ref().map(ToString::to_string),
             policy: policy.name(),
-            knob,
+            threshold_spec: spec,
             is_sizeless: config.policy.profile == Profile::Paper,
             longest_pause: policy.longest_pause(),
             shared,
@@ -313,7 +313,7 @@ impl CameraBoard {
     }
 
     fn advice(&self, counts: &Counts) -> Option<Advice> {
-        counts.watch.advice(self.knob.as_ref()?)
+        counts.watch.advice(self.threshold_spec.as_ref()?)
     }
 
     fn log_first_frame(&self, first: &DetectionsMessage) {

@@ -81,8 +81,8 @@ fn a_changed_threshold_survives_a_restart() {
     assert_eq!(thresholds(&restarted("albireo")), [5e-4, 3e-4]);
     // An edited configuration is newer, so it wins.
     assert_eq!(thresholds(&restarted("albireo:1e-3")), [1e-3; 2]);
-    // A value stored for another knob does not apply.
-    let lambda = ExpectedLoss::KNOB.default;
+    // A value stored for another threshold does not apply.
+    let lambda = ExpectedLoss::THRESHOLD.default;
     assert_eq!(thresholds(&restarted("expected-loss")), [lambda; 2]);
 }
 

@@ -4,7 +4,7 @@ use super::camera::CameraBoard;
 use super::event::{Event, News, ThresholdEvent};
 use crate::state::settings::Settings;
 use albireo_core::geometry::PictureSize;
-use albireo_core::policy::{Knob, KnobError, published_threshold};
+use albireo_core::policy::{InvalidThreshold, ThresholdSpec, published_threshold};
 use albireo_wire::{OtherThreshold, SettingSource, Threshold};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -18,14 +18,14 @@ pub(crate) enum ThresholdError {
     Name(#[from] OtherThreshold),
     /// The policy has no threshold, or does not allow that value.
     #[error(transparent)]
-    Value(#[from] KnobError),
+    Value(#[from] InvalidThreshold),
 }
 
 /// One camera's kept threshold.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Kept {
     /// The threshold's name: a value of `u` is not a value of `lambda`.
-    knob: String,
+    threshold: String,
     /// The value.
     value: f64,
     /// The configured value at the time of the change. If that is edited later, the configuration takes precedence over
@@ -39,30 +39,30 @@ fn setting(camera: &str) -> String {
     format!("threshold/{camera}")
 }
 
-/// The wanted value; the knob's default if there is none or the knob does not allow it.
-pub(super) fn configured(camera: &str, knob: &Knob, wanted: Option<f64>) -> f64 {
-    let checked = knob.check(wanted.unwrap_or(knob.default));
+/// The wanted value; the threshold's default if there is none or the threshold does not allow it.
+pub(super) fn configured(camera: &str, spec: &ThresholdSpec, wanted: Option<f64>) -> f64 {
+    let checked = spec.check(wanted.unwrap_or(spec.default));
     checked.unwrap_or_else(|error| {
         tracing::error!(camera, %error, "the configured threshold is not used");
-        knob.default
+        spec.default
     })
 }
 
-/// The value kept for a camera and its source, if it still fits the knob and the configuration.
+/// The value kept for a camera and its source, if it still fits the threshold and the configuration.
 pub(super) fn kept(
     settings: &Settings,
     camera: &str,
-    knob: &Knob,
+    spec: &ThresholdSpec,
     configured: Option<f64>,
 ) -> Option<(f64, SettingSource)> {
     let kept: Kept = settings.get(&setting(camera))?;
     let is_current = kept.configured == configured || kept.source == SettingSource::Hub;
-    if kept.knob != knob.name || !is_current {
+    if kept.threshold != spec.name || !is_current {
         return None;
     }
-    let value = knob.check(kept.value).ok()?;
-    let knob = knob.name;
-    tracing::info!(camera, knob, value, "threshold restored from the last run");
+    let value = spec.check(kept.value).ok()?;
+    let name = spec.name;
+    tracing::info!(camera, name, value, "threshold restored from the last run");
     Some((value, kept.source))
 }
 
@@ -79,13 +79,15 @@ pub(crate) fn set_thresholds(
 ) -> Result<(), ThresholdError> {
     let checked = cameras.iter().map(|camera| {
         let policy = camera.policy;
-        let knob = camera.knob.ok_or(KnobError::Absent { policy })?;
-        knob.check(threshold.value_of(&knob)?)?;
-        Ok((camera, knob))
+        let spec = camera
+            .threshold_spec
+            .ok_or(InvalidThreshold::Absent { policy })?;
+        spec.check(threshold.value_of(&spec)?)?;
+        Ok((camera, spec))
     });
     let checked: Vec<_> = checked.collect::<Result<_, ThresholdError>>()?;
-    for (camera, knob) in checked {
-        camera.set_threshold(&knob, threshold.value, source);
+    for (camera, spec) in checked {
+        camera.set_threshold(&spec, threshold.value, source);
     }
     Ok(())
 }
@@ -93,7 +95,7 @@ pub(crate) fn set_thresholds(
 /// Sets it on behalf of somebody at the node, with the threshold's own name.
 #[cfg(test)]
 pub(crate) fn set_by_hand(cameras: &[Arc<CameraBoard>], value: f64) -> Result<(), ThresholdError> {
-    let name = cameras[0].knob.unwrap().name;
+    let name = cameras[0].threshold_spec.unwrap().name;
     set_thresholds(cameras, Threshold::new(name, value), SettingSource::Local)
 }
 
@@ -105,7 +107,7 @@ impl CameraBoard {
 
     /// The threshold in force, with its name.
     pub(crate) fn threshold_in_force(&self) -> Option<Threshold> {
-        Some(Threshold::new(self.knob?.name, self.threshold()?))
+        Some(Threshold::new(self.threshold_spec?.name, self.threshold()?))
     }
 
     /// The source of the threshold in force.
@@ -122,10 +124,12 @@ impl CameraBoard {
     /// same number.
     pub(crate) fn published_threshold(&self, picture: PictureSize) -> Option<f64> {
         let sizeless = self.is_sizeless;
-        let knob = self.knob.filter(|knob| sizeless && knob.name == "u")?;
+        let spec = self
+            .threshold_spec
+            .filter(|spec| sizeless && spec.name == "u")?;
         let in_force = self
             .threshold()
-            .filter(|value| knob.check(*value).is_ok())?;
+            .filter(|value| spec.check(*value).is_ok())?;
         let published = published_threshold(in_force, picture);
         let rounded = format!("{published:.2e}").parse().unwrap_or(published);
         (rounded != in_force).then_some(rounded)
@@ -141,43 +145,43 @@ impl CameraBoard {
 
     /// Keeps the threshold that the target last set.
     pub(super) fn keep_threshold(&self, source: SettingSource) {
-        if let Some((knob, value)) = self.knob.zip(self.threshold()) {
-            self.set_threshold(&knob, value, source);
+        if let Some((spec, value)) = self.threshold_spec.zip(self.threshold()) {
+            self.set_threshold(&spec, value, source);
         }
     }
 
-    fn set_threshold(&self, knob: &Knob, value: f64, source: SettingSource) {
+    fn set_threshold(&self, spec: &ThresholdSpec, value: f64, source: SettingSource) {
         // First, so that the controller no longer moves anything.
         self.shared.target.turned_by_hand(source);
         let _changing = self.changing.lock();
         *self.set_by.lock() = source;
-        let before = self.turn(knob, value);
+        let before = self.turn(spec, value);
         let kept = Kept {
-            knob: knob.name.to_owned(),
+            threshold: spec.name.to_owned(),
             value,
             configured: self.configured,
             source,
         };
-        let (camera, knob) = (&*self.name, knob.name);
+        let (camera, name) = (&*self.name, spec.name);
         self.shared.settings.set(&setting(camera), &kept);
-        tracing::info!(camera, knob, ?before, now = value, "threshold changed");
+        tracing::info!(camera, name, ?before, now = value, "threshold changed");
     }
 
     /// Moves the threshold on behalf of the node's target: it applies from the next frame, and is not kept. A value
-    /// that the knob does not allow changes nothing.
+    /// that the threshold does not allow changes nothing.
     pub(crate) fn move_threshold(&self, value: f64) {
-        if let Some(knob) = self.knob.filter(|knob| knob.check(value).is_ok()) {
-            let before = self.turn(&knob, value);
-            tracing::debug!(camera = %self.name, knob = knob.name, ?before, now = value, "threshold moved");
+        if let Some(spec) = self.threshold_spec.filter(|spec| spec.check(value).is_ok()) {
+            let before = self.turn(&spec, value);
+            tracing::debug!(camera = %self.name, name = spec.name, ?before, now = value, "threshold moved");
         }
     }
 
     /// Applies a value and reports it to subscribers, in the same order for both. Returns the previous value.
-    fn turn(&self, knob: &Knob, value: f64) -> Option<f64> {
+    fn turn(&self, spec: &ThresholdSpec, value: f64) -> Option<f64> {
         let mut before = None;
         self.threshold.send_modify(|in_force| {
             before = in_force.replace(value);
-            let news = self.threshold_news(Threshold::new(knob.name, value));
+            let news = self.threshold_news(Threshold::new(spec.name, value));
             let _ = self.shared.events.send(Event::new(news));
         });
         before

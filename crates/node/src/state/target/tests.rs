@@ -32,7 +32,7 @@ fn too_few_skipped() -> Measured {
     }
 }
 
-/// Lets `seconds` pass; returns the knob's value.
+/// Lets `seconds` pass; returns the threshold's value.
 fn pass(board: &Board, seconds: u32) -> f64 {
     for _ in 0..seconds {
         board.target.step(&too_few_skipped(), |value| {
@@ -56,13 +56,16 @@ fn a_target_moves_the_threshold_of_all_cameras_and_reports_its_state() {
     assert_eq!(report.target, HALF);
     assert_eq!(report.threshold.unwrap().name.as_str(), "lambda");
     let state = report.state.unwrap();
-    assert_eq!((state.status, state.knob), (TargetStatus::Moving, after));
+    assert_eq!(
+        (state.status, state.threshold_spec),
+        (TargetStatus::Moving, after)
+    );
     assert!((state.actual.unwrap() - 0.2).abs() < 1e-9);
     // At the end of the range the status reports it, and it is counted.
     pass(&board, 120);
     let state = board.target.report().state.unwrap();
     assert_eq!((state.status, state.unmet), (TargetStatus::CannotBeMet, 1));
-    assert!((state.knob - 1.2).abs() < 1e-9);
+    assert!((state.threshold_spec - 1.2).abs() < 1e-9);
 }
 
 #[test]
@@ -76,7 +79,7 @@ fn a_threshold_set_by_hand_switches_the_target_off_and_reports_it() {
     assert_eq!(report.off.as_deref(), Some("the threshold was set by hand"));
     pass(&board, 10);
     assert_eq!(board.cameras[1].threshold(), Some(7e-4));
-    // Another target begins at the knob's value and leaves the knob there when it ends.
+    // Another target begins at the threshold's value and leaves the threshold there when it ends.
     hold(&board, Some(Target::SkipRate(0.6)));
     assert_eq!(board.target.report().off, None);
     let there = pass(&board, 10);

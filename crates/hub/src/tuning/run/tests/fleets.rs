@@ -103,7 +103,7 @@ impl Fleet {
         self.now += STEP;
         for order in rollout.due() {
             for node in &order.nodes {
-                self.has[Self::number(node) as usize] = order.knob;
+                self.has[Self::number(node) as usize] = order.threshold;
             }
             rollout.asked(&order, 1, self.now);
         }

@@ -33,13 +33,13 @@ fn obey(trial: &mut Run, revision: &mut u64, now: Millis) {
     for order in trial.due() {
         *revision += 1;
         for node in &order.nodes {
-            have.insert(node.clone(), (*revision, order.knob));
+            have.insert(node.clone(), (*revision, order.threshold));
         }
         trial.asked(&order, *revision, now);
     }
     trial.observe(now, |node| {
-        let (revision, knob) = have.get(node)?;
-        Some(reported(true, *revision, *knob, None))
+        let (revision, threshold) = have.get(node)?;
+        Some(reported(true, *revision, *threshold, None))
     });
 }
 
@@ -67,7 +67,11 @@ fn a_trial_gives_each_group_its_value_measures_it_and_restores_the_old_value() {
     let (mut now, mut revision) = (0, 0);
     let mut trial = begin(candidates(60), 3).unwrap();
     for (arm, value) in plan().values.iter().enumerate() {
-        let order = trial.due().into_iter().find(|o| o.knob == *value).unwrap();
+        let order = trial
+            .due()
+            .into_iter()
+            .find(|o| o.threshold == *value)
+            .unwrap();
         assert_eq!(order.nodes.len(), 20, "{arm}");
     }
     obey(&mut trial, &mut revision, now);
@@ -91,7 +95,7 @@ fn a_trial_gives_each_group_its_value_measures_it_and_restores_the_old_value() {
     let estimate = result.values[2].figures[0].difference.unwrap().estimate;
     assert!((estimate + 0.3).abs() < 1e-9, "{estimate}");
     assert_eq!(trial.due().len(), 1);
-    assert_eq!(trial.due()[0].knob, u(2e-4));
+    assert_eq!(trial.due()[0].threshold, u(2e-4));
     obey(&mut trial, &mut revision, now);
     trial.tick(now);
     assert_eq!(trial.phase, Phase::Done);
@@ -145,7 +149,7 @@ fn a_trial_that_cannot_be_measured_ends_without_a_result_and_restores_the_old_va
     }
     assert_eq!(trial.phase, Phase::Returning);
     assert_eq!(trial.result, None);
-    assert_eq!(trial.due()[0].knob, u(2e-4));
+    assert_eq!(trial.due()[0].threshold, u(2e-4));
 }
 
 proptest! {

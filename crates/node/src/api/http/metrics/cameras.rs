@@ -158,7 +158,10 @@ fn newest(page: &mut MetricsPage, board: &Board, cameras: &[Camera<'_>]) {
         "albireo_threshold",
         "Threshold in force, under the policy's name for it",
         cameras.iter().filter_map(|(camera, board, _)| {
-            Some(([*camera, ("knob", board.knob?.name)], board.threshold()?))
+            Some((
+                [*camera, ("name", board.threshold_spec?.name)],
+                board.threshold()?,
+            ))
         }),
     );
     page.gauges(

@@ -4,16 +4,16 @@ import { useEffect, useState } from "preact/hooks";
 import { every, json, Refused, send } from "../shared/api";
 import { duration, parsed, percent, small, typed } from "../shared/format";
 import { Quality, Section, whyNot } from "../shared/parts";
-import { cameras, counters, knob, knobInForce, opened, overview, thresholds } from "./store";
-import type { Knob, SkipEstimates } from "./types";
+import { cameras, counters, thresholdSpec, thresholdInForce, lost, opened, overview, thresholds } from "./store";
+import type { ThresholdSpec, SkipEstimates } from "./types";
 
 const STEPS = 200;
 /** The values of the paper's threshold sweep. */
 const PAPER = [3e-4, 5e-4, 7e-4, 1e-3];
 
 /** The range of the slider: the useful values of the policy. The text field accepts the whole range. */
-export function usefulRange(knob: Pick<Knob, "useful_minimum" | "useful_maximum">): [number, number] {
-  return [knob.useful_minimum, knob.useful_maximum];
+export function usefulRange(spec: Pick<ThresholdSpec, "useful_minimum" | "useful_maximum">): [number, number] {
+  return [spec.useful_minimum, spec.useful_maximum];
 }
 
 export function toSlider(value: number, [low, high]: [number, number]): number {
@@ -50,7 +50,7 @@ function useEstimates(camera: string | undefined, name: string | undefined): Ski
     const stop = new AbortController();
     void every(ESTIMATE_MS, stop.signal, async () => {
       // A camera without frames has no recording: the node would return an error.
-      if (!counters.value.get(camera)?.frames) return;
+      if (lost.value !== undefined || !counters.value.get(camera)?.frames) return;
       setFound(await json<SkipEstimates>(`/api/v1/cameras/${encodeURIComponent(camera)}/skip-estimate`, { signal: stop.signal }));
     });
     return () => stop.abort();
@@ -58,9 +58,9 @@ function useEstimates(camera: string | undefined, name: string | undefined): Ski
   return found;
 }
 
-export function KnobPanel() {
-  const about = knob.value;
-  const inForce = knobInForce.value;
+export function ThresholdPanel() {
+  const about = thresholdSpec.value;
+  const inForce = thresholdInForce.value;
   const [text, setText] = useState("");
   const [edited, setEdited] = useState(false);
   const [everywhere, setEverywhere] = useState(false);
@@ -74,7 +74,7 @@ export function KnobPanel() {
 
   if (!about) {
     return (
-      <Section id="knob" title="Threshold">
+      <Section id="threshold" title="Threshold">
         <p class="message quiet">The policy {overview.value?.policy ?? ""} has no threshold.</p>
       </Section>
     );
@@ -106,7 +106,7 @@ export function KnobPanel() {
   const advice = camera?.advice;
   return (
     <Section
-      id="knob"
+      id="threshold"
       title={`Threshold ${about.name}`}
       aside={<span>in force: <b id="in-force">{small(inForce)}</b></span>}
     >
@@ -145,7 +145,7 @@ export function KnobPanel() {
             inputmode="decimal"
             autocomplete="off"
             value={text}
-            aria-describedby="knob-range knob-message"
+            aria-describedby="threshold-range threshold-message"
             aria-invalid={said && !said.good ? true : undefined}
             onInput={(event) => change(event.currentTarget.value)}
           />
@@ -170,7 +170,7 @@ export function KnobPanel() {
           )}
         </div>
         {advice && (
-          <p id="knob-advice" class="row">
+          <p id="threshold-advice" class="row">
             <span>
               No frame of {advice.frames} was skipped, although objects were tracked in {advice.followed} of them. Try{" "}
             </span>
@@ -189,10 +189,10 @@ export function KnobPanel() {
             ))}
           </p>
         )}
-        <p id="knob-message" class={`message ${said?.good ? "good" : "bad"}`} role="alert">
+        <p id="threshold-message" class={`message ${said?.good ? "good" : "bad"}`} role="alert">
           {forbidden ?? said?.text ?? ""}
         </p>
-        <p id="knob-range" class="message quiet">
+        <p id="threshold-range" class="message quiet">
           Range {small(about.minimum)} to {small(about.maximum)}, default {small(about.default)}.{" "}
           {camera?.u_as_published &&
             `Equivalent in the published code at ${camera.width}x${camera.height}: ${small(camera.u_as_published, 3)}. `}
