@@ -485,7 +485,7 @@ export interface paths {
         get: {
             parameters: {
                 query?: {
-                    /** @description `all`, `node`, `camera`, `day`, `policy`, `knob` or `clip`. */
+                    /** @description `all`, `node`, `camera`, `day`, `policy`, `threshold` or `clip`. */
                     by?: components["schemas"]["EnergyBy"];
                     /** @description Only clips that began at this time or later, milliseconds since the Unix epoch; seven days ago by default. */
                     since_ms?: number;
@@ -2087,7 +2087,7 @@ export interface components {
          * @description The grouping of sums.
          * @enum {string}
          */
-        EnergyBy: "all" | "node" | "camera" | "day" | "policy" | "knob" | "clip";
+        EnergyBy: "all" | "node" | "camera" | "day" | "policy" | "threshold" | "clip";
         /** @description Sums of one group and one quality. */
         EnergyGroup: {
             audit?: components["schemas"]["AuditFigures"] | null;
@@ -2316,51 +2316,6 @@ export interface components {
             /** @description The plan. */
             plan: components["schemas"]["TrialPlan"];
         };
-        /** @description The number of a policy that a user may change while it runs, as declared by the policy. */
-        Knob: {
-            /**
-             * Format: double
-             * @description Default value.
-             */
-            default: number;
-            /**
-             * Format: double
-             * @description Largest value allowed.
-             */
-            maximum: number;
-            /** @description The effect of changing it, in one sentence. */
-            meaning: string;
-            /**
-             * Format: double
-             * @description Smallest value allowed.
-             */
-            minimum: number;
-            /** @description Name in configuration, messages and reports: `u`, `lambda`, … */
-            name: string;
-            /**
-             * Format: double
-             * @description Upper end of a slider: above it hardly anything more is saved, at a high price.
-             */
-            useful_maximum: number;
-            /**
-             * Format: double
-             * @description Lower end of a slider: below it hardly anything is saved.
-             */
-            useful_minimum: number;
-        };
-        /** @description The range within which a controller moves a knob. */
-        KnobRange: {
-            /**
-             * Format: double
-             * @description Smallest value: the most accurate one.
-             */
-            least: number;
-            /**
-             * Format: double
-             * @description Largest value that accuracy still allows.
-             */
-            most: number;
-        };
         /** @description A node that was selected and takes no part, and why. */
         LeftOut: {
             /** @description The node. */
@@ -2574,12 +2529,12 @@ export interface components {
             allowed?: string[];
             /** @description The error of this request. */
             detail: string;
-            knob?: components["schemas"]["Knob"] | null;
             /**
              * Format: int32
              * @description The HTTP status.
              */
             status: number;
+            threshold_spec?: components["schemas"]["ThresholdSpec"] | null;
             /** @description The text of the status. */
             title: string;
             /** @description Always `about:blank`: the title is the text of the status. */
@@ -2865,8 +2820,6 @@ export interface components {
              * @description Energy, joules.
              */
             joules?: number | null;
-            /** @description Name of its threshold; empty without one. */
-            knob: string;
             /**
              * Format: double
              * @description Mean latency, milliseconds.
@@ -2906,6 +2859,8 @@ export interface components {
             received_ms: number;
             /** @description Identity of the report. */
             report_id: string;
+            /** @description Name of its threshold; empty without one. */
+            threshold: string;
             /**
              * Format: double
              * @description The threshold's value at the end of the clip.
@@ -2976,7 +2931,7 @@ export interface components {
         TargetReport: {
             /** @description Human-readable reason why there is no target any more. */
             off?: string | null;
-            range?: components["schemas"]["KnobRange"] | null;
+            range?: components["schemas"]["ThresholdRange"] | null;
             /** @description Origin of the target or of its removal. */
             source: components["schemas"]["SettingSource"];
             state?: components["schemas"]["TargetState"] | null;
@@ -3002,13 +2957,13 @@ export interface components {
              * @description For recall, the number of boxes behind the measured value.
              */
             boxes?: number | null;
-            /**
-             * Format: double
-             * @description The knob's current value.
-             */
-            knob: number;
             /** @description The reason for that value. */
             status: components["schemas"]["TargetStatus"];
+            /**
+             * Format: double
+             * @description The threshold's current value.
+             */
+            threshold: number;
             /**
              * Format: int64
              * @description Number of times that this began.
@@ -3021,7 +2976,7 @@ export interface components {
             unmet_s: number;
         };
         /**
-         * @description The reason for the knob's value.
+         * @description The reason for the threshold's value.
          * @enum {string}
          */
         TargetStatus: "measuring" | "moving" | "held" | "more_than_kept" | "cannot_be_met" | "no_frames" | "no_power" | "no_audit";
@@ -3037,6 +2992,51 @@ export interface components {
              * @description The value.
              */
             value: number;
+        };
+        /** @description The range within which a controller moves a threshold. */
+        ThresholdRange: {
+            /**
+             * Format: double
+             * @description Smallest value: the most accurate one.
+             */
+            least: number;
+            /**
+             * Format: double
+             * @description Largest value that accuracy still allows.
+             */
+            most: number;
+        };
+        /** @description The threshold of a policy, which a user may change while it runs: its name, range and default. */
+        ThresholdSpec: {
+            /**
+             * Format: double
+             * @description Default value.
+             */
+            default: number;
+            /**
+             * Format: double
+             * @description Largest value allowed.
+             */
+            maximum: number;
+            /** @description The effect of changing it, in one sentence. */
+            meaning: string;
+            /**
+             * Format: double
+             * @description Smallest value allowed.
+             */
+            minimum: number;
+            /** @description Name in configuration, messages and reports: `u`, `lambda`, … */
+            name: string;
+            /**
+             * Format: double
+             * @description Upper end of a slider: above it hardly anything more is saved, at a high price.
+             */
+            useful_maximum: number;
+            /**
+             * Format: double
+             * @description Lower end of a slider: below it hardly anything is saved.
+             */
+            useful_minimum: number;
         };
         /** @description The energy and skip rate of a node's clips of today. Measured and estimated energy are never added. */
         TodaysEnergy: {

@@ -891,8 +891,8 @@ export interface paths {
         /**
          * Sets a target instead of a threshold
          * @description One of `recall` (against the detector, the lower end of its interval), `skip_rate` and `watts`, or null for none. A
-         *     controller then moves the knob of all cameras together, inside its range; setting the threshold by hand switches it
-         *     off.
+         *     controller then moves the threshold of all cameras together, inside its range; setting the threshold by hand
+         *     switches it off.
          *     `curl -X PUT -d '{"target": {"skip_rate": 0.5}}' http://127.0.0.1:8080/api/v1/target`
          */
         put: {
@@ -1143,11 +1143,11 @@ export interface components {
             followed: number;
             /**
              * Format: int64
-             * @description Frames since the last change of the knob; the detector ran on every one.
+             * @description Frames since the last change of the threshold; the detector ran on every one.
              */
             frames: number;
-            /** @description The knob's name. */
-            knob: string;
+            /** @description The threshold's name. */
+            threshold: string;
             /**
              * Format: double
              * @description A value under which about half of those frames would have been predicted.
@@ -1421,7 +1421,6 @@ export interface components {
             degraded_frames: number;
             /** @description Frames not processed, by kind. */
             dropped: components["schemas"]["DroppedFrames"];
-            knob?: components["schemas"]["Knob"] | null;
             /** @description The policy that decides its frames. */
             policy: string;
             set_by?: components["schemas"]["SettingSource"] | null;
@@ -1433,6 +1432,7 @@ export interface components {
             /** @description Number of frames in each state; they add up to `frames`. */
             states: components["schemas"]["FrameStates"];
             threshold?: components["schemas"]["Threshold"] | null;
+            threshold_spec?: components["schemas"]["ThresholdSpec"] | null;
             /** @description The program's version. */
             version: string;
         };
@@ -1573,9 +1573,9 @@ export interface components {
         CameraThreshold: {
             /** @description Camera. */
             camera: string;
-            knob?: components["schemas"]["Knob"] | null;
             /** @description True if a value set at run time survives a restart; absent in a list. */
             survives_restart?: boolean | null;
+            threshold_spec?: components["schemas"]["ThresholdSpec"] | null;
         };
         /** @description The cameras of a node. */
         Cameras: {
@@ -2167,51 +2167,6 @@ export interface components {
             /** @description The program's version. */
             version: string;
         };
-        /** @description The number of a policy that a user may change while it runs, as declared by the policy. */
-        Knob: {
-            /**
-             * Format: double
-             * @description Default value.
-             */
-            default: number;
-            /**
-             * Format: double
-             * @description Largest value allowed.
-             */
-            maximum: number;
-            /** @description The effect of changing it, in one sentence. */
-            meaning: string;
-            /**
-             * Format: double
-             * @description Smallest value allowed.
-             */
-            minimum: number;
-            /** @description Name in configuration, messages and reports: `u`, `lambda`, … */
-            name: string;
-            /**
-             * Format: double
-             * @description Upper end of a slider: above it hardly anything more is saved, at a high price.
-             */
-            useful_maximum: number;
-            /**
-             * Format: double
-             * @description Lower end of a slider: below it hardly anything is saved.
-             */
-            useful_minimum: number;
-        };
-        /** @description The range within which a controller moves a knob. */
-        KnobRange: {
-            /**
-             * Format: double
-             * @description Smallest value: the most accurate one.
-             */
-            least: number;
-            /**
-             * Format: double
-             * @description Largest value that accuracy still allows.
-             */
-            most: number;
-        };
         /** @description Duration of each step of one frame, milliseconds. A step that did not happen is absent. */
         Latency: {
             /**
@@ -2469,12 +2424,12 @@ export interface components {
             allowed?: string[];
             /** @description The error of this request. */
             detail: string;
-            knob?: components["schemas"]["Knob"] | null;
             /**
              * Format: int32
              * @description The HTTP status.
              */
             status: number;
+            threshold_spec?: components["schemas"]["ThresholdSpec"] | null;
             /** @description The text of the status. */
             title: string;
             /** @description Always `about:blank`: the title is the text of the status. */
@@ -2763,7 +2718,7 @@ export interface components {
         TargetReport: {
             /** @description Human-readable reason why there is no target any more. */
             off?: string | null;
-            range?: components["schemas"]["KnobRange"] | null;
+            range?: components["schemas"]["ThresholdRange"] | null;
             /** @description Origin of the target or of its removal. */
             source: components["schemas"]["SettingSource"];
             state?: components["schemas"]["TargetState"] | null;
@@ -2789,13 +2744,13 @@ export interface components {
              * @description For recall, the number of boxes behind the measured value.
              */
             boxes?: number | null;
-            /**
-             * Format: double
-             * @description The knob's current value.
-             */
-            knob: number;
             /** @description The reason for that value. */
             status: components["schemas"]["TargetStatus"];
+            /**
+             * Format: double
+             * @description The threshold's current value.
+             */
+            threshold: number;
             /**
              * Format: int64
              * @description Number of times that this began.
@@ -2808,7 +2763,7 @@ export interface components {
             unmet_s: number;
         };
         /**
-         * @description The reason for the knob's value.
+         * @description The reason for the threshold's value.
          * @enum {string}
          */
         TargetStatus: "measuring" | "moving" | "held" | "more_than_kept" | "cannot_be_met" | "no_frames" | "no_power" | "no_audit";
@@ -2851,6 +2806,51 @@ export interface components {
              * @description Version; optional on input.
              */
             v?: number;
+        };
+        /** @description The range within which a controller moves a threshold. */
+        ThresholdRange: {
+            /**
+             * Format: double
+             * @description Smallest value: the most accurate one.
+             */
+            least: number;
+            /**
+             * Format: double
+             * @description Largest value that accuracy still allows.
+             */
+            most: number;
+        };
+        /** @description The threshold of a policy, which a user may change while it runs: its name, range and default. */
+        ThresholdSpec: {
+            /**
+             * Format: double
+             * @description Default value.
+             */
+            default: number;
+            /**
+             * Format: double
+             * @description Largest value allowed.
+             */
+            maximum: number;
+            /** @description The effect of changing it, in one sentence. */
+            meaning: string;
+            /**
+             * Format: double
+             * @description Smallest value allowed.
+             */
+            minimum: number;
+            /** @description Name in configuration, messages and reports: `u`, `lambda`, … */
+            name: string;
+            /**
+             * Format: double
+             * @description Upper end of a slider: above it hardly anything more is saved, at a high price.
+             */
+            useful_maximum: number;
+            /**
+             * Format: double
+             * @description Lower end of a slider: below it hardly anything is saved.
+             */
+            useful_minimum: number;
         };
         /** @description The thresholds of a node. */
         Thresholds: {

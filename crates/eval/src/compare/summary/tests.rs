@@ -20,6 +20,7 @@ pub(crate) fn run(round: usize, variant: usize, calls: u64, joules: Option<f64>)
         edp: joules.map(|joules| joules * 100.0),
         quality,
         source: "rapl".to_owned(),
+        samples: 100,
         coverage: 1.0,
         ..ClipEnergy::default()
     };
@@ -32,6 +33,7 @@ pub(crate) fn run(round: usize, variant: usize, calls: u64, joules: Option<f64>)
         advice: None,
         report: ClipReport {
             duration_s: 10.0,
+            frames: 100,
             states,
             skip_rate: states.skip_rate(0),
             total_latency_ms: times(100, 12.5),

@@ -57,7 +57,7 @@ fn a_target_moves_the_threshold_of_all_cameras_and_reports_its_state() {
     assert_eq!(report.threshold.unwrap().name.as_str(), "lambda");
     let state = report.state.unwrap();
     assert_eq!(
-        (state.status, state.threshold_spec),
+        (state.status, state.threshold),
         (TargetStatus::Moving, after)
     );
     assert!((state.actual.unwrap() - 0.2).abs() < 1e-9);
@@ -65,7 +65,7 @@ fn a_target_moves_the_threshold_of_all_cameras_and_reports_its_state() {
     pass(&board, 120);
     let state = board.target.report().state.unwrap();
     assert_eq!((state.status, state.unmet), (TargetStatus::CannotBeMet, 1));
-    assert!((state.threshold_spec - 1.2).abs() < 1e-9);
+    assert!((state.threshold - 1.2).abs() < 1e-9);
 }
 
 #[test]
