@@ -112,7 +112,7 @@ $(ONNXRUNTIME): deploy/fetch-onnxruntime.sh
 python: $(PYTHON_ENVIRONMENT) ## create the Python environment for the tests' independent clients
 $(PYTHON_ENVIRONMENT): tests/requirements.txt
 	python3 -m venv $(CACHE)/python
-	$(CACHE)/python/bin/python -m pip install --quiet --disable-pip-version-check -r tests/requirements.txt
+	$(CACHE)/python/bin/python -m pip install --quiet --no-compile --disable-pip-version-check -r tests/requirements.txt
 	@touch $@
 
 wheel: $(WHEEL) ## build the Python package in target/wheels, with its sources (TARGET=aarch64 for another machine)

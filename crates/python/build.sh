@@ -6,7 +6,7 @@ cd "$(dirname "$0")/../.."
 machine=${1:-}
 [ -x .cache/maturin/bin/maturin ] || {
     python3 -m venv .cache/maturin
-    .cache/maturin/bin/python -m pip install --quiet --disable-pip-version-check maturin==1.16.0
+    .cache/maturin/bin/python -m pip install --quiet --no-compile --disable-pip-version-check maturin==1.16.0
 }
 export PATH="$PWD/.cache/maturin/bin:$PATH" CARGO_TARGET_DIR="$PWD/target/python"
 options=(--release --locked --manifest-path crates/python/Cargo.toml)

@@ -56,7 +56,7 @@ albireo_frames_skipped_total{camera="front"} 5
 albireo_power_info{source="estimate",quality="estimated"} 1
 albireo_clips_total{camera="front"} 1
 albireo_messages_unpublished_total{camera="front"} 0
-albireo_threshold{camera="front",spec="u"} 0.0003
+albireo_threshold{camera="front",name="u"} 0.0003
 albireo_tau_max{camera="front"} 0.00015
 albireo_ready 1
 albireo_detector_ready 1

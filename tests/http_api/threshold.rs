@@ -46,7 +46,7 @@ async fn an_invalid_threshold_is_rejected_with_the_allowed_range_and_changes_not
             let detail = refused["detail"].as_str().unwrap();
             assert_contains(detail, &["number from 1e-9 to 1"]);
             assert_has(
-                &refused["threshold"],
+                &refused["threshold_spec"],
                 &json!({"minimum": 1e-9, "maximum": 1.0}),
             );
         }
@@ -109,7 +109,7 @@ async fn a_change_for_one_camera_leaves_the_others_alone() {
     let response = node.put(PATHS[1], r#"{"u": 5e-4}"#).await;
     assert_eq!(response.status(), 200);
     let changed: Value = response.json().await.unwrap();
-    let expected = json!({"u": 5e-4, "threshold": {"name": "u"}, "survives_restart": false});
+    let expected = json!({"u": 5e-4, "threshold_spec": {"name": "u"}, "survives_restart": false});
     assert_has(&changed, &expected);
     let all = json!({"u": null, "cameras": [{"u": 5e-4}, {"u": 3e-4}]});
     assert_has(&node.json(PATHS[0]).await, &all);
