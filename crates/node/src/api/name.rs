@@ -123,50 +123,41 @@ pub(crate) mod tests {
         zenoh::open(config).await.unwrap()
     }
 
+    async fn until(mut holds: impl AsyncFnMut() -> bool) {
+        let holding = async {
+            while !holds().await {
+                tokio::time::sleep(Duration::from_millis(5)).await;
+            }
+        };
+        let waited = tokio::time::timeout(Duration::from_secs(60), holding);
+        waited.await.unwrap();
+    }
+
     #[tokio::test(flavor = "multi_thread")]
     async fn of_two_nodes_that_start_together_one_gets_the_name_and_the_other_reports_it() {
         let one = session(&[("listen/endpoints", r#"["tcp/127.0.0.1:0"]"#)]).await;
         let at = one.info().locators().await[0].to_string();
         let connect = format!("[{at:?}]");
-        let two = session(&[
-            ("listen/endpoints", "[]"),
-            ("connect/endpoints", connect.as_str()),
-        ])
+        let two = [("listen/endpoints", "[]"), ("connect/endpoints", &*connect)];
+        let two = session(&two).await;
+        until(async || {
+            one.info().peers_zid().await.count() + two.info().peers_zid().await.count() >= 2
+        })
         .await;
-        let linked = async {
-            while one.info().peers_zid().await.count() + two.info().peers_zid().await.count() < 2 {
-                tokio::time::sleep(Duration::from_millis(5)).await;
-            }
-        };
-        tokio::time::timeout(Duration::from_secs(60), linked)
-            .await
-            .unwrap();
         let nodes = [one, two].map(|session| {
             let (name, readiness) = (NodeName::default(), Readiness::default());
-            let holding = name.clone().hold(
-                session,
-                "albireo/@alive/n".to_owned(),
-                readiness.part("name"),
-            );
-            (name, readiness, tokio::spawn(holding))
+            let (key, part) = ("albireo/@alive/n".to_owned(), readiness.part("name"));
+            let holding = tokio::spawn(name.clone().hold(session, key, part));
+            (name, readiness, holding)
         });
-        let settled = async {
-            loop {
-                let mut holding = Vec::new();
-                for (name, readiness, _) in &nodes {
-                    let works = readiness.health().faults.is_empty();
-                    holding.push((name.is_held(), works));
-                }
-                holding.sort_unstable();
-                if holding == [(false, false), (true, true)] {
-                    return;
-                }
-                tokio::time::sleep(Duration::from_millis(20)).await;
-            }
-        };
-        tokio::time::timeout(Duration::from_secs(60), settled)
-            .await
-            .unwrap();
+        until(async || {
+            let mut nodes = nodes
+                .each_ref()
+                .map(|(name, readiness, _)| (name.is_held(), readiness.health().faults.is_empty()));
+            nodes.sort_unstable();
+            nodes == [(false, false), (true, true)]
+        })
+        .await;
         for (_, _, holding) in nodes {
             assert!(!holding.is_finished(), "it is held");
             holding.abort();

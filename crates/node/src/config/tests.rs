@@ -41,19 +41,8 @@ fn the_shipped_file_is_exactly_the_defaults() {
 /// The key that a line sets, even in a comment.
 fn key_of(line: &str) -> Option<&str> {
     let (key, _) = line.strip_prefix("# ").unwrap_or(line).split_once(" = ")?;
-    let is_key = |byte: u8| {
-        byte.is_ascii_lowercase() || byte.is_ascii_digit() || matches!(byte, b'_' | b'.')
-    };
-    key.bytes().all(is_key).then_some(key)
-}
-
-/// The keys of a section, as named in the error about an unknown one.
-fn accepted(section: &str, text: &str) -> Vec<String> {
-    let found = problems(&format!("{text}unknown_key = 1"));
-    let unknown = "unknown_key: unknown key `unknown_key`; known are ";
-    let (_, known) = found[0].split_once(unknown).expect("known keys");
-    let named = known.split('`').skip(1).step_by(2);
-    named.map(|key| format!("{section}{key}")).collect()
+    let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || byte == b'_';
+    key.bytes().all(is_plain).then_some(key)
 }
 
 #[test]
@@ -76,18 +65,18 @@ fn the_shipped_file_has_exactly_the_accepted_keys_each_with_a_comment() {
             commented = line.starts_with('#');
         }
     }
-    let mut wanted = accepted("detector.gpu.", "[detector.gpu]\n");
-    for section in accepted("", "") {
-        let text = match section.as_str() {
-            "camera" | "token" => format!("[[{section}]]\nname = \"a\"\n"),
-            _ => format!("[{section}]\n"),
-        };
-        wanted.extend(accepted(&format!("{section}."), &text));
+    // The tables of the policies for comparison are written only if they differ from their defaults.
+    let config = load("[[token]]\nname = \"a\"\ntoken = \"a-long-random-secret\"").unwrap();
+    let mut wanted = Vec::new();
+    for (section, keys) in serde_json::to_value(&config).unwrap().as_object().unwrap() {
+        for (key, value) in keys.get(0).unwrap_or(keys).as_object().unwrap() {
+            let key = format!("{section}.{key}");
+            match value.as_object().filter(|keys| !keys.is_empty()) {
+                Some(keys) => wanted.extend(keys.keys().map(|inner| format!("{key}.{inner}"))),
+                None => wanted.push(key),
+            }
+        }
     }
-    // The GPU's section is listed above, and those of the policies for comparison are not shown.
-    let other_sections =
-        "detector.gpu policy.fixed_skip policy.ctd policy.statues policy.in_tracker";
-    wanted.retain(|key| !other_sections.split(' ').any(|section| section == key));
     shown.sort();
     wanted.sort();
     assert_eq!(shown, wanted);
@@ -119,15 +108,11 @@ fn the_keys_in_comments_can_be_used_unchanged() {
 fn every_removed_key_is_rejected_with_its_replacement() {
     for removed in NodeConfig::REMOVED.lines() {
         let (key, became) = removed.split_once(": ").unwrap();
-        let text = match key.split_once(" = ") {
-            Some((key, value)) => format!("{key} = \"{value}\"\n"),
-            None if key.matches('.').count() == 1 && key.starts_with("policy.") => {
-                format!("[{key}]\na = 1\n")
-            }
-            None => match key.strip_prefix("camera.") {
-                Some(key) => format!("[[camera]]\nname = \"a\"\n{key} = 1\n"),
-                None => format!("{key} = 1\n"),
-            },
+        let text = match (key.split_once(" = "), key.split_once('.')) {
+            (Some((key, value)), _) => format!("{key} = \"{value}\"\n"),
+            (None, Some(("policy", _))) => format!("[{key}]\na = 1\n"),
+            (None, Some(("camera", key))) => format!("[[camera]]\nname = \"a\"\n{key} = 1\n"),
+            (None, _) => format!("{key} = 1\n"),
         };
         let found = problem(&text);
         let expected = format!("was removed: {became}");
@@ -138,11 +123,8 @@ fn every_removed_key_is_rejected_with_its_replacement() {
 #[test]
 fn answers_at_once_need_a_policy_that_predicts_and_time_to_settle() {
     let camera = "[[camera]]\nname = \"front\"\nanswer = \"at_once\"\n";
-    for policy in ["albireo", "expected-loss", "expected-loss+flow"] {
-        let text = format!("policy.name = \"{policy}\"\n{camera}");
-        let answer = load(&text).unwrap().cameras[0].answer;
-        assert_eq!(answer, Some(AnswerTime::AtOnce));
-    }
+    let answer = load(camera).unwrap().cameras[0].answer;
+    assert_eq!(answer, Some(AnswerTime::AtOnce));
     let found = problem(&format!("policy.name = \"vanilla\"\n{camera}"));
     assert!(found.contains("does not predict boxes"), "{found}");
     let settle = "settle = { enabled = true, longest_ms = 500 }\ndetector.timeout_ms = 1000\n";
@@ -155,16 +137,13 @@ fn answers_at_once_need_a_policy_that_predicts_and_time_to_settle() {
 /// The rejected key, and a configuration with lines separated by `&`.
 const IMPOSSIBLE: &str = r#"
 node.name: node.name = "a/b"
-node.name: node.name = 7
 node.prefix: node.prefix = ""
 node.state_dir: node.state_dir = ""
 zenoh.mode: zenoh.mode = "boss"
 zenoh.listen: zenoh.listen = ["127.0.0.1:7447"]
 zenoh.connect: zenoh.mode = "client"
 http.listen: http.listen = "127.0.0.1:99999"
-http.listen: http.listen = "localhost"
 http.listen: http.listen = "0.0.0.0:8080"
-http.listen: http.listen = "[::]:8080"
 http.token: http.token = ""
 http.token: http.token = "two words"
 http.cors_origins: http.cors_origins = ["*"]
@@ -175,7 +154,6 @@ detector.providers: detector.providers = ["cpu", "cpu"]
 detector.providers[0]: detector.providers = ["npu"]
 detector.timeout_ms: detector.timeout_ms = 0
 detector.batch_size: detector.batch_size = 0
-detector.head: detector.head = "ssd"
 clip.window_s: clip.window_s = 0
 clip.window_s: clip.window_s = inf
 clip.silence_s: clip.silence_s = -1.0
@@ -185,7 +163,6 @@ log.level: log.level = "loud"
 policy.name: policy.name = "albiro"
 policy.u: policy.u = 0
 policy.profile: policy.profile = "mine"
-log.format: log.format = "xml"
 camera: camera = []
 camera[0].name: camera = [{ key = "a" }]
 camera.a b.name: camera = [{ name = "a b" }]
@@ -201,7 +178,6 @@ camera.a.delivery: camera = [{ name = "a", source = "b.mp4", delivery = "every" 
 camera.a.hardware: camera = [{ name = "a", source = "b ! jpegenc", hardware = "cuda" }]
 camera.a.max_rate: camera = [{ name = "a", max_rate = 5 }]
 camera.a.max_rate: camera = [{ name = "a", source = "b.mp4", max_rate = 0 }]
-camera.a.rtsp_transport: camera = [{ name = "a", source = "b.mp4", rtsp_transport = "sctp" }]
 camera.a.threshold: camera = [{ name = "a", threshold = 0 }]
 camera.a.threshold: policy.name = "vanilla" & camera = [{ name = "a", threshold = 3e-4 }]
 "#;

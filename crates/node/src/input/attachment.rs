@@ -94,23 +94,20 @@ mod tests {
     use super::*;
 
     fn rmw(named: bool, length_byte: bool) -> Vec<u8> {
-        let mut bytes = Vec::new();
-        let name = |bytes: &mut Vec<u8>, text: &str| {
-            if named {
-                bytes.push(text.len() as u8);
-                bytes.extend_from_slice(text.as_bytes());
-            }
+        let name = |text: &str| match named {
+            true => [&[text.len() as u8][..], text.as_bytes()].concat(),
+            false => Vec::new(),
         };
-        name(&mut bytes, "sequence_number");
-        bytes.extend_from_slice(&41_i64.to_le_bytes());
-        name(&mut bytes, "source_timestamp");
-        bytes.extend_from_slice(&1_700_000_000_123_456_789_i64.to_le_bytes());
-        name(&mut bytes, "source_gid");
-        if length_byte {
-            bytes.push(16);
-        }
-        bytes.extend_from_slice(&[7; 16]);
-        bytes
+        let parts = [
+            name("sequence_number"),
+            41_i64.to_le_bytes().to_vec(),
+            name("source_timestamp"),
+            1_700_000_000_123_456_789_i64.to_le_bytes().to_vec(),
+            name("source_gid"),
+            vec![16; usize::from(length_byte)],
+            vec![7; 16],
+        ];
+        parts.concat()
     }
 
     #[test]
@@ -129,10 +126,8 @@ mod tests {
     #[test]
     fn a_ros_attachment_of_another_kind_is_ignored() {
         for bytes in [&b"\0"[..], b"{", &[0xFF; 32], &[0; 500], b"sequence_number"] {
-            assert_eq!(
-                read_attachment(Some(bytes), PayloadFormat::Ros2Image).unwrap(),
-                FrameAttachment::default()
-            );
+            let attachment = read_attachment(Some(bytes), PayloadFormat::Ros2Image);
+            assert_eq!(attachment.unwrap(), FrameAttachment::default());
         }
         let json = br#"{"v":1,"seq":3}"#;
         let attachment = read_attachment(Some(json), PayloadFormat::Ros2Image).unwrap();

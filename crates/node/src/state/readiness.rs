@@ -157,79 +157,61 @@ pub(crate) fn look_at_power(board: &Board, power: &PowerHandle) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use albireo_vision::detector::ExecutionProvider;
 
     #[tokio::test(start_paused = true)]
     async fn only_lasting_faults_of_the_node_itself_are_stuck() {
         let readiness = Readiness::default();
         let limit = Duration::from_secs(60);
-        let service_state = |readiness: &Readiness, limit| {
-            service_state(readiness, &DetectorStatus::Starting, limit)
-        };
-        let detector = readiness.part(DETECTOR);
-        detector.not_ready("the session is being built");
-        assert!(!service_state(&readiness, limit).ready);
-        tokio::time::advance(Duration::from_secs(59)).await;
-        assert_eq!(service_state(&readiness, limit).stuck, None);
-        tokio::time::advance(Duration::from_secs(1)).await;
-        let stuck = service_state(&readiness, limit).stuck.unwrap();
-        assert!(stuck.starts_with("detector: "), "{stuck}");
-        // A node that waits for its router has not got as far as its detector.
-        readiness.part(ZENOH).not_ready("the router is away");
-        assert_eq!(service_state(&readiness, limit).stuck, None);
-        readiness.part(ZENOH).works();
-        detector.degraded("of no matter");
-        readiness.part(UPLINK).degraded("the hub is away");
-        let state = service_state(&readiness, limit);
-        assert_eq!((state.ready, state.stuck), (true, None));
-        assert!(
-            state.reasons.contains("uplink: the hub is away"),
-            "{}",
-            state.reasons
-        );
-    }
-
-    #[tokio::test(start_paused = true)]
-    async fn a_zenoh_fault_hides_no_stuck_detector_and_a_permanently_closed_session_is_stuck() {
-        let readiness = Readiness::default();
-        let limit = Duration::from_secs(60);
-        let degraded = DetectorStatus::Degraded {
+        let state = |status: &DetectorStatus| service_state(&readiness, status, limit);
+        let stuck = |status: &DetectorStatus| state(status).stuck.unwrap_or_default();
+        let starting = DetectorStatus::Starting;
+        let failed = DetectorStatus::Degraded {
             reason: "the run does not come back".to_owned(),
-            provider: albireo_vision::detector::ExecutionProvider::Cpu,
-        };
-        let stuck = |status| {
-            service_state(&readiness, status, limit)
-                .stuck
-                .unwrap_or_default()
+            provider: ExecutionProvider::Cpu,
         };
         let detector = readiness.part(DETECTOR);
-        detector.not_ready("the run does not come back");
-        readiness.part(ZENOH).not_ready("the router is away");
+        detector.not_ready("it is broken");
+        assert!(!state(&starting).ready);
+        tokio::time::advance(Duration::from_secs(59)).await;
+        assert_eq!(stuck(&starting), "");
+        tokio::time::advance(Duration::from_secs(1)).await;
+        assert_eq!(stuck(&starting), "detector: it is broken");
+
+        // A node that waits for its router has not got as far as its detector.
+        let zenoh = readiness.part(ZENOH);
+        zenoh.not_ready("the router is away");
         tokio::time::advance(limit).await;
-        assert!(stuck(&degraded).starts_with("detector: "));
-        // The session was opened, the detector is being built, and the session closes.
-        readiness.part(ZENOH).works();
+        assert_eq!(stuck(&starting), "");
+        assert_eq!(stuck(&failed), "detector: it is broken");
+
+        // The session was opened, the detector is being built, and the session closes permanently.
+        zenoh.works();
         let session = readiness.part_of(ZENOH, ZENOH_SESSION);
         session.not_ready("it is closed");
-        assert!(stuck(&DetectorStatus::Starting).starts_with("detector: "));
-        detector.works();
-        assert_eq!(stuck(&degraded), "");
+        assert_eq!(stuck(&starting), "detector: it is broken");
+        detector.degraded("of no matter");
+        assert_eq!(stuck(&failed), "");
         tokio::time::advance(limit).await;
-        assert_eq!(stuck(&degraded), "zenoh: it is closed");
+        assert_eq!(stuck(&failed), "zenoh: it is closed");
+
+        session.works();
+        readiness.part(UPLINK).degraded("the hub is away");
+        tokio::time::advance(limit).await;
+        let state = state(&failed);
+        assert_eq!((state.ready, state.stuck), (true, None));
+        let reasons = state.reasons;
+        assert!(reasons.contains("uplink: the hub is away"), "{reasons}");
     }
 
     #[test]
-    fn a_lost_gpu_calls_for_a_restart_at_once_and_a_failed_run_does_not() {
-        let readiness = Readiness::default();
-        let limit = Duration::from_secs(900);
-        let reason = "the GPU is lost to this process".to_owned();
-        let provider = albireo_vision::detector::ExecutionProvider::Cuda;
-        let failed = DetectorStatus::Degraded {
-            reason: reason.clone(),
-            provider,
+    fn a_lost_gpu_calls_for_a_restart_at_once() {
+        let lost = DetectorStatus::Lost {
+            reason: "the GPU is lost to this process".to_owned(),
+            provider: ExecutionProvider::Cuda,
         };
-        assert_eq!(service_state(&readiness, &failed, limit).stuck, None);
-        let lost = DetectorStatus::Lost { reason, provider };
-        let stuck = service_state(&readiness, &lost, limit).stuck.unwrap();
+        let state = service_state(&Readiness::default(), &lost, Duration::from_secs(900));
+        let stuck = state.stuck.unwrap();
         assert!(stuck.starts_with("detector: the GPU is lost"), "{stuck}");
         let fault = of_detector(&lost).unwrap();
         assert_eq!(fault.effect, HealthState::NotReady);

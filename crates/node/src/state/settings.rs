@@ -187,10 +187,6 @@ mod tests {
         settings.retry();
         let again = Settings::open(Some(&state));
         assert_eq!(again.get("target"), Some(2), "the newer value");
-        assert_eq!(
-            again.get("threshold/front"),
-            Some(5),
-            "was not set meanwhile"
-        );
+        assert_eq!(again.get("threshold/front"), Some(5), "not set meanwhile");
     }
 }

@@ -1,26 +1,20 @@
 use super::*;
+use crate::camera::tests::picture;
 use crate::config::NodeConfig;
 use crate::state::board::Board;
-use albireo_core::geometry::PictureSize;
-use albireo_vision::picture::{EncodedPicture, PictureFormat};
 use albireo_wire::AuditReport;
 use std::sync::Arc;
 
 fn audit() -> (Arc<Board>, CameraAudit) {
     let config = NodeConfig::default();
     let board = Board::open(&config).unwrap();
-    let camera = Arc::clone(board.camera("front").unwrap());
-    let audit = CameraAudit::new(config.audit, camera);
+    let audit = CameraAudit::new(config.audit, Arc::clone(&board.cameras[0]));
     (board, audit)
 }
 
 fn frame() -> DrawnFrame {
     DrawnFrame {
-        picture: EncodedPicture {
-            format: PictureFormat::Jpeg,
-            bytes: Vec::new().into(),
-            size: PictureSize::new(640, 360),
-        },
+        picture: picture(0),
         shown: Vec::new(),
     }
 }
@@ -28,7 +22,6 @@ fn frame() -> DrawnFrame {
 fn compared() -> AuditReport {
     let mut count = AuditReport {
         calls: 1,
-        detector_us: 30_000,
         ..AuditReport::default()
     };
     count.sums.add(&[], &[]);
@@ -38,21 +31,18 @@ fn compared() -> AuditReport {
 #[tokio::test]
 async fn every_drawn_frame_is_compared_or_missed_and_counted_once() {
     let (board, audit) = audit();
-    let taken = || board.camera("front").unwrap().take_unreported().1;
+    let counts = |audit: &AuditReport| (audit.sums.drawn(), audit.sums.missed, audit.calls);
+    let taken = || counts(&board.cameras[0].take_unreported().1);
     for _ in 0..4 {
         audit.offer(frame());
     }
     // Two frames wait; there is no room for the others.
-    assert_eq!(taken().sums.missed, 2);
+    assert_eq!(taken(), (2, 2, 0));
     audit.next().await;
     audit.done(Some(compared()));
     audit.next().await;
     audit.done(None);
-    let found = taken();
-    assert_eq!(
-        (found.sums.drawn(), found.sums.missed, found.calls),
-        (2, 1, 1)
-    );
+    assert_eq!(taken(), (2, 1, 1));
 
     // When the camera ends, one frame is being examined and one waits; neither result is counted.
     audit.offer(frame());
@@ -60,18 +50,14 @@ async fn every_drawn_frame_is_compared_or_missed_and_counted_once() {
     audit.next().await;
     audit.give_up();
     audit.done(Some(compared()));
-    let found = taken();
-    assert_eq!((found.sums.drawn(), found.sums.missed), (2, 2));
+    assert_eq!(taken(), (2, 2, 0));
 
     // Counting continues after the camera's loop restarts.
     audit.offer(frame());
     audit.next().await;
     audit.done(Some(compared()));
-    let total = board.camera("front").unwrap().snapshot().audit.unwrap();
-    assert_eq!(
-        (total.sums.drawn(), total.sums.missed, total.calls),
-        (7, 5, 2)
-    );
+    let total = board.cameras[0].snapshot().audit.unwrap();
+    assert_eq!(counts(&total), (7, 5, 2));
 }
 
 #[test]

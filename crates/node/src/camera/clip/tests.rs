@@ -40,9 +40,15 @@ pub(super) fn ms(ms: u64) -> Duration {
     Duration::from_millis(ms)
 }
 
+const LONGEST_50_S: ClipConfig = ClipConfig {
+    window_s: 40.0,
+    longest_s: 50.0,
+    silence_s: 5.0,
+};
+
 /// The tracker of one camera with its own clock, in milliseconds from its start.
 pub(super) struct Camera {
-    pub(super) tracker: ClipTracker,
+    tracker: ClipTracker,
     start: Instant,
     seq: u64,
 }
@@ -76,25 +82,28 @@ impl Camera {
     #[track_caller]
     fn assert_ended(&self, closed: impl IntoIterator<Item = Clip>, expected: &str) {
         let shown = closed.into_iter().map(|closed| {
-            let Clip {
-                report, start, end, ..
-            } = closed;
+            let times = [closed.start, closed.end].map(|at| at - self.start);
+            let [start, end] = times.map(|time| time.as_millis());
+            let report = closed.report;
             assert_eq!(report.frames, report.states.frames());
-            let [start, end] = [start, end].map(|at| (at - self.start).as_millis());
             let (clip, part, frames) = (report.clip, report.part, report.frames);
-            format!(
-                "{clip}/{part}: {frames} frames, {start} to {end} ms, {:?}",
-                report.ended_by
-            )
+            let by = report.ended_by;
+            format!("{clip}/{part}: {frames} frames, {start} to {end} ms, {by:?}")
         });
         assert_eq!(shown.collect::<Vec<_>>().join("; "), expected);
     }
 
-    pub(super) fn frame(&mut self, at: u64, clip: Option<&str>) -> Option<Clip> {
-        self.frame_with(at, clip, Some(3e-4))
+    fn frame(&mut self, at: u64, clip: Option<&str>) -> Option<Clip> {
+        self.frame_with(at, clip, 3e-4)
     }
 
-    fn frame_with(&mut self, at: u64, clip: Option<&str>, u: Option<f64>) -> Option<Clip> {
+    /// That many frames of a clip, the first at 0, and the clips that they end.
+    pub(super) fn frames(&mut self, count: u64, every: u64, clip: Option<&str>) -> Vec<Clip> {
+        let times = (0..count).map(|frame| frame * every);
+        times.filter_map(|at| self.frame(at, clip)).collect()
+    }
+
+    fn frame_with(&mut self, at: u64, clip: Option<&str>, u: f64) -> Option<Clip> {
         let seq = self.seq;
         self.seq += 1;
         let arrival = self.at(at);
@@ -103,10 +112,10 @@ impl Camera {
         closed
     }
 
-    fn result(&self, at: u64, seq: u64, u: Option<f64>) -> FrameRecord {
+    fn result(&self, at: u64, seq: u64, u: f64) -> FrameRecord {
         let state = FrameState::ALL[(seq % 5) as usize];
         let degraded = state == FrameState::P && seq.is_multiple_of(7);
-        let threshold = u.map(|u| Threshold::new(Albireo::THRESHOLD.name, u));
+        let threshold = Some(Threshold::new(Albireo::THRESHOLD.name, u));
         FrameRecord {
             answered: self.at(at) + ms(12),
             times: Times {
@@ -124,9 +133,7 @@ impl Camera {
 #[test]
 fn a_new_clip_id_ends_the_clip_at_the_new_clips_first_frame() {
     let mut camera = Camera::new();
-    for i in 0..20 {
-        assert!(camera.frame(i * 100, Some("a")).is_none());
-    }
+    assert!(camera.frames(20, 100, Some("a")).is_empty());
     let closed = camera.frame(2000, Some("b"));
     camera.assert_ended(closed, "a/0: 20 frames, 0 to 2000 ms, NextClip");
     assert_eq!(&**camera.tracker.clip().unwrap(), "b");
@@ -134,109 +141,67 @@ fn a_new_clip_id_ends_the_clip_at_the_new_clips_first_frame() {
 }
 
 #[test]
-fn windows_tile_time_while_frames_keep_coming() {
-    let mut camera = Camera::new();
-    let closed: Vec<_> = (0..900)
-        .filter_map(|i| camera.frame(i * 111, None))
-        .collect();
-    let expected = "window-0/0: 361 frames, 0 to 40000 ms, Window; \
-                    window-1/0: 360 frames, 40000 to 80000 ms, Window";
-    camera.assert_ended(closed, expected);
-}
-
-#[test]
-fn a_full_window_ends_at_its_deadline_without_waiting_for_a_frame() {
-    let mut camera = Camera::new();
-    for i in 0..=190 {
-        camera.frame(i * 210, None);
+fn windows_and_parts_of_a_long_clip_tile_time_while_frames_keep_coming() {
+    let windows = "window-0/0: 361 frames, 0 to 40000 ms, Window; \
+                   window-1/0: 360 frames, 40000 to 80000 ms, Window; \
+                   window-2/0: 361 frames, 80000 to 120000 ms, Window; \
+                   window-3/0: 118 frames, 120000 to 133200 ms, Shutdown";
+    let parts = "drive/0: 451 frames, 0 to 50000 ms, Length; \
+                 drive/1: 450 frames, 50000 to 100000 ms, Length; \
+                 drive/2: 299 frames, 100000 to 133200 ms, Shutdown";
+    for (clip, expected) in [(None, windows), (Some("drive"), parts)] {
+        let mut camera = Camera::with(LONGEST_50_S);
+        let mut closed = camera.frames(1200, 111, clip);
+        closed.extend(camera.shutdown(133_500));
+        camera.assert_ended(closed, expected);
     }
-    assert_eq!(camera.tracker.deadline(), Some(camera.at(40_000)));
-    assert!(camera.tick(39_999).is_none());
-    let closed = camera.tick(40_000);
-    camera.assert_ended(closed, "window-0/0: 191 frames, 0 to 40000 ms, Window");
-    assert!(camera.tracker.clip().is_none());
 }
 
 #[test]
-fn silence_ends_a_clip_and_is_not_part_of_it() {
-    let mut camera = Camera::new();
-    for i in 0..10 {
-        camera.frame(i * 200, Some("a"));
+fn the_clock_ends_a_full_window_and_a_silent_clip_without_another_frame() {
+    let window = "window-0/0: 191 frames, 0 to 40000 ms, Window";
+    // Ten frames at 5 per second: the silence is not part of the clip.
+    let silence = "a/0: 10 frames, 0 to 2000 ms, Silence";
+    for (clip, frames, every, deadline, expected) in [
+        (None, 191, 210, 40_000, window),
+        (Some("a"), 10, 200, 6800, silence),
+    ] {
+        let mut camera = Camera::new();
+        assert!(camera.frames(frames, every, clip).is_empty());
+        assert_eq!(camera.tracker.deadline(), Some(camera.at(deadline)));
+        assert!(camera.tick(deadline - 1).is_none());
+        let closed = camera.tick(deadline);
+        camera.assert_ended(closed, expected);
+        assert!(camera.tracker.clip().is_none());
     }
-    assert!(camera.tick(6799).is_none());
-    let closed = camera.tick(6800);
-    // Ten frames at 5 per second.
-    camera.assert_ended(closed, "a/0: 10 frames, 0 to 2000 ms, Silence");
 }
 
 #[test]
-fn a_frame_after_silence_begins_a_new_window_at_its_own_arrival() {
-    let mut camera = Camera::new();
-    camera.frame(0, None);
-    let closed = camera.frame(60_000, None);
-    // One frame lasts as long as its answer took.
-    camera.assert_ended(closed, "window-0/0: 1 frames, 0 to 12 ms, Silence");
-    let closed = camera.shutdown(60_050);
-    camera.assert_ended(closed, "window-1/0: 1 frames, 60000 to 60012 ms, Shutdown");
-}
-
-#[test]
-fn a_window_shorter_than_a_pause_never_ends_before_its_first_frame() {
-    let mut camera = Camera::with(ClipConfig {
+fn after_a_pause_a_new_clip_begins_at_its_first_frame() {
+    let short_window = ClipConfig {
         window_s: 2.0,
         ..ClipConfig::default()
-    });
-    for at in [0, 1000, 1900] {
-        assert!(camera.frame(at, None).is_none());
+    };
+    // One frame lasts as long as its answer took.
+    let silent = "window-0/0: 1 frames, 0 to 12 ms, Silence; \
+                  window-1/0: 1 frames, 60000 to 60012 ms, Shutdown";
+    let full_window = "window-0/0: 20 frames, 0 to 2000 ms, Window; \
+                       window-1/0: 1 frames, 6000 to 6012 ms, Shutdown";
+    let full_part = "drive/0: 500 frames, 0 to 50000 ms, Length; \
+                     drive/0: 1 frames, 60000 to 60012 ms, Shutdown";
+    for (config, clip, frames, next, expected) in [
+        (LONGEST_50_S, None, 1, 60_000, silent),
+        // Longer than the window, but shorter than the silence that ends a clip.
+        (short_window, None, 20, 6000, full_window),
+        (LONGEST_50_S, Some("drive"), 500, 60_000, full_part),
+    ] {
+        let mut camera = Camera::with(config);
+        let mut closed = camera.frames(frames, 100, clip);
+        closed.extend(camera.tick(frames * 100));
+        closed.extend(camera.frame(next, clip));
+        closed.extend(camera.shutdown(next + 100));
+        camera.assert_ended(closed, expected);
     }
-    let closed = camera.tick(2000);
-    camera.assert_ended(closed, "window-0/0: 3 frames, 0 to 2000 ms, Window");
-    assert!(camera.frame(6000, None).is_none());
-    let closed = camera.shutdown(6100);
-    camera.assert_ended(closed, "window-1/0: 1 frames, 6000 to 6012 ms, Shutdown");
-}
-
-#[test]
-fn a_long_clip_is_reported_in_parts_that_tile_its_time() {
-    let mut camera = Camera::with(ClipConfig {
-        longest_s: 60.0,
-        ..ClipConfig::default()
-    });
-    let closed = (0..1500).filter_map(|i| camera.frame(i * 100, Some("drive")));
-    let mut closed: Vec<_> = closed.collect();
-    closed.extend(camera.shutdown(150_000));
-    let expected = "drive/0: 600 frames, 0 to 60000 ms, Length; \
-                    drive/1: 600 frames, 60000 to 120000 ms, Length; \
-                    drive/2: 300 frames, 120000 to 150000 ms, Shutdown";
-    camera.assert_ended(closed, expected);
-}
-
-#[test]
-fn a_name_that_returns_after_a_silence_is_a_new_clip() {
-    let mut camera = Camera::with(ClipConfig {
-        longest_s: 60.0,
-        ..ClipConfig::default()
-    });
-    for i in 0..600 {
-        assert!(camera.frame(i * 100, Some("drive")).is_none());
-    }
-    let closed = camera.tick(60_000);
-    camera.assert_ended(closed, "drive/0: 600 frames, 0 to 60000 ms, Length");
-    assert!(camera.frame(70_000, Some("drive")).is_none());
-    let closed = camera.shutdown(70_100);
-    camera.assert_ended(closed, "drive/0: 1 frames, 70000 to 70012 ms, Shutdown");
-}
-
-#[test]
-fn shutdown_ends_the_open_clip_and_only_that() {
-    let mut camera = Camera::new();
-    assert!(camera.shutdown(0).is_none());
-    camera.frame(0, Some("a"));
-    camera.frame(100, Some("a"));
-    let closed = camera.shutdown(150);
-    // No clip ends in the future.
-    camera.assert_ended(closed, "a/0: 2 frames, 0 to 150 ms, Shutdown");
-    assert!(camera.shutdown(200).is_none());
 }
 
 #[test]
@@ -247,8 +212,8 @@ fn a_clip_is_returned_when_its_pending_frame_has_its_final_answer() {
     let u = |u| Some(Threshold::new(Albireo::THRESHOLD.name, u));
     camera.tracker.pending(1, u(3e-4));
     // The next clip begins, and its frames are its own.
-    assert!(camera.frame_with(200, Some("b"), Some(5e-4)).is_none());
-    let late = camera.result(300, 1, Some(3e-4));
+    assert!(camera.frame_with(200, Some("b"), 5e-4).is_none());
+    let late = camera.result(300, 1, 3e-4);
     let closed = camera.tracker.count_late(&late).expect("clip a has ended");
     assert_eq!(closed.report.threshold, u(3e-4));
     camera.assert_ended([closed], "a/0: 2 frames, 0 to 200 ms, NextClip");
@@ -262,7 +227,7 @@ fn the_initial_threshold_and_each_change_are_reported_once_within_a_bound() {
     let changes_of = |thresholds: &mut dyn Iterator<Item = f64>| {
         let mut camera = Camera::new();
         for u in thresholds {
-            camera.frame_with(camera.seq * 10, Some("a"), Some(u));
+            camera.frame_with(camera.seq * 10, Some("a"), u);
         }
         let report = camera.shutdown(50_000).unwrap().report;
         let last = report.threshold.unwrap().value;
@@ -300,10 +265,7 @@ fn events() -> impl Strategy<Value = Vec<Event>> {
 proptest! {
     #[test]
     fn no_frame_is_lost_between_clips_and_no_time_is_counted_twice(events in events()) {
-        let mut camera = Camera::with(ClipConfig {
-            longest_s: 50.0,
-            ..ClipConfig::default()
-        });
+        let mut camera = Camera::with(LONGEST_50_S);
         let mut closed: Vec<Clip> = Vec::new();
         let (mut now, mut frames, mut dropped) = (0, 0, 0);
         for event in events {
@@ -333,15 +295,11 @@ proptest! {
             }
         }
         closed.extend(camera.shutdown(now));
+        prop_assert!(camera.shutdown(now).is_none());
         prop_assert_eq!(closed.iter().map(|c| c.report.states.frames()).sum::<u64>(), frames);
         prop_assert_eq!(closed.iter().map(|c| c.report.dropped.total()).sum::<u64>(), dropped);
         prop_assert_eq!(closed.iter().map(|c| c.total.len() as u64).sum::<u64>(), frames);
-        for clip in &closed {
-            prop_assert!(clip.start <= clip.end);
-            prop_assert!(clip.end <= camera.at(now));
-        }
-        for pair in closed.windows(2) {
-            prop_assert!(pair[0].end <= pair[1].start);
-        }
+        let times = closed.iter().flat_map(|clip| [clip.start, clip.end]);
+        prop_assert!(times.chain([camera.at(now)]).is_sorted());
     }
 }

@@ -14,7 +14,7 @@ fn receiver(capacity: usize) -> Arc<FrameReceiver> {
     let mut config = NodeConfig::default();
     config.cameras[0].ring = capacity;
     let board = Board::open(&config).unwrap();
-    let camera = Arc::clone(board.camera("front").unwrap());
+    let camera = Arc::clone(&board.cameras[0]);
     let receiver = FrameReceiver::new(camera, &config.cameras[0], FrameLimits::default());
     Arc::new(receiver)
 }
@@ -43,10 +43,8 @@ fn frame(number: FrameNumber) -> Read {
 }
 
 fn rejected(seq: Option<u64>) -> Read {
-    (
-        number(seq, None),
-        Err(FrameFault::undecodable("half a picture")),
-    )
+    let fault = FrameFault::undecodable("half a picture");
+    (number(seq, None), Err(fault))
 }
 
 impl FrameReceiver {
@@ -57,11 +55,8 @@ impl FrameReceiver {
 
 /// Index and stream of each frame waiting in the ring.
 fn waiting(ring: &Ring<SequencedFrame>) -> Vec<(u64, u64)> {
-    let mut found = Vec::new();
-    while let Some(frame) = ring.next().now_or_never() {
-        found.push((frame.index, frame.epoch));
-    }
-    found
+    let frames = std::iter::from_fn(|| ring.next().now_or_never());
+    frames.map(|frame| (frame.index, frame.epoch)).collect()
 }
 
 #[tokio::test]

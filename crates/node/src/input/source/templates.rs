@@ -314,19 +314,17 @@ impl Arguments {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::CameraConfig;
 
-    fn settings(address: &str, options: &[&str]) -> SourceSettings {
-        let options = options.iter().map(|word| (*word).to_owned()).collect();
-        SourceSettings {
-            address: SourceAddress::new(address),
+    /// The settings of a source, with options as on a command line.
+    fn settings(address: &str, options: &str) -> SourceSettings {
+        let camera = CameraConfig {
+            source: Some(SourceAddress::new(address)),
+            source_options: SourceOptions::new(shlex::split(options).unwrap()),
             max_rate: Some(5.0),
-            transport: RtspTransport::Tcp,
-            hardware: None,
-            options: SourceOptions::new(options),
-            silence: Duration::from_secs(15),
-            decoded: Handover::Pixels,
-            limits: FrameLimits::default(),
-        }
+            ..CameraConfig::default()
+        };
+        camera.source_settings(FrameLimits::default()).unwrap()
     }
 
     /// The command line and the script of ffmpeg for a source that is decoded.
@@ -364,7 +362,7 @@ mod tests {
 
     #[test]
     fn rtsp_uses_tcp_and_equal_timestamps_are_no_error() {
-        let mut settings = settings("rtsp://cam/s", &[]);
+        let mut settings = settings("rtsp://cam/s", "");
         settings.hardware = Some("cuda".to_owned());
         let (line, script) = decoding(&settings, (5, 1));
         assert_has(&line, &["-rtsp_transport tcp", "-i rtsp://cam/s"]);
@@ -376,7 +374,7 @@ mod tests {
 
     #[test]
     fn a_password_is_never_in_the_command_line() {
-        let settings = settings("rtsp://viewer:hidden'@cam/s", &[]);
+        let settings = settings("rtsp://viewer:hidden'@cam/s", "");
         for version in [(4, 4), (5, 1), (7, 1)] {
             let (line, script) = decoding(&settings, version);
             assert_lacks(&line, &["hidden", "viewer"]);
@@ -387,15 +385,9 @@ mod tests {
 
     #[test]
     fn options_reach_the_camera_even_if_its_address_has_a_password() {
-        let options = [
-            "-rtsp_flags",
-            "prefer_tcp",
-            "-skip_frame",
-            "nokey",
-            "-user_agent",
-            "it's me",
-        ];
-        let hidden = settings("rtsp://u:hidden@cam/s", &options);
+        let options = "-rtsp_flags prefer_tcp -skip_frame nokey";
+        let quoted = format!("{options} -user_agent \"it's me\"");
+        let hidden = settings("rtsp://u:hidden@cam/s", &quoted);
         let (line, script) = decoding(&hidden, (5, 1));
         let of_camera = "\noption rtsp_flags 'prefer_tcp'\n";
         let quoted = "\noption user_agent 'it'\\''s me'\n";
@@ -403,9 +395,9 @@ mod tests {
         // A decoder's option.
         assert_has(&line, &["-skip_frame nokey"]);
         assert_lacks(&line, &["rtsp_flags"]);
-        let plain = settings("rtsp://cam/s", &options[..4]);
+        let plain = settings("rtsp://cam/s", options);
         let (line, script) = decoding(&plain, (5, 1));
-        assert_has(&line, &["-rtsp_flags prefer_tcp -skip_frame nokey"]);
+        assert_has(&line, &[options]);
         assert_eq!(script, None);
         let old = ffmpeg(&hidden, false, (4, 4)).err().unwrap().to_string();
         assert_has(&old, &["version 5"]);
@@ -414,8 +406,8 @@ mod tests {
 
     #[test]
     fn a_secret_option_is_not_in_the_command_line() {
-        let options = ["-headers", "Authorization: Bearer abc"];
-        let program = ffmpeg(&settings("http://cam/v", &options), true, (5, 1)).unwrap();
+        let options = "-headers 'Authorization: Bearer abc'";
+        let program = ffmpeg(&settings("http://cam/v", options), true, (5, 1)).unwrap();
         assert_lacks(&program.arguments.join(" "), &["Bearer"]);
         let option = "option headers 'Authorization: Bearer abc'\n";
         assert_has(&program.input.unwrap(), &[option]);
@@ -425,7 +417,7 @@ mod tests {
 
     #[test]
     fn memory_is_limited_unless_a_driver_needs_it() {
-        let mut settings = settings("http://cam/v.mjpg", &[]);
+        let mut settings = settings("http://cam/v.mjpg", "");
         let program = ffmpeg(&settings, true, (5, 1)).unwrap();
         assert_has(&program.arguments.join(" "), &["-max_alloc 67108864"]);
         assert_eq!(program.max_memory, Some((512 + 4 * 64) << 20));
@@ -436,19 +428,17 @@ mod tests {
     #[test]
     fn a_pipeline_gets_an_end_that_sends_lengths_and_shows_no_password() {
         let rtsp = "rtspsrc location=rtsp://cam/s protocols=tcp latency=0 ! decodebin ! videoconvert ! jpegenc";
+        let http = "uridecodebin uri=http://cam/s ! videoconvert ! jpegenc";
         for (address, pipeline) in [
             ("videotestsrc ! jpegenc", "videotestsrc ! jpegenc"),
             ("rtsp://cam/s", rtsp),
-            (
-                "http://cam/s",
-                "uridecodebin uri=http://cam/s ! videoconvert ! jpegenc",
-            ),
+            ("http://cam/s", http),
         ] {
-            let program = gstreamer(&settings(address, &[])).unwrap();
+            let program = gstreamer(&settings(address, "")).unwrap();
             let expected = format!("-q {pipeline} ! multipartmux ! fdsink fd=1");
             assert_eq!(program.arguments.join(" "), expected);
         }
-        let refused = gstreamer(&settings("rtsp://u:hidden@cam/s", &[]));
+        let refused = gstreamer(&settings("rtsp://u:hidden@cam/s", ""));
         let refused = refused.err().unwrap().to_string();
         assert_has(&refused, &["install ffmpeg"]);
         assert_lacks(&refused, &["hidden"]);

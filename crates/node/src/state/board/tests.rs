@@ -1,11 +1,10 @@
 use super::*;
-use crate::camera::{FrameRecord, answer};
+use crate::camera::answer;
 use crate::config::CameraConfig;
 use crate::delivery::outbox::OutboxCounts;
 use albireo_core::policy::{ExpectedLoss, FrameState};
-use albireo_wire::{DetectionsMessage, DroppedFrames, Threshold};
+use serde_json::Value;
 use std::path::Path;
-use std::time::Duration;
 
 /// A configuration with the cameras `front` and `rear` under a policy.
 pub(crate) fn config(state_dir: Option<&Path>, policy: &str) -> NodeConfig {
@@ -31,45 +30,6 @@ fn board(state_dir: Option<&Path>, policy: &str) -> Arc<Board> {
     board_of(&config(state_dir, policy))
 }
 
-fn frame(seq: u64, state: FrameState) -> Arc<DetectionsMessage> {
-    let threshold = Threshold::new("u", 3e-4);
-    answer(seq, state, state == FrameState::P, Some(threshold))
-}
-
-impl CameraBoard {
-    /// Counts a frame with its final answer.
-    fn answered(&self, detections: Arc<DetectionsMessage>) {
-        let total = Duration::from_secs_f64(detections.latency_ms.total / 1e3);
-        self.show(Arc::clone(&detections));
-        self.record_frame(&FrameRecord::new(detections, total));
-    }
-}
-
-#[test]
-fn every_frame_is_sent_to_subscribers_and_counted() {
-    let board = board(None, "albireo");
-    let mut events = board.subscribe();
-    let camera = board.camera("front").unwrap();
-    for (seq, state) in FrameState::ALL.into_iter().enumerate() {
-        camera.answered(frame(seq as u64, state));
-        let event = events.try_recv().unwrap();
-        assert_eq!(
-            (event.news.name(), event.news.camera()),
-            ("frame", Some("front"))
-        );
-        let json: serde_json::Value = serde_json::from_str(event.json().unwrap()).unwrap();
-        assert_eq!(json["seq"], seq as u64);
-        assert_eq!(json["camera"], "front");
-    }
-    camera.record_dropped(&DroppedFrames {
-        late: 2,
-        ..DroppedFrames::default()
-    });
-    let counters = board.counters(camera, 7);
-    assert_eq!((counters.frames, counters.degraded_frames), (5, 1));
-    assert_eq!((counters.calls.total(), counters.dropped.late), (4, 2));
-}
-
 #[test]
 fn a_changed_threshold_survives_a_restart() {
     let directory = tempfile::tempdir().unwrap();
@@ -87,25 +47,6 @@ fn a_changed_threshold_survives_a_restart() {
 }
 
 #[test]
-fn the_node_is_ready_once_the_detector_and_every_other_part_is() {
-    let board = board(None, "albireo");
-    let zenoh = board.readiness.part(readiness::ZENOH);
-    zenoh.not_ready("the session is not open yet");
-    let reasons = || board.readiness.health().status().reasons;
-    assert_eq!(reasons().len(), 2);
-    board.set_detector_status(DetectorStatus::Ready {
-        provider: ExecutionProvider::Cpu,
-    });
-    assert_eq!(reasons().keys().collect::<Vec<_>>(), [readiness::ZENOH]);
-    zenoh.works();
-    assert!(board.readiness.health().is_ready());
-    let provider = ExecutionProvider::Cpu;
-    let reason = "a run took too long".to_owned();
-    board.set_detector_status(DetectorStatus::Degraded { reason, provider });
-    assert!(!board.readiness.health().is_ready());
-}
-
-#[test]
 fn a_camera_has_its_own_threshold_or_that_of_the_policy() {
     let mut config = config(None, "albireo:7e-4");
     config.cameras[1].threshold = Some(1e-3);
@@ -116,18 +57,17 @@ fn a_camera_has_its_own_threshold_or_that_of_the_policy() {
 fn an_event_is_written_as_json_once_however_many_read_it() {
     let board = board(None, "albireo");
     let mut readers: Vec<_> = (0..64).map(|_| board.subscribe()).collect();
-    let camera = board.camera("front").unwrap();
-    camera.answered(frame(0, FrameState::I));
-    let events: Vec<_> = (readers.iter_mut())
-        .map(|reader| reader.try_recv().unwrap())
-        .collect();
-    // The same allocation, not just equal text.
+    board.cameras[0].show(answer(7, FrameState::I, false, None));
+    let events = readers.iter_mut().map(|reader| reader.try_recv().unwrap());
+    let events: Vec<_> = events.collect();
+    assert_eq!(events[0].news.camera(), Some("front"));
     let first = events[0].json().unwrap();
-    assert!(
-        events
-            .iter()
-            .all(|event| std::ptr::eq(event.json().unwrap(), first))
-    );
+    let frame: Value = serde_json::from_str(first).unwrap();
+    assert_eq!(frame["camera"], "front");
+    assert_eq!(frame["seq"], 7);
+    // The same allocation, not just equal text.
+    let mut written = events.iter().map(|event| event.json().unwrap());
+    assert!(written.all(|json| std::ptr::eq(json, first)));
 }
 
 #[test]

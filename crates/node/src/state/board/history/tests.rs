@@ -101,14 +101,11 @@ fn memory_is_allocated_once_and_the_oldest_entry_is_overwritten() {
     assert_eq!(history.frames(3).first().unwrap().seq, 18_397);
     let shown = history.slots(&at(7200));
     assert_eq!(shown.len(), SLOTS);
-    assert_eq!(shown[0].at_ms, 3_600_000);
-    assert_eq!(
-        (shown[0].frames, shown[0].calls, shown[0].skipped),
-        (20, 20, 0)
-    );
-    assert_eq!(shown.last().unwrap().frames, 4000);
-    // The percentiles of a piece cover that piece alone.
     let (first, last) = (&shown[0], shown.last().unwrap());
+    assert_eq!(first.at_ms, 3_600_000);
+    assert_eq!((first.frames, first.calls, first.skipped), (20, 20, 0));
+    assert_eq!(last.frames, 4000);
+    // The percentiles of a piece cover that piece alone.
     assert!(first.detector_p50_ms < first.detector_p99_ms);
     assert!(last.detector_p99_ms >= Some(97.0), "{last:?}");
     // After an hour without frames nothing is left to show.
@@ -129,9 +126,8 @@ fn a_slot_without_frames_is_absent() {
 
 #[test]
 fn the_estimated_skip_rate_of_another_threshold_is_close_to_its_actual_one() {
-    let longest = Albireo::new(AlbireoSettings::paper(), 3e-4)
-        .unwrap()
-        .longest_pause();
+    let policy = Albireo::new(AlbireoSettings::paper(), 3e-4).unwrap();
+    let longest = policy.longest_pause();
     let values = [1e-4, 3e-4, 1e-3, 3e-3, 1e-2];
     let truths: Vec<f64> = values.iter().map(|u| played(*u, 6000).1).collect();
     // The shares must differ, or there is nothing to estimate.
