@@ -265,10 +265,8 @@ mod tests {
         let error = anyhow::Error::new(cause)
             .context("cannot read a.csv: no such file")
             .context("evaluating");
-        assert_eq!(
-            in_words(&error),
-            "evaluating: cannot read a.csv: no such file"
-        );
+        let expected = "evaluating: cannot read a.csv: no such file";
+        assert_eq!(in_words(&error), expected);
         let error = anyhow::anyhow!("b is 3").context("a").context("reading");
         assert_eq!(in_words(&error), "reading: a: b is 3");
     }

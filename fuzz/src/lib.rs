@@ -38,17 +38,16 @@ use zenoh::key_expr::KeyExpr;
 /// A target: the name that it shares with its corpus, and the function that takes the bytes.
 pub type Target = (&'static str, fn(&[u8]) -> bool);
 
-/// All targets.
 pub const TARGETS: [Target; 15] = [
     ("access", access),
     ("attachment", attachment),
     ("desired", desired),
     ("frame", frame),
     ("http_body", http_body),
-    ("hub_toml", hub_toml),
+    ("hub_toml", toml::<HubConfig>),
     ("model_metadata", model_metadata),
     ("names", names),
-    ("node_toml", node_toml),
+    ("node_toml", toml::<NodeConfig>),
     ("picture_stream", picture_stream),
     ("report_batch", report_batch),
     ("rollout", rollout),
@@ -56,6 +55,13 @@ pub const TARGETS: [Target; 15] = [
     ("status", status),
     ("tegrastats", tegrastats),
 ];
+
+/// Feeds `data` to the target with that name.
+pub fn fuzz(name: &str, data: &[u8]) {
+    let named = TARGETS.into_iter().find(|(target, _)| *target == name);
+    let (_, target) = named.expect("a target with that name");
+    target(data);
+}
 
 /// Small limits, to keep each input fast.
 fn limits() -> FrameLimits {
@@ -94,7 +100,7 @@ fn sample(
 }
 
 /// A frame's payload: the first byte chooses the encoding that the sample names.
-pub fn frame(data: &[u8]) -> bool {
+fn frame(data: &[u8]) -> bool {
     const ENCODINGS: [&str; 7] = [
         "",
         "image/jpeg",
@@ -113,19 +119,19 @@ pub fn frame(data: &[u8]) -> bool {
 }
 
 /// The attachment of an otherwise valid frame of 2 × 2 pixels.
-pub fn attachment(data: &[u8]) -> bool {
+fn attachment(data: &[u8]) -> bool {
     let raw = "image/raw;rgb8";
     sample(&[7; 12], raw, Some(data), PayloadFormat::Encoding)
 }
 
 /// A ROS 2 message, read as each of the two types.
-pub fn ros2(data: &[u8]) -> bool {
+fn ros2(data: &[u8]) -> bool {
     let formats = [PayloadFormat::Ros2CompressedImage, PayloadFormat::Ros2Image];
     (formats.map(|format| sample(data, "", None, format))).contains(&true)
 }
 
 /// The output of a camera's program: a sequence of multipart parts, PNG files or PPM files.
-pub fn picture_stream(data: &[u8]) -> bool {
+fn picture_stream(data: &[u8]) -> bool {
     fn drain<T, E>(data: &[u8], mut next: impl FnMut(&mut &[u8]) -> Result<Option<T>, E>) -> bool {
         let mut stream = data;
         loop {
@@ -163,8 +169,7 @@ fn message<T: DeserializeOwned + Serialize + PartialEq + Debug>(data: &[u8]) -> 
     read::<T>(data).is_ok() && json::<T>(data)
 }
 
-/// A batch of a node's reports.
-pub fn report_batch(data: &[u8]) -> bool {
+fn report_batch(data: &[u8]) -> bool {
     message::<ReportAnswer>(data);
     // Fuzzing rarely gets past the compression, so plain JSON is an input too.
     let Ok(mut batch) = read(data).or_else(|_| ReportBatch::from_payload(data)) else {
@@ -182,8 +187,7 @@ pub fn report_batch(data: &[u8]) -> bool {
     true
 }
 
-/// A node's status or heartbeat.
-pub fn status(data: &[u8]) -> bool {
+fn status(data: &[u8]) -> bool {
     let valid = [message::<StatusMessage>(data), json::<NodeStatus>(data)].contains(&true);
     let Ok(beat) = Heartbeat::read(data) else {
         return valid;
@@ -195,7 +199,7 @@ pub fn status(data: &[u8]) -> bool {
 }
 
 /// The settings that a hub or a user sends to a node.
-pub fn desired(data: &[u8]) -> bool {
+fn desired(data: &[u8]) -> bool {
     [
         message::<Desired>(data),
         message::<ConfigChanged>(data),
@@ -207,6 +211,7 @@ pub fn desired(data: &[u8]) -> bool {
     .contains(&true)
 }
 
+/// A service's configuration file.
 fn toml<C: Configuration>(data: &[u8]) -> bool {
     let Ok(text) = std::str::from_utf8(data) else {
         return false;
@@ -216,18 +221,8 @@ fn toml<C: Configuration>(data: &[u8]) -> bool {
     findings.is_empty()
 }
 
-/// A node's configuration file.
-pub fn node_toml(data: &[u8]) -> bool {
-    toml::<NodeConfig>(data)
-}
-
-/// A hub's configuration file.
-pub fn hub_toml(data: &[u8]) -> bool {
-    toml::<HubConfig>(data)
-}
-
 /// The metadata of a model: class names and size as exporters write them.
-pub fn model_metadata(data: &[u8]) -> bool {
+fn model_metadata(data: &[u8]) -> bool {
     let text = String::from_utf8_lossy(data).into_owned();
     let entry = |key: &str| (key.to_owned(), text.clone());
     let metadata = Metadata::new(["names", "imgsz", "args"].map(entry));
@@ -244,14 +239,13 @@ pub fn model_metadata(data: &[u8]) -> bool {
     true
 }
 
-/// A line of `tegrastats`.
-pub fn tegrastats(data: &[u8]) -> bool {
+fn tegrastats(data: &[u8]) -> bool {
     tegrastats_rails(&String::from_utf8_lossy(data)).is_some()
 }
 
 /// Names in Zenoh keys. The keys of an accepted name are valid in Zenoh and have no wildcard. The name is one chunk and
 /// can be read back.
-pub fn names(data: &[u8]) -> bool {
+fn names(data: &[u8]) -> bool {
     let text = String::from_utf8_lossy(data);
     let (prefix, node) = text.split_once('\n').unwrap_or(("albireo", &text));
     let _ = stream_of_token(&text);
@@ -273,7 +267,7 @@ pub fn names(data: &[u8]) -> bool {
 }
 
 /// A rollout request and a selection of nodes.
-pub fn rollout(data: &[u8]) -> bool {
+fn rollout(data: &[u8]) -> bool {
     if let Ok(selector) = Selector::new(&[String::from_utf8_lossy(data)]) {
         selector.selects(
             "car-7",
@@ -291,16 +285,14 @@ pub fn rollout(data: &[u8]) -> bool {
     assert_eq!(plan, again);
     for all in [1, 7, 100_000] {
         let ends = plan.stage_ends(all);
-        assert!(
-            ends.is_sorted() && ends.last() <= Some(&all),
-            "{ends:?} of {all}"
-        );
+        assert!(ends.is_sorted(), "{ends:?}");
+        assert!(ends.last() <= Some(&all), "{ends:?} of {all}");
     }
     true
 }
 
 /// A router's access rules, and the list of certificates that they are generated from.
-pub fn access(data: &[u8]) -> bool {
+fn access(data: &[u8]) -> bool {
     let text = String::from_utf8_lossy(data);
     let mut router = zenoh::Config::default();
     let taken = router.insert_json5("access_control", &text);
@@ -314,17 +306,15 @@ const CHANGES: [&str; 3] = [
     "/api/v1/target",
 ];
 
-fn node_api() -> axum::Router {
-    let config = NodeConfig::default();
-    let board = Board::open(&config).expect("a board in memory");
-    router(board, &config, CancellationToken::new())
-}
-
 /// The body of a request: the first byte chooses its route.
-pub fn http_body(data: &[u8]) -> bool {
+fn http_body(data: &[u8]) -> bool {
     thread_local! {
         static RUNTIME: Runtime = Builder::new_current_thread().enable_all().build().expect("a runtime");
-        static API: axum::Router = node_api();
+        static API: axum::Router = {
+            let config = NodeConfig::default();
+            let board = Board::open(&config).expect("a board in memory");
+            router(board, &config, CancellationToken::new())
+        };
     }
     let Some((first, body)) = data.split_first() else {
         return false;
@@ -333,9 +323,8 @@ pub fn http_body(data: &[u8]) -> bool {
         .body(Body::from(body.to_vec()))
         .expect("a request");
     let answer = API.with(|api| api.clone().call(request));
-    let answer = RUNTIME
-        .with(|runtime| runtime.block_on(answer))
-        .expect("an answer");
+    let answer = RUNTIME.with(|runtime| runtime.block_on(answer));
+    let answer = answer.expect("an answer");
     assert!(!answer.status().is_server_error(), "{answer:?}");
     answer.status().is_success()
 }

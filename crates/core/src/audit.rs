@@ -16,7 +16,7 @@ mod draw;
 mod rate;
 mod sums;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 pub use draw::AuditDraw;
 pub use rate::AuditRate;

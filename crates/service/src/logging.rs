@@ -116,10 +116,8 @@ mod tests {
     fn a_plain_tail_level_is_at_least_info() {
         assert_eq!(tail_level(" warn"), "info");
         assert_eq!(tail_level("debug"), "debug");
-        assert_eq!(
-            tail_level("warn,albireo_node=debug"),
-            "warn,albireo_node=debug"
-        );
+        let directives = "warn,albireo_node=debug";
+        assert_eq!(tail_level(directives), directives);
     }
 
     #[test]

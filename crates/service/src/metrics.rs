@@ -185,13 +185,11 @@ mod tests {
                 ([("side", "c"), ("result", "d")], 3.0),
             ],
         );
-        assert_eq!(
-            page.into_text(),
-            "# HELP up Whether it works\n# TYPE up gauge\nup 1\n\
-             # HELP sessions Sessions\n# TYPE sessions gauge\n\
-             # HELP boxes_total Boxes\n# TYPE boxes_total counter\n\
-             boxes_total{side=\"a\",result=\"b\"} 2.5\nboxes_total{side=\"c\",result=\"d\"} 3\n"
-        );
+        let expected = "# HELP up Whether it works\n# TYPE up gauge\nup 1\n\
+                        # HELP sessions Sessions\n# TYPE sessions gauge\n\
+                        # HELP boxes_total Boxes\n# TYPE boxes_total counter\n\
+                        boxes_total{side=\"a\",result=\"b\"} 2.5\nboxes_total{side=\"c\",result=\"d\"} 3\n";
+        assert_eq!(page.into_text(), expected);
     }
 
     #[test]
@@ -212,10 +210,8 @@ mod tests {
             r#"t_sum{of="a\"\\\n"} 5.2501"#,
             r#"t_count{of="a\"\\\n"} 4"#,
         ] {
-            assert!(
-                text.lines().any(|written| written == line),
-                "{line}: {text}"
-            );
+            let is_there = text.lines().any(|written| written == line);
+            assert!(is_there, "{line}: {text}");
         }
     }
 }

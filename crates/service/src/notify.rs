@@ -110,72 +110,43 @@ mod tests {
     use parking_lot::Mutex;
     use std::sync::Arc;
 
-    /// A service whose state the test sets, and what it sends to the service manager.
-    struct Service {
-        state: Arc<Mutex<ServiceState>>,
-        sent: Arc<Mutex<Vec<String>>>,
-    }
-
-    impl Service {
-        fn start(state: ServiceState) -> Self {
-            let state = Arc::new(Mutex::new(state));
-            let sent = Arc::<Mutex<Vec<String>>>::default();
-            let (read, messages) = (Arc::clone(&state), Arc::clone(&sent));
-            tokio::spawn(async move {
-                let period = Some(Duration::from_secs(1));
-                let send = |sent: &[NotifyState<'_>]| {
-                    messages.lock().extend(sent.iter().map(ToString::to_string));
-                };
-                let forever = CancellationToken::new();
-                watch_state(send, period, || read.lock().clone(), forever).await;
-            });
-            Self { state, sent }
-        }
-
-        fn count(&self, message: &str) -> usize {
-            let sent = self.sent.lock();
-            sent.iter().filter(|one| one.starts_with(message)).count()
-        }
-    }
-
-    fn well() -> ServiceState {
-        ServiceState {
-            ready: true,
-            ..ServiceState::default()
-        }
-    }
-
     #[tokio::test(start_paused = true)]
-    async fn a_waiting_service_feeds_the_watchdog_and_reports_ready_after_30_seconds() {
-        let waits = ServiceState {
+    async fn a_waiting_service_is_ready_after_30_seconds_and_feeds_the_watchdog_unless_it_is_stuck()
+    {
+        let state = Arc::new(Mutex::new(ServiceState {
             reasons: "zenoh: no\nrouter".to_owned(),
             ..ServiceState::default()
+        }));
+        let sent = Arc::<Mutex<Vec<String>>>::default();
+        let (read, messages) = (Arc::clone(&state), Arc::clone(&sent));
+        tokio::spawn(async move {
+            let period = Some(Duration::from_secs(1));
+            let send = |sent: &[NotifyState<'_>]| {
+                messages.lock().extend(sent.iter().map(ToString::to_string));
+            };
+            let forever = CancellationToken::new();
+            watch_state(send, period, || read.lock().clone(), forever).await;
+        });
+        let count = |message: &str| {
+            let sent = sent.lock();
+            sent.iter().filter(|one| one.starts_with(message)).count()
         };
-        let service = Service::start(waits);
         tokio::time::sleep(Duration::from_millis(29_500)).await;
-        assert_eq!(
-            (service.count("READY=1"), service.count("WATCHDOG=1")),
-            (0, 30)
-        );
-        assert!(service.count("STATUS=not ready: zenoh: no router") > 0);
+        assert_eq!((count("READY=1"), count("WATCHDOG=1")), (0, 30));
+        assert!(count("STATUS=not ready: zenoh: no router") > 0);
         tokio::time::sleep(Duration::from_secs(1)).await;
-        assert_eq!(service.count("READY=1"), 1);
-        *service.state.lock() = well();
-        tokio::time::sleep(Duration::from_secs(1)).await;
-        assert_eq!(service.count("READY=1"), 1);
-    }
-
-    #[tokio::test(start_paused = true)]
-    async fn a_stuck_service_does_not_feed_the_watchdog_until_it_recovers() {
-        let service = Service::start(well());
-        tokio::time::sleep(Duration::from_millis(2_500)).await;
-        service.state.lock().stuck = Some("the detector".to_owned());
-        let fed = service.count("WATCHDOG=1");
+        assert_eq!(count("READY=1"), 1);
+        *state.lock() = ServiceState {
+            ready: true,
+            stuck: Some("the detector".to_owned()),
+            ..ServiceState::default()
+        };
+        let fed = count("WATCHDOG=1");
         tokio::time::sleep(Duration::from_secs(5)).await;
-        assert_eq!(service.count("WATCHDOG=1"), fed);
-        assert!(service.count("STATUS=stuck: the detector") > 0);
-        service.state.lock().stuck = None;
+        assert_eq!(count("WATCHDOG=1"), fed);
+        assert!(count("STATUS=stuck: the detector") > 0);
+        state.lock().stuck = None;
         tokio::time::sleep(Duration::from_secs(2)).await;
-        assert_eq!(service.count("WATCHDOG=1"), fed + 2);
+        assert_eq!((count("READY=1"), count("WATCHDOG=1")), (1, fed + 2));
     }
 }

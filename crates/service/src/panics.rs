@@ -55,9 +55,7 @@ mod tests {
 
     #[test]
     fn a_contained_panic_is_returned_and_containment_ends() {
-        let text = contain(|| panic!("row {}", 3))
-            .map(|(): ()| ())
-            .unwrap_err();
+        let text = contain::<()>(|| panic!("row {}", 3)).unwrap_err();
         assert_eq!(message(&*text), "row 3");
         assert!(!CONTAINED.get());
         assert_eq!(contain(|| 7).unwrap(), 7);

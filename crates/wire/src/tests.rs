@@ -4,10 +4,8 @@ use albireo_core::policy::FrameState;
 #[test]
 fn an_unknown_version_is_rejected_with_its_number() {
     let error = read::<FrameAttachment>(br#"{"v":9,"seq":1}"#).unwrap_err();
-    assert_eq!(
-        error.to_string(),
-        "message version 9 is not known here; this program reads version 1"
-    );
+    let expected = "message version 9 is not known here; this program reads version 1";
+    assert_eq!(error.to_string(), expected);
     assert!(read::<FrameAttachment>(br#"{"seq":1}"#).is_err());
     assert!(read::<FrameAttachment>(b"\xff").is_err());
 }
@@ -67,10 +65,8 @@ fn a_decompression_bomb_is_rejected() {
 #[test]
 fn a_corrupt_batch_and_an_unknown_dictionary_are_rejected() {
     let error = ReportBatch::from_payload(&[REPORT_DICTIONARY + 1, 0, 0]).unwrap_err();
-    assert_eq!(
-        error.to_string(),
-        "compressed with dictionary 2; this program has dictionary 1"
-    );
+    let expected = "compressed with dictionary 2; this program has dictionary 1";
+    assert_eq!(error.to_string(), expected);
     assert!(ReportBatch::from_payload(&[]).is_err());
     let sent = example().to_payload(BatchCompression::Best).unwrap();
     let mut corrupt = sent.clone();
@@ -101,10 +97,8 @@ fn an_invalid_threshold_is_an_error_rather_than_none() {
         serde_json::from_str::<CameraStatus>(&json).map(|camera| camera.threshold)
     };
     assert_eq!(camera("").unwrap(), None);
-    assert_eq!(
-        camera(r#","other":1,"threshold":{"name":"u","value":3e-4}"#).unwrap(),
-        Some(Threshold::new("u", 3e-4))
-    );
+    let read = camera(r#","other":1,"threshold":{"name":"u","value":3e-4}"#).unwrap();
+    assert_eq!(read, Some(Threshold::new("u", 3e-4)));
     assert!(camera(r#","threshold":{"name":"u","value":"x"}"#).is_err());
     assert!(camera(r#","threshold":3e-4"#).is_err());
 }
@@ -117,10 +111,8 @@ fn call_causes_serialise_by_name_and_unknown_ones_are_ignored() {
         assert_eq!(calls.get(cause), 0);
         calls.count(cause);
         assert_eq!(calls.get(cause), 1);
-        assert_eq!(
-            serde_json::to_value(cause).unwrap(),
-            serde_json::Value::from(cause.as_str())
-        );
+        let written = serde_json::to_value(cause).unwrap();
+        assert_eq!(written, cause.as_str());
     }
     let json = serde_json::to_string(&calls).unwrap();
     assert_eq!(serde_json::from_str::<DetectorCalls>(&json).unwrap(), calls);

@@ -93,10 +93,8 @@ mod tests {
     fn the_version_is_optional_and_missing_or_unknown_fields_are_rejected() {
         let read = serde_json::from_str::<ThresholdMessage>;
         let message = read(r#"{"threshold":{"name":"u","value":5e-4}}"#).unwrap();
-        assert_eq!(
-            (message.v, message.threshold),
-            (1, Threshold::new("u", 5e-4))
-        );
+        assert_eq!(message.v, 1);
+        assert_eq!(message.threshold, Threshold::new("u", 5e-4));
         for wrong in [
             r#"{}"#,
             r#"{"v":1}"#,
@@ -113,10 +111,8 @@ mod tests {
 
     #[test]
     fn new_truncates_a_long_name_and_deserialising_rejects_it() {
-        assert_eq!(
-            Threshold::new("component_size", 1.0).name.as_str(),
-            "component_size"
-        );
+        let longest = Threshold::new("component_size", 1.0);
+        assert_eq!(longest.name.as_str(), "component_size");
         let name = "x".repeat(25);
         let text = format!(r#"{{"name":"{name}","value":1}}"#);
         assert!(serde_json::from_str::<Threshold>(&text).is_err());
@@ -129,9 +125,7 @@ mod tests {
         let threshold = Threshold::new("u", 5e-4);
         assert_eq!(threshold.value_of(&Albireo::THRESHOLD), Ok(5e-4));
         let error = threshold.value_of(&ExpectedLoss::THRESHOLD).unwrap_err();
-        assert_eq!(
-            error.to_string(),
-            "the threshold of the policy in use is `lambda`, not `u`"
-        );
+        let expected = "the threshold of the policy in use is `lambda`, not `u`";
+        assert_eq!(error.to_string(), expected);
     }
 }

@@ -76,16 +76,11 @@ mod tests {
         let broken = wrapped(&text, 11);
         assert!(broken.lines().count() > 2);
         assert!(broken.lines().all(|line| line.chars().count() <= WIDTH));
-        assert!(
-            broken.starts_with("   3 s ago seven")
-                && broken.lines().skip(1).all(
-                    |line| line.starts_with("           s") || line.starts_with("           l")
-                )
-        );
-        assert_eq!(
-            broken.split_whitespace().collect::<Vec<_>>(),
-            text.split_whitespace().collect::<Vec<_>>()
-        );
+        assert!(broken.starts_with("   3 s ago seven"));
+        let indented = ["           s", "           l"];
+        let is_indented = |line: &str| indented.iter().any(|begin| line.starts_with(begin));
+        assert!(broken.lines().skip(1).all(is_indented));
+        assert!(broken.split_whitespace().eq(text.split_whitespace()));
     }
 
     #[test]

@@ -193,10 +193,8 @@ mod tests {
             assert!(error.contains("NAME=VALUE"), "{wrong}: {error}");
         }
         let target = Target::named("skip_rate", 0.5);
-        assert_eq!(
-            setting(&DesiredSetting::Target(target)),
-            "hold skip_rate 0.5"
-        );
+        let held = setting(&DesiredSetting::Target(target));
+        assert_eq!(held, "hold skip_rate 0.5");
         assert_eq!(setting(&DesiredSetting::Target(None)), "hold nothing");
         let threshold = Threshold::new("u", 5e-4);
         assert_eq!(setting(&threshold.into()), "5e-4");

@@ -6,23 +6,24 @@ use crate::policy::tests::random;
 use crate::policy::{BoxSource, OutputBox};
 use proptest::prelude::*;
 
-fn found(bounding_box: BoundingBox, class: u16) -> Detection {
-    Detection {
-        bounding_box,
-        class: ClassId(class),
-        confidence: 0.9,
-    }
-}
+/// A box and its class.
+type Place = (BoundingBox, u16);
 
-fn shown(bounding_box: BoundingBox, class: u16) -> OutputBox {
-    OutputBox {
+fn add(sums: &mut AuditSums, shown: &[Place], detected: &[Place]) {
+    let shown = shown.iter().map(|&(bounding_box, class)| OutputBox {
         bounding_box,
         class: ClassId(class),
         confidence: 0.7,
         source: BoxSource::Predicted,
         object: None,
         confirmed: true,
-    }
+    });
+    let detected = detected.iter().map(|&(bounding_box, class)| Detection {
+        bounding_box,
+        class: ClassId(class),
+        confidence: 0.9,
+    });
+    sums.add(&Vec::from_iter(shown), &Vec::from_iter(detected));
 }
 
 /// One of 100 places that do not overlap, moved a little.
@@ -31,34 +32,23 @@ fn at(place: usize, off: f64) -> BoundingBox {
     BoundingBox::new(0.05 + column / 10.0 + off, 0.05 + row / 10.0, 0.08, 0.08)
 }
 
-fn one(shown: &[OutputBox], detected: &[Detection]) -> AuditSums {
+fn one(shown: &[Place], detected: &[Place]) -> AuditSums {
     let mut sums = AuditSums::default();
-    sums.add(shown, detected);
+    add(&mut sums, shown, detected);
     sums
 }
 
 /// Adds a frame with `detected` boxes, of which `paired` were shown.
-fn add_crowd(sums: &mut AuditSums, detected: usize, paired: usize) {
-    let seen: Vec<_> = (0..detected)
-        .map(|place| found(at(place, 0.0), 0))
-        .collect();
-    let reported: Vec<_> = (0..paired).map(|place| shown(at(place, 0.0), 0)).collect();
-    sums.add(&reported, &seen);
+pub(crate) fn add_crowd(sums: &mut AuditSums, detected: usize, paired: usize) {
+    let boxes: Vec<_> = (0..detected).map(|place| (at(place, 0.0), 0)).collect();
+    add(sums, &boxes[..paired], &boxes);
 }
 
 #[test]
 fn boxes_of_the_same_object_are_paired() {
-    let seen = [
-        found(at(0, 0.0), 0),
-        found(at(1, 0.0), 1),
-        found(at(4, 0.0), 0),
-    ];
-    let reported = [
-        // Correct with another class; too far off to be the same box; a box that is gone.
-        shown(at(0, 0.004), 7),
-        shown(at(1, 0.04), 1),
-        shown(at(50, 0.0), 0),
-    ];
+    let seen = [(at(0, 0.0), 0), (at(1, 0.0), 1), (at(4, 0.0), 0)];
+    // Correct with another class; too far off to be the same box; a box that is gone.
+    let reported = [(at(0, 0.004), 7), (at(1, 0.04), 1), (at(50, 0.0), 0)];
     let sums = one(&reported, &seen);
     assert_eq!(sums.frames, 1);
     assert_eq!((sums.detected, sums.shown, sums.paired), (3, 3, 1));
@@ -67,9 +57,9 @@ fn boxes_of_the_same_object_are_paired() {
 #[test]
 fn pairs_are_the_optimal_ones_and_not_the_first_that_fit() {
     // The first shown box fits both objects, the second one better; the second fits only the second object.
-    let wide = |center: f64| BoundingBox::new(center, 0.5, 0.2, 0.2);
-    let seen = [found(wide(0.40), 0), found(wide(0.46), 0)];
-    let reported = [shown(wide(0.44), 0), shown(wide(0.52), 0)];
+    let wide = |center: f64| (BoundingBox::new(center, 0.5, 0.2, 0.2), 0);
+    let seen = [wide(0.40), wide(0.46)];
+    let reported = [wide(0.44), wide(0.52)];
     let sums = one(&reported, &seen);
     assert_eq!(sums.paired, 2);
     assert_eq!(sums.recall().unwrap().rate, 1.0);
@@ -77,10 +67,8 @@ fn pairs_are_the_optimal_ones_and_not_the_first_that_fit() {
 
 #[test]
 fn an_invisible_box_counts_on_neither_side() {
-    let outside = BoundingBox::new(1.4, 0.5, 0.2, 0.2);
-    let broken = BoundingBox::new(f64::NAN, 0.5, 0.2, 0.2);
-    let reported = [outside, broken].map(|one| shown(one, 0));
-    let sums = one(&reported, &[outside, broken].map(|one| found(one, 0)));
+    let invisible = [1.4, f64::NAN].map(|x| (BoundingBox::new(x, 0.5, 0.2, 0.2), 0));
+    let sums = one(&invisible, &invisible);
     assert_eq!(sums.frames, 1);
     assert_eq!((sums.detected, sums.shown), (0, 0));
     assert_eq!((sums.recall(), sums.precision()), (None, None));
@@ -146,10 +134,9 @@ fn road(frames: usize) -> Vec<(usize, usize)> {
 #[test]
 fn intervals_cover_the_full_comparison_at_their_rate() {
     let frames = road(5_000);
-    let all: (usize, usize) = frames
-        .iter()
-        .fold((0, 0), |sum, frame| (sum.0 + frame.0, sum.1 + frame.1));
-    let truth = all.1 as f64 / all.0 as f64;
+    let boxes: usize = frames.iter().map(|frame| frame.0).sum();
+    let paired: usize = frames.iter().map(|frame| frame.1).sum();
+    let truth = paired as f64 / boxes as f64;
     let (mut held, mut naive, mut mean) = (0, 0, 0.0);
     let rounds = 400;
     for seed in 0..rounds {
@@ -180,37 +167,32 @@ fn fields_of_later_versions_are_ignored_and_zeros_are_not_written() {
     assert_eq!((sums.missed, sums.frames, sums.drawn()), (3, 2, 5));
 }
 
-fn any_box() -> impl Strategy<Value = BoundingBox> {
-    (-0.1..1.1, -0.1..1.1, 0.01..0.5, 0.01..0.5)
-        .prop_map(|(x, y, width, height)| BoundingBox::new(x, y, width, height))
+fn boxes() -> impl Strategy<Value = Vec<Place>> {
+    let place = (-0.1..1.1, -0.1..1.1, 0.01..0.5, 0.01..0.5)
+        .prop_map(|(x, y, width, height)| BoundingBox::new(x, y, width, height));
+    prop::collection::vec((place, 0..3u16), 0..6)
 }
 
-type Frame = (Vec<OutputBox>, Vec<Detection>, bool);
+type Frame = (Vec<Place>, Vec<Place>, bool);
 
-fn any_frame() -> impl Strategy<Value = Frame> {
-    let reported = prop::collection::vec((any_box(), 0..3u16).prop_map(|(b, c)| shown(b, c)), 0..6);
-    let seen = prop::collection::vec((any_box(), 0..3u16).prop_map(|(b, c)| found(b, c)), 0..6);
-    (reported, seen, any::<bool>())
-}
-
-fn add(sums: &mut AuditSums, (reported, seen, missed): &Frame) {
+fn add_frame(sums: &mut AuditSums, (reported, seen, missed): &Frame) {
     if *missed {
         sums.add_missed(reported.len());
     } else {
-        sums.add(reported, seen);
+        add(sums, reported, seen);
     }
 }
 
 proptest! {
     #[test]
     fn pooled_sums_equal_counting_together(
-        frames in prop::collection::vec((any_frame(), 0..4usize), 0..24)
+        frames in prop::collection::vec(((boxes(), boxes(), any::<bool>()), 0..4usize), 0..24)
     ) {
         let mut together = AuditSums::default();
         let mut parts = [AuditSums::default(); 4];
         for (frame, part) in &frames {
-            add(&mut together, frame);
-            add(&mut parts[*part], frame);
+            add_frame(&mut together, frame);
+            add_frame(&mut parts[*part], frame);
         }
         let mut pooled = AuditSums::default();
         // In another order, and through JSON.
@@ -223,11 +205,9 @@ proptest! {
     }
 
     #[test]
-    fn the_two_sides_are_treated_alike((reported, seen, _) in any_frame()) {
+    fn the_two_sides_are_treated_alike(reported in boxes(), seen in boxes()) {
         let there = one(&reported, &seen);
-        let turned_reported: Vec<_> = seen.iter().map(|d| shown(d.bounding_box, d.class.0)).collect();
-        let turned_seen: Vec<_> = reported.iter().map(|b| found(b.bounding_box, b.class.0)).collect();
-        let back = one(&turned_reported, &turned_seen);
+        let back = one(&seen, &reported);
         prop_assert_eq!(there.detected, back.shown);
         prop_assert_eq!(there.shown, back.detected);
         prop_assert_eq!(there.recall(), back.precision());
@@ -261,21 +241,16 @@ proptest! {
 
 /// The sums of a camera and its true recall: all boxes of a frame except one were shown, but only half of them on missed
 /// frames.
-fn camera(frames: u64, boxes: usize, missed: u64) -> (AuditSums, f64) {
+fn camera(frames: u64, boxes: u64, missed: u64) -> (AuditSums, f64) {
     let mut sums = AuditSums::default();
-    let (mut right, mut all) = (0, 0);
-    for frame in 0..frames {
-        let is_missed = frame < missed;
-        let paired = if is_missed { boxes / 2 } else { boxes - 1 };
-        right += paired;
-        all += boxes;
-        if is_missed {
-            sums.add_missed(boxes);
-        } else {
-            add_crowd(&mut sums, boxes, paired);
-        }
+    for _ in 0..missed {
+        sums.add_missed(boxes as usize);
     }
-    (sums, right as f64 / all as f64)
+    for _ in missed..frames {
+        add_crowd(&mut sums, boxes as usize, boxes as usize - 1);
+    }
+    let right = missed * (boxes / 2) + (frames - missed) * (boxes - 1);
+    (sums, right as f64 / (frames * boxes) as f64)
 }
 
 #[test]

@@ -270,7 +270,6 @@ mod tests {
                     prop_assert_eq!(u32::from(levels[1].pixels[(y + BORDER) * levels[1].stride + BORDER + x]), (sum + 128) / 256);
                 }
             }
-            // The border too.
             for (x, y) in [(-16, -16), (-1, 5), (width as i32 + 15, height as i32 + 15)] {
                 let pixel = levels[0].rows(x, y, 1, 1).unwrap().next().unwrap()[0];
                 prop_assert_eq!(u32::from(pixel), at(x as isize, y as isize));

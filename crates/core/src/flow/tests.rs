@@ -1,53 +1,39 @@
-//! The flow on known warps of a computed texture.
-
 mod opencv;
 
 use super::*;
 use crate::geometry::Corners;
 use proptest::prelude::*;
+use std::f64::consts::TAU;
 
 const WIDTH: usize = 320;
 const HEIGHT: usize = 180;
 
 /// A sum of waves of different directions and lengths.
-pub(super) struct Texture {
-    waves: Vec<[f64; 4]>,
-}
+struct Texture([[f64; 4]; 40]);
 
 impl Texture {
-    pub(super) fn new(seed: u32) -> Self {
+    fn new(seed: u32) -> Self {
         let mut state = seed;
         let mut next = || {
             state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
             f64::from(state >> 8) / f64::from(1 << 24)
         };
-        let waves = (0..40).map(|_| {
+        Self(std::array::from_fn(|_| {
             let length = 6.0 * 10f64.powf(next());
-            let direction = std::f64::consts::TAU * next();
-            let k = std::f64::consts::TAU / length;
-            [
-                k * direction.cos(),
-                k * direction.sin(),
-                std::f64::consts::TAU * next(),
-                1.0 + 0.1 * length,
-            ]
-        });
-        Self {
-            waves: waves.collect(),
-        }
+            let (sin, cos) = (TAU * next()).sin_cos();
+            let k = TAU / length;
+            [k * cos, k * sin, TAU * next(), 1.0 + 0.1 * length]
+        }))
     }
 
     fn at(&self, x: f64, y: f64) -> u8 {
-        let value: f64 = self
-            .waves
-            .iter()
-            .map(|[kx, ky, phase, weight]| weight * (kx * x + ky * y + phase).cos())
-            .sum();
+        let wave = |[kx, ky, phase, weight]: &[f64; 4]| weight * (kx * x + ky * y + phase).cos();
+        let value: f64 = self.0.iter().map(wave).sum();
         (128.0 + 7.0 * value).clamp(0.0, 255.0) as u8
     }
 
     /// The picture in which the point p has moved to `middle + scale·(p − middle) + shift`.
-    pub(super) fn picture(&self, middle: [f64; 2], shift: [f64; 2], scale: f64) -> Vec<u8> {
+    fn picture(&self, middle: [f64; 2], shift: [f64; 2], scale: f64) -> Vec<u8> {
         let place = |at: usize, axis: usize| {
             (at as f64 - middle[axis] - shift[axis]) / scale + middle[axis]
         };
@@ -61,7 +47,7 @@ fn corners([x1, y1, x2, y2]: [f64; 4]) -> Corners {
     Corners { x1, y1, x2, y2 }
 }
 
-pub(super) fn pyramid(bytes: &[u8]) -> Pyramid {
+fn pyramid(bytes: &[u8]) -> Pyramid {
     let mut pyramid = Pyramid::default();
     let view = GreyView::new(WIDTH, HEIGHT, WIDTH, bytes).unwrap();
     pyramid.fill(view, BoxFlowSettings::default().tracker.levels);
@@ -151,7 +137,6 @@ fn a_hidden_box_is_not_followed() {
     }
     let half = flow.follow(&pyramid(&before), &pyramid(&half), area, [0.0; 2]);
     assert!((0.2..0.8).contains(&half.agreement()), "{half:?}");
-    // A grey wall has no texture to track.
     let wall = pyramid(&vec![90; WIDTH * HEIGHT]);
     let lost = flow.follow(&wall, &wall, area, [0.0; 2]);
     assert_eq!((lost.points, lost.kept, lost.motion), (36, 0, None));

@@ -1,5 +1,3 @@
-//! Compares the filter with the textbook's over random lives.
-
 use super::dense::DenseFilter;
 use super::{Filter, FilterModel, FilterParameters, MeasurementUnit, MotionModel};
 use crate::geometry::{BoundingBox, PictureSize};
@@ -42,7 +40,6 @@ fn close(a: f64, b: f64) -> bool {
     (a - b).abs() <= 1e-12 * a.abs().max(1.0)
 }
 
-/// Runs `life` through both filters, and compares them after every step.
 fn compare<const N: usize>(
     mut dense: DenseFilter<N>,
     mut filter: Filter,
@@ -55,10 +52,8 @@ fn compare<const N: usize>(
         if let Some(measured) = *measured {
             let expected = dense.squared_distance(measured).unwrap();
             let found = filter.squared_distance(model, measured);
-            prop_assert!(
-                (found - expected).abs() <= 1e-9 * expected.max(1.0),
-                "{found} {expected}"
-            );
+            let off = (found - expected).abs();
+            prop_assert!(off <= 1e-9 * expected.max(1.0), "{found} {expected}");
             filter.update(model, measured);
             dense.update(measured).unwrap();
         }

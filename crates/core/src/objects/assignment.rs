@@ -167,11 +167,8 @@ mod tests {
             } else {
                 (-5.0..5.0).boxed()
             };
-            (
-                Just(rows),
-                Just(columns),
-                prop::collection::vec(cost, rows * columns),
-            )
+            let costs = prop::collection::vec(cost, rows * columns);
+            costs.prop_map(move |costs| (rows, columns, costs))
         })
     }
 

@@ -153,19 +153,15 @@ mod tests {
         if row == rows {
             return (0, 0.0);
         }
-        let mut best_found = best(row + 1, rows, edges, used);
-        for edge in edges.iter().filter(|edge| edge.row == row) {
-            if used & (1 << edge.column) == 0 {
-                let (pairs, cost) = best(row + 1, rows, edges, used | (1 << edge.column));
-                let candidate = (pairs + 1, cost + edge.cost);
-                if candidate.0 > best_found.0
-                    || (candidate.0 == best_found.0 && candidate.1 < best_found.1)
-                {
-                    best_found = candidate;
-                }
-            }
-        }
-        best_found
+        let of_row = edges.iter().filter(|edge| edge.row == row);
+        let free = of_row.filter(|edge| used & (1 << edge.column) == 0);
+        let paired = free.map(|edge| {
+            let (pairs, cost) = best(row + 1, rows, edges, used | (1 << edge.column));
+            (pairs + 1, cost + edge.cost)
+        });
+        let all = paired.chain([best(row + 1, rows, edges, used)]);
+        all.max_by(|a, b| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1)))
+            .unwrap()
     }
 
     fn graphs() -> impl Strategy<Value = (u32, u32, Vec<Edge>)> {

@@ -99,11 +99,8 @@ mod tests {
             let published = FilterModel::new(&AlbireoSettings::reference().filter, size);
             let paper = FilterModel::new(&AlbireoSettings::paper().filter, size);
             for u in [1e-5, 1e-4, 3e-4, 5e-4, 7e-4, 1e-3, 3e-3, 1e-2] {
-                assert_eq!(
-                    frames(&published, published_threshold(u, size)),
-                    frames(&paper, u),
-                    "u = {u} at {size}"
-                );
+                let equivalent = frames(&published, published_threshold(u, size));
+                assert_eq!(equivalent, frames(&paper, u), "u = {u} at {size}");
             }
         }
         // What the published code needs at 720x576 for what 3e-4 does at 1280x720.
@@ -121,9 +118,8 @@ mod tests {
         let spec = Albireo::THRESHOLD;
         // Below the first a seen object calls the detector on every frame.
         assert!(spec.useful_minimum <= taus[1] && taus[1] <= 1.5 * spec.useful_minimum);
-        let predicted = taus[1..]
-            .iter()
-            .take_while(|tau| **tau < spec.useful_maximum);
+        let most = spec.useful_maximum;
+        let predicted = taus[1..].iter().take_while(|tau| **tau < most);
         assert_eq!(predicted.count(), 6);
     }
 }

@@ -54,43 +54,26 @@ fn events() -> impl Strategy<Value = Vec<Event>> {
     prop::collection::vec(event(), 1..60)
 }
 
-/// Plays one frame; returns its outcome unless it was abandoned, and how often the detector answered.
-fn play(policy: &mut dyn Policy, index: u64, event: &Event) -> (Option<Outcome>, usize) {
-    let picture = match event.small_picture {
+/// Plays one frame; returns how often the detector answered, unless the frame was abandoned.
+fn play(run: &mut Run, event: &Event) -> Option<usize> {
+    run.picture = match event.small_picture {
         true => PictureSize::new(64, 36),
         false => PICTURE,
     };
-    let grey = [event.grey.unwrap_or_default(); 128];
-    let grey = event.grey.map(|_| GreyPicture {
-        size: PictureSize::new(16, 8),
-        pixels: &grey,
-    });
-    let mut known = FrameEvidence {
+    let pixels = [event.grey.unwrap_or_default(); 128];
+    let known = FrameEvidence {
         empty: event.screen,
-        grey,
+        grey: event.grey.map(|_| GreyPicture {
+            size: PictureSize::new(16, 8),
+            pixels: &pixels,
+        }),
         detections: event.detections.as_deref(),
     };
-    let mut answers = 0;
-    let mut answered = 0;
-    let head = FrameHead {
-        index,
-        step: event.step,
-        picture,
-    };
-    let mut need = policy.begin(head);
-    while need != Need::Nothing {
-        if event.given_up == Some(answers) {
-            return (None, answered);
-        }
-        let Ok(evidence) = known.evidence(need);
-        answered += usize::from(matches!(evidence, Evidence::Detections(_)));
-        need = policy.answer(evidence);
-        answers += 1;
-        assert!(answers <= 3, "too many requests");
-    }
-    let mut outcome = Outcome::default();
-    policy.finish(&mut outcome);
-    (Some(outcome), answered)
+    let most = event.given_up.unwrap_or(usize::MAX);
+    let finished = run.frame_within(most, event.step, known);
+    let asked = run.needs.iter().filter(|need| **need == Need::Detections);
+    let answered = usize::from(event.detections.is_some()) * asked.count();
+    finished.then_some(answered)
 }
 
 fn check(name: &str, outcome: &Outcome, answered: usize) {
@@ -99,19 +82,13 @@ fn check(name: &str, outcome: &Outcome, answered: usize) {
     assert!(answered <= 1, "{name}");
     // Every detector call has a cause, and every cause a call.
     let called = answered > 0 || outcome.degraded;
-    assert_eq!(
-        outcome.cause.is_some(),
-        called,
-        "{name}: {state} {:?}",
-        outcome.cause
-    );
+    let cause = outcome.cause;
+    assert_eq!(cause.is_some(), called, "{name}: {state} {cause:?}");
     assert!(!outcome.degraded || state == FrameState::P, "{name}");
     for reported in &outcome.boxes {
         assert!(reported.bounding_box.is_finite(), "{name}: {reported:?}");
-        assert!(
-            (0.0..=1.0).contains(&reported.confidence),
-            "{name}: {reported:?}"
-        );
+        let is_share = (0.0..=1.0).contains(&reported.confidence);
+        assert!(is_share, "{name}: {reported:?}");
         let predicted = matches!(reported.source, BoxSource::Predicted | BoxSource::Followed);
         assert_eq!(predicted, state.is_skipped(), "{name}: {reported:?}");
     }
@@ -140,37 +117,31 @@ proptest! {
         share in 0.0..1.0f64,
     ) {
         for mut config in all_policies() {
-            let mut policy = config.build().unwrap();
-            let mut index = 0;
+            let mut run = Run::with(config.build().unwrap());
             for event in &script {
                 if event.reset {
-                    policy.reset();
+                    run.policy.reset();
                 }
-                index += u64::from(event.step);
-                let (outcome, answered) = play(&mut *policy, index, event);
-                if let Some(outcome) = outcome {
-                    check(&config.name, &outcome, answered);
+                if let Some(answered) = play(&mut run, event) {
+                    check(&config.name, &run.outcome, answered);
                 }
             }
             // After a reset a policy decides like a new one with its threshold.
-            if let Some(spec) = policy.threshold_spec() {
+            let mut again = Run::with(run.policy);
+            if let Some(spec) = again.policy.threshold_spec() {
                 let value = useful(spec, share);
-                policy.set_threshold(value).unwrap();
+                again.policy.set_threshold(value).unwrap();
                 config.set_argument(&value.to_string()).unwrap();
             }
-            policy.reset();
-            let mut fresh = config.build().unwrap();
-            for (index, event) in (0u64..).zip(&script) {
-                let again = play(&mut *policy, index, event);
-                prop_assert_eq!(again, play(&mut *fresh, index, event), "{}", config.name);
-                prop_assert_eq!(records(&*policy), records(&*fresh), "{}", config.name);
+            again.policy.reset();
+            let mut fresh = Run::with(config.build().unwrap());
+            for event in &script {
+                prop_assert_eq!(play(&mut again, event), play(&mut fresh, event), "{}", config.name);
+                prop_assert_eq!(&again.outcome, &fresh.outcome, "{}", config.name);
+                prop_assert_eq!(again.records(), fresh.records(), "{}", config.name);
             }
         }
     }
-}
-
-proptest! {
-    #![proptest_config(ProptestConfig { cases: 64, ..ProptestConfig::default() })]
 
     #[test]
     fn without_pictures_flow_changes_no_bit_of_the_decisions(
@@ -179,18 +150,16 @@ proptest! {
     ) {
         let names = ["expected-loss", "fixed-skip-in-tracker", "even-skip-in-tracker"];
         for name in names {
-            let [mut off, mut flow] =
-                ["", "+flow"].map(|suffix| built(&format!("{name}{suffix}"), Profile::Paper));
-            let value = useful(off.threshold_spec().unwrap(), share);
-            off.set_threshold(value).unwrap();
-            flow.set_threshold(value).unwrap();
-            let mut index = 0;
+            let mut off = Run::new(name, Profile::Paper);
+            let mut flow = Run::new(&format!("{name}+flow"), Profile::Paper);
+            let value = useful(off.policy.threshold_spec().unwrap(), share);
+            off.policy.set_threshold(value).unwrap();
+            flow.policy.set_threshold(value).unwrap();
             for event in &events {
                 let event = Event { given_up: None, grey: None, ..event.clone() };
-                index += u64::from(event.step);
-                let (without, _) = play(&mut *off, index, &event);
-                let (with, _) = play(&mut *flow, index, &event);
-                prop_assert_eq!(without, with, "{} at {}", name, value);
+                play(&mut off, &event);
+                play(&mut flow, &event);
+                prop_assert_eq!(&off.outcome, &flow.outcome, "{} at {}", name, value);
             }
         }
     }
@@ -199,17 +168,18 @@ proptest! {
 #[test]
 fn a_threshold_has_its_configured_value_and_rejects_values_out_of_range() {
     for name in known_policies() {
-        let mut config = PolicyConfig {
-            name: name.to_owned(),
-            ..PolicyConfig::default()
-        };
+        let mut config = PolicyConfig::default();
+        config.select(name).unwrap();
         let mut policy = config.build().unwrap();
+        assert_eq!(policy.name(), name);
         let Some(spec) = policy.threshold_spec() else {
             assert_eq!(policy.threshold(), None, "{name}");
             assert!(policy.set_threshold(1.0).is_err(), "{name}");
             continue;
         };
         assert_eq!(policy.threshold(), Some(spec.default), "{name}");
+        // It fits into a message.
+        assert!(spec.name.len() <= 24, "{name}: {}", spec.name);
         let below = [spec.minimum - 1e-3, -1.0, f64::NEG_INFINITY];
         let above = [spec.maximum * 1.1, f64::INFINITY, f64::NAN];
         for bad in [below, above].concat() {
@@ -220,8 +190,33 @@ fn a_threshold_has_its_configured_value_and_rejects_values_out_of_range() {
         }
         for good in [spec.minimum, spec.maximum] {
             policy.set_threshold(good).unwrap();
-            assert_eq!(policy.threshold(), Some(good), "{name}");
+            let selected = built(&format!("{name}:{good:e}"), Profile::Paper);
+            for policy in [&policy, &selected] {
+                assert_eq!((policy.name(), policy.threshold()), (name, Some(good)));
+            }
         }
+    }
+}
+
+#[test]
+fn policies_without_objects_report_the_usable_detections_unchanged() {
+    let found = [0.1, f64::NAN, 0.2].map(|x| seen(x, 0.9));
+    let usable = [0.1, 0.2].map(|x| (BoxSource::Detected, x, 0.9));
+    let detections = &[Need::Detections][..];
+    let screened = &[Need::Screen, Need::Detections];
+    for (name, state, needs, cause) in [
+        ("vanilla", FrameState::I, detections, CallCause::EveryFrame),
+        ("erd-only", FrameState::EI, screened, CallCause::Screen),
+    ] {
+        let mut run = Run::new(name, Profile::Paper);
+        for _ in 0..3 {
+            assert_eq!(run.see(&found), state, "{name}");
+            assert_eq!(run.needs, needs, "{name}");
+            assert_eq!(run.outcome.cause, Some(cause), "{name}");
+            assert_eq!(run.reported(), usable, "{name}");
+            assert!(!run.outcome.degraded, "{name}");
+        }
+        assert_eq!(run.policy.rejected_detections(), 3, "{name}");
     }
 }
 
@@ -266,12 +261,9 @@ fn a_frame_without_the_detector_is_predicted_and_the_next_one_asks_again() {
             }
             assert!(!run.see(&found).is_skipped(), "{what}");
             assert!(!run.outcome.degraded, "{what}");
-            let after: Vec<_> = run.records().iter().map(of).collect();
-            let expected: Vec<_> = before
-                .iter()
-                .map(|&(id, misses, _)| (id, misses, 0))
-                .collect();
-            assert_eq!(after, expected, "{what}");
+            let seen_again = before.iter().map(|&(id, misses, _)| (id, misses, 0));
+            let records = run.records();
+            assert!(records.iter().map(of).eq(seen_again), "{what}: {records:?}");
         }
     }
 }
@@ -279,6 +271,7 @@ fn a_frame_without_the_detector_is_predicted_and_the_next_one_asks_again() {
 #[test]
 fn an_empty_scene_skips_the_detector_and_without_the_screen_it_runs() {
     let found = [seen(0.5, 0.9)];
+    let in_view = FrameEvidence::in_view(&found);
     let unscreened = FrameEvidence::detections(&found);
     let empty = FrameEvidence {
         empty: Some(true),
@@ -302,11 +295,7 @@ fn an_empty_scene_skips_the_detector_and_without_the_screen_it_runs() {
             assert_eq!(run.outcome, outcome, "{name}");
         }
         for (known, state, cause) in [
-            (
-                FrameEvidence::in_view(&found),
-                FrameState::EI,
-                CallCause::Screen,
-            ),
+            (in_view, FrameState::EI, CallCause::Screen),
             (unscreened, FrameState::I, cause),
         ] {
             run.policy.reset();

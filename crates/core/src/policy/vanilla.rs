@@ -60,24 +60,3 @@ impl Policy for Vanilla {
         self.boxes.rejected()
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::policy::tests::{Run, seen};
-    use crate::policy::{BoxSource::Detected, Profile};
-
-    #[test]
-    fn every_frame_asks_the_detector_and_reports_what_it_found() {
-        let mut run = Run::new("vanilla", Profile::Paper);
-        let found = [0.1, f64::NAN, 0.2].map(|x| seen(x, 0.9));
-        for _ in 0..3 {
-            assert_eq!(run.see(&found), FrameState::I);
-            assert_eq!(run.needs, [Need::Detections]);
-            assert!(!run.outcome.degraded);
-            assert_eq!(run.outcome.cause, Some(CallCause::EveryFrame));
-            assert_eq!(run.reported(), [(Detected, 0.1, 0.9), (Detected, 0.2, 0.9)]);
-        }
-        assert_eq!(run.policy.rejected_detections(), 3);
-    }
-}

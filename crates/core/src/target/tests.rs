@@ -1,7 +1,8 @@
 //! Simulates a node by a few straight lines, second by second in virtual time.
 
 use super::*;
-use crate::audit::{AuditSquares, AuditSums};
+use crate::audit::AuditSums;
+use crate::audit::tests::add_crowd;
 use crate::policy::tests::random;
 use crate::policy::{Albireo, ExpectedLoss, PolicyConfig};
 use proptest::prelude::*;
@@ -13,12 +14,16 @@ const RANGE: ThresholdRange = ThresholdRange {
 
 /// A camera with a detector that consumes 9 W when it is always busy, on a board that consumes 4 W.
 struct Plant {
-    /// Frames per second.
     rate: u64,
     /// Share of frames with the detector at a threshold of 0.3.
     busy: f64,
     steepness: f64,
     detector_ms: f64,
+    /// The true recall at a threshold of 0.3, if frames are audited. It falls as the threshold rises.
+    recall: Option<f64>,
+    /// In so many of ten seconds the audit is missed.
+    missed_of_ten: u64,
+    played: u64,
     random: Box<dyn FnMut() -> f64>,
     /// Frames until the next detector call.
     until_call: f64,
@@ -31,24 +36,41 @@ impl Plant {
             busy: 0.6,
             steepness: 0.22,
             detector_ms: 40.0,
+            recall: None,
+            missed_of_ten: 0,
+            played: 0,
             random: Box::new(random(seed)),
             until_call: 1.0,
         }
     }
 
-    fn share(&self, threshold: f64) -> f64 {
-        (self.busy - self.steepness * (threshold / 0.3).ln()).clamp(0.04, 1.0)
+    /// One audited frame of five boxes every three seconds.
+    fn audited(&mut self, recall: f64) -> AuditSums {
+        let mut sums = AuditSums::default();
+        if (self.random)() < 1.0 / 3.0 {
+            let shown = (0..5).filter(|_| (self.random)() < recall).count();
+            if self.played % 10 < self.missed_of_ten {
+                sums.add_missed(5);
+            } else {
+                add_crowd(&mut sums, 5, shown);
+            }
+        }
+        sums
     }
 
     /// Plays a second with the threshold at this value. The pauses between calls vary as they do on roads.
     fn second(&mut self, threshold: f64) -> Measured {
+        let above = (threshold / 0.3).ln();
+        let recall = self.recall.map(|recall| recall - 0.05 * above);
+        let audit = recall.map(|recall| self.audited(recall));
+        self.played += 1;
+        let share = (self.busy - self.steepness * above).clamp(0.04, 1.0);
         let mut calls = 0;
         for _ in 0..self.rate {
             self.until_call -= 1.0;
             if self.until_call <= 0.0 {
                 calls += 1;
-                let pause = 1.0 / self.share(threshold);
-                self.until_call += pause * (0.6 + 0.8 * (self.random)());
+                self.until_call += 1.0 / share * (0.6 + 0.8 * (self.random)());
             }
         }
         let busy = (calls as f64 * self.detector_ms / 1000.0).min(1.0);
@@ -58,7 +80,7 @@ impl Plant {
             frames: self.rate,
             skipped: self.rate - calls,
             watts: Some((4.0 + 9.0 * busy) * noise),
-            audit: AuditSums::default(),
+            audit: audit.unwrap_or_default(),
         }
     }
 }
@@ -233,59 +255,17 @@ fn without_frames_or_power_the_threshold_rests_and_the_reason_is_reported() {
     assert!((controller.threshold() - threshold).abs() < 1e-9);
 }
 
-/// A second of audit: the detector's boxes, and how many were shown, which falls as the threshold rises.
-fn audited(plant: &mut Plant, threshold: f64, at_default: f64) -> AuditSums {
-    let recall = (at_default - 0.05 * (threshold / 0.3).ln()).clamp(0.0, 1.0);
-    let mut sums = AuditSums::default();
-    // One frame of five boxes every three seconds.
-    if (plant.random)() < 1.0 / 3.0 {
-        let shown = (0..5).filter(|_| (plant.random)() < recall).count() as u64;
-        sums.frames = 1;
-        sums.detected = 5;
-        sums.paired = shown;
-        sums.squares = AuditSquares {
-            detected: 25,
-            paired: shown * shown,
-            detected_paired: 5 * shown,
-            ..AuditSquares::default()
-        };
-    }
-    sums
-}
-
-/// Lets `seconds` pass with an audit of which so many tenths are missed; returns every state.
-fn run_audited(
-    controller: &mut TargetController,
-    plant: &mut Plant,
-    seconds: u32,
-    at_default: f64,
-    missed_of_ten: u32,
-) -> Vec<TargetState> {
-    (0..seconds)
-        .map(|second| {
-            let threshold = controller.threshold();
-            let mut audit = audited(plant, threshold, at_default);
-            if audit.frames > 0 && second % 10 < missed_of_ten {
-                audit = AuditSums::default();
-                audit.add_missed(5);
-            }
-            controller.step(&Measured {
-                audit,
-                ..plant.second(threshold)
-            })
-        })
-        .collect()
-}
-
 #[test]
 fn a_recall_target_pauses_while_more_than_a_fifth_of_the_audit_is_missed() {
     let mut plant = Plant::new(71);
+    (plant.recall, plant.missed_of_ten) = (Some(0.99), 4);
     let mut controller = TargetController::new(Target::Recall(0.85), RANGE, 0.3).unwrap();
     let before = controller.threshold();
-    let states = run_audited(&mut controller, &mut plant, 3600, 0.99, 4);
+    let states = run(&mut controller, &mut plant, 3600);
     assert_eq!(states.last().unwrap().status, TargetStatus::Measuring);
     assert_eq!(controller.threshold() / before, 1.0);
-    run_audited(&mut controller, &mut plant, 3600, 0.99, 0);
+    plant.missed_of_ten = 0;
+    run(&mut controller, &mut plant, 3600);
     let turned = controller.threshold() / before;
     assert!(turned > 1.5, "{turned}");
 }
@@ -294,8 +274,9 @@ fn a_recall_target_pauses_while_more_than_a_fifth_of_the_audit_is_missed() {
 fn the_lower_bound_of_recall_is_held_and_an_impossible_one_is_reported() {
     let target = Target::Recall(0.85);
     let mut plant = Plant::new(61);
+    plant.recall = Some(0.90);
     let mut controller = TargetController::new(target, RANGE, 2.0).unwrap();
-    let states = run_audited(&mut controller, &mut plant, 3 * 3600, 0.90, 0);
+    let states = run(&mut controller, &mut plant, 3 * 3600);
     // After the first of three hours.
     let kept = &states[3600..];
     let of_truth = |state: &TargetState| 0.90 - 0.05 * (state.threshold / 0.3).ln();
@@ -305,13 +286,14 @@ fn the_lower_bound_of_recall_is_held_and_an_impossible_one_is_reported() {
     assert!(below < kept.len() / 10, "{below} of {}", kept.len());
     assert!(kept.last().unwrap().boxes.unwrap() > 100);
 
-    let states = run_audited(&mut controller, &mut plant, 3 * 3600, 0.70, 0);
+    plant.recall = Some(0.70);
+    let states = run(&mut controller, &mut plant, 3 * 3600);
     let last = states.last().unwrap();
     assert_eq!(last.status, TargetStatus::CannotBeMet, "{last:?}");
     assert!((last.threshold - RANGE.least).abs() < 1e-9 && last.unmet_s > 3600.0);
 
     // Nothing is drawn any more: the status reports it, and the threshold stays.
-    plant.busy = 0.3;
+    (plant.recall, plant.busy) = (None, 0.3);
     let states = run(&mut controller, &mut plant, 701);
     assert_eq!(states[700].status, TargetStatus::NoAudit);
 }
@@ -329,10 +311,8 @@ fn impossible_targets_are_rejected_with_a_reason() {
         assert!(TargetController::new(wrong, RANGE, 0.3).is_err());
     }
     let error = Target::SkipRate(3.0).check().unwrap_err();
-    assert_eq!(
-        error.to_string(),
-        "`skip_rate` must be a number from 0.01 to 0.99, not 3"
-    );
+    let expected = "`skip_rate` must be a number from 0.01 to 0.99, not 3";
+    assert_eq!(error.to_string(), expected);
     for name in Target::NAMES {
         let target = Target::named(name, 0.5).unwrap();
         let text = serde_json::to_string(&target).unwrap();
@@ -360,10 +340,8 @@ fn the_default_range_costs_little_accuracy_and_other_thresholds_are_rejected() {
     let refused = ThresholdRange::of("ctd", ctd.as_ref(), None, None).unwrap_err();
     assert!(refused.to_string().contains("`ctd`"), "{refused}");
     let refused = ThresholdRange::of("vanilla", None, None, None).unwrap_err();
-    assert_eq!(
-        refused.to_string(),
-        "a target moves `u` or `lambda`, and policy `vanilla` has no threshold"
-    );
+    let expected = "a target moves `u` or `lambda`, and policy `vanilla` has no threshold";
+    assert_eq!(refused.to_string(), expected);
 }
 
 fn any_number() -> impl Strategy<Value = f64> {
@@ -395,10 +373,8 @@ proptest! {
                 watts,
                 audit: AuditSums::default(),
             });
-            prop_assert!(
-                (RANGE.least - 1e-9..=RANGE.most + 1e-9).contains(&state.threshold),
-                "{:?}", state
-            );
+            let range = RANGE.least - 1e-9..=RANGE.most + 1e-9;
+            prop_assert!(range.contains(&state.threshold), "{:?}", state);
         }
     }
 }

@@ -269,10 +269,8 @@ mod tests {
             }
             for (index, camera) in self.camera.iter().enumerate() {
                 if camera.name.is_empty() || camera.name.contains(' ') || camera.ring > 9 {
-                    findings.push(Finding::new(
-                        format!("camera[{index}].name"),
-                        "no such name",
-                    ));
+                    let key = format!("camera[{index}].name");
+                    findings.push(Finding::new(key, "no such name"));
                 }
             }
             findings
@@ -286,46 +284,16 @@ mod tests {
         let (_, findings) = examine_text::<Small>(text);
         let mut reported: Vec<_> = findings.iter().map(ToString::to_string).collect();
         reported.sort();
-        assert_eq!(
-            reported,
-            [
-                "camera.a b.name: no such name",
-                "camera.a b.rung: unknown key `rung`; did you mean `ring`?",
-                "camera[0].name: no such name",
-                "camera[0].ring: must be a whole number, 0 or more, not string \"two\"",
-                "http.loud: unknown key `loud`; known are `timeout` or `port`",
-                "http.port: must not be 0",
-                "http.prot: unknown key `prot`; did you mean `port`?",
-                "http.timeout: must be a number, not string \"long\"",
-            ]
-        );
-    }
-
-    #[test]
-    fn a_key_is_named_as_its_environment_variable() {
-        assert_eq!(
-            variable("http.cors_origins"),
-            "environment variable ALBIREO_HTTP__CORS_ORIGINS"
-        );
-    }
-
-    #[test]
-    fn a_variable_with_a_missing_underscore_is_reported() {
-        let names = [
-            "ALBIREO_HTTP_LISTEN",
-            "ALBIREO_HTTP__LISTEN",
-            "ALBIREO_SHARED",
-            "HTTP_PROXY",
-            "ALBIREO_CONFIG",
+        let expected = [
+            "camera.a b.name: no such name",
+            "camera.a b.rung: unknown key `rung`; did you mean `ring`?",
+            "camera[0].name: no such name",
+            "camera[0].ring: must be a whole number, 0 or more, not string \"two\"",
+            "http.loud: unknown key `loud`; known are `timeout` or `port`",
+            "http.port: must not be 0",
+            "http.prot: unknown key `prot`; did you mean `port`?",
+            "http.timeout: must be a number, not string \"long\"",
         ];
-        let found = misspelt_variables(
-            names.into_iter().map(str::to_owned),
-            &["HTTP", "NODE", "CLIP"],
-        );
-        assert_eq!(found.len(), 1);
-        assert!(
-            found[0].reason.contains("ALBIREO_HTTP__LISTEN"),
-            "{found:?}"
-        );
+        assert_eq!(reported, expected);
     }
 }

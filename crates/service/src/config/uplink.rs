@@ -118,23 +118,3 @@ impl UplinkConfig {
         }
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_section_makes_a_valid_zenoh_configuration() {
-        let uplink = UplinkConfig {
-            connect: vec!["tls/hub.example:7447".to_owned()],
-            root_ca_certificate: Some("ca.pem".into()),
-            certificate: Some("node.pem".into()),
-            private_key: Some("node.key".into()),
-            ..UplinkConfig::default()
-        };
-        uplink.to_zenoh(Duration::from_millis(700)).unwrap();
-        let mut findings = Findings::default();
-        uplink.check(&mut findings);
-        assert!(findings.into_vec().is_empty());
-    }
-}

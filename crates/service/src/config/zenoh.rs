@@ -128,28 +128,17 @@ mod tests {
 
     #[test]
     fn an_endpoint_with_a_transport_that_is_not_built_in_is_rejected() {
-        let endpoints = [
-            "quic/hub:1",
-            "ws/hub:1",
-            "serial/dev/tty",
-            "tls/hub:1",
-            "tcp/hub:1",
-        ];
+        let endpoints = "quic/hub:1 ws/hub:1 serial/dev/tty tls/hub:1 tcp/hub:1".split(' ');
         let zenoh = ZenohConfig {
-            connect: endpoints.map(str::to_owned).to_vec(),
+            connect: endpoints.map(str::to_owned).collect(),
             ..ZenohConfig::default()
         };
         let mut findings = Findings::default();
         zenoh.check(1 << 20, &mut findings);
         let findings = findings.into_vec();
         assert_eq!(findings.len(), 3, "{findings:?}");
-        assert!(
-            findings[0]
-                .to_string()
-                .contains("`quic`, which is not built in"),
-            "{}",
-            findings[0]
-        );
+        let first = findings[0].to_string();
+        assert!(first.contains("`quic`, which is not built in"), "{first}");
     }
 
     #[test]

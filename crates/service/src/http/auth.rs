@@ -362,27 +362,12 @@ mod tests {
 
     #[test]
     fn only_ip_addresses_and_localhost_are_accepted_as_host() {
-        for host in [
-            "localhost",
-            "LOCALHOST:80",
-            "127.0.0.1:8080",
-            "[::1]",
-            "[::1]:8080",
-        ] {
+        for host in "localhost LOCALHOST:80 127.0.0.1:8080 [::1] [::1]:8080".split(' ') {
             assert!(is_address(host), "{host}");
         }
-        for host in [
-            "",
-            "evil.example",
-            "[::1].evil.example",
-            "[::1]evil",
-            "[::1",
-            "localhost:80@evil",
-            "localhost@evil",
-            "localhost:evil",
-            "127.0.0.1.evil.example",
-            "127.0.0.1:80:80",
-        ] {
+        let foreign = "evil.example [::1].evil.example [::1]evil [::1 localhost:80@evil localhost@evil localhost:evil \
+                       127.0.0.1.evil.example 127.0.0.1:80:80";
+        for host in foreign.split(' ').chain([""]) {
             assert!(!is_address(host), "{host}");
         }
     }

@@ -159,35 +159,27 @@ mod tests {
     use super::*;
     use tracing_subscriber::layer::SubscriberExt;
 
-    fn line(text: &str) -> LogLine {
-        LogLine {
-            number: 0,
-            at_ms: 1_800_000_000_007,
-            level: "INFO",
-            target: "albireo".to_owned(),
-            text: text.to_owned(),
-        }
-    }
-
     #[test]
     fn the_last_lines_are_kept_and_can_be_read_after_a_number() {
         let mut lines = VecDeque::new();
         for number in 1..=KEPT + 3 {
-            keep(&mut lines, line(&number.to_string()));
+            let line = LogLine {
+                number: 0,
+                at_ms: 1_800_000_000_007,
+                level: "INFO",
+                target: "albireo".to_owned(),
+                text: number.to_string(),
+            };
+            keep(&mut lines, line);
         }
         let all = after(&lines, 0, usize::MAX);
         assert_eq!(all.len(), KEPT);
         assert_eq!((all[0].number, all[0].text.as_str()), (4, "4"));
-        let last: Vec<_> = after(&lines, 1000, 2)
-            .iter()
-            .map(|line| line.number)
-            .collect();
-        assert_eq!(last, [1002, 1003]);
+        let last = after(&lines, 1000, 2);
+        assert_eq!([last[0].number, last[1].number], [1002, 1003]);
         assert_eq!(after(&lines, 1003, 10), []);
-        assert_eq!(
-            all[0].to_string(),
-            "2027-01-15T08:00:00.007Z  INFO albireo: 4"
-        );
+        let expected = "2027-01-15T08:00:00.007Z  INFO albireo: 4";
+        assert_eq!(all[0].to_string(), expected);
     }
 
     // A single test, because the lines and the secrets are global to the process.
@@ -206,26 +198,18 @@ mod tests {
             tracing::info!(target: "tail_test", "{long}");
         });
         let kept = lines_after(0, KEPT);
-        let mine: Vec<_> = kept
-            .iter()
-            .filter(|line| line.target == "tail_test")
-            .collect();
+        let mine = kept.iter().filter(|line| line.target == "tail_test");
+        let mine: Vec<_> = mine.collect();
         let [asked, refused, long] = mine[..] else {
             panic!("{mine:?}")
         };
-        assert_eq!(
-            asked.text,
-            "camera{name=\"front\"}: asked with (secret) for 3 password=\"(secret)\""
-        );
+        let expected = r#"camera{name="front"}: asked with (secret) for 3 password="(secret)""#;
+        assert_eq!(asked.text, expected);
         assert_eq!(refused.level, "ERROR");
-        assert!(
-            refused.text.contains("refused error=no way with (secret)"),
-            "{refused}"
-        );
-        assert!(
-            !long.text.contains("hush") && long.text.len() <= LONGEST + 4,
-            "{long}"
-        );
+        let expected = "refused error=no way with (secret)";
+        assert!(refused.text.contains(expected), "{refused}");
+        assert!(!long.text.contains("hush"), "{long}");
+        assert!(long.text.len() <= LONGEST + 4, "{long}");
         assert!(kept.iter().all(|line| !line.text.contains("hush-hush-7")));
     }
 }

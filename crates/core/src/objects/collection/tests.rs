@@ -1,5 +1,3 @@
-//! The life cycle of objects.
-
 use super::*;
 use crate::policy::AlbireoSettings;
 use crate::policy::tests::PICTURE;
@@ -19,10 +17,10 @@ fn objects() -> ObjectStates {
     ObjectStates::new(AlbireoSettings::paper().objects())
 }
 
-fn confirmed(x: f64) -> ObjectStates {
-    let mut objects = objects();
+/// `objects` with a confirmed one.
+fn confirmed(mut objects: ObjectStates) -> ObjectStates {
     for _ in 0..3 {
-        frame(&mut objects, &[seen(x)]);
+        frame(&mut objects, &[seen(0.5)]);
     }
     assert!(objects.states()[0].confirmed);
     objects
@@ -77,10 +75,7 @@ fn a_rescue_resets_the_age_only_if_configured() {
     for resets in [false, true] {
         let mut settings = AlbireoSettings::paper().objects();
         settings.life_cycle.rescue_resets_age = resets;
-        let mut objects = ObjectStates::new(settings);
-        for _ in 0..3 {
-            frame(&mut objects, &[seen(0.5)]);
-        }
+        let mut objects = confirmed(ObjectStates::new(settings));
         frame(&mut objects, &[]);
         let state = &objects.states()[0];
         assert_eq!(state.since_infer, if resets { 0 } else { 1 });
@@ -119,7 +114,7 @@ fn sides_stay_at_least_one_pixel_long() {
 
 #[test]
 fn too_long_a_gap_forgets_all_objects() {
-    let mut objects = confirmed(0.5);
+    let mut objects = confirmed(objects());
     objects.predict(PICTURE, 301);
     assert_eq!(objects.states().len(), 1);
     objects.predict(PICTURE, u32::MAX);
@@ -128,7 +123,7 @@ fn too_long_a_gap_forgets_all_objects() {
 
 #[test]
 fn hostile_detections_are_counted_and_have_no_effect() {
-    let mut objects = confirmed(0.5);
+    let mut objects = confirmed(objects());
     let mut clean = objects.clone();
     let mut found = vec![seen(0.5)];
     for number in [f64::NAN, f64::INFINITY, -1e300, 1e300] {
@@ -150,7 +145,7 @@ fn hostile_detections_are_counted_and_have_no_effect() {
 
 #[test]
 fn a_picture_without_pixels_is_harmless() {
-    let mut objects = confirmed(0.5);
+    let mut objects = confirmed(objects());
     objects.predict(PictureSize::new(0, 0), 1);
     for state in objects.states() {
         assert!(state.filter.bounding_box().is_finite() && state.filter.tau().is_finite());

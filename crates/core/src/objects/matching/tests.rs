@@ -1,5 +1,3 @@
-//! The matcher pairs objects with detections.
-
 use super::*;
 use crate::detection::ObjectId;
 use crate::geometry::PictureSize;
@@ -92,31 +90,6 @@ fn a_hopeless_pair_displaces_a_good_one_only_if_gates_are_applied_last() {
     }
 }
 
-#[test]
-fn boxes_without_overlap_are_not_matched_by_overlap_at_any_gate() {
-    let (states, apart) = ([object(at(0.2, 0.1), 1)], [detection(at(0.8, 0.1))]);
-    for gate in [GateOrder::BeforeAssignment, GateOrder::AfterAssignment] {
-        let settings = Association {
-            gate,
-            iou_gate: 0.0,
-            mahalanobis_gate: 0.0,
-            ..SETTINGS
-        };
-        assert_eq!(associate(&settings, &states, &apart), [None]);
-    }
-}
-
-#[test]
-fn unusable_detections_are_never_matched() {
-    let states = [object(at(0.5, 0.1), 1)];
-    let detections = [detection(at(f64::NAN, 0.1)), detection(at(0.5, 0.1))];
-    let mut matcher = Matcher::default();
-    let usable = [false, true].into_iter();
-    let found = matcher.associate(&SETTINGS, &model(), &states, &detections, usable);
-    assert_eq!(found, [Some(1)]);
-    assert_eq!(matcher.is_free(), [false, false]);
-}
-
 /// The matcher's definition: all pairs are measured, and those within the gate compete.
 fn associate_without_index(
     settings: &Association,
@@ -125,36 +98,29 @@ fn associate_without_index(
 ) -> Vec<Option<u32>> {
     let mut detection_of = vec![None; states.len()];
     for stage in 0..2 {
-        let columns: Vec<_> = (0..detections.len() as u32)
-            .filter(|index| !detection_of.contains(&Some(*index)))
-            .collect();
-        let rows: Vec<usize> = (0..states.len())
-            .filter(|&row| match stage {
-                0 => states[row].since_update <= settings.iou_frames,
-                _ => detection_of[row].is_none(),
-            })
-            .collect();
         let mut edges = Vec::new();
-        for (row, &state) in (0u32..).zip(&rows) {
-            let state = &states[state];
-            for (column, &index) in (0u32..).zip(&columns) {
-                let other = &detections[index as usize];
+        for (row, state) in (0..).zip(states) {
+            let competes = match stage {
+                0 => state.since_update <= settings.iou_frames,
+                _ => detection_of[row as usize].is_none(),
+            };
+            for (column, other) in (0..).zip(detections).filter(|_| competes) {
                 let own = state.filter.bounding_box();
-                let iou = own.intersection_over_union(other.bounding_box);
-                let distance = state.filter.squared_distance(&model(), other.bounding_box);
                 // The overlap follows from the cost: 1e-30, a rounding error, is no overlap.
-                let cost = 1.0 - iou;
+                let cost = 1.0 - own.intersection_over_union(other.bounding_box);
+                let distance = state.filter.squared_distance(&model(), other.bounding_box);
                 let cost = match stage {
                     0 => (1.0 - cost >= settings.iou_gate && cost < 1.0).then_some(cost),
                     _ => (distance < settings.mahalanobis_gate).then_some(distance),
                 };
+                let cost = cost.filter(|_| !detection_of.contains(&Some(column)));
                 edges.extend(cost.map(|cost| Edge { row, column, cost }));
             }
         }
         let mut pairs = Vec::new();
-        ComponentSolver::default().solve(rows.len(), columns.len(), &edges, &mut pairs);
+        ComponentSolver::default().solve(states.len(), detections.len(), &edges, &mut pairs);
         for (row, column) in pairs {
-            detection_of[rows[row as usize]] = Some(columns[column as usize]);
+            detection_of[row as usize] = Some(column);
         }
     }
     detection_of
@@ -192,11 +158,12 @@ proptest! {
     #[test]
     fn no_detection_is_matched_twice_and_no_pair_is_beyond_both_gates(
         seen in scene(60), found in scene(60), late in any::<bool>(),
+        iou_gate in prop_oneof![Just(0.0), Just(SETTINGS.iou_gate)],
     ) {
         let states: Vec<_> = seen.into_iter().map(|(place, age)| object(place, age)).collect();
         let detections: Vec<_> = found.into_iter().map(|(place, _)| detection(place)).collect();
         let gate = if late { GateOrder::AfterAssignment } else { GateOrder::BeforeAssignment };
-        let matches = associate(&Association { gate, ..SETTINGS }, &states, &detections);
+        let matches = associate(&Association { gate, iou_gate, ..SETTINGS }, &states, &detections);
         let mut taken = vec![false; detections.len()];
         for (state, matched) in states.iter().zip(&matches) {
             let Some(index) = *matched else { continue };
@@ -205,7 +172,7 @@ proptest! {
             let iou = state.filter.bounding_box().intersection_over_union(measured);
             let distance = state.filter.squared_distance(&model(), measured);
             prop_assert!(
-                (state.since_update <= SETTINGS.iou_frames && iou >= SETTINGS.iou_gate - 1e-12)
+                (state.since_update <= SETTINGS.iou_frames && iou > 0.0 && iou >= iou_gate - 1e-12)
                     || distance < SETTINGS.mahalanobis_gate
             );
         }

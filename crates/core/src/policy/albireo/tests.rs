@@ -1,9 +1,7 @@
-//! The policy beyond the golden traces: the profile of the paper, gaps and failures.
-
 use super::*;
 use crate::geometry::{BoundingBox, PictureSize};
-use crate::policy::tests::{Run, head, records, seen};
-use crate::policy::{BoxSource, FrameEvidence, decide};
+use crate::policy::tests::{Run, seen};
+use crate::policy::{BoxSource, FrameEvidence};
 
 fn start(settings: AlbireoSettings, u: f64) -> Run<Albireo> {
     Run::with(Box::new(Albireo::new(settings, u).unwrap()))
@@ -201,14 +199,14 @@ fn evidence_of_the_wrong_kind_is_ignored() {
     assert_eq!(run.outcome.boxes.len(), 1);
 }
 
-/// The decision on a frame: its state, and the ids of its objects.
+/// The state of a frame, and the ids of its objects.
 type Decided = (FrameState, Vec<u64>);
 
 /// Decides a minute of a street in pictures of `size`: cars come, go, jitter and are sometimes missed, all at fractions of the
 /// picture, converted through pixels as a detector does.
 fn decided_in_pictures_of(size: PictureSize, settings: AlbireoSettings, u: f64) -> Vec<Decided> {
-    let mut policy = Albireo::new(settings, u).unwrap();
-    let mut outcome = Outcome::default();
+    let mut run = start(settings, u);
+    run.picture = size;
     let mut random = 7_u64;
     let mut next = move || {
         random = random
@@ -236,15 +234,9 @@ fn decided_in_pictures_of(size: PictureSize, settings: AlbireoSettings, u: f64) 
                     });
                 }
             }
-            let head = FrameHead {
-                picture: size,
-                ..head(index)
-            };
-            let mut known = FrameEvidence::in_view(&found);
-            let Ok(()) = decide(&mut policy, head, &mut known, &mut outcome);
-            let objects = records(&policy);
-            let ids: Vec<_> = objects.iter().map(|object| object.id.0).collect();
-            (outcome.state, ids)
+            let state = run.see(&found);
+            let ids = run.records().iter().map(|object| object.id.0).collect();
+            (state, ids)
         })
         .collect()
 }
@@ -261,9 +253,8 @@ fn decisions_do_not_depend_on_the_picture_size() {
     for u in [3e-4, 5e-4, 7e-4, 1e-3] {
         let [expected, others @ ..] =
             sizes.map(|size| decided_in_pictures_of(size, AlbireoSettings::paper(), u));
-        let skipped = (expected.iter())
-            .filter(|(state, _)| state.is_skipped())
-            .count();
+        let skipped = expected.iter().filter(|(state, _)| state.is_skipped());
+        let skipped = skipped.count();
         assert!((60..480).contains(&skipped), "{skipped} of 600 at u = {u}");
         assert!(others.iter().all(|other| *other == expected), "u = {u}");
     }

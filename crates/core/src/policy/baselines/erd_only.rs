@@ -100,31 +100,3 @@ impl Policy for ErdOnly {
         self.boxes.rejected()
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::policy::FrameEvidence;
-    use crate::policy::tests::{Run, seen};
-    use crate::policy::{BoxSource, Profile};
-
-    #[test]
-    fn the_detector_runs_unless_the_screen_calls_the_frame_empty() {
-        let found = [seen(0.5, 0.9)];
-        let mut run = Run::new("erd-only", Profile::Paper);
-        for _ in 0..2 {
-            assert_eq!(run.see(&found), FrameState::EI);
-            assert_eq!(run.needs, [Need::Screen, Need::Detections]);
-            assert_eq!(run.outcome.cause, Some(CallCause::Screen));
-            assert_eq!(run.reported(), [(BoxSource::Detected, 0.5, 0.9)]);
-            let empty = FrameEvidence {
-                empty: Some(true),
-                ..FrameEvidence::detections(&found)
-            };
-            assert_eq!(run.frame(1, empty), FrameState::E);
-            assert_eq!(run.needs, [Need::Screen]);
-            assert_eq!(run.outcome.cause, None);
-            assert!(run.outcome.boxes.is_empty() && !run.outcome.degraded);
-        }
-    }
-}

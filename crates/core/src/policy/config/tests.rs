@@ -1,5 +1,3 @@
-//! The configuration selects, validates and builds policies.
-
 use super::*;
 use crate::policy::SkippedBoxes;
 
@@ -7,52 +5,12 @@ fn config(text: &str) -> PolicyConfig {
     toml::from_str(text).unwrap()
 }
 
-fn error(text: &str) -> String {
-    config(text).build().err().unwrap().to_string()
-}
-
-#[test]
-fn the_default_is_albireo_with_the_papers_threshold() {
-    let policy = config("").build().unwrap();
-    assert_eq!(policy.name(), "albireo");
-    assert_eq!(policy.threshold(), Some(3e-4));
-}
-
-#[test]
-fn an_unknown_policy_is_rejected_with_the_known_names() {
-    let message = error("name = 'mine'");
-    assert!(message.contains("no policy `mine`"), "{message}");
-    assert!(message.contains("`albireo`, `vanilla`"), "{message}");
-    let message = error("name = 'albiro'");
-    assert!(message.contains("did you mean `albireo`?"), "{message}");
-}
-
-#[test]
-fn a_name_and_an_argument_select_a_policy_and_the_value_of_its_threshold() {
-    let selected = |asked: &str| {
-        let mut config = PolicyConfig::default();
-        config.select(asked).unwrap();
-        let policy = config.build().unwrap();
-        (policy.name(), policy.threshold())
-    };
-    for name in known_policies() {
-        let policy = config(&format!("name = '{name}'")).build().unwrap();
-        let spec = policy.threshold_spec();
-        assert_eq!(selected(name), (name, spec.map(|spec| spec.default)));
-        if let Some(spec) = spec {
-            // It fits into a message.
-            assert!(spec.name.len() <= 24, "{name}: {}", spec.name);
-            for value in [spec.minimum, spec.maximum] {
-                let found = selected(&format!("{name}:{value:e}"));
-                assert_eq!(found, (name, Some(value)));
-            }
-        }
-    }
-}
-
 #[test]
 fn an_invalid_selection_is_rejected_with_a_reason_and_changes_nothing() {
     for (asked, part) in [
+        ("mine", "there is no policy `mine`"),
+        ("mine", "`albireo`, `vanilla`"),
+        ("albiro", "did you mean `albireo`?"),
         ("fixedskip:2", "`fixed-skip`"),
         ("", "there is no policy ``"),
         ("vanilla:2", "`vanilla:2`: this policy takes no argument"),
@@ -112,7 +70,8 @@ fn the_baselines_have_their_own_tables() {
     assert_eq!(read.build().unwrap().threshold(), Some(0.7));
     let written = toml::to_string(&read).unwrap();
     assert_eq!(config(&written), read);
-    let message = error("name = 'statues'\n[statues]\npixel_difference = 0");
+    let wrong = config("name = 'statues'\n[statues]\npixel_difference = 0");
+    let message = wrong.build().err().unwrap().to_string();
     let expected = "policy.statues: `pixel_difference`";
     assert!(message.starts_with(expected), "{message}");
 }

@@ -244,35 +244,32 @@ fn variance(object: &Object, spread: f64, smaller: f64, height: f64) -> [f64; 4]
 #[cfg(test)]
 mod tests {
     use super::hold;
-    use crate::detection::{ClassId, Detection};
-    use crate::geometry::BoundingBox;
     use crate::policy::expected_loss::object::Object;
     use crate::policy::expected_loss::settings::Pixels;
-    use crate::policy::tests::ride;
+    use crate::policy::tests::{ride, seen};
     use crate::policy::{BoxSource, ObjectId};
 
     #[test]
     fn a_box_is_followed_even_if_its_motion_is_unpredictable() {
-        let flow = ride("expected-loss+flow:1", usize::MAX);
-        let blind = ride("expected-loss:1", usize::MAX);
+        let (flow, calls) = ride("expected-loss+flow:1", usize::MAX);
+        let (blind, more_calls) = ride("expected-loss:1", usize::MAX);
         let worst = |skipped: &[(BoxSource, f64)]| {
             let off = skipped.iter().map(|(_, off)| *off);
             off.fold(0.0, f64::max)
         };
         // It reads every picture, and its error is always smaller than that of prediction.
         let followed = |(source, _): &(BoxSource, f64)| *source == BoxSource::Followed;
-        assert!(flow.skipped.iter().any(followed));
-        assert!(!blind.skipped.iter().any(followed));
-        assert!(worst(&flow.skipped) < 0.5, "{:?}", flow.skipped);
-        assert!(worst(&blind.skipped) > 1.0, "{:?}", blind.skipped);
-        let (flow, blind) = (flow.calls, blind.calls);
-        assert!(flow.len() < blind.len(), "{flow:?} {blind:?}");
+        assert!(flow.iter().any(followed));
+        assert!(!blind.iter().any(followed));
+        assert!(worst(&flow) < 0.5, "{flow:?}");
+        assert!(worst(&blind) > 1.0, "{blind:?}");
+        assert!(calls.len() < more_calls.len(), "{calls:?} {more_calls:?}");
     }
 
     #[test]
     fn a_box_that_can_no_longer_be_followed_calls_the_detector() {
         let after = |hidden: usize| {
-            let calls = ride("expected-loss+flow:1", hidden).calls;
+            let (_, calls) = ride("expected-loss+flow:1", hidden);
             calls.iter().filter(|index| **index >= 4).count()
         };
         assert!(after(4) > after(usize::MAX));
@@ -301,26 +298,20 @@ mod tests {
             let (found, by) = border_shift(from, to);
             let longer = (sides[1] - sides[0]) - (to[1] - to[0]);
             let off = [found[0] - sides[0], found[1] - sides[1], by - longer];
-            assert!(
-                off.iter().all(|off| off.abs() < 1e-12),
-                "{what}: {found:?} {by}"
-            );
+            let is_there = off.iter().all(|off| off.abs() < 1e-12);
+            assert!(is_there, "{what}: {found:?} {by}");
         }
     }
 
     #[test]
     fn a_correctly_followed_box_is_no_surprise() {
-        let at = |center_x: f64| Detection {
-            bounding_box: BoundingBox::new(center_x, 0.5, 0.1, 0.1),
-            class: ClassId(0),
-            confidence: 0.9,
-        };
         let surprise = |trailing: bool| {
-            let mut object = Object::new(ObjectId(0), &at(0.4), 1.0, &[0.0; 3], 1.0, Pixels::Flow);
+            let first = seen(0.4, 0.9);
+            let mut object = Object::new(ObjectId(0), &first, 1.0, &[0.0; 3], 1.0, Pixels::Flow);
             object.predict();
             object.offset = Some([0.1, 0.0, 0.0, 0.0]);
             object.trailing = trailing;
-            object.update(&at(0.5), 1.0)
+            object.update(&seen(0.5, 0.9), 1.0)
         };
         assert!(surprise(true) < 1e-12);
         assert!(surprise(false) > 0.5);

@@ -342,15 +342,9 @@ mod tests {
         }
 
         fn differs(&self, axis: &Axis) -> f64 {
-            let x = Vector2::new(self.x[0] - axis.x, self.x[1] - axis.v);
-            let p = &self.p;
-            let p = Matrix2::new(
-                p[(0, 0)] - axis.p00,
-                p[(0, 1)] - axis.p01,
-                p[(1, 0)] - axis.p01,
-                p[(1, 1)] - axis.p11,
-            );
-            x.norm() + p.norm()
+            let x = self.x.fixed_rows::<2>(0) - Vector2::new(axis.x, axis.v);
+            let p = Matrix2::new(axis.p00, axis.p01, axis.p01, axis.p11);
+            x.norm() + (self.p.fixed_view::<2, 2>(0, 0) - p).norm()
         }
 
         fn differs_earlier(&self, earlier: &Earlier) -> f64 {
@@ -389,7 +383,6 @@ mod tests {
             assert!(expected.differs(&shifted) < 1e-12);
             let variance = axis.p00 - covariance * covariance / s;
             assert!((shifted.p00 - variance).abs() < 1e-12);
-            // A detection.
             let z = 1.0 + 0.1 * f64::from(round);
             let (y, s) = (z - axis.x, axis.p00 + 0.04);
             earlier.update(&axis, z, 0.04);
@@ -417,11 +410,7 @@ mod tests {
             }
             (filter.axes[X].x - at(28)[X]).abs()
         };
-        assert!(
-            error(0.15) < 0.5 * error(0.0),
-            "{} {}",
-            error(0.15),
-            error(0.0)
-        );
+        let (with, without) = (error(0.15), error(0.0));
+        assert!(with < 0.5 * without, "{with} {without}");
     }
 }

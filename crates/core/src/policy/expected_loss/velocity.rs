@@ -85,17 +85,16 @@ mod tests {
     use nalgebra::{SMatrix, SVector};
 
     #[test]
-    fn the_weights_solve_the_ridge_regression() {
+    fn the_weights_solve_the_ridge_regression_and_without_data_there_is_no_velocity() {
         let mut regression = VelocityRegression::default();
+        let phi = features(0.3, 0.8, -1.5);
+        assert_eq!(regression.expect(&phi, 5.0, 0.3), [0.0; VELOCITIES]);
         let mut a = SMatrix::<f64, FEATURES, FEATURES>::zeros();
         let mut b = SMatrix::<f64, FEATURES, VELOCITIES>::zeros();
         for round in 0..30u32 {
             let t = f64::from(round);
-            let phi = features(
-                0.5 + 0.4 * t.sin(),
-                0.5 + 0.3 * (1.7 * t).cos(),
-                -2.0 - 0.05 * t,
-            );
+            let (x, y) = (0.5 + 0.4 * t.sin(), 0.5 + 0.3 * (1.7 * t).cos());
+            let phi = features(x, y, -2.0 - 0.05 * t);
             let velocity = [0.1 * (2.1 * t).sin(), 0.02 * t.cos(), 0.03];
             regression.fade(0.98);
             regression.learn(&phi, &velocity);
@@ -105,7 +104,6 @@ mod tests {
         }
         let ridge = a + SMatrix::<f64, FEATURES, FEATURES>::identity() * 5.0;
         let weights = ridge.lu().solve(&b).unwrap();
-        let phi = features(0.3, 0.8, -1.5);
         let expected = weights.transpose() * SVector::from(phi);
         let found = regression.expect(&phi, 5.0, 10.0);
         for velocity in 0..VELOCITIES {
@@ -114,12 +112,5 @@ mod tests {
         // Asked for less, it gives no more.
         let least = regression.expect(&phi, 5.0, 1e-3);
         assert!(least.iter().all(|v| v.abs() <= 1e-3), "{least:?}");
-    }
-
-    #[test]
-    fn without_data_there_is_no_velocity() {
-        let mut regression = VelocityRegression::default();
-        let phi = features(0.2, 0.3, -3.0);
-        assert_eq!(regression.expect(&phi, 5.0, 0.3), [0.0; VELOCITIES]);
     }
 }

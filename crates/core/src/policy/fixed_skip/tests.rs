@@ -1,5 +1,3 @@
-//! The fixed-skip policy beyond the golden traces.
-
 use super::*;
 use crate::policy::BoxSource::{Detected, Predicted};
 use crate::policy::FrameEvidence;

@@ -1,6 +1,7 @@
 use super::*;
 use crate::detection::{ClassId, ObjectId};
 use proptest::prelude::*;
+use std::collections::BTreeMap;
 
 const MOMENT: Duration = Duration::from_millis(100);
 const LONG: Duration = Duration::from_secs(3600);
@@ -50,30 +51,26 @@ impl Stream {
     }
 
     fn frame(&mut self, index: u64, outcome: &Outcome, pending: bool) {
-        let given = &mut self.given;
         let time = MOMENT * u32::try_from(index).unwrap();
         self.settler
-            .frame(index, time, outcome, pending, |frame| note(given, frame));
+            .frame(index, time, outcome, pending, note_in(&mut self.given));
     }
 
     fn late(&mut self, index: u64, outcome: &Outcome) {
-        let given = &mut self.given;
-        self.settler
-            .late(index, outcome, |frame| note(given, frame));
+        self.settler.late(index, outcome, note_in(&mut self.given));
     }
 
-    fn flush(&mut self) {
-        let given = &mut self.given;
-        self.settler.flush(|frame| note(given, frame));
+    fn of_each<T>(&self, what: impl Fn(&Given) -> T) -> Vec<T> {
+        self.given.iter().map(what).collect()
     }
 
     fn indices(&self) -> Vec<u64> {
-        self.given.iter().map(|(index, ..)| *index).collect()
+        self.of_each(|given| given.0)
     }
 }
 
-fn note(given: &mut Vec<Given>, frame: SettledFrame<'_>) {
-    given.push((frame.index, frame.settled, frame.boxes.to_vec()));
+fn note_in(given: &mut Vec<Given>) -> impl FnMut(SettledFrame<'_>) {
+    move |frame| given.push((frame.index, frame.settled, frame.boxes.to_vec()))
 }
 
 #[test]
@@ -121,14 +118,14 @@ fn boxes_between_two_calls_are_interpolated_with_the_confidence_of_the_second() 
 
 #[test]
 fn a_frame_that_waited_too_long_is_sent_as_it_was_answered() {
-    let own = [reported(0, 0.5, 0.8, BoxSource::Predicted)];
+    let own = at(FrameState::P, 0.5);
     let mut stream = Stream::new(MOMENT * 3);
-    stream.frame(0, &answer(FrameState::I, &own), false);
+    stream.frame(0, &at(FrameState::I, 0.5), false);
     for index in 1..=5 {
-        stream.frame(index, &answer(FrameState::P, &own), false);
+        stream.frame(index, &own, false);
     }
     assert_eq!(stream.indices(), [0, 1]);
-    assert_eq!(stream.given[1], (1, false, own.to_vec()));
+    assert_eq!(stream.given[1], (1, false, own.boxes));
     stream.frame(6, &answer(FrameState::E, &[]), false);
     assert_eq!(stream.indices(), [0, 1, 2, 3, 4, 5, 6]);
     assert!(stream.given[2..].iter().all(|(_, settled, _)| *settled));
@@ -165,11 +162,7 @@ fn late_detections_settle_the_frames_before_them_and_after_them() {
     assert_eq!(stream.indices(), [0, 1, 2]);
     stream.late(2, &detected(0.7));
     stream.frame(4, &detected(0.5), false);
-    let places: Vec<_> = stream
-        .given
-        .iter()
-        .map(|(.., b)| b[0].bounding_box.center_x)
-        .collect();
+    let places = stream.of_each(|(.., boxes)| boxes[0].bounding_box.center_x);
     for (place, expected) in places.iter().zip([0.1, 0.2, 0.3, 0.4, 0.5]) {
         assert!((place - expected).abs() < 1e-12, "{places:?}");
     }
@@ -190,32 +183,27 @@ fn a_late_answer_still_settles_later_frames() {
     assert_eq!(stream.given, [(0, false, predicted.boxes.clone())]);
     stream.late(0, &detected(0.1));
     stream.frame(3, &detected(0.4), false);
-    let settled: Vec<_> = stream
-        .given
-        .iter()
-        .map(|(_, settled, _)| *settled)
-        .collect();
+    let settled = stream.of_each(|given| given.1);
     assert_eq!(settled, [false, true, true, true]);
     assert!((stream.given[2].2[0].bounding_box.center_x - 0.3).abs() < 1e-12);
 }
 
 #[test]
 fn a_restarted_stream_sends_the_old_frames_first() {
-    let own = [reported(0, 0.5, 0.8, BoxSource::Detected)];
     let mut stream = Stream::new(LONG);
-    stream.frame(5, &answer(FrameState::I, &own), false);
-    stream.frame(6, &answer(FrameState::P, &own), false);
-    stream.frame(0, &answer(FrameState::P, &own), false);
-    stream.frame(1, &answer(FrameState::I, &own), false);
+    stream.frame(5, &at(FrameState::I, 0.5), false);
+    stream.frame(6, &at(FrameState::P, 0.5), false);
+    stream.frame(0, &at(FrameState::P, 0.5), false);
+    stream.frame(1, &at(FrameState::I, 0.5), false);
     assert_eq!(stream.indices(), [5, 6, 0, 1]);
     assert!(stream.given[1..3].iter().all(|(_, settled, _)| !settled));
 }
 
 /// State, pending, lost frames before it, and places of boxes by object.
-type Event = (usize, bool, u64, Vec<(u64, f64)>);
+type Event = (usize, bool, u64, BTreeMap<u64, f64>);
 
 fn events() -> impl Strategy<Value = Vec<Event>> {
-    let boxes = prop::collection::vec((0..4u64, 0.0..1.0), 0..4);
+    let boxes = prop::collection::btree_map(0..4u64, 0.0..1.0, 0..4);
     let pending = prop::bool::weighted(0.3);
     let lost = prop_oneof![4 => Just(0u64), 1 => 1..9u64];
     prop::collection::vec((0..5usize, pending, lost, boxes), 1..80)
@@ -223,18 +211,11 @@ fn events() -> impl Strategy<Value = Vec<Event>> {
 
 fn outcome((state, _, _, boxes): &Event) -> Outcome {
     let state = FrameState::ALL[*state];
-    let mut answered = answer(state, &[]);
-    for (object, x) in boxes {
-        let of_it = |b: &OutputBox| b.object == Some(ObjectId(*object));
-        if !answered.boxes.iter().any(of_it) {
-            let found = at(state, *x).boxes[0];
-            answered.boxes.push(OutputBox {
-                object: Some(ObjectId(*object)),
-                ..found
-            });
-        }
-    }
-    answered
+    let boxes = boxes.iter().map(|(object, x)| OutputBox {
+        object: Some(ObjectId(*object)),
+        ..at(state, *x).boxes[0]
+    });
+    answer(state, &boxes.collect::<Vec<_>>())
 }
 
 proptest! {
@@ -262,7 +243,7 @@ proptest! {
             let oldest = pushed.get(stream.given.len()).copied().unwrap_or(index);
             prop_assert!(index - oldest <= u64::from(longest), "held back for too long");
         }
-        stream.flush();
+        stream.settler.flush(note_in(&mut stream.given));
         prop_assert_eq!(stream.indices(), pushed);
     }
 

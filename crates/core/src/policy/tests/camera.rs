@@ -60,6 +60,7 @@ pub(in crate::policy) struct Run<P: ?Sized = dyn Policy> {
     /// Requests of the last frame.
     pub needs: Vec<Need>,
     pub index: u64,
+    pub picture: PictureSize,
 }
 
 impl Run {
@@ -76,6 +77,7 @@ impl<P: Policy + ?Sized> Run<P> {
             outcome: Outcome::default(),
             needs: Vec::new(),
             index: 0,
+            picture: PICTURE,
         }
     }
 
@@ -88,30 +90,41 @@ impl<P: Policy + ?Sized> Run<P> {
     fn head(&mut self, step: u32) -> FrameHead {
         self.index += u64::from(step) - 1;
         let head = FrameHead {
+            index: self.index,
             step,
-            ..head(self.index)
+            picture: self.picture,
         };
         self.index += 1;
         head
     }
 
     /// Plays a whole frame, `step` after the previous one.
-    pub(in crate::policy) fn frame(
+    pub(in crate::policy) fn frame(&mut self, step: u32, known: FrameEvidence<'_>) -> FrameState {
+        assert!(self.frame_within(usize::MAX, step, known));
+        self.outcome.state
+    }
+
+    /// Plays a frame that is abandoned if it asks for more than `most` pieces of evidence; returns false then.
+    pub(in crate::policy) fn frame_within(
         &mut self,
+        most: usize,
         step: u32,
         mut known: FrameEvidence<'_>,
-    ) -> FrameState {
+    ) -> bool {
         self.needs.clear();
         let head = self.head(step);
         let mut need = self.policy.begin(head);
         while need != Need::Nothing {
+            if self.needs.len() == most {
+                return false;
+            }
             self.needs.push(need);
             assert!(self.needs.len() <= 3, "{:?}", self.needs);
             let Ok(evidence) = known.evidence(need);
             need = self.policy.answer(evidence);
         }
         self.policy.finish(&mut self.outcome);
-        self.outcome.state
+        true
     }
 
     /// Plays a frame in which the detector, if called, finds `found`, and the screen answers "not empty".
@@ -152,22 +165,12 @@ pub(in crate::policy) fn textured(size: PictureSize, shift: f64) -> Vec<u8> {
     (0..size.width * size.height).map(value).collect()
 }
 
-/// The result of a [`ride`].
-pub(in crate::policy) struct Ride {
-    /// Source of each box on frames without the detector, and its error in pixels of the small picture.
-    pub skipped: Vec<(BoxSource, f64)>,
-    /// Number of frames with the detector.
-    pub calls: Vec<usize>,
-}
-
 /// The policy `asked` for in a world that moves by 3 pixels a frame and is hidden from frame `hidden` on, for 12
-/// frames; the detector sees a box ride on it all the while.
-pub(in crate::policy) fn ride(asked: &str, hidden: usize) -> Ride {
+/// frames; the detector sees a box ride on it all the while. Returns the source of each box on frames without the
+/// detector with its error in pixels of the small picture, and the frames with the detector.
+pub(in crate::policy) fn ride(asked: &str, hidden: usize) -> (Vec<(BoxSource, f64)>, Vec<usize>) {
     let mut run = Run::new(asked, Profile::Paper);
-    let mut ride = Ride {
-        skipped: Vec::new(),
-        calls: Vec::new(),
-    };
+    let (mut skipped, mut calls) = (Vec::new(), Vec::new());
     for index in 0..12 {
         let shift = 3.0 * index as f64;
         let pixels = match index < hidden {
@@ -176,25 +179,23 @@ pub(in crate::policy) fn ride(asked: &str, hidden: usize) -> Ride {
         };
         let found = [Detection {
             bounding_box: BoundingBox::new((100.0 + shift) / 320.0, 0.5, 0.2, 0.25),
-            class: ClassId(0),
-            confidence: 0.9,
+            ..seen(0.5, 0.9)
         }];
-        let size = GREY;
+        let grey = GreyPicture {
+            size: GREY,
+            pixels: &pixels,
+        };
         let known = FrameEvidence {
-            grey: Some(GreyPicture {
-                size,
-                pixels: &pixels,
-            }),
+            grey: Some(grey),
             ..FrameEvidence::in_view(&found)
         };
         if !run.frame(1, known).is_skipped() {
-            ride.calls.push(index);
+            calls.push(index);
             continue;
         }
         for (source, x, _) in run.reported() {
-            ride.skipped
-                .push((source, (320.0 * x - 100.0 - shift).abs()));
+            skipped.push((source, (320.0 * x - 100.0 - shift).abs()));
         }
     }
-    ride
+    (skipped, calls)
 }

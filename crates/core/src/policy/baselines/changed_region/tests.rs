@@ -1,5 +1,3 @@
-//! Compares the search with a slow one.
-
 use super::*;
 use proptest::prelude::*;
 

@@ -1,5 +1,3 @@
-//! Confidence-triggered detection beyond the golden traces.
-
 use super::*;
 use crate::policy::BoxSource;
 use crate::policy::FrameEvidence;
@@ -10,12 +8,9 @@ use proptest::prelude::*;
 
 /// Frames until the detector runs, which then finds `found`.
 fn frames_until_detector(run: &mut Run, found: f64) -> usize {
-    for frame in 1..100 {
-        if run.see(&[seen(found, 0.9)]) == I {
-            return frame;
-        }
-    }
-    panic!("the detector never ran");
+    let mut frames = 1..100;
+    let called = frames.find(|_| run.see(&[seen(found, 0.9)]) == I);
+    called.unwrap()
 }
 
 /// A confirmed object that does not move.
@@ -76,22 +71,14 @@ fn lost_frames_count_towards_the_longest_skip() {
 
 #[test]
 fn a_straying_prediction_calls_the_detector_sooner_at_a_higher_threshold() {
-    let frames: Vec<_> = ["0.5", "0.9"]
-        .iter()
-        .map(|threshold| {
-            let mut run = Run::new(&format!("ctd:{threshold}"), Profile::Paper);
-            let mut x = 0.2;
-            let mut calls = 0;
-            while x < 0.8 {
-                let state = run.see(&[seen(x, 0.9)]);
-                calls += usize::from(state == I);
-                x += 0.01;
-            }
-            assert_eq!(run.records().len(), 1);
-            calls
-        })
-        .collect();
-    assert!(frames[0] < frames[1], "{frames:?}");
+    let [lower, higher] = ["ctd:0.5", "ctd:0.9"].map(|asked| {
+        let mut run = Run::new(asked, Profile::Paper);
+        let places = (0..60).map(|frame| 0.2 + 0.01 * f64::from(frame));
+        let calls = places.filter(|x| run.see(&[seen(*x, 0.9)]) == I).count();
+        assert_eq!(run.records().len(), 1);
+        calls
+    });
+    assert!(lower < higher, "{lower} {higher}");
 }
 
 #[test]
