@@ -24,8 +24,8 @@ async fn a_target_set_at_the_hub_is_held_by_the_node_until_its_threshold_is_set_
     let (endpoint, configured) = settings(&sqlite(folder.path()));
     let hub = HubProcess::start(&configured);
     hub.until_ready().await;
-    let mut car = Car::under("expected-loss", "car-1", &endpoint);
-    let mut plain = Car::under("vanilla", "car-2", &endpoint);
+    let mut car = Car::new("expected-loss", "car-1", &endpoint);
+    let mut plain = Car::new("vanilla", "car-2", &endpoint);
     for car in [&mut car, &mut plain] {
         car.start().await;
         let path = format!("/api/v1/nodes/{}", car.name);
@@ -57,7 +57,6 @@ async fn a_target_set_at_the_hub_is_held_by_the_node_until_its_threshold_is_set_
     let (said, _) = fleet(&hub, "show car-1");
     assert_contains(&said, &["target       skip_rate 0.5, now "]);
 
-    // The target survives a restart.
     car.end().await;
     car.start().await;
     assert_has(&at_node(&car).await, &held);

@@ -4,8 +4,7 @@ use crate::support::fleet::{
     HubProcess, Reply, deliver, in_batch, now_ns, report, send, settings, sqlite, uplink,
 };
 use crate::support::{assert_contains, memory_mb, metric};
-use albireo_wire::{BatchCompression, LARGEST_BATCH_BYTES, PullRequest, RefusalReason};
-use serde_json::Value;
+use albireo_wire::{BatchCompression, LARGEST_BATCH_BYTES, RefusalReason};
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 use tokio::process::Command;
@@ -58,55 +57,47 @@ async fn a_full_disk_delays_acknowledgements_and_loses_nothing() {
     hub.has_each_once(NODE, last + 100).await;
 }
 
-/// Reports wait while a hub runs with another value of a setting, once it has noticed that, and are stored when it runs
-/// without it. Returns the reply in between.
-async fn reports_wait(
-    database: &str,
-    other: (&'static str, String),
-    noticed: impl Fn(&Value) -> bool,
-) -> Reply {
-    let (zenoh, settings) = settings(database);
-    let begun = now_ns();
-    let hub = HubProcess::start(&settings);
-    let session = uplink(&zenoh).await;
-    deliver(&session, NODE, 1..=3, begun).await;
-    hub.kill().await;
-    let hub = HubProcess::start(&[&settings[..], &[other]].concat());
-    let said = match hub.until("/readyz", noticed).await["ready"].as_bool() {
-        Some(true) => send(&uplink(&zenoh).await, NODE, 4..=6, begun).await,
-        // It does not open its Zenoh session, which a new uplink would wait for.
-        _ => send(&session, NODE, 4..=6, begun).await,
-    };
-    hub.kill().await;
-    let hub = HubProcess::start(&settings);
-    deliver(&session, NODE, 4..=6, begun).await;
-    hub.has_each_once(NODE, 6).await;
-    said
-}
-
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_read_only_database_is_reported_and_reports_wait_for_a_writable_one() {
+async fn reports_wait_while_a_hub_has_a_read_only_database_or_another_prefix() {
     let folder = tempfile::tempdir().unwrap();
     let database = sqlite(folder.path());
+    let (zenoh, settings) = settings(&database);
+    let (begun, mut stored) = (now_ns(), 3);
+    let mut hub = HubProcess::start(&settings);
+    let session = uplink(&zenoh).await;
+    deliver(&session, NODE, 1..=stored, begun).await;
     let read_only = ("ALBIREO_DATABASE__URL", format!("{database}?mode=ro"));
-    let said = reports_wait(&database, read_only, |answer| {
-        let why = answer["reasons"]["database"].as_str().unwrap_or_default();
-        answer["ready"] == false && (why.contains("read-only") || why.contains("readonly"))
-    })
-    .await;
-    assert!(!matches!(said, Reply::Answer(_)), "{said:?}");
-}
-
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_hub_with_another_prefix_acknowledges_nothing_and_loses_nothing() {
-    let folder = tempfile::tempdir().unwrap();
     let prefix = ("ALBIREO_HUB__PREFIX", "fleet/north".to_owned());
-    let is_ready = |answer: &Value| answer["ready"] == true;
-    let said = reports_wait(&sqlite(folder.path()), prefix, is_ready).await;
-    assert!(matches!(said, Reply::Nothing), "{said:?}");
+    for other in [read_only, prefix] {
+        let with_prefix = other.0 == "ALBIREO_HUB__PREFIX";
+        hub.kill().await;
+        hub = HubProcess::start(&[&settings[..], &[other]].concat());
+        hub.until("/readyz", |answer| {
+            let why = answer["reasons"]["database"].as_str().unwrap_or_default();
+            let is_read_only = why.contains("read-only") || why.contains("readonly");
+            answer["ready"] == with_prefix && is_read_only != with_prefix
+        })
+        .await;
+        // With a read-only database it does not open its Zenoh session, which a new uplink would wait for.
+        let sender = if with_prefix {
+            uplink(&zenoh).await
+        } else {
+            session.clone()
+        };
+        let said = send(&sender, NODE, stored + 1..=stored + 3, begun).await;
+        match said {
+            Reply::Nothing => {}
+            Reply::Refused(_) if !with_prefix => {}
+            said => panic!("{said:?}"),
+        }
+        hub.kill().await;
+        hub = HubProcess::start(&settings);
+        stored += 3;
+        deliver(&session, NODE, stored - 2..=stored, begun).await;
+        hub.has_each_once(NODE, stored).await;
+    }
 }
 
-/// The payloads of a hostile node, by kind of key.
 fn hostile_payloads() -> Vec<(&'static str, Vec<u8>)> {
     let batch = |clip: String| {
         let mut report = report("hostile", 1, now_ns());
@@ -114,14 +105,13 @@ fn hostile_payloads() -> Vec<(&'static str, Vec<u8>)> {
         let batch = in_batch("hostile", vec![report]);
         batch.to_payload(BatchCompression::Best).unwrap()
     };
-    let pull = PullRequest { v: 1, revision: 0 };
     vec![
         ("report", batch("small".to_owned())),
         // 2 MB that compress to 1 kB.
         ("report", batch("x".repeat(LARGEST_BATCH_BYTES - 4096))),
         ("report", b"nonsense".to_vec()),
         ("report", vec![b'x'; 2 << 20]),
-        ("pull", serde_json::to_vec(&pull).unwrap()),
+        ("pull", br#"{"v": 1, "revision": 0}"#.to_vec()),
         ("status", b"nonsense".to_vec()),
         ("status", vec![b' '; 60 << 10]),
         ("status", vec![b' '; 4 << 20]),
@@ -175,23 +165,16 @@ async fn a_flooding_node_costs_the_hub_little_memory_and_delays_nobody() {
     }
     let peak = memory_mb(hub.id(), "VmHWM:");
     stop.cancel();
-    let mut hostile = 0;
     while let Some(sent) = floods.join_next().await {
-        let sent = sent.unwrap();
-        assert!(sent > 0);
-        hostile += sent;
+        assert!(sent.unwrap() > 0);
     }
     delays.sort();
-    let at = |share: f64| delays[(delays.len() as f64 * share) as usize];
-    let [middle, slow] = [0.5, 0.99].map(at);
-    println!(
-        "{hostile} hostile messages; acknowledged after p50 {middle:?}, p99 {slow:?}; peak {peak:.0} MB"
-    );
+    let slow = delays[delays.len() * 99 / 100];
     for node in 0..OTHERS {
         hub.has_each_once(&format!("car-{node}"), 10).await;
     }
     // An optimised hub on a quiet machine needs less than 1 s.
-    assert!(slow < Duration::from_secs(10), "{slow:?}");
+    assert!(slow < Duration::from_secs(10), "p99 {slow:?}");
     assert!(peak < 200.0, "{peak} MB");
 }
 
@@ -202,7 +185,6 @@ struct Traced {
     unsynced: u64,
     /// Syncs in progress, by thread: the number of writes before each began.
     syncing: BTreeMap<u32, u64>,
-    /// Acknowledgements sent.
     acknowledged: u64,
     /// Acknowledgements sent before a write was synced.
     too_early: u64,

@@ -1,61 +1,44 @@
 //! The hub as a process, killed during ingest: every report is one row in its database.
 
 use crate::support::fleet::{
-    HubProcess, Reply, from_environment, now_ns, on_both, send, settings, uplink,
+    HubProcess, deliver, from_environment, now_ns, on_both, settings, uplink,
 };
-use crate::support::{PATIENCE, until};
+use crate::support::until;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::time::{Duration, Instant};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+use tokio::task::JoinSet;
+use tokio_util::sync::CancellationToken;
 
-const NODES: usize = 4;
-
-/// A node that makes reports and sends them until they are acknowledged. Returns the number of reports.
+/// A node that delivers reports in batches of different sizes. Returns its name and the number of reports.
 async fn node(
-    index: usize,
+    name: String,
     zenoh: String,
-    stop: Arc<AtomicBool>,
+    stop: CancellationToken,
     acknowledged: Arc<AtomicU64>,
-) -> u64 {
-    let name = format!("car-{index}");
+) -> (String, u64) {
     let session = uplink(&zenoh).await;
-    let begun = now_ns();
-    let (mut made, mut stored) = (0_u64, 0_u64);
-    let deadline = Instant::now() + PATIENCE * 5;
-    loop {
-        if !stop.load(Ordering::Relaxed) {
-            made += 3;
-        } else if stored == made {
-            session.close().await.expect("the session closes");
-            return made;
-        }
-        assert!(
-            Instant::now() < deadline,
-            "{name}: {stored} of {made} acknowledged in time"
-        );
-        let last = made.min(stored + 50);
-        let said = send(&session, &name, stored + 1..=last, begun).await;
-        if matches!(said, Reply::Answer(_)) {
-            said.assert_stored();
-            acknowledged.fetch_add(last - stored, Ordering::Relaxed);
-            stored = last;
-        }
-        // A pause between attempts while the hub is down.
-        tokio::time::sleep(Duration::from_millis(10)).await;
+    let (begun, mut made) = (now_ns(), 0);
+    while !stop.is_cancelled() {
+        let more = 1 + made % 7;
+        deliver(&session, &name, made + 1..=made + more, begun).await;
+        made += more;
+        acknowledged.fetch_add(more, Ordering::Relaxed);
     }
+    session.close().await.unwrap();
+    (name, made)
 }
 
 async fn a_hub_killed_during_ingest_loses_and_duplicates_no_report(database: &str) {
     let (zenoh, settings) = settings(database);
     let mut hub = HubProcess::start(&settings);
-    let stop = Arc::new(AtomicBool::new(false));
+    let stop = CancellationToken::new();
     let acknowledged = Arc::new(AtomicU64::new(0));
-    let nodes: Vec<_> = (0..NODES)
-        .map(|index| {
-            let (stop, acknowledged) = (Arc::clone(&stop), Arc::clone(&acknowledged));
-            tokio::spawn(node(index, zenoh.clone(), stop, acknowledged))
-        })
-        .collect();
+    let mut nodes = JoinSet::new();
+    for index in 0..4 {
+        let (name, stop) = (format!("car-{index}"), stop.clone());
+        nodes.spawn(node(name, zenoh.clone(), stop, Arc::clone(&acknowledged)));
+    }
     // More by hand: ALBIREO_KILLS=1000.
     for kill in 0..from_environment("ALBIREO_KILLS", 12) {
         let before = acknowledged.load(Ordering::Relaxed);
@@ -69,17 +52,14 @@ async fn a_hub_killed_during_ingest_loses_and_duplicates_no_report(database: &st
         hub.kill().await;
         hub = HubProcess::start(&settings);
     }
-    stop.store(true, Ordering::Relaxed);
-    let mut made = Vec::new();
-    for node in nodes {
-        made.push(node.await.expect("the node ends"));
+    stop.cancel();
+    let mut total = 0;
+    while let Some(ended) = nodes.join_next().await {
+        let (name, made) = ended.unwrap();
+        hub.has_each_once(&name, made).await;
+        total += made;
     }
-    let total: u64 = made.iter().sum();
     assert!(total > 0);
-
-    for (index, made) in made.into_iter().enumerate() {
-        hub.has_each_once(&format!("car-{index}"), made).await;
-    }
     let energy = &hub.get("/api/v1/energy").await["groups"][0];
     assert_eq!(energy["clips"], total);
     assert_eq!(energy["joules"], total as f64 * 10.0);

@@ -16,17 +16,13 @@ use tokio::process::{Child, Command};
 /// `albireo hub`, running.
 pub(crate) struct HubProcess {
     child: Child,
-    /// The URL of its HTTP interface.
     pub(crate) http: String,
     log: tempfile::NamedTempFile,
 }
 
 /// A number from the environment, for longer runs by hand.
 pub(crate) fn from_environment(name: &str, default: u64) -> u64 {
-    std::env::var(name)
-        .ok()
-        .and_then(|text| text.parse().ok())
-        .unwrap_or(default)
+    std::env::var(name).map_or(default, |text| text.parse().unwrap())
 }
 
 /// A hub's settings, as environment variables of its process.
@@ -99,7 +95,6 @@ impl HubProcess {
         text_at(&format!("{}/metrics", self.http)).await
     }
 
-    /// Asks until the answer satisfies `wanted`.
     pub(crate) async fn until(&self, path: &str, wanted: impl Fn(&Value) -> bool) -> Value {
         let until = Instant::now() + PATIENCE;
         loop {
@@ -116,7 +111,6 @@ impl HubProcess {
         }
     }
 
-    /// Waits until it accepts reports.
     pub(crate) async fn until_ready(&self) {
         self.until("/readyz", |answer| answer["ready"] == true)
             .await;
@@ -180,7 +174,6 @@ pub(crate) fn router_config(folder: &Path) -> PathBuf {
     file
 }
 
-/// Sends the reports with those numbers.
 pub(crate) async fn send(
     session: &zenoh::Session,
     node: &str,

@@ -30,13 +30,8 @@ async fn sums_match_the_clips_and_never_mix_energy_qualities(database: &str) {
     let day = 86_400_000;
     let now_ms = i64::try_from(now_ns() / 1_000_000).unwrap();
     let since = now_ms / day * day - 3 * day;
-    for (path, resolution) in [
-        (format!("/api/v1/energy?by=node&since_ms={since}"), "day"),
-        (
-            format!("/api/v1/energy?by=node&since_ms={}", since + 300_000),
-            "five_minutes",
-        ),
-    ] {
+    for (since, resolution) in [(since, "day"), (since + 300_000, "five_minutes")] {
+        let path = format!("/api/v1/energy?by=node&since_ms={since}");
         let energy = hub.get(&path).await;
         assert_eq!(energy["resolution"], resolution);
         let mut sums = BTreeMap::new();
@@ -48,7 +43,7 @@ async fn sums_match_the_clips_and_never_mix_energy_qualities(database: &str) {
             assert_eq!(saved.as_f64().unwrap(), 12.5 * clips.as_f64().unwrap());
             assert_eq!(group["unpriced_calls"], 0);
         }
-        assert_eq!(sums, raw, "{path}");
+        assert_eq!(sums, raw, "{resolution}");
     }
     // The audit of the fleet counts all clips together, with energy of any quality.
     let energy = hub
@@ -127,7 +122,6 @@ async fn a_reconnecting_reader_gets_the_events_it_missed_or_a_resync() {
     hub.stop().await;
 }
 
-/// Reads the event stream until an event contains `wanted`.
 async fn read_events(hub: &Hub, last: &str, wanted: &str) -> String {
     let client = reqwest::Client::new();
     let request = client
@@ -135,17 +129,11 @@ async fn read_events(hub: &Hub, last: &str, wanted: &str) -> String {
         .header("Last-Event-ID", last);
     let mut response = request.send().await.unwrap();
     let mut text = String::new();
-    let reading = async {
-        while let Some(chunk) = response.chunk().await.unwrap() {
-            text.push_str(&String::from_utf8_lossy(&chunk));
-            // An event ends with an empty line.
-            let rest = text.split(wanted).nth(1);
-            if rest.is_some_and(|rest| rest.contains("\n\n")) {
-                break;
-            }
-        }
-    };
-    tokio::time::timeout(PATIENCE, reading).await.unwrap();
+    // An event ends with an empty line.
+    while !(text.contains(wanted) && text.ends_with("\n\n")) {
+        let chunk = tokio::time::timeout(PATIENCE, response.chunk()).await;
+        text.push_str(&String::from_utf8_lossy(&chunk.unwrap().unwrap().unwrap()));
+    }
     text
 }
 
@@ -184,20 +172,14 @@ async fn the_diagnostic_archive_describes_the_hub() {
     let answer = reqwest::get(format!("{}/api/v1/diag", hub.http)).await;
     let archive = answer.unwrap().bytes().await.unwrap();
     let text = String::from_utf8_lossy(&archive);
-    for part in [
-        "about.json",
-        "configuration.json",
-        "nodes-not-online.json",
-        "events.json",
-        "changes.json",
-        "metrics.txt",
-        "log.txt",
+    let files = "about.json configuration.json nodes-not-online.json events.json changes.json metrics.txt log.txt";
+    for part in files.split(' ').chain([
         "\"commit_ms\": 20",
         "albireo_hub_clips_total 1",
         "albireo_hub_sessions 1",
         "albireo_hub_queue_batches 0",
         "no status was received yet",
-    ] {
+    ]) {
         assert!(text.contains(part), "no {part} in {text}");
     }
     hub.stop().await;

@@ -30,7 +30,7 @@ async fn a_node_is_online_then_degraded_with_its_reason_then_silent_then_offline
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_gap_in_the_numbers_makes_the_hub_ask_for_the_full_status() {
+async fn a_gap_in_the_numbers_makes_the_hub_ask_for_the_full_status_which_survives_a_restart() {
     let hub = Hub::fresh().await;
     let notices = hub.uplink.declare_subscriber("albireo/@changed/car-2");
     let notices = notices.await.unwrap();
@@ -44,41 +44,11 @@ async fn a_gap_in_the_numbers_makes_the_hub_ask_for_the_full_status() {
     assert!(hub.pull("car-2").await.send_full_status);
     let full = full_status(11, 6, &[("power", "no meter")]);
     hub.put_status("car-2", &full).await;
-    let node = hub.until_state("car-2", "degraded").await;
-    assert_eq!(node["why"], "power: no meter");
+    let before = hub.until_state("car-2", "degraded").await;
+    assert_eq!(before["why"], "power: no meter");
     assert!(!hub.pull("car-2").await.send_full_status);
-    hub.stop().await;
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn two_nodes_with_the_same_name_are_reported() {
-    let hub = Hub::fresh().await;
-    let (one, other) = (10, 11);
-    hub.put_status("car-3", &full_status(one, 0, &[])).await;
-    hub.until_state("car-3", "online").await;
-    // Another run is a restart: nothing to report.
-    let mut restarted = full_status(other, 0, &[]);
-    restarted.waiting = 9;
-    hub.put_status("car-3", &restarted).await;
-    hub.until("/api/v1/nodes/car-3", |node| node["waiting"] == 9)
-        .await;
-    assert_eq!(hub.get("/api/v1/nodes/car-3").await["state"], "online");
-    // Two runs that both send are a conflict.
-    hub.put_status("car-3", &full_status(one, 1, &[])).await;
-    let node = hub.until_state("car-3", "degraded").await;
-    let why = node["why"].as_str().unwrap();
-    assert!(why.starts_with("two nodes have this name"), "{why}");
-    hub.stop().await;
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn a_restarted_hub_remembers_the_state_of_its_nodes() {
-    let hub = Hub::fresh().await;
-    let degraded = full_status(12, 0, &[("screen", "no model")]);
-    hub.put_status("car-4", &degraded).await;
-    let before = hub.until_state("car-4", "degraded").await;
     let hub = hub.restart().await;
-    let after = hub.get("/api/v1/nodes/car-4").await;
+    let after = hub.get("/api/v1/nodes/car-2").await;
     for key in ["state", "why", "since_ms", "status"] {
         assert_eq!(after[key], before[key], "{key}");
     }
@@ -99,16 +69,11 @@ async fn paging_returns_each_node_once_in_every_order() {
     let mut orders = Vec::new();
     for sort in ["name", "state", "since", "heard", "waiting"] {
         let mut all: Vec<String> = Vec::new();
-        loop {
-            let offset = all.len();
+        for offset in [0, 3, 6, 7] {
             let path = format!("/api/v1/nodes?sort={sort}&down=true&limit=3&offset={offset}");
             let page = hub.get(&path).await;
             assert_has(&page, &json!({"total": 7, "offset": offset}));
-            let found = names(&page);
-            if found.is_empty() {
-                break;
-            }
-            all.extend(found.into_iter().map(str::to_owned));
+            all.extend(names(&page).into_iter().map(str::to_owned));
         }
         orders.push(all.clone());
         all.sort();
@@ -125,7 +90,6 @@ async fn paging_returns_each_node_once_in_every_order() {
     hub.stop().await;
 }
 
-/// A router of a fleet.
 async fn router(endpoint: &str) -> zenoh::Session {
     let listen = ("listen/endpoints", json!([endpoint]));
     open(&[("mode", json!("router")), listen]).await

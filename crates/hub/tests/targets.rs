@@ -3,7 +3,7 @@
 use crate::support::{Hub, assert_has, config, full_status, now_ns, on_both};
 use crate::tuning::{SimulatedFleet, begin, fleet, put, put_at, send, values};
 use albireo_hub::config::LocalChange;
-use albireo_wire::{CameraState, CameraStatus, SettingSource, StatusMessage, Threshold};
+use albireo_wire::StatusMessage;
 use reqwest::Method;
 use serde_json::{Value, json};
 
@@ -147,18 +147,16 @@ on_both!(a_value_or_target_reaches_the_selected_nodes_and_replaces_the_one_befor
 async fn a_node_changed_repeatedly_is_set_back_three_times_and_then_left_alone() {
     let hub = Hub::fresh_with(|config| config.tuning.local_change = LocalChange::SetBack).await;
     let mut statuses = 0..;
-    let mut report = async |revision, u| {
+    let mut report = async |revision: u64, u: f64| {
         let seq = statuses.next().unwrap();
         let mut status = StatusMessage {
             revision,
             ..full_status(10, seq, &[])
         };
-        status.full.as_mut().unwrap().cameras = vec![CameraStatus {
-            name: "front".into(),
-            state: CameraState::Live,
-            threshold: Some(Threshold::new("u", u)),
-            threshold_source: SettingSource::Hub,
-        }];
+        let threshold = json!({"name": "u", "value": u});
+        let camera = json!({"name": "front", "state": "live", "threshold": threshold, "threshold_source": "hub"});
+        let cameras = serde_json::from_value(json!([camera])).unwrap();
+        status.full.as_mut().unwrap().cameras = cameras;
         hub.put_status("car-1", &status).await;
     };
     // Without waiting for the node.

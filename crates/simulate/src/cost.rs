@@ -100,12 +100,8 @@ mod tests {
     #[test]
     fn cost_is_measured_for_this_process_and_absent_for_a_missing_one() {
         let mut own = Process::begin("own", std::process::id());
-        let mut spent = 0u64;
         let until = Instant::now() + std::time::Duration::from_millis(60);
-        while Instant::now() < until {
-            spent = spent.wrapping_mul(31).wrapping_add(7);
-        }
-        assert_ne!(spent, 1);
+        while Instant::now() < until {}
         own.sample();
         let cost = own.cost();
         assert!(cost.cores.unwrap() > 0.05, "{cost:?}");

@@ -5,7 +5,6 @@ use serde_json::{Value, json};
 use std::time::{Duration, SystemTime};
 use uuid::{Builder, Uuid};
 
-/// The time now, nanoseconds since the Unix epoch.
 pub(crate) fn now_ns() -> u64 {
     let since = SystemTime::UNIX_EPOCH.elapsed().unwrap();
     u64::try_from(since.as_nanos()).unwrap()
@@ -55,7 +54,6 @@ pub(crate) async fn open(settings: &[(&str, Value)]) -> zenoh::Session {
     opened.await.expect("the session opens in time").unwrap()
 }
 
-/// The reply to a batch.
 #[derive(Debug)]
 pub(crate) enum Reply {
     Answer(ReportAnswer),
@@ -71,7 +69,6 @@ impl Reply {
         }
     }
 
-    /// Asserts that every report was stored.
     pub(crate) fn assert_stored(self) {
         let answer = self.answer();
         assert!(answer.refused.is_empty(), "{answer:?}");

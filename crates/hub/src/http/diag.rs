@@ -101,7 +101,7 @@ async fn events(store: &Store) -> Result<Vec<StoredEvent>, StoreError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use albireo_service::config::{NamedToken, Role, Token};
+    use albireo_service::config::{NamedToken, Token};
 
     #[test]
     fn no_secret_of_the_configuration_is_shown() {
@@ -109,19 +109,20 @@ mod tests {
         config.http.token = Some(Token::new("the-token-of-everything"));
         config.tokens = vec![NamedToken {
             name: "dashboard".into(),
-            role: Role::Read,
             token: Some(Token::new("the-token-of-the-dashboard")),
-            token_file: None,
+            ..NamedToken::default()
         }];
         config.database.url =
             "postgres://hub:the-password@db.example/fleet?password=the-other".into();
         let hidden: Vec<_> = config.database.passwords().collect();
         assert_eq!(hidden, ["the-password", "the-other"]);
         let shown = without_secrets(&config).to_string();
+        let logged = format!("{:?}", config.database);
         for secret in ["the-token", "the-password", "the-other"] {
             assert!(!shown.contains(secret), "{shown}");
+            assert!(!logged.contains(secret), "{logged}");
         }
-        for kept in ["dashboard", "db.example/fleet", "commit_ms"] {
+        for kept in ["dashboard", "postgres://hub@db.example/fleet", "commit_ms"] {
             assert!(shown.contains(kept), "{shown}");
         }
     }

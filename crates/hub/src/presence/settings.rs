@@ -110,10 +110,18 @@ fn labels(status: Option<&NodeStatus>) -> &BTreeMap<String, String> {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use albireo_wire::{
-        CameraState, CameraStatus, EnergyQuality, HealthState, HealthStatus, OutboxStatus,
-        RefusedDesired, SettingSource,
-    };
+    use albireo_wire::RefusedDesired;
+    use serde_json::json;
+    use std::sync::LazyLock;
+
+    static STATUS: LazyLock<NodeStatus> = LazyLock::new(|| {
+        let status = json!({
+            "version": "", "cameras": [{"name": "", "state": "live", "threshold_source": "hub"}], "policy": "",
+            "model": "", "power_source": "", "power_quality": "measured", "health": {"state": "ready", "reasons": {}},
+            "outbox": {"waiting": 0, "lost": 0, "durable": true},
+        });
+        serde_json::from_value(status).unwrap()
+    });
 
     /// A node with one value on all of its cameras, which refused the setting of one revision or none.
     pub(crate) fn reported(
@@ -122,33 +130,12 @@ pub(crate) mod tests {
         threshold: Threshold,
         refused: Option<u64>,
     ) -> NodeSettings {
-        let camera = CameraStatus {
-            name: String::new(),
-            state: CameraState::Live,
-            threshold: Some(threshold),
-            threshold_source: SettingSource::Hub,
-        };
-        let status = NodeStatus {
-            version: String::new(),
-            labels: BTreeMap::new(),
-            cameras: vec![camera],
-            policy: String::new(),
-            model: String::new(),
-            provider: None,
-            power_source: String::new(),
-            power_quality: EnergyQuality::Measured,
-            health: HealthStatus {
-                state: HealthState::Ready,
-                reasons: BTreeMap::new(),
-            },
-            outbox: OutboxStatus::default(),
-            refused: refused.map(|revision| RefusedDesired {
-                revision,
-                reason: "range".to_owned(),
-            }),
-            target: None,
-            target_off: None,
-        };
+        let mut status = STATUS.clone();
+        status.cameras[0].threshold = Some(threshold);
+        status.refused = refused.map(|revision| RefusedDesired {
+            revision,
+            reason: "range".to_owned(),
+        });
         NodeSettings {
             name: "".into(),
             reachable,

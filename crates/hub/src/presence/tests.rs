@@ -2,8 +2,8 @@
 
 use super::*;
 use crate::config::PresenceConfig;
-use crate::store::tables::NodeRow;
 use albireo_wire::{HealthState, Heartbeat, StatusMessage, VERSION};
+use serde_json::json;
 use std::time::{Duration, Instant};
 
 const LIMITS: Limits = Limits {
@@ -54,34 +54,20 @@ fn the_state_follows_the_table_in_the_documentation() {
 }
 
 fn life(seq: u64) -> StatusMessage {
-    StatusMessage {
-        v: VERSION,
-        run: 7,
-        started_ns: 1,
-        seq,
-        t_ns: 0,
-        health: HealthState::Ready,
-        waiting: 0,
-        revision: 0,
-        full: None,
-    }
+    let status = json!({
+        "v": VERSION, "run": 7, "started_ns": 1, "seq": seq, "t_ns": 0, "health": "ready", "waiting": 0, "revision": 0,
+    });
+    serde_json::from_value(status).unwrap()
 }
 
 #[test]
 fn a_node_silent_at_a_hub_restart_becomes_offline_in_time_and_returns() {
     let fleet = Fleet::new(&PresenceConfig::default());
-    let remembered = NodeRow {
-        name: "a".to_owned(),
-        first_seen_ms: 5_000,
-        state: "silent".to_owned(),
-        since_ms: 100_000,
-        why: "no status for 95 s".to_owned(),
-        heard_ms: Some(5_000),
-        run: None,
-        started_ns: None,
-        revision: 0,
-        status: None,
-    };
+    let remembered = json!({
+        "name": "a", "first_seen_ms": 5_000, "state": "silent", "since_ms": 100_000, "why": "no status for 95 s",
+        "heard_ms": 5_000, "revision": 0,
+    });
+    let remembered = serde_json::from_value(remembered).unwrap();
     let start = Instant::now();
     fleet.remember(vec![remembered], start);
     let state = || fleet.view("a").unwrap().state;
@@ -92,6 +78,20 @@ fn a_node_silent_at_a_hub_restart_becomes_offline_in_time_and_returns() {
     assert_eq!(fleet.view("a").unwrap().since_ms, 700_000);
     fleet.apply_status("a", &life(0), start + Duration::from_secs(3), 701_000);
     assert_eq!(state(), PresenceState::Online);
+}
+
+#[test]
+fn a_restart_is_no_conflict_but_two_nodes_with_the_same_name_are_reported() {
+    let fleet = Fleet::new(&PresenceConfig::default());
+    let states = [7, 8, 7].map(|run| {
+        let status = StatusMessage { run, ..life(0) };
+        fleet.apply_status("a", &status, Instant::now(), 0);
+        fleet.view("a").unwrap().state
+    });
+    use PresenceState::{Degraded, Online};
+    assert_eq!(states, [Online, Online, Degraded]);
+    let why = fleet.view("a").unwrap().why;
+    assert!(why.starts_with("two nodes have this name"), "{why}");
 }
 
 #[test]
@@ -109,7 +109,7 @@ fn a_heartbeat_confirms_the_last_status_of_its_run_and_another_run_requests_the_
     let fleet = Fleet::new(&PresenceConfig::default());
     let start = Instant::now();
     let at = |seconds| start + Duration::from_secs(seconds);
-    let full = serde_json::json!({
+    let full = json!({
         "version": "0.1.0", "cameras": [], "policy": "albireo", "model": "m.onnx", "power_source": "none",
         "power_quality": "unavailable", "health": {"state": "degraded", "reasons": {"screen": "it is away"}},
         "outbox": {"waiting": 0, "lost": 0, "durable": true},

@@ -230,16 +230,6 @@ mod tests {
     }
 
     #[test]
-    fn fewer_than_eight_nodes_are_no_estimate() {
-        let (seven, eight) = ([0.1; 7], [0.1; 8]);
-        assert!(Effect::of(Scale::Relative, &seven, &eight).is_none());
-        assert!(Effect::of(Scale::Relative, &eight, &seven).is_none());
-        let same = Effect::of(Scale::Relative, &eight, &eight).unwrap();
-        let interval = same.interval(0.001);
-        assert!(interval.lower.abs() < 1e-12 && interval.upper.abs() < 1e-12);
-    }
-
-    #[test]
     fn a_relative_change_from_or_to_zero_is_no_number() {
         assert_eq!(Scale::Relative.change(0.0, 1.0), None);
         assert_eq!(Scale::Relative.change(1.0, 0.0), None);

@@ -271,15 +271,11 @@ mod tests {
     use crate::presence::reported;
 
     fn new() -> Threshold {
-        u(5e-4)
+        Threshold::new("u", 5e-4)
     }
 
     fn old() -> Threshold {
-        u(3e-4)
-    }
-
-    fn u(value: f64) -> Threshold {
-        Threshold::new("u", value)
+        Threshold::new("u", 3e-4)
     }
 
     fn asked() -> Member {

@@ -41,22 +41,17 @@ pub struct Postgres {
 /// The folder of the server's programs: on the path, or where Debian puts them.
 fn tools() -> PathBuf {
     let path = std::env::var_os("PATH").unwrap_or_default();
-    let debian = std::fs::read_dir("/usr/lib/postgresql")
-        .into_iter()
-        .flatten();
-    let mut versions: Vec<_> = debian
-        .filter_map(|entry| Some(entry.ok()?.path()))
-        .collect();
-    versions.sort();
-    let newest_first = versions.iter().rev().map(|version| version.join("bin"));
+    let debian = std::fs::read_dir("/usr/lib/postgresql");
+    let versions = debian.into_iter().flatten().flatten();
+    let mut folders: Vec<_> = versions.map(|one| one.path().join("bin")).collect();
+    folders.sort();
     std::env::split_paths(&path)
-        .chain(newest_first)
+        .chain(folders.into_iter().rev())
         .find(|folder| folder.join("initdb").exists() && folder.join("pg_ctl").exists())
         .expect("PostgreSQL's initdb is not installed: `make debian`")
 }
 
 impl Postgres {
-    /// Creates a server and starts it.
     pub fn start() -> Self {
         let server = Self {
             folder: tempfile::Builder::new().prefix("hub-pg").tempdir().unwrap(),

@@ -63,29 +63,23 @@ fn a_gate_is_read_back_as_written() {
 }
 
 #[test]
-fn a_change_within_the_bound_passes_beyond_it_fails_and_between_is_undecided() {
-    let rest = fleet(Figure::JoulesMeasured, 40, 1.0);
-    for (factor, expected) in [
-        (0.8, Verdict::Passed),
-        (1.0, Verdict::Passed),
-        (1.03, Verdict::Passed),
-        (1.048, Verdict::Undecided),
-        (1.1, Verdict::Failed),
+fn a_change_that_others_do_not_share_passes_within_the_bound_and_fails_beyond_it() {
+    for (factor, others, expected) in [
+        (0.8, 1.0, Verdict::Passed),
+        (1.0, 1.0, Verdict::Passed),
+        (1.03, 1.0, Verdict::Passed),
+        (1.048, 1.0, Verdict::Undecided),
+        (1.1, 1.0, Verdict::Failed),
+        (1.5, 1.0, Verdict::Failed),
+        (1.5, 1.5, Verdict::Passed),
     ] {
+        let rest = fleet(Figure::JoulesMeasured, 40, others);
         let changed = fleet(Figure::JoulesMeasured, 12, factor);
         let results = judged("joules<=+5%", &changed, &rest);
         assert_eq!(overall(&results), expected, "{factor} {results:#?}");
         let estimate = results[0].change.unwrap().estimate;
-        assert!((estimate - (factor - 1.0)).abs() < 0.01, "{estimate}");
-    }
-}
-
-#[test]
-fn a_change_that_other_nodes_share_is_no_effect() {
-    let changed = fleet(Figure::JoulesMeasured, 12, 1.5);
-    for (others, expected) in [(1.5, Verdict::Passed), (1.0, Verdict::Failed)] {
-        let rest = fleet(Figure::JoulesMeasured, 40, others);
-        assert_eq!(verdict("joules<=+5%", &changed, &rest), expected);
+        let off = estimate - (factor / others - 1.0);
+        assert!(off.abs() < 0.01, "{estimate}");
     }
 }
 
@@ -135,17 +129,20 @@ fn nodes_with_too_few_clips_do_not_count_and_fewer_than_eight_nodes_measure_noth
     let mut changed = fleet(Figure::JoulesMeasured, 8, 2.0);
     let gate = "joules<=+5%";
     assert_eq!(verdict(gate, &changed, &rest), Verdict::Failed);
-    changed[0].after = [(
-        Figure::JoulesMeasured,
-        Mean {
-            clips: 4,
-            sum: 80.0,
-        },
-    )]
-    .into();
+    let mean = Mean {
+        clips: 4,
+        sum: 80.0,
+    };
+    changed[0].after = [(Figure::JoulesMeasured, mean)].into();
     let results = judged("joules<=+5%", &changed, &rest);
     assert_eq!((results[0].nodes, results[0].compared), (7, 40));
     assert_eq!(overall(&results), Verdict::NotMeasured);
+    let against_seven = verdict(gate, &rest, &rest[..7]);
+    assert_eq!(against_seven, Verdict::NotMeasured);
+    // Eight that changed alike leave no doubt.
+    let alike = vec![node(Figure::JoulesMeasured, 1.0, 1.0); 8];
+    let change = judged(gate, &alike, &alike)[0].change.unwrap();
+    assert_eq!((change.lower, change.upper), (0.0, 0.0));
 }
 
 #[test]

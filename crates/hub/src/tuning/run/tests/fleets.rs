@@ -184,8 +184,7 @@ fn run(nodes: usize, stages: &[&str], driving_hours: f64, change: f64, rollouts:
 
 /// The number of rollouts to simulate: from the environment, or `usual`.
 fn count(usual: u64) -> u64 {
-    let asked = std::env::var("ALBIREO_ROLLOUTS").ok();
-    asked.and_then(|text| text.parse().ok()).unwrap_or(usual)
+    std::env::var("ALBIREO_ROLLOUTS").map_or(usual, |text| text.parse().unwrap())
 }
 
 #[test]
