@@ -1,15 +1,14 @@
 //! Real models on real frames find the objects in their README.
 
+use super::support::detectors::{CAMERA, decoded};
 use super::support::shared;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_eval::footage::{Ffmpeg, FrameSource, Video, VideoEncoding};
-use albireo_vision::detector::{CameraSlot, ClassNames, Detected, DetectorConfig, DetectorHandle};
-use albireo_vision::picture::{ColorOrder, FrameLimits, Picture, PixelLayout, decode};
+use albireo_vision::detector::{ClassNames, DetectorConfig, DetectorHandle};
+use albireo_vision::picture::{ColorOrder, Picture};
 use albireo_vision::screen::{ScreenConfig, ScreenHandle};
 use rstest::rstest;
 use std::sync::Arc;
-
-const CAMERA: CameraSlot = CameraSlot(0);
 
 /// Frame `number` (from 0) of a clip.
 fn frame(clip: &str, number: usize) -> Arc<Picture> {
@@ -18,23 +17,7 @@ fn frame(clip: &str, number: usize) -> Arc<Picture> {
     let mut video = Video::open(file, None, VideoEncoding::Png, Ffmpeg::default()).unwrap();
     let mut frames = std::iter::from_fn(|| video.next().unwrap());
     let encoded = frames.nth(number).unwrap();
-    let mut picture = Picture::default();
-    let (limits, layout) = (FrameLimits::default(), PixelLayout::Rgb8);
-    decode(&encoded, &limits, layout, None, &mut picture).unwrap();
-    Arc::new(picture)
-}
-
-const SIZE: PictureSize = PictureSize::new(720, 576);
-
-/// Returns whether a car is found within 2 px and 0.01 of the model's README.
-fn is_found(detector: &DetectorHandle, detected: &Detected, score: f64, place: [f64; 4]) -> bool {
-    detected.detections.iter().any(|detection| {
-        let Corners { x1, y1, x2, y2 } = detection.bounding_box.pixel_corners(SIZE);
-        let mut sides = [x1, y1, x2, y2].into_iter().zip(place);
-        detector.class_names()[usize::from(detection.class.0)] == "car"
-            && (detection.confidence - score).abs() <= 0.01
-            && sides.all(|(found, expected)| (found - expected).abs() <= 2.0)
-    })
+    Arc::new(decoded(&encoded))
 }
 
 #[rstest]
@@ -62,10 +45,18 @@ async fn shared_a_model_finds_the_two_cars_of_its_readme(
     };
     let detector = DetectorHandle::start(&config).await.unwrap();
     let picture = frame("highway_two_cars.mp4", 60);
+    let size = picture.size;
+    assert_eq!(size, PictureSize::new(720, 576));
     let detected = detector.detect(CAMERA, picture).await.unwrap();
     assert_eq!(detector.model_name(), file);
     for (score, place) in cars {
-        let found = is_found(&detector, &detected, score, place);
+        let found = detected.detections.iter().any(|detection| {
+            let Corners { x1, y1, x2, y2 } = detection.bounding_box.pixel_corners(size);
+            let mut sides = [x1, y1, x2, y2].into_iter().zip(place);
+            detector.class_names()[usize::from(detection.class.0)] == "car"
+                && (detection.confidence - score).abs() <= 0.01
+                && sides.all(|(found, expected)| (found - expected).abs() <= 2.0)
+        });
         assert!(found, "no {score} {place:?} among {detected:?}");
     }
     let only_these = detected.detections.len() == 2;

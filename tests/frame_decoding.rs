@@ -6,6 +6,7 @@ use albireo_vision::picture::{
     decode_grey_half, decode_small_grey, to_jpeg,
 };
 use bytes::Bytes;
+use jpeg_encoder::ColorType as JpegColor;
 use png::{BitDepth, ColorType};
 use proptest::prelude::*;
 
@@ -18,13 +19,13 @@ fn encoded(format: PictureFormat, width: u32, height: u32, bytes: Vec<u8>) -> En
 }
 
 fn decoded(picture: &EncodedPicture, layout: PixelLayout) -> Result<Picture, FrameFault> {
-    let mut into = Picture::default();
+    // A buffer that was used before, as most are.
+    let mut into = Picture::black(PictureSize::new(7, 5));
     decode(picture, &FrameLimits::default(), layout, None, &mut into)?;
-    assert_eq!(into.size, picture.size);
-    assert_eq!(into.source_size, picture.size);
+    assert_eq!([into.size, into.source_size], [picture.size; 2]);
     assert_eq!(into.layout, layout);
-    let expected = picture.size.pixels() * layout.channels() as u64;
-    assert_eq!(into.pixels.len() as u64, expected);
+    let expected = picture.size.pixels() as usize * layout.channels();
+    assert_eq!(into.pixels.len(), expected);
     Ok(into)
 }
 
@@ -50,31 +51,25 @@ fn gradient(width: u32, height: u32) -> Vec<u8> {
             200 - (x + y) * 100 / (width + height),
         ]
     };
-    (0..width * height)
-        .flat_map(pixel)
-        .map(|value| value as u8)
-        .collect()
+    let values = (0..width * height).flat_map(pixel);
+    values.map(|value| value as u8).collect()
 }
 
-fn jpeg_file(
-    pixels: &[u8],
-    width: u32,
-    height: u32,
-    color: jpeg_encoder::ColorType,
-    progressive: bool,
-) -> EncodedPicture {
+fn jpeg_file(width: u32, height: u32, color: JpegColor, progressive: bool) -> EncodedPicture {
+    let pixels = match color {
+        JpegColor::Luma => luma_of(&gradient(width, height)),
+        _ => gradient(width, height),
+    };
     let mut file = Vec::new();
     let mut encoder = jpeg_encoder::Encoder::new(&mut file, 95);
     encoder.set_progressive(progressive);
-    encoder
-        .encode(pixels, width as u16, height as u16, color)
-        .unwrap();
+    let written = encoder.encode(&pixels, width as u16, height as u16, color);
+    written.unwrap();
     encoded(PictureFormat::Jpeg, width, height, file)
 }
 
 fn rgb_jpeg(width: u32, height: u32, progressive: bool) -> EncodedPicture {
-    let (pixels, rgb) = (gradient(width, height), jpeg_encoder::ColorType::Rgb);
-    jpeg_file(&pixels, width, height, rgb, progressive)
+    jpeg_file(width, height, JpegColor::Rgb, progressive)
 }
 
 fn png_file(
@@ -89,7 +84,7 @@ fn png_file(
     encoder.set_color(color);
     encoder.set_depth(depth);
     if color == ColorType::Indexed {
-        encoder.set_palette(vec![10, 20, 30, 40, 50, 60]);
+        encoder.set_palette(vec![10, 20, 30, 200, 100, 50]);
     }
     let mut writer = encoder.write_header().unwrap();
     writer.write_image_data(samples).unwrap();
@@ -105,13 +100,11 @@ fn largest_difference(left: &[u8], right: &[u8]) -> u8 {
 
 /// BT.601 luma in floating point, the reference for the fixed-point one.
 fn luma_of(pixels: &[u8]) -> Vec<u8> {
-    pixels
-        .chunks(3)
-        .map(|p| {
-            let [r, g, b] = [p[0], p[1], p[2]].map(f64::from);
-            (0.299 * r + 0.587 * g + 0.114 * b).round() as u8
-        })
-        .collect()
+    let luma = |pixel: &[u8]| {
+        let [r, g, b] = [pixel[0], pixel[1], pixel[2]].map(f64::from);
+        (0.299 * r + 0.587 * g + 0.114 * b).round() as u8
+    };
+    pixels.chunks(3).map(luma).collect()
 }
 
 #[test]
@@ -125,7 +118,7 @@ fn a_jpeg_decodes_to_the_encoded_picture_in_colour_and_in_grey() {
             assert!(largest_difference(&grey(&picture), &luma_of(&pixels)) <= 6);
         }
         let luma = luma_of(&pixels);
-        let picture = jpeg_file(&luma, width, height, jpeg_encoder::ColorType::Luma, false);
+        let picture = jpeg_file(width, height, JpegColor::Luma, false);
         assert!(largest_difference(&grey(&picture), &luma) <= 6);
         let rgb = rgb(&picture);
         assert!(rgb.chunks(3).all(|p| p[0] == p[1] && p[1] == p[2]));
@@ -133,26 +126,21 @@ fn a_jpeg_decodes_to_the_encoded_picture_in_colour_and_in_grey() {
 }
 
 #[test]
-fn a_truncated_jpeg_is_undecodable() {
+fn a_truncated_jpeg_is_undecodable_and_bytes_after_its_end_are_ignored() {
     for progressive in [false, true] {
-        let picture = rgb_jpeg(64, 48, progressive);
-        let whole = picture.bytes.len();
-        for length in 0..whole - 1 {
+        let whole = rgb_jpeg(64, 48, progressive);
+        for length in 0..whole.bytes.len() - 1 {
             let cut = EncodedPicture {
-                bytes: picture.bytes.slice(..length),
-                ..picture.clone()
+                bytes: whole.bytes.slice(..length),
+                ..whole.clone()
             };
-            assert_eq!(fault_of(&cut), "undecodable", "{length} of {whole}");
+            assert_eq!(fault_of(&cut), "undecodable", "{length}");
         }
     }
-}
-
-#[test]
-fn bytes_after_the_end_of_a_jpeg_are_ignored() {
-    let picture = rgb_jpeg(32, 16, false);
-    let padded = [&picture.bytes[..], &[0; 64]].concat();
+    let whole = rgb_jpeg(32, 16, false);
+    let padded = [&whole.bytes[..], &[0; 64]].concat();
     let padded = encoded(PictureFormat::Jpeg, 32, 16, padded);
-    assert_eq!(rgb(&padded), rgb(&picture));
+    assert_eq!(rgb(&padded), rgb(&whole));
 }
 
 #[test]
@@ -173,44 +161,33 @@ fn a_picture_of_another_size_than_announced_is_undecodable() {
 }
 
 #[test]
-fn every_kind_of_png_gives_its_colours() {
+fn every_kind_of_png_and_raw_layout_gives_its_colours_and_their_luma() {
     use BitDepth::{Eight, One, Sixteen};
-    use ColorType::GrayscaleAlpha;
-    let colour = [10, 20, 30, 40, 50, 60];
-    let deep = [10, 99, 20, 1, 30, 2, 40, 3, 50, 4, 60, 5];
-    let clear = [10, 20, 30, 0, 40, 50, 60, 9];
+    use ColorType::{Grayscale, GrayscaleAlpha, Indexed, Rgb, Rgba};
+    use PictureFormat::{Bgr8, Bgra8, Gray8, Rgb8, Rgba8};
+    let colour = [10, 20, 30, 200, 100, 50];
+    let deep = [10, 99, 20, 1, 30, 2, 200, 3, 100, 4, 50, 5];
+    let clear = [10, 20, 30, 0, 200, 100, 50, 9];
     let grey_pixels = [7, 7, 7, 200, 200, 200];
-    for (color, depth, samples, expected) in [
-        (ColorType::Rgb, Eight, &colour[..], colour),
-        (ColorType::Rgba, Eight, &clear, colour),
-        (ColorType::Indexed, Eight, &[0, 1], colour),
-        (ColorType::Indexed, One, &[0b0100_0000], colour),
-        (ColorType::Rgb, Sixteen, &deep, colour),
-        (ColorType::Grayscale, Eight, &[7, 200], grey_pixels),
-        (GrayscaleAlpha, Eight, &[7, 0, 200, 255], grey_pixels),
+    let png = |color, depth, samples: &[u8]| png_file(2, 1, color, depth, samples);
+    let raw = |format, bytes: &[u8]| encoded(format, 2, 1, bytes.to_vec());
+    for (picture, expected) in [
+        (png(Rgb, Eight, &colour), colour),
+        (png(Rgba, Eight, &clear), colour),
+        (png(Indexed, Eight, &[0, 1]), colour),
+        (png(Indexed, One, &[0b0100_0000]), colour),
+        (png(Rgb, Sixteen, &deep), colour),
+        (png(Grayscale, Eight, &[7, 200]), grey_pixels),
+        (png(GrayscaleAlpha, Eight, &[7, 0, 200, 255]), grey_pixels),
+        (raw(Rgb8, &colour), colour),
+        (raw(Rgba8, &clear), colour),
+        (raw(Bgr8, &[30, 20, 10, 50, 100, 200]), colour),
+        (raw(Bgra8, &[30, 20, 10, 0, 50, 100, 200, 7]), colour),
+        (raw(Gray8, &[7, 200]), grey_pixels),
     ] {
-        let picture = png_file(2, 1, color, depth, samples);
-        assert_eq!(rgb(&picture), expected);
-        assert_eq!(grey(&picture), luma_of(&expected));
+        assert_eq!(rgb(&picture), expected, "{picture:?}");
+        assert_eq!(grey(&picture), luma_of(&expected), "{picture:?}");
     }
-}
-
-#[test]
-fn raw_layouts_are_converted() {
-    let colour = vec![10, 20, 30, 200, 100, 50];
-    for (format, bytes) in [
-        (PictureFormat::Rgb8, colour.clone()),
-        (PictureFormat::Bgr8, vec![30, 20, 10, 50, 100, 200]),
-        (PictureFormat::Rgba8, vec![10, 20, 30, 0, 200, 100, 50, 7]),
-        (PictureFormat::Bgra8, vec![30, 20, 10, 0, 50, 100, 200, 7]),
-    ] {
-        let picture = encoded(format, 2, 1, bytes);
-        assert_eq!(rgb(&picture), colour, "{format:?}");
-        assert_eq!(grey(&picture), luma_of(&colour), "{format:?}");
-    }
-    let picture = encoded(PictureFormat::Gray8, 2, 1, vec![9, 8]);
-    assert_eq!(rgb(&picture), [9, 9, 9, 8, 8, 8]);
-    assert_eq!(grey(&picture), [9, 8]);
 }
 
 #[test]
@@ -284,48 +261,29 @@ fn small_grey_is_the_smallest_fraction_that_is_wide_enough() {
 }
 
 #[test]
-fn a_buffer_is_reused() {
-    let mut into = Picture::default();
-    let limits = FrameLimits::default();
-    let large = rgb_jpeg(64, 48, false);
-    decode(&large, &limits, PixelLayout::Rgb8, None, &mut into).unwrap();
-    let (first, address) = (into.clone(), into.pixels.as_ptr());
-    let small = encoded(PictureFormat::Gray8, 2, 1, vec![1, 2]);
-    decode(&small, &limits, PixelLayout::Gray8, None, &mut into).unwrap();
-    assert_eq!(into.pixels, [1, 2]);
-    decode(&large, &limits, PixelLayout::Rgb8, None, &mut into).unwrap();
-    assert_eq!(into, first);
-    assert_eq!(into.pixels.as_ptr(), address);
-}
-
-#[test]
 fn every_format_can_be_shown_as_jpeg() {
     let limits = FrameLimits::default();
     let jpeg = rgb_jpeg(32, 16, false);
     assert_eq!(to_jpeg(&jpeg, &limits).unwrap(), jpeg.bytes);
-    let shown = |picture: &EncodedPicture| {
-        let file = to_jpeg(picture, &limits).unwrap();
-        encoded(PictureFormat::Jpeg, 32, 16, file.to_vec())
-    };
     let pixels = gradient(32, 16);
-    for picture in [
-        png_file(32, 16, ColorType::Rgb, BitDepth::Eight, &pixels),
-        encoded(PictureFormat::Rgb8, 32, 16, pixels.clone()),
+    for (picture, most) in [
+        (
+            png_file(32, 16, ColorType::Rgb, BitDepth::Eight, &pixels),
+            16,
+        ),
+        (encoded(PictureFormat::Rgb8, 32, 16, pixels.clone()), 16),
+        (encoded(PictureFormat::Gray8, 32, 16, luma_of(&pixels)), 12),
     ] {
-        assert!(largest_difference(&rgb(&shown(&picture)), &pixels) <= 16);
+        let file = to_jpeg(&picture, &limits).unwrap();
+        let shown = encoded(PictureFormat::Jpeg, 32, 16, file.to_vec());
+        assert!(largest_difference(&rgb(&shown), &rgb(&picture)) <= most);
     }
-    let luma = luma_of(&pixels);
-    let picture = encoded(PictureFormat::Gray8, 32, 16, luma.clone());
-    assert!(largest_difference(&grey(&shown(&picture)), &luma) <= 12);
 }
 
-/// Files to damage: both JPEG codings, and PNG with and without alpha.
 fn specimens() -> Vec<EncodedPicture> {
     let pixels = gradient(40, 24);
-    let rgba: Vec<u8> = pixels
-        .chunks(3)
-        .flat_map(|p| [p[0], p[1], p[2], 5])
-        .collect();
+    let clear = |p: &[u8]| [p[0], p[1], p[2], 5];
+    let rgba: Vec<u8> = pixels.chunks(3).flat_map(clear).collect();
     vec![
         rgb_jpeg(40, 24, false),
         rgb_jpeg(40, 24, true),
@@ -337,8 +295,7 @@ fn specimens() -> Vec<EncodedPicture> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(512))]
 
-    /// A damaged file decodes to a picture of its size or is rejected, without even a contained panic, and never leaves a buffer
-    /// above the limit.
+    /// Not even a contained panic happens.
     #[test]
     fn a_damaged_file_is_rejected_or_decoded_within_its_memory_limit(
         specimen in 0_usize..4,
@@ -363,7 +320,7 @@ proptest! {
         prop_assert!(into.pixels.capacity() <= limits.max_decoded_bytes);
         match result {
             Ok(()) => prop_assert_eq!(into.pixels.len(), 40 * 24 * layout.channels()),
-            Err(fault) => prop_assert!(!fault.to_string().contains("unforeseen"), "{}", fault),
+            Err(fault) => prop_assert!(!fault.to_string().contains("panicked"), "{}", fault),
         }
     }
 }

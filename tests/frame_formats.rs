@@ -23,7 +23,6 @@ fn sample<'a>(payload: &[u8], encoding: &'a str, attachment: Option<&'a [u8]>) -
     }
 }
 
-/// A frame, or the number and the fault of an unreadable sample.
 type Read = Result<Frame, (FrameNumber, FrameFault)>;
 
 fn read_as(sample: RawSample<'_>, format: PayloadFormat, limits: &FrameLimits) -> Read {
@@ -47,13 +46,14 @@ fn picture_files() -> (Vec<u8>, Vec<u8>) {
 }
 
 #[test]
-fn ros2_messages_of_another_library_are_read_in_both_byte_orders() {
+fn ros2_messages_of_another_library_in_both_byte_orders_are_read_and_numbered_unless_cut_short() {
+    let read = |payload: &[u8]| read_ros(payload, PayloadFormat::Ros2CompressedImage);
     let expected: Vec<Value> = serde_json::from_slice(&fixture("expected.json")).unwrap();
     assert_eq!(expected.len(), 4);
     for message in expected {
         let number = |key: &str| message[key].as_u64().unwrap();
-        let payload = fixture(message["file"].as_str().unwrap());
-        let frame = read_ros(&payload, PayloadFormat::Ros2CompressedImage).unwrap();
+        let mut payload = fixture(message["file"].as_str().unwrap());
+        let frame = read(&payload).unwrap();
         let time = number("sec") * 1_000_000_000 + number("nanosec");
         assert_eq!(frame.time_ns, time);
         let [width, height] = ["image_width", "image_height"].map(|key| number(key) as u32);
@@ -65,61 +65,49 @@ fn ros2_messages_of_another_library_are_read_in_both_byte_orders() {
         assert_eq!(frame.picture.format, format);
         assert_eq!(frame.sequence, 12, "numbered by arrival");
         assert_eq!(frame.payload_bytes, payload.len());
+        let (attachment, limits) = (rmw_attachment(900, 3), FrameLimits::default());
+        let numbered = sample(&payload, "", Some(&attachment));
+        let numbered = read_as(numbered, PayloadFormat::Ros2CompressedImage, &limits).unwrap();
+        // The time is still the header's.
+        assert_eq!((numbered.sequence, numbered.time_ns), (900, time));
+
+        for length in (0..60).chain([payload.len() - 1]) {
+            let (number, fault) = read(&payload[..length]).unwrap_err();
+            assert_eq!(fault.kind(), "undecodable", "{length}: {fault}");
+            assert_eq!(number.seq, None);
+        }
+        // Padding after the message is ignored; another encoding is not.
+        payload.extend_from_slice(&[0; 3]);
+        assert!(read(&payload).is_ok());
+        payload[1] = 9;
+        assert_eq!(read(&payload).unwrap_err().1.kind(), "unknown_format");
     }
 }
 
-#[test]
-fn trailing_padding_of_a_ros2_message_is_ignored_and_every_truncation_is_rejected() {
-    let mut payload = fixture("compressed_image_0.cdr");
-    let whole = payload.len();
-    payload.extend_from_slice(&[0; 3]);
-    assert!(read_ros(&payload, PayloadFormat::Ros2CompressedImage).is_ok());
-    for length in (0..60).chain([whole - 1]) {
-        let cut = read_ros(&payload[..length], PayloadFormat::Ros2CompressedImage);
-        let rejected = cut.unwrap_err();
-        assert_eq!(rejected.1.kind(), "undecodable", "{length}: {rejected:?}");
-        assert_eq!(rejected.0.seq, None);
-    }
-    payload[1] = 9;
-    let rejected = read_ros(&payload, PayloadFormat::Ros2CompressedImage).unwrap_err();
-    assert_eq!(rejected.1.kind(), "unknown_format");
-}
-
-/// An Image message in CDR, field by field.
 fn ros_image(
     little_endian: bool,
     encoding: &str,
-    width: u32,
-    height: u32,
-    step: u32,
+    [width, height, step]: [u32; 3],
     data: &[u8],
 ) -> Vec<u8> {
-    let mut body = Vec::new();
-    let word = |body: &mut Vec<u8>, value: u32| {
-        while !body.len().is_multiple_of(4) {
-            body.push(0);
-        }
-        body.extend(match little_endian {
-            true => value.to_le_bytes(),
-            false => value.to_be_bytes(),
-        });
+    let word = |word: &u32| match little_endian {
+        true => word.to_le_bytes(),
+        false => word.to_be_bytes(),
     };
-    let text = |body: &mut Vec<u8>, value: &str| {
-        word(body, value.len() as u32 + 1);
-        body.extend_from_slice(value.as_bytes());
-        body.push(0);
-    };
-    word(&mut body, 1_700_000_000);
-    word(&mut body, 5);
-    text(&mut body, "camera_link");
-    word(&mut body, height);
-    word(&mut body, width);
-    text(&mut body, encoding);
-    body.push(0);
-    word(&mut body, step);
-    word(&mut body, data.len() as u32);
-    body.extend_from_slice(data);
-    [&[0, u8::from(little_endian), 0, 0][..], &body].concat()
+    let words = |words: &[u32]| words.iter().flat_map(word).collect::<Vec<_>>();
+    // With its zero and `is_bigendian`, padded to whole words.
+    let mut text = [encoding.as_bytes(), &[0, 0]].concat();
+    text.resize(text.len().next_multiple_of(4), 0);
+    [
+        &[0, u8::from(little_endian), 0, 0][..],
+        &words(&[1_700_000_000, 5, 12]),
+        b"camera_link\0",
+        &words(&[height, width, encoding.len() as u32 + 1]),
+        &text,
+        &words(&[step, data.len() as u32]),
+        data,
+    ]
+    .concat()
 }
 
 #[test]
@@ -128,7 +116,7 @@ fn a_ros2_image_is_read_with_and_without_row_padding() {
     let padded = [&rows[..9], &[255; 3], &rows[9..], &[255; 3]].concat();
     for little_endian in [true, false] {
         for (step, data) in [(9, &rows), (12, &padded)] {
-            let payload = ros_image(little_endian, "bgr8", 3, 2, step, data);
+            let payload = ros_image(little_endian, "bgr8", [3, 2, step], data);
             let frame = read_ros(&payload, PayloadFormat::Ros2Image).unwrap();
             assert_eq!(frame.picture.format, PictureFormat::Bgr8);
             assert_eq!(frame.picture.size, PictureSize::new(3, 2));
@@ -138,106 +126,78 @@ fn a_ros2_image_is_read_with_and_without_row_padding() {
     }
     // 2x2 NV12 with a step of 4: two rows of luma, one of chroma.
     let data = [1, 2, 0, 0, 3, 4, 0, 0, 5, 6, 0, 0];
-    let payload = ros_image(true, "nv12", 2, 2, 4, &data);
+    let payload = ros_image(true, "nv12", [2, 2, 4], &data);
     let frame = read_ros(&payload, PayloadFormat::Ros2Image).unwrap();
     assert_eq!(frame.picture.bytes.as_ref(), [1, 2, 3, 4, 5, 6]);
 }
 
 #[test]
 fn an_inconsistent_ros2_image_is_rejected() {
-    for (encoding, width, height, step, bytes, kind) in [
-        ("bgr8", 3, 2, 8, 18, "undecodable"),
-        ("bgr8", 3, 2, 9, 17, "undecodable"),
-        ("mono8", 0, 2, 0, 0, "undecodable"),
-        ("rgb8", u32::MAX, u32::MAX, u32::MAX, 4, "oversized"),
-        ("mono8", 7000, 4000, u32::MAX, 4, "undecodable"),
-        ("16UC1", 2, 2, 4, 8, "unknown_format"),
+    for (encoding, size_and_step, bytes, kind) in [
+        ("bgr8", [3, 2, 8], 18, "undecodable"),
+        ("bgr8", [3, 2, 9], 17, "undecodable"),
+        ("mono8", [0, 2, 0], 0, "undecodable"),
+        ("rgb8", [u32::MAX; 3], 4, "oversized"),
+        ("mono8", [7000, 4000, u32::MAX], 4, "undecodable"),
+        ("16UC1", [2, 2, 4], 8, "unknown_format"),
     ] {
-        let payload = ros_image(true, encoding, width, height, step, &vec![0; bytes]);
+        let payload = ros_image(true, encoding, size_and_step, &vec![0; bytes]);
         let rejected = read_ros(&payload, PayloadFormat::Ros2Image).unwrap_err();
         assert_eq!(rejected.1.kind(), kind, "{encoding}: {rejected:?}");
     }
 }
 
 #[test]
-fn a_ros2_camera_is_numbered_by_its_own_attachment() {
-    let attachment = rmw_attachment(900, 3);
-    let message = fixture("compressed_image_1.cdr");
-    let sample = sample(&message, "", Some(&attachment));
-    let limits = FrameLimits::default();
-    let frame = read_as(sample, PayloadFormat::Ros2CompressedImage, &limits).unwrap();
-    assert_eq!(frame.sequence, 900);
-    assert_eq!(frame.time_ns, 1_700_000_001_246_913_578, "the header's");
-}
-
-#[test]
-fn the_format_comes_from_the_encoding_or_the_first_bytes() {
+fn the_encoding_the_attachment_or_the_first_bytes_tell_what_a_payload_is() {
     let (jpeg, png) = picture_files();
-    for (payload, encoding, format) in [
-        (&jpeg, "image/jpeg", PictureFormat::Jpeg),
-        (&png, "image/png", PictureFormat::Png),
-        (&jpeg, "", PictureFormat::Jpeg),
-        (&png, "zenoh/bytes", PictureFormat::Png),
-        (&jpeg, "application/octet-stream", PictureFormat::Jpeg),
-        (&jpeg, "Image/JPEG;q=90", PictureFormat::Jpeg),
-    ] {
-        let frame = read(payload, encoding, None).unwrap();
-        assert_eq!(frame.picture.format, format, "{encoding}");
-        assert_eq!(frame.picture.size, PictureSize::new(320, 180));
-        assert_eq!((frame.sequence, frame.time_ns), (12, 77));
-        assert_eq!(frame.clip, None);
-    }
-    for (payload, encoding, kind) in [
-        (&png, "image/jpeg", "undecodable"),
-        (&jpeg, "image/png", "undecodable"),
-        (&jpeg, "video/h264", "unknown_format"),
-        (&b"GIF89a".to_vec(), "", "unknown_format"),
-        (&vec![], "image/jpeg", "undecodable"),
-    ] {
-        let rejected = read(payload, encoding, None).unwrap_err();
-        assert_eq!(rejected.1.kind(), kind, "{encoding}: {rejected:?}");
-    }
-}
-
-#[test]
-fn raw_pictures_take_their_size_from_the_attachment() {
-    let attachment =
-        r#"{"v":1,"seq":4,"t_ns":9,"clip":"drive","width":3,"height":2,"later":"field"}"#;
-    for (name, bytes) in [
-        ("rgb8", 18),
-        ("bgr8", 18),
-        ("gray8", 6),
+    let sent = r#"{"v":1,"seq":4,"t_ns":9,"clip":"drive","width":3,"height":2,"later":"field"}"#;
+    let (sent, no_height) = (Some(sent), Some(r#"{"v":1,"width":3}"#));
+    let (later_version, no_json) = (Some(r#"{"v":2,"seq":1}"#), Some("seq=1"));
+    let cases: [(&[u8], &str, Option<&str>, &str); 27] = [
+        (&jpeg, "image/jpeg", None, "Jpeg 320x180"),
+        (&png, "image/png", None, "Png 320x180"),
+        (&jpeg, "", None, "Jpeg 320x180"),
+        (&png, "zenoh/bytes", None, "Png 320x180"),
+        (&jpeg, "application/octet-stream", None, "Jpeg 320x180"),
+        (&jpeg, "Image/JPEG;q=90", None, "Jpeg 320x180"),
+        (&png, "image/jpeg", None, "undecodable"),
+        (&jpeg, "image/png", None, "undecodable"),
+        (&jpeg, "video/h264", None, "unknown_format"),
+        (b"GIF89a", "", None, "unknown_format"),
+        (b"", "image/jpeg", None, "undecodable"),
+        (&[1; 18], "image/raw;rgb8", sent, "Rgb8 3x2"),
+        (&[1; 17], "image/raw;rgb8", sent, "undecodable"),
+        (&[1; 18], "image/raw;bgr8", sent, "Bgr8 3x2"),
+        (&[1; 17], "image/raw;bgr8", sent, "undecodable"),
+        (&[1; 24], "image/raw;rgba8", sent, "Rgba8 3x2"),
+        (&[1; 23], "image/raw;rgba8", sent, "undecodable"),
+        (&[1; 6], "image/raw;gray8", sent, "Gray8 3x2"),
+        (&[1; 5], "image/raw;gray8", sent, "undecodable"),
         // 6 bytes of luma, and chroma rounded up to 2x1 pairs.
-        ("nv12", 10),
-        ("rgba8", 24),
-    ] {
-        let encoding = format!("image/raw;{name}");
-        let frame = read(&vec![1; bytes], &encoding, Some(attachment)).unwrap();
-        assert_eq!(frame.picture.size, PictureSize::new(3, 2));
-        assert_eq!((frame.sequence, frame.time_ns), (4, 9));
-        assert_eq!(frame.clip.as_deref(), Some("drive"));
-        let rejected = read(&vec![1; bytes - 1], &encoding, Some(attachment)).unwrap_err();
-        assert_eq!(rejected.1.kind(), "undecodable", "{rejected:?}");
-        assert_eq!(rejected.0.seq, Some(4));
-    }
-    for (encoding, attachment) in [
-        ("image/raw;rgb8", None),
-        ("image/raw;rgb8", Some(r#"{"v":1,"width":3}"#)),
-        ("image/raw;yuyv", Some(attachment)),
-        ("image/raw", Some(attachment)),
-    ] {
-        let rejected = read(&[1; 18], encoding, attachment).unwrap_err();
-        assert_eq!(rejected.1.kind(), "unknown_format", "{rejected:?}");
-    }
-}
-
-#[test]
-fn an_unreadable_attachment_is_rejected_without_a_number() {
-    let (jpeg, _) = picture_files();
-    for attachment in [r#"{"v":2,"seq":1}"#, "seq=1"] {
-        let rejected = read(&jpeg, "image/jpeg", Some(attachment)).unwrap_err();
-        assert_eq!(rejected.1.kind(), "unknown_format");
-        assert_eq!(rejected.0.seq, None);
+        (&[1; 10], "image/raw;nv12", sent, "Nv12 3x2"),
+        (&[1; 9], "image/raw;nv12", sent, "undecodable"),
+        (&[1; 18], "image/raw;rgb8", None, "unknown_format"),
+        (&[1; 18], "image/raw;rgb8", no_height, "unknown_format"),
+        (&[1; 18], "image/raw;yuyv", sent, "unknown_format"),
+        (&[1; 18], "image/raw", sent, "unknown_format"),
+        (&jpeg, "image/jpeg", later_version, "unknown_format"),
+        (&jpeg, "image/jpeg", no_json, "unknown_format"),
+    ];
+    for (payload, encoding, attachment, expected) in cases {
+        let is_sent = attachment == sent;
+        let found = match read(payload, encoding, attachment) {
+            Ok(frame) => {
+                let facts = (frame.sequence, frame.time_ns, frame.clip.as_deref());
+                let expected = [(12, 77, None), (4, 9, Some("drive"))];
+                assert_eq!(facts, expected[usize::from(is_sent)], "{encoding}");
+                format!("{:?} {}", frame.picture.format, frame.picture.size)
+            }
+            Err((number, fault)) => {
+                assert_eq!(number.seq, is_sent.then_some(4), "{encoding}: {fault}");
+                fault.kind().to_owned()
+            }
+        };
+        assert_eq!(found, expected, "{encoding} {attachment:?}");
     }
 }
 

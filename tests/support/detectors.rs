@@ -2,7 +2,7 @@
 
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_vision::detector::{CameraSlot, Detected, DetectorConfig, DetectorHandle};
-use albireo_vision::picture::Picture;
+use albireo_vision::picture::{EncodedPicture, FrameLimits, Picture, PixelLayout, decode};
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -15,7 +15,6 @@ pub(crate) fn model(name: &str) -> PathBuf {
     super::project("tests/fixtures/models").join(name)
 }
 
-/// The default configuration with that model.
 pub(crate) fn config(name: &str) -> DetectorConfig {
     DetectorConfig {
         model: model(name),
@@ -23,7 +22,6 @@ pub(crate) fn config(name: &str) -> DetectorConfig {
     }
 }
 
-/// The same configuration, changed.
 pub(crate) fn changed(name: &str, change: impl FnOnce(&mut DetectorConfig)) -> DetectorConfig {
     let mut config = config(name);
     change(&mut config);
@@ -36,26 +34,21 @@ pub(crate) async fn started(config: &DetectorConfig) -> DetectorHandle {
         .unwrap_or_else(|error| panic!("{config:?}: {error}"))
 }
 
-/// The error of a detector that must not start.
 pub(crate) async fn refusal(config: &DetectorConfig) -> String {
-    match DetectorHandle::start(config).await {
-        Ok(_) => panic!("{config:?} was accepted"),
-        Err(error) => error.to_string(),
-    }
+    let started = DetectorHandle::start(config).await;
+    let refused = started.err().map(|error| error.to_string());
+    refused.unwrap_or_else(|| panic!("{config:?} was accepted"))
 }
 
-/// The detections in a picture of one colour.
 pub(crate) async fn detected(detector: &DetectorHandle, color: [u8; 3]) -> Detected {
-    let answer = detector.detect(CAMERA, one_colour(color)).await;
-    answer.unwrap()
+    detector.detect(CAMERA, one_colour(color)).await.unwrap()
 }
 
 /// Asserts that the only detection is the fixtures' box in a picture of size [`PICTURE`].
 #[track_caller]
 pub(crate) fn assert_the_box(found: &Detected, class: u16, confidence: f64) {
-    let [detection] = found.detections.as_slice() else {
-        panic!("{found:?}");
-    };
+    assert_eq!(found.detections.len(), 1, "{found:?}");
+    let detection = &found.detections[0];
     assert_eq!(detection.class.0, class);
     let off = (detection.confidence - confidence).abs();
     assert!(off < 2e-3, "{detection:?}");
@@ -63,6 +56,13 @@ pub(crate) fn assert_the_box(found: &Detected, class: u16, confidence: f64) {
     for (found, expected) in [x1, y1, x2, y2].into_iter().zip([16.0, 8.0, 80.0, 40.0]) {
         assert!((found - expected).abs() < 0.05, "{detection:?}");
     }
+}
+
+pub(crate) fn decoded(picture: &EncodedPicture) -> Picture {
+    let mut into = Picture::default();
+    let (limits, layout) = (FrameLimits::default(), PixelLayout::Rgb8);
+    decode(picture, &limits, layout, None, &mut into).unwrap();
+    into
 }
 
 pub(crate) fn one_colour(color: [u8; 3]) -> Arc<Picture> {

@@ -102,21 +102,12 @@ fn lines(text: &str) -> Result<Vec<String>, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::io::Write;
+    use crate::detector::metadata::tests::metadata;
 
-    fn metadata(names: &str) -> Metadata {
-        Metadata::new([("names".to_owned(), names.to_owned())])
-    }
-
-    fn refused(given: Option<&ClassNames>, metadata: &Metadata, classes: usize) -> String {
-        let refused = read(given, metadata, HeadName::Yolo, Some(classes));
-        refused.unwrap_err().to_string()
-    }
-
-    fn file_with(text: &str) -> (tempfile::NamedTempFile, ClassNames) {
-        let mut file = tempfile::NamedTempFile::new().unwrap();
-        file.write_all(text.as_bytes()).unwrap();
-        let names = ClassNames::File(file.path().to_owned());
+    fn file_with(text: &str) -> (tempfile::TempPath, ClassNames) {
+        let file = tempfile::NamedTempFile::new().unwrap().into_temp_path();
+        std::fs::write(&file, text).unwrap();
+        let names = ClassNames::File(file.to_path_buf());
         (file, names)
     }
 
@@ -140,53 +131,42 @@ mod tests {
     }
 
     #[test]
-    fn configured_names_precede_the_metadata_which_precede_the_built_in_list() {
-        let (head, classes) = (HeadName::Yolo, Some(2));
-        let metadata = metadata("{0: 'car', 1: 'bus'}");
-        let read = |given| read(given, &metadata, head, classes).unwrap();
-        assert_eq!(read(None), ["car", "bus"]);
-        let list = ClassNames::List(vec!["Auto".to_owned(), "Bus".to_owned()]);
-        assert_eq!(read(Some(&list)), ["Auto", "Bus"]);
-    }
-
-    #[test]
-    fn the_number_of_names_must_be_that_of_the_classes() {
-        let metadata = metadata("{0: 'car', 1: 'bus'}");
-        let error = refused(None, &metadata, 3);
-        assert!(
-            error.contains("3 classes") && error.contains("2 names"),
-            "{error}"
-        );
-        // The third is "no object".
-        assert!(read(None, &metadata, HeadName::Detr, Some(3)).is_ok());
-        assert!(read(None, &metadata, HeadName::EndToEnd, None).is_ok());
-    }
-
-    #[test]
-    fn a_file_has_one_name_a_line_with_either_line_end() {
-        let (_file, names) = file_with("car\r\ntraffic light\n\n");
-        let (head, classes) = (HeadName::Yolo, Some(2));
-        let read = read(Some(&names), &Metadata::default(), head, classes).unwrap();
-        assert_eq!(read, ["car", "traffic light"]);
-    }
-
-    #[test]
-    fn a_gap_or_an_empty_file_is_an_error_with_the_file_name() {
-        for text in ["", "car\n\nbus\n"] {
-            let (file, names) = file_with(text);
-            let error = refused(Some(&names), &Metadata::default(), 3);
-            assert!(error.contains("detector.class_names"), "{error}");
-            let path = file.path().display().to_string();
-            assert!(error.contains(&path), "{error}");
+    fn configured_names_precede_those_of_the_metadata_and_must_fit_the_head() {
+        use HeadName::{Detr, EndToEnd, Yolo};
+        let two = metadata(&[("names", "{0: 'car', 1: 'bus'}")]);
+        let broken = metadata(&[("names", "{0: car}")]);
+        let own = ClassNames::List(vec!["Auto".to_owned(), "Bus".to_owned()]);
+        let (_file, lines) = file_with("Auto\r\ntraffic light\n\n");
+        for (given, metadata, head, classes, expected) in [
+            (None, &two, Yolo, Some(2), ["car", "bus"]),
+            // The third is "no object".
+            (None, &two, Detr, Some(3), ["car", "bus"]),
+            (None, &two, EndToEnd, None, ["car", "bus"]),
+            (Some(&own), &two, Yolo, Some(2), ["Auto", "Bus"]),
+            (Some(&own), &broken, Yolo, Some(2), ["Auto", "Bus"]),
+            (Some(&lines), &two, Yolo, Some(2), ["Auto", "traffic light"]),
+        ] {
+            assert_eq!(read(given, metadata, head, classes).unwrap(), expected);
         }
     }
 
     #[test]
-    fn unreadable_names_in_the_metadata_are_an_error_unless_others_are_configured() {
-        let broken = metadata("{0: car}");
-        let error = refused(None, &broken, 1);
-        assert!(error.contains("metadata"), "{error}");
-        let list = ClassNames::List(vec!["car".to_owned()]);
-        assert!(read(Some(&list), &broken, HeadName::Yolo, Some(1)).is_ok());
+    fn unusable_names_are_an_error_that_says_where_they_are() {
+        let (empty, no_lines) = file_with("");
+        let (gap, lines) = file_with("car\n\nbus\n");
+        let two = "{0: 'car', 1: 'bus'}";
+        for (given, names, said) in [
+            (None, two, "3 classes"),
+            (None, two, "2 names"),
+            (None, "{0: car}", "metadata"),
+            (Some(no_lines), two, empty.to_str().unwrap()),
+            (Some(lines), two, gap.to_str().unwrap()),
+        ] {
+            let metadata = metadata(&[("names", names)]);
+            let read = read(given.as_ref(), &metadata, HeadName::Yolo, Some(3));
+            let error = read.unwrap_err().to_string();
+            assert!(error.starts_with("detector.class_names"), "{error}");
+            assert!(error.contains(said), "{error}");
+        }
     }
 }

@@ -127,12 +127,10 @@ mod tests {
     }
 
     fn config(report: Option<&[&str]>, map: &[(&str, &str)]) -> DetectorConfig {
+        let pair = |&(from, to): &(&str, &str)| (from.to_owned(), to.to_owned());
         DetectorConfig {
             report_classes: report.map(owned),
-            class_map: map
-                .iter()
-                .map(|&(from, to)| (from.to_owned(), to.to_owned()))
-                .collect(),
+            class_map: map.iter().map(pair).collect(),
             ..DetectorConfig::default()
         }
     }
@@ -149,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn by_default_the_seven_classes_of_bdd100k_are_reported_and_no_other() {
+    fn by_default_the_seven_classes_of_bdd100k_are_reported_or_all_if_there_is_none_of_them() {
         let names: Vec<_> = COCO_CLASSES.lines().collect();
         let coco = classes(&names, &DetectorConfig::default());
         assert_eq!(coco.reported, BDD100K_CLASSES);
@@ -168,31 +166,23 @@ mod tests {
         assert_eq!(coco.reported_as(ClassId(80)), None);
         let own = classes(&BDD100K_CLASSES, &DetectorConfig::default());
         assert!(has_own_numbers(&own, 7));
-    }
-
-    #[test]
-    fn a_model_with_none_of_the_seven_reports_all_its_classes() {
         let fish = classes(&["cod", "", "ray"], &DetectorConfig::default());
         let names = [0, 1, 2].map(|number| name(&fish, number));
         assert_eq!(names, [Some("cod"), None, Some("ray")]);
     }
 
     #[test]
-    fn an_empty_list_reports_all_under_their_own_numbers() {
-        let names: Vec<_> = COCO_CLASSES.lines().collect();
-        let coco = classes(&names, &config(Some(&[]), &[]));
-        assert_eq!(coco.reported, names);
-        assert!(has_own_numbers(&coco, 80));
-    }
-
-    #[test]
-    fn a_list_reports_only_its_classes_under_its_numbers() {
-        let config = config(Some(&["bus", "pedestrian", "person"]), &[("train", "bus")]);
-        let some = classes(&["car", "person", "train", "bus", "people"], &config);
+    fn a_list_reports_only_its_classes_under_its_numbers_and_an_empty_one_all_under_their_own() {
+        let listed = config(Some(&["bus", "pedestrian", "person"]), &[("train", "bus")]);
+        let some = classes(&["car", "person", "train", "bus", "people"], &listed);
         assert_eq!(name(&some, 0), None);
         let reported = [1, 2, 3, 4].map(|number| name(&some, number).unwrap());
         assert_eq!(reported, ["person", "bus", "bus", "pedestrian"]);
         assert_eq!(some.reported_as(ClassId(3)), Some(Some(ClassId(0))));
+        let names: Vec<_> = COCO_CLASSES.lines().collect();
+        let coco = classes(&names, &config(Some(&[]), &[]));
+        assert_eq!(coco.reported, names);
+        assert!(has_own_numbers(&coco, 80));
     }
 
     #[test]

@@ -186,22 +186,21 @@ impl Literal<'_> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn metadata(entries: &[(&str, &str)]) -> Metadata {
+    pub(in crate::detector) fn metadata(entries: &[(&str, &str)]) -> Metadata {
         Metadata::new(
             entries
                 .iter()
-                .map(|&(key, value)| (key.to_owned(), value.to_owned())),
+                .map(|(key, value)| ((*key).to_owned(), (*value).to_owned())),
         )
     }
 
     fn names(text: &str) -> Result<Vec<String>, String> {
-        metadata(&[("names", text)])
-            .class_names()
-            .map(Option::unwrap)
+        let names = metadata(&[("names", text)]).class_names();
+        names.map(Option::unwrap)
     }
 
     #[test]
@@ -259,13 +258,10 @@ mod tests {
         fn names_are_read_back_as_written(
             wanted in prop::collection::vec("[a-z '\"\\\\]{0,12}", 1..20)
         ) {
-            let text: Vec<String> = wanted
-                .iter()
-                .enumerate()
-                .map(|(number, name)| {
-                    format!("{number}: '{}'", name.replace('\\', "\\\\").replace('\'', "\\'"))
-                })
-                .collect();
+            let entry = |(number, name): (usize, &String)| {
+                format!("{number}: '{}'", name.replace('\\', "\\\\").replace('\'', "\\'"))
+            };
+            let text: Vec<String> = wanted.iter().enumerate().map(entry).collect();
             prop_assert_eq!(names(&format!("{{{}}}", text.join(", "))).unwrap(), wanted);
         }
     }

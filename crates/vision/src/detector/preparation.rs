@@ -105,40 +105,26 @@ impl Drop for PreparedPicture {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::picture::{ColorOrder, Fit, TensorLayout, ValueRange};
-    use albireo_core::geometry::PictureSize;
-
-    fn preparation() -> Preparation {
-        Preparation::new(InputFormat {
-            size: PictureSize::new(4, 2),
-            fit: Fit::Stretch,
-            color_order: ColorOrder::Rgb,
-            value_range: ValueRange::To255,
-            layout: TensorLayout::Nchw,
-        })
-    }
-
-    fn picture(value: u8) -> Picture {
-        Picture {
-            pixels: vec![value; 24],
-            ..Picture::black(PictureSize::new(4, 2))
-        }
-    }
+    use crate::detector::HeadName;
+    use crate::detector::head::tests::bound;
 
     #[test]
     fn pictures_prepared_in_parallel_have_separate_buffers_which_are_reused() {
-        let preparation = preparation();
-        let [first, second] = [1, 2].map(|value| preparation.prepare(&picture(value)).ok());
-        let values = |prepared: &Option<PreparedPicture>| {
-            prepared.as_ref().map(|prepared| prepared.values().to_vec())
+        let head = bound(HeadName::Yolox, &[1, 3, 32, 64], &[("output", &[1, 42, 7])]);
+        let preparation = Preparation::new(head.input_format);
+        let prepared = |value: u8| {
+            let mut picture = Picture::black(head.input_format.size);
+            picture.pixels.fill(value);
+            preparation.prepare(&picture).unwrap()
         };
-        assert_eq!(values(&first), Some(vec![1.0; 24]));
-        assert_eq!(values(&second), Some(vec![2.0; 24]));
-        let buffer = first.as_ref().map(|first| first.values().as_ptr());
+        let holds = |one: &PreparedPicture, value: f32| one.values().iter().all(|&it| it == value);
+        let (first, second) = (prepared(1), prepared(2));
+        assert!(holds(&first, 1.0) && holds(&second, 2.0));
+        let buffer = first.values().as_ptr();
         drop(first);
-        let third = preparation.prepare(&picture(3)).ok();
-        assert_eq!(values(&third), Some(vec![3.0; 24]));
-        assert_eq!(third.as_ref().map(|third| third.values().as_ptr()), buffer);
+        let third = prepared(3);
+        assert!(holds(&third, 3.0) && holds(&second, 2.0));
+        assert_eq!(third.values().as_ptr(), buffer);
         drop((second, third));
         assert_eq!(preparation.0.idle.lock().len(), 2);
     }

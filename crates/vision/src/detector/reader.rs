@@ -182,25 +182,25 @@ mod tests {
     use crate::detector::head::tests::bound;
     use crate::picture::{Letterbox, Picture};
 
+    fn view<'a>(shape: &'a [i64], values: &'a [f32]) -> TensorView<'a> {
+        TensorView { shape, values }
+    }
+
     /// What a YOLO model with one class has found when all its boxes have this centre and these sides, and this score.
     fn read(boxes: [f32; 4], score: f32) -> ReadOut {
         const ANCHORS: usize = 42;
         let shape = [1, 5, ANCHORS as i64];
         let head = bound(HeadName::Yolo, &[1, 3, 32, 64], &[("output0", &shape)]);
         let mut letterbox = Letterbox::new(head.input_format);
-        let mapping = letterbox
-            .fill(&Picture::black(head.input_format.size))
-            .unwrap();
+        let black = Picture::black(head.input_format.size);
+        let mapping = letterbox.fill(&black).unwrap();
         let config = DetectorConfig::default();
         let classes = Classes::new(&["car".to_owned()], &config).unwrap();
         let [x, y, width, height] = boxes;
         let values = [x, y, width, height, score].map(|value| [value; ANCHORS]);
-        let outputs = [TensorView {
-            shape: &shape,
-            values: values.as_flattened(),
-        }];
+        let output = view(&shape, values.as_flattened());
         let mut reader = Reader::new(head, classes, &config);
-        reader.read(&outputs, mapping).unwrap()
+        reader.read(&[output], mapping).unwrap()
     }
 
     #[test]
@@ -221,25 +221,12 @@ mod tests {
     #[test]
     fn outputs_of_a_batch_are_split_by_picture() {
         let boxes: Vec<f32> = (0..12).map(|value| value as f32).collect();
-        let scores = [0.5, 0.6];
-        let outputs = [
-            TensorView {
-                shape: &[2, 3, 2],
-                values: &boxes,
-            },
-            TensorView {
-                shape: &[2, 1],
-                values: &scores,
-            },
-        ];
+        let outputs = [view(&[2, 3, 2], &boxes), view(&[2, 1], &[0.5, 0.6])];
         let parts = Parts::of(&outputs, 2).unwrap();
         let second = parts.get(&outputs, 1);
-        assert_eq!(second[0].shape, [1, 3, 2]);
-        assert_eq!(second[0].values, [6.0, 7.0, 8.0, 9.0, 10.0, 11.0]);
-        assert_eq!(
-            (second[1].shape, second[1].values),
-            (&[1, 1][..], &[0.6][..])
-        );
+        let second: Vec<_> = second.iter().map(|it| (it.shape, it.values)).collect();
+        let expected: [(&[i64], &[f32]); 2] = [(&[1, 3, 2], &boxes[6..]), (&[1, 1], &[0.6])];
+        assert_eq!(second, expected);
         let error = Parts::of(&outputs, 3).err().unwrap().to_string();
         assert!(error.contains("[2, 3, 2] for 3 pictures"), "{error}");
     }

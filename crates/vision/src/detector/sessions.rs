@@ -96,39 +96,29 @@ mod tests {
     use std::sync::Arc;
     use std::sync::mpsc::channel;
 
-    /// Long enough that no test waits for it.
-    const PATIENCE: Duration = Duration::from_secs(60);
-
     #[test]
-    fn all_are_interrupted_and_waited_for() {
+    fn all_are_interrupted_and_waited_for_up_to_a_limit_and_late_ones_interrupted_at_once() {
+        // Long enough that no test waits for it.
+        const PATIENCE: Duration = Duration::from_secs(60);
         let sessions = Sessions::new();
         drop(sessions.enter(Arc::new(|| panic!("it is gone"))));
-        std::thread::scope(|scope| {
-            let (entered, has_entered) = channel();
-            for _ in 0..3 {
-                let (sessions, entered) = (&sessions, entered.clone());
-                scope.spawn(move || {
-                    let (interrupt, interrupted) = channel();
-                    let entry = sessions.enter(Arc::new(move || interrupt.send(()).unwrap()));
-                    entered.send(()).unwrap();
-                    interrupted.recv().unwrap();
-                    drop(entry);
-                });
-            }
-            (0..3).for_each(|_| has_entered.recv().unwrap());
-            assert!(sessions.end_all(PATIENCE));
-        });
-    }
-
-    #[test]
-    fn late_runs_are_interrupted_and_hanging_ones_are_abandoned_after_a_limit() {
-        let sessions = Sessions::new();
-        assert!(sessions.end_all(PATIENCE));
         let (interrupt, interrupted) = channel();
-        let entry = sessions.enter(Arc::new(move || interrupt.send(()).unwrap()));
-        interrupted.try_recv().unwrap();
+        let enter = || {
+            let interrupt = interrupt.clone();
+            sessions.enter(Arc::new(move || interrupt.send(()).unwrap()))
+        };
+        let entries = [enter(), enter(), enter()];
+        assert!(interrupted.try_recv().is_err());
         assert!(!sessions.end_all(Duration::from_millis(1)));
-        drop(entry);
+        assert_eq!(interrupted.try_iter().count(), 3);
+        let late = enter();
+        interrupted.try_recv().unwrap();
+        std::thread::scope(|scope| {
+            let ended = scope.spawn(|| sessions.end_all(PATIENCE));
+            (0..4).for_each(|_| interrupted.recv().unwrap());
+            drop((entries, late));
+            assert!(ended.join().unwrap());
+        });
         assert!(sessions.end_all(PATIENCE));
     }
 }

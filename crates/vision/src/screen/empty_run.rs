@@ -49,49 +49,27 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_detector_runs_after_the_longest_run_and_that_is_counted() {
-        let mut run = EmptyRun::new(3);
-        let mut overruled = 0;
-        let limited: Vec<_> = (0..9)
-            .map(|_| {
-                let empty = run.limit(true);
-                overruled += u64::from(run.is_overruled());
-                empty
-            })
-            .collect();
-        let expected = [true, true, true, false, true, true, true, false, true];
-        assert_eq!(limited, expected);
-        assert_eq!(overruled, 2);
-    }
-
-    #[test]
-    fn only_a_verdict_beyond_the_limit_is_overruled_for_its_frame() {
-        let mut run = EmptyRun::new(1);
-        for (empty, is_overruled) in [(true, false), (true, true), (true, false), (false, false)] {
+    fn a_verdict_beyond_the_longest_run_since_the_detector_ran_is_overruled_for_its_frame() {
+        let mut run = EmptyRun::new(2);
+        for (frame, (verdict, is_overruled)) in (1..).zip([
+            (true, false),
+            // A verdict of "not empty" ends the run.
+            (false, false),
+            (true, false),
+            (true, false),
+            (true, true),
+            (true, false),
+            (true, false),
+            (true, true),
+        ]) {
             run.next_frame();
-            run.limit(empty);
-            assert_eq!(run.is_overruled(), is_overruled);
+            assert_eq!(run.limit(verdict), verdict && !is_overruled, "{frame}");
+            assert_eq!(run.is_overruled(), is_overruled, "{frame}");
         }
-        run.limit(true);
-        run.limit(true);
         run.next_frame();
         assert!(!run.is_overruled());
-    }
-
-    #[test]
-    fn a_verdict_of_not_empty_restarts_the_run_and_zero_is_no_limit() {
-        let mut run = EmptyRun::new(2);
-        for _ in 0..10 {
-            assert!(run.limit(true));
-            assert!(!run.limit(false));
-        }
         let mut unlimited = EmptyRun::new(0);
         assert!((0..1000).all(|_| unlimited.limit(true) && !unlimited.is_overruled()));
-    }
-
-    #[test]
-    fn a_run_of_the_detector_restarts_the_count() {
-        let mut run = EmptyRun::new(2);
         for _ in 0..10 {
             assert!(run.limit(true));
             run.detector_ran();

@@ -8,27 +8,27 @@ mod spare;
 
 use super::*;
 use parking_lot::Mutex;
+use std::collections::VecDeque;
 use std::sync::mpsc as blocking;
 use tokio::sync::mpsc;
 use tokio::time::advance;
 
 const TIMEOUT: Duration = Duration::from_secs(2);
 
-/// The result of the scripted model's next run.
 #[derive(Clone, Copy, Debug)]
 enum Step {
     Answer,
     AnswerTooFew,
-    Fail,
-    FailWith(&'static str),
+    Fail(&'static str),
     Implausible,
     Panic,
 }
 
+const FAIL: Step = Step::Fail("scripted failure");
+
 /// The picture of a scripted model: its camera, and shared data.
 type Scene = (CameraSlot, Arc<()>);
 
-/// What all models of a test share.
 struct Script {
     started: mpsc::UnboundedSender<Vec<CameraSlot>>,
     steps: Mutex<blocking::Receiver<Step>>,
@@ -37,10 +37,9 @@ struct Script {
 }
 
 /// How the next models are built, and how the next one ends.
+#[derive(Default)]
 struct Next {
-    /// The number of builds that will fail, and their reason.
-    failing: usize,
-    failure: &'static str,
+    failures: VecDeque<&'static str>,
     facts: usize,
     /// The signal that the next dropped model waits for.
     end: Option<blocking::Receiver<()>>,
@@ -49,7 +48,6 @@ struct Next {
 /// A model that reports when a run starts and for which cameras, and then waits for the test to end it.
 struct Scripted {
     script: Arc<Script>,
-    facts: usize,
 }
 
 impl Model for Scripted {
@@ -58,24 +56,24 @@ impl Model for Scripted {
     type Facts = usize;
 
     fn facts(&self) -> usize {
-        self.facts
+        self.script.next.lock().facts
     }
 
     fn run(&mut self, pictures: &[Scene]) -> Result<Vec<CameraSlot>, InferenceError> {
         let cameras: Vec<_> = pictures.iter().map(|(camera, _)| *camera).collect();
         self.script.started.send(cameras.clone()).ok();
         let step = self.script.steps.lock().recv();
-        match step {
-            Ok(Step::Answer) => Ok(cameras),
-            Ok(Step::AnswerTooFew) => Ok(cameras[1..].to_vec()),
-            Ok(Step::Fail) => Err(InferenceError::Failed("scripted failure".to_owned())),
-            Ok(Step::FailWith(reason)) => Err(InferenceError::Failed(reason.to_owned())),
+        let reason = match step {
+            Ok(Step::Answer) => return Ok(cameras),
+            Ok(Step::AnswerTooFew) => return Ok(cameras[1..].to_vec()),
             Ok(Step::Implausible) => {
-                Err(InferenceError::Implausible("scripted nonsense".to_owned()))
+                return Err(InferenceError::Implausible("scripted nonsense".to_owned()));
             }
             Ok(Step::Panic) => panic!("scripted panic"),
-            Err(_) => Err(InferenceError::Failed("the test is over".to_owned())),
-        }
+            Ok(Step::Fail(reason)) => reason,
+            Err(_) => "the test is over",
+        };
+        Err(InferenceError::Failed(reason.to_owned()))
     }
 
     fn provider(&self) -> ExecutionProvider {
@@ -98,7 +96,6 @@ struct Stage {
     worker: Worker<Scene, CameraSlot>,
     started: mpsc::UnboundedReceiver<Vec<CameraSlot>>,
     ended: mpsc::UnboundedReceiver<()>,
-    /// The results of the next runs, on any model.
     steps: blocking::Sender<Step>,
     script: Arc<Script>,
     _held: blocking::Sender<()>,
@@ -121,27 +118,17 @@ async fn stage(settings: WorkerSettings) -> Stage {
         started: tell_started,
         steps: Mutex::new(next_steps),
         ended: tell_ended,
-        next: Mutex::new(Next {
-            failing: 0,
-            failure: "scripted build failure",
-            facts: 7,
-            end: None,
-        }),
+        next: Mutex::default(),
     });
     let followed = script.clone();
-    let factory = move || {
-        let mut next = followed.next.lock();
-        if next.failing > 0 {
-            next.failing -= 1;
-            return Err(StartError::WarmUp {
-                path: "scripted.onnx".into(),
-                reason: next.failure.to_owned(),
-            });
-        }
-        Ok(Scripted {
+    let factory = move || match followed.next.lock().failures.pop_front() {
+        Some(reason) => Err(StartError::WarmUp {
+            path: "scripted.onnx".into(),
+            reason: reason.to_owned(),
+        }),
+        None => Ok(Scripted {
             script: followed.clone(),
-            facts: next.facts,
-        })
+        }),
     };
     Stage {
         worker: Worker::start(settings, factory).await.unwrap().0,
@@ -167,10 +154,15 @@ type Asked = tokio::task::JoinHandle<Result<Answer<CameraSlot>, InferenceError>>
 impl Stage {
     fn ask(&self, camera: usize) -> Asked {
         let (worker, camera) = (self.worker.clone(), CameraSlot(camera));
-        tokio::spawn(async move { worker.run(camera, (camera, Arc::default())).await })
+        tokio::spawn(async move {
+            let shared = Arc::new(());
+            let answer = worker.run(camera, (camera, Arc::clone(&shared))).await;
+            let is_mine_again = Arc::strong_count(&shared) == 1;
+            assert!(answer.is_err() || is_mine_again, "the worker holds it");
+            answer
+        })
     }
 
-    /// The cameras of the next run.
     async fn next_run(&mut self) -> Vec<usize> {
         let cameras = self.started.recv().await.unwrap().into_iter();
         cameras.map(|CameraSlot(camera)| camera).collect()
@@ -201,7 +193,6 @@ impl Stage {
         error
     }
 
-    /// Stops the worker in a separate task.
     fn stop(&self) -> tokio::task::JoinHandle<()> {
         let worker = self.worker.clone();
         tokio::spawn(async move { worker.stop().await })
@@ -212,8 +203,7 @@ impl Stage {
     }
 
     async fn until_waiting(&self, pictures: u64) {
-        self.until_counted(|counts| counts.waiting == pictures)
-            .await;
+        self.until(|counts| counts.waiting, pictures).await;
     }
 
     async fn until_ready(&self) {
@@ -221,7 +211,6 @@ impl Stage {
         self.worker.status.clone().wait_for(ready).await.unwrap();
     }
 
-    /// The reason, once the status is degraded.
     async fn until_degraded(&self) -> String {
         let degraded = |status: &DetectorStatus| matches!(status, DetectorStatus::Degraded { .. });
         self.until_fault(degraded).await
@@ -233,13 +222,8 @@ impl Stage {
         status.fault().unwrap().to_owned()
     }
 
-    async fn until_rebuilds_failed(&self, times: u64) {
-        let counted = |counts: WorkerCounts| counts.rebuilds_failed == times;
-        self.until_counted(counted).await;
-    }
-
-    async fn until_counted(&self, fits: impl Fn(WorkerCounts) -> bool) {
-        while !fits(self.counts()) {
+    async fn until(&self, count: fn(WorkerCounts) -> u64, value: u64) {
+        while count(self.counts()) != value {
             tokio::task::yield_now().await;
         }
     }
@@ -319,71 +303,61 @@ async fn a_slow_run_is_answered_at_the_limit_and_keeps_its_session() {
         ..WorkerCounts::default()
     };
     assert_eq!(stage.counts(), expected);
-    // The model was never dropped.
     assert!(stage.ended.try_recv().is_err());
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_late_run_that_fails_has_its_session_rebuilt() {
-    let mut stage = stage(settings()).await;
-    let late = stage.begin(0).await;
-    pass(TIMEOUT).await;
-    late.await.unwrap().unwrap_err();
-    stage.end(Step::Fail);
-    // The task knows of the failure, and its backoff has begun.
-    stage.until_counted(|counts| counts.failed == 1).await;
-    pass(Duration::from_millis(100)).await;
-    stage.until_ready().await;
-    let counts = stage.counts();
-    assert_eq!((counts.timed_out, counts.rebuilds), (1, 1));
-    assert_eq!(stage.ended.recv().await, Some(()));
-}
-
-#[tokio::test(start_paused = true)]
 async fn a_thread_that_never_returns_ends_the_worker_with_an_error() {
-    let mut stage = stage(settings()).await;
-    let hanging = stage.begin(0).await;
-    pass(TIMEOUT).await;
-    hanging.await.unwrap().unwrap_err();
-    let ended = tokio::spawn({
+    // It hangs in a run, or while it closes the session of a failed one.
+    for closes in [false, true] {
+        let mut stage = stage(settings()).await;
+        let (_go_on, until) = blocking::channel();
+        stage.script.next.lock().end = Some(until);
+        let hanging = stage.begin(0).await;
+        if closes {
+            stage.end(FAIL);
+            stage.ended.recv().await.unwrap();
+        }
+        pass(TIMEOUT).await;
+        let error = hanging.await.unwrap().unwrap_err();
+        assert_eq!(error, InferenceError::TimedOut { timeout_ms: 2000 });
         let worker = stage.worker.clone();
-        async move { worker.ended().await }
-    });
-    pass(STUCK_AFTER - Duration::from_millis(1)).await;
-    assert!(!ended.is_finished());
-    pass(Duration::from_millis(1)).await;
-    let reason = ended.await.unwrap().unwrap_err();
-    let said = "thread of the scripted has not come back for 32 s";
-    assert!(reason.contains(said), "{reason}");
-    assert_eq!(stage.until_degraded().await, reason);
-    let error = stage.ask(1).await.unwrap().unwrap_err();
-    assert_eq!(error, InferenceError::Stopped);
-    assert_eq!(stage.counts().rebuilds, 0);
+        let ended = tokio::spawn(async move { worker.ended().await });
+        pass(STUCK_AFTER - Duration::from_millis(1)).await;
+        assert!(!ended.is_finished());
+        pass(Duration::from_millis(1)).await;
+        let reason = ended.await.unwrap().unwrap_err();
+        let said = "thread of the scripted has not come back for 32 s";
+        assert!(reason.contains(said), "{reason}");
+        assert_eq!(stage.until_degraded().await, reason);
+        let error = stage.ask(1).await.unwrap().unwrap_err();
+        assert_eq!(error, InferenceError::Stopped);
+        assert_eq!(stage.counts().rebuilds, 0);
+    }
 }
 
 #[tokio::test(start_paused = true)]
 async fn a_run_that_fails_or_panics_is_counted_and_the_session_rebuilt() {
     let mut stage = stage(settings()).await;
-    let error = stage.fail(Step::Fail).await;
-    assert_eq!(error, InferenceError::Failed("scripted failure".to_owned()));
-    // The status is set before the answer is sent.
-    match &*stage.worker.status.borrow() {
-        DetectorStatus::Degraded { reason, .. } => assert_eq!(*reason, error.to_string()),
-        other => panic!("{other:?}"),
+    let failed = |reason: &str| InferenceError::Failed(reason.to_owned());
+    let panicked = InferenceError::Panicked("scripted panic".to_owned());
+    let too_few = failed("the model answered 0 of 1 pictures");
+    for (pause, step, expected) in [
+        (100, FAIL, failed("scripted failure")),
+        (200, Step::Panic, panicked),
+        (400, Step::AnswerTooFew, too_few),
+    ] {
+        let error = stage.fail(step).await;
+        assert_eq!(error, expected);
+        // The status is set before the answer is sent.
+        let degraded = DetectorStatus::Degraded {
+            reason: error.to_string(),
+            provider: ExecutionProvider::Cpu,
+        };
+        assert_eq!(*stage.worker.status.borrow(), degraded);
+        pass(Duration::from_millis(pause)).await;
+        stage.until_ready().await;
     }
-    pass(Duration::from_millis(100)).await;
-    stage.until_ready().await;
-
-    let error = stage.fail(Step::Panic).await;
-    assert_eq!(error, InferenceError::Panicked("scripted panic".to_owned()));
-    pass(Duration::from_millis(200)).await;
-    stage.until_ready().await;
-
-    let error = stage.fail(Step::AnswerTooFew).await.to_string();
-    assert!(error.contains("answered 0 of 1"), "{error}");
-    pass(Duration::from_millis(400)).await;
-    stage.until_ready().await;
-
     stage.run(Step::Answer).await.unwrap();
     let expected = WorkerCounts {
         completed: 1,
@@ -439,22 +413,19 @@ async fn waiting_pictures_share_a_run_and_each_gets_its_own_answer_and_times() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_picture_waits_for_others_only_for_the_configured_time() {
+async fn a_picture_waits_for_others_only_for_the_configured_time_or_until_the_worker_stops() {
     let mut stage = stage(in_threes()).await;
-    for camera in [0, 1] {
-        // Camera 1 is the second that ever asks: it waits for camera 0.
-        let asked = stage.ask(camera);
-        if camera == 1 {
-            stage.until_waiting(1).await;
-            pass(BATCH_WAIT - Duration::from_millis(1)).await;
-            assert!(stage.started.try_recv().is_err());
-            pass(Duration::from_millis(1)).await;
-        }
-        assert_eq!(stage.next_run().await, [camera]);
-        stage.end(Step::Answer);
-        let queued = asked.await.unwrap().unwrap().queued;
-        assert_eq!(queued, BATCH_WAIT * camera as u32);
-    }
+    let first = stage.run(Step::Answer).await.unwrap();
+    assert_eq!(first.queued, Duration::ZERO);
+    // Camera 1 is the second that ever asks: it waits for camera 0.
+    let asked = stage.ask(1);
+    stage.until_waiting(1).await;
+    pass(BATCH_WAIT - Duration::from_millis(1)).await;
+    assert!(stage.started.try_recv().is_err());
+    pass(Duration::from_millis(1)).await;
+    assert_eq!(stage.next_run().await, [1]);
+    stage.end(Step::Answer);
+    assert_eq!(asked.await.unwrap().unwrap().queued, BATCH_WAIT);
     // A batch that is complete before the wait is over.
     let one = stage.ask(1);
     stage.until_waiting(1).await;
@@ -464,10 +435,14 @@ async fn a_picture_waits_for_others_only_for_the_configured_time() {
     stage.end(Step::Answer);
     assert_eq!(one.await.unwrap().unwrap().queued, BATCH_WAIT / 2);
     assert_eq!(other.await.unwrap().unwrap().queued, Duration::ZERO);
+    let waiting = stage.ask(1);
+    stage.until_waiting(1).await;
+    stage.worker.stop().await;
+    assert_eq!(waiting.await.unwrap().unwrap_err(), InferenceError::Stopped);
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_batch_that_hangs_is_answered_for_all_its_pictures() {
+async fn a_late_batch_is_answered_for_all_its_pictures_and_if_it_then_fails_the_session_rebuilt() {
     let mut stage = stage(in_threes()).await;
     let first = stage.begin(0).await;
     let asked = [1, 2, 3].map(|camera| stage.ask(camera));
@@ -480,17 +455,14 @@ async fn a_batch_that_hangs_is_answered_for_all_its_pictures() {
         let error = answer.await.unwrap().unwrap_err();
         assert_eq!(error, InferenceError::TimedOut { timeout_ms: 2000 });
     }
-    assert_eq!(stage.counts().timed_out, 1);
-}
-
-#[tokio::test(start_paused = true)]
-async fn stopping_ends_the_wait_for_a_batch() {
-    let mut stage = stage(in_threes()).await;
-    stage.run(Step::Answer).await.unwrap();
-    let waiting = stage.ask(1);
-    stage.until_waiting(1).await;
-    stage.worker.stop().await;
-    assert_eq!(waiting.await.unwrap().unwrap_err(), InferenceError::Stopped);
+    stage.end(FAIL);
+    // The task knows of the failure, and its backoff has begun.
+    stage.until(|counts| counts.failed, 1).await;
+    pass(Duration::from_millis(100)).await;
+    stage.until_ready().await;
+    let counts = stage.counts();
+    assert_eq!((counts.timed_out, counts.rebuilds), (1, 1));
+    assert_eq!(stage.ended.recv().await, Some(()));
 }
 
 #[tokio::test(start_paused = true)]
@@ -502,13 +474,11 @@ async fn backoffs_double_up_to_a_maximum_and_reset_after_a_good_run() {
         if good_run_before {
             stage.run(Step::Answer).await.unwrap();
         }
-        stage.fail(Step::Fail).await;
+        stage.fail(FAIL).await;
         pass(Duration::from_millis(pause - 1)).await;
         assert_eq!(stage.counts().rebuilds, rebuilds - 1, "pause {pause}");
         pass(Duration::from_millis(1)).await;
-        stage
-            .until_counted(|counts| counts.rebuilds == rebuilds)
-            .await;
+        stage.until(|counts| counts.rebuilds, rebuilds).await;
         stage.until_ready().await;
     }
 }
@@ -516,22 +486,23 @@ async fn backoffs_double_up_to_a_maximum_and_reset_after_a_good_run() {
 #[tokio::test(start_paused = true)]
 async fn a_model_rebuilt_with_another_signature_is_rejected_until_the_old_one_returns() {
     let mut stage = stage(settings()).await;
-    stage.script.next.lock().facts = 8;
-    stage.fail(Step::Fail).await;
+    stage.script.next.lock().facts = 1;
+    stage.fail(FAIL).await;
     pass(Duration::from_millis(100)).await;
-    stage.until_rebuilds_failed(1).await;
+    stage.until(|counts| counts.rebuilds_failed, 1).await;
     let reason = stage.until_degraded().await;
     assert!(reason.contains("than when the program started"), "{reason}");
-    stage.script.next.lock().facts = 7;
+    stage.script.next.lock().facts = 0;
     pass(Duration::from_millis(200)).await;
     stage.until_ready().await;
     assert_eq!(stage.counts().rebuilds, 2);
 }
 
 #[tokio::test(start_paused = true)]
-async fn stopping_finishes_the_current_run_and_rejects_the_rest() {
+async fn stopping_finishes_the_current_run_and_rejects_the_rest_and_spare_pictures() {
     let mut stage = stage(settings()).await;
     let current = stage.begin(0).await;
+    let spare = stage.ask_spare(7, TIMEOUT);
     let waiting = stage.ask(1);
     stage.until_waiting(1).await;
     let stopping = stage.stop();
@@ -544,26 +515,23 @@ async fn stopping_finishes_the_current_run_and_rejects_the_rest() {
     stopping.await.unwrap();
     assert!(stage.ended.try_recv().is_ok(), "the model is dropped");
     stage.worker.stop().await;
+    pass(TIMEOUT).await;
+    assert!(spare.await.unwrap().is_none_or(|answer| answer.is_err()));
+    assert_eq!(stage.counts().spare, 0);
 }
 
 #[tokio::test(start_paused = true)]
-async fn stopping_does_not_wait_for_a_hanging_run_beyond_its_limit() {
-    let mut stage = stage(settings()).await;
-    let hanging = stage.begin(0).await;
-    let stopping = stage.stop();
-    pass(TIMEOUT).await;
-    stopping.await.unwrap();
-    let error = hanging.await.unwrap().unwrap_err();
-    assert!(matches!(error, InferenceError::TimedOut { .. }));
-}
-
-#[tokio::test(start_paused = true)]
-async fn stopping_does_not_wait_for_a_run_already_beyond_its_limit() {
-    let mut stage = stage(settings()).await;
-    let hanging = stage.begin(0).await;
-    pass(TIMEOUT).await;
-    hanging.await.unwrap().unwrap_err();
-    stage.worker.stop().await;
+async fn stopping_waits_for_a_hanging_run_only_up_to_its_limit() {
+    for stopped_after in [Duration::ZERO, TIMEOUT] {
+        let mut stage = stage(settings()).await;
+        let hanging = stage.begin(0).await;
+        pass(stopped_after).await;
+        let stopping = stage.stop();
+        pass(TIMEOUT - stopped_after).await;
+        stopping.await.unwrap();
+        let error = hanging.await.unwrap().unwrap_err();
+        assert!(matches!(error, InferenceError::TimedOut { .. }));
+    }
 }
 
 #[tokio::test(start_paused = true)]
@@ -589,17 +557,6 @@ async fn a_picture_whose_caller_is_gone_is_not_run() {
     assert_eq!(last.await.unwrap().unwrap().output, CameraSlot(2));
     let counters = stage.counts();
     assert_eq!((counters.completed, counters.cancelled), (2, 1));
-}
-
-#[tokio::test(start_paused = true)]
-async fn the_picture_belongs_to_the_caller_again_after_the_answer() {
-    let mut stage = stage(settings()).await;
-    stage.end(Step::Answer);
-    let (camera, shared) = (CameraSlot(0), Arc::default());
-    let scene = (camera, Arc::clone(&shared));
-    stage.worker.run(camera, scene).await.unwrap();
-    assert!(Arc::try_unwrap(shared).is_ok());
-    stage.started.recv().await.unwrap();
 }
 
 #[tokio::test(start_paused = true)]

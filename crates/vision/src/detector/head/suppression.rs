@@ -64,50 +64,31 @@ fn best_first(left: &Candidate, right: &Candidate) -> Ordering {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::detector::head::reading::around;
     use albireo_core::detection::ClassId;
-    use albireo_core::geometry::Corners;
     use proptest::prelude::*;
 
-    fn candidate(
-        x1: f64,
-        y1: f64,
-        width: f64,
-        height: f64,
-        class: u16,
-        confidence: f32,
-    ) -> Candidate {
+    /// A candidate whose box has this centre, width and height.
+    fn candidate((x, y, width, height): (f64, f64, f64, f64), class: u16, score: f32) -> Candidate {
         Candidate {
-            corners: Corners {
-                x1,
-                y1,
-                x2: x1 + width,
-                y2: y1 + height,
-            },
+            corners: around(x, y, width, height),
             class: ClassId(class),
-            confidence,
+            confidence: score,
         }
     }
 
-    fn settings(overlap: f64) -> Suppression {
+    fn settings(overlap: f64, most: usize) -> Suppression {
         Suppression {
             overlap,
             per_class: true,
-            most: usize::MAX,
+            most,
         }
     }
 
     fn candidates() -> impl Strategy<Value = Vec<Candidate>> {
-        let one = (
-            0.0..60.0,
-            0.0..60.0,
-            1.0..40.0,
-            1.0..40.0,
-            0_u16..3,
-            0_u8..=20,
-        )
-            .prop_map(|(x, y, width, height, class, confidence)| {
-                candidate(x, y, width, height, class, f32::from(confidence) / 20.0)
-            });
+        let place = (0.0..60.0, 0.0..60.0, 1.0..40.0, 1.0..40.0);
+        let one = (place, 0_u16..3, 0_u8..=20)
+            .prop_map(|(place, class, score)| candidate(place, class, f32::from(score) / 20.0));
         prop::collection::vec(one, 0..60)
     }
 
@@ -135,7 +116,7 @@ mod tests {
         #[test]
         fn suppression_equals_the_textbook(all in candidates(), overlap in 0.0..1.0) {
             let mut fast = all.clone();
-            prop_assert_eq!(suppress(&mut fast, settings(overlap)), 0);
+            prop_assert_eq!(suppress(&mut fast, settings(overlap, usize::MAX)), 0);
             prop_assert_eq!(fast, textbook(all, overlap));
         }
     }
@@ -146,21 +127,17 @@ mod tests {
         let mut many: Vec<_> = (0..30_000_u32)
             .map(|index| {
                 let (x, y) = (f64::from(index % 200) * 2.0, f64::from(index / 200) * 2.0);
-                candidate(x, y, 1.0, 1.0, 0, index as f32 / 30_000.0)
+                candidate((x, y, 1.0, 1.0), 0, index as f32 / 30_000.0)
             })
             .collect();
         let best = *many.last().unwrap();
         let all = many.clone();
-        assert_eq!(suppress(&mut many, settings(0.5)), 20_000);
+        assert_eq!(suppress(&mut many, settings(0.5, usize::MAX)), 20_000);
         assert_eq!(many.len(), MOST_CANDIDATES);
         assert_eq!(many[0], best);
         assert!(many.iter().all(|one| one.confidence >= 20_000.0 / 30_000.0));
         let mut few = all;
-        let most = Suppression {
-            most: 300,
-            ..settings(0.5)
-        };
-        assert_eq!(suppress(&mut few, most), 20_001);
+        assert_eq!(suppress(&mut few, settings(0.5, 300)), 20_001);
         assert_eq!(few, many[..300]);
     }
 }

@@ -23,17 +23,6 @@ fn signature(input: &[i64], outputs: &[(&str, &[i64])]) -> Signature {
     }
 }
 
-fn with_metadata(signature: Signature, entries: &[(&str, &str)]) -> Signature {
-    Signature {
-        metadata: Metadata::new(
-            entries
-                .iter()
-                .map(|pair| (pair.0.to_owned(), pair.1.to_owned())),
-        ),
-        ..signature
-    }
-}
-
 pub(in crate::detector) fn bound(
     name: HeadName,
     input: &[i64],
@@ -43,7 +32,6 @@ pub(in crate::detector) fn bound(
     bind(name, &signature, signature.picture_input(None).unwrap()).unwrap()
 }
 
-/// Shapes of a model's outputs.
 type Shapes = Vec<Vec<i64>>;
 
 /// The smallest head of each kind and the shapes of its outputs, for an input of 64x32. All have two classes except the
@@ -77,10 +65,18 @@ fn read(head: &Head, outputs: &[(&[i64], &[f32])]) -> (u64, Vec<Candidate>) {
     (rejected, candidates)
 }
 
-/// Detections of a head with one output of this shape, for a picture of 64x32.
-fn read_one(name: HeadName, shape: &[i64], values: &[f32]) -> (u64, Vec<Candidate>) {
-    let head = bound(name, &[1, 3, 32, 64], &[("output", shape)]);
-    read(&head, &[(shape, values)])
+/// What one of the [`heads`] with one output reads from these rows of numbers, all others being 0. The numbers of a row
+/// are `step` apart.
+fn read_rows(name: HeadName, step: usize, rows: &[(usize, &[f32])]) -> (u64, Vec<Candidate>) {
+    let (head, shapes) = heads().into_iter().find(|one| one.0.name == name).unwrap();
+    let mut values = vec![0.0; shapes[0].iter().product::<i64>() as usize];
+    for (row, numbers) in rows {
+        let start = if step == 1 { row * numbers.len() } else { *row };
+        for (place, number) in numbers.iter().enumerate() {
+            values[start + place * step] = *number;
+        }
+    }
+    read(&head, &[(&shapes[0], &values)])
 }
 
 #[track_caller]
@@ -89,30 +85,11 @@ fn assert_candidates(found: &[Candidate], expected: &[([f64; 4], u16, f32)]) {
     for (found, (corners, class, confidence)) in found.iter().zip(expected) {
         let Corners { x1, y1, x2, y2 } = found.corners;
         for (found, expected) in [x1, y1, x2, y2].into_iter().zip(corners) {
-            assert!(
-                (found - expected).abs() < 1e-4,
-                "{found} instead of {expected}"
-            );
+            assert!((found - expected).abs() < 1e-4, "{found}, not {expected}");
         }
         assert_eq!(found.class, ClassId(*class));
         assert!((found.confidence - confidence).abs() < 1e-6, "{found:?}");
     }
-}
-
-/// A tensor that is 0 except in these rows.
-fn rows<const ROW: usize>(count: usize, rows: &[(usize, [f32; ROW])]) -> Vec<f32> {
-    let mut values = vec![0.0; count * ROW];
-    for (place, row) in rows {
-        values[place * ROW..][..ROW].copy_from_slice(row);
-    }
-    values
-}
-
-/// Like [`rows`], transposed.
-fn columns<const ROW: usize>(count: usize, given: &[(usize, [f32; ROW])]) -> Vec<f32> {
-    let rows = rows(count, given);
-    let transposed = (0..ROW).flat_map(|number| (0..count).map(move |row| row * ROW + number));
-    transposed.map(|place| rows[place]).collect()
 }
 
 #[test]
@@ -158,16 +135,13 @@ fn detr_keeps_the_best_pairs_of_query_and_class_and_no_more_than_there_are_queri
 
 #[test]
 fn fastestdet_decodes_its_cells_by_channel() {
-    let output = columns(
-        8,
-        &[
-            // Column 2, row 1: the centre in the cell's corner; a quarter of the picture wide and half of it high.
-            (6, [0.9, 0.0, 0.0, -3.0_f32.ln(), 0.0, 0.2, 0.8]),
-            (1, [0.2, 0.0, 0.0, 0.0, 0.0, 0.9, 0.1]),
-            (2, [0.9, 0.0, 0.0, 0.0, 0.0, 0.05, 0.1]),
-        ],
-    );
-    let (rejected, found) = read_one(HeadName::FastestDet, &[1, 7, 2, 4], &output);
+    let rows: [(usize, &[f32]); 3] = [
+        // Column 2, row 1: the centre in the cell's corner; a quarter of the picture wide and half of it high.
+        (6, &[0.9, 0.0, 0.0, -3.0_f32.ln(), 0.0, 0.2, 0.8]),
+        (1, &[0.2, 0.0, 0.0, 0.0, 0.0, 0.9, 0.1]),
+        (2, &[0.9, 0.0, 0.0, 0.0, 0.0, 0.05, 0.1]),
+    ];
+    let (rejected, found) = read_rows(HeadName::FastestDet, 8, &rows);
     assert_eq!(rejected, 0);
     let score = 0.9_f32.powf(0.6) * 0.8_f32.powf(0.4);
     assert_candidates(&found, &[([24.0, 8.0, 40.0, 24.0], 1, score)]);
@@ -176,21 +150,18 @@ fn fastestdet_decodes_its_cells_by_channel() {
 #[test]
 fn yolox_decodes_the_cells_of_all_three_strides() {
     let half = 0.5_f32;
-    let output = rows(
-        42,
-        &[
-            // Stride 8, 8 columns: cell 11 is column 3, row 1.
-            (11, [half, 0.25, 2.0_f32.ln(), 0.0, 0.9, 0.1, 0.8]),
-            // Stride 16, 4 columns: cell 32 + 6 is column 2, row 1.
-            (38, [0.0, 0.0, 0.0, 0.0, 1.0, 0.7, 0.2]),
-            // Stride 32, 2 columns: cell 40 + 1 is column 1, row 0.
-            (41, [half, half, 0.0, half.ln(), 0.75, 1.0, 0.0]),
-            // Objectness times score is too low; then objectness alone is.
-            (0, [0.0, 0.0, 0.0, 0.0, 0.6, 0.6, 0.0]),
-            (1, [0.0, 0.0, 0.0, 0.0, 0.49, 1.0, 0.0]),
-        ],
-    );
-    let (rejected, found) = read_one(HeadName::Yolox, &[1, 42, 7], &output);
+    let rows: [(usize, &[f32]); 5] = [
+        // Stride 8, 8 columns: cell 11 is column 3, row 1.
+        (11, &[half, 0.25, 2.0_f32.ln(), 0.0, 0.9, 0.1, 0.8]),
+        // Stride 16, 4 columns: cell 32 + 6 is column 2, row 1.
+        (38, &[0.0, 0.0, 0.0, 0.0, 1.0, 0.7, 0.2]),
+        // Stride 32, 2 columns: cell 40 + 1 is column 1, row 0.
+        (41, &[half, half, 0.0, half.ln(), 0.75, 1.0, 0.0]),
+        // Objectness times score is too low; then objectness alone is.
+        (0, &[0.0, 0.0, 0.0, 0.0, 0.6, 0.6, 0.0]),
+        (1, &[0.0, 0.0, 0.0, 0.0, 0.49, 1.0, 0.0]),
+    ];
+    let (rejected, found) = read_rows(HeadName::Yolox, 1, &rows);
     assert_eq!(rejected, 0);
     assert_candidates(
         &found,
@@ -232,13 +203,8 @@ fn a_box_with_an_impossible_number_is_rejected_and_counted() {
             &[(1, INFINITY), (2, 1e4), (3, -INFINITY), (4, 7.0), (6, -0.5)],
         ),
     ] {
-        let (head, shapes) = heads().into_iter().find(|one| one.0.name == name).unwrap();
         let found = |numbers: &[f32]| {
-            let mut output = vec![0.0; shapes[0].iter().product::<i64>() as usize];
-            for (place, number) in numbers.iter().enumerate() {
-                output[place * step] = *number;
-            }
-            let (rejected, found) = read(&head, &[(&shapes[0], &output)]);
+            let (rejected, found) = read_rows(name, step, &[(0, numbers)]);
             (rejected, found.len())
         };
         assert_eq!(found(good), (0, 1), "{name:?}");

@@ -56,22 +56,18 @@ fn scaled_decoding_gives_the_mean_of_the_covered_pixels() {
         assert_eq!(half.source_size, picture.size);
         let channels = layout.channels();
         let at = |x: usize, y: usize, channel| {
-            i32::from(full.pixels[(y * full.size.width as usize + x) * channels + channel])
+            f64::from(full.pixels[(y * full.size.width as usize + x) * channels + channel])
         };
-        let (mut sum, mut count) = (0.0, 0.0);
-        for (index, &value) in half.pixels.iter().enumerate() {
+        let off = half.pixels.iter().enumerate().map(|(index, &value)| {
             let (pixel, channel) = (index / channels, index % channels);
             let (x, y) = (2 * (pixel % 321), 2 * (pixel / 321));
-            let mean = [(x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)]
-                .map(|(x, y)| at(x, y, channel))
-                .iter()
-                .sum::<i32>() as f64
-                / 4.0;
-            sum += (f64::from(value) - mean).abs();
-            count += 1.0;
-        }
+            let covered = [(x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)];
+            let sum: f64 = covered.iter().map(|&(x, y)| at(x, y, channel)).sum();
+            (f64::from(value) - sum / 4.0).abs()
+        });
+        let mean = off.sum::<f64>() / half.pixels.len() as f64;
         // Less if there is no chroma to scale.
-        assert!(sum / count < 2.0, "{layout:?}: {} grey levels", sum / count);
+        assert!(mean < 2.0, "{layout:?}: {mean} grey levels");
     }
 }
 
@@ -91,7 +87,7 @@ fn scaled_decoding_rejects_a_truncated_or_damaged_file() {
         let damaged = EncodedPicture {
             bytes,
             size,
-            format: picture.format,
+            ..picture
         };
         assert!(decoded(&damaged, PixelLayout::Rgb8, target).is_err());
     }

@@ -1,35 +1,16 @@
 //! Tests of a model whose build takes long or never ends.
 
 use super::*;
-use std::path::Path;
-
-/// The seconds at which the log reported that the model is still being loaded.
-fn logged_seconds(log: &Path) -> Vec<u64> {
-    let log = std::fs::read_to_string(log).unwrap();
-    log.lines()
-        .map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap())
-        .filter(|entry| {
-            let message = entry["message"].as_str().unwrap();
-            message.contains("still being loaded")
-        })
-        .map(|entry| {
-            assert_eq!(
-                (&entry["worker"], &entry["level"]),
-                (&"scripted".into(), &"WARN".into())
-            );
-            entry["seconds"].as_u64().unwrap()
-        })
-        .collect()
-}
+use serde_json::Value;
 
 #[tokio::test(start_paused = true)]
 async fn a_slow_build_is_logged_periodically_and_waited_for_and_its_failure_is_an_error() {
     let _held = hold_time();
-    let log = tempfile::NamedTempFile::new().unwrap();
+    let file = tempfile::NamedTempFile::new().unwrap();
     let subscriber = tracing_subscriber::fmt()
         .json()
         .flatten_event(true)
-        .with_writer(log.reopen().unwrap())
+        .with_writer(file.reopen().unwrap())
         .finish();
     let _logging = tracing::subscriber::set_default(subscriber);
     let (building, mut is_building) = mpsc::unbounded_channel();
@@ -55,7 +36,16 @@ async fn a_slow_build_is_logged_periodically_and_waited_for_and_its_failure_is_a
         (1, &[10, 20, 40, 80]),
     ] {
         pass(Duration::from_secs(seconds)).await;
-        assert_eq!(logged_seconds(log.path()), expected);
+        let log = std::fs::read_to_string(&file).unwrap();
+        let entries = log.lines().map(|line| serde_json::from_str(line).unwrap());
+        let is_report = |it: &Value| it["message"].to_string().contains("still being loaded");
+        let reports: Vec<Value> = entries.filter(is_report).collect();
+        let seconds = |report: &Value| report["seconds"].as_u64().unwrap();
+        let reported: Vec<_> = reports.iter().map(seconds).collect();
+        assert_eq!(reported, expected);
+        for report in reports {
+            assert_eq!([&report["worker"], &report["level"]], ["scripted", "WARN"]);
+        }
     }
     assert!(!starting.is_finished());
     go_on.send(()).unwrap();

@@ -1,34 +1,21 @@
 //! Which models fit which heads, and which are recognised.
 
 use super::*;
-use crate::picture::{ColorOrder, TensorLayout, ValueRange};
+use crate::detector::metadata::tests::metadata;
 use albireo_core::geometry::PictureSize;
 
 #[test]
-fn the_input_format_follows_byte_and_channels_last_models() {
-    let mut model = signature(&[1, 320, 640, 3], &[("output0", &[1, 84, 4200])]);
-    model.inputs[0].element = ElementType::Uint8;
-    let input = model.picture_input(None).unwrap();
-    let format = bind(HeadName::Yolo, &model, input).unwrap().input_format;
-    assert_eq!(format.size, PictureSize::new(640, 320));
-    assert_eq!(format.layout, TensorLayout::Nhwc);
-    assert_eq!(format.value_range, ValueRange::To255);
-    assert_eq!(format.shape(), [1, 320, 640, 3]);
-    assert_eq!(format.color_order, ColorOrder::Rgb);
-}
-
-#[test]
 fn a_dynamic_input_takes_its_size_from_the_configuration_or_the_metadata() {
-    let open = signature(&[-1, 3, -1, -1], &[("output0", &[-1, 84, -1])]);
+    let mut open = signature(&[-1, 3, -1, -1], &[("output0", &[-1, 84, -1])]);
     let size = PictureSize::new(320, 256);
     let wanted = Some(size);
     assert_eq!(open.picture_input(wanted).unwrap().size, size);
     let error = open.picture_input(None).unwrap_err();
     assert!(error.contains("detector.input_size"), "{error}");
-    let read = with_metadata(open, &[("imgsz", "[384, 640]")]);
-    let own = read.picture_input(None).unwrap().size;
+    open.metadata = metadata(&[("imgsz", "[384, 640]")]);
+    let own = open.picture_input(None).unwrap().size;
     assert_eq!(own, PictureSize::new(640, 384));
-    assert_eq!(read.picture_input(wanted).unwrap().size, size);
+    assert_eq!(open.picture_input(wanted).unwrap().size, size);
     let fixed = signature(&[1, 3, 640, 640], &[("output0", &[1, 84, 8400])]);
     let error = fixed.picture_input(wanted).unwrap_err();
     for size in ["640x640", "320x256"] {
@@ -59,36 +46,35 @@ fn an_input_that_is_no_picture_is_rejected_with_the_reason() {
 #[test]
 fn a_model_that_does_not_fit_is_rejected_with_the_first_difference() {
     use HeadName::{Detr, EndToEnd, FastestDet, Yolo, Yolox};
-    let input = [1, 3, 416, 416];
-    for (name, output, reason) in [
-        (Yolox, &[1, 84, 8400][..], "[1, 3549, 5 + classes]"),
-        (Yolox, &[1, 3549, 5], "another shape"),
-        (Yolo, &[1, 4, 3549], "another shape"),
-        (Yolo, &[2, 84, 3549], "another shape"),
-        (EndToEnd, &[1, 300, 7], "another shape"),
-        (FastestDet, &[1, 85, 22, 22], "26, 26"),
-        (Detr, &[1, 300, 4], "no such outputs"),
+    let fits = |name, model: &Signature| bind(name, model, model.picture_input(None).unwrap());
+    let one = |shape: &[i64]| model(416, &[("output", shape)], &[]);
+    let mut bytes = one(&[1, 84, 3549]);
+    bytes.outputs[0].element = ElementType::Other("int8".to_owned());
+    let two = model(416, &[("a", &[1, 84, 3549]), ("b", &[1])], &[]);
+    for (name, model, reason) in [
+        (Yolox, one(&[1, 84, 8400]), "[1, 3549, 5 + classes]"),
+        (Yolox, one(&[1, 3549, 5]), "another shape"),
+        (Yolo, one(&[1, 4, 3549]), "another shape"),
+        (Yolo, one(&[2, 84, 3549]), "another shape"),
+        (Yolo, two, "2 outputs"),
+        (Yolo, bytes.clone(), "int8"),
+        (EndToEnd, one(&[1, 300, 7]), "another shape"),
+        (FastestDet, one(&[1, 85, 22, 22]), "26, 26"),
+        (Detr, one(&[1, 300, 4]), "no such outputs"),
     ] {
-        let signature = signature(&input, &[("output", output)]);
-        let picture = signature.picture_input(None).unwrap();
-        let misfit = bind(name, &signature, picture).unwrap_err();
+        let misfit = fits(name, &model).unwrap_err();
         assert!(misfit.reason.contains(reason), "{misfit:?}");
         assert!(misfit.expected.contains("[1, "), "{misfit:?}");
     }
+    bytes.outputs[0].element = ElementType::Float16;
+    assert!(fits(Yolo, &bytes).is_ok());
 }
 
-#[test]
-fn more_outputs_or_another_element_type_are_rejected() {
-    let mut two = signature(&[1, 3, 64, 64], &[("a", &[1, 6, 84]), ("b", &[1])]);
-    let input = two.picture_input(None).unwrap();
-    let reason = bind(HeadName::Yolo, &two, input).unwrap_err().reason;
-    assert!(reason.contains("2 outputs"), "{reason}");
-    two.outputs.pop();
-    two.outputs[0].element = ElementType::Other("int8".to_owned());
-    let reason = bind(HeadName::Yolo, &two, input).unwrap_err().reason;
-    assert!(reason.contains("int8"), "{reason}");
-    two.outputs[0].element = ElementType::Float16;
-    assert!(bind(HeadName::Yolo, &two, input).is_ok());
+fn model(side: i64, outputs: &[(&str, &[i64])], entries: &[(&str, &str)]) -> Signature {
+    Signature {
+        metadata: metadata(entries),
+        ..signature(&[1, 3, side, side], outputs)
+    }
 }
 
 fn recognised(signature: &Signature) -> Result<HeadName, Unrecognised> {
@@ -97,21 +83,15 @@ fn recognised(signature: &Signature) -> Result<HeadName, Unrecognised> {
 
 #[test]
 fn models_are_recognised_by_their_exporters_conventions() {
-    let names = ("names", "{0: 'car'}");
     let ultralytics = [
         ("author", "Ultralytics"),
         ("task", "detect"),
         ("head", "Detect"),
         ("stride", "32"),
-        names,
+        ("names", "{0: 'car'}"),
     ];
-    let square = [1, 3, 640, 640];
-    let model = |outputs: &[(&str, &[i64])], entries: &[(&str, &str)]| {
-        with_metadata(signature(&square, outputs), entries)
-    };
-    let end = [&ultralytics[..], &[("end2end", "True")]].concat();
-    let not_end = [&ultralytics[..], &[("end2end", "False")]].concat();
-    let nms = [&ultralytics[..], &[("args", "{'nms': True}")]].concat();
+    let with = |key, value| [&ultralytics[..], &[(key, value)]].concat();
+    let plain = |name: &str, shape: &[i64]| model(640, &[(name, shape)], &[]);
     let one: &[(&str, &[i64])] = &[("output0", &[1, 5, 8400])];
     let boxes: &[(&str, &[i64])] = &[("output0", &[1, 300, 6])];
     let detr: [(&str, &[i64]); 3] = [
@@ -121,19 +101,19 @@ fn models_are_recognised_by_their_exporters_conventions() {
     ];
     use HeadName::{Detr, EndToEnd, FastestDet, Yolo, Yolox};
     for (signature, expected) in [
-        (model(one, &ultralytics), Yolo),
-        (model(one, &not_end), Yolo),
-        (model(boxes, &end), EndToEnd),
-        (model(boxes, &nms), EndToEnd),
-        (model(boxes, &[]), EndToEnd),
-        (model(&[("output0", &[1, 84, 8400])], &[]), Yolo),
+        (model(640, one, &ultralytics), Yolo),
+        (model(640, one, &with("end2end", "False")), Yolo),
+        (model(640, boxes, &with("end2end", "True")), EndToEnd),
+        (model(640, boxes, &with("args", "{'nms': True}")), EndToEnd),
+        (model(640, boxes, &[]), EndToEnd),
+        (plain("output0", &[1, 84, 8400]), Yolo),
         // With a coarser fourth stride, and one that leaves its anchors open.
-        (model(&[("output0", &[1, 84, 8500])], &[]), Yolo),
-        (model(&[("output0", &[-1, 84, -1])], &[]), Yolo),
-        (model(&[("output", &[1, 8400, 85])], &[]), Yolox),
-        (model(&[("758", &[1, 85, 40, 40])], &[]), FastestDet),
-        (model(&detr[..2], &[]), Detr),
-        (model(&detr, &[]), Detr),
+        (plain("output0", &[1, 84, 8500]), Yolo),
+        (plain("output0", &[-1, 84, -1]), Yolo),
+        (plain("output", &[1, 8400, 85]), Yolox),
+        (plain("758", &[1, 85, 40, 40]), FastestDet),
+        (model(640, &detr[..2], &[]), Detr),
+        (model(640, &detr, &[]), Detr),
     ] {
         assert_eq!(recognised(&signature), Ok(expected), "{signature}");
     }
@@ -141,28 +121,31 @@ fn models_are_recognised_by_their_exporters_conventions() {
 
 #[test]
 fn an_unknown_or_ambiguous_model_is_rejected_with_every_head_that_was_tried() {
-    let square = [1, 3, 64, 64];
-    let model = |outputs: &[(&str, &[i64])]| signature(&square, outputs);
-    let ultralytics = |entry: (&str, &str)| {
-        let entries = [("author", "Ultralytics"), entry];
-        with_metadata(model(&[("output0", &[1, 6, 84])]), &entries)
+    let ultralytics = |key, value| {
+        let entries = [("author", "Ultralytics"), (key, value)];
+        model(64, &[("output0", &[1, 6, 84])], &entries)
     };
-    let large = signature(&[1, 3, 640, 640], &[("output0", &[1, 25200, 85])]);
     let boxes: (&str, &[i64]) = ("pred_boxes", &[1, 300, 4]);
     for (signature, reason) in [
-        (model(&[("logits", &[1, 1000])]), "none of them"),
+        (model(64, &[("logits", &[1, 1000])], &[]), "none of them"),
         // YOLOv5: three boxes per cell.
-        (large, "none of them"),
+        (
+            model(640, &[("output0", &[1, 25200, 85])], &[]),
+            "none of them",
+        ),
         // A transformer with unknown scores and colours.
-        (model(&[("logits", &[1, 300, 80]), boxes]), "none of them"),
+        (
+            model(64, &[("logits", &[1, 300, 80]), boxes], &[]),
+            "none of them",
+        ),
         // Either YOLOX with one class, or 84 finished boxes.
         (
-            model(&[("output", &[1, 84, 6])]),
+            model(64, &[("output", &[1, 84, 6])], &[]),
             "each of end-to-end, yolox",
         ),
-        (ultralytics(("task", "segment")), "`segment`"),
+        (ultralytics("task", "segment"), "`segment`"),
         // Metadata that contradicts the shape.
-        (ultralytics(("end2end", "True")), "`end-to-end`"),
+        (ultralytics("end2end", "True"), "`end-to-end`"),
     ] {
         let refusal = recognised(&signature).unwrap_err();
         assert!(refusal.reason.contains(reason), "{refusal:?}");
