@@ -118,16 +118,12 @@ impl Drive {
             assert!(!live.degraded && live.cause.is_none(), "{live:?}");
             assert_eq!(live.pending, self.finals.contains_key(&live.seq));
         }
-        let mut took: Vec<_> = (self.live.iter())
-            .map(|live| live.latency_ms.total)
-            .collect();
+        let took = self.live.iter().map(|live| live.latency_ms.total);
+        let mut took: Vec<_> = took.collect();
         took.sort_by(f64::total_cmp);
         // Half a detector run; a busy machine may delay single answers.
         let half = took[took.len() / 2];
-        assert!(
-            half < 50.0,
-            "median {half} ms: answers wait for the detector"
-        );
+        assert!(half < 50.0, "answers wait: median {half} ms");
         assert!(self.finals.values().all(|message| !message.pending));
         assert_eq!(counted, (frames, degraded));
         let reported = |figure: fn(&ClipReport) -> u64| reports.iter().map(figure).sum::<u64>();
@@ -166,10 +162,7 @@ async fn every_frame_is_answered_at_once_while_the_detector_is_slow_late_or_fail
         let (drive, settled, _) = drive.stop().await;
         let is_predicted = |live: &&DetectionsMessage| !live.pending && !live.boxes.is_empty();
         let predicted = drive.live.iter().filter(is_predicted).count();
-        assert!(
-            predicted > 20,
-            "{policy}: {predicted} with boxes beside the pending ones"
-        );
+        assert!(predicted > 20, "{policy}: {predicted} predicted");
         let drawn = settled.iter().filter(|frame| frame.settled).count();
         assert!(drawn > 20, "{policy}: {drawn} settled");
     }

@@ -1,8 +1,7 @@
 //! `albireo compare` end to end: the code of the node with YOLOX-Nano on a clip of a few seconds, and the report.
 
-use crate::support::{
-    Ended, assert_contains, assert_has, fake_nvpmodel, fake_tegrastats, project, run,
-};
+use crate::support::{Ended, assert_contains, fake_nvpmodel, fake_tegrastats, project, run};
+use albireo_wire::{ClipReport, EnergyQuality};
 use rstest::rstest;
 use serde_json::{Value, json};
 use std::path::Path;
@@ -44,6 +43,10 @@ fn number(value: &Value) -> f64 {
     value.as_f64().unwrap()
 }
 
+fn report(run: &Value) -> ClipReport {
+    serde_json::from_value(run["report"].clone()).unwrap()
+}
+
 #[test]
 #[ignore = "needs ONNX Runtime"]
 fn without_a_meter_cpu_time_and_detector_calls_are_compared_and_energy_is_marked_estimated() {
@@ -61,24 +64,21 @@ fn without_a_meter_cpu_time_and_detector_calls_are_compared_and_energy_is_marked
 
     let runs = found["comparison"]["runs"].as_array().unwrap();
     for run in runs {
-        let report = &run["report"];
-        let dropped = report["dropped"].as_object().unwrap().values();
-        let dropped: u64 = dropped.map(|kind| kind.as_u64().unwrap()).sum();
-        let frames = report["frames"].as_u64().unwrap();
-        assert_eq!(frames + dropped, 20, "the warm-up is not counted: {report}");
-        let expected = json!({"clip": "measured", "energy": {"quality": "estimated"}});
-        assert_has(report, &expected);
+        let report = report(run);
+        let frames = report.frames + report.dropped.total();
+        assert_eq!(frames, 20, "the warm-up is not counted: {report:?}");
+        assert_eq!(report.clip, "measured");
+        assert_eq!(report.energy.quality, EnergyQuality::Estimated);
         // The duration includes the last frame.
-        let seconds = number(&report["duration_s"]);
-        assert!(seconds > 1.95, "{seconds}");
+        assert!(report.duration_s > 1.95, "{report:?}");
         assert!(number(&run["cpu_s"]) > 0.0);
-        let calls = report["detector_latency_ms"]["count"].as_u64().unwrap();
+        let calls = report.detector_latency_ms.count;
         let agreement = &run["agreement"];
         if run["variant"] == 0 {
-            assert_eq!(calls, frames, "vanilla runs the detector on every frame");
+            assert_eq!(calls, report.frames, "vanilla examines every frame");
             assert_eq!(agreement["ap50"], 1.0, "vanilla agrees with itself");
         } else {
-            assert!(calls < frames, "albireo skips: {report}");
+            assert!(calls < report.frames, "albireo skips: {report:?}");
             let recall = number(&agreement["recall"]);
             assert!(recall > 0.3 && recall <= 1.0, "{agreement}");
         }
@@ -99,30 +99,24 @@ fn the_boards_own_meter_is_read_in_every_run() {
     std::fs::create_dir_all(&zone).unwrap();
     std::fs::write(zone.join("type"), "tj-thermal").unwrap();
     std::fs::write(zone.join("temp"), "63281").unwrap();
-    let constants = format!(
-        "sysfs={} nvpmodel={}",
-        sysfs.display(),
-        fake_nvpmodel(folder.path()).display()
-    );
+    let nvpmodel = fake_nvpmodel(folder.path());
+    let constants = format!("sysfs={} nvpmodel={}", sysfs.display(), nvpmodel.display());
     let (words, _, found) = compared(folder.path(), &power, &constants, &["--unpaced"]);
     assert!(!words.contains("ESTIMATED"), "{words}");
-    let measured = [
-        "Energy is measured by `tegrastats`",
-        "Power mode: MODE_30W.",
-    ];
-    assert_contains(&words, &measured);
+    assert_contains(&words, &["Energy is measured by `tegrastats`"]);
+    assert_contains(&words, &["Power mode: MODE_30W."]);
     for run in found["comparison"]["runs"].as_array().unwrap() {
-        let report = &run["report"];
-        assert_eq!(report["frames"], 20, "unpaced drops nothing: {report}");
-        let energy = &report["energy"];
-        assert_eq!(energy["quality"], "measured", "{energy}");
-        let (joules, seconds) = (number(&energy["joules"]), number(&report["duration_s"]));
-        assert!((joules / (21.5 * seconds) - 1.0).abs() < 1e-3, "{report}");
+        let report = report(run);
+        assert_eq!(report.frames, 20, "unpaced drops nothing: {report:?}");
+        assert_eq!(report.energy.quality, EnergyQuality::Measured);
+        let (joules, seconds) = (report.energy.joules.unwrap(), report.duration_s);
+        assert!((joules / (21.5 * seconds) - 1.0).abs() < 1e-3, "{report:?}");
         let product = joules * seconds * 1e3 / 20.0;
         // Each of the three has six decimals.
-        assert!((number(&energy["edp"]) / product - 1.0).abs() < 1e-5);
-        let board = json!({"hottest_sensor": "tj-thermal", "power_mode": "MODE_30W"});
-        assert_has(&report["board"], &board);
+        assert!((report.energy.edp.unwrap() / product - 1.0).abs() < 1e-5);
+        let board = report.board.unwrap();
+        let (sensor, mode) = (board.hottest_sensor.unwrap(), board.power_mode.unwrap());
+        assert_eq!((&*sensor, &*mode), ("tj-thermal", "MODE_30W"));
     }
 }
 

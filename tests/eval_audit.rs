@@ -33,11 +33,9 @@ fn cameras(policy: &str) -> (Vec<Camera>, AuditSums) {
         .map(|clip| against_detector(policy.as_mut(), clip, &Settings::default()).expect("it runs"))
         .collect();
     let mut all = AuditSums::default();
-    compared
-        .iter()
-        .flatten()
-        .flatten()
-        .for_each(|sums| all.merge(sums));
+    for sums in compared.iter().flatten().flatten() {
+        all.merge(sums);
+    }
     (compared, all)
 }
 
@@ -57,10 +55,8 @@ fn shared_audit_estimates_are_unbiased_and_their_intervals_hold_at_the_promised_
                 let found: Vec<AuditRate> = samples.iter().filter_map(rate).collect();
                 let count = found.len() as f64;
                 let bias = found.iter().map(|one| one.rate).sum::<f64>() / count - truth;
-                let held = found
-                    .iter()
-                    .filter(|one| (one.low..=one.high).contains(&truth));
-                let held = held.count() as f64 / count;
+                let holds = |one: &&AuditRate| (one.low..=one.high).contains(&truth);
+                let held = found.iter().filter(holds).count() as f64 / count;
                 println!("{policy} at {share}: {truth:.3}, bias {bias:.4}, held {held:.3}");
                 assert!(bias.abs() < 0.003, "{policy} at {share}: {bias}");
                 assert!(held >= 0.93, "{policy} at {share}: {held}");

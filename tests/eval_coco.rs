@@ -5,7 +5,9 @@
 use crate::support::{ask_script, project, python, shared};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::Corners;
-use albireo_eval::average_precision::{Classes, Interpolation, ScoredBox, accuracy};
+use albireo_eval::average_precision::Classes::{Pooled, Separate};
+use albireo_eval::average_precision::Interpolation::{AllPoints, Coco101};
+use albireo_eval::average_precision::{ScoredBox, accuracy};
 use albireo_eval::data::recorded;
 use rand_core::{RngCore, SeedableRng};
 use serde_json::{Value, json};
@@ -42,27 +44,19 @@ fn frames((_, predictions, truth): &Case) -> Value {
 
 fn assert_agreement(cases: &[Case]) {
     let answers = coco(cases);
-    for ((what, predictions, truth), theirs) in
-        cases.iter().zip(answers.as_array().expect("answers"))
-    {
+    let answers = answers.as_array().expect("answers");
+    for ((what, predictions, truth), theirs) in cases.iter().zip(answers) {
         for (name, classes, interpolation) in [
-            (
-                "pooled_all_points",
-                Classes::Pooled,
-                Interpolation::AllPoints,
-            ),
-            ("pooled_101", Classes::Pooled, Interpolation::Coco101),
-            ("separate_101", Classes::Separate, Interpolation::Coco101),
+            ("pooled_all_points", Pooled, AllPoints),
+            ("pooled_101", Pooled, Coco101),
+            ("separate_101", Separate, Coco101),
         ] {
             let ours = accuracy(predictions, truth, classes, interpolation);
             let ours = ours.expect("there is ground truth");
             for (figure, value) in [("ap50", ours.ap50), ("map", ours.map)] {
                 let expected = theirs[name][figure].as_f64().expect("a number");
                 let off = (value - expected).abs();
-                assert!(
-                    off < 1e-6,
-                    "{what} {name} {figure}: {value}, pycocotools {expected}"
-                );
+                assert!(off < 1e-6, "{what} {name} {figure}: {value}, {expected}");
             }
         }
     }
@@ -112,17 +106,10 @@ fn python_random_boxes_of_three_classes_score_as_in_pycocotools() {
 #[ignore = "needs ../shared and Python"]
 fn shared_python_recorded_detections_score_as_in_pycocotools() {
     let clips = recorded::read(&shared("data/recorded")).expect("the recordings");
-    let mut cases: Vec<Case> = Vec::new();
-    for clip in &clips.clips {
-        let (Some(detections), Some(truth)) = (&clip.detections, &clip.truth) else {
-            continue;
-        };
-        // pycocotools takes seconds for a long clip.
-        if clip.frames > 300 {
-            continue;
-        }
-        cases.push((clip.name.clone(), detections.clone(), truth.clone()));
-    }
+    // pycocotools takes seconds for a long clip.
+    let short = clips.clips.into_iter().filter(|clip| clip.frames <= 300);
+    let cases = short.filter_map(|clip| Some((clip.name, clip.detections?, clip.truth?)));
+    let cases: Vec<Case> = cases.collect();
     assert_eq!(cases.len(), 8);
     assert_agreement(&cases);
 }

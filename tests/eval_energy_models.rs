@@ -10,12 +10,7 @@ fn every_shipped_energy_model_states_its_source_and_its_error() {
     for file in std::fs::read_dir(folder).expect("the shipped models") {
         let path = file.expect("a file").path();
         let model = EnergyModel::load(&path).expect("a model that can be used");
-        assert!(
-            model.source.contains("commit "),
-            "{}: {}",
-            path.display(),
-            model.source
-        );
+        assert!(model.source.contains("commit "), "{model:?}");
         let missed = model.left_out.expect("it was tested on clips left out");
         assert!(missed.energy_percent > 0.0 && missed.energy_percent < 10.0);
         assert!((missed.saving_measured_percent - missed.saving_projected_percent).abs() < 2.0);

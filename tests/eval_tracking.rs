@@ -38,11 +38,9 @@ fn request(tracks: &[Vec<ScoredBox>], truth: &[Vec<ScoredBox>]) -> Value {
         json!([found.object, c.x1, c.y1, c.x2, c.y2])
     };
     let is_counted = |found: &&ScoredBox| found.confidence >= SHOWN_CONFIDENCE;
-    let tracks = tracks
-        .iter()
-        .map(|frame| frame.iter().filter(is_counted).map(row).collect());
-    let truth = truth.iter().map(|frame| frame.iter().map(row).collect());
-    let [tracks, truth]: [Vec<Vec<Value>>; 2] = [tracks.collect(), truth.collect()];
+    let rows = |boxes: &Vec<ScoredBox>| boxes.iter().filter(is_counted).map(row).collect();
+    let [tracks, truth] =
+        [tracks, truth].map(|frames| frames.iter().map(rows).collect::<Vec<Value>>());
     json!({"tracks": tracks, "truth": truth})
 }
 

@@ -59,16 +59,11 @@ async fn a_square_wave_keeps_its_mean_and_its_peak() {
     let (mean, found, _) = watch(&task, Duration::from_secs(5)).await;
     assert!(close(mean, 40.0), "{mean} {found:?}");
     assert_eq!(found.domains[0].peak_watts, Some(40.1));
-    assert_eq!(
-        (&*found.total_from, &*found.source),
-        ("input_rail", "tegrastats")
-    );
+    assert_eq!(found.total_from, "input_rail");
+    assert_eq!(found.source, "tegrastats");
     let cpu = found.domains.iter().find(|domain| domain.domain == "cpu");
     let share = cpu.unwrap().joules / found.node_joules.unwrap();
-    assert!(
-        close(share, 0.3),
-        "the domains follow their rails: {found:?}"
-    );
+    assert!(close(share, 0.3), "domains follow their rails: {found:?}");
 }
 
 #[tokio::test]

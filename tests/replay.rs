@@ -25,13 +25,13 @@ struct Command {
     replay: ReplayArguments,
 }
 
-fn arguments(source: &Path, more: &[&str]) -> ReplayArguments {
-    let source = source.to_str().unwrap();
-    Command::parse_from([&["replay", source], more].concat()).replay
+fn arguments(source: &Path, more: &str) -> ReplayArguments {
+    let source = ["replay", source.to_str().unwrap()].into_iter();
+    Command::parse_from(source.chain(more.split(' '))).replay
 }
 
 /// Replays to a receiver that answers each frame as a node does, after `wait`, and returns all frames.
-async fn replayed(source: &Path, more: &[&str], wait: Duration) -> (Vec<Frame>, Sent) {
+async fn replayed(source: &Path, more: &str, wait: Duration) -> (Vec<Frame>, Sent) {
     let (session, endpoint) = listening_peer().await;
     let queries = session.declare_queryable("albireo/node/front/frame");
     let queries = queries.complete(true).await.unwrap();
@@ -50,8 +50,8 @@ async fn replayed(source: &Path, more: &[&str], wait: Duration) -> (Vec<Frame>, 
             query.reply(query.key_expr(), answer).await.unwrap();
         }
     });
-    let connect = ["--connect", &endpoint, "--wait-for-subscriber", "--every"];
-    let arguments = arguments(source, &[&connect, more].concat());
+    let connect = format!("--connect {endpoint} --wait-for-subscriber --every {more}");
+    let arguments = arguments(source, &connect);
     let sent = timeout(PATIENCE, replay::run(arguments, CancellationToken::new())).await;
     let sent = sent.expect("the replay ends").unwrap();
     let frames = std::iter::from_fn(|| receiver.try_recv().ok()).collect();
@@ -82,8 +82,7 @@ fn pictures(count: u32) -> tempfile::TempDir {
 async fn a_folder_arrives_complete_in_order_and_with_its_clips() {
     let folder = pictures(12);
     let more = "--rate 200 --clip drive --clip-seconds 0.025";
-    let more: Vec<_> = more.split(' ').collect();
-    let (frames, sent) = replayed(folder.path(), &more, Duration::ZERO).await;
+    let (frames, sent) = replayed(folder.path(), more, Duration::ZERO).await;
     assert_eq!((sent.frames, sent.clips, frames.len()), (12, 3, 12));
     let bytes: usize = frames.iter().map(|frame| frame.picture.bytes.len()).sum();
     assert_eq!(sent.bytes, bytes as u64);
@@ -105,16 +104,15 @@ async fn a_slow_receiver_slows_down_the_sender_and_loses_nothing() {
     let encoder = jpeg_encoder::Encoder::new_file(file, 90).unwrap();
     let grey = jpeg_encoder::ColorType::Luma;
     encoder.encode(&noise, 640, 480, grey).unwrap();
-    let more = ["--rate", "max", "--loop", "--frames", "300"];
-    let wait = Duration::from_millis(2);
-    let (frames, sent) = replayed(folder.path(), &more, wait).await;
+    let (more, wait) = ("--rate max --loop --frames 300", Duration::from_millis(2));
+    let (frames, sent) = replayed(folder.path(), more, wait).await;
     assert_eq!(sent.frames, 300);
     let sequence: Vec<u64> = frames.iter().map(|frame| frame.sequence).collect();
     assert_eq!(sequence, (0..300).collect::<Vec<_>>());
 }
 
 /// The error of a replay of that many frames.
-async fn refusal(frames: u32, more: &[&str]) -> String {
+async fn refusal(frames: u32, more: &str) -> String {
     let folder = pictures(frames);
     let arguments = arguments(folder.path(), more);
     let error = replay::run(arguments, CancellationToken::new()).await;
@@ -124,20 +122,20 @@ async fn refusal(frames: u32, more: &[&str]) -> String {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_missing_subscriber_or_node_is_a_clear_error() {
     let (session, endpoint) = listening_peer().await;
-    let connect = ["--connect", &endpoint];
-    let error = refusal(1, &[&connect[..], &["--wait-for-subscriber=1"]].concat()).await;
+    let waiting = format!("--connect {endpoint} --wait-for-subscriber=1");
+    let error = refusal(1, &waiting).await;
     let nobody = "no node took frames on `albireo/node/front/frame`";
     assert_contains(&error, &[nobody]);
     let _other = session.declare_subscriber("albireo/node/front/frame").await;
-    let fast = [&connect[..], &["--rate", "max"]].concat();
-    let error = refusal(3, &[&fast[..], &["--camera", "frnt"]].concat()).await;
+    let fast = format!("--connect {endpoint} --rate max");
+    let error = refusal(3, &format!("{fast} --camera frnt")).await;
     assert_contains(&error, &["no node subscribed to `albireo/node/frnt/frame`"]);
     let folder = pictures(3);
     let sent = replay::run(arguments(folder.path(), &fast), CancellationToken::new()).await;
     assert_eq!(sent.unwrap().frames, 3);
 
     let endpoint = format!("tcp/127.0.0.1:{}", free_port());
-    let error = refusal(1, &["--connect", &endpoint]).await;
+    let error = refusal(1, &format!("--connect {endpoint}")).await;
     assert_contains(&error, &[&endpoint, "is the node running"]);
 }
 
@@ -229,7 +227,7 @@ async fn a_real_video_arrives_frame_by_frame() {
     let folder = tempfile::tempdir().unwrap();
     let file = test_video(folder.path(), "test.mp4", "rate=24:duration=2");
     for encoding in ["jpeg", "png"] {
-        let more = ["--rate", "max", "--encoding", encoding];
+        let more = format!("--rate max --encoding {encoding}");
         let (frames, sent) = replayed(&file, &more, Duration::ZERO).await;
         assert_eq!((sent.frames, sent.clips, frames.len()), (48, 1, 48));
         assert_in_order(&frames, [320, 180], 1_000_000_000 / 24);

@@ -10,58 +10,52 @@ use albireo_vision::screen::ScreenConfig;
 use std::path::Path;
 
 /// The error of a run that must fail.
-fn refusal(arguments: &[&str]) -> String {
-    let ended = run(arguments, &[]);
+fn refusal(command: &str) -> String {
+    let words: Vec<_> = command.split_whitespace().collect();
+    let ended = run(&words, &[]);
     assert!(ended.out.is_empty(), "no table after a failure");
     ended.fails()
 }
 
-fn on_pictures(folder: &Path, more: &[&str]) -> String {
-    let folder = folder.to_str().unwrap();
-    let detector = detector("colours.onnx");
-    refusal(&[&["eval", "pictures", folder, "--detector", &detector], more].concat())
+fn on_pictures(folder: &Path, more: &str) -> String {
+    let (folder, detector) = (folder.display(), detector("colours.onnx"));
+    let command = format!("eval pictures {folder} --detector {detector} {more}");
+    refusal(&command)
 }
 
 #[test]
 fn a_missing_file_folder_or_model_is_named() {
-    let said = refusal(&["eval", "video", "no/such.mp4"]);
+    let said = refusal("eval video no/such.mp4");
     assert_contains(&said, &["no/such.mp4: no such file or folder"]);
-    let said = on_pictures(Path::new("no/such"), &[]);
+    let said = on_pictures(Path::new("no/such"), "");
     assert_contains(&said, &["no/such: no such file or folder"]);
     let folder = tempfile::tempdir().unwrap();
-    assert_contains(&on_pictures(folder.path(), &[]), &["no .jpg"]);
+    assert_contains(&on_pictures(folder.path(), ""), &["no .jpg"]);
     write_pictures(folder.path(), 2);
-    let drive = folder.path().to_str().unwrap();
-    let said = refusal(&["eval", "pictures", drive, "--detector", "no/such.onnx"]);
+    let drive = folder.path().display();
+    let said = refusal(&format!("eval pictures {drive} --detector no/such.onnx"));
     assert_contains(&said, &["no/such.onnx"]);
     // Recorded screen verdicts need a screen model.
-    let said = on_pictures(folder.path(), &["--screen", "recorded"]);
+    let said = on_pictures(folder.path(), "--screen recorded");
     assert_contains(&said, &["--screen-model"]);
 }
 
 #[test]
 #[ignore = "needs ONNX Runtime"]
-fn a_broken_picture_and_one_of_another_size_are_named() {
+fn a_detector_without_evaluated_classes_a_broken_picture_and_one_of_another_size_are_named() {
     let folder = tempfile::tempdir().unwrap();
     write_pictures(folder.path(), 3);
+    let names = folder.path().join("names.txt");
+    std::fs::write(&names, "cat\ndog\ncow\nhen\npig\newe\nfox\n").unwrap();
+    let said = on_pictures(folder.path(), &format!("--class-names {}", names.display()));
+    assert_contains(&said, &["cat, dog", "--class-names"]);
     let second = folder.path().join("1.jpg");
     let whole = std::fs::read(&second).unwrap();
     std::fs::write(&second, &whole[..whole.len() / 2]).unwrap();
-    assert_contains(&on_pictures(folder.path(), &[]), &["frame 1"]);
+    assert_contains(&on_pictures(folder.path(), ""), &["frame 1"]);
     std::fs::write(&second, grey_jpeg(90, [64, 64])).unwrap();
-    let sizes = "64x64, those before it are 1280x720";
-    assert_contains(&on_pictures(folder.path(), &[]), &[sizes]);
-}
-
-#[test]
-#[ignore = "needs ONNX Runtime"]
-fn a_detector_without_evaluated_classes_is_rejected() {
-    let folder = tempfile::tempdir().unwrap();
-    write_pictures(folder.path(), 1);
-    let names = folder.path().join("names.txt");
-    std::fs::write(&names, "cat\ndog\ncow\nhen\npig\newe\nfox\n").unwrap();
-    let said = on_pictures(folder.path(), &["--class-names", names.to_str().unwrap()]);
-    assert_contains(&said, &["cat, dog", "--class-names"]);
+    let said = on_pictures(folder.path(), "");
+    assert_contains(&said, &["64x64, those before it are 1280x720"]);
 }
 
 #[test]

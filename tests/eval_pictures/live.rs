@@ -1,12 +1,12 @@
 //! Decisions as in the node: a policy asks detector and screen on demand, through the node's own evidence with its limit on
 //! consecutive empty frames.
 
-use super::{NO_PIXELS, fixture_detector, fixture_screen, look, settings, specs, write_pictures};
+use super::{settings, specs};
 use albireo_core::detection::Detection;
 use albireo_core::policy::{Evidence, FrameHead, FrameState, Need, Outcome, Policy};
 use albireo_eval::data::Clip;
 use albireo_eval::data::classes::from_name;
-use albireo_eval::footage::{FrameSource, Pictures};
+use albireo_eval::footage::FrameSource;
 use albireo_eval::run::{Settings, run};
 use albireo_eval::source::ScreenRule;
 use albireo_node::LiveEvidence;
@@ -59,15 +59,6 @@ impl Node {
         });
         evaluated.collect()
     }
-
-    async fn detect(&self, encoded: &EncodedPicture) -> Vec<Detection> {
-        let mut camera = self.camera();
-        camera.fetch(Need::Detections, encoded).await.unwrap();
-        match camera.fetched(Need::Detections) {
-            Evidence::Detections(found) => self.evaluated(found),
-            other => panic!("{other:?}"),
-        }
-    }
 }
 
 /// The frame states of a camera with these pictures, and how often the limit on consecutive empty frames forced a detector
@@ -109,37 +100,33 @@ async fn decided(
 /// replay does. Returns how often the limit on consecutive empty frames forced a detector call.
 pub(crate) fn assert_live_alike(
     source: &mut dyn FrameSource,
-    detector: &DetectorConfig,
-    screen: &ScreenConfig,
+    (detector, screen, confidence): (&DetectorConfig, &ScreenConfig, f64),
     pictured: &Clip,
-    confidence: f64,
-    policies: &[&str],
+    policies: &str,
 ) -> u64 {
     let mut pictures = Vec::new();
     while let Some(picture) = source.next().unwrap() {
         pictures.push(picture);
     }
     assert_eq!(pictures.len(), pictured.frames);
-    let rule = match screen.model {
-        None => ScreenRule::Nonempty,
-        Some(_) => ScreenRule::Recorded,
-    };
+    let rule = ScreenRule::Recorded;
     let policies = specs(policies, rule);
     let settings = Settings {
         longest_empty_run: screen.longest_empty_run,
         ..settings(confidence, rule)
     };
     let replayed = run([pictured], &policies, &settings, &|| ()).unwrap();
-    let runtime = tokio::runtime::Builder::new_multi_thread()
-        .worker_threads(1)
-        .enable_all()
-        .build()
-        .unwrap();
+    let runtime = tokio::runtime::Runtime::new().unwrap();
     runtime.block_on(async {
         let node = Node::start(detector, screen, confidence).await;
         let stored = pictured.detections.as_ref().unwrap();
         for (frame, (encoded, stored)) in pictures.iter().zip(stored).enumerate() {
-            let live = node.detect(encoded).await;
+            let mut camera = node.camera();
+            camera.fetch(Need::Detections, encoded).await.unwrap();
+            let Evidence::Detections(found) = camera.fetched(Need::Detections) else {
+                panic!("no detections of frame {frame}");
+            };
+            let live = node.evaluated(found);
             let stored: Vec<_> = stored
                 .iter()
                 .filter(|stored| stored.confidence >= confidence)
@@ -147,22 +134,14 @@ pub(crate) fn assert_live_alike(
                 .collect();
             assert_eq!(live.len(), stored.len(), "frame {frame}");
             for (live, stored) in live.iter().zip(&stored) {
-                assert_eq!(
-                    (live.class, live.confidence),
-                    (stored.class, stored.confidence)
-                );
-                let (live, stored) = (live.bounding_box, stored.bounding_box);
+                let [found, expected] = [live, stored].map(|found| (found.class, found.confidence));
+                assert_eq!(found, expected, "frame {frame}");
+                let [live, stored] =
+                    [live, stored].map(|found| <[f64; 4]>::from(found.bounding_box));
                 // Stored boxes were converted to pixels and back.
-                for (live, stored) in [
-                    (live.center_x, stored.center_x),
-                    (live.center_y, stored.center_y),
-                    (live.width, stored.width),
-                    (live.height, stored.height),
-                ] {
-                    assert!(
-                        (live - stored).abs() < 1e-14,
-                        "frame {frame}: {live} {stored}"
-                    );
+                for (live, stored) in live.into_iter().zip(stored) {
+                    let off = (live - stored).abs();
+                    assert!(off < 1e-14, "frame {frame}: {live} {stored}");
                 }
             }
         }
@@ -175,41 +154,4 @@ pub(crate) fn assert_live_alike(
         }
         forced
     })
-}
-
-fn assert_fixtures_alike(screen: &ScreenConfig, confidence: f64) -> u64 {
-    let folder = tempfile::tempdir().unwrap();
-    write_pictures(folder.path(), 60);
-    let mut source = Pictures::of_folder(folder.path(), 10.0).unwrap();
-    let detector = fixture_detector();
-    let pictured = look(&mut source, &detector, screen);
-    source.rewind().unwrap();
-    let policies = [&NO_PIXELS[..], &["statues:25"]].concat();
-    assert_live_alike(
-        &mut source,
-        &detector,
-        screen,
-        &pictured,
-        confidence,
-        &policies,
-    )
-}
-
-#[test]
-#[ignore = "needs ONNX Runtime"]
-fn a_live_policy_decides_as_its_replay_does() {
-    let forced = assert_fixtures_alike(&fixture_screen(), 0.5);
-    assert_eq!(forced, 0, "no run of empty frames is as long as a hundred");
-}
-
-#[test]
-#[ignore = "needs ONNX Runtime"]
-fn the_evaluation_limits_runs_of_empty_frames_as_the_node_does() {
-    let screen = ScreenConfig {
-        longest_empty_run: 3,
-        ..fixture_screen()
-    };
-    // At a high confidence there are few objects, so most frames ask the screen.
-    let forced = assert_fixtures_alike(&screen, 0.6);
-    assert!(forced > 0, "the limit was never reached");
 }

@@ -52,10 +52,7 @@ pub(crate) fn decide_frame(
         step: 1,
         picture,
     };
-    let empty = match screen {
-        Screen::NeverEmpty => false,
-        Screen::EmptyWithoutDetections => detections.is_empty(),
-    };
+    let empty = matches!(screen, Screen::EmptyWithoutDetections) && detections.is_empty();
     let mut known = FrameEvidence {
         empty: Some(empty),
         grey: None,
@@ -123,10 +120,8 @@ fn compare_object(at: &str, found: &ObjectRecord, expected: &ObjectRecord) {
 }
 
 fn close(found: f64, expected: f64, at: &str, what: &str) {
-    assert!(
-        (found - expected).abs() <= TOLERANCE,
-        "{at}: {what} is {found}, expected {expected}"
-    );
+    let off = (found - expected).abs();
+    assert!(off <= TOLERANCE, "{at}: {what} {found}, not {expected}");
 }
 
 /// Replays an excerpt, whose lines include the detections.

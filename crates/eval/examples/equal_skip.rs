@@ -23,22 +23,8 @@ type Outcome<T> = Result<T, Box<dyn Error>>;
 const SKIP_RATES: [f64; 9] = [0.10, 0.24, 0.38, 0.50, 0.60, 0.65, 0.67, 0.75, 0.80];
 
 /// Policies that are compared at their own skip rates.
-const POLICIES: [&str; 14] = [
-    "albireo:3e-4",
-    "albireo:5e-4",
-    "albireo:7e-4",
-    "albireo:1e-3",
-    "fixed-skip:2",
-    "fixed-skip:3",
-    "fixed-skip:5",
-    "ctd:0.9",
-    "ctd:0.7",
-    "ctd:0.5",
-    "ctd:0.3",
-    "kill-only:3e-4",
-    "kill+erd:3e-4",
-    "kill+erd-10d:3e-4",
-];
+const POLICIES: &str = "albireo:3e-4 albireo:5e-4 albireo:7e-4 albireo:1e-3 fixed-skip:2 fixed-skip:3 fixed-skip:5 \
+    ctd:0.9 ctd:0.7 ctd:0.5 ctd:0.3 kill-only:3e-4 kill+erd:3e-4 kill+erd-10d:3e-4";
 
 #[derive(Parser)]
 struct Arguments {
@@ -131,7 +117,7 @@ impl Recordings {
         // Average precision is not needed to find the place.
         let mut unjudged = self.clips.clone();
         unjudged.iter_mut().for_each(|clip| clip.truth = None);
-        let mut config = albireo_core::policy::PolicyConfig::default();
+        let mut config = PolicyConfig::default();
         config.select(name)?;
         let spec = config
             .build()?
@@ -167,12 +153,8 @@ impl Recordings {
     fn row(&self, name: &str, other: &Point) -> Outcome<()> {
         let ours = self.at_skip_rate("expected-loss", other.skip_rate())?;
         let (_, ap50) = FIGURES[0];
-        let [skip, theirs, value, own] = [
-            other.skip_rate(),
-            other.mean(ap50),
-            ours.value,
-            ours.mean(ap50),
-        ];
+        let (skip, theirs) = (other.skip_rate(), other.mean(ap50));
+        let (value, own) = (ours.value, ours.mean(ap50));
         print!("| {name} | {skip:.3} | {theirs:.3} | {value:.3} | {own:.3} |");
         for (_, figure) in FIGURES {
             let difference = Difference::of(&ours.minus(other, figure));
@@ -218,7 +200,7 @@ fn main() -> Outcome<()> {
         let even = recordings.at_skip_rate("even-skip-in-tracker", rate)?;
         recordings.row("even calls", &even)?;
     }
-    for policy in POLICIES {
+    for policy in POLICIES.split(' ') {
         recordings.row(policy, &recordings.run(clips, policy)?)?;
     }
     Ok(())

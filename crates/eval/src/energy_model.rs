@@ -160,26 +160,15 @@ mod tests {
     use super::*;
     use crate::summary::tests::of_states;
 
+    const MODEL: &str = "
+        board = 'board'
+        detector = 'detector'
+        source = 'made up'
+        energy_j = { detector = 4.0, predicted = 0.5, screen = 1.0, look = 0.1 }
+        time_ms = { detector = 50.0, predicted = 5.0, screen = 10.0, look = 2.0 }";
+
     fn model() -> EnergyModel {
-        EnergyModel {
-            board: "board".to_owned(),
-            detector: "detector".to_owned(),
-            source: "made up".to_owned(),
-            energy_j: Costs {
-                detector: 4.0,
-                predicted: 0.5,
-                screen: 1.0,
-                look: 0.1,
-            },
-            time_ms: Costs {
-                detector: 50.0,
-                predicted: 5.0,
-                screen: 10.0,
-                look: 2.0,
-            },
-            idle_power_w: None,
-            left_out: None,
-        }
+        EnergyModel::read(MODEL).unwrap()
     }
 
     fn result(states: &[FrameState]) -> ClipResult {
@@ -192,31 +181,33 @@ mod tests {
         result
     }
 
+    fn projected(model: &EnergyModel, mut result: ClipResult) -> (Energy, FrameTime) {
+        model.apply(&mut result);
+        (result.energy.unwrap(), result.frame_time.unwrap())
+    }
+
     #[test]
     fn a_projection_sums_the_frames_and_is_marked_as_such() {
-        let mut result = result(&FrameState::ALL);
-        model().apply(&mut result);
-        let energy = result.energy.expect("projected");
+        let (energy, time) = projected(&model(), result(&FrameState::ALL));
         assert!((energy.joules - (3.0 * 4.0 + 0.5 + 2.0 * 1.0)).abs() < 1e-12);
         assert!((energy.duration_s - 0.175).abs() < 1e-12);
         assert!((energy.edp - 14.5 * 175.0 / 5.0).abs() < 1e-9);
-        let time = result.frame_time.expect("projected");
         assert!((time.milliseconds.mean - 35.0).abs() < 1e-12);
         assert_eq!(time.provenance, Provenance::Projected);
     }
 
     #[test]
     fn an_audited_picture_costs_as_in_the_model() {
-        let mut blind = result(&[FrameState::I, FrameState::P]);
-        let mut looking = blind.clone();
-        looking.looked_frames = 2;
-        looking.examined = vec![true, true];
-        model().apply(&mut blind);
-        model().apply(&mut looking);
-        let joules = |result: &ClipResult| result.energy.expect("projected").joules;
-        let time = |result: &ClipResult| result.frame_time.expect("projected").milliseconds.mean;
-        assert!((joules(&looking) - joules(&blind) - 0.2).abs() < 1e-12);
-        assert!((time(&looking) - time(&blind) - 2.0).abs() < 1e-12);
+        let blind = result(&[FrameState::I, FrameState::P]);
+        let looking = ClipResult {
+            looked_frames: 2,
+            examined: vec![true, true],
+            ..blind.clone()
+        };
+        let [blind, looking] = [blind, looking].map(|result| projected(&model(), result));
+        assert!((looking.0.joules - blind.0.joules - 0.2).abs() < 1e-12);
+        let more_ms = looking.1.milliseconds.mean - blind.1.milliseconds.mean;
+        assert!((more_ms - 2.0).abs() < 1e-12);
     }
 
     #[test]
@@ -225,24 +216,14 @@ mod tests {
         model.idle_power_w = Some(20.0);
         let mut result = result(&[FrameState::I, FrameState::P]);
         result.frame_rate = Some(10.0);
-        model.apply(&mut result);
-        let energy = result.energy.expect("projected");
+        let (energy, _) = projected(&model, result);
         assert!((energy.duration_s - 0.2).abs() < 1e-12);
         assert!((energy.joules - (4.5 + 20.0 * 0.145)).abs() < 1e-12);
     }
 
     #[test]
-    fn an_invalid_model_file_is_rejected_with_a_reason() {
-        let folder = tempfile::tempdir().expect("a temporary folder");
-        let path = folder.path().join("model.toml");
-        let missing = EnergyModel::load(&path).expect_err("nothing is there");
-        assert!(missing.to_string().contains("model.toml"));
-        let mut bad = model();
-        bad.energy_j.screen = -1.0;
-        let text = toml::to_string(&bad).expect("it can be written");
-        std::fs::write(&path, text).expect("written");
-        let error = EnergyModel::load(&path).expect_err("a cost below zero");
-        let message = error.to_string();
-        assert!(message.contains("`energy_j.screen` is -1"), "{message}");
+    fn a_cost_below_zero_is_rejected_by_name() {
+        let error = EnergyModel::read(&MODEL.replace("screen = 1.0", "screen = -1.0")).unwrap_err();
+        assert!(error.contains("`energy_j.screen` is -1"), "{error}");
     }
 }

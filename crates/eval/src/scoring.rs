@@ -108,8 +108,8 @@ fn truncate(edge: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::average_precision::tests::square;
     use albireo_core::detection::{ClassId, ObjectId};
-    use albireo_core::policy::BoxSource;
 
     #[test]
     fn confidence_decays_linearly_and_never_below_a_tenth() {
@@ -154,21 +154,10 @@ mod tests {
         ] {
             let picture = PictureSize::new(width, height);
             for x1 in 0..width - 7 {
-                let corners = Corners {
-                    x1: f64::from(x1),
-                    y1: 3.0,
-                    x2: f64::from(x1 + 7),
-                    y2: 200.0,
-                };
-                let output = OutputBox {
-                    bounding_box: corners.normalise(picture),
-                    class: ClassId(2),
-                    confidence: 0.5,
-                    source: BoxSource::Detected,
-                    object: None,
-                    confirmed: true,
-                };
-                assert_eq!(score_truncated(&output, picture).corners, corners);
+                let corners = square(f64::from(x1), 3.0, 7.0);
+                let found = corners.normalise(picture).pixel_corners(picture);
+                let cut = [found.x1, found.y1, found.x2, found.y2].map(truncate);
+                assert_eq!(cut, [corners.x1, corners.y1, corners.x2, corners.y2]);
             }
         }
     }

@@ -217,22 +217,12 @@ pub(crate) fn split_label(label: &str) -> (&str, String) {
 mod tests {
     use super::*;
 
-    fn resolved(
-        asked: &[String],
-        sweeps: &[Sweep],
-        pixels: bool,
-    ) -> Result<Vec<PolicySpec>, EvalError> {
-        let base = PolicyConfig::default();
-        resolve(asked, sweeps, &base, ScreenRule::Nonempty, pixels)
-    }
-
-    fn labels(asked: &[&str], sweeps: &[&str]) -> Result<Vec<String>, EvalError> {
+    fn labels(asked: &[&str], sweeps: &[&str], pixels: bool) -> Result<Vec<String>, EvalError> {
         let asked: Vec<String> = asked.iter().map(|&name| name.to_owned()).collect();
-        let sweeps = sweeps
-            .iter()
-            .map(|text| text.parse())
-            .collect::<Result<Vec<_>, _>>()?;
-        let specs = resolved(&asked, &sweeps, false)?;
+        let sweeps = sweeps.iter().map(|text| text.parse::<Sweep>());
+        let sweeps: Vec<Sweep> = sweeps.collect::<Result<_, _>>()?;
+        let base = PolicyConfig::default();
+        let specs = resolve(&asked, &sweeps, &base, ScreenRule::Nonempty, pixels)?;
         Ok(specs.into_iter().map(|spec| spec.label).collect())
     }
 
@@ -267,22 +257,20 @@ mod tests {
         .into_iter()
         .unzip();
         for asked in [&asked[..], &asked[1..]] {
-            assert_eq!(labels(asked, &[]).expect("known policies"), expected);
+            assert_eq!(labels(asked, &[], false).unwrap(), expected);
         }
     }
 
     #[test]
     fn all_is_every_policy_and_setting_that_the_data_allows() {
-        let stored = labels(&["all"], &[]).expect("known policies");
-        assert_eq!(stored.len(), 19);
-        let all = resolved(&["all".to_owned()], &[], true).expect("known policies");
-        assert_eq!(all.len(), 23);
+        for (pixels, count) in [(false, 19), (true, 23)] {
+            assert_eq!(labels(&["all"], &[], pixels).unwrap().len(), count);
+        }
     }
 
     #[test]
     fn a_sweep_runs_every_value_once_and_leaves_the_others_alone() {
-        let labels =
-            labels(&["albireo", "vanilla"], &["u=3e-4,7e-4,3e-4"]).expect("a proper sweep");
+        let labels = labels(&["albireo", "vanilla"], &["u=3e-4,7e-4,3e-4"], false).unwrap();
         let [three, seven] = ["albireo-u3e-4-erd-nonempty", "albireo-u7e-4-erd-nonempty"];
         assert_eq!(labels, ["vanilla", three, seven]);
     }
@@ -293,7 +281,7 @@ mod tests {
             ("u", "NAME=VALUE"),
             ("u=1e-3,zwei", "`zwei` is not a number"),
         ] {
-            let refused = labels(&["albireo"], &[sweep]).expect_err("this must be refused");
+            let refused = labels(&["albireo"], &[sweep], false).unwrap_err();
             assert!(refused.to_string().contains(part), "{refused}");
         }
     }

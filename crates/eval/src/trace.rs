@@ -108,18 +108,12 @@ mod tests {
     fn a_broken_line_is_named_with_its_number() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let path = folder.path().join("clip.jsonl.gz");
-        let mut out = flate2::write::GzEncoder::new(
-            std::fs::File::create(&path).expect("a file"),
-            flate2::Compression::fast(),
-        );
-        out.write_all(
-            b"{\"frame\":0,\"state\":\"I\",\"tau_max\":null,\"active\":0,\"objects\":[]}\n{\"frame\":1}\n",
-        )
-        .expect("written");
-        out.finish().expect("written");
-        let message = read(&path)
-            .expect_err("the second line is broken")
-            .to_string();
+        let lines = r#"{"frame":0,"state":"I","tau_max":null,"active":0,"objects":[]}
+            {"frame":1}"#;
+        let mut file = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+        file.write_all(lines.as_bytes()).expect("written");
+        std::fs::write(&path, file.finish().expect("compressed")).expect("written");
+        let message = read(&path).expect_err("line 2 is broken").to_string();
         assert!(message.contains(":2:"), "{message}");
     }
 }

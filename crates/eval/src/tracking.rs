@@ -167,12 +167,12 @@ fn idf1(frames: &[Overlaps], objects: &Appearances, tracks: &Appearances) -> f64
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::average_precision::tests::{scored, square};
+    use crate::average_precision::tests::at;
 
     fn found(left: f64, object: Option<u64>, confidence: f64) -> ScoredBox {
         ScoredBox {
             object,
-            ..scored(square(left, 0.0, 10.0), confidence)
+            ..at(left, confidence)
         }
     }
 

@@ -63,14 +63,15 @@ pub(crate) fn failure(source_name: &str, path: &Path, error: &io::Error) -> Mete
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tests::assert_contains;
 
     #[test]
     fn permission_denied_names_the_file_and_the_remedy() {
         let path = Path::new("/sys/class/powercap/intel-rapl:0/energy_uj");
         let error = failure("rapl", path, &io::ErrorKind::PermissionDenied.into());
-        let text = error.to_string();
-        assert!(text.contains("rapl: may not read /sys/class/powercap/intel-rapl:0/energy_uj"));
-        assert!(text.contains("sudo chmod a+r /sys/class/powercap/intel-rapl:0/energy_uj"));
+        let file = path.display();
+        let denied = format!("rapl: may not read {file}");
+        assert_contains(error, &[&denied, &format!("sudo chmod a+r {file}")]);
     }
 
     #[test]
@@ -78,7 +79,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("energy_uj");
         std::fs::write(&path, "many\n").unwrap();
-        let text = number::<u64>("rapl", &path).unwrap_err().to_string();
-        assert!(text.contains("energy_uj: `many` is not a number"), "{text}");
+        let error = number::<u64>("rapl", &path).unwrap_err();
+        assert_contains(error, &["energy_uj: `many` is not a number"]);
     }
 }

@@ -1,6 +1,8 @@
 //! Fixtures shared by the tests of several meters.
 
 use crate::config::PowerConfig;
+use crate::reading::{Reading, Value};
+use albireo_wire::ClipEnergy;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -56,4 +58,26 @@ impl Tree {
 
 pub(crate) fn ms(ms: u64) -> Duration {
     Duration::from_millis(ms)
+}
+
+/// A reading of the total alone.
+pub(crate) fn reading(total: Value) -> Reading {
+    Reading {
+        at: None,
+        values: [Some(total), None, None, None],
+        total_from: "sum_of_rails".into(),
+        rails: Vec::new(),
+    }
+}
+
+pub(crate) fn total(energy: &ClipEnergy) -> f64 {
+    energy.node_joules.unwrap()
+}
+
+#[track_caller]
+pub(crate) fn assert_contains(text: impl std::fmt::Display, parts: &[&str]) {
+    let text = text.to_string();
+    for part in parts {
+        assert!(text.contains(part), "no `{part}` in: {text}");
+    }
 }

@@ -105,9 +105,7 @@ mod tests {
         // .45, .5, .5, .55 a block: mean .5, standard error 0.020412, t(3) = 3.182446.
         let parts = [0.45, 0.5, 0.5, 0.55].map(|value| [value, 1.0]);
         let found = Estimate::ratio(parts.into_iter()).unwrap();
-        assert!(
-            (found.low - (0.5 - 3.182_446 * 0.020_412)).abs() < 1e-4,
-            "{found:?}"
-        );
+        let low = 0.5 - 3.182_446 * 0.020_412;
+        assert!((found.low - low).abs() < 1e-4, "{found:?}");
     }
 }

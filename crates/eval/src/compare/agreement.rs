@@ -72,11 +72,7 @@ pub fn agreement(boxes: &Boxes, reference: &Boxes) -> Option<Agreement> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::average_precision::tests::{scored, square};
-
-    fn at(left: f64, confidence: f64) -> ScoredBox {
-        scored(square(left, 0.0, 10.0), confidence)
-    }
+    use crate::average_precision::tests::at;
 
     #[test]
     fn identical_boxes_agree_fully_and_shifted_ones_by_their_overlap() {

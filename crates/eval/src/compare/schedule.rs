@@ -32,14 +32,8 @@ mod tests {
 
     #[test]
     fn every_second_round_runs_in_reverse_order() {
-        let order: Vec<_> = schedule(3, 3).iter().map(|run| run.variant).collect();
-        assert_eq!(order, [0, 1, 2, 2, 1, 0, 0, 1, 2]);
-        assert_eq!(
-            schedule(2, 1)[1],
-            ScheduledRun {
-                round: 0,
-                variant: 1
-            }
-        );
+        let runs = schedule(2, 3).into_iter();
+        let order: Vec<_> = runs.map(|run| (run.round, run.variant)).collect();
+        assert_eq!(order, [(0, 0), (0, 1), (1, 1), (1, 0), (2, 0), (2, 1)]);
     }
 }

@@ -180,7 +180,7 @@ fn mean_watts(run: &Run) -> Option<f64> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::summary::tests::{comparison, rounds, run};
+    use super::super::summary::tests::{comparison, round, rounds, run};
     use super::super::{Suggestion, summarise};
     use super::*;
 
@@ -193,10 +193,8 @@ mod tests {
     fn a_difference_within_its_interval_is_not_clear() {
         let policies = ["vanilla", "expected-loss lambda=0.3"];
         let lines = sentences(&comparison(&policies, rounds([80.0, 79.9], 39).collect()));
-        assert!(
-            lines[0].contains("no clear difference in energy in 3 rounds"),
-            "{lines:?}"
-        );
+        let said = "no clear difference in energy in 3 rounds";
+        assert!(lines[0].contains(said), "{lines:?}");
     }
 
     #[test]
@@ -206,27 +204,16 @@ mod tests {
             threshold: "u",
             value: 4e-4,
         });
-        let comparison = comparison(&["vanilla", "albireo u=1e-4"], runs);
-        let lines = sentences(&comparison);
-        assert_eq!(
-            lines[0],
-            "albireo u=1e-4: no frame was skipped, so nothing was saved; try u = 4e-4."
-        );
+        let lines = sentences(&comparison(&["vanilla", "albireo u=1e-4"], runs));
+        let said = "albireo u=1e-4: no frame was skipped, so nothing was saved; try u = 4e-4.";
+        assert_eq!(lines[0], said);
     }
 
     #[test]
     fn one_round_or_an_unpaced_clip_gives_no_yearly_figure() {
         let runs = |rounds: usize| {
-            let two = |round| {
-                [
-                    run(round, 0, 100, Some(80.0)),
-                    run(round, 1, 40, Some(60.0)),
-                ]
-            };
-            comparison(
-                &["vanilla", "albireo u=5e-4"],
-                (0..rounds).flat_map(two).collect(),
-            )
+            let runs = (0..rounds).flat_map(|number| round(number, [80.0, 60.0], 40));
+            comparison(&["vanilla", "albireo u=5e-4"], runs.collect())
         };
         let mut unpaced = runs(2);
         assert!(sentences(&unpaced)[0].contains("year"));
@@ -246,9 +233,7 @@ mod tests {
         });
         let comparison = comparison(&["vanilla", "albireo u=5e-4"], runs.collect());
         let lines = sentences(&comparison);
-        assert!(
-            lines[0].contains("no clear difference in detector calls to vanilla in 3 rounds"),
-            "{lines:?}"
-        );
+        let said = "no clear difference in detector calls to vanilla in 3 rounds";
+        assert!(lines[0].contains(said), "{lines:?}");
     }
 }

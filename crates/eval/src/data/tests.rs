@@ -21,14 +21,6 @@ fn assert_refused(read: Result<DataSet, EvalError>, parts: &[&str]) {
     }
 }
 
-/// Asserts that written clips are read back to the last bit.
-fn assert_written_back(clips: &DataSet) {
-    let copy = tempfile::tempdir().unwrap();
-    recorded::write(copy.path(), &clips.clips).unwrap();
-    let again = recorded::read(copy.path()).unwrap();
-    assert_eq!(again.clips, clips.clips);
-}
-
 const INDEX: &str =
     r#"{"sequences": [{"name": "a", "width": 100, "height": 50, "fps": 10, "frames": 3}]}"#;
 const HEADER: &str = "frame,x1,y1,x2,y2,score,class\n";
@@ -44,10 +36,18 @@ fn recorded(index: &str, rows: Option<&str>, truth: Option<&str>) -> Result<Data
 }
 
 #[test]
-fn recorded_detections_and_ground_truth_are_read_frame_by_frame_and_written_back() {
+fn recorded_detections_truth_and_ignored_regions_are_read_frame_by_frame_and_written_back() {
     let rows = "0,0.1,0.30000000000000004,3.5,4,0.9,2\n2,1,1,9,9,0.3333333333333333,0\n";
-    let clips = recorded(INDEX, Some(rows), Some("1,0,0,5,5,2,7\n")).unwrap();
-    let clip = &clips.clips[0];
+    let truth = format!("{TRUTH_HEADER}1,0,0,5,5,2,7\n");
+    let files = folder(&[
+        ("sequences.json", INDEX),
+        ("detections/a.csv", &format!("{HEADER}{rows}")),
+        ("groundtruth/a.csv", &truth),
+        ("ignore/a.csv", "frame,x1,y1,x2,y2\n1,0,0,50,20.5\n"),
+    ]);
+    let read = recorded::read(files.path()).unwrap();
+    assert_eq!(read.report, LoadReport::default());
+    let clip = &read.clips[0];
     let detections = clip.detections.as_ref().unwrap();
     let counts: Vec<usize> = detections.iter().map(Vec::len).collect();
     assert_eq!(counts, [1, 0, 1]);
@@ -55,22 +55,12 @@ fn recorded_detections_and_ground_truth_are_read_frame_by_frame_and_written_back
     assert_eq!(detections[0][0].class, CAR);
     let truth = clip.truth.as_ref().unwrap();
     assert_eq!(truth[1][0].object, Some(7));
-    assert_eq!(clips.report, LoadReport::default());
-    assert_written_back(&clips);
-}
-
-#[test]
-fn ignored_regions_are_read_frame_by_frame_and_written_back() {
-    let files = folder(&[
-        ("sequences.json", INDEX),
-        ("detections/a.csv", HEADER),
-        ("ignore/a.csv", "frame,x1,y1,x2,y2\n1,0,0,50,20.5\n"),
-    ]);
-    let clips = recorded::read(files.path()).unwrap();
-    let regions = &clips.clips[0].ignored;
-    assert_eq!(regions.iter().map(Vec::len).collect::<Vec<_>>(), [0, 1, 0]);
-    assert_eq!(regions[1][0].y2, 20.5);
-    assert_written_back(&clips);
+    let regions: Vec<usize> = clip.ignored.iter().map(Vec::len).collect();
+    assert_eq!((regions, clip.ignored[1][0].y2), (vec![0, 1, 0], 20.5));
+    let copy = tempfile::tempdir().unwrap();
+    recorded::write(copy.path(), &read.clips).unwrap();
+    let again = recorded::read(copy.path()).unwrap();
+    assert_eq!(again.clips, read.clips, "to the last bit");
 }
 
 #[test]
@@ -205,7 +195,8 @@ fn bdd100k_reads_both_spellings_and_maps_seven_classes_to_six() {
         {"id": "00122062", "category": "rider", "attributes": {"Crowd": true},
          "box2d": {"x1": 1, "y1": 2, "x2": 30, "y2": 40}},
         {"id": "3", "category": "trailer", "box2d": {"x1": 1, "y1": 2, "x2": 30, "y2": 40}}]},
-        {"name": "v-3.jpg", "video_name": "v", "index": 2, "labels": null}]"#;
+        {"name": "v-3.jpg", "video_name": "v", "index": 2, "labels": null},
+        {"name": "w-1.jpg", "video_name": "w", "index": 0, "labels": null}]"#;
     let new = r#"{"frames": [{"name": "v-2.jpg", "videoName": "v", "frameIndex": 1, "labels": [
         {"category": "car", "score": 0.5, "box2d": {"x1": 1, "y1": 2, "x2": 30, "y2": 40}}]}]}"#;
     let files = folder(&[("gt.json", old), ("pred.json", new)]);
@@ -223,6 +214,7 @@ fn bdd100k_reads_both_spellings_and_maps_seven_classes_to_six() {
     let rider = boxes[0][0];
     assert_eq!((rider.class, rider.object), (PERSON, Some(122_062)));
     assert_eq!(clip.detections.as_ref().unwrap()[1].len(), 1);
+    assert_eq!(clips.clips[1].detections, None, "no predictions for `w`");
     assert_eq!(clips.report.unmapped_classes["trailer"], 1);
     // Ground truth in place of predictions is an error, and so is a repeated frame.
     let swapped = bdd100k::read(&source(None, Some(&truth)));
@@ -234,29 +226,20 @@ fn bdd100k_reads_both_spellings_and_maps_seven_classes_to_six() {
 
 #[test]
 fn clips_without_detections_are_dropped_by_name_or_rejected() {
-    let frame = r#"{"name": "f", "videoName": "NAME", "frameIndex": 0, "labels": [
-        {"category": "car", "score": 0.5, "box2d": {"x1": 1, "y1": 2, "x2": 30, "y2": 40}}]}"#;
-    let (a, b) = (frame.replace("NAME", "a"), frame.replace("NAME", "b"));
-    let files = folder(&[
-        ("gt.json", &format!("[{a}, {b}]")),
-        ("pred.json", &format!("[{a}]")),
-    ]);
-    let [truth, found] = ["gt.json", "pred.json"].map(|name| files.path().join(name));
-    let mut source = bdd100k::Source {
-        truth: Some(&truth),
-        detections: Some(&found),
-        picture: bdd100k::BDD100K_SIZE,
-        frame_rate: None,
-    };
-    let clips = bdd100k::read(&source).unwrap();
-    let clips = clips.only_with_detections(&truth).unwrap();
+    let clip = |name: &str| Clip::new(name.to_owned(), PictureSize::new(10, 10), 1);
+    let truth = Path::new("gt.json");
+    let mut clips = DataSet::default();
+    clips.push(clip("b"));
+    assert_refused(clips.clone().only_with_detections(truth), &["--detections"]);
+    clips.push(Clip {
+        detections: Some(vec![Vec::new()]),
+        ..clip("a")
+    });
+    let clips = clips.only_with_detections(truth).unwrap();
     assert_eq!(clips.clips.len(), 1);
     let lines = clips.report.lines().join("\n");
     let expected = "b: ground truth without stored detections";
     assert!(lines.contains(expected), "{lines}");
-    source.detections = None;
-    let clips = bdd100k::read(&source).unwrap();
-    assert_refused(clips.only_with_detections(&truth), &["--detections"]);
 }
 
 #[test]

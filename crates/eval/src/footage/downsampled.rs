@@ -116,10 +116,8 @@ mod tests {
         assert_eq!(taken(FrameSelection::new(25.0, 5.0), 20), [0, 5, 10, 15]);
         assert_eq!(taken(FrameSelection::new(25.0, 10.0), 11), [0, 3, 5, 8, 10]);
         assert_eq!(taken(FrameSelection::new(12.5, 25.0), 3), [0, 1, 2]);
-        assert_eq!(
-            taken(FrameSelection::new(30_000.0 / 1001.0, 5.0), 300).len(),
-            50
-        );
+        let broadcast = FrameSelection::new(30_000.0 / 1001.0, 5.0);
+        assert_eq!(taken(broadcast, 300).len(), 50);
         for wanted in [1.0, 3.0, 7.0, 24.9] {
             let frames = taken(FrameSelection::new(25.0, wanted), 2500);
             let count = frames.len() as f64;

@@ -236,11 +236,10 @@ mod tests {
 
     #[test]
     fn an_unplayable_archive_is_rejected_by_name() {
-        let refused = |file: &Path| Pictures::of_archive(file, 5.0).unwrap_err().to_string();
-        let missing = refused(Path::new("no/such.tar"));
-        assert!(missing.starts_with("no/such.tar: "), "{missing}");
         let empty = archive(&[("busy/readme.txt", b"hello".to_vec())]);
-        assert!(refused(empty.path()).contains("no JPEG or PNG files"));
+        let error = Pictures::of_archive(empty.path(), 5.0).unwrap_err();
+        let error = error.to_string();
+        assert!(error.contains("no JPEG or PNG files"), "{error}");
         let torn = archive(&[("busy/1.jpg", jpeg(64))]);
         torn.as_file().set_len(700).unwrap();
         let mut opened = Pictures::of_archive(torn.path(), 5.0).unwrap();
@@ -249,22 +248,5 @@ mod tests {
         let wrong = archive(&[("busy/1.jpg", b"not a JPEG".to_vec())]);
         let error = Pictures::of_archive(wrong.path(), 5.0).unwrap().next();
         assert!(error.unwrap_err().to_string().contains("picture 1"));
-    }
-
-    #[test]
-    fn pictures_of_a_folder_come_in_order_and_can_be_rewound() {
-        let folder = tempfile::tempdir().unwrap();
-        for (name, side) in [("10.jpg", 16), ("9.jpg", 8)] {
-            std::fs::write(folder.path().join(name), jpeg(side)).unwrap();
-        }
-        let mut opened = Pictures::of_folder(folder.path(), 5.0).unwrap();
-        assert_eq!(opened.frames(), Some(2));
-        for _ in 0..2 {
-            for side in [8, 16] {
-                assert_eq!(opened.next().unwrap().unwrap().size.width, side);
-            }
-            assert!(opened.next().unwrap().is_none());
-            opened.rewind().unwrap();
-        }
     }
 }

@@ -6,7 +6,7 @@ use crate::run::Settings;
 use crate::source::{ScreenRule, StoredEvidence};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::BoundingBox;
-use albireo_core::policy::{BoxSource, InvalidThreshold, OutputBox, PolicyConfig, ThresholdSpec};
+use albireo_core::policy::{BoxSource, OutputBox, PolicyConfig};
 use albireo_vision::picture::Picture;
 
 const PICTURE: PictureSize = PictureSize::new(100, 100);
@@ -30,15 +30,6 @@ impl Curious {
 impl Policy for Curious {
     fn name(&self) -> &'static str {
         "curious"
-    }
-    fn threshold_spec(&self) -> Option<ThresholdSpec> {
-        None
-    }
-    fn threshold(&self) -> Option<f64> {
-        None
-    }
-    fn set_threshold(&mut self, _: f64) -> Result<(), InvalidThreshold> {
-        Err(InvalidThreshold::Absent { policy: "curious" })
     }
     fn begin(&mut self, _: FrameHead) -> Need {
         self.step = 0;
@@ -157,10 +148,8 @@ fn a_policy_that_uses_pixels_is_rejected_on_stored_detections_with_a_remedy() {
         pass: None,
         ..recording(&[])
     };
-    let mut source = StoredEvidence::new(&clip, &Settings::default()).expect("it has detections");
-    let floor = MinConfidence::new(None, 0.5);
-    let error = replay(&mut policy, &mut source, Profile::Paper, floor, false);
-    let said = error.unwrap_err().to_string();
+    let error = replayed(&mut policy, &clip, Profile::Paper).unwrap_err();
+    let said = error.to_string();
     assert!(said.contains("evaluate it on a video"), "{said}");
 }
 

@@ -52,12 +52,6 @@ impl RunTimes {
         Ok(Self { seconds })
     }
 
-    #[cfg(test)]
-    pub(super) fn measured(milliseconds: &[f64]) -> Self {
-        let seconds = milliseconds.iter().map(|run| run / 1e3).collect();
-        Self { seconds }
-    }
-
     /// The time of run number `run`, seconds.
     pub(super) fn of(&self, run: usize) -> f64 {
         self.seconds[run % self.seconds.len()]
@@ -94,10 +88,8 @@ mod tests {
         let measured = RunTimes::read(file.path().to_str().unwrap()).unwrap();
         let runs: Vec<_> = (0..4).map(|run| measured.of(run)).collect();
         assert_eq!(runs, [0.02, 0.1005, 0.04, 0.02]);
-        assert_eq!(
-            measured.describe(),
-            "20 to 100 ms (3 measured runs, median 40)"
-        );
+        let described = "20 to 100 ms (3 measured runs, median 40)";
+        assert_eq!(measured.describe(), described);
     }
 
     #[test]

@@ -9,11 +9,12 @@ use albireo_core::policy::PolicyConfig;
 
 const PICTURE: PictureSize = PictureSize::new(1280, 720);
 
-/// The stream at arrival with a detector whose runs take these times in turn, ms.
+/// The stream at arrival with a detector whose measured runs took these times, ms.
 fn at_arrival(milliseconds: &str) -> Stream {
-    Stream::AtArrival {
-        detector: RunTimes::read(milliseconds).unwrap(),
-    }
+    let file = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(file.path(), milliseconds.replace(' ', "\n")).unwrap();
+    let detector = RunTimes::read(file.path().to_str().unwrap()).unwrap();
+    Stream::AtArrival { detector }
 }
 
 /// A clip at 10 frames per second of a car that moves by `speed` pixels per frame.
@@ -55,38 +56,29 @@ fn published(clip: &Clip, policy: &str, stream: Stream) -> Published {
     publish(clip, policy, &mut evidence, &stream).unwrap()
 }
 
-/// The left edge of the box of each frame.
-fn left_edges(published: &Published) -> Vec<Option<i64>> {
+/// The left edge of the box of each frame; 0 for a frame without one.
+fn left_edges(published: &Published) -> Vec<i64> {
     let boxes = published.boxes.iter();
     let x1 = |found: &OutputBox| found.bounding_box.pixel_corners(PICTURE).x1.round() as i64;
-    let left = |boxes: &Vec<OutputBox>| boxes.first().map(x1);
+    let left = |boxes: &Vec<OutputBox>| boxes.first().map_or(0, x1);
     boxes.map(left).collect()
 }
 
 #[test]
 fn vanilla_as_delivered_shows_the_latest_finished_boxes_on_every_frame() {
     let clip = drive_by(6, 10.0);
-    // Runs of 113 ms begin at 0, 113, … 565 ms, each with the newest frame.
-    let late = published(&clip, "vanilla", at_arrival("113"));
-    let expected = [None, None, Some(100), Some(110), Some(120), Some(130)];
-    assert_eq!(left_edges(&late), expected);
-    assert_eq!(late.calls, 6);
-    // At 250 ms the newest frame is used and the others are lost.
-    let slow = published(&clip, "vanilla", at_arrival("250"));
-    let expected = [None, None, None, Some(100), Some(100), Some(120)];
-    assert_eq!(left_edges(&slow), expected);
-    assert_eq!(slow.calls, 3);
-}
-
-#[test]
-fn measured_times_of_the_detector_are_used_in_turn() {
-    let clip = drive_by(6, 10.0);
-    let measured = RunTimes::measured(&[50.0, 250.0]);
-    // Runs begin at 0, 100, 350 and 400 ms with the newest frame, 0, 1, 3 and 4, and take 50 and 250 ms in turn.
-    let late = published(&clip, "vanilla", Stream::AtArrival { detector: measured });
-    let expected = [None, Some(100), Some(100), Some(100), Some(130), Some(130)];
-    assert_eq!(left_edges(&late), expected);
-    assert_eq!(late.calls, 4);
+    for (milliseconds, edges, calls) in [
+        // Runs begin at 0, 113, … 565 ms, each with the newest frame.
+        ("113", [0, 0, 100, 110, 120, 130], 6),
+        // At 250 ms the newest frame is used and the others are lost.
+        ("250", [0, 0, 0, 100, 100, 120], 3),
+        // Runs begin at 0, 100, 350 and 400 ms with the newest frame, 0, 1, 3 and 4, and the times are used in turn.
+        ("50 250", [0, 100, 100, 100, 130, 130], 4),
+    ] {
+        let late = published(&clip, "vanilla", at_arrival(milliseconds));
+        assert_eq!(left_edges(&late), edges, "{milliseconds} ms");
+        assert_eq!(late.calls, calls, "{milliseconds} ms");
+    }
 }
 
 #[test]
@@ -94,15 +86,15 @@ fn a_policy_that_answers_at_once_shows_the_car_in_place() {
     let clip = drive_by(40, 6.0);
     let at_once = published(&clip, "expected-loss:0", at_arrival("113"));
     let edges = left_edges(&at_once);
-    assert_eq!(edges[..2], [None, None]);
+    assert_eq!(edges[..2], [0, 0]);
     for (frame, edge) in edges.iter().enumerate().skip(20) {
-        let off = edge.unwrap() - (100 + 6 * frame as i64);
+        let off = edge - (100 + 6 * frame as i64);
         assert!(off.abs() <= 2, "frame {frame}: {off}");
     }
     // Every second frame finds the detector free.
     assert_eq!(at_once.calls, 20);
     let waiting = published(&clip, "vanilla", at_arrival("113"));
-    let behind = 100 + 6 * 30 - left_edges(&waiting)[30].unwrap();
+    let behind = 100 + 6 * 30 - left_edges(&waiting)[30];
     assert_eq!(behind, 12);
 }
 
@@ -110,13 +102,13 @@ fn a_policy_that_answers_at_once_shows_the_car_in_place() {
 fn settled_boxes_equal_the_detectors_if_it_runs_on_every_frame() {
     let clip = drive_by(30, 6.0);
     let vanilla = published(&clip, "vanilla", Stream::Settled);
-    let expected: Vec<_> = (0..30).map(|frame| Some(100 + 6 * frame)).collect();
+    let expected: Vec<_> = (0..30).map(|frame| 100 + 6 * frame).collect();
     assert_eq!(left_edges(&vanilla), expected);
     assert_eq!((vanilla.calls, vanilla.delay), (30, 0));
     let skipping = published(&clip, "fixed-skip-in-tracker:3", Stream::Settled);
     assert_eq!((skipping.boxes.len(), skipping.calls), (30, 10));
     for (frame, edge) in left_edges(&skipping).iter().enumerate().skip(6).take(20) {
-        let off = edge.unwrap() - (100 + 6 * frame as i64);
+        let off = edge - (100 + 6 * frame as i64);
         assert!(off.abs() <= 1, "frame {frame}: {off}");
     }
     assert!(skipping.delay >= 27, "{}", skipping.delay);

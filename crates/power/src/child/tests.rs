@@ -1,5 +1,3 @@
-//! Tests of the supervised child process.
-
 use super::*;
 use std::path::Path;
 
@@ -72,12 +70,6 @@ fn a_silent_child_is_killed_and_restarted() {
 fn an_unfinished_last_line_is_discarded() {
     let mut child = shell("echo whole; printf 'VDD_IN 49'");
     assert_eq!(texts(&mut child, 2), ["whole", "whole"]);
-}
-
-#[test]
-fn a_missing_program_is_an_error_at_start() {
-    let error = LineChild::start(Path::new("/nowhere/tegrastats"), &[]).unwrap_err();
-    assert_eq!(error.kind(), std::io::ErrorKind::NotFound);
 }
 
 #[test]

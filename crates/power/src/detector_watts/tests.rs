@@ -1,52 +1,35 @@
-//! Tests of the learnt detector watts, on simulated machines of known power.
-
 use super::*;
-use crate::reading::{Reading, Value};
+use crate::reading::Value;
+use crate::tests::{ms, reading};
 
-/// A machine that draws `idle` watts at a given time and `busy` watts more while its detector runs. Calls last `call`
-/// and start at multiples of `every` if `runs` returns `true`. [`learn`](Self::learn) returns the watts learnt in
-/// `seconds`.
+/// A machine that draws `idle` watts at a given second and `busy` watts more while its detector runs: for `call` of
+/// every `every` ms, if `runs` says so. `learn` returns the watts learnt in `seconds`.
 struct Machine {
     idle: fn(f64) -> f64,
     busy: f64,
-    call: Duration,
-    every: Duration,
-    interval: Duration,
+    call: u64,
+    every: u64,
+    interval: u64,
 }
 
 impl Machine {
     fn learn(&self, seconds: u64, runs: impl Fn(u64) -> bool) -> Option<f64> {
-        let start = Instant::now();
-        let mut history = History::new(self.interval);
-        let mut learnt = DetectorWatts::new(self.interval);
-        let step = Duration::from_millis(1);
-        let (mut at, mut joules, mut running) = (Duration::ZERO, 0.0, Duration::ZERO);
-        while at < Duration::from_secs(seconds) {
-            let slot = (at.as_millis() / self.every.as_millis()) as u64;
-            if at.as_millis().is_multiple_of(self.every.as_millis()) && runs(slot) {
-                running = self.call;
+        let (start, interval) = (Instant::now(), ms(self.interval));
+        let mut history = History::new(interval);
+        let mut learnt = DetectorWatts::new(interval);
+        let mut joules = 0.0;
+        for now in 0..1000 * seconds {
+            let (slot, phase) = (now / self.every, now % self.every);
+            let is_running = phase < self.call && runs(slot);
+            joules += 1e-3 * (self.idle)(now as f64 / 1e3);
+            joules += if is_running { 1e-3 * self.busy } else { 0.0 };
+            let end = start + ms(now + 1);
+            if is_running && phase + 1 == self.call {
+                learnt.called(end, ms(self.call));
             }
-            let watts = (self.idle)(at.as_secs_f64());
-            joules += watts * step.as_secs_f64();
-            if !running.is_zero() {
-                joules += self.busy * step.as_secs_f64();
-                running -= step;
-            }
-            at += step;
-            if running.is_zero()
-                && (at.as_millis() % self.every.as_millis()) == self.call.as_millis()
-                && runs(slot)
-            {
-                learnt.called(start + at, self.call);
-            }
-            if at.as_millis().is_multiple_of(self.interval.as_millis()) {
-                let reading = Reading {
-                    at: None,
-                    values: [Some(Value::Counter(joules)), None, None, None],
-                    total_from: "test".into(),
-                    rails: Vec::new(),
-                };
-                history.add(start + at, &reading, |_, _| Vec::new());
+            if (now + 1).is_multiple_of(self.interval) {
+                let counted = reading(Value::Counter(joules));
+                history.add(end, &counted, |_, _| Vec::new());
                 learnt.learn(&history);
             }
         }
@@ -63,9 +46,9 @@ fn varied(slot: u64) -> bool {
 const MACHINE: Machine = Machine {
     idle: |_| 60.0,
     busy: 10.0,
-    call: Duration::from_millis(40),
-    every: Duration::from_millis(100),
-    interval: Duration::from_millis(100),
+    call: 40,
+    every: 100,
+    interval: 100,
 };
 
 #[test]
@@ -75,9 +58,9 @@ fn detector_watts_are_learnt_within_80_seconds_and_later_beside_slow_changes_or_
         ..MACHINE
     };
     let with_slow_runs = Machine {
-        call: Duration::from_millis(265),
-        every: Duration::from_millis(400),
-        interval: Duration::from_millis(1000),
+        call: 265,
+        every: 400,
+        interval: 1000,
         ..MACHINE
     };
     for (machine, seconds, most) in [

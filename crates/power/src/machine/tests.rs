@@ -1,5 +1,3 @@
-//! Tests of the machine's condition, on fixture trees.
-
 use super::*;
 use crate::tests::{Tree, ms};
 
@@ -15,13 +13,9 @@ fn nvpmodel(tree: &Tree, says: &str) {
 }
 
 #[test]
-fn a_machine_without_sensors_has_an_empty_condition() {
-    assert_eq!(read(&Tree::default()), Condition::default());
-}
-
-#[test]
-fn the_hottest_usable_sensor_and_the_mean_clocks_are_reported() {
+fn the_hottest_usable_sensor_and_the_mean_clocks_are_reported_if_there_are_any() {
     let tree = Tree::default();
+    assert_eq!(read(&tree), Condition::default());
     for (file, text) in [
         ("class/thermal/thermal_zone0/type", "cpu-thermal"),
         ("class/thermal/thermal_zone0/temp", "51250"),
@@ -29,52 +23,46 @@ fn the_hottest_usable_sensor_and_the_mean_clocks_are_reported() {
         ("class/thermal/thermal_zone1/temp", "-256000"),
         ("class/thermal/thermal_zone2/type", "PMIC-Die"),
         ("class/thermal/thermal_zone2/temp", "100000"),
-        (
-            "devices/system/cpu/cpu0/cpufreq/scaling_cur_freq",
-            "1000000",
-        ),
-        (
-            "devices/system/cpu/cpu1/cpufreq/scaling_cur_freq",
-            "2000000",
-        ),
         ("devices/system/cpu/cpufreq/boost", "1"),
         ("class/devfreq/17000000.gpu/cur_freq", "612000000"),
     ] {
         tree.write(format!("sys/{file}"), text);
     }
-    let found = read(&tree);
-    assert_eq!(found.hottest, Some(("cpu-thermal".into(), 51.25)));
-    assert_eq!((found.cpu_mhz, found.gpu_mhz), (Some(1500.0), Some(612.0)));
-    assert_eq!(found.throttled, None, "nothing here reports throttling");
+    for cpu in 0..2 {
+        let file = format!("sys/devices/system/cpu/cpu{cpu}/cpufreq/scaling_cur_freq");
+        tree.write(file, 1_000_000 * (cpu + 1));
+    }
+    let expected = Condition {
+        hottest: Some(("cpu-thermal".into(), 51.25)),
+        cpu_mhz: Some(1500.0),
+        gpu_mhz: Some(612.0),
+        ..Condition::default()
+    };
+    assert_eq!(read(&tree), expected);
 }
 
 #[test]
-fn an_active_cooling_device_means_throttling_but_a_fan_does_not() {
+fn throttling_is_an_active_cooling_device_but_no_fan_and_an_event_counter_that_rises() {
     let tree = Tree::default();
-    let set = |device: &str, kind: &str, state: u8| {
+    let cool = |device: &str, kind: &str, state: u8| {
         tree.write(format!("sys/class/thermal/{device}/type"), kind);
         tree.write(format!("sys/class/thermal/{device}/cur_state"), state);
     };
-    set("cooling_device0", "pwm-fan", 3);
-    set("cooling_device1", "cpufreq-cpu0", 0);
-    assert_eq!(read(&tree).throttled, Some(false));
-    set("cooling_device1", "cpufreq-cpu0", 2);
-    assert_eq!(read(&tree).throttled, Some(true));
-}
-
-#[test]
-fn event_counters_mean_throttling_only_when_they_rise() {
-    let tree = Tree::default();
     let counter = "sys/devices/system/cpu/cpu0/thermal_throttle/core_throttle_count";
+    let event = "sys/class/hwmon/hwmon1/oc1_event_cnt";
+    cool("cooling_device0", "pwm-fan", 3);
+    cool("cooling_device1", "cpufreq-cpu0", 0);
     tree.write(counter, "41");
-    tree.write("sys/class/hwmon/hwmon1/oc1_event_cnt", "0");
+    tree.write(event, "0");
     let mut machine = Machine::new(&tree.config());
     let mut throttled = || machine.read().throttled;
     assert_eq!((throttled(), throttled()), (Some(false), Some(false)));
-    tree.write("sys/class/hwmon/hwmon1/oc1_event_cnt", "1");
+    tree.write(event, "1");
     assert_eq!((throttled(), throttled()), (Some(true), Some(false)));
     tree.write(counter, "42");
-    assert_eq!(throttled(), Some(true));
+    assert_eq!((throttled(), throttled()), (Some(true), Some(false)));
+    cool("cooling_device1", "cpufreq-cpu0", 2);
+    assert_eq!((throttled(), throttled()), (Some(true), Some(true)));
 }
 
 #[test]

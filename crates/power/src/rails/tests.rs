@@ -1,6 +1,5 @@
-//! Tests of the rail tables.
-
 use super::*;
+use crate::tests::assert_contains;
 
 fn rails(list: &[(&str, f64)]) -> Vec<RailWatts> {
     list.iter()
@@ -59,24 +58,21 @@ fn a_user_table_takes_precedence_over_the_built_in_ones() {
         ("VDD_CPU_CV", 1.0),
         ("VDDQ_VDD2_1V8AO", 0.4),
     ]));
-    assert_eq!(watts(&found, Domain::Total), Some(2.4));
-    assert_eq!(watts(&found, Domain::IoMem), Some(0.4));
-    assert_eq!(watts(&found, Domain::Gpu), None);
+    let [total, io_mem] = [2.4, 0.4].map(|watts| Some(Value::Power(watts)));
+    assert_eq!(found.values, [total, None, None, io_mem]);
 }
 
 #[test]
 fn a_table_that_is_empty_or_counts_a_rail_twice_is_rejected() {
-    let refused = |text: &str| {
+    let twice = "sum = ['A']\ngpu = ['A']\ncpu = ['A']";
+    for (text, expected) in [
+        (twice, "power.rails: `A` is counted in two"),
+        ("sum = ['A', 'A']", "twice"),
+        ("", "name the rail"),
+    ] {
         let table: RailTable = toml::from_str(text).unwrap();
-        RailMap::new(Some(&table)).unwrap_err().to_string()
-    };
-    let text = refused("sum = ['A']\ngpu = ['A']\ncpu = ['A']");
-    assert!(
-        text.contains("power.rails: `A` is counted in two"),
-        "{text}"
-    );
-    assert!(refused("sum = ['A', 'A']").contains("twice"));
-    assert!(refused("").contains("name the rail"));
+        assert_contains(RailMap::new(Some(&table)).unwrap_err(), &[expected]);
+    }
     assert!(toml::from_str::<RailTable>("summ = []").is_err());
 }
 

@@ -1,7 +1,5 @@
-//! Tests of the RAPL counters, on powercap trees in the layout of the kernel's documentation.
-
 use super::*;
-use crate::tests::Tree;
+use crate::tests::{Tree, assert_contains};
 use rstest::rstest;
 
 const PACKAGE: &str = "intel-rapl:0";
@@ -71,22 +69,15 @@ fn energy_per_domain(
     set(&tree, zones, true);
     let later = start + Duration::from_secs(1);
     let reading = meter.poll(later).unwrap().remove(0);
-    assert_eq!(
-        reading.values,
-        joules.map(|joules| joules.map(Value::Counter))
-    );
+    let expected = joules.map(|joules| joules.map(Value::Counter));
+    assert_eq!(reading.values, expected);
     assert_eq!(&*reading.total_from, total_from);
 }
 
 #[test]
 fn missing_powercap_is_an_error_that_names_folder_and_module() {
-    let text = Rapl::open(&Tree::default().config())
-        .unwrap_err()
-        .to_string();
-    assert!(
-        text.contains("class/powercap") && text.contains("intel_rapl_msr"),
-        "{text}"
-    );
+    let error = Rapl::open(&Tree::default().config()).unwrap_err();
+    assert_contains(error, &["class/powercap", "intel_rapl_msr"]);
 }
 
 #[test]

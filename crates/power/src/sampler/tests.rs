@@ -1,10 +1,7 @@
-//! Tests of the sampler.
-
 use super::*;
-use crate::account::Measured;
 use crate::config::PowerSource;
 use crate::reading::{Reading, Value};
-use crate::tests::Tree;
+use crate::tests::{Tree, reading, total};
 use albireo_wire::ClipEnergy;
 use rstest::rstest;
 
@@ -19,12 +16,7 @@ impl<F: FnMut(f64) -> Option<f64> + Send> Meter for Curve<F> {
     fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
         let watts = self.1(now.duration_since(self.0).as_secs_f64());
         let watts = watts.ok_or_else(|| MeterError::Failed("stalled".to_owned()))?;
-        Ok(vec![Reading {
-            at: None,
-            values: [Some(Value::Power(watts)), None, None, None],
-            total_from: "input_rail".into(),
-            rails: Vec::new(),
-        }])
+        Ok(vec![reading(Value::Power(watts))])
     }
 }
 
@@ -39,17 +31,10 @@ fn sampled_every(
     (handle, start)
 }
 
-fn total(energy: &ClipEnergy) -> f64 {
-    energy.node_joules.unwrap()
-}
-
 /// The node's energy over a span that started in the past.
 async fn energy(handle: &PowerHandle, start: Instant, end: Instant) -> ClipEnergy {
-    let measured: Measured = (handle.camera().measure(start))
-        .finish(end, Duration::MAX)
-        .await
-        .unwrap();
-    measured.energy
+    let measured = handle.camera().measure(start);
+    measured.finish(end, Duration::MAX).await.unwrap().energy
 }
 
 #[tokio::test(start_paused = true)]
@@ -79,13 +64,12 @@ async fn without_a_meter_energy_is_unavailable_at_once() {
     let asked = Instant::now();
     let found = energy(&handle, start, asked).await;
     assert_eq!(asked.elapsed(), Duration::ZERO);
-    assert_eq!(
-        found,
-        ClipEnergy {
-            source: "none".to_owned(),
-            ..ClipEnergy::default()
-        }
-    );
+    let source = "none".to_owned();
+    let nothing = ClipEnergy {
+        source,
+        ..ClipEnergy::default()
+    };
+    assert_eq!(found, nothing);
 }
 
 #[tokio::test(start_paused = true)]
@@ -103,17 +87,12 @@ async fn energy_is_exact_from_the_shortest_to_the_longest_interval() {
                 counted = joules;
                 assert!((joules - 10.0 * so_far.covered_s["total"]).abs() < 1e-6);
             }
-            assert_eq!(
-                handle.snapshot().watts.len(),
-                1,
-                "after {second} s at {interval} ms"
-            );
+            let powers = so_far.watts.len();
+            assert_eq!(powers, 1, "after {second} s at {interval} ms");
         }
         let at_most_missing = 10.0 * (interval as f64 / 1e3 + 0.1);
-        assert!(
-            counted > 400.0 - at_most_missing,
-            "{counted} J counted at {interval} ms"
-        );
+        let is_enough = counted > 400.0 - at_most_missing;
+        assert!(is_enough, "{counted} J counted at {interval} ms");
         let end = start + Duration::from_secs(40);
         let spent = span.finish(end, Duration::MAX).await.unwrap();
         let joules = total(&spent.energy);
@@ -135,15 +114,10 @@ async fn a_stalled_meter_makes_energy_partial_at_short_and_long_intervals() {
         assert_eq!(spent.quality, EnergyQuality::Partial, "at {interval} ms");
         // The meter stalls for a minute.
         let failed = handle.snapshot().failed_reads;
-        assert!(
-            failed >= 58_000 / interval,
-            "{failed} failed at {interval} ms"
-        );
-        assert!(
-            (spent.coverage - 0.7).abs() < 0.06,
-            "{} at {interval} ms",
-            spent.coverage
-        );
+        let is_enough = failed >= 58_000 / interval;
+        assert!(is_enough, "{failed} failed at {interval} ms");
+        let is_right = (spent.coverage - 0.7).abs() < 0.06;
+        assert!(is_right, "{spent:?} at {interval} ms");
         let joules = total(&spent);
         assert!((joules - 2000.0 * spent.coverage).abs() < 1e-6);
     }
@@ -163,10 +137,8 @@ async fn a_clip_waits_for_the_first_sample_after_its_end_but_no_longer_than_its_
     assert!((spent.coverage - 10.0 / 13.0).abs() < 1e-6, "{spent:?}");
     let spent = patient.finish(end, Duration::MAX).await.unwrap().energy;
     let waited = end.elapsed();
-    assert!(
-        (Duration::from_secs(7)..Duration::from_millis(7_100)).contains(&waited),
-        "{waited:?}"
-    );
+    let expected = Duration::from_secs(7)..Duration::from_millis(7_100);
+    assert!(expected.contains(&waited), "{waited:?}");
     assert!((total(&spent) - 0.5 * 13.0 * 13.0).abs() < 0.1, "{spent:?}");
     assert_eq!((spent.samples, spent.quality), (1, EnergyQuality::Measured));
 }
@@ -210,14 +182,13 @@ fn tree() -> Tree {
         let rail = (chip, 5000, 1200);
         tree.ina3221(chip, &[rail, rail, rail]);
     }
-    for package in ["intel-rapl:0", "intel-rapl:1"] {
-        tree.rapl(package, package, 123_456_789_012);
+    for (package, name) in [("intel-rapl:0", "package-0"), ("intel-rapl:1", "package-1")] {
+        tree.rapl(package, name, 123_456_789_012);
         for (sub, name) in ["core", "uncore", "dram"].into_iter().enumerate() {
             let zone = format!("{package}/{package}:{sub}");
             tree.rapl(&zone, name, 123_456_789_012);
         }
     }
-    tree.rapl("intel-rapl:0", "package-0", 123_456_789_012);
     for zone in 0..10 {
         let zone = format!("sys/class/thermal/thermal_zone{zone}");
         tree.write(format!("{zone}/type"), "cpu-thermal");

@@ -42,37 +42,28 @@ fn watts(word: &str) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rstest::rstest;
 
-    fn rail(text: &str) -> Option<f64> {
-        let rails = tegrastats_rails(&format!("RAM 1/2MB {text}")).unwrap();
-        rails.first().map(|rail| rail.watts)
+    #[test]
+    fn rails_have_their_present_power_and_other_tokens_are_ignored() {
+        for (text, watts) in [
+            ("VDD_IN 1mW/1mW ", Some(0.001)),
+            ("VDD_IN", None),
+            ("VDD_IN mW/mW", None),
+            ("VDD_IN 1mW/2mW/3mW/4mW", None),
+            ("FUTURE_TOKEN value", None),
+        ] {
+            let rails = tegrastats_rails(&format!("RAM 1/2MB {text}")).unwrap();
+            let found = rails.first().map(|rail| rail.watts);
+            assert_eq!(found, watts, "{text}");
+        }
     }
 
-    #[rstest]
-    #[case::a_trailing_space("VDD_IN 1mW/1mW ", Some(0.001))]
-    #[case::no_value("VDD_IN", None)]
-    #[case::no_number("VDD_IN mW/mW", None)]
-    #[case::four_values("VDD_IN 1mW/2mW/3mW/4mW", None)]
-    #[case::an_unknown_token("FUTURE_TOKEN value", None)]
-    fn rails_have_their_present_power_and_other_tokens_are_ignored(
-        #[case] text: &str,
-        #[case] watts: Option<f64>,
-    ) {
-        assert_eq!(rail(text), watts);
-    }
-
-    #[rstest]
-    fn a_line_of_another_program_is_rejected(
-        #[values(
-            "",
-            "sudo: a password is required",
-            "VDD_IN 4915mW/4915mW",
-            "\u{fffd}\u{0}"
-        )]
-        text: &str,
-    ) {
-        assert_eq!(tegrastats_rails(text), None);
+    #[test]
+    fn a_line_of_another_program_is_rejected() {
+        let sudo = "sudo: a password is required";
+        for text in ["", sudo, "VDD_IN 4915mW/4915mW", "\u{fffd}\u{0}"] {
+            assert_eq!(tegrastats_rails(text), None, "{text:?}");
+        }
     }
 
     proptest::proptest! {
