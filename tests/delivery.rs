@@ -1,15 +1,20 @@
-//! Delivery of clip reports to a fake hub: a queryable on its own session.
-
-mod hub;
+//! Delivery of clip reports to a fake hub: a queryable on its own session, whose queries a test answers.
 
 use crate::support::camera::Camera;
-use crate::support::{Client, Node, assert_contains, free_port, project, run, until, until_ready};
-use hub::{Hub, Manner};
+use crate::support::{
+    Client, Node, assert_contains, free_port, metric, next, project, run, until, until_ready,
+    zenoh_client, zenoh_session,
+};
+use albireo_wire::{RefusalReason, ReportAnswer, ReportBatch, ReportRefusal, VERSION};
+use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
+use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
+use uuid::Uuid;
+use zenoh::Session;
+use zenoh::query::Query;
 
 const ACKNOWLEDGED: &str = "albireo_outbox_acknowledged_total";
 
-/// Settings of a node with short timeouts and backoffs.
 fn settings() -> String {
     let model = project("tests/fixtures/models/boxes.onnx");
     format!(
@@ -19,7 +24,6 @@ fn settings() -> String {
     )
 }
 
-/// A folder for a node's state, and settings that name it.
 fn folder() -> (tempfile::TempDir, String) {
     let folder = tempfile::tempdir().unwrap();
     let state = folder.path().join("state");
@@ -27,12 +31,8 @@ fn folder() -> (tempfile::TempDir, String) {
     (folder, settings)
 }
 
-async fn metric(node: &Node, name: &str) -> f64 {
-    crate::support::metric(&node.http, name).await
-}
-
 async fn wait_for(node: &Node, name: &str, wanted: f64) {
-    until(name, async || metric(node, name).await == wanted).await;
+    until(name, async || metric(&node.http, name).await == wanted).await;
 }
 
 async fn node_and_camera() -> (Node, Camera) {
@@ -42,54 +42,49 @@ async fn node_and_camera() -> (Node, Camera) {
     (node, camera)
 }
 
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-#[ignore = "needs ONNX Runtime"]
-async fn neither_a_listener_nor_a_hub_that_crashes_or_hangs_counts_as_delivery() {
-    let (node, mut camera) = node_and_camera().await;
-    camera.clips(21).await;
-    let heard = async || camera.reported().len() == 20;
-    until("the camera's session hears the reports", heard).await;
-    wait_for(&node, "albireo_outbox_waiting", 20.0).await;
-    for _ in 0..3 {
-        let dying = Hub::start(&node.zenoh, Manner::CommitsAndSaysNothing).await;
-        dying.wait_for_asked(1).await;
-        dying.die().await;
+struct Hub {
+    session: Session,
+    queries: UnboundedReceiver<Query>,
+}
+
+impl Hub {
+    async fn start(endpoint: &str) -> Self {
+        let session = zenoh_client(endpoint).await;
+        let (sender, queries) = unbounded_channel();
+        let queryable = session.declare_queryable("albireo/@report/*");
+        let queryable = queryable.callback(move |query| drop(sender.send(query)));
+        queryable.background().await.unwrap();
+        Self { session, queries }
     }
-    let hub = Hub::start(&node.zenoh, Manner::CommitsAndSaysNothing).await;
-    hub.wait_for(20).await;
-    hub.wait_for_asked(2).await;
-    assert_eq!(metric(&node, "albireo_outbox_waiting").await, 20.0);
-    assert_eq!(metric(&node, ACKNOWLEDGED).await, 0.0);
-    hub.behave(Manner::Honest);
-    wait_for(&node, "albireo_outbox_waiting", 0.0).await;
-    assert_eq!(metric(&node, ACKNOWLEDGED).await, 20.0);
-    hub.assert_gapless(20);
+
+    /// The next query, which waits for its answer until it is dropped, and the ids and counts of its reports.
+    async fn asked(&mut self) -> (Query, Vec<(Uuid, u64)>) {
+        let query = next(&mut self.queries).await;
+        let payload = query.payload().unwrap().to_bytes();
+        let reports = ReportBatch::from_payload(&payload).unwrap().reports;
+        let reports = reports.iter().map(|one| (one.id, one.count.unwrap()));
+        let reports = reports.collect();
+        (query, reports)
+    }
+
+    /// Acknowledges everything until it has exactly the first `reports` reports, each once and in order.
+    async fn stores(&mut self, reports: u64) {
+        let (mut known, mut stored) = (BTreeSet::new(), Vec::new());
+        while (stored.len() as u64) < reports {
+            let (query, mut new) = self.asked().await;
+            new.retain(|(id, _)| known.insert(*id));
+            stored.extend(new.into_iter().map(|(_, count)| count));
+            let answer = serde_json::to_vec(&ReportAnswer::new(Uuid::max())).unwrap();
+            let reply = query.reply(query.key_expr().clone(), answer);
+            reply.await.unwrap();
+        }
+        assert_eq!(stored, (1..=reports).collect::<Vec<_>>());
+    }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_busy_hub_is_asked_again_after_the_time_it_names_or_when_the_node_stops() {
-    let (node, mut camera) = node_and_camera().await;
-    let retry_after_ms = 700;
-    let hub = Hub::start(&node.zenoh, Manner::Busy { retry_after_ms }).await;
-    camera.clips(4).await;
-    hub.wait_for_asked(3).await;
-    let shortest = hub.pauses().into_iter().min().unwrap();
-    assert!(shortest >= Duration::from_millis(650), "{shortest:?}");
-    let retry_after_ms = 3_600_000;
-    hub.behave(Manner::Busy { retry_after_ms });
-    hub.wait_for_asked(4).await;
-    assert_eq!(metric(&node, "albireo_outbox_waiting").await, 3.0);
-    hub.behave(Manner::Honest);
-    camera.close().await;
-    node.stop_well().await;
-    hub.wait_for(4).await;
-    hub.assert_gapless(4);
-}
-
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-#[ignore = "needs ONNX Runtime"]
-async fn closed_clips_survive_a_kill_and_the_open_one_survives_a_stop() {
+async fn closed_clips_survive_kills_the_open_one_a_stop_and_all_wait_for_the_answer_of_a_hub() {
     let (mut folder, settings) = folder();
     for round in 0..6 {
         let node = Node::start_in(folder, &settings).await;
@@ -100,14 +95,59 @@ async fn closed_clips_survive_a_kill_and_the_open_one_survives_a_stop() {
         if round < 5 {
             folder = node.kill().await;
         } else {
+            // A session that hears the reports is no hub.
+            let heard = async || camera.reported().len() == 3;
+            until("the camera's session hears the reports", heard).await;
             camera.close().await;
             (_, _, _, folder) = node.stop().await;
         }
     }
     let node = Node::start_in(folder, &settings).await;
-    let hub = Hub::start(&node.zenoh, Manner::Honest).await;
-    hub.wait_for(5 * 3 + 4).await;
-    hub.assert_gapless(5 * 3 + 4);
+    wait_for(&node, "albireo_outbox_waiting", 19.0).await;
+    for _ in 0..3 {
+        let mut dying = Hub::start(&node.zenoh).await;
+        let unanswered = dying.asked().await;
+        dying.session.close().await.unwrap();
+        drop(unanswered);
+    }
+    let mut hub = Hub::start(&node.zenoh).await;
+    let unanswered = [hub.asked().await, hub.asked().await];
+    let [first, again] = unanswered.each_ref().map(|(_, reports)| reports);
+    assert_eq!(first, again);
+    assert_eq!(metric(&node.http, "albireo_outbox_waiting").await, 19.0);
+    assert_eq!(metric(&node.http, ACKNOWLEDGED).await, 0.0);
+    hub.stores(19).await;
+    wait_for(&node, "albireo_outbox_waiting", 0.0).await;
+    assert_eq!(metric(&node.http, ACKNOWLEDGED).await, 19.0);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn a_busy_hub_is_asked_again_after_the_time_it_names_or_when_the_node_stops() {
+    let (node, mut camera) = node_and_camera().await;
+    let mut hub = Hub::start(&node.zenoh).await;
+    camera.clips(4).await;
+    let mut asked = Vec::new();
+    for retry_after_ms in [700, 700, 3_600_000] {
+        let (query, _) = hub.asked().await;
+        asked.push(Instant::now());
+        let refusal = ReportRefusal {
+            v: VERSION,
+            reason: RefusalReason::Busy,
+            detail: "too much to do".to_owned(),
+            retry_after_ms: Some(retry_after_ms),
+        };
+        let refusal = query.reply_err(serde_json::to_vec(&refusal).unwrap());
+        refusal.await.unwrap();
+    }
+    for pause in asked.windows(2).map(|two| two[1] - two[0]) {
+        assert!(pause >= Duration::from_millis(650), "{pause:?}");
+    }
+    assert_eq!(metric(&node.http, "albireo_outbox_waiting").await, 3.0);
+    camera.close().await;
+    let stopping = tokio::spawn(node.stop_well());
+    hub.stores(4).await;
+    stopping.await.unwrap();
 }
 
 async fn times(node: &Node, camera: &mut Camera, frames: u64) -> [Vec<Duration>; 2] {
@@ -172,22 +212,24 @@ async fn a_node_starts_without_its_router_answers_health_and_survives_a_router_r
     assert_contains(&node.text("/healthz").await, &["ok"]);
     until("its router is missed", async || {
         let ready = node.text("/readyz").await;
-        assert!(
-            ready.contains("\"ready\":false") && !ready.contains(".rs:"),
-            "{ready}"
-        );
+        let is_plain = ready.contains("\"ready\":false") && !ready.contains(".rs:");
+        assert!(is_plain, "{ready}");
         ready.contains("router cannot be reached")
     })
     .await;
 
-    let router = hub::router(&endpoint).await;
+    let settings = [
+        ("mode", "router".into()),
+        ("listen/endpoints", vec![&*endpoint].into()),
+    ];
+    let router = zenoh_session(&settings).await.unwrap();
     until_ready(&node.http).await;
     let mut camera = Camera::at(&endpoint, "node").await;
     camera.clips(2).await;
     camera.close().await;
     router.close().await.unwrap();
     drop(router);
-    let _router = hub::router(&endpoint).await;
+    let _router = zenoh_session(&settings).await.unwrap();
     let mut camera = Camera::at(&endpoint, "node").await;
     camera.seq = 2;
     camera.clips(2).await;

@@ -24,7 +24,6 @@ struct Fleet {
 }
 
 impl Fleet {
-    /// A fleet with its router and hub running.
     async fn started() -> (Self, Child, HubProcess) {
         let fleet = Self {
             folder: tempfile::tempdir().unwrap(),
@@ -45,7 +44,6 @@ impl Fleet {
         self.folder.path().join("authority")
     }
 
-    /// Runs a subcommand on the fleet's folder.
     fn does(&self, arguments: &[&str]) -> String {
         let authority = self.authority().display().to_string();
         run(arguments, &[("ALBIREO_AUTHORITY", &authority)]).succeeds()
@@ -93,12 +91,6 @@ impl Fleet {
         router
     }
 
-    async fn stop(&self, mut router: Child) {
-        signal(router.id().unwrap(), "-TERM");
-        let ended = timeout(PATIENCE, router.wait()).await.unwrap();
-        assert!(ended.unwrap().success(), "{}", self.log());
-    }
-
     fn log(&self) -> String {
         std::fs::read_to_string(self.folder.path().join("router.log")).unwrap()
     }
@@ -111,7 +103,6 @@ impl Fleet {
         settings
     }
 
-    /// Opens a session with this certificate and key.
     async fn opens_with(&self, certificate: &Path, key: &Path) -> zenoh::Result<Session> {
         let tls = json!({
             "root_ca_certificate": self.authority().join("authority.pem"),
@@ -145,7 +136,6 @@ async fn open(endpoint: &str, tls: Option<Value>) -> zenoh::Result<Session> {
     zenoh_session(&settings).await
 }
 
-/// Returns whether a report is acknowledged within `limit`.
 async fn acknowledged(session: &Session, node: &str, number: u64, limit: Duration) -> bool {
     let delivered = deliver(session, node, number..=number, now_ns());
     timeout(limit, delivered).await.is_ok()
@@ -158,7 +148,6 @@ const NOBODY: Duration = Duration::from_secs(3);
 async fn members_with_a_valid_certificate_work_and_every_intruder_is_rejected() {
     let (fleet, _router, hub) = Fleet::started().await;
 
-    // Members work.
     let car_7 = fleet.opens("node/car-7").await.unwrap();
     let car_8 = fleet.opens("node/car-8").await.unwrap();
     for (session, name) in [(&car_7, "car-7"), (&car_8, "car-8")] {
@@ -186,7 +175,6 @@ async fn members_with_a_valid_certificate_work_and_every_intruder_is_rejected() 
     let ended = fleet.opens("node/car-9").await;
     assert!(ended.is_err(), "an expired certificate");
 
-    // The certificate of one node with the key of another.
     let node = fleet.authority().join("node");
     let (certificate, key) = (node.join("car-7.pem"), node.join("car-8.key"));
     let mixed = fleet.opens_with(&certificate, &key).await;
@@ -238,7 +226,7 @@ async fn members_with_a_valid_certificate_work_and_every_intruder_is_rejected() 
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_revoked_node_is_locked_out_by_the_new_rules_until_it_has_a_new_certificate() {
-    let (fleet, router, _hub) = Fleet::started().await;
+    let (fleet, mut router, _hub) = Fleet::started().await;
     let old = fleet.folder.path().join("old");
     std::fs::create_dir_all(old.join("node")).unwrap();
     for kind in ["pem", "key"] {
@@ -255,7 +243,9 @@ async fn a_revoked_node_is_locked_out_by_the_new_rules_until_it_has_a_new_certif
         let mut lines = list.lines().filter(|line| line.contains(certificate));
         assert!(lines.any(|line| line.contains(state)), "{list}");
     }
-    fleet.stop(router).await;
+    signal(router.id().unwrap(), "-TERM");
+    let ended = timeout(PATIENCE, router.wait()).await.unwrap();
+    assert!(ended.unwrap().success(), "{}", fleet.log());
     let _router = fleet.start_router().await;
 
     // Its certificate is still valid, so it gets a session, and nothing else.

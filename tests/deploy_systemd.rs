@@ -1,9 +1,8 @@
 //! The systemd units are valid, as restricted as promised, and work with the real programs.
 
-#[cfg(feature = "hub")]
 use crate::support::fleet::{behind, router_config, settings, sqlite};
 use crate::support::{PATIENCE, albireo, free_port, pipe, project, run_command, signal, text};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 use std::time::Duration;
 use tokio::net::UnixDatagram;
@@ -14,53 +13,30 @@ fn unit(name: &str) -> String {
     text(&format!("deploy/systemd/{name}"))
 }
 
-/// Writes the units of node, hub and router, for the program under test, to a folder.
-fn units(folder: &Path) -> [PathBuf; 3] {
-    ["node", "hub", "router"].map(|service| {
+#[test]
+#[ignore = "needs systemd"]
+fn the_units_are_valid_and_as_restricted_as_promised_even_with_their_drop_ins() {
+    let folder = tempfile::tempdir().unwrap();
+    let files = ["node", "hub", "router"].map(|service| {
         let name = format!("albireo-{service}.service");
         let text = unit(&name).replace("/usr/bin/albireo", env!("CARGO_BIN_EXE_albireo"));
-        std::fs::write(folder.join(&name), text).unwrap();
-        folder.join(name)
-    })
-}
-
-/// Writes the drop-ins of the node beside its unit.
-fn drop_ins(folder: &Path) {
-    let to = folder.join("albireo-node.service.d");
-    std::fs::create_dir(&to).unwrap();
+        std::fs::write(folder.path().join(&name), text).unwrap();
+        folder.path().join(name)
+    });
+    let verify = || {
+        let mut verify = Command::new("systemd-analyze");
+        let said = run_command(verify.args(["verify", "--man=no"]).args(&files)).err;
+        // The units of the machine do not matter.
+        let own = said.lines().filter(|line| line.contains("albireo"));
+        own.collect::<Vec<_>>().join("\n")
+    };
+    assert_eq!(verify(), "");
+    let drop_ins = folder.path().join("albireo-node.service.d");
+    std::fs::create_dir(&drop_ins).unwrap();
     for name in ["gpu.conf", "rapl.conf"] {
-        std::fs::write(to.join(name), unit(&format!("drop-ins/{name}"))).unwrap();
+        std::fs::write(drop_ins.join(name), unit(&format!("drop-ins/{name}"))).unwrap();
     }
-}
-
-fn verify(files: &[PathBuf]) -> String {
-    let mut verify = Command::new("systemd-analyze");
-    let said = run_command(verify.args(["verify", "--man=no"]).args(files)).err;
-    // The units of the machine do not matter.
-    let own = said.lines().filter(|line| line.contains("albireo"));
-    own.collect::<Vec<_>>().join("\n")
-}
-
-#[test]
-#[ignore = "needs systemd"]
-fn systemd_accepts_the_units_with_and_without_their_drop_ins() {
-    let folder = tempfile::tempdir().unwrap();
-    let files = units(folder.path());
-    assert_eq!(verify(&files), "");
-    drop_ins(folder.path());
-    assert_eq!(verify(&files), "");
-    // The check works: it finds a misspelt key.
-    let text = std::fs::read_to_string(&files[0]).unwrap();
-    std::fs::write(&files[0], text.replace("Restart=always", "Restrat=always")).unwrap();
-    assert!(verify(&files).contains("Restrat"));
-}
-
-#[test]
-#[ignore = "needs systemd"]
-fn the_units_are_as_restricted_as_promised_even_with_the_drop_ins() {
-    let folder = tempfile::tempdir().unwrap();
-    let files = units(folder.path());
-    drop_ins(folder.path());
+    assert_eq!(verify(), "");
     // Exposure in tenths, as systemd counts it.
     for (file, most) in files.iter().zip([20, 15, 15]) {
         let mut security = Command::new("systemd-analyze");
@@ -68,6 +44,10 @@ fn the_units_are_as_restricted_as_promised_even_with_the_drop_ins() {
         let security = security.args(["security", "--offline=true", &threshold]);
         run_command(security.arg(file)).succeeds();
     }
+    // The check works: it finds a misspelt key.
+    let text = std::fs::read_to_string(&files[0]).unwrap();
+    std::fs::write(&files[0], text.replace("Restart=always", "Restrat=always")).unwrap();
+    assert!(verify().contains("Restrat"));
 }
 
 /// A service, and the service manager's end of its notify socket.
@@ -101,7 +81,6 @@ impl Service {
         }
     }
 
-    /// Starts a node with that model.
     fn node(folder: &Path, model: &Path) -> Self {
         let file = folder.join("node.toml");
         let settings = format!(
@@ -136,7 +115,6 @@ impl Service {
         }
     }
 
-    /// Receives until its watchdog was fed this many times more.
     async fn until_fed(&mut self, more: usize) {
         let times = self.count("WATCHDOG=1") + more;
         self.until("WATCHDOG=1", times).await;
@@ -158,20 +136,13 @@ impl Service {
     }
 }
 
-#[cfg(feature = "hub")]
 #[tokio::test]
-async fn a_hub_notifies_ready_once_feeds_its_watchdog_and_notifies_its_stop() {
+async fn hub_and_router_notify_ready_once_feed_their_watchdogs_and_notify_their_stop() {
     let folder = tempfile::tempdir().unwrap();
     let (_, settings) = settings(&sqlite(folder.path()));
     let mut hub = Service::start(&["hub"], &settings);
     hub.until("STATUS=every part works", 1).await;
     hub.works().await;
-}
-
-#[cfg(feature = "hub")]
-#[tokio::test]
-async fn a_router_notifies_ready_once_feeds_its_watchdog_and_notifies_its_stop() {
-    let folder = tempfile::tempdir().unwrap();
     let file = router_config(folder.path());
     let http = ["router", "--http", "127.0.0.1:0"];
     let arguments = [&http[..], &["--config", file.to_str().unwrap()]].concat();
@@ -186,7 +157,6 @@ async fn a_node_feeds_its_watchdog_while_its_detector_works() {
     Service::node(folder.path(), &model).works().await;
 }
 
-#[cfg(feature = "hub")]
 #[tokio::test]
 async fn a_hub_without_its_router_feeds_its_watchdog_and_reports_what_it_waits_for() {
     let folder = tempfile::tempdir().unwrap();

@@ -23,7 +23,6 @@ fn metrics_in(text: &str) -> BTreeSet<&str> {
         .collect()
 }
 
-/// The shipped dashboards: file and content.
 fn dashboards() -> Vec<(String, String)> {
     let files = std::fs::read_dir(project("deploy/grafana/dashboards")).unwrap();
     let names = files.map(|file| file.unwrap().file_name().into_string().unwrap());
@@ -34,14 +33,11 @@ fn dashboards() -> Vec<(String, String)> {
     names.map(read).collect()
 }
 
-/// The names of the samples in a metrics text.
 fn names(exposition: &str) -> BTreeSet<String> {
     let mut names = BTreeSet::new();
-    for line in exposition.lines() {
-        let Some(rest) = line.strip_prefix("# TYPE ") else {
-            continue;
-        };
-        let (name, kind) = rest.split_once(' ').unwrap();
+    let types = exposition.lines();
+    for line in types.filter_map(|line| line.strip_prefix("# TYPE ")) {
+        let (name, kind) = line.split_once(' ').unwrap();
         if kind == "histogram" {
             names.extend(["bucket", "sum", "count"].map(|part| format!("{name}_{part}")));
         } else {
@@ -52,25 +48,17 @@ fn names(exposition: &str) -> BTreeSet<String> {
     names
 }
 
-async fn node_metrics() -> BTreeSet<String> {
+#[tokio::test]
+async fn every_metric_in_a_rule_or_dashboard_is_exported() {
     let node = Served::start().await;
     node.board.set_power(PowerSnapshot {
         hottest: Some(("cpu".to_owned(), 50.0)),
         ..node.board.power()
     });
-    names(&node.metrics().await)
-}
-
-async fn hub_metrics() -> BTreeSet<String> {
     let folder = tempfile::tempdir().unwrap();
     let (_, settings) = settings(&sqlite(folder.path()));
     let hub = HubProcess::start(&settings);
     hub.until_ready().await;
-    names(&hub.metrics().await)
-}
-
-async fn router_metrics() -> BTreeSet<String> {
-    let folder = tempfile::tempdir().unwrap();
     let http = format!("127.0.0.1:{}", free_port());
     let _router = albireo()
         .args(["router", "--http", &http, "--config"])
@@ -79,14 +67,9 @@ async fn router_metrics() -> BTreeSet<String> {
         .spawn()
         .unwrap();
     until_ready(&format!("http://{http}")).await;
-    names(&text_at(&format!("http://{http}/metrics")).await)
-}
-
-#[tokio::test]
-async fn every_metric_in_a_rule_or_dashboard_is_exported() {
-    let mut there = node_metrics().await;
-    there.extend(hub_metrics().await);
-    there.extend(router_metrics().await);
+    let router = text_at(&format!("http://{http}/metrics")).await;
+    let pages = [node.metrics().await, hub.metrics().await, router];
+    let mut there: BTreeSet<_> = pages.iter().flat_map(|page| names(page)).collect();
     let rules = text("prometheus/rules.yml");
     let recorded = rules.lines().filter_map(|line| line.split_once("record: "));
     there.extend(recorded.map(|(_, name)| name.to_owned()));

@@ -4,10 +4,10 @@
 //! The line before a block of commands marks it: `<!-- run -->`, `<!-- not run: WHY -->`, or `<!-- by hand, DATE -->`
 //! where it needs more than a test has.
 
-mod camera_page;
-
+use crate::support::live_camera::RtspCamera;
 use crate::support::{
-    Ended, Node, PATIENCE, assert_contains, free_port, project, python, text, until_ready,
+    Ended, Node, PATIENCE, assert_contains, free_port, json_at, project, python, text, until,
+    until_ready,
 };
 use albireo_node::state::board::ThresholdEvent;
 use albireo_wire::{
@@ -23,7 +23,6 @@ use std::process::Stdio;
 use tokio::process::{Child, Command};
 use tokio::time::timeout;
 
-/// A block of commands.
 #[derive(Debug)]
 struct Block {
     page: String,
@@ -71,52 +70,32 @@ fn blocks() -> Vec<Block> {
     blocks
 }
 
-/// The targets of a page's links.
-fn links(text: &str) -> impl Iterator<Item = &str> {
-    text.split("](")
-        .skip(1)
-        .filter_map(|rest| rest.split(')').next())
-}
-
-/// The commands marked `run` on these pages.
 fn commands_to_run(is_wanted: impl Fn(&str) -> bool) -> Vec<String> {
     let mut blocks = blocks();
     blocks.retain(|block| block.mark == "<!-- run -->" && is_wanted(&block.page));
-    blocks
-        .into_iter()
-        .flat_map(|block| block.commands)
-        .collect()
+    let commands = blocks.into_iter().flat_map(|block| block.commands);
+    commands.collect()
 }
 
 /// The words of a command, without variables before it and a comment after it.
 fn words(line: &str) -> Vec<String> {
     let words = shlex::split(line.trim_end_matches('&')).unwrap_or_default();
-    words
-        .into_iter()
-        .skip_while(|word| word.contains('='))
-        .collect()
+    let words = words.into_iter().skip_while(|word| word.contains('='));
+    words.collect()
 }
 
 #[test]
-fn every_block_of_commands_is_run_or_says_when_it_was_run_by_hand() {
-    let blocks = blocks();
-    assert!(blocks.len() >= 10, "{}", blocks.len());
+fn every_command_parses_and_every_block_is_run_or_says_when_it_was_run_by_hand() {
     let marks = ["<!-- by hand, 20", "<!-- not run: ", "<!-- run -->"];
-    for block in blocks {
-        let marked = marks.iter().any(|start| block.mark.starts_with(start));
-        assert!(marked, "{block:?}");
-    }
-}
-
-#[test]
-fn every_documented_command_parses() {
     let mut seen = 0;
     for block in blocks() {
-        let commands = block.commands.iter();
-        for command in commands.filter(|command| words(command)[0] == "albireo") {
-            let taken = albireo::cli::Arguments::command().try_get_matches_from(words(command));
+        let marked = marks.iter().any(|start| block.mark.starts_with(start));
+        assert!(marked, "{block:?}");
+        let commands = block.commands.iter().map(|command| words(command));
+        for command in commands.filter(|command| command[0] == "albireo") {
+            let taken = albireo::cli::Arguments::command().try_get_matches_from(&command);
             let refused = taken.err().map(|error| error.to_string());
-            assert_eq!(refused, None, "{}: {command}", block.page);
+            assert_eq!(refused, None, "{}: {command:?}", block.page);
             seen += 1;
         }
     }
@@ -147,12 +126,18 @@ fn anchors(page: &Path) -> Vec<String> {
     headings.map(anchor).collect()
 }
 
+/// Also of the text in backticks that begins with a folder of the project, except the output of `make gpu`.
 #[test]
-fn every_relative_link_leads_to_a_file_and_a_heading() {
+fn every_linked_or_named_file_exists_with_the_heading_of_the_link() {
+    let folders = [
+        "crates/", "src/", "tests/", "benches/", "config/", "deploy/", "docs/", "models/", "web/",
+    ];
     let (mut seen, mut missing) = (0, Vec::new());
-    for page in pages() {
-        let (text, page) = (text(&page), project(&page));
-        for link in links(&text).filter(|link| !link.contains("://")) {
+    for name in pages() {
+        let (text, page) = (text(&name), project(&name));
+        let links = text.split("](").skip(1);
+        let links = links.filter_map(|rest| rest.split(')').next());
+        for link in links.filter(|link| !link.contains("://")) {
             let (file, anchor) = link.split_once('#').unwrap_or((link, ""));
             let target = match file {
                 "" => page.clone(),
@@ -161,49 +146,21 @@ fn every_relative_link_leads_to_a_file_and_a_heading() {
             let leads = target.exists()
                 && (anchor.is_empty() || anchors(&target).iter().any(|known| known == anchor));
             if !leads {
-                missing.push(format!("{}: {link}", page.display()));
+                missing.push(format!("{name}: {link}"));
             }
             seen += 1;
+        }
+        let lines = text.lines();
+        let quoted = lines.flat_map(|line| line.split('`').skip(1).step_by(2));
+        let named = quoted.filter(|text| folders.iter().any(|folder| text.starts_with(folder)));
+        for file in named.filter(|text| !text.contains([' ', '*', '{', '<'])) {
+            if !project(file).exists() && file != "benches/gpu.md" {
+                missing.push(format!("{name}: {file}"));
+            }
         }
     }
     assert!(seen > 10, "{seen}");
     assert!(missing.is_empty(), "missing: {missing:#?}");
-}
-
-/// Checks the text in backticks that begins with a folder of the project, except the output of `make gpu`.
-#[test]
-fn every_file_named_in_a_page_exists() {
-    let folders = [
-        "crates/", "src/", "tests/", "benches/", "config/", "deploy/", "docs/", "models/", "web/",
-    ];
-    for page in pages() {
-        let text = text(&page);
-        let quoted = text
-            .lines()
-            .flat_map(|line| line.split('`').skip(1).step_by(2));
-        let named = quoted.filter(|text| folders.iter().any(|folder| text.starts_with(folder)));
-        for name in named.filter(|text| !text.contains([' ', '*', '{', '<'])) {
-            let there = project(name).exists() || name == "benches/gpu.md";
-            assert!(there, "{page}: {name}");
-        }
-    }
-}
-
-#[test]
-fn the_messages_of_the_table_of_keys_and_their_fields_are_described() {
-    let document = serde_json::to_value(albireo_node::api::http::openapi()).unwrap();
-    let schemas = &document["components"]["schemas"];
-    let page = text("docs/messages.md");
-    let (_, table) = page.split_once("| key | direction | message |\n").unwrap();
-    for row in table.lines().skip(1) {
-        let message = row.rsplit('`').nth(1).unwrap();
-        assert!(schemas[message].is_object(), "{row}");
-    }
-    let sent = serde_json::to_value(crate::http_api::sample_detections()).unwrap();
-    for name in sent.as_object().unwrap().keys() {
-        let described = &schemas["DetectionsMessage"]["properties"][name];
-        assert!(described.is_object(), "{name}");
-    }
 }
 
 /// Reads an example as a `T` and writes it again.
@@ -223,9 +180,16 @@ fn event_written(example: &str) -> serde_json::Result<Value> {
 
 /// The line `<!-- example: NAME -->` marks an example.
 #[test]
-fn the_message_examples_are_valid_messages() {
-    let text = text("docs/messages.md");
-    let examples: Vec<_> = text.split("<!-- example: ").skip(1).collect();
+fn the_messages_named_are_described_and_their_examples_are_valid() {
+    let document = serde_json::to_value(albireo_node::api::http::openapi()).unwrap();
+    let schemas = &document["components"]["schemas"];
+    let page = text("docs/messages.md");
+    let (examples, table) = page.split_once("| key | direction | message |\n").unwrap();
+    for row in table.lines().skip(1) {
+        let message = row.rsplit('`').nth(1).unwrap();
+        assert!(schemas[message].is_object(), "{row}");
+    }
+    let examples: Vec<_> = examples.split("<!-- example: ").skip(1).collect();
     assert!(examples.len() >= 6);
     for part in examples {
         let (name, rest) = part.split_once(" -->\n```json\n").unwrap();
@@ -246,6 +210,10 @@ fn the_message_examples_are_valid_messages() {
         let example: Value = serde_json::from_str(example).unwrap();
         let written = written.unwrap_or_else(|error| panic!("{name}: {error}"));
         assert_eq!(written, example, "{name}");
+        for field in example.as_object().unwrap().keys() {
+            let described = &schemas[name]["properties"][field];
+            assert!(described.is_object(), "{name}: {field}");
+        }
     }
 }
 
@@ -260,7 +228,6 @@ pub(crate) fn workshop() -> tempfile::TempDir {
     folder
 }
 
-/// Runs a line of a page in `folder`.
 fn shell(folder: &Path, line: &str, settings: &[(&str, String)]) -> Child {
     let programs = Path::new(env!("CARGO_BIN_EXE_albireo")).parent().unwrap();
     let path = std::env::var("PATH").unwrap_or_default();
@@ -353,4 +320,60 @@ async fn the_python_examples_publish_and_listen() {
     }
     let said = Ended::from(heard.await.unwrap().unwrap()).succeeds();
     assert_eq!(said.lines().count(), 10, "{said}");
+}
+
+/// The configuration and commands of the camera page, with real camera servers in place of its addresses.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime and ffmpeg and RTSP server"]
+async fn the_camera_page_opens_a_camera_with_a_password_and_publishes_one_to_a_remote_node() {
+    let page = text("docs/cameras.md");
+    let commands = commands_to_run(|page| page == "docs/cameras.md");
+    let command = |begins: &str| {
+        let mut commands = commands.iter();
+        let found = commands.find(|command| command.starts_with(begins));
+        found.unwrap_or_else(|| panic!("docs/cameras.md has no command `{begins}`"))
+    };
+    let replaced = |text: &str, theirs: &str, ours: &str| {
+        assert_contains(text, &[theirs]);
+        text.replace(theirs, ours)
+    };
+    let to_camera = |text: &str, camera: &RtspCamera| {
+        let ours = format!("127.0.0.1:{}/stream", camera.port);
+        replaced(text, "192.168.0.20/stream1", &ours)
+    };
+    let until_frames = async |http: &str| {
+        let address = format!("{http}/api/v1/cameras/gate");
+        let come = async || json_at(&address).await["frames"].as_u64() > Some(2);
+        until("frames of the camera", come).await;
+    };
+
+    let camera = RtspCamera::start("h264", &["viewer", "a b@c"]).await;
+    let (_, config) = page.split_once("```toml\n").unwrap();
+    let (config, _) = config.split_once("```").unwrap();
+    let folder = workshop();
+    let config = to_camera(config, &camera);
+    std::fs::write(folder.path().join("node.toml"), config).unwrap();
+    let http = format!("127.0.0.1:{}", free_port());
+    let settings = [
+        ("ALBIREO_HTTP__LISTEN", http.clone()),
+        ("ALBIREO_ZENOH__LISTEN", "[\"tcp/127.0.0.1:0\"]".to_owned()),
+    ];
+    let mut node = shell(folder.path(), command("GATE_USER="), &settings);
+    until_frames(&format!("http://{http}")).await;
+    node.kill().await.unwrap();
+
+    let camera = RtspCamera::start("h264", &[]).await;
+    let model = project("models/yolox_nano.onnx");
+    let settings = "[[camera]]\nname = \"gate\"\n[node]\nname = \"car-7\"\n";
+    let node = Node::start(&format!("detector.model = {model:?}\n{settings}")).await;
+    let line = to_camera(command("albireo publish "), &camera);
+    let line = replaced(&line, "tcp/192.168.0.5:7447", &node.zenoh);
+    let mut publisher = shell(folder.path(), &line, &[]);
+    until_frames(&node.http).await;
+    publisher.kill().await.unwrap();
+    // The help has the options that the page names.
+    let help = run_line(folder.path(), "albireo publish --help", &[]).await;
+    for option in page.split('`').filter(|quoted| quoted.starts_with("--")) {
+        assert_contains(&help, &[option]);
+    }
 }

@@ -1,40 +1,31 @@
 //! A clip end to end through real processes: `albireo node`, `albireo replay`, and a client that shares no code with them.
 
 use crate::support::{Client, Node, replay, shared, value_of};
-use serde_json::Value;
 use std::collections::BTreeSet;
-
-fn settings() -> String {
-    let model = shared("models/yolox_nano_416.onnx");
-    format!(
-        "node.name = \"bench\"\ndetector.model = {model:?}\ndetector.timeout_ms = 30000\n\
-         policy.name = \"albireo\"\npolicy.u = 5e-4\nclip.silence_s = 6.0\n\
-         [[camera]]\nname = \"front\"\ndelivery = \"every\"\n# development: ring=4\n"
-    )
-}
-
-/// The detections before the report of `clip`, and that report.
-async fn until_clip(client: &mut Client, clip: &str) -> (Vec<Value>, Value) {
-    let mut detections = Vec::new();
-    loop {
-        let (key, message) = client.next().await.expect("the client goes on");
-        match key.rsplit('/').next() {
-            Some("detections") => detections.push(message),
-            Some("clip") if message["clip"] == clip => return (detections, message),
-            _ => {}
-        }
-    }
-}
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ../shared and ONNX Runtime and Python and ffmpeg"]
 async fn shared_every_frame_of_a_clip_is_answered_or_reported_as_dropped() {
-    let node = Node::start(&settings()).await;
+    let model = shared("models/yolox_nano_416.onnx");
+    let settings = format!(
+        "node.name = \"bench\"\ndetector.model = {model:?}\ndetector.timeout_ms = 30000\n\
+         policy.name = \"albireo\"\npolicy.u = 5e-4\nclip.silence_s = 6.0\n\
+         [[camera]]\nname = \"front\"\ndelivery = \"every\"\n# development: ring=4\n"
+    );
+    let node = Node::start(&settings).await;
     let mut client = Client::listen(&node.zenoh, "albireo/bench/front/*", false).await;
     let video = shared("media/highway_two_cars.mp4");
     let clip = ["--node", "bench", "--clip", "two-cars"];
     replay(&node, video.to_str().unwrap(), &clip).await;
-    let (detections, report) = until_clip(&mut client, "two-cars").await;
+    let mut detections = Vec::new();
+    let report = loop {
+        let (key, message) = client.next().await.expect("the client goes on");
+        match key.rsplit('/').next() {
+            Some("detections") => detections.push(message),
+            Some("clip") if message["clip"] == "two-cars" => break message,
+            _ => {}
+        }
+    };
 
     let dropped = report["dropped"].as_object().unwrap().values();
     let dropped: u64 = dropped.map(|number| number.as_u64().unwrap()).sum();
@@ -45,9 +36,8 @@ async fn shared_every_frame_of_a_clip_is_answered_or_reported_as_dropped() {
     assert_eq!(numbers.len(), answered, "every frame is answered once");
 
     for (state, count) in report["states"].as_object().expect("five counters") {
-        let found = detections
-            .iter()
-            .filter(|message| message["state"] == **state);
+        let detections = detections.iter();
+        let found = detections.filter(|message| message["state"] == **state);
         let found = found.count();
         assert_eq!(*count, found, "{state}");
         let may_lack = ["E", "E+I"].contains(&&**state);

@@ -1,4 +1,4 @@
-//! The promises of the whole program, one per file.
+//! The promises of the whole program, with its default features, one per file.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -6,18 +6,14 @@ mod support;
 
 mod answers;
 mod cameras;
-#[cfg(feature = "hub")]
 mod check_online;
 mod command_line;
 mod compare;
 mod delivery;
-#[cfg(feature = "hub")]
 mod demo;
-#[cfg(feature = "hub")]
 mod deploy_access;
 mod deploy_files;
 mod deploy_systemd;
-#[cfg(feature = "hub")]
 mod deploy_watching;
 mod detector_exports;
 mod detector_models;
@@ -33,20 +29,15 @@ mod eval_command;
 mod eval_energy_models;
 mod eval_pictures;
 mod eval_tracking;
-mod every_frame;
 mod expected_loss;
-#[cfg(feature = "hub")]
 mod fleet;
-#[cfg(feature = "hub")]
 mod fleet_targets;
 mod frame_decoding;
 mod frame_formats;
 mod golden_traces;
 mod head_fixtures;
 mod http_api;
-#[cfg(feature = "hub")]
 mod hub_faults;
-#[cfg(feature = "hub")]
 mod hub_kills;
 mod node_frames;
 mod pages;

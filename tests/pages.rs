@@ -1,6 +1,8 @@
 //! The web pages have current types and are small. `make browser` tests them in a browser against the program.
 
 use crate::support::{project, run_command};
+use serde_json::Value;
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::process::Command;
 
@@ -9,9 +11,8 @@ fn web() -> PathBuf {
 }
 
 /// The pages' types are made from these. `ALBIREO_UPDATE=1` overwrites them; then `npm run types` makes the types.
-#[cfg(feature = "hub")]
 #[test]
-fn the_descriptions_behind_the_pages_are_current() {
+fn the_descriptions_behind_the_pages_are_current_and_each_operation_has_its_own_id() {
     let node = serde_json::to_string_pretty(&albireo_node::api::http::openapi());
     let hub = serde_json::to_string_pretty(&albireo_hub::http::openapi());
     for (service, now) in [("node", node), ("hub", hub)] {
@@ -24,10 +25,16 @@ fn the_descriptions_behind_the_pages_are_current() {
         let remedy =
             "is out of date: run this test with ALBIREO_UPDATE=1, then `npm run types` in web";
         assert!(kept == now, "{} {remedy}", path.display());
+        let description: Value = serde_json::from_str(&now).unwrap();
+        let paths = description["paths"].as_object().unwrap().values();
+        let operations = paths.flat_map(|path| path.as_object().unwrap().values());
+        let ids: Vec<_> = operations.map(|one| one["operationId"].as_str()).collect();
+        let names: BTreeSet<_> = ids.iter().map(|id| id.unwrap()).collect();
+        assert!(ids.len() > 15);
+        assert_eq!(names.len(), ids.len(), "{names:?}");
     }
 }
 
-/// Runs a command in `web`, which must succeed.
 fn run(program: &str, arguments: &[&str]) {
     let mut command = Command::new(program);
     run_command(command.args(arguments).current_dir(web())).succeeds();

@@ -20,7 +20,6 @@ fn cargo(arguments: &str) -> String {
     run_command(Command::new(env!("CARGO")).args(arguments.split(' '))).succeeds()
 }
 
-/// The packages of the workspace in Cargo's metadata.
 fn members() -> Vec<Value> {
     let text = cargo("metadata --offline --format-version=1 --no-deps");
     let mut metadata: Value = serde_json::from_str(&text).unwrap();
@@ -41,7 +40,6 @@ fn dependencies(package: &Value) -> &Vec<Value> {
     package["dependencies"].as_array().unwrap()
 }
 
-/// The Rust sources of a package in these folders.
 fn sources(package: &Value, folders: &[&str]) -> Vec<String> {
     let manifest = Path::new(word(&package["manifest_path"]));
     let folders = folders.iter().map(|name| manifest.with_file_name(name));

@@ -1,33 +1,54 @@
-//! A node whose parts fail or hang detects that, restarts failed parts, and stops within the configured time.
+//! A node whose parts fail or hang detects that, restarts failed parts, delays no others, and stops within the
+//! configured time.
 
-use crate::node_frames::{Bench, CAMERA, attachment, configuration, pictures, put};
+use crate::node_frames::{
+    Bench, CAMERA, ask_frame, attachment, configuration, pictures, put, refused,
+};
 use crate::support::detectors::model;
-use crate::support::policies::Before;
 use crate::support::{
     Node, PATIENCE, assert_contains, grey_jpeg, metric, next, run_command, until, until_read,
     zenoh_client,
 };
-use albireo_core::policy::{Policy, PolicyConfig};
+use albireo_core::policy::{Evidence, FrameHead, Need, Outcome, Policy, PolicyConfig};
 use albireo_node::PreparedNode;
+use albireo_node::config::CameraConfig;
+use albireo_node::input::Delivery;
 use albireo_wire::{ClipEnd, ClipReport, HealthState, HealthStatus};
 use std::process::{Command, Stdio};
-use std::sync::Arc;
+use std::sync::mpsc::channel;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use tokio::sync::watch;
 use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 
-/// A bench whose policy panics after `good` frames.
-async fn buggy(good: u32) -> Bench {
-    let config = configuration();
-    let policy: PolicyConfig = config.policy.clone();
-    let policies = move |_: &str| {
-        let (inner, mut good) = (policy.build()?, good);
-        let before = move || good = good.checked_sub(1).expect("a bug in a policy");
-        Ok(Box::new(Before { inner, before }) as Box<dyn Policy>)
-    };
-    let prepared = PreparedNode::new(&config).unwrap();
-    Bench::start_prepared(&config, prepared.with_policies(Arc::new(policies))).await
+/// A wrapper that runs `before` ahead of each frame of `inner`, a policy without a threshold.
+struct Before<F> {
+    inner: Box<dyn Policy>,
+    before: F,
+}
+
+impl<F: FnMut() + Send + Sync> Policy for Before<F> {
+    fn name(&self) -> &'static str {
+        self.inner.name()
+    }
+
+    fn begin(&mut self, frame: FrameHead) -> Need {
+        (self.before)();
+        self.inner.begin(frame)
+    }
+
+    fn answer(&mut self, evidence: Evidence<'_>) -> Need {
+        self.inner.answer(evidence)
+    }
+
+    fn finish(&mut self, outcome: &mut Outcome) {
+        self.inner.finish(outcome);
+    }
+
+    fn reset(&mut self) {
+        self.inner.reset();
+    }
 }
 
 async fn status(
@@ -38,7 +59,6 @@ async fn status(
     status.expect("the status changes in time").unwrap().clone()
 }
 
-/// Settings of a node that runs this detector on every frame.
 fn settings(detector: &str, more: &str) -> String {
     let model = model(detector);
     format!(
@@ -49,7 +69,17 @@ fn settings(detector: &str, more: &str) -> String {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_panicking_camera_loop_is_counted_reported_and_restarted_and_no_frame_vanishes() {
-    let mut bench = buggy(2).await;
+    let config = configuration();
+    let policy: PolicyConfig = config.policy.clone();
+    // Each policy panics after two frames.
+    let policies = move |_: &str| {
+        let (inner, mut good) = (policy.build()?, 2_u32);
+        let before = move || good = good.checked_sub(1).expect("a bug in a policy");
+        Ok(Box::new(Before { inner, before }) as Box<dyn Policy>)
+    };
+    let prepared = PreparedNode::new(&config).unwrap();
+    let prepared = prepared.with_policies(Arc::new(policies));
+    let mut bench = Bench::start_prepared(&config, prepared).await;
     let mut reports = bench.published::<ClipReport>("clip").await;
     let mut changes = bench.board.readiness.subscribe();
     let picture = pictures(1).remove(0);
@@ -57,7 +87,6 @@ async fn a_panicking_camera_loop_is_counted_reported_and_restarted_and_no_frame_
         bench.send_of_clip(picture.clone(), seq, "a").await;
         assert_eq!(bench.answer().await.seq, seq);
     }
-    // The third frame meets the bug.
     bench.send_of_clip(picture.clone(), 2, "a").await;
     let failed = status(&mut changes, |status| status.state == HealthState::NotReady).await;
     let said = ["camera front", "a bug in a policy"];
@@ -66,42 +95,108 @@ async fn a_panicking_camera_loop_is_counted_reported_and_restarted_and_no_frame_
     let report = next(&mut reports).await;
     assert_eq!((report.clip.as_str(), report.frames), ("a", 2));
 
-    until("a restart", async || {
-        bench.board.tasks.counts().iter().any(|(name, counts)| {
-            name == "camera front" && (counts.failures, counts.restarts) == (1, 1)
-        })
-    })
-    .await;
-    bench.send_of_clip(picture, 3, "a").await;
+    let board = Arc::clone(&bench.board);
+    let counts = || {
+        let mut tasks = board.tasks.counts().into_iter();
+        let camera = tasks.find(|(name, _)| name == "camera front");
+        camera.map_or((0, 0), |(_, counts)| (counts.failures, counts.restarts))
+    };
+    until("a restart", async || counts() == (1, 1)).await;
+    bench.send_of_clip(picture.clone(), 3, "a").await;
     assert_eq!(bench.answer().await.seq, 3);
     let health = bench.board.readiness.health();
     assert_eq!(health.state(), HealthState::Degraded);
+
+    // Every third frame ends its loop, and the backoff between loops grows: most frames find no loop.
+    for seq in 4..44 {
+        bench.send_of_clip(picture.clone(), seq, "a").await;
+    }
+    let stopped = || bench.snapshot().dropped.stopped;
+    // A frame that ends a loop is counted with the task.
+    let answered = || bench.snapshot().states.frames();
+    let counted = async || answered() + stopped() + counts().0 >= 44;
+    until("all frames are accounted for", counted).await;
+    assert!(stopped() >= 30, "{:?}", bench.snapshot().dropped);
+    assert_eq!(bench.snapshot().dropped.total(), stopped());
     bench.stop().await;
 }
 
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+const TAPES: [&str; 2] = ["tape-a", "tape-b"];
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 #[ignore = "needs ONNX Runtime"]
-async fn frames_that_arrive_while_a_camera_loop_is_down_are_counted() {
-    let bench = buggy(0).await;
+async fn cameras_that_slow_down_their_senders_slow_down_nobody_else() {
+    let mut config = configuration();
+    let policy: PolicyConfig = config.policy.clone();
+    config.cameras = vec![CameraConfig::named(CAMERA)];
+    config.cameras.extend(TAPES.map(|tape| CameraConfig {
+        delivery: Delivery::Every,
+        ring: 1,
+        ..CameraConfig::named(tape)
+    }));
+    // The policies of the tapes wait until `shut` is dropped, however the test ends.
+    let (shut, gate) = channel::<()>();
+    let gate = Arc::new(Mutex::new(gate));
+    let prepared = PreparedNode::new(&config)
+        .unwrap()
+        .with_policies(Arc::new(move |camera| {
+            let inner = policy.build()?;
+            if !TAPES.contains(&camera) {
+                return Ok(inner);
+            }
+            let gate = Arc::clone(&gate);
+            // `block_in_place` lets the other tasks of this worker thread continue.
+            let pass = move || assert!(gate.lock().unwrap().recv().is_err());
+            let before = move || tokio::task::block_in_place(&pass);
+            Ok(Box::new(Before { inner, before }) as Box<dyn Policy>)
+        }));
+    let mut bench = Bench::start_prepared(&config, prepared).await;
     let picture = pictures(1).remove(0);
-    // Each frame ends the loop that takes it, and the backoff between loops grows: most frames find no loop.
-    for seq in 0..40 {
-        bench.send(picture.clone(), seq).await;
+    // More frames than the loop and the ring hold: puts wait, and queries stay unanswered.
+    let mut senders = Vec::new();
+    for tape in TAPES {
+        for seq in 0..4 {
+            let attached = attachment(seq, None, None);
+            put(&bench.session, tape, &picture, attached).await;
+        }
+        // As `albireo replay --every` does: each frame after the previous one was accepted.
+        let (session, picture) = (bench.session.clone(), picture.clone());
+        senders.push(tokio::spawn(async move {
+            for seq in 4..12 {
+                let attached = attachment(seq, None, None);
+                let reply = ask_frame(&session, tape, &*picture, "image/jpeg", attached).await;
+                assert_eq!(refused(reply), None);
+            }
+        }));
     }
-    let stopped = || bench.snapshot().dropped.stopped;
-    // A frame that ends a loop is counted with the task, every other frame by its kind.
-    until("all frames are accounted for", async || {
-        let counts = bench.board.tasks.counts();
-        stopped()
-            + counts
-                .iter()
-                .map(|(_, counts)| counts.failures)
-                .sum::<u64>()
-            >= 40
-    })
-    .await;
-    assert!(stopped() >= 30, "{:?}", bench.snapshot().dropped);
-    assert_eq!(bench.snapshot().dropped.total(), stopped());
+    // Frames of the tapes have lower numbers, so that answers can be distinguished.
+    for seq in 100..103 {
+        let attached = attachment(seq, None, None);
+        put(&bench.session, CAMERA, &picture, attached).await;
+        assert_eq!(bench.answer().await.seq, seq);
+        let replies = bench.session.get("albireo/node/tape-a/threshold").await;
+        let answered = replies.unwrap().recv_async().await;
+        // An error, because this policy has no threshold, is an answer too.
+        answered.expect("a threshold query is answered");
+    }
+    assert!(senders.iter().all(|sender| !sender.is_finished()));
+    drop(shut);
+    for sender in senders {
+        timeout(PATIENCE, sender).await.unwrap().unwrap();
+    }
+    let mut seen = Vec::new();
+    for _ in 0..24 {
+        seen.push(bench.answer().await.seq);
+    }
+    seen.sort_unstable();
+    assert_eq!(seen, (0..24).map(|n| n / 2).collect::<Vec<_>>());
+    for tape in TAPES {
+        let tape = bench.board.camera(tape).unwrap();
+        // A frame is counted after its answer is sent.
+        let is_counted = async || tape.snapshot().states.frames() == 12;
+        until("every frame is counted", is_counted).await;
+        assert_eq!(tape.snapshot().dropped.total(), 0);
+    }
     bench.stop().await;
 }
 
@@ -223,27 +318,6 @@ async fn a_detector_run_that_never_returns_ends_the_node_with_an_error() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
-async fn a_detector_that_returns_only_impossible_boxes_is_not_ready_until_it_recovers() {
-    let mut config = configuration();
-    config.detector.model = model("dark_overflows.onnx");
-    let mut bench = Bench::start(&config).await;
-    let mut changes = bench.board.readiness.subscribe();
-    for seq in 0..6 {
-        bench.send(solid(20), seq).await;
-        let answer = bench.answer().await;
-        assert_eq!(answer.degraded, seq >= 4, "frame {seq}");
-    }
-    let fault = status(&mut changes, |now| now.reasons.contains_key("detector")).await;
-    assert_eq!(fault.state, HealthState::NotReady);
-    assert_contains(&fault.reasons["detector"], &["impossible"]);
-    bench.send(solid(230), 6).await;
-    assert!(!bench.answer().await.degraded);
-    status(&mut changes, |now| !now.reasons.contains_key("detector")).await;
-    bench.stop().await;
-}
-
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-#[ignore = "needs ONNX Runtime"]
 async fn a_disk_that_stalls_at_start_delays_no_health_check() {
     let folder = tempfile::tempdir().unwrap();
     // Opening a pipe to write blocks until somebody reads.
@@ -268,10 +342,8 @@ async fn a_disk_that_stalls_at_start_delays_no_health_check() {
     let reader = tokio::task::spawn_blocking(move || std::fs::File::open(pipe));
     let _reader = reader.await.unwrap().unwrap();
     assert_eq!(found, [200, 503, 503]);
-    until("the node continues", async || {
-        status("/api/v1/cameras").await == 200
-    })
-    .await;
+    let continues = async || status("/api/v1/cameras").await == 200;
+    until("the node continues", continues).await;
     assert_eq!(status("/healthz").await, 200);
     shutdown.cancel();
     timeout(PATIENCE, running).await.unwrap().unwrap().unwrap();

@@ -1,12 +1,11 @@
 //! Connections that send or read nothing are closed, and never block other clients.
 
 use super::served::{Served, answered, frame};
-use crate::support::{Node, PATIENCE, run_command};
+use crate::support::PATIENCE;
 use albireo_core::policy::FrameState;
 use albireo_service::config::HttpConfig;
 use reqwest::StatusCode;
 use std::io::ErrorKind;
-use std::process::Command;
 use std::time::{Duration, Instant};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpSocket, TcpStream};
@@ -39,6 +38,8 @@ async fn a_connection_without_a_complete_request_is_closed() {
 
 #[tokio::test]
 async fn at_the_connection_limit_the_oldest_connection_is_closed_for_a_new_one() {
+    // A process may often have no more than 1024 descriptors.
+    assert!(HttpConfig::default().max_connections < 400);
     let node = served(600_000, 2).await;
     let mut oldest = node.get("/api/v1/events?types=frame").await;
     let mut newer = node.get("/api/v1/events?types=frame").await;
@@ -92,22 +93,4 @@ async fn an_event_stream_that_is_not_read_is_closed() {
         }
     };
     timeout(PATIENCE, closed).await.expect("it is closed");
-}
-
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-#[ignore = "needs ONNX Runtime"]
-async fn a_thousand_idle_connections_block_no_health_check_and_hold_few_descriptors() {
-    let node = Node::start("[detector]\nmodel = \"tests/fixtures/models/colours.onnx\"\n").await;
-    let limit = ["--nofile=1024:1024", "--pid", &node.id().to_string()];
-    run_command(Command::new("prlimit").args(limit)).succeeds();
-    let address = node.http.trim_start_matches("http://").to_owned();
-    let mut idle = Vec::new();
-    for _ in 0..1100 {
-        idle.push(TcpStream::connect(&address).await.unwrap());
-    }
-    let answer = timeout(PATIENCE, reqwest::get(format!("{}/healthz", node.http))).await;
-    assert_eq!(answer.unwrap().unwrap().status(), StatusCode::OK);
-    let descriptors = std::fs::read_dir(format!("/proc/{}/fd", node.id()));
-    let descriptors = descriptors.unwrap().count();
-    assert!(descriptors < 500, "{descriptors} descriptors");
 }

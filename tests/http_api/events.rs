@@ -6,7 +6,6 @@ use reqwest::Response;
 use serde_json::{Value, json};
 use tokio::time::timeout;
 
-/// A stream of server-sent events.
 struct Events {
     response: Response,
     text: String,
@@ -22,16 +21,14 @@ impl Events {
     /// The next event's name and data; `None` at the end of the stream.
     async fn next(&mut self) -> Option<(String, Value)> {
         loop {
-            if let Some((event, rest)) = self.text.split_once("\n\n") {
+            while let Some((event, rest)) = self.text.split_once("\n\n") {
                 let field = |name: &str| event.lines().find_map(|line| line.strip_prefix(name));
                 let found = field("event: ").zip(field("data: "));
-                let found = found
-                    .map(|(name, data)| (name.to_owned(), serde_json::from_str(data).unwrap()));
+                let found = found.map(|(name, data)| (name.to_owned(), data.to_owned()));
                 self.text = rest.to_owned();
-                if found.is_some() {
-                    return found;
+                if let Some((name, data)) = found {
+                    return Some((name, serde_json::from_str(&data).unwrap()));
                 }
-                continue;
             }
             let chunk = timeout(PATIENCE, self.response.chunk()).await;
             let chunk = chunk.expect("no event came").unwrap()?;
@@ -50,7 +47,6 @@ impl Events {
 async fn a_threshold_change_is_sent_to_listeners() {
     let node = Served::start().await;
     let mut events = Events::new(node.get("/api/v1/events?types=threshold&camera=rear").await);
-    // The current state.
     assert_eq!(events.expect("threshold").await["threshold"]["value"], 3e-4);
     for path in ["/api/v1/cameras/front/threshold", "/api/v1/threshold"] {
         let response = node.put(path, r#"{"u": 5e-4}"#).await;
@@ -63,7 +59,7 @@ async fn a_threshold_change_is_sent_to_listeners() {
 }
 
 #[tokio::test]
-async fn the_current_state_comes_first_and_then_each_event_in_order() {
+async fn the_current_state_comes_first_and_then_each_event_in_order_until_the_node_stops() {
     let node = Served::start().await;
     answered(node.front(), frame(0, FrameState::I));
     let mut events = Events::new(node.get("/api/v1/events").await);
@@ -87,6 +83,9 @@ async fn the_current_state_comes_first_and_then_each_event_in_order() {
     });
     let expected = json!({"status": "degraded", "provider": "cpu", "reason": "it took too long"});
     assert_eq!(events.expect("detector").await, expected);
+    node.shutdown.cancel();
+    assert!(events.next().await.is_none());
+    node.task.await.unwrap().unwrap();
 }
 
 #[tokio::test]
@@ -100,16 +99,6 @@ async fn a_slow_reader_learns_how_many_events_it_lost() {
     }
     let lost = events.expect("lagged").await["lost"].as_u64().unwrap();
     assert_eq!(events.expect("frame").await["seq"], lost);
-}
-
-#[tokio::test]
-async fn a_stream_ends_when_the_node_stops() {
-    let mut node = Served::start().await;
-    let mut events = Events::new(node.get("/api/v1/events?types=detector").await);
-    events.expect("detector").await;
-    node.shutdown.cancel();
-    assert!(events.next().await.is_none());
-    (&mut node.task).await.unwrap().unwrap();
 }
 
 #[tokio::test]

@@ -2,9 +2,7 @@
 
 use super::access::{TOKEN, with_token};
 use super::served::{Served, answered, answered_all, clip, frame};
-#[cfg(feature = "hub")]
-use crate::support::{Ended, albireo};
-use crate::support::{assert_contains, assert_has, run_command};
+use crate::support::{Ended, albireo, assert_contains, assert_has, run_command};
 use albireo_core::policy::FrameState;
 use albireo_node::state::board::PowerSnapshot;
 use albireo_wire::{CallCause, EnergyQuality};
@@ -79,8 +77,11 @@ async fn the_skip_rate_of_another_threshold_is_marked_as_estimated() {
 }
 
 #[tokio::test]
-async fn the_last_hour_of_power_is_reported_by_domain() {
+async fn power_of_the_last_hour_is_reported_by_domain_and_savings_since_the_start_and_today() {
     let node = Served::start().await;
+    answered_all(node.front(), &FrameState::ALL);
+    let overview = node.json("/api/v1/node").await;
+    assert_eq!(overview["since_start"]["energy"], Value::Null);
     assert_eq!(node.json("/api/v1/power").await["slots"], json!([]));
     node.board.set_power(PowerSnapshot {
         source: "rapl".to_owned(),
@@ -97,14 +98,6 @@ async fn the_last_hour_of_power_is_reported_by_domain() {
     node.board.set_power(node.board.power());
     let slot = json!({"watts": {"total": 10.0, "cpu": 2.0}, "quality": "measured"});
     assert_has(&node.json("/api/v1/power").await, &json!({"slots": [slot]}));
-}
-
-#[tokio::test]
-async fn savings_are_reported_since_the_start_and_today() {
-    let node = Served::start().await;
-    answered_all(node.front(), &FrameState::ALL);
-    let overview = node.json("/api/v1/node").await;
-    assert_eq!(overview["since_start"]["energy"], Value::Null);
     let mut power = PowerSnapshot {
         meter_quality: EnergyQuality::Measured,
         joules: BTreeMap::from([("total".to_owned(), 7200.0)]),
@@ -130,7 +123,6 @@ async fn savings_are_reported_since_the_start_and_today() {
     }
 }
 
-/// The files of an archive.
 fn untar(archive: &Path) -> BTreeMap<String, String> {
     let folder = tempfile::tempdir().unwrap();
     let mut tar = Command::new("tar");
@@ -168,18 +160,13 @@ async fn the_diagnostic_archive_is_complete_and_contains_no_secret() {
     assert_contains(&files["configuration.json"], &["(secret)"]);
     assert_contains(&files["metrics.txt"], &["albireo_frames_total"]);
     assert_contains(&files["clips.json"], &["window-0"]);
-    #[cfg(feature = "hub")]
-    the_command_fetches_it(&format!("http://{}", node.address)).await;
-}
 
-/// `albireo diag` writes the same archive, or reports why it cannot.
-#[cfg(feature = "hub")]
-async fn the_command_fetches_it(node: &str) {
-    let folder = tempfile::tempdir().unwrap();
+    // `albireo diag` writes the same archive, or reports why it cannot.
+    let address = format!("http://{}", node.address);
     let archive = folder.path().join("node.tar");
     let fetch = async |token: &str| -> Ended {
         let mut command = albireo();
-        command.args(["diag", node, "--output"]).arg(&archive);
+        command.args(["diag", &address, "--output"]).arg(&archive);
         command.env("ALBIREO_HTTP__TOKEN", token);
         command.output().await.unwrap().into()
     };

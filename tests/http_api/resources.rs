@@ -5,7 +5,7 @@ use albireo_service::config::HttpConfig;
 use albireo_vision::detector::{DetectorStatus, ExecutionProvider};
 use albireo_vision::picture::PictureFormat;
 use albireo_wire::{CallCause, DroppedFrames};
-use reqwest::{Method, StatusCode};
+use reqwest::Method;
 use serde_json::json;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
@@ -52,23 +52,6 @@ async fn frames_and_calls_are_counted_alike_everywhere_and_degraded_frames_never
 }
 
 #[tokio::test]
-async fn cameras_are_listed_in_configuration_order_with_advice_for_one_that_skips_nothing() {
-    let node = Served::start().await;
-    let rear = node.board.camera("rear").unwrap();
-    for seq in 0..300 {
-        assert_eq!(rear.snapshot().advice, None);
-        let mut message = frame(seq, FrameState::I);
-        message.tau_max = Some(3.77e-4);
-        answered(rear, message);
-    }
-    let front = json!({"camera": "front", "width": null, "advice": null});
-    let advice = json!({"try": 4e-4, "threshold": "u"});
-    let rear = json!({"key": "albireo/car-7/rear/frame", "width": 320, "advice": advice});
-    let cameras = json!({"cameras": [front, rear]});
-    assert_has(&node.json("/api/v1/cameras").await, &cameras);
-}
-
-#[tokio::test]
 async fn readiness_names_the_provider_in_use_and_why_the_node_is_not_ready() {
     let node = Served::start().await;
     let starting = node.refused("/readyz", 503).await;
@@ -94,33 +77,16 @@ async fn readiness_names_the_provider_in_use_and_why_the_node_is_not_ready() {
     assert_eq!(node.json("/healthz").await["status"], "ok");
 }
 
-#[tokio::test]
-async fn the_latest_picture_is_jpeg_whatever_the_camera_sends() {
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_latest_picture_is_jpeg_whatever_the_camera_sends_and_decoded_once_for_all_requests() {
     let node = Served::start().await;
     let path = "/api/v1/cameras/front/frame.jpg";
     let none = node.refused(path, 404).await;
     assert_contains(none["detail"].as_str().unwrap(), &["no picture"]);
-    let show = |seq, format, bytes| received(node.front(), seq, format, bytes, [4, 2]);
-    show(7, PictureFormat::Jpeg, b"\xff\xd8 as it came".to_vec());
-    let response = node.get(path).await;
-    assert_eq!(response.headers()["content-type"], "image/jpeg");
-    assert_eq!(response.headers()["albireo-frame"], "7");
-    assert_eq!(response.bytes().await.unwrap(), &b"\xff\xd8 as it came"[..]);
-    show(8, PictureFormat::Rgb8, vec![128; 24]);
-    let response = node.get(path).await;
-    assert_eq!(response.status(), StatusCode::OK);
-    assert!(response.bytes().await.unwrap().starts_with(b"\xff\xd8\xff"));
-    show(9, PictureFormat::Png, b"broken".to_vec());
-    node.refused(path, 500).await;
-}
-
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_picture_is_decoded_once_for_all_requests() {
-    let node = Served::start().await;
     for (number, seq) in [(1, 7), (2, 8)] {
         let bytes = vec![number; 640 * 480 * 3];
         received(node.front(), seq, PictureFormat::Rgb8, bytes, [640, 480]);
-        let asking = (0..24).map(|_| node.get("/api/v1/cameras/front/frame.jpg"));
+        let asking = (0..24).map(|_| node.get(path));
         for response in futures_util::future::join_all(asking).await {
             assert_eq!(response.headers()["albireo-frame"], seq.to_string());
             assert!(response.bytes().await.unwrap().starts_with(b"\xff\xd8\xff"));
@@ -128,6 +94,14 @@ async fn a_picture_is_decoded_once_for_all_requests() {
         let decoded = format!("albireo_shown_pictures_decoded_total {number}\n");
         assert_contains(&node.metrics().await, &[&decoded]);
     }
+    let show = |seq, format, bytes| received(node.front(), seq, format, bytes, [4, 2]);
+    show(9, PictureFormat::Jpeg, b"\xff\xd8 as it came".to_vec());
+    let response = node.get(path).await;
+    assert_eq!(response.headers()["content-type"], "image/jpeg");
+    assert_eq!(response.headers()["albireo-frame"], "9");
+    assert_eq!(response.bytes().await.unwrap(), &b"\xff\xd8 as it came"[..]);
+    show(10, PictureFormat::Png, b"broken".to_vec());
+    node.refused(path, 500).await;
 }
 
 #[tokio::test]
@@ -140,6 +114,7 @@ async fn clips_come_newest_first_by_camera_in_pages_and_from_a_known_one_on() {
     let newest = node.json("/api/v1/clips?limit=1").await;
     assert_eq!(newest["clips"][0]["camera"], "rear");
     let id = |number: u64| clip("front", number).id;
+    let of_front = "camera=front&limit=256".to_owned();
     // 256 clips are kept, one of them of the other camera.
     for (query, numbers, next) in [
         ("limit=2".to_owned(), vec![301_u64, 300], Some(300)),
@@ -147,11 +122,7 @@ async fn clips_come_newest_first_by_camera_in_pages_and_from_a_known_one_on() {
         (format!("limit=3&before={}", id(49)), vec![48, 47, 46], None),
         (format!("after={}", id(299)), vec![301, 300], None),
         (format!("after={}", id(301)), vec![], None),
-        (
-            "camera=front&limit=256".to_owned(),
-            (46..=300).rev().collect(),
-            None,
-        ),
+        (of_front, (46..=300).rev().collect(), None),
     ] {
         let answer = node.json(&format!("/api/v1/clips?{query}")).await;
         let clips = answer["clips"].as_array().unwrap().iter();
@@ -166,7 +137,7 @@ async fn clips_come_newest_first_by_camera_in_pages_and_from_a_known_one_on() {
 }
 
 #[tokio::test]
-async fn framework_errors_are_problem_documents_too() {
+async fn framework_errors_are_problem_documents_too_with_the_allowed_methods() {
     let node = Served::start().await;
     let unknown = "/nothing /api/v2 /api/v2/threshold /api/v1/cameras/front/nothing";
     for path in unknown.split(' ') {
@@ -174,18 +145,10 @@ async fn framework_errors_are_problem_documents_too() {
     }
     // A path that is not UTF-8.
     node.refused("/api/v1/cameras/%ff/threshold", 400).await;
-}
-
-#[tokio::test]
-async fn a_wrong_method_is_rejected_with_the_allowed_ones() {
-    let node = Served::start().await;
+    let of_camera = "/api/v1/cameras/front/threshold";
     for (method, path, allowed) in [
         (Method::POST, "/api/v1/threshold", &["GET", "PUT"][..]),
-        (
-            Method::DELETE,
-            "/api/v1/cameras/front/threshold",
-            &["GET", "PUT"],
-        ),
+        (Method::DELETE, of_camera, &["GET", "PUT"]),
         (Method::PUT, "/healthz", &["GET"]),
         (Method::OPTIONS, "/api/v1/clips", &["GET"]),
         (Method::POST, "/", &["GET"]),
@@ -227,8 +190,20 @@ async fn the_page_loads_nothing_from_other_hosts() {
 }
 
 #[tokio::test]
-async fn a_camera_shows_its_policy_threshold_and_latest_detections() {
+async fn cameras_show_in_configuration_order_policy_threshold_detections_and_advice() {
     let node = Served::start().await;
+    let rear = node.board.camera("rear").unwrap();
+    for seq in 0..300 {
+        assert_eq!(rear.snapshot().advice, None);
+        let mut message = frame(seq, FrameState::I);
+        message.tau_max = Some(3.77e-4);
+        answered(rear, message);
+    }
+    let front = json!({"camera": "front", "width": null, "advice": null});
+    let advice = json!({"try": 4e-4, "threshold": "u"});
+    let rear = json!({"key": "albireo/car-7/rear/frame", "width": 320, "advice": advice});
+    let cameras = json!({"cameras": [front, rear]});
+    assert_has(&node.json("/api/v1/cameras").await, &cameras);
     let missing = node.refused("/api/v1/cameras/front/detections", 404).await;
     let detail = missing["detail"].as_str().unwrap();
     assert_contains(detail, &["albireo/car-7/front/frame"]);

@@ -121,12 +121,6 @@ impl Served {
     }
 }
 
-impl Drop for Served {
-    fn drop(&mut self) {
-        self.shutdown.cancel();
-    }
-}
-
 /// The problem document of an error answer, after checks of its form.
 pub(crate) async fn problem(response: Response, status: u16) -> Value {
     let url = response.url().clone();
@@ -157,7 +151,6 @@ pub(crate) fn answered_all(camera: &CameraBoard, states: &[FrameState]) {
     }
 }
 
-/// Receives a picture.
 pub(crate) fn received(
     camera: &CameraBoard,
     seq: u64,

@@ -1,14 +1,12 @@
 //! Network cameras: a real RTSP server, and a motion JPEG server over HTTP.
 
-use super::{PATIENCE, free_port};
+use super::free_port;
 use std::io;
-use std::process::Stdio;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
-use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
-use tokio::process::{Child, Command};
-use tokio::time::timeout;
+use tokio::process::Child;
 
 pub(crate) struct RtspCamera {
     child: Child,
@@ -22,19 +20,9 @@ impl RtspCamera {
     }
 
     pub(crate) async fn start_at(port: u16, codec: &str, login: &[&str]) -> Self {
-        let mut child = Command::new("/usr/bin/python3")
-            .arg(super::project("tests/clients/rtsp_camera.py"))
-            .args([&port.to_string(), codec])
-            .args(login)
-            .kill_on_drop(true)
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .spawn()
-            .expect("Debian's Python starts");
-        let mut lines = BufReader::new(child.stdout.take().expect("piped")).lines();
-        let line = timeout(PATIENCE, lines.next_line()).await;
-        let line = line.expect("the camera is there in time").unwrap();
-        assert_eq!(line.as_deref(), Some("ready"), "run `make debian`");
+        let at = port.to_string();
+        let arguments = [&[&*at, codec][..], login].concat();
+        let (child, _) = super::client("/usr/bin/python3", "rtsp_camera.py", &arguments).await;
         Self { child, port }
     }
 
@@ -53,8 +41,8 @@ pub(crate) struct MotionJpegCamera {
 }
 
 impl MotionJpegCamera {
-    /// A camera that sends these parts to each client, a hundred per second, endlessly or once and then nothing.
-    pub(crate) async fn start(parts: Vec<Vec<u8>>, is_endless: bool) -> Self {
+    /// A camera that sends these parts to each client, again and again, a hundred per second.
+    pub(crate) async fn start(parts: Vec<Vec<u8>>) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
         let address = listener.local_addr().expect("its address");
         let requests = Arc::new(Mutex::new(Vec::new()));
@@ -70,7 +58,7 @@ impl MotionJpegCamera {
                     let head = "HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace;boundary=cut\r\n\r\n";
                     if client.write_all(head.as_bytes()).await.is_ok() {
                         // It fails when the client disconnects.
-                        let _ = play(&mut client, &parts, is_endless).await;
+                        let _ = play(&mut client, &parts).await;
                     }
                 });
             }
@@ -81,27 +69,18 @@ impl MotionJpegCamera {
         }
     }
 
-    pub(crate) fn clients(&self) -> usize {
-        self.requests.lock().expect("no test failed").len()
-    }
-
-    pub(crate) fn first_request(&self) -> String {
-        self.requests.lock().expect("no test failed")[0].clone()
+    pub(crate) fn requests(&self) -> Vec<String> {
+        self.requests.lock().expect("no test failed").clone()
     }
 }
 
-async fn play(client: &mut TcpStream, parts: &[Vec<u8>], is_endless: bool) -> io::Result<()> {
-    loop {
-        for part in parts {
-            let length = part.len();
-            let head =
-                format!("--cut\r\nContent-Type: image/jpeg\r\nContent-Length: {length}\r\n\r\n");
-            let whole = [head.as_bytes(), part, b"\r\n"].concat();
-            client.write_all(&whole).await?;
-            tokio::time::sleep(Duration::from_millis(10)).await;
-        }
-        if !is_endless {
-            std::future::pending::<()>().await;
-        }
+async fn play(client: &mut TcpStream, parts: &[Vec<u8>]) -> io::Result<()> {
+    for part in parts.iter().cycle() {
+        let length = part.len();
+        let head = format!("--cut\r\nContent-Type: image/jpeg\r\nContent-Length: {length}\r\n\r\n");
+        let whole = [head.as_bytes(), part, b"\r\n"].concat();
+        client.write_all(&whole).await?;
+        tokio::time::sleep(Duration::from_millis(10)).await;
     }
+    Ok(())
 }

@@ -3,12 +3,9 @@
 mod assertions;
 pub(crate) mod camera;
 pub(crate) mod detectors;
-#[cfg(feature = "hub")]
 pub(crate) mod fleet;
 pub(crate) mod live_camera;
-pub(crate) mod policies;
 mod ports;
-#[cfg(feature = "hub")]
 #[path = "../../crates/hub/tests/support/postgres.rs"]
 #[allow(unreachable_pub)]
 pub(crate) mod postgres;
@@ -17,8 +14,8 @@ pub(crate) use assertions::assert_has;
 pub(crate) use ports::free_port;
 
 use albireo::cli::replay::{FrameSender, Pacing, open_session};
-use albireo_wire::ClipReport;
-use serde_json::{Value, json};
+use albireo_wire::{ClipReport, ReportBatch};
+use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::{ExitStatus, Stdio};
 use std::time::Duration;
@@ -222,7 +219,6 @@ pub(crate) fn run_command(command: &mut std::process::Command) -> Ended {
         .into()
 }
 
-/// The program itself, in the project's folder.
 pub(crate) fn albireo() -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_albireo"));
     command
@@ -373,7 +369,6 @@ impl Node {
         self.ended().await
     }
 
-    /// Terminates the node, which must succeed, and returns its log.
     pub(crate) async fn stop_well(self) -> String {
         let (status, _, log, _) = self.stop().await;
         assert!(status.success(), "{log}");
@@ -431,6 +426,27 @@ pub(crate) async fn replay(node: &Node, source: &str, more: &[&str]) {
     Ended::from(output.expect("the replay ends in time").unwrap()).succeeds();
 }
 
+/// Starts a script of `tests/clients` and waits until it is ready: its process and its further output.
+pub(crate) async fn client(
+    python: &str,
+    script: &str,
+    arguments: &[&str],
+) -> (Child, Lines<BufReader<ChildStdout>>) {
+    let mut child = Command::new(python)
+        .arg(project("tests/clients").join(script))
+        .args(arguments)
+        .kill_on_drop(true)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .expect("Python starts: `make python` and `make debian` set it up");
+    let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+    let line = timeout(PATIENCE, lines.next_line()).await;
+    let line = line.expect("it is ready in time").unwrap();
+    assert_eq!(line.as_deref(), Some("ready"), "{script}: `make debian`?");
+    (child, lines)
+}
+
 /// The independent client: Eclipse Zenoh's Python binding.
 pub(crate) struct Client {
     child: Child,
@@ -440,21 +456,10 @@ pub(crate) struct Client {
 impl Client {
     /// Subscribes to `key` at `endpoint` and waits until the subscription is active.
     pub(crate) async fn listen(endpoint: &str, key: &str, history: bool) -> Self {
-        let mut child = Command::new(python())
-            .arg(project("tests/clients/listen.py"))
-            .args([endpoint, key])
-            .args(history.then_some("--history"))
-            .kill_on_drop(true)
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .spawn()
-            .expect("Python starts: run `make python`");
-        let mut client = Self {
-            lines: BufReader::new(child.stdout.take().unwrap()).lines(),
-            child,
-        };
-        assert_eq!(client.line().await.as_deref(), Some("ready"));
-        client
+        let more: &[&str] = if history { &["--history"] } else { &[] };
+        let arguments = [&[endpoint, key][..], more].concat();
+        let (child, lines) = client(&python(), "listen.py", &arguments).await;
+        Self { child, lines }
     }
 
     /// Suspends its process, so that it reads nothing and keeps its connections.
@@ -462,14 +467,10 @@ impl Client {
         signal(self.child.id().expect("it runs"), "-STOP");
     }
 
-    async fn line(&mut self) -> Option<String> {
-        let line = timeout(PATIENCE, self.lines.next_line()).await;
-        line.expect("the client says something in time").unwrap()
-    }
-
     /// The key and content of the next message; `None` once the client has exited.
     pub(crate) async fn next(&mut self) -> Option<(String, Value)> {
-        let line = self.line().await?;
+        let line = timeout(PATIENCE, self.lines.next_line()).await;
+        let line = line.expect("the client says something in time").unwrap()?;
         let mut entry: Value = serde_json::from_str(&line).expect("a JSON line");
         let key = entry["key"].as_str().expect("a key").to_owned();
         Some((key, entry["message"].take()))
@@ -484,21 +485,20 @@ pub(crate) fn memory_mb(process: u32, figure: &str) -> f64 {
     kb.map_or(0.0, |kb| kb.parse::<f64>().unwrap() / 1024.0)
 }
 
+/// A report of 10 J, otherwise as in the example of `albireo_wire`.
 pub(crate) fn clip_report(node: &str, camera: &str, number: u64, id: uuid::Uuid) -> ClipReport {
-    let times = json!({"count": 10, "mean": 5.0, "p50": 5.0, "p95": 6.0, "p99": 7.0});
-    let threshold = json!({"name": "u", "value": 3e-4});
-    let report = json!({
-        "v": albireo_wire::VERSION, "id": id, "node": node, "camera": camera, "clip": format!("window-{number}"),
-        "count": number, "ended_by": "window", "started_ns": 1_800_000_000_000_000_000_u64, "duration_s": 40.0,
-        "frames": 1200, "states": {"E": 100, "P": 500, "E+I": 50, "I": 400, "AI": 150}, "skip_rate": 0.5,
-        "degraded_frames": 0, "dropped": {}, "policy": "albireo", "threshold": threshold,
-        "threshold_changes": [{"seq": 0, "threshold": threshold}], "model": "detector.onnx", "provider": "cpu",
-        "total_latency_ms": times, "detector_latency_ms": times,
-        "energy": {
-            "joules": 10.0, "node_joules": 10.0, "edp": 333.3, "quality": "estimated", "source": "estimate",
-            "total_from": "idle + utilisation x (busy - idle)", "samples": 400, "coverage": 1.0,
-            "domains": [{"domain": "total", "joules": 10.0, "mean_watts": 0.25}],
-        },
-    });
-    serde_json::from_value(report).expect("a report")
+    let example = include_bytes!("../../crates/wire/src/report/dictionary-1.json");
+    let mut example: ReportBatch = albireo_wire::read(example).expect("a batch");
+    let mut report = example.reports.remove(0);
+    report.energy.joules = Some(10.0);
+    ClipReport {
+        id,
+        node: node.to_owned(),
+        camera: camera.to_owned(),
+        clip: format!("window-{number}"),
+        count: Some(number),
+        board: None,
+        audit: None,
+        ..report
+    }
 }
