@@ -18,7 +18,7 @@ use crate::state::settings::Settings;
 use albireo_service::clock::Now;
 use albireo_wire::{ClipReport, OutboxStatus, ReportAnswer, ReportBatch};
 use disk::Disk;
-pub(super) use disk::StateFile;
+use disk::StateFile;
 use parking_lot::Mutex;
 use std::path::Path;
 use std::sync::Arc;

@@ -11,7 +11,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use uuid::Uuid;
 
-/// The database of the hub that answers.
 const HUB: Uuid = Uuid::from_u128(1);
 
 pub(in crate::delivery) fn report(clip: u64) -> ClipReport {
@@ -30,17 +29,31 @@ pub(in crate::delivery) fn report(clip: u64) -> ClipReport {
 
 /// The file of a state directory on a disk that may be full.
 #[derive(Debug)]
-pub(in crate::delivery) struct FaultyDisk {
-    pub(in crate::delivery) file: StateFile,
-    pub(in crate::delivery) faults: Arc<Faults>,
+struct FaultyDisk {
+    file: StateFile,
+    faults: Arc<Faults>,
 }
 
 #[derive(Debug, Default)]
 pub(in crate::delivery) struct Faults {
-    /// The disk is full.
-    pub(in crate::delivery) is_full: AtomicBool,
-    /// Commits are synced to the disk.
-    pub(in crate::delivery) syncs: AtomicBool,
+    is_full: AtomicBool,
+}
+
+impl Faults {
+    /// Opens an outbox on a disk with these faults.
+    pub(in crate::delivery) fn open(
+        self: &Arc<Self>,
+        directory: &Path,
+        config: &OutboxConfig,
+        now: Now,
+    ) -> Result<Outbox, TableError> {
+        let (file, faults) = (StateFile::new(directory), Arc::clone(self));
+        Outbox::open_on(Box::new(FaultyDisk { file, faults }), config.max_bytes, now)
+    }
+
+    pub(in crate::delivery) fn fill_disk(&self, is_full: bool) {
+        self.is_full.store(is_full, Ordering::Relaxed);
+    }
 }
 
 impl Disk for FaultyDisk {
@@ -50,9 +63,9 @@ impl Disk for FaultyDisk {
         }
         let db = self.file.open()?;
         db.busy_timeout(Duration::ZERO)?;
-        // FULL, or more.
+        // FULL, or more: a power cut loses no commit.
         let level: i64 = db.pragma_query_value(None, "synchronous", |row| row.get(0))?;
-        self.faults.syncs.store(level >= 2, Ordering::Relaxed);
+        assert!(level >= 2, "commits are not synced");
         let faults = Arc::clone(&self.faults);
         // A commit that is refused is rolled back.
         db.commit_hook(Some(move || faults.is_full.load(Ordering::Relaxed)))?;
@@ -92,25 +105,8 @@ impl Bench {
     }
 
     fn open(&self) -> Outbox {
-        let (file, faults) = (StateFile::new(&self.state()), Arc::clone(&self.faults));
-        let disk = Box::new(FaultyDisk { file, faults });
-        Outbox::open_on(disk, self.config.max_bytes, Now::system()).unwrap()
-    }
-
-    fn fill_disk(&self, is_full: bool) {
-        self.faults.is_full.store(is_full, Ordering::Relaxed);
-    }
-
-    /// Removes the disk and puts a file in its place, so that no folder can be created there.
-    fn take_disk(&self) {
-        std::fs::rename(self.state(), self.folder.path().join("away")).unwrap();
-        std::fs::write(self.state(), b"").unwrap();
-    }
-
-    fn return_disk(&self, outbox: &Outbox) {
-        std::fs::remove_file(self.state()).unwrap();
-        std::fs::rename(self.folder.path().join("away"), self.state()).unwrap();
-        outbox.retry_disk(Now::system());
+        let opened = self.faults.open(&self.state(), &self.config, Now::system());
+        opened.unwrap()
     }
 }
 
@@ -149,10 +145,11 @@ fn acknowledge(outbox: &Outbox, batch: &ReportBatch) -> u64 {
     outbox.answered(batch, &ReportAnswer::new(HUB), Now::system())
 }
 
-/// The clips that are sent to a hub that accepts everything.
+/// The clips that are sent, in bounded batches, to a hub that accepts everything.
 fn drain(outbox: &Outbox) -> Vec<String> {
     let mut sent = Vec::new();
     while let Some(batch) = batch(outbox) {
+        assert!(serde_json::to_vec(&batch).unwrap().len() < BATCH_BYTES + 2000);
         acknowledge(outbox, &batch);
         sent.extend(clips(&batch).into_iter().map(str::to_owned));
     }
@@ -160,26 +157,12 @@ fn drain(outbox: &Outbox) -> Vec<String> {
 }
 
 #[test]
-fn the_count_of_reports_continues_after_a_restart_even_if_all_were_acknowledged() {
-    let bench = Bench::new();
-    let outbox = bench.open();
-    keep(&outbox, 0..3);
-    let sent = batch(&outbox).unwrap();
-    assert_eq!(counts_of(&sent), [Some(1), Some(2), Some(3)]);
-    assert_eq!(acknowledge(&outbox, &sent), 3);
-    assert!(batch(&outbox).is_none());
-    drop(outbox);
-    let outbox = bench.open();
-    keep(&outbox, 3..4);
-    assert_eq!(counts_of(&batch(&outbox).unwrap()), [Some(4)]);
-}
-
-#[test]
-fn a_report_is_sent_until_acknowledged_and_a_refused_one_never_again() {
+fn reports_are_sent_until_acknowledged_or_refused_and_counted_on_after_a_restart() {
     let bench = Bench::new();
     let outbox = bench.open();
     keep(&outbox, 0..5);
     let mut sent = batch(&outbox).unwrap();
+    assert_eq!(counts_of(&sent), [1, 2, 3, 4, 5].map(Some));
     sent.reports.truncate(2);
     let answer = ReportAnswer {
         refused: vec![RefusedReport {
@@ -194,17 +177,10 @@ fn a_report_is_sent_until_acknowledged_and_a_refused_one_never_again() {
     let counts = outbox.counts();
     assert_eq!((counts.status.waiting, counts.status.undeliverable), (3, 1));
     assert_eq!(drain(&outbox), ["window-2", "window-3", "window-4"]);
-}
-
-#[test]
-fn a_state_directory_of_a_renamed_node_delivers_under_the_new_name() {
-    let bench = Bench::new();
+    drop(outbox);
     let outbox = bench.open();
-    keep(&outbox, 0..1);
-    let before = batch(&outbox).unwrap();
-    let now = outbox.batch("renamed", false, Now::system()).unwrap();
-    assert_eq!([&*now.node, &*now.reports[0].node], ["renamed"; 2]);
-    assert_eq!(now.reports[0].id, before.reports[0].id);
+    keep(&outbox, 5..6);
+    assert_eq!(counts_of(&batch(&outbox).unwrap()), [Some(6)]);
 }
 
 #[test]
@@ -233,74 +209,24 @@ fn reports_that_a_hub_lost_are_resent_once_after_new_ones() {
 }
 
 #[test]
-fn a_hub_with_another_database_gets_the_kept_reports_once() {
+fn a_hub_with_another_database_gets_the_reports_of_the_last_week_once() {
     let bench = Bench::new();
     let outbox = bench.open();
-    keep(&outbox, 0..4);
-    drain(&outbox);
-    keep(&outbox, 4..5);
-    let other = ReportAnswer::new(Uuid::from_u128(2));
-    let sent = batch(&outbox).unwrap();
-    outbox.answered(&sent, &other, Now::system());
-    let counts = outbox.counts();
-    assert_eq!((counts.status.waiting, counts.again), (0, 4));
-    let sent = batch(&outbox).unwrap();
-    assert_eq!(sent.reports.len(), 4);
-    outbox.answered(&sent, &other, Now::system());
-    // Both databases are known now, whichever hub answers.
-    for answer in [ReportAnswer::new(HUB), other] {
-        keep(&outbox, 5..6);
-        if let Some(sent) = batch(&outbox) {
-            outbox.answered(&sent, &answer, Now::system());
-        }
-        assert_eq!(outbox.counts().again, 0);
+    let (start, first, other) = (Now::system(), HUB, Uuid::from_u128(2));
+    let mut sent = Vec::new();
+    // Both databases are known from the second answer of the other one on, whichever hub answers.
+    let hubs = [&[first; 20][..], &[other, other, first, other]].concat();
+    for (clip, hub) in hubs.into_iter().enumerate() {
+        let mut now = start;
+        now.unix_ms += clip.min(19) as i64 * 86_400_000;
+        outbox.insert(&mut [report(clip as u64)], now);
+        let batch = outbox.batch("n", true, now).unwrap();
+        outbox.answered(&batch, &ReportAnswer::new(hub), now);
+        let counts = outbox.counts();
+        sent.push((batch.reports.len(), counts.status.waiting, counts.again));
     }
-}
-
-/// A time that many days after a day in November 2026.
-fn at(days: i64) -> Now {
-    Now {
-        at: Instant::now(),
-        unix_ms: 1_795_000_000_000 + days * 86_400_000,
-    }
-}
-
-#[test]
-fn no_clock_step_loses_a_report() {
-    for steps in [[-3 * 365, 0], [0, 200], [200, -3 * 365], [-20_000, 20_000]] {
-        let bench = Bench::new();
-        let outbox = bench.open();
-        let days = [0, steps[0], steps[1], 0];
-        for (clip, day) in (0..20).zip(days.iter().cycle()) {
-            outbox.insert(&mut [report(clip)], at(*day));
-        }
-        // An acknowledgement at one time removes nothing else at another time.
-        let mut sent = outbox.batch("n", true, at(steps[0])).unwrap();
-        sent.reports.truncate(4);
-        for day in steps {
-            outbox.answered(&sent, &ReportAnswer::new(HUB), at(day));
-        }
-        let status = outbox.counts().status;
-        assert_eq!((status.waiting, status.lost), (16, 0));
-        let left = outbox.batch("n", true, at(steps[1])).unwrap();
-        assert_eq!(left.reports.len(), 16);
-    }
-}
-
-#[test]
-fn acknowledged_reports_are_kept_for_a_week() {
-    let bench = Bench::new();
-    let outbox = bench.open();
-    for day in 0..20_i64 {
-        outbox.insert(&mut [report(day.unsigned_abs())], at(day));
-        let sent = outbox.batch("n", true, at(day)).unwrap();
-        outbox.answered(&sent, &ReportAnswer::new(HUB), at(day));
-    }
-    // A hub with another database asks for all stored reports.
-    outbox.insert(&mut [report(20)], at(19));
-    let sent = outbox.batch("n", true, at(19)).unwrap();
-    outbox.answered(&sent, &ReportAnswer::new(Uuid::from_u128(2)), at(19));
-    assert_eq!(outbox.counts().again, 8);
+    assert_eq!(sent[..20], [(1, 0, 0); 20]);
+    assert_eq!(sent[20..], [(1, 0, 8), (9, 0, 0), (1, 0, 0), (1, 0, 0)]);
 }
 
 #[test]
@@ -355,9 +281,14 @@ fn a_failing_disk_delays_no_report_and_its_return_loses_or_repeats_none() {
         keep(&outbox, 0..3);
         let sent = batch(&outbox).unwrap();
         let other = Connection::open(bench.file()).unwrap();
+        let away = bench.folder.path().join("away");
         match fault {
-            "full" => bench.fill_disk(true),
-            "gone" => bench.take_disk(),
+            "full" => bench.faults.fill_disk(true),
+            "gone" => {
+                // With a file in its place, no folder can be created there.
+                std::fs::rename(bench.state(), &away).unwrap();
+                std::fs::write(bench.state(), b"").unwrap();
+            }
             "locked" => other.execute_batch("BEGIN IMMEDIATE").unwrap(),
             _ => {
                 let waiting = outbox.0.waiting.lock();
@@ -382,8 +313,11 @@ fn a_failing_disk_delays_no_report_and_its_return_loses_or_repeats_none() {
         assert_eq!(outbox.counts().status.waiting, 57, "{fault}");
         assert_eq!(clips(&batch(&outbox).unwrap())[0], "window-3", "{fault}");
         match fault {
-            "full" => bench.fill_disk(false),
-            "gone" => bench.return_disk(&outbox),
+            "full" => bench.faults.fill_disk(false),
+            "gone" => {
+                std::fs::remove_file(bench.state()).unwrap();
+                std::fs::rename(&away, bench.state()).unwrap();
+            }
             "locked" => other.execute_batch("ROLLBACK").unwrap(),
             _ => {}
         }
@@ -414,20 +348,15 @@ fn reports_in_memory_move_to_another_disk_that_takes_the_place_of_the_first() {
 fn reports_made_before_the_disk_is_ready_have_no_count_and_are_delivered() {
     let bench = Bench::new();
     keep(&bench.open(), 0..3);
-    bench.take_disk();
-    let state = bench.state().join("below");
-    let outbox = Outbox::open(&bench.config, Some(&state)).unwrap();
+    bench.faults.fill_disk(true);
+    let outbox = bench.open();
     keep(&outbox, 3..4);
-    std::fs::remove_file(bench.state()).unwrap();
-    std::fs::create_dir(bench.state()).unwrap();
-    std::fs::rename(bench.folder.path().join("away"), &state).unwrap();
+    bench.faults.fill_disk(false);
     outbox.retry_disk(Now::system());
     keep(&outbox, 4..5);
-    let sent = batch(&outbox).unwrap();
-    assert_eq!(sent.reports.len(), 5);
-    let of = |clip: &str| sent.reports.iter().find(|report| report.clip == clip);
-    assert_eq!(of("window-3").unwrap().count, None);
-    assert_eq!(of("window-4").unwrap().count, Some(4));
+    let mut sent = batch(&outbox).unwrap();
+    sent.reports.sort_by_key(|report| report.id);
+    assert_eq!(counts_of(&sent), [Some(1), Some(2), Some(3), None, Some(4)]);
 }
 
 #[test]
@@ -454,7 +383,7 @@ fn a_full_outbox_drops_acknowledged_reports_first_then_the_oldest_and_counts_the
 }
 
 #[test]
-fn without_a_state_directory_reports_wait_in_bounded_memory() {
+fn without_a_state_directory_reports_wait_in_bounded_memory_and_are_sent_in_bounded_batches() {
     let outbox = in_memory();
     let most = 40 * MEMORY_BYTES / 1_000_000;
     for clip in 0..most {
@@ -469,42 +398,17 @@ fn without_a_state_directory_reports_wait_in_bounded_memory() {
 }
 
 #[test]
-fn a_batch_from_memory_is_bounded_like_one_from_disk() {
-    let bench = Bench::new();
-    for outbox in [bench.open(), in_memory()] {
-        for clip in 0..60 {
-            keep_large(&outbox, clip, 50 << 10);
-        }
-        let mut sent = Vec::new();
-        while let Some(batch) = batch(&outbox) {
-            assert!(serde_json::to_vec(&batch).unwrap().len() < BATCH_BYTES + 2000);
-            acknowledge(&outbox, &batch);
-            sent.extend(batch.reports);
-        }
-        assert_eq!(sent.len(), 60);
-    }
-}
-
-#[test]
 fn a_report_that_cannot_be_sent_is_counted_and_the_rest_is_sent() {
-    let (bench, unreadable) = (Bench::new(), Bench::new());
-    keep(&unreadable.open(), 0..3);
-    let db = Connection::open(unreadable.file()).unwrap();
+    let (bench, too_large) = (Bench::new(), in_memory());
+    keep(&bench.open(), 0..3);
+    let db = Connection::open(bench.file()).unwrap();
     let spoilt = "UPDATE report SET json = x'00' WHERE count = 2";
     db.execute(spoilt, []).unwrap();
     drop(db);
-    let too_large = |outbox: Outbox| {
-        for clip in 0..3 {
-            let bytes = if clip == 1 { LARGEST_REPORT_BYTES } else { 9 };
-            keep_large(&outbox, clip, bytes);
-        }
-        outbox
-    };
-    for (case, outbox) in [
-        ("unreadable", unreadable.open()),
-        ("too large on the disk", too_large(bench.open())),
-        ("too large in memory", too_large(in_memory())),
-    ] {
+    for (clip, bytes) in [(0, 9), (1, LARGEST_REPORT_BYTES), (2, 9)] {
+        keep_large(&too_large, clip, bytes);
+    }
+    for (case, outbox) in [("unreadable", bench.open()), ("too large", too_large)] {
         assert_eq!(drain(&outbox), ["window-0", "window-2"], "{case}");
         let status = outbox.counts().status;
         assert_eq!((status.undeliverable, status.waiting), (1, 0), "{case}");

@@ -2,7 +2,7 @@
 
 use super::node::{frames, image, put};
 use albireo_hub::config::{DatabaseConfig, HistoryConfig};
-use albireo_hub::ingest::{Batch, Recorder, decode};
+use albireo_hub::ingest::{Batch, Recorder};
 use albireo_hub::presence::News;
 use albireo_hub::store::Store;
 use albireo_service::clock::Now;
@@ -16,10 +16,8 @@ use uuid::Uuid;
 /// The node's index and the number of its request.
 pub(super) type Asker = (usize, u64);
 
-/// An answer or a refusal.
 pub(super) type Reply = Result<Vec<u8>, Vec<u8>>;
 
-/// A process of the hub.
 #[derive(Default)]
 pub(super) struct Process {
     recorder: Option<Recorder>,
@@ -32,19 +30,19 @@ pub(super) struct Process {
 pub(super) struct HubFile {
     file: PathBuf,
     pub(super) other: Connection,
-    is_full: bool,
-    backup: Option<Vec<u8>>,
+    pub(super) backup: Option<Image>,
 }
 
+/// A database file and its write-ahead log.
+pub(super) type Image = (Vec<u8>, Vec<u8>);
+
 impl HubFile {
-    /// Creates an empty database.
     pub(super) fn new(folder: &Path) -> Self {
         let file = folder.join("hub.db");
-        put(&file, &empty(folder));
+        put(&file, empty(folder));
         Self {
             other: Connection::open(&file).unwrap(),
             file,
-            is_full: false,
             backup: None,
         }
     }
@@ -55,32 +53,26 @@ impl HubFile {
 
     /// Makes the disk full, so that nothing can be written, or frees it.
     pub(super) fn fill(&mut self, is_full: bool) {
-        if self.is_full != is_full {
-            let text = if is_full {
-                "BEGIN IMMEDIATE"
-            } else {
-                "ROLLBACK"
-            };
+        if self.is_full() != is_full {
+            let text = ["ROLLBACK", "BEGIN IMMEDIATE"][usize::from(is_full)];
             self.other.execute_batch(text).unwrap();
-            self.is_full = is_full;
         }
+    }
+
+    fn is_full(&self) -> bool {
+        !self.other.is_autocommit()
     }
 
     /// Makes a backup, which is impossible while the disk is full.
     pub(super) fn back_up(&mut self) {
-        if !self.is_full {
-            self.backup = Some(image(&self.file));
+        if !self.is_full() {
+            self.backup = Some((image(&self.file), Vec::new()));
         }
     }
 
-    /// The last backup.
-    pub(super) fn backup(&self) -> Option<Vec<u8>> {
-        self.backup.clone()
-    }
-
     /// Replaces the database and its write-ahead log while the hub is off.
-    pub(super) fn restore(&mut self, database: &[u8], log: &[u8]) {
-        let was_full = self.is_full;
+    pub(super) fn restore(&mut self, (database, log): &Image) {
+        let was_full = self.is_full();
         self.fill(false);
         self.other = Connection::open_in_memory().unwrap();
         put(&self.file, database);
@@ -95,13 +87,11 @@ impl HubFile {
         self.file.with_extension("db-wal")
     }
 
-    /// The number that a query returns.
     pub(super) fn number(&self, query: &str) -> i64 {
         self.other.query_row(query, [], |row| row.get(0)).unwrap()
     }
 
-    /// Contents of the file and of its write-ahead log.
-    pub(super) fn read(&self) -> (Vec<u8>, Vec<u8>) {
+    pub(super) fn read(&self) -> Image {
         let log = std::fs::read(self.log_file()).unwrap_or_default();
         (std::fs::read(&self.file).unwrap(), log)
     }
@@ -126,24 +116,22 @@ fn open(config: &DatabaseConfig) -> Store {
     runtime.unwrap().block_on(Store::open(config)).unwrap()
 }
 
-/// An empty database.
-fn empty(folder: &Path) -> Vec<u8> {
+/// An empty database, the same in each run.
+fn empty(folder: &Path) -> &'static [u8] {
     static EMPTY: OnceLock<Vec<u8>> = OnceLock::new();
-    EMPTY
-        .get_or_init(|| {
-            let file = folder.join("empty.db");
-            drop(open(&database(&file)));
-            image(&file)
-        })
-        .clone()
+    EMPTY.get_or_init(|| {
+        let file = folder.join("empty.db");
+        drop(open(&database(&file)));
+        let named = "UPDATE hub_meta SET value = ? WHERE key = 'identity'";
+        let db = Connection::open(&file).unwrap();
+        db.execute(named, [Uuid::max().to_string()]).unwrap();
+        image(&file)
+    })
 }
 
 impl Hub {
-    pub(super) fn new(folder: &Path, identity: u64) -> Self {
+    pub(super) fn new(folder: &Path) -> Self {
         let file = HubFile::new(folder);
-        let identity = Uuid::from_u64_pair(identity, identity).to_string();
-        let named = "UPDATE hub_meta SET value = ? WHERE key = 'identity'";
-        file.other.execute(named, [identity]).unwrap();
         let years = 36_500;
         Self {
             store: open(&file.config()),
@@ -175,23 +163,13 @@ impl Hub {
     }
 
     /// Accepts a batch for the next commit; returns `false` if the process is off.
-    pub(super) fn take(
-        &mut self,
-        process: usize,
-        node: &str,
-        from: Asker,
-        payload: &[u8],
-        now: Now,
-    ) -> bool {
-        let process = &mut self.processes[process];
-        if process.recorder.is_some() {
-            let batch = decode(node, payload, now.unix_ms).unwrap();
-            process.waiting.push((from, batch));
+    pub(super) fn take(&mut self, process: usize, from: Asker, batch: Batch) -> bool {
+        if self.is_on(process) {
+            self.processes[process].waiting.push((from, batch));
         }
-        process.recorder.is_some()
+        self.is_on(process)
     }
 
-    /// Commits the waiting batches; returns the replies.
     pub(super) fn commit(&mut self, process: usize, now: Now) -> Vec<(Asker, Reply)> {
         let process = &mut self.processes[process];
         let Some(recorder) = &mut process.recorder else {
@@ -200,13 +178,11 @@ impl Hub {
         let (from, batches): (Vec<_>, Vec<_>) =
             std::mem::take(&mut process.waiting).into_iter().unzip();
         let retention = recorder.retention_is_due(now.at);
-        match recorder.record(&batches, &News::default(), retention, now) {
+        let recorded = recorder.record(&batches, &News::default(), retention, now);
+        let replies: Vec<Reply> = match recorded {
             Ok(recorded) => {
-                let answers = recorded
-                    .answers
-                    .iter()
-                    .map(|answer| Ok(serde_json::to_vec(answer).unwrap()));
-                from.into_iter().zip(answers).collect()
+                let answers = recorded.answers.iter().map(serde_json::to_vec);
+                answers.map(|answer| Ok(answer.unwrap())).collect()
             }
             Err(error) => {
                 let refusal = ReportRefusal {
@@ -215,12 +191,10 @@ impl Hub {
                     detail: error.to_string(),
                     retry_after_ms: Some(5000),
                 };
-                let refusal = serde_json::to_vec(&refusal).unwrap();
-                from.into_iter()
-                    .map(|from| (from, Err(refusal.clone())))
-                    .collect()
+                vec![Err(serde_json::to_vec(&refusal).unwrap()); from.len()]
             }
-        }
+        };
+        from.into_iter().zip(replies).collect()
     }
 
     /// How many times each report is stored.
@@ -237,16 +211,14 @@ impl Hub {
         stored
     }
 
-    /// Checks that the tables of the database agree.
-    pub(super) fn check(&self) -> Result<(), String> {
-        let sums = |what: &str, table: &str| -> (i64, i64, i64) {
-            let text = format!(
-                "SELECT COALESCE(sum({what}), 0), COALESCE(sum(frames), 0), COALESCE(sum(duration_us), 0) FROM {table}"
-            );
-            let read = |row: &rusqlite::Row<'_>| Ok((row.get(0)?, row.get(1)?, row.get(2)?));
-            self.file.other.query_row(&text, [], read).unwrap()
+    /// Asserts that the tables of the database agree.
+    pub(super) fn check(&self) {
+        let number = |query: &str| self.file.number(query);
+        let sums = |table: &str, clips: &str| {
+            [clips, "frames", "duration_us"]
+                .map(|what| number(&format!("SELECT COALESCE(sum({what}), 0) FROM {table}")))
         };
-        let clips = sums("part = 0", "clips");
+        let clips = sums("clips", "part = 0");
         // Camera 0 holds the fleet's sums.
         for table in [
             "sums_5m WHERE camera_id > 0",
@@ -254,30 +226,14 @@ impl Hub {
             "sums_day WHERE camera_id > 0",
             "sums_day WHERE camera_id = 0",
         ] {
-            let summed = sums("clips", table);
-            if summed != clips {
-                return Err(format!(
-                    "{table} has {summed:?}, the clips add up to {clips:?}"
-                ));
-            }
+            assert_eq!(sums(table, "clips"), clips, "{table}");
         }
-        let number = |query| self.file.number(query);
-        let (counted, stored) = (
-            number("SELECT COALESCE(sum(stored), 0) FROM report_counts"),
-            number("SELECT count(*) FROM clips"),
-        );
-        if counted != stored {
-            return Err(format!(
-                "{counted} reports are counted as stored, {stored} are"
-            ));
-        }
+        let counted = number("SELECT COALESCE(sum(stored), 0) FROM report_counts");
+        let stored = number("SELECT count(*) FROM clips");
+        assert_eq!(counted, stored, "reports counted as stored");
         let longest = number("SELECT COALESCE(max(length(missing)), 0) FROM report_counts");
+        assert!(longest <= 1000, "ranges of {longest} bytes");
         let senseless = number("SELECT count(*) FROM set_aside");
-        if longest > 1000 || senseless > 0 {
-            return Err(format!(
-                "ranges of {longest} bytes, {senseless} reports set aside"
-            ));
-        }
-        Ok(())
+        assert_eq!(senseless, 0, "reports set aside");
     }
 }

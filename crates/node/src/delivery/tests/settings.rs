@@ -4,8 +4,11 @@
 mod hub;
 mod node;
 
-use super::timeline::{HOUR, Payload, Run, SECOND, Timeline, folder};
+use super::timeline::{HOUR, Payload, SECOND, Timeline, folder};
+use albireo_hub::tuning::gate::Gate;
+use albireo_hub::tuning::plan::{Basics, OnFailure, RolloutPlan};
 use albireo_hub::tuning::run::Command;
+use albireo_hub::tuning::selector::Selector;
 use albireo_wire::DesiredSetting;
 use hub::Hub;
 use node::Node;
@@ -17,7 +20,6 @@ use tempfile::TempDir;
 const SETTLED_WITHIN: i64 = 4 * HOUR;
 const TICK: i64 = 5 * SECOND;
 
-/// Faults of a node, a hub or the network.
 const FAULTS: [&str; 9] = [
     "node loses power",
     "node's state is restored",
@@ -30,14 +32,6 @@ const FAULTS: [&str; 9] = [
     "somebody changes a threshold at a node",
 ];
 
-const COMMANDS: [Command; 5] = [
-    Command::Pause,
-    Command::Resume,
-    Command::Next,
-    Command::Return,
-    Command::Stop,
-];
-
 #[derive(Clone, Debug)]
 enum Event {
     /// A node checks what it has to send.
@@ -45,8 +39,8 @@ enum Event {
     Status(usize, Payload<Vec<u8>>),
     Notice(usize),
     Pull(usize, u64),
-    Pulled(usize, u64, Payload<Vec<u8>>),
-    TimeOut(usize, u64),
+    /// The answer, or none in time.
+    Pulled(usize, u64, Option<Payload<Vec<u8>>>),
     NodeOn(usize),
     HubOn,
     HubDiskFree,
@@ -66,17 +60,15 @@ pub(super) struct Settings {
     end_ms: i64,
     nodes: Vec<Node>,
     hub: Hub,
-    /// Number of values ordered so far.
     values: u64,
     /// What each node accepted, by revision.
     taken: BTreeMap<(usize, u64), DesiredSetting>,
-    /// When the hub was last restored.
     restored_ms: i64,
     _folder: TempDir,
 }
 
 impl Settings {
-    pub(super) fn new(seed: u64, verbose: bool) -> Self {
+    fn new(seed: u64, verbose: bool) -> Self {
         let folder = folder();
         let mut time = Timeline::new(seed, verbose);
         let end_ms = time.between(HOUR / 4, HOUR);
@@ -116,26 +108,24 @@ impl Settings {
         world
     }
 
-    /// Runs to the end; returns an error if the final state is wrong.
-    pub(super) fn run(mut self) -> Result<Run, String> {
-        while let Some(event) = self.time.next() {
+    pub(super) fn run(seed: u64, verbose: bool) -> u64 {
+        let mut world = Self::new(seed, verbose);
+        loop {
+            let event = world.time.next();
             let is_tick = matches!(event, Event::Tick);
-            self.handle(event)?;
-            if !self.time.is_calm || !is_tick {
-                continue;
-            }
-            let wrong = self.wrong();
-            if wrong.is_empty() {
-                return Ok(self.time.run(self.values as usize));
-            }
-            if self.time.now_ms > self.end_ms + SETTLED_WITHIN {
-                return Err(wrong.join("; "));
+            world.handle(event);
+            if world.time.is_calm && is_tick {
+                let wrong = world.wrong();
+                if wrong.is_empty() {
+                    return world.time.trace();
+                }
+                let is_late = world.time.now_ms > world.end_ms + SETTLED_WITHIN;
+                assert!(!is_late, "{}", wrong.join("; "));
             }
         }
-        Err("no events are left".to_owned())
     }
 
-    fn handle(&mut self, event: Event) -> Result<(), String> {
+    fn handle(&mut self, event: Event) {
         match event {
             Event::Look(at) => self.look(at),
             Event::Status(at, payload) => {
@@ -147,14 +137,13 @@ impl Settings {
             Event::Notice(at) => self.nodes[at].notice(),
             Event::Pull(at, question) => {
                 if let Some(answer) = self.hub.answer(&self.nodes[at].name) {
-                    let answer = Payload(Rc::new(answer));
+                    let answer = Some(Payload(Rc::new(answer)));
                     self.time.send(&Event::Pulled(at, question, answer));
                 }
             }
-            Event::Pulled(at, question, answer) => return self.pulled(at, question, &answer.0),
-            Event::TimeOut(at, question) => {
-                let now = self.time.now(0);
-                self.nodes[at].conclude(question, None, now);
+            Event::Pulled(at, question, answer) => {
+                let answer = answer.as_ref().map(|answer| answer.0.as_slice());
+                self.pulled(at, question, answer);
             }
             Event::NodeOn(at) => self.node_on(at),
             Event::HubOn => {
@@ -171,10 +160,8 @@ impl Settings {
             Event::Order => self.order(),
             Event::Rollout => self.rollout(),
             Event::Command => {
-                let command = COMMANDS[self.time.below(5) as usize];
-                let which = self.time.random();
-                let now = self.time.now(0);
-                self.hub.command(which, command, now);
+                let (command, which) = (self.time.one_of(&Command::ALL), self.time.random());
+                self.hub.command(which, command, self.time.now(0));
                 self.notices();
             }
             Event::KeepNode(at) => self.nodes[at].keep_state(),
@@ -182,7 +169,6 @@ impl Settings {
             Event::Fault => self.fault(),
             Event::End => self.heal(),
         }
-        Ok(())
     }
 
     fn node_on(&mut self, at: usize) {
@@ -194,34 +180,30 @@ impl Settings {
     }
 
     fn look(&mut self, at: usize) {
-        if !self.nodes[at].is_on() {
-            return;
-        }
         let (now, question) = (self.time.now(0), self.time.number());
-        let (status, pulls) = self.nodes[at].look(question, now);
+        let Some((status, pulls)) = self.nodes[at].look(question, now) else {
+            return;
+        };
         if let Some(status) = status {
             self.time.send(&Event::Status(at, Payload(Rc::new(status))));
         }
         if pulls {
             self.time.send(&Event::Pull(at, question));
-            self.time.after(10 * SECOND, Event::TimeOut(at, question));
+            let unanswered = Event::Pulled(at, question, None);
+            self.time.after(10 * SECOND, unanswered);
         }
         self.time.sometime(SECOND, 5 * SECOND, Event::Look(at));
     }
 
-    fn pulled(&mut self, at: usize, question: u64, answer: &[u8]) -> Result<(), String> {
+    fn pulled(&mut self, at: usize, question: u64, answer: Option<&[u8]>) {
         let (now, before) = (self.time.now(0), self.nodes[at].state());
-        let Some(taken) = self.nodes[at].conclude(question, Some(answer), now) else {
-            return Ok(());
+        let Some(taken) = self.nodes[at].conclude(question, answer, now) else {
+            return;
         };
         self.time.note(&taken);
         let (revision, setting) = taken;
         let known = *self.taken.entry((at, revision)).or_insert(setting);
-        if known != setting {
-            return Err(format!(
-                "node {at} got revision {revision} twice: {known} and {setting}"
-            ));
-        }
+        assert_eq!(known, setting, "revision {revision} twice at node {at}");
         if self.time.unlucky(30) {
             // The thresholds reach the disk before what is known of the hub, or neither does.
             let after = self.nodes[at].state();
@@ -232,15 +214,12 @@ impl Settings {
                 _ => {}
             }
         }
-        Ok(())
     }
 
     fn notices(&mut self) {
         for node in self.hub.notices() {
             let at = self.nodes.iter().position(|one| one.name == node);
-            if let Some(at) = at {
-                self.time.send(&Event::Notice(at));
-            }
+            self.time.send(&Event::Notice(at.unwrap()));
         }
     }
 
@@ -253,7 +232,6 @@ impl Settings {
         1e-3 + self.values as f64 * 1e-4
     }
 
-    /// Names of some of the nodes.
     fn some(&mut self) -> Vec<String> {
         let Self { nodes, time, .. } = self;
         let some = nodes.iter().filter(|_| time.chance(700));
@@ -273,13 +251,30 @@ impl Settings {
 
     fn rollout(&mut self) {
         let (names, value, seed) = (self.some(), self.value(), self.time.random());
-        let seconds = [(); 4].map(|()| self.time.between(10, 300) as f64);
+        let [soak_s, patience_s, apply_within_s, held_for_s] =
+            [(); 4].map(|()| self.time.between(10, 300) as f64);
         let (holds, passes) = (self.time.chance(300), self.time.chance(500));
-        self.time
-            .note(&format!("rollout of {value} for {names:?}, {seconds:?}"));
-        let now = self.time.now(0);
-        self.hub
-            .rollout(&names, value, seed, seconds, [holds, passes], now);
+        let mut gates = Gate::defaults();
+        // Nothing is measured, so only rollouts that need no measurement pass.
+        gates.retain(|gate| !passes || gate.where_measured);
+        let plan = RolloutPlan {
+            basics: Basics {
+                select: Selector::new(&names).unwrap(),
+                apply_within_s,
+                seed: Some(seed),
+                ..Basics::default()
+            },
+            stages: ["1", "all"].map(|size| size.parse().unwrap()).to_vec(),
+            soak_s,
+            patience_s,
+            held_for_s,
+            offline_deadline_s: 600.0,
+            gates,
+            fewest_applied: 0.5,
+            on_failure: [OnFailure::Return, OnFailure::Hold][usize::from(holds)],
+        };
+        self.time.note(&plan);
+        self.hub.rollout(value, plan, self.time.now(0));
         self.notices();
     }
 
@@ -300,32 +295,32 @@ impl Settings {
 
     fn fault(&mut self) {
         let at = self.time.below(self.nodes.len() as u64) as usize;
-        let kind = self.time.below(FAULTS.len() as u64) as usize;
+        let fault = self.time.one_of(&FAULTS);
         let lasts = self.time.between(SECOND, HOUR / 6);
-        self.time.note(&format!("{} (node {at})", FAULTS[kind]));
-        match kind {
-            0 => self.node_crash(at),
-            1 => {
+        self.time.note(&format!("{fault} (node {at})"));
+        match fault {
+            "node loses power" => self.node_crash(at),
+            "node's state is restored" => {
                 if let Some(state) = self.nodes[at].kept_state.clone() {
                     self.node_crash(at);
                     self.nodes[at].put_state(Some(state));
                     self.taken.retain(|(node, _), _| *node != at);
                 }
             }
-            2 => {
+            "node is far away" => {
                 // The node returns after the longest deadline of a rollout.
                 if self.nodes[at].is_on() {
                     self.nodes[at].crash();
                     self.time.after(HOUR / 2, Event::NodeOn(at));
                 }
             }
-            3 => self.hub_crash(SECOND),
-            4 => {
+            "hub is killed" => self.hub_crash(SECOND),
+            "hub is killed at a commit" => {
                 let (cut, event) = (self.time.random(), self.time.below(3));
                 let (names, value) = (self.some(), self.value());
-                let command = COMMANDS[self.time.below(5) as usize];
+                let command = self.time.one_of(&Command::ALL);
                 let now = self.time.now(0);
-                let before = self.hub.commits();
+                let before = self.hub.file.read();
                 match event {
                     0 => self.hub.order(&names, value, now),
                     1 => self.hub.command(cut, command, now),
@@ -333,33 +328,34 @@ impl Settings {
                 }
                 let image = self.hub.image_at_a_commit(before, cut);
                 self.hub_crash(SECOND);
-                self.hub.put(image);
+                if let Some(image) = image {
+                    self.hub.file.restore(&image);
+                }
             }
-            5 => {
+            "hub's disk is full" => {
                 self.hub.file.fill(true);
                 self.time.after(lasts, Event::HubDiskFree);
             }
-            6 => {
-                if let Some(backup) = self.hub.file.backup()
+            "hub is put back from a backup" => {
+                if let Some(backup) = self.hub.file.backup.clone()
                     && self.hub.is_on()
                 {
                     // No backup is restored within the few seconds by which revisions may be ahead of the clock.
                     self.hub_crash(60 * SECOND);
                     self.hub.file.fill(false);
-                    self.hub.put(Some((backup, Vec::new())));
+                    self.hub.file.restore(&backup);
                     self.restored_ms = self.time.now_ms;
                 }
             }
-            7 => self.time.cut_until_ms = self.time.now_ms + lasts,
-            _ => {
+            "network is cut" => self.time.cut_until_ms = self.time.now_ms + lasts,
+            "somebody changes a threshold at a node" => {
                 let value = self.value();
                 self.nodes[at].set_by_hand(value);
             }
+            _ => unreachable!("{fault}"),
         }
-        self.time.count(FAULTS[kind]);
     }
 
-    /// Ends all faults and switches everything on.
     fn heal(&mut self) {
         (self.time.is_calm, self.time.cut_until_ms) = (true, 0);
         self.hub.file.fill(false);
@@ -381,16 +377,14 @@ impl Settings {
             let Some(desired) = self.hub.desired(&node.name) else {
                 continue;
             };
-            let is_forgotten = desired.at_ms <= self.restored_ms;
-            let has = node.has();
+            let (revision, deviates, has) = node.has();
             // A value that the hub forgot with its database may be in force; one ordered since must not be skipped.
-            if has.revision > desired.revision && is_forgotten {
-                continue;
-            }
-            let is_taken = has.revision == desired.revision && (has.refused || has.by_hand);
-            let is_taken = is_taken || has.settings == [desired.value; 2];
-            if !is_taken {
-                wrong.push(format!("node {at} has {has:?}, but {desired:?} is desired"));
+            let is_forgotten = revision > desired.revision && desired.at_ms <= self.restored_ms;
+            let is_taken = (revision == desired.revision && deviates) || has == [desired.value; 2];
+            if !is_forgotten && !is_taken {
+                wrong.push(format!(
+                    "node {at} has {has:?} by revision {revision}, but {desired:?} is desired"
+                ));
             }
         }
         wrong

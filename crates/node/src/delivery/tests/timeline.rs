@@ -15,17 +15,6 @@ pub(super) const DAY: i64 = 24 * HOUR;
 /// Wall clock at the start: November 2026.
 pub(super) const BEGIN: i64 = 1_795_000_000_000;
 
-/// Result of a run.
-pub(super) struct Run {
-    /// Number of reports or orders made.
-    pub(super) made: u64,
-    /// How often each fault occurred.
-    pub(super) faults: BTreeMap<&'static str, u64>,
-    /// Hash of all events in order.
-    pub(super) trace: u64,
-}
-
-/// Bytes in flight.
 #[derive(Clone)]
 pub(super) struct Payload<T>(pub(super) Rc<T>);
 
@@ -39,13 +28,8 @@ impl<T: Hash> std::fmt::Debug for Payload<T> {
 
 /// A temporary folder, in memory where the machine has such a folder.
 pub(super) fn folder() -> TempDir {
-    let memory = std::path::Path::new("/dev/shm");
-    let folder = if memory.is_dir() {
-        tempfile::tempdir_in(memory)
-    } else {
-        tempfile::tempdir()
-    };
-    folder.unwrap()
+    let in_memory = tempfile::tempdir_in("/dev/shm");
+    in_memory.or_else(|_| tempfile::tempdir()).unwrap()
 }
 
 pub(super) struct Timeline<E> {
@@ -53,13 +37,12 @@ pub(super) struct Timeline<E> {
     began: Instant,
     pub(super) now_ms: i64,
     events: BTreeMap<(i64, u64), E>,
-    made: u64,
+    numbers: u64,
     /// True once nothing may fail any more.
     pub(super) is_calm: bool,
     pub(super) cut_until_ms: i64,
-    faults: BTreeMap<&'static str, u64>,
     trace: DefaultHasher,
-    pub(super) verbose: bool,
+    verbose: bool,
 }
 
 impl<E: Clone + std::fmt::Debug> Timeline<E> {
@@ -69,10 +52,9 @@ impl<E: Clone + std::fmt::Debug> Timeline<E> {
             began: Instant::now(),
             now_ms: 0,
             events: BTreeMap::new(),
-            made: 0,
+            numbers: 0,
             is_calm: false,
             cut_until_ms: 0,
-            faults: BTreeMap::new(),
             trace: DefaultHasher::new(),
             verbose,
         }
@@ -90,6 +72,10 @@ impl<E: Clone + std::fmt::Debug> Timeline<E> {
         from + self.below((to - from).unsigned_abs()).cast_signed()
     }
 
+    pub(super) fn one_of<T: Copy>(&mut self, all: &[T]) -> T {
+        all[self.below(all.len() as u64) as usize]
+    }
+
     pub(super) fn chance(&mut self, of_thousand: u64) -> bool {
         self.below(1000) < of_thousand
     }
@@ -101,8 +87,8 @@ impl<E: Clone + std::fmt::Debug> Timeline<E> {
 
     /// A number not returned before.
     pub(super) fn number(&mut self) -> u64 {
-        self.made += 1;
-        self.made
+        self.numbers += 1;
+        self.numbers
     }
 
     pub(super) fn after(&mut self, ms: i64, event: E) {
@@ -116,15 +102,13 @@ impl<E: Clone + std::fmt::Debug> Timeline<E> {
         self.after(ms, event);
     }
 
-    /// Removes the next event and advances the time to it.
-    pub(super) fn next(&mut self) -> Option<E> {
-        let ((at_ms, _), event) = self.events.pop_first()?;
+    pub(super) fn next(&mut self) -> E {
+        let ((at_ms, _), event) = self.events.pop_first().unwrap();
         self.now_ms = at_ms;
         self.note(&event);
-        Some(event)
+        event
     }
 
-    /// Events still to come.
     pub(super) fn events(&self) -> impl Iterator<Item = &E> {
         self.events.values()
     }
@@ -144,17 +128,9 @@ impl<E: Clone + std::fmt::Debug> Timeline<E> {
         }
     }
 
-    pub(super) fn count(&mut self, fault: &'static str) {
-        *self.faults.entry(fault).or_default() += 1;
-    }
-
-    /// Returns the result of a run that made this many reports or orders.
-    pub(super) fn run(self, made: usize) -> Run {
-        Run {
-            made: made as u64,
-            faults: self.faults,
-            trace: self.trace.finish(),
-        }
+    /// A hash of all that happened, in order.
+    pub(super) fn trace(&self) -> u64 {
+        self.trace.finish()
     }
 
     /// Sends over the network, which may lose, duplicate or delay the message.

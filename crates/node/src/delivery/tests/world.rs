@@ -2,7 +2,8 @@
 
 use super::hub::{Asker, Hub, Reply};
 use super::node::{Node, put};
-use super::timeline::{DAY, HOUR, Payload, Run, SECOND, Timeline, folder};
+use super::timeline::{DAY, HOUR, Payload, SECOND, Timeline, folder};
+use albireo_hub::ingest::decode;
 use std::collections::BTreeSet;
 use std::rc::Rc;
 use tempfile::TempDir;
@@ -11,20 +12,21 @@ use tempfile::TempDir;
 const SETTLED_WITHIN: i64 = 48 * HOUR;
 const MOST_NODES: usize = 5;
 
-/// Faults of a node, a hub or the network.
 const FAULTS: [&str; 11] = [
     "node loses power",
     "node's disk is full",
-    "node's clock is set",
+    NODE_CLOCK,
     "node's state is restored",
     "node's state is copied",
     "node's state is copied under its name",
     "hub is killed",
     "hub's disk is full",
-    "hub's clock is set",
+    HUB_CLOCK,
     "hub is put back from a backup",
     "network is cut",
 ];
+const NODE_CLOCK: &str = "node's clock is set";
+const HUB_CLOCK: &str = "hub's clock is set";
 
 #[derive(Clone, Debug)]
 enum Event {
@@ -33,7 +35,6 @@ enum Event {
     Batch(Asker, Payload<Vec<u8>>),
     Commit(usize),
     Reply(Asker, Payload<Reply>),
-    TimeOut(Asker),
     NodeOn(usize),
     HubOn(usize),
     NodeDiskFree(usize),
@@ -44,25 +45,17 @@ enum Event {
     End,
 }
 
-/// Whose clock may be off by months or years. With both off at once, nobody could tell what is old.
-#[derive(Clone, Copy, PartialEq)]
-enum Far {
-    Nobody,
-    Node,
-    Hub,
-}
-
 pub(super) struct World {
     time: Timeline<Event>,
     end_ms: i64,
     folder: TempDir,
     nodes: Vec<Node>,
     hub: Hub,
-    /// The node of each report.
-    reports: Vec<usize>,
+    reports: usize,
     /// Reports lost with whatever held them, or refused by the hub by name: stored at most once.
     excused: BTreeSet<usize>,
-    far: Far,
+    /// The fault that may set a clock by months or years. With both clocks off at once, nobody could tell what is old.
+    far: &'static str,
     /// Reports that the hub lost when its backup was restored.
     forgotten: BTreeSet<usize>,
     /// True if a node's state was restored or copied, or its counts were not on the disk.
@@ -70,17 +63,17 @@ pub(super) struct World {
 }
 
 impl World {
-    pub(super) fn new(seed: u64, verbose: bool) -> Self {
+    fn new(seed: u64, verbose: bool) -> Self {
         let folder = folder();
         let mut world = Self {
             time: Timeline::new(seed, verbose),
             end_ms: 0,
             nodes: Vec::new(),
-            hub: Hub::new(folder.path(), seed + 1),
+            hub: Hub::new(folder.path()),
             folder,
-            reports: Vec::new(),
+            reports: 0,
             excused: BTreeSet::new(),
-            far: Far::Nobody,
+            far: "",
             forgotten: BTreeSet::new(),
             is_rewound: false,
         };
@@ -98,27 +91,26 @@ impl World {
         for at in 0..world.nodes.len() {
             world.time.sometime(0, world.end_ms, Event::KeepNode(at));
         }
-        world.far = [Far::Nobody, Far::Node, Far::Hub][world.time.below(3) as usize];
+        world.far = world.time.one_of(&["", NODE_CLOCK, HUB_CLOCK]);
         // The hub asks for what it forgot within the week for which nodes keep it, by their own clocks.
-        if world.far != Far::Node {
+        if world.far != NODE_CLOCK {
             world.time.sometime(0, world.end_ms, Event::BackUp);
         }
         world.time.after(world.end_ms, Event::End);
         world
     }
 
-    pub(super) fn run(mut self) -> Result<Run, String> {
-        while let Some(event) = self.time.next() {
-            self.handle(event);
-            if self.time.is_calm && self.is_settled() {
-                return self.check();
-            }
-            if self.time.now_ms > self.end_ms + SETTLED_WITHIN {
-                let counts: Vec<_> = self.nodes.iter().map(Node::counts).collect();
-                return Err(format!("not settled: {counts:?}"));
-            }
+    pub(super) fn run(seed: u64, verbose: bool) -> u64 {
+        let mut world = Self::new(seed, verbose);
+        while !(world.time.is_calm && world.is_settled()) {
+            let event = world.time.next();
+            world.handle(event);
+            let is_late = world.time.now_ms > world.end_ms + SETTLED_WITHIN;
+            let counts = world.nodes.iter().map(Node::counts);
+            assert!(!is_late, "not settled: {:?}", counts.collect::<Vec<_>>());
         }
-        Err("no events are left".to_owned())
+        world.check();
+        world.time.trace()
     }
 
     fn handle(&mut self, event: Event) {
@@ -137,34 +129,30 @@ impl World {
                 }
             }
             Event::Look(at) => {
-                if self.nodes[at].looks_at_ms <= self.time.now_ms {
-                    self.nodes[at].looks_at_ms = i64::MAX;
+                if self.nodes[at].looks_at_ms == Some(self.time.now_ms) {
+                    self.nodes[at].looks_at_ms = None;
                     self.look(at);
                 }
             }
             Event::Batch(from, payload) => {
                 let process = usize::from(self.hub.is_on(1) && self.time.chance(500));
                 let now = self.time.now(self.hub.processes[process].clock_ms);
-                let name = self.nodes[from.0].name.clone();
-                if self.hub.take(process, &name, from, &payload.0, now) {
+                let batch = decode(&self.nodes[from.0].name, &payload.0, now.unix_ms).unwrap();
+                if self.hub.take(process, from, batch) {
                     self.time.after(100, Event::Commit(process));
                 }
             }
             Event::Commit(process) => self.commit(process),
-            Event::Reply(to, reply) => {
-                if self.nodes[to.0].awaits(to.1) {
-                    if self.time.unlucky(10) {
-                        return self.node_crash(to.0);
-                    }
-                    self.conclude(to.0, Some(&reply.0));
-                    if self.time.unlucky(10) {
-                        self.node_crash(to.0);
-                    }
+            Event::Reply((at, question), reply) => {
+                if self.time.unlucky(10) {
+                    return self.node_crash(at);
                 }
-            }
-            Event::TimeOut(asker) => {
-                if self.nodes[asker.0].awaits(asker.1) {
-                    self.conclude(asker.0, None);
+                let now = self.time.now(self.nodes[at].clock_ms);
+                let refused = self.nodes[at].take(question, &reply.0, now);
+                self.excused.extend(refused);
+                self.look(at);
+                if self.time.unlucky(10) {
+                    self.node_crash(at);
                 }
             }
             Event::NodeOn(at) => self.node_on(at),
@@ -172,7 +160,7 @@ impl World {
                 let now = self.time.now(self.hub.processes[process].clock_ms);
                 self.hub.switch_on(process, now);
             }
-            Event::NodeDiskFree(at) => self.nodes[at].fill_disk(false),
+            Event::NodeDiskFree(at) => self.nodes[at].faults.fill_disk(false),
             Event::HubDiskFree => self.hub.file.fill(false),
             Event::KeepNode(at) => self.nodes[at].keep_state(),
             Event::BackUp => self.hub.file.back_up(),
@@ -200,10 +188,7 @@ impl World {
 
     /// After a power cut, running counts that were not on the disk are missing or given again.
     fn note_counts(&mut self, at: usize) {
-        if !self.nodes[at]
-            .counts()
-            .is_some_and(|counts| counts.status.durable)
-        {
+        if !self.nodes[at].is_durable() {
             self.is_rewound = true;
             self.excuse(BTreeSet::new());
         }
@@ -212,8 +197,8 @@ impl World {
     fn make(&mut self, at: usize) {
         if self.nodes[at].is_on() {
             let (now, random) = (self.time.now(self.nodes[at].clock_ms), self.time.random());
-            let number = self.reports.len();
-            self.reports.push(at);
+            let number = self.reports;
+            self.reports += 1;
             self.time.note(&format!("node {at} makes report {number}"));
             self.nodes[at].make(number, random as u16, now);
             self.look(at);
@@ -222,30 +207,22 @@ impl World {
 
     fn look(&mut self, at: usize) {
         let (question, now) = (self.time.number(), self.time.now(self.nodes[at].clock_ms));
-        let (payload, pause) = self.nodes[at].look(question, now);
+        let Some((payload, pause)) = self.nodes[at].look(question, now) else {
+            return;
+        };
         if let Some(payload) = payload {
             self.time
                 .send(&Event::Batch((at, question), Payload(Rc::new(payload))));
-            self.time.after(10 * SECOND, Event::TimeOut((at, question)));
+            let unanswered = Payload(Rc::new(Err(b"no reply".to_vec())));
+            self.time
+                .after(10 * SECOND, Event::Reply((at, question), unanswered));
         }
-        let pause = i64::try_from(pause.as_millis()).unwrap_or(HOUR).max(1);
-        let node = &mut self.nodes[at];
-        if node.is_on() && self.time.now_ms + pause < node.looks_at_ms {
-            node.looks_at_ms = self.time.now_ms + pause;
+        let pause = (pause.as_millis() as i64).max(1);
+        let (at_ms, looks_at_ms) = (self.time.now_ms + pause, &mut self.nodes[at].looks_at_ms);
+        if looks_at_ms.is_none_or(|looks_at_ms| at_ms < looks_at_ms) {
+            *looks_at_ms = Some(at_ms);
             self.time.after(pause, Event::Look(at));
         }
-    }
-
-    fn conclude(&mut self, at: usize, reply: Option<&Reply>) {
-        let now = self.time.now(self.nodes[at].clock_ms);
-        let reply = reply.map(|reply| reply.as_deref().map_err(Vec::as_slice));
-        if self.time.verbose {
-            let (Ok(said) | Err(said)) = reply.unwrap_or(Err(b"no reply"));
-            let counts = self.nodes[at].counts();
-            println!("{} to {counts:?}", String::from_utf8_lossy(said));
-        }
-        self.excused.extend(self.nodes[at].take(reply, now));
-        self.look(at);
     }
 
     fn commit(&mut self, process: usize) {
@@ -264,7 +241,6 @@ impl World {
 
     fn node_crash(&mut self, at: usize) {
         if self.nodes[at].is_on() {
-            self.time.count(FAULTS[0]);
             self.time.note(&format!("power of node {at} goes"));
             self.note_counts(at);
             self.excused.extend(self.nodes[at].crash());
@@ -274,7 +250,6 @@ impl World {
 
     fn hub_crash(&mut self, process: usize) {
         if self.hub.is_on(process) {
-            self.time.count(FAULTS[6]);
             self.time.note(&format!("hub {process} is killed"));
             self.hub.crash(process);
             self.time.sometime(SECOND, HOUR / 6, Event::HubOn(process));
@@ -284,66 +259,58 @@ impl World {
     fn fault(&mut self) {
         let at = self.time.below(self.nodes.len() as u64) as usize;
         let process = usize::from(self.hub.is_on(1) && self.time.chance(500));
-        let kind = self.time.below(FAULTS.len() as u64) as usize;
+        let fault = self.time.one_of(&FAULTS);
         let lasts = self.time.between(SECOND, HOUR / 2);
-        self.time.note(&format!("{} (node {at})", FAULTS[kind]));
-        match kind {
-            0 => return self.node_crash(at),
-            1 => {
-                self.nodes[at].fill_disk(true);
+        self.time.note(&format!("{fault} (node {at})"));
+        match fault {
+            "node loses power" => self.node_crash(at),
+            "node's disk is full" => {
+                self.nodes[at].faults.fill_disk(true);
                 self.time.after(lasts, Event::NodeDiskFree(at));
             }
-            2 => self.nodes[at].clock_ms = self.clock(self.far == Far::Node),
-            3 => self.restore_node(at),
-            4 | 5 => self.copy_node(at, kind == 5),
-            6 => return self.hub_crash(process),
-            7 => {
+            NODE_CLOCK => self.nodes[at].clock_ms = self.clock(fault == self.far),
+            "node's state is restored" => self.restore_node(at),
+            "node's state is copied" => self.copy_node(at, format!("copy-{}", self.nodes.len())),
+            "node's state is copied under its name" => {
+                self.copy_node(at, self.nodes[at].name.clone())
+            }
+            "hub is killed" => self.hub_crash(process),
+            "hub's disk is full" => {
                 self.hub.file.fill(true);
                 self.time.after(lasts, Event::HubDiskFree);
             }
-            8 => self.hub.processes[process].clock_ms = self.clock(self.far == Far::Hub),
-            9 => self.restore_hub(),
-            _ => self.time.cut_until_ms = self.time.now_ms + lasts,
+            HUB_CLOCK => self.hub.processes[process].clock_ms = self.clock(fault == self.far),
+            "hub is put back from a backup" => self.restore_hub(),
+            "network is cut" => self.time.cut_until_ms = self.time.now_ms + lasts,
+            _ => unreachable!("{fault}"),
         }
-        self.time.count(FAULTS[kind]);
     }
 
     /// Draws how far a clock is ahead from now on, ms.
     fn clock(&mut self, far: bool) -> i64 {
-        let days = match self.time.below(if far { 5 } else { 3 }) {
-            0 => return 0,
-            1 => return self.time.between(-HOUR, HOUR),
-            2 => 3,
-            3 => 40,
-            _ => 4000,
-        };
-        self.time.between(-days * DAY, days * DAY)
+        let near = [1, HOUR, 3 * DAY];
+        let all = [1, HOUR, 3 * DAY, 40 * DAY, 4000 * DAY];
+        let most = self.time.one_of(if far { &all[..] } else { &near });
+        self.time.between(1 - most, most)
     }
 
-    /// Restores an earlier state of a node.
     fn restore_node(&mut self, at: usize) {
-        let Some(state) = self.nodes[at].kept_state.clone() else {
+        let node = &mut self.nodes[at];
+        let Some(state) = node.kept_state.clone() else {
             return;
         };
-        let mut lost: BTreeSet<usize> = self.nodes[at].crash().into_iter().collect();
-        lost.append(&mut self.nodes[at].kept());
-        put(&self.nodes[at].file(), &state);
+        let mut lost = node.kept();
+        lost.extend(node.crash());
+        put(&node.file(), &state);
         self.is_rewound = true;
         self.excuse(lost);
         self.node_on(at);
     }
 
-    /// Starts another node with a copy of a node's state.
-    fn copy_node(&mut self, at: usize, under_its_name: bool) {
-        if let Some(state) = self.nodes[at]
-            .state()
-            .filter(|_| self.nodes.len() < MOST_NODES)
+    fn copy_node(&mut self, at: usize, name: String) {
+        if self.nodes.len() < MOST_NODES
+            && let Some(state) = self.nodes[at].state()
         {
-            let name = if under_its_name {
-                self.nodes[at].name.clone()
-            } else {
-                format!("copy-{}", self.nodes.len())
-            };
             self.is_rewound = true;
             self.add_node(name, Some(&state));
             self.excuse(BTreeSet::new());
@@ -351,7 +318,7 @@ impl World {
     }
 
     fn restore_hub(&mut self) {
-        let Some(backup) = self.hub.file.backup() else {
+        let Some(backup) = self.hub.file.backup.clone() else {
             return;
         };
         for process in 0..2 {
@@ -359,7 +326,7 @@ impl World {
         }
         let before = self.hub.stored();
         self.hub.file.fill(false);
-        self.hub.file.restore(&backup, &[]);
+        self.hub.file.restore(&backup);
         let after = self.hub.stored();
         let lost = before.into_keys().filter(|one| !after.contains_key(one));
         self.forgotten.extend(lost);
@@ -395,7 +362,7 @@ impl World {
             }
         }
         for at in 0..self.nodes.len() {
-            self.nodes[at].fill_disk(false);
+            self.nodes[at].faults.fill_disk(false);
             self.node_on(at);
             self.make(at);
         }
@@ -412,28 +379,19 @@ impl World {
         self.nodes.iter().all(Node::is_settled) && !self.time.events().any(travels)
     }
 
-    fn check(mut self) -> Result<Run, String> {
+    fn check(&mut self) {
         let stored = self.hub.stored();
-        let mut wrong = Vec::new();
-        for (number, node) in self.reports.iter().enumerate() {
+        for number in 0..self.reports {
             let times = stored.get(&number).copied().unwrap_or(0);
-            if times > 1 || (times == 0 && !self.excused.contains(&number)) {
-                wrong.push(format!(
-                    "report {number} of node {node} is stored {times} times"
-                ));
-            }
+            let is_right = times == 1 || (times == 0 && self.excused.contains(&number));
+            assert!(is_right, "report {number} is stored {times} times");
         }
-        if stored.keys().any(|number| *number >= self.reports.len()) {
-            wrong.push("a report that nobody made is stored".to_owned());
-        }
-        wrong.extend(self.hub.check().err());
-        if (self.nodes.iter().filter_map(Node::counts)).any(|counts| counts.status.lost > 0) {
-            wrong.push("a report was lost because the outbox was full".to_owned());
-        }
-        if !wrong.is_empty() {
-            return Err(wrong.join("; "));
+        let last = stored.keys().last();
+        assert!(last < Some(&self.reports), "nobody made report {last:?}");
+        self.hub.check();
+        for counts in self.nodes.iter().filter_map(Node::counts) {
+            assert_eq!(counts.status.lost, 0, "the outbox was full");
         }
         self.time.note(&stored);
-        Ok(self.time.run(self.reports.len()))
     }
 }

@@ -42,26 +42,3 @@ impl Backoff {
         self.failures = 0;
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn backoffs_grow_are_jittered_and_reset() {
-        let mut backoff = Backoff::new(100, 1000, 7);
-        let within = |pause: Duration, from, to| {
-            let ms = pause.as_millis();
-            assert!((from..=to).contains(&ms), "{ms} ms");
-        };
-        for (from, to) in [(50, 150), (100, 300), (200, 600), (400, 1200), (500, 1500)] {
-            within(backoff.next(None), from, to);
-        }
-        assert_eq!(
-            backoff.next(Some(Duration::from_secs(9))),
-            Duration::from_secs(9)
-        );
-        backoff.reset();
-        within(backoff.next(None), 50, 150);
-    }
-}

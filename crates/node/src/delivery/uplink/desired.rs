@@ -90,88 +90,83 @@ mod tests {
 
     const HALF: Option<Target> = Some(Target::SkipRate(0.5));
 
-    fn opened(state: &Path) -> (Arc<Board>, DesiredKeeper) {
-        let board = board_of(&config(Some(state), "albireo"));
-        let keeper = DesiredKeeper::open(&board.settings);
-        (board, keeper)
+    struct Node {
+        board: Arc<Board>,
+        keeper: DesiredKeeper,
     }
 
-    fn desired(revision: u64, setting: DesiredSetting) -> Desired {
-        Desired {
-            revision,
-            setting: Some(setting),
-            ..Desired::nothing()
+    impl Node {
+        fn start(state: &Path) -> Self {
+            let board = board_of(&config(Some(state), "albireo"));
+            let keeper = DesiredKeeper::open(&board.settings);
+            Self { board, keeper }
+        }
+
+        fn take(&self, revision: u64, setting: DesiredSetting) -> bool {
+            let desired = Desired {
+                revision,
+                setting: Some(setting),
+                ..Desired::nothing()
+            };
+            self.keeper.take(&desired, &self.board)
+        }
+
+        fn target(&self) -> Option<Target> {
+            self.board.target.report().target
         }
     }
 
-    fn with_value(revision: u64, value: f64) -> Desired {
-        desired(revision, Threshold::new("u", value).into())
-    }
-
-    fn with_target(revision: u64, target: Option<Target>) -> Desired {
-        desired(revision, DesiredSetting::Target(target))
-    }
-
-    fn target(board: &Board) -> Option<Target> {
-        board.target.report().target
-    }
-
     #[test]
-    fn a_target_and_a_value_replace_each_other_by_one_revision() {
+    fn each_revision_applies_once_and_what_it_set_holds_until_a_newer_one_or_a_manual_change() {
+        let half = DesiredSetting::Target(HALF);
+        let value = DesiredSetting::from(Threshold::new("u", 0.07));
         let folder = tempfile::tempdir().unwrap();
-        let (board, keeper) = opened(folder.path());
-        assert!(keeper.take(&with_target(3, HALF), &board));
-        assert_eq!((target(&board), keeper.kept().in_force), (HALF, 3));
+        let node = Node::start(folder.path());
+        assert!(node.take(3, half));
+        assert_eq!((node.target(), node.keeper.kept().in_force), (HALF, 3));
         // An older value, and the same target again, change nothing.
-        assert!(!keeper.take(&with_value(2, 0.07), &board));
-        assert!(!keeper.take(&with_target(3, HALF), &board));
-        assert_eq!(target(&board), HALF);
-        assert!(keeper.take(&with_value(4, 0.07), &board));
-        assert_eq!((target(&board), thresholds(&board)), (None, vec![0.07; 2]));
-        let off = board.target.report().off;
+        assert!(!node.take(2, value));
+        assert!(!node.take(3, half));
+        assert_eq!(node.target(), HALF);
+        drop(node);
+        let node = Node::start(folder.path());
+        assert_eq!((node.target(), node.keeper.kept().revision), (HALF, 3));
+        // A threshold turned at the node ends it, until the hub desires something new.
+        set_by_hand(&node.board.cameras[1..], 0.01).unwrap();
+        assert!(!node.take(3, half));
+        assert_eq!(node.target(), None);
+        assert!(node.take(4, half));
+        assert_eq!(node.target(), HALF);
+        assert!(node.take(5, value));
+        let off = node.board.target.report().off;
         assert_eq!(off.as_deref(), Some("the threshold was set by the hub"));
-        assert!(!keeper.take(&with_target(3, HALF), &board));
-        assert_eq!(target(&board), None);
-        // Nothing to hold leaves the threshold where it is.
-        assert!(keeper.take(&with_target(5, HALF), &board));
-        assert!(keeper.take(&with_target(6, None), &board));
-        assert_eq!((target(&board), keeper.kept().in_force), (None, 6));
-        assert_eq!(keeper.kept().refused, None);
-        assert!(
-            thresholds(&board)
-                .iter()
-                .all(|u| (1.5e-4..=0.07).contains(u))
-        );
-    }
-
-    #[test]
-    fn a_target_that_cannot_be_held_is_refused_with_a_reason_and_changes_nothing() {
-        let folder = tempfile::tempdir().unwrap();
-        let (board, keeper) = opened(folder.path());
-        assert!(keeper.take(&with_value(1, 0.07), &board));
-        assert!(keeper.take(&with_target(2, Some(Target::SkipRate(1.5))), &board));
-        let refused = keeper.kept().refused.unwrap();
-        assert_eq!((refused.revision, keeper.kept().in_force), (2, 1));
+        assert!(!node.take(4, half));
+        // What cannot be held is refused and changes nothing.
+        let senseless = DesiredSetting::Target(Some(Target::SkipRate(1.5)));
+        assert!(node.take(6, senseless));
+        let kept = node.keeper.kept();
+        let refused = kept.refused.unwrap();
+        assert_eq!((refused.revision, kept.in_force), (6, 5));
         assert!(
             refused.reason.contains("`skip_rate` must be"),
             "{refused:?}"
         );
-        assert_eq!((target(&board), thresholds(&board)), (None, vec![0.07; 2]));
-    }
-
-    #[test]
-    fn a_target_of_the_hub_survives_a_restart_and_ends_with_a_manual_change() {
-        let folder = tempfile::tempdir().unwrap();
-        let (before, keeper) = opened(folder.path());
-        assert!(keeper.take(&with_target(7, HALF), &before));
-        drop((before, keeper));
-        let (restarted, keeper) = opened(folder.path());
-        assert_eq!((target(&restarted), keeper.kept().revision), (HALF, 7));
-        // A threshold turned at the node ends it, until the hub desires something new.
-        set_by_hand(&restarted.cameras[1..], 0.01).unwrap();
-        assert!(!keeper.take(&with_target(7, HALF), &restarted));
-        assert_eq!(target(&restarted), None);
-        assert!(keeper.take(&with_target(8, HALF), &restarted));
-        assert_eq!(target(&restarted), HALF);
+        assert_eq!(
+            (node.target(), thresholds(&node.board)),
+            (None, vec![0.07; 2])
+        );
+        // Nothing to hold leaves the threshold where it is.
+        assert!(node.take(7, half));
+        assert!(node.take(8, DesiredSetting::Target(None)));
+        let kept = node.keeper.kept();
+        assert_eq!(
+            (node.target(), kept.in_force, kept.refused),
+            (None, 8, None)
+        );
+        let specs = thresholds(&node.board);
+        assert!(
+            specs.iter().all(|u| (1.5e-4..=0.07).contains(u)),
+            "{thresholds:?}"
+        );
     }
 }

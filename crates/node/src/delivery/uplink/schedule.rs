@@ -205,14 +205,8 @@ mod tests {
     impl Bench {
         fn new() -> Self {
             let start = Instant::now();
-            let config = OutboxConfig {
-                gather_s: 600,
-                retry_min_ms: 1000,
-                retry_max_ms: 60_000,
-                ..OutboxConfig::default()
-            };
             Self {
-                schedule: Schedule::new(&config, 7, start),
+                schedule: Schedule::new(&OutboxConfig::default(), 7, start),
                 start,
             }
         }
@@ -231,6 +225,17 @@ mod tests {
             counts.again = again;
             let now = self.at(ms);
             self.schedule.next_batch(&counts, false, now)
+        }
+
+        /// Lets a pull fail at the start, which then moves to the end of the pause.
+        fn pause_after(&mut self, failure: Failure) -> Duration {
+            let start = self.start;
+            assert!(self.schedule.next_pull(start));
+            self.schedule.pull_ended::<()>(&Err(failure), start);
+            self.start = self.schedule.next_look(self.at(3_600_000), start);
+            let early = self.start - Duration::from_millis(1);
+            assert!(!self.schedule.next_pull(early));
+            self.start - start
         }
 
         fn ended(&mut self, outcome: Result<(), Failure>, ms: u64) {
@@ -269,39 +274,22 @@ mod tests {
     }
 
     #[test]
-    fn an_elapsed_backoff_is_no_reason_to_poll_at_once() {
+    fn a_failed_query_is_retried_after_growing_jittered_pauses_until_an_answer() {
         let mut bench = Bench::new();
-        assert_eq!(bench.batch(1, 0), Some(false));
-        bench.ended(UNANSWERED, 0);
-        let latest = bench.at(1_000_000);
-        let end = bench.schedule.next_look(latest, bench.at(0));
-        assert!(end > bench.at(0) && end <= bench.at(1500));
-        let next = bench.schedule.next_look(latest, end);
-        assert!(next >= bench.at(600_000), "nothing else is due");
-    }
-
-    #[test]
-    fn an_unanswered_query_is_retried_with_growing_backoff() {
-        let mut bench = Bench::new();
-        let (mut now, mut requests) = (0, Vec::new());
-        while now < 300_000 {
-            let at = bench.at(now);
-            if bench.schedule.next_pull(at) {
-                requests.push(now);
-                bench.schedule.pull_ended(&UNANSWERED, at);
+        // The second time, a notice begins it again.
+        for _ in 0..2 {
+            for seconds in [1, 2, 4, 8, 16, 32, 60, 60] {
+                let pause = bench.pause_after(Failure::Unanswered).as_millis();
+                let within = 500 * seconds..=1500 * seconds;
+                assert!(within.contains(&pause), "{pause} ms, not {within:?}");
             }
-            now += 100;
+            let named = Duration::from_secs(900);
+            assert_eq!(bench.pause_after(Failure::Refused(Some(named))), named);
+            assert!(bench.schedule.next_pull(bench.at(0)));
+            bench.schedule.pull_ended(&DONE, bench.at(0));
+            assert!(!bench.schedule.next_pull(bench.at(3_600_000)));
+            bench.schedule.want_pull();
         }
-        let pauses: Vec<_> = requests.windows(2).map(|two| two[1] - two[0]).collect();
-        assert!(requests.len() < 20, "{pauses:?}");
-        assert!(pauses.last() > Some(&25_000), "{pauses:?}");
-        // An answer ends it, and a notice begins it again.
-        let later = bench.at(400_000);
-        assert!(bench.schedule.next_pull(later));
-        bench.schedule.pull_ended(&DONE, later);
-        assert!(!bench.schedule.next_pull(bench.at(900_000)));
-        bench.schedule.want_pull();
-        assert!(bench.schedule.next_pull(bench.at(900_000)));
     }
 
     #[test]
@@ -319,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn a_session_that_never_answers_is_stale() {
+    fn an_unanswered_batch_makes_the_session_stale_and_is_retried_without_polling() {
         let mut bench = Bench::new();
         let minute = Duration::from_secs(60);
         assert_eq!(bench.batch(0, 500_000), None);
@@ -328,5 +316,9 @@ mod tests {
         bench.ended(UNANSWERED, 511_000);
         assert!(!bench.schedule.is_stale(minute, bench.at(559_000)));
         assert!(bench.schedule.is_stale(minute, bench.at(561_000)));
+        let latest = bench.at(2_000_000);
+        let end = bench.schedule.next_look(latest, bench.at(511_000));
+        assert!(end > bench.at(511_000) && end <= bench.at(512_500));
+        assert_eq!(bench.schedule.next_look(latest, end), latest);
     }
 }

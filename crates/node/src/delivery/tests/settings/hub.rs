@@ -1,6 +1,6 @@
 //! Simulates a hub with its real orders, rollouts and database.
 
-use super::super::hub::HubFile;
+use super::super::hub::{HubFile, Image};
 use super::super::timeline::BEGIN;
 use albireo_hub::config::{HistoryConfig, PresenceConfig, TuningConfig};
 use albireo_hub::desired::Desires;
@@ -9,9 +9,8 @@ use albireo_hub::presence::Fleet;
 use albireo_hub::store::Store;
 use albireo_hub::tuning::Tuner;
 use albireo_hub::tuning::change::NewChange;
-use albireo_hub::tuning::gate::Gate;
-use albireo_hub::tuning::member::{Member, Outcome};
-use albireo_hub::tuning::plan::{Basics, OnFailure, RolloutPlan};
+use albireo_hub::tuning::member::Outcome;
+use albireo_hub::tuning::plan::RolloutPlan;
 use albireo_hub::tuning::run::{Command, Kind, Phase, Run};
 use albireo_hub::tuning::selector::Selector;
 use albireo_service::clock::Now;
@@ -36,19 +35,14 @@ pub(super) struct Hub {
     running: Option<Running>,
 }
 
-/// What the hub desires of a node.
 #[derive(Debug)]
 pub(super) struct Wanted {
     pub(super) revision: u64,
     pub(super) value: f64,
-    /// Time of the order.
     pub(super) at_ms: i64,
     /// Who ordered it: `hand`, `rollout 3`.
     origin: String,
 }
-
-/// A database file and its write-ahead log.
-pub(super) type Image = (Vec<u8>, Vec<u8>);
 
 impl Hub {
     pub(super) fn new(folder: &Path) -> Self {
@@ -121,7 +115,6 @@ impl Hub {
         hub.fleet.apply_status(node, &message, now.at, now.unix_ms)
     }
 
-    /// Answers a node that asks for its settings.
     pub(super) fn answer(&self, node: &str) -> Option<Vec<u8>> {
         let hub = self.running.as_ref()?;
         let mut desired = hub.desires.of(node);
@@ -145,7 +138,6 @@ impl Hub {
         }
     }
 
-    /// Advances orders and rollouts.
     pub(super) fn tick(&mut self, now: Now) {
         let Some(mut hub) = self.running.take() else {
             return;
@@ -173,46 +165,13 @@ impl Hub {
         self.work(hub.tuner.change(setting, request, "ops", now.unix_ms));
     }
 
-    pub(super) fn rollout(
-        &self,
-        nodes: &[String],
-        value: f64,
-        seed: u64,
-        [soak_s, patience_s, apply_within_s, held_for_s]: [f64; 4],
-        [holds, passes]: [bool; 2],
-        now: Now,
-    ) {
+    pub(super) fn rollout(&self, value: f64, plan: RolloutPlan, now: Now) {
         let Some(hub) = &self.running else { return };
-        let plan = RolloutPlan {
-            basics: Basics {
-                select: Selector::new(nodes).unwrap(),
-                apply_within_s,
-                seed: Some(seed),
-                ..Basics::default()
-            },
-            stages: ["1", "all"].map(|size| size.parse().unwrap()).to_vec(),
-            soak_s,
-            patience_s,
-            held_for_s,
-            offline_deadline_s: 600.0,
-            // Nothing is measured, so only rollouts that need no measurement pass.
-            gates: Gate::defaults()
-                .into_iter()
-                .filter(|gate| !passes || gate.where_measured)
-                .collect(),
-            fewest_applied: 0.5,
-            on_failure: if holds {
-                OnFailure::Hold
-            } else {
-                OnFailure::Return
-            },
-        };
         let to = Threshold::new("u", value);
         let kind = Kind::Rollout { to, plan };
         self.work(hub.tuner.begin(kind, "ops", now.unix_ms));
     }
 
-    /// Sends a command to one of the rollouts.
     pub(super) fn command(&self, which: u64, command: Command, now: Now) {
         let many = self.rollouts();
         if let Some(hub) = self.running.as_ref().filter(|_| many > 0) {
@@ -221,22 +180,15 @@ impl Hub {
         }
     }
 
-    /// Number of rollouts so far.
     pub(super) fn rollouts(&self) -> u64 {
         let query = "SELECT COALESCE(max(id), 0) FROM runs";
         self.file.number(query).unsigned_abs()
     }
 
-    /// The file and the length of its log.
-    pub(super) fn commits(&self) -> (Vec<u8>, usize) {
-        let (file, log) = self.file.read();
-        (file, log.len())
-    }
-
     /// The database as a power cut may leave it: as it was at `before`, or after one of the commits since. `None` if the log was
     /// checkpointed meanwhile.
-    pub(super) fn image_at_a_commit(&self, before: (Vec<u8>, usize), cut: u64) -> Option<Image> {
-        let (file, begin) = before;
+    pub(super) fn image_at_a_commit(&self, (file, log): Image, cut: u64) -> Option<Image> {
+        let begin = log.len();
         let (now, mut log) = self.file.read();
         if file != now || begin < 32 || log.len() < begin {
             return None;
@@ -254,14 +206,6 @@ impl Hub {
         Some((file, log))
     }
 
-    /// Replaces the database while the hub is off.
-    pub(super) fn put(&mut self, image: Option<Image>) {
-        if let Some((file, log)) = image {
-            self.file.restore(&file, &log);
-        }
-    }
-
-    /// What the hub desires of a node.
     pub(super) fn desired(&self, node: &str) -> Option<Wanted> {
         let text = "SELECT d.revision, d.setting, o.at_ms, o.origin FROM desired d \
                     JOIN orders o ON o.revision = d.revision WHERE node = ?";
@@ -280,7 +224,7 @@ impl Hub {
         self.file.other.query_row(text, [node], read).ok()
     }
 
-    /// Unanswered orders, running rollouts, and rollouts whose nodes do not have the resulting value.
+    /// Unanswered orders, running rollouts, and nodes that do not have the result of the last rollout that asked them.
     pub(super) fn unfinished(&self) -> Vec<String> {
         let mut wrong = Vec::new();
         let query = "SELECT count(*) FROM order_nodes WHERE outcome IN ('pending', 'waiting')";
@@ -294,37 +238,29 @@ impl Hub {
         while let Some(row) = rows.next().unwrap() {
             let (id, state): (i64, String) = (row.get(0).unwrap(), row.get(1).unwrap());
             let rollout: Run = serde_json::from_str(&state).unwrap();
+            let it_is = format!("rollout {id} is {}", rollout.phase.name());
             if row.get(2).unwrap() {
-                wrong.push(format!("rollout {id} is {}", rollout.phase.name()));
+                wrong.push(it_is.clone());
             }
-            wrong.extend(self.not_as_it_ended(id, &rollout));
+            let Kind::Rollout { to, .. } = &rollout.kind else {
+                panic!("no trials begin");
+            };
+            for member in &rollout.members {
+                let value = match rollout.phase {
+                    Phase::Done if member.ask.outcome != Outcome::Missed => to.value,
+                    Phase::Done | Phase::Returned => member.before.value,
+                    _ => continue,
+                };
+                let Some(wanted) = self.desired(&member.node) else {
+                    continue;
+                };
+                let is_last = member.ask.revision > 0 && wanted.origin == format!("rollout {id}");
+                if is_last && wanted.value != value {
+                    let node = &member.node;
+                    wrong.push(format!("{it_is}, but for {node} {wanted:?} is desired"));
+                }
+            }
         }
         wrong
-    }
-
-    /// The nodes of a rollout for which nothing was ordered since, but whose desired value is not the rollout's result.
-    fn not_as_it_ended(&self, id: i64, rollout: &Run) -> Vec<String> {
-        let is_old = |member: &Member| match rollout.phase {
-            Phase::Returned => Some(true),
-            Phase::Done => Some(member.ask.outcome == Outcome::Missed),
-            _ => None,
-        };
-        let asked = (rollout.members.iter()).filter(|member| member.ask.revision > 0);
-        let wrong = asked.filter_map(|member| {
-            let wanted = self.desired(&member.node)?;
-            let value = match &rollout.kind {
-                Kind::Rollout { to, .. } if !is_old(member)? => to.value,
-                _ => member.before.value,
-            };
-            let is_wrong = wanted.origin == format!("rollout {id}") && wanted.value != value;
-            is_wrong.then(|| {
-                format!(
-                    "rollout {id} is {}, but for {} {wanted:?} is desired",
-                    rollout.phase.name(),
-                    member.node
-                )
-            })
-        });
-        wrong.collect()
     }
 }

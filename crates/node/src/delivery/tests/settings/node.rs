@@ -17,7 +17,6 @@ struct Started {
     keeper: DesiredKeeper,
     statuses: StatusSender,
     schedule: Schedule,
-    /// The request in flight.
     asked: Option<u64>,
 }
 
@@ -25,18 +24,7 @@ pub(super) struct Node {
     pub(super) name: String,
     folder: PathBuf,
     started: Option<Started>,
-    /// An earlier state.
     pub(super) kept_state: Option<Vec<u8>>,
-}
-
-/// The settings of a node.
-#[derive(Debug)]
-pub(super) struct Has {
-    pub(super) revision: u64,
-    pub(super) refused: bool,
-    /// True if somebody changed it at the node since.
-    pub(super) by_hand: bool,
-    pub(super) settings: Vec<f64>,
 }
 
 /// The disk after the thresholds are written, but before what the node knows of the hub.
@@ -80,7 +68,6 @@ impl Node {
         });
     }
 
-    /// Cuts the power.
     pub(super) fn crash(&mut self) {
         self.started = None;
     }
@@ -89,7 +76,6 @@ impl Node {
         self.folder.join("settings.json")
     }
 
-    /// Content of the settings file.
     pub(super) fn state(&self) -> Option<Vec<u8>> {
         std::fs::read(self.file()).ok()
     }
@@ -107,19 +93,16 @@ impl Node {
     }
 
     /// What to send: the status if due, and whether to ask for the settings with request number `question`.
-    pub(super) fn look(&mut self, question: u64, now: Now) -> (Option<Vec<u8>>, bool) {
-        let Some(node) = &mut self.started else {
-            return (None, false);
-        };
+    pub(super) fn look(&mut self, question: u64, now: Now) -> Option<(Option<Vec<u8>>, bool)> {
+        let node = self.started.as_mut()?;
         let status = (node.statuses).due(now, &node.board, &node.keeper);
         let pulls = node.schedule.next_pull(now.at);
         if pulls {
             node.asked = Some(question);
         }
-        (status, pulls)
+        Some((status, pulls))
     }
 
-    /// The hub announces new settings.
     pub(super) fn notice(&mut self) {
         if let Some(node) = &mut self.started {
             node.schedule.want_pull();
@@ -149,7 +132,6 @@ impl Node {
         Some((desired.revision, desired.setting?))
     }
 
-    /// Changes the thresholds at the node.
     pub(super) fn set_by_hand(&self, value: f64) {
         if let Some(node) = &self.started {
             // A value out of range is refused.
@@ -157,15 +139,17 @@ impl Node {
         }
     }
 
-    pub(super) fn has(&self) -> Has {
+    /// The revision, whether it was refused or somebody changed it at the node since, and the thresholds.
+    pub(super) fn has(&self) -> (u64, bool, Vec<f64>) {
         let node = self.started.as_ref().unwrap();
         let kept = node.keeper.kept();
-        Has {
-            revision: kept.revision,
-            refused: (kept.refused).is_some_and(|refused| refused.revision == kept.revision),
-            by_hand: (node.board.cameras.iter())
-                .any(|camera| camera.threshold_source() == SettingSource::Local),
-            settings: thresholds(&node.board),
-        }
+        let is_refused = (kept.refused).is_some_and(|refused| refused.revision == kept.revision);
+        let mut cameras = node.board.cameras.iter();
+        let by_hand = cameras.any(|camera| camera.threshold_source() == SettingSource::Local);
+        (
+            kept.revision,
+            is_refused || by_hand,
+            thresholds(&node.board),
+        )
     }
 }
