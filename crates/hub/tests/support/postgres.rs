@@ -102,10 +102,16 @@ impl Postgres {
         let file = format!("{}/postmaster.pid", self.data());
         let first = std::fs::read_to_string(file).unwrap();
         let id = first.lines().next().unwrap().to_owned();
-        // Its children would answer until they notice.
+        let kill = |signal: &str| {
+            Command::new("kill")
+                .args([signal, id.as_str()])
+                .status()
+                .unwrap()
+        };
+        // Stopped first, it starts no child that would outlive it and keep its shared memory.
+        assert!(kill("-STOP").success(), "the server's process {id} runs");
         let _ = Command::new("pkill").args(["-9", "-P", &id]).status();
-        let killed = Command::new("kill").args(["-9", &id]).status().unwrap();
-        assert!(killed.success(), "the server's process {id} is killed");
+        assert!(kill("-9").success(), "the server's process {id} is killed");
     }
 
     pub fn url(&self) -> String {

@@ -163,10 +163,10 @@ mod tests {
             (node.target(), kept.in_force, kept.refused),
             (None, 8, None)
         );
-        let specs = thresholds(&node.board);
+        let values = thresholds(&node.board);
         assert!(
-            specs.iter().all(|u| (1.5e-4..=0.07).contains(u)),
-            "{thresholds:?}"
+            values.iter().all(|u| (1.5e-4..=0.07).contains(u)),
+            "{values:?}"
         );
     }
 }
