@@ -60,7 +60,6 @@ pub(crate) fn ms(ms: u64) -> Duration {
     Duration::from_millis(ms)
 }
 
-/// A reading of the total alone.
 pub(crate) fn reading(total: Value) -> Reading {
     Reading {
         at: None,

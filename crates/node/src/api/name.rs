@@ -114,10 +114,8 @@ pub(crate) mod tests {
     /// A session that looks for no others, with these settings in Zenoh's own terms.
     pub(crate) async fn session(settings: &[(&str, &str)]) -> Session {
         let mut config = zenoh::Config::default();
-        config
-            .insert_json5("scouting/multicast/enabled", "false")
-            .unwrap();
-        for (key, value) in settings {
+        let alone = [("scouting/multicast/enabled", "false")];
+        for (key, value) in alone.iter().chain(settings) {
             config.insert_json5(key, value).unwrap();
         }
         zenoh::open(config).await.unwrap()

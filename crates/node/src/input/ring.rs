@@ -165,7 +165,6 @@ mod tests {
         assert_eq!(waiting.await.unwrap(), [1, 2]);
     }
 
-    /// What is done to a ring.
     #[derive(Clone, Copy, Debug)]
     enum Act {
         Push(u32),

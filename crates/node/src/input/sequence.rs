@@ -205,7 +205,6 @@ mod tests {
 
     const PERIOD: Duration = Duration::from_millis(100);
 
-    /// A tracker with its own clock.
     struct Camera {
         tracker: SequenceTracker,
         now: Instant,
@@ -274,10 +273,8 @@ mod tests {
     fn a_long_gap_costs_one_more_frame_unless_a_silence_explains_it() {
         let mut camera = Camera::new();
         camera.send(0..12, None);
-        assert_eq!(
-            camera.send([1000, 1002, 1003], None),
-            [Arrival::Stray, new(1002, 989), new(1003, 0)]
-        );
+        let expected = [Arrival::Stray, new(1002, 989), new(1003, 0)];
+        assert_eq!(camera.send([1000, 1002, 1003], None), expected);
         camera.pass(SILENCE);
         assert_eq!(camera.arrive(1043, None), new(1043, 39));
     }
@@ -460,7 +457,6 @@ mod tests {
             }
         }
 
-        /// Whatever came before, a camera that counts up is heard again.
         #[test]
         fn no_history_silences_a_camera(
             history in prop::collection::vec((prop_oneof![0_u64..200, any::<u64>()], 0_u64..3), 0..50),

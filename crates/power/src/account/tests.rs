@@ -3,7 +3,7 @@ use crate::reading::Value;
 use crate::tests::{ms, reading, total};
 use proptest::prelude::*;
 
-/// The account of a meter that is read every 100 ms, with a clock that starts at 0.
+/// The account of a meter, with a clock in milliseconds that starts at 0.
 struct Bench {
     account: Account,
     camera: u64,
@@ -12,11 +12,7 @@ struct Bench {
 }
 
 impl Bench {
-    fn new() -> Self {
-        Self::of_meter_read_every(100)
-    }
-
-    fn of_meter_read_every(interval: u64) -> Self {
+    fn read_every(interval: u64) -> Self {
         let mut account = Account::new("test", EnergyQuality::Measured, ms(interval));
         Self {
             camera: account.cameras.add(),
@@ -34,7 +30,6 @@ impl Bench {
         self.account.sampled(self.at(at), &reading(total));
     }
 
-    /// Samples the total every 100 ms up to and including `until`.
     fn sample_until(&mut self, until: u64, watts: impl Fn(f64) -> f64) {
         while self.now <= until {
             self.sample(self.now, Value::Power(watts(self.now as f64 / 1e3)));
@@ -54,7 +49,6 @@ impl Bench {
         self.account.close(number, self.at(end)).unwrap()
     }
 
-    /// The node's energy between two instants in the history.
     fn energy(&mut self, start: u64, end: u64) -> ClipEnergy {
         let number = self.open(start);
         self.close(number, end).energy
@@ -63,7 +57,7 @@ impl Bench {
 
 #[test]
 fn a_clip_of_three_hours_is_exact_in_bounded_memory() {
-    let mut bench = Bench::new();
+    let mut bench = Bench::read_every(100);
     let span = bench.open(250);
     let mut most = 0;
     // Three hours of a triangle wave with a period of 10 s.
@@ -90,7 +84,7 @@ fn a_clip_of_three_hours_is_exact_in_bounded_memory() {
 
 #[test]
 fn a_clip_with_a_long_pause_that_is_closed_an_hour_after_its_end_is_exact() {
-    let mut bench = Bench::new();
+    let mut bench = Bench::read_every(100);
     let span = bench.open(0);
     bench.sample_until(10_000, |_| 10.0);
     bench.until(span, 10_000);
@@ -108,7 +102,7 @@ fn a_clip_with_a_long_pause_that_is_closed_an_hour_after_its_end_is_exact() {
 
 #[test]
 fn a_span_older_than_the_history_is_reported_as_not_covered() {
-    let mut bench = Bench::new();
+    let mut bench = Bench::read_every(100);
     bench.sample_until(200_000, |_| 10.0);
     let found = bench.energy(0, 200_000);
     assert_eq!(found.quality, EnergyQuality::Partial);
@@ -118,13 +112,14 @@ fn a_span_older_than_the_history_is_reported_as_not_covered() {
 }
 
 #[test]
-fn samples_missing_from_the_total_make_the_energy_partial() {
-    let mut bench = Bench::new();
+fn samples_missing_from_the_total_make_the_energy_partial_and_a_change_of_its_rule_is_reported() {
+    let mut bench = Bench::read_every(100);
     for i in 0..=100 {
         let mut both = reading(Value::Power(5.0));
         both.values[Domain::Cpu as usize] = Some(Value::Counter(i as f64));
         if i >= 50 {
             both.values[Domain::Total as usize] = None;
+            both.total_from = "input_rail".into();
         }
         bench.account.sampled(bench.at(i * 100), &both);
     }
@@ -132,13 +127,14 @@ fn samples_missing_from_the_total_make_the_energy_partial() {
     assert_eq!(found.quality, EnergyQuality::Partial);
     assert!((found.coverage - 0.49).abs() < 1e-9, "{}", found.coverage);
     assert!((found.domains[1].joules - 100.0).abs() < 1e-9);
+    assert_eq!(found.total_from, "sum_of_rails, then input_rail");
     let now = bench.account.history.present(bench.at(10_000)).unwrap();
     assert_eq!(now.watts, [None, None, Some(10.0), None]);
 }
 
 #[test]
 fn a_clip_between_two_samples_is_interpolated_and_has_rule_and_board_state() {
-    let mut bench = Bench::new();
+    let mut bench = Bench::read_every(100);
     bench.account.set_condition(Condition {
         cpu_mhz: Some(1500.0),
         ..Condition::default()
@@ -156,7 +152,7 @@ fn a_clip_between_two_samples_is_interpolated_and_has_rule_and_board_state() {
 
 #[test]
 fn savings_are_the_time_of_avoided_calls_times_detector_watts() {
-    let mut bench = Bench::new();
+    let mut bench = Bench::read_every(100);
     let mut clip = None;
     // The detector runs half of the time for 3 s, then as many calls are avoided for 3 s, and so on.
     for tick in 1..=6_000 {
@@ -184,7 +180,7 @@ fn savings_are_the_time_of_avoided_calls_times_detector_watts() {
 
 #[test]
 fn a_forgotten_measurement_leaves_nothing_behind() {
-    let mut bench = Bench::new();
+    let mut bench = Bench::read_every(100);
     let before = bench.account.footprint();
     let given_up = bench.open(0);
     bench.account.forget(given_up);
@@ -194,7 +190,7 @@ fn a_forgotten_measurement_leaves_nothing_behind() {
 
 #[test]
 fn the_peak_of_a_counter_is_its_highest_mean_between_two_samples() {
-    let mut bench = Bench::new();
+    let mut bench = Bench::read_every(100);
     for (at, joules) in [(0, 0.0), (100, 1.0), (200, 4.0), (300, 5.0)] {
         bench.sample(at, Value::Counter(joules));
     }
@@ -202,21 +198,6 @@ fn the_peak_of_a_counter_is_its_highest_mean_between_two_samples() {
     assert!((peak - 30.0).abs() < 1e-6, "{peak}");
 }
 
-#[test]
-fn a_change_of_the_total_rule_is_reported() {
-    let mut bench = Bench::new();
-    let mut one = reading(Value::Power(1.0));
-    for i in 0..10 {
-        if i == 5 {
-            one.total_from = "input_rail".into();
-        }
-        bench.account.sampled(bench.at(i * 100), &one);
-    }
-    let found = bench.energy(0, 900);
-    assert_eq!(found.total_from, "sum_of_rails, then input_rail");
-}
-
-/// An event at a node.
 #[derive(Clone, Debug)]
 enum Event {
     /// The meter is read.
@@ -249,7 +230,7 @@ proptest! {
         counted in any::<bool>(),
     ) {
         // Bridges every gap between two samples that the events can make.
-        let mut bench = Bench::of_meter_read_every(100_000);
+        let mut bench = Bench::read_every(100_000);
         let mut users = vec![bench.camera];
         users.extend((1..USERS).map(|_| bench.account.cameras.add()));
         let mut joules = 0.0;

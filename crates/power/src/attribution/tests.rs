@@ -58,7 +58,6 @@ fn energy_is_divided_by_detector_time_or_else_by_frames_or_else_equally() {
     pass(&mut cameras, 200, frames);
     let (joules, _) = pass(&mut cameras, 900, frames);
     assert_near(joules, [810.0, 90.0], 1.0);
-    // Without calls and frames the shares stay as they were.
     let (joules, _) = pass(&mut cameras, 1000, |_, _| {});
     assert!(joules[0] > 800.0 && (joules[0] + joules[1] - 1000.0).abs() < 1e-9);
 }

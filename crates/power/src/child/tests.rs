@@ -8,7 +8,6 @@ fn shell(script: &str) -> LineChild {
 
 const LONG: Duration = Duration::from_secs(60);
 
-/// Reads lines until there are at least `count`.
 fn lines(child: &mut LineChild, count: usize) -> Vec<(Instant, String)> {
     let mut found = Vec::new();
     let given_up = std::time::Instant::now() + Duration::from_secs(20);
@@ -25,7 +24,6 @@ fn texts(child: &mut LineChild, count: usize) -> Vec<String> {
     found.map(|(_, line)| line).collect()
 }
 
-/// Returns `true` if the process exists, even as a zombie.
 fn exists(process: u32) -> bool {
     Path::new(&format!("/proc/{process}")).exists()
 }
@@ -42,8 +40,8 @@ fn timestamps_never_decrease_and_drop_ends_and_reaps_the_child() {
 }
 
 #[test]
-fn an_exited_child_is_restarted_and_leaves_no_zombie() {
-    let mut child = shell("echo $$; exit 3");
+fn an_exited_child_is_restarted_and_leaves_no_zombie_and_no_unfinished_line() {
+    let mut child = shell("echo $$; printf 'VDD_IN 49'; exit 3");
     let processes = texts(&mut child, 3);
     assert_eq!(child.trouble().unwrap(), "it ended with exit status: 3");
     // The third child starts only after the first two were reaped.
@@ -64,12 +62,6 @@ fn a_silent_child_is_killed_and_restarted() {
     assert_ne!(child.process(), Some(stalled));
     assert!(!exists(stalled));
     assert!(child.trouble().unwrap().contains("printed nothing"));
-}
-
-#[test]
-fn an_unfinished_last_line_is_discarded() {
-    let mut child = shell("echo whole; printf 'VDD_IN 49'");
-    assert_eq!(texts(&mut child, 2), ["whole", "whole"]);
 }
 
 #[test]

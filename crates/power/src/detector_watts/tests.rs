@@ -37,7 +37,6 @@ impl Machine {
     }
 }
 
-/// A call rate that changes every 40 slots.
 fn varied(slot: u64) -> bool {
     let lately = slot / 40 % 7;
     slot % 10 < 2 + lately
@@ -74,18 +73,14 @@ fn detector_watts_are_learnt_within_80_seconds_and_later_beside_slow_changes_or_
 }
 
 #[test]
-fn a_constant_call_rate_yields_no_estimate() {
+fn a_constant_call_rate_or_a_detector_hidden_by_other_loads_yields_no_estimate() {
     assert_eq!(MACHINE.learn(300, |_| true), None);
     assert_eq!(MACHINE.learn(300, |slot| slot.is_multiple_of(2)), None);
     assert_eq!(MACHINE.learn(300, |_| false), None);
-}
-
-#[test]
-fn a_detector_hidden_by_other_loads_yields_no_estimate() {
-    let machine = Machine {
+    let with_other_loads = Machine {
         idle: |t| if (t * 0.37).fract() < 0.5 { 30.0 } else { 90.0 },
         busy: 1.0,
         ..MACHINE
     };
-    assert_eq!(machine.learn(600, varied), None);
+    assert_eq!(with_other_loads.learn(600, varied), None);
 }

@@ -5,7 +5,6 @@ fn read(tree: &Tree) -> Condition {
     Machine::new(&tree.config()).read()
 }
 
-/// Installs a stand-in for nvpmodel that prints `says`.
 fn nvpmodel(tree: &Tree, says: &str) {
     let fake = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/fake_nvpmodel");
     std::os::unix::fs::symlink(fake, tree.path("nvpmodel")).unwrap();

@@ -19,10 +19,6 @@ impl FakeMachine {
         self.0.lock().unwrap()[card as usize].clone()
     }
 
-    fn set(&self, card: usize, fake: Fake) {
-        self.0.lock().unwrap()[card] = fake;
-    }
-
     fn open(&self) -> Result<Nvml, MeterError> {
         Nvml::with(Box::new(self.clone()))
     }
@@ -76,7 +72,7 @@ fn the_cards_make_one_reading(#[case] cards: Vec<Fake>, #[case] next: Fake, #[ca
     let mut meter = machine.open().unwrap();
     let start = Instant::now();
     meter.poll(start).unwrap();
-    machine.set(0, next);
+    machine.0.lock().unwrap()[0] = next;
     let readings = meter.poll(start + Duration::from_secs(1)).unwrap();
     assert_eq!(readings[0].values, [Some(sum), Some(sum), None, None]);
 }
@@ -97,7 +93,7 @@ fn a_lost_card_is_an_error_rather_than_zero() {
     let machine = FakeMachine::new(vec![counting(0), counting(0)]);
     let mut meter = machine.open().unwrap();
     meter.poll(Instant::now()).unwrap();
-    machine.set(1, Err("GPU is lost".to_owned()));
+    machine.0.lock().unwrap()[1] = Err("GPU is lost".to_owned());
     let error = meter.poll(Instant::now()).unwrap_err();
     assert_contains(error, &["card 1", "GPU is lost"]);
 }

@@ -10,13 +10,8 @@ fn rails(list: &[(&str, f64)]) -> Vec<RailWatts> {
         .collect()
 }
 
-/// The reading that the built-in tables make from these rails.
 fn read(list: &[(&str, f64)]) -> Reading {
     RailMap::new(None).unwrap().reading(&rails(list))
-}
-
-fn watts(reading: &Reading, domain: Domain) -> Option<f64> {
-    reading.value(domain)?.watts()
 }
 
 #[test]
@@ -41,8 +36,8 @@ fn a_missing_input_rail_is_a_gap_and_keeps_the_rule() {
     with_input.push(("VIN", 20.0));
     map.reading(&rails(&with_input));
     let found = map.reading(&rails(&parts));
-    assert_eq!(watts(&found, Domain::Total), None);
-    assert_eq!(watts(&found, Domain::Cpu), Some(6.0));
+    assert_eq!(found.value(Domain::Total), None);
+    assert_eq!(found.value(Domain::Cpu), Some(Value::Power(6.0)));
     assert_eq!(&*found.total_from, "input_rail");
 }
 
@@ -79,7 +74,7 @@ fn a_table_that_is_empty_or_counts_a_rail_twice_is_rejected() {
 #[test]
 fn the_rails_of_an_unknown_board_are_summed_and_the_rule_says_so() {
     let found = read(&[("5V", 2.0), ("3V3", 1.0)]);
-    assert_eq!(watts(&found, Domain::Total), Some(3.0));
+    assert_eq!(found.value(Domain::Total), Some(Value::Power(3.0)));
     assert!(found.total_from.contains("unknown board"));
-    assert_eq!(watts(&read(&[]), Domain::Total), None);
+    assert_eq!(read(&[]).value(Domain::Total), None);
 }

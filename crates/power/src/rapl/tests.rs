@@ -9,15 +9,6 @@ const OTHER: &str = "intel-rapl:1";
 const DRAM: &str = "intel-rapl:1/intel-rapl:1:0";
 const MMIO: &str = "intel-rapl-mmio:0";
 
-/// The value at which the counters wrap, in microjoules.
-const RANGE: u64 = 262_143_328_850;
-
-fn set(tree: &Tree, zones: &[(&str, &str, u64, u64)], later: bool) {
-    for (zone, name, before, after) in zones {
-        tree.rapl(zone, name, if later { *after } else { *before });
-    }
-}
-
 /// Checks the joules of the total, GPU, CPU and memory over 1 s. Each zone has a path, a name, and its count before and
 /// after.
 #[rstest]
@@ -52,7 +43,7 @@ fn set(tree: &Tree, zones: &[(&str, &str, u64, u64)], later: bool) {
     "sum_of_rails",
 )]
 #[case::counting_continues_across_a_wrap(
-    &[(PACKAGE, "package-0", RANGE - 4_000_000, 6_000_000)],
+    &[(PACKAGE, "package-0", 262_143_328_850 - 4_000_000, 6_000_000)],
     [Some(10.0), None, Some(10.0), None],
     "sum_of_rails",
 )]
@@ -62,11 +53,15 @@ fn energy_per_domain(
     #[case] total_from: &str,
 ) {
     let tree = Tree::default();
-    set(&tree, zones, false);
+    for (zone, name, before, _) in zones {
+        tree.rapl(zone, name, *before);
+    }
     let mut meter = Rapl::open(&tree.config()).unwrap();
     let start = Instant::now();
     meter.poll(start).unwrap();
-    set(&tree, zones, true);
+    for (zone, name, _, after) in zones {
+        tree.rapl(zone, name, *after);
+    }
     let later = start + Duration::from_secs(1);
     let reading = meter.poll(later).unwrap().remove(0);
     let expected = joules.map(|joules| joules.map(Value::Counter));
@@ -83,11 +78,8 @@ fn missing_powercap_is_an_error_that_names_folder_and_module() {
 #[test]
 fn a_psys_counter_below_its_packages_is_not_trusted() {
     let tree = Tree::default();
-    set(
-        &tree,
-        &[(PACKAGE, "package-0", 0, 0), (OTHER, "psys", 0, 0)],
-        false,
-    );
+    tree.rapl(PACKAGE, "package-0", 0);
+    tree.rapl(OTHER, "psys", 0);
     let mut zones = find(&tree.path("sys/class/powercap")).unwrap();
     let start = Instant::now();
     read(&mut zones, start).unwrap();

@@ -20,7 +20,6 @@ impl<F: FnMut(f64) -> Option<f64> + Send> Meter for Curve<F> {
     }
 }
 
-/// A sampler of this curve, and the instant at which the curve starts.
 fn sampled_every(
     interval_ms: u64,
     curve: impl FnMut(f64) -> Option<f64> + Send + 'static,
@@ -31,7 +30,6 @@ fn sampled_every(
     (handle, start)
 }
 
-/// The node's energy over a span that started in the past.
 async fn energy(handle: &PowerHandle, start: Instant, end: Instant) -> ClipEnergy {
     let measured = handle.camera().measure(start);
     measured.finish(end, Duration::MAX).await.unwrap().energy

@@ -135,7 +135,6 @@ mod tests {
         }
     }
 
-    /// The name that class `number` is reported under.
     fn name(classes: &Classes, number: u16) -> Option<&str> {
         let reported = classes.reported_as(ClassId(number)).unwrap()?;
         Some(&classes.reported[usize::from(reported.0)])

@@ -191,11 +191,8 @@ pub(super) mod tests {
     use proptest::prelude::*;
 
     pub(in crate::detector) fn metadata(entries: &[(&str, &str)]) -> Metadata {
-        Metadata::new(
-            entries
-                .iter()
-                .map(|(key, value)| ((*key).to_owned(), (*value).to_owned())),
-        )
+        let owned = |&(key, value): &(&str, &str)| (key.to_owned(), value.to_owned());
+        Metadata::new(entries.iter().map(owned))
     }
 
     fn names(text: &str) -> Result<Vec<String>, String> {

@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_gets_the_smallest_fitting_buffer_and_few_stay_idle() {
+    fn a_picture_gets_the_smallest_fitting_of_a_few_idle_buffers_and_none_still_in_use() {
         let buffers = PictureBuffers::new(2);
         let held = [100, 300, 200].map(|bytes| buffers.pooled(picture(bytes)));
         drop(held);
@@ -150,11 +150,6 @@ mod tests {
         // It has to grow least.
         assert_eq!(buffers.take(400).pixels.capacity(), 300);
         assert_eq!(buffers.take(1).pixels.capacity(), 0, "none is left");
-    }
-
-    #[test]
-    fn a_buffer_is_returned_only_when_its_picture_is_dropped() {
-        let buffers = PictureBuffers::new(2);
         let pooled = buffers.pooled(picture(100));
         let held = Arc::clone(pooled.shared());
         drop(pooled);

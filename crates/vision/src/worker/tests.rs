@@ -46,9 +46,7 @@ struct Next {
 }
 
 /// A model that reports when a run starts and for which cameras, and then waits for the test to end it.
-struct Scripted {
-    script: Arc<Script>,
-}
+struct Scripted(Arc<Script>);
 
 impl Model for Scripted {
     type Input = Scene;
@@ -56,13 +54,13 @@ impl Model for Scripted {
     type Facts = usize;
 
     fn facts(&self) -> usize {
-        self.script.next.lock().facts
+        self.0.next.lock().facts
     }
 
     fn run(&mut self, pictures: &[Scene]) -> Result<Vec<CameraSlot>, InferenceError> {
         let cameras: Vec<_> = pictures.iter().map(|(camera, _)| *camera).collect();
-        self.script.started.send(cameras.clone()).ok();
-        let step = self.script.steps.lock().recv();
+        self.0.started.send(cameras.clone()).ok();
+        let step = self.0.steps.lock().recv();
         let reason = match step {
             Ok(Step::Answer) => return Ok(cameras),
             Ok(Step::AnswerTooFew) => return Ok(cameras[1..].to_vec()),
@@ -83,15 +81,14 @@ impl Model for Scripted {
 
 impl Drop for Scripted {
     fn drop(&mut self) {
-        self.script.ended.send(()).ok();
-        let hangs = self.script.next.lock().end.take();
+        self.0.ended.send(()).ok();
+        let hangs = self.0.next.lock().end.take();
         if let Some(until) = hangs {
             until.recv().ok();
         }
     }
 }
 
-/// A worker with scripted models, and the test's ends of their channels.
 struct Stage {
     worker: Worker<Scene, CameraSlot>,
     started: mpsc::UnboundedReceiver<Vec<CameraSlot>>,
@@ -126,9 +123,7 @@ async fn stage(settings: WorkerSettings) -> Stage {
             path: "scripted.onnx".into(),
             reason: reason.to_owned(),
         }),
-        None => Ok(Scripted {
-            script: followed.clone(),
-        }),
+        None => Ok(Scripted(followed.clone())),
     };
     Stage {
         worker: Worker::start(settings, factory).await.unwrap().0,
@@ -168,7 +163,6 @@ impl Stage {
         cameras.map(|CameraSlot(camera)| camera).collect()
     }
 
-    /// Asks and waits until the model has the picture.
     async fn begin(&mut self, camera: usize) -> Asked {
         let asked = self.ask(camera);
         assert_eq!(self.next_run().await, [camera]);
@@ -229,7 +223,6 @@ impl Stage {
     }
 }
 
-/// Advances time, and lets all tasks run before and after.
 async fn pass(time: Duration) {
     settle().await;
     advance(time).await;

@@ -5,13 +5,6 @@ use crate::state::board::Board;
 use albireo_wire::AuditReport;
 use std::sync::Arc;
 
-fn audit() -> (Arc<Board>, CameraAudit) {
-    let config = NodeConfig::default();
-    let board = Board::open(&config).unwrap();
-    let audit = CameraAudit::new(config.audit, Arc::clone(&board.cameras[0]));
-    (board, audit)
-}
-
 fn frame() -> DrawnFrame {
     DrawnFrame {
         picture: picture(0),
@@ -30,7 +23,9 @@ fn compared() -> AuditReport {
 
 #[tokio::test]
 async fn every_drawn_frame_is_compared_or_missed_and_counted_once() {
-    let (board, audit) = audit();
+    let config = NodeConfig::default();
+    let board = Board::open(&config).unwrap();
+    let audit = CameraAudit::new(config.audit, Arc::clone(&board.cameras[0]));
     let counts = |audit: &AuditReport| (audit.sums.drawn(), audit.sums.missed, audit.calls);
     let taken = || counts(&board.cameras[0].take_unreported().1);
     for _ in 0..4 {

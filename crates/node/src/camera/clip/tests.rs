@@ -1,17 +1,13 @@
-//! The clip tracker ends clips and counts frames.
-
 use super::*;
 use crate::camera::evidence::Times;
 use crate::camera::{FrameRecord, answer};
-use albireo_core::policy::Albireo;
-use albireo_core::policy::FrameState;
+use albireo_core::policy::{Albireo, FrameState};
 use albireo_power::{Meter, MeterError, PowerHandle, Reading, Value};
 use albireo_wire::{AuditReport, ClipReport, DroppedFrames, Latency, Threshold};
 use proptest::prelude::*;
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// The report of a clip that has ended.
 pub(crate) async fn report(closed: Clip) -> ClipReport {
     let energy = closed.energy().await;
     closed.into_report(energy)
@@ -78,7 +74,6 @@ impl Camera {
         self.tracker.shutdown(self.at(at))
     }
 
-    /// Asserts the clips that have ended.
     #[track_caller]
     fn assert_ended(&self, closed: impl IntoIterator<Item = Clip>, expected: &str) {
         let shown = closed.into_iter().map(|closed| {

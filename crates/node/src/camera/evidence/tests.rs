@@ -1,5 +1,3 @@
-//! One camera's evidence with a detector that finds coloured boxes.
-
 use super::*;
 use crate::camera::tests::{detector, live_evidence, picture, pixels};
 use futures_util::FutureExt;

@@ -1,5 +1,3 @@
-//! Tests of the order and numbering of received frames.
-
 use super::*;
 use crate::config::NodeConfig;
 use crate::state::board::Board;
@@ -9,7 +7,6 @@ use futures_util::FutureExt;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread;
 
-/// A receiver whose ring holds `capacity` frames.
 fn receiver(capacity: usize) -> Arc<FrameReceiver> {
     let mut config = NodeConfig::default();
     config.cameras[0].ring = capacity;
@@ -19,37 +16,31 @@ fn receiver(capacity: usize) -> Arc<FrameReceiver> {
     Arc::new(receiver)
 }
 
-fn number(seq: impl Into<Option<u64>>, stream: impl Into<Option<u64>>) -> FrameNumber {
-    FrameNumber {
-        seq: seq.into(),
-        stream: stream.into(),
-    }
-}
-
-fn frame(number: FrameNumber) -> Read {
-    let frame = Frame {
-        sequence: number.seq.unwrap_or_default(),
-        time_ns: 0,
-        clip: None,
-        picture: EncodedPicture {
-            format: PictureFormat::Jpeg,
-            bytes: bytes::Bytes::new(),
-            size: PictureSize::new(64, 36),
-        },
-        received: Instant::now(),
-        payload_bytes: 0,
-    };
-    (number, Ok(frame))
-}
-
-fn rejected(seq: Option<u64>) -> Read {
-    let fault = FrameFault::undecodable("half a picture");
-    (number(seq, None), Err(fault))
-}
-
 impl FrameReceiver {
-    fn give(&self, read: Read) {
-        self.place(None, |_| read);
+    fn give(&self, sequence: u64, stream: impl Into<Option<u64>>) {
+        let number = FrameNumber {
+            seq: Some(sequence),
+            stream: stream.into(),
+        };
+        let frame = Frame {
+            sequence,
+            time_ns: 0,
+            clip: None,
+            picture: EncodedPicture {
+                format: PictureFormat::Jpeg,
+                bytes: bytes::Bytes::new(),
+                size: PictureSize::new(64, 36),
+            },
+            received: Instant::now(),
+            payload_bytes: 0,
+        };
+        self.place(None, |_| (number, Ok(frame)));
+    }
+
+    fn give_broken(&self, seq: Option<u64>) {
+        let number = FrameNumber { seq, stream: None };
+        let fault = FrameFault::undecodable("half a picture");
+        self.place(None, |_| (number, Err(fault)));
     }
 }
 
@@ -62,17 +53,17 @@ fn waiting(ring: &Ring<SequencedFrame>) -> Vec<(u64, u64)> {
 #[tokio::test]
 async fn a_restart_is_not_forgotten_if_its_first_frame_is_broken_or_displaced() {
     let receiver = receiver(8);
-    receiver.give(frame(number(1000, 1)));
+    receiver.give(1000, 1);
     receiver.publisher_changed(1, true);
-    receiver.give(rejected(Some(0)));
-    receiver.give(frame(number(1, None)));
+    receiver.give_broken(Some(0));
+    receiver.give(1, None);
     assert_eq!(waiting(&receiver.ring), [(0, 0), (2, 1)]);
 
     let receiver = self::receiver(1);
-    receiver.give(frame(number(1000, 1)));
+    receiver.give(1000, 1);
     receiver.publisher_changed(1, true);
     for seq in [0, 1, 2] {
-        receiver.give(frame(number(seq, 2)));
+        receiver.give(seq, 2);
     }
     assert_eq!(waiting(&receiver.ring), [(3, 1)]);
     let dropped = receiver.board.snapshot().dropped;
@@ -82,9 +73,9 @@ async fn a_restart_is_not_forgotten_if_its_first_frame_is_broken_or_displaced() 
 #[tokio::test]
 async fn a_frame_with_an_unreadable_number_is_counted_once() {
     let receiver = receiver(8);
-    receiver.give(frame(number(5, None)));
-    receiver.give(rejected(None));
-    receiver.give(frame(number(7, None)));
+    receiver.give(5, None);
+    receiver.give_broken(None);
+    receiver.give(7, None);
     assert_eq!(waiting(&receiver.ring).len(), 2);
     let dropped = receiver.board.snapshot().dropped;
     assert_eq!((dropped.undecodable, dropped.lost), (1, 0));
@@ -99,7 +90,7 @@ async fn two_receiving_threads_cannot_swap_frames() {
         for _ in 0..4 {
             scope.spawn(|| {
                 while let seq @ ..FRAMES = numbers.fetch_add(1, Ordering::Relaxed) {
-                    receiver.give(frame(number(seq, None)));
+                    receiver.give(seq, None);
                 }
             });
         }

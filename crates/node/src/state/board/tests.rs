@@ -6,7 +6,6 @@ use albireo_core::policy::{ExpectedLoss, FrameState};
 use serde_json::Value;
 use std::path::Path;
 
-/// A configuration with the cameras `front` and `rear` under a policy.
 pub(crate) fn config(state_dir: Option<&Path>, policy: &str) -> NodeConfig {
     let mut config = NodeConfig {
         cameras: ["front", "rear"].map(CameraConfig::named).to_vec(),

@@ -1,5 +1,3 @@
-//! The target of a board: who switches it on and off, and what survives a restart.
-
 use super::*;
 use crate::state::board::set_by_hand;
 use crate::state::board::tests::{board_of, config};
@@ -11,7 +9,6 @@ use std::thread;
 
 const HALF: Option<Target> = Some(Target::SkipRate(0.5));
 
-/// A board whose configuration has this target.
 fn board(state: Option<&Path>, policy: &str, configured: Option<Target>) -> Arc<Board> {
     let mut config = config(state, policy);
     config.target.hold = configured;
@@ -52,10 +49,8 @@ fn a_target_moves_the_threshold_of_all_cameras_and_reports_its_state() {
     assert_eq!(report.target, HALF);
     assert_eq!(report.threshold.unwrap().name.as_str(), "lambda");
     let state = report.state.unwrap();
-    assert_eq!(
-        (state.status, state.threshold),
-        (TargetStatus::Moving, after)
-    );
+    let moved = (state.status, state.threshold);
+    assert_eq!(moved, (TargetStatus::Moving, after));
     assert!((state.actual.unwrap() - 0.2).abs() < 1e-9);
 }
 

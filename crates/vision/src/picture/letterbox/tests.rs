@@ -5,7 +5,6 @@ use proptest::prelude::*;
 
 const FITS: [Fit; 3] = [Fit::TopLeft(114), Fit::Centre(114), Fit::Stretch];
 
-/// A picture of smooth gradients with a few edges.
 fn picture(width: u32, height: u32, layout: PixelLayout) -> Picture {
     let size = PictureSize::new(width, height);
     let channels = layout.channels() as u32;

@@ -1,9 +1,6 @@
-//! The worker under requests, abandoned requests, failures and pauses in any order.
-
 use super::*;
 use proptest::prelude::*;
 
-/// The camera slot that stands for a picture of no camera.
 const SPARE: usize = 7;
 
 #[derive(Clone, Debug)]

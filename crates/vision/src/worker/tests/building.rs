@@ -1,5 +1,3 @@
-//! Tests of a model whose build takes long or never ends.
-
 use super::*;
 use serde_json::Value;
 

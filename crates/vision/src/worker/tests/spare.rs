@@ -1,5 +1,3 @@
-//! Spare runs, which begin only when no camera waits.
-
 use super::*;
 
 type SpareAsked = tokio::task::JoinHandle<Option<Result<Answer<CameraSlot>, InferenceError>>>;
@@ -19,7 +17,7 @@ impl Stage {
 }
 
 #[tokio::test(start_paused = true)]
-async fn frames_precede_a_spare_picture_which_is_dropped_if_they_take_all_the_time() {
+async fn frames_precede_a_spare_picture_which_is_dropped_if_too_late_and_fails_alone() {
     let mut stage = stage(settings()).await;
     let first = stage.begin(0).await;
     let spare = stage.ask_spare(7, Duration::from_millis(1500));
@@ -48,11 +46,8 @@ async fn frames_precede_a_spare_picture_which_is_dropped_if_they_take_all_the_ti
     third.await.unwrap().unwrap();
     let counts = stage.counts();
     assert_eq!((counts.completed, counts.batches, counts.spare), (3, 3, 1));
-}
 
-#[tokio::test(start_paused = true)]
-async fn a_failed_spare_picture_is_answered_and_the_next_one_uses_the_new_session() {
-    let mut stage = stage(settings()).await;
+    // After a failed one the next uses the new session.
     let spare = stage.ask_spare(7, TIMEOUT);
     assert_eq!(stage.next_run().await, [7]);
     stage.end(FAIL);

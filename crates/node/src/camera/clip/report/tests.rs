@@ -1,5 +1,3 @@
-//! Tests of the clip report and its energy.
-
 use super::*;
 use crate::camera::clip::tests::{Camera, FakeMeter, ms, report};
 use crate::camera::clip::{ClipConfig, ClipTracker};

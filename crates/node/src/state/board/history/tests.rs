@@ -57,10 +57,8 @@ fn played(u: f64, frames: u64) -> (History, f64) {
         };
         let Ok(()) = decide(&mut policy, head, &mut known, &mut outcome);
         skipped += u64::from(outcome.state.is_skipped());
-        history.add(
-            &message(index, &outcome, u),
-            Duration::from_millis(33 * index),
-        );
+        let age = Duration::from_millis(33 * index);
+        history.add(&message(index, &outcome, u), age);
     }
     (history, skipped as f64 / frames as f64)
 }
@@ -87,14 +85,9 @@ fn memory_is_allocated_once_and_the_oldest_entry_is_overwritten() {
         ..Outcome::default()
     };
     // Two hours at two frames per second, and a burst with more latencies than a piece can hold.
-    for seq in 0..14_400 {
-        history.add(
-            &message(seq, &outcome, 1.0),
-            Duration::from_millis(500 * seq),
-        );
-    }
-    for seq in 14_400..18_400 {
-        history.add(&message(seq, &outcome, 1.0), Duration::from_secs(7200));
+    let times = (0..14_400).map(|half_second| 500 * half_second);
+    for (seq, at) in (0..).zip(times.chain(std::iter::repeat_n(7_200_000, 4000))) {
+        history.add(&message(seq, &outcome, 1.0), Duration::from_millis(at));
     }
     assert_eq!(capacities(&history), before);
     assert_eq!(history.frames(usize::MAX).len(), FRAMES);

@@ -1,5 +1,3 @@
-//! Which models fit which heads, and which are recognised.
-
 use super::*;
 use crate::detector::metadata::tests::metadata;
 use albireo_core::geometry::PictureSize;
@@ -47,7 +45,7 @@ fn an_input_that_is_no_picture_is_rejected_with_the_reason() {
 fn a_model_that_does_not_fit_is_rejected_with_the_first_difference() {
     use HeadName::{Detr, EndToEnd, FastestDet, Yolo, Yolox};
     let fits = |name, model: &Signature| bind(name, model, model.picture_input(None).unwrap());
-    let one = |shape: &[i64]| model(416, &[("output", shape)], &[]);
+    let one = |shape: &[i64]| plain(416, "output", shape);
     let mut bytes = one(&[1, 84, 3549]);
     bytes.outputs[0].element = ElementType::Other("int8".to_owned());
     let two = model(416, &[("a", &[1, 84, 3549]), ("b", &[1])], &[]);
@@ -77,6 +75,10 @@ fn model(side: i64, outputs: &[(&str, &[i64])], entries: &[(&str, &str)]) -> Sig
     }
 }
 
+fn plain(side: i64, output: &str, shape: &[i64]) -> Signature {
+    model(side, &[(output, shape)], &[])
+}
+
 fn recognised(signature: &Signature) -> Result<HeadName, Unrecognised> {
     recognise(signature, signature.picture_input(None).unwrap())
 }
@@ -91,7 +93,6 @@ fn models_are_recognised_by_their_exporters_conventions() {
         ("names", "{0: 'car'}"),
     ];
     let with = |key, value| [&ultralytics[..], &[(key, value)]].concat();
-    let plain = |name: &str, shape: &[i64]| model(640, &[(name, shape)], &[]);
     let one: &[(&str, &[i64])] = &[("output0", &[1, 5, 8400])];
     let boxes: &[(&str, &[i64])] = &[("output0", &[1, 300, 6])];
     let detr: [(&str, &[i64]); 3] = [
@@ -106,12 +107,12 @@ fn models_are_recognised_by_their_exporters_conventions() {
         (model(640, boxes, &with("end2end", "True")), EndToEnd),
         (model(640, boxes, &with("args", "{'nms': True}")), EndToEnd),
         (model(640, boxes, &[]), EndToEnd),
-        (plain("output0", &[1, 84, 8400]), Yolo),
+        (plain(640, "output0", &[1, 84, 8400]), Yolo),
         // With a coarser fourth stride, and one that leaves its anchors open.
-        (plain("output0", &[1, 84, 8500]), Yolo),
-        (plain("output0", &[-1, 84, -1]), Yolo),
-        (plain("output", &[1, 8400, 85]), Yolox),
-        (plain("758", &[1, 85, 40, 40]), FastestDet),
+        (plain(640, "output0", &[1, 84, 8500]), Yolo),
+        (plain(640, "output0", &[-1, 84, -1]), Yolo),
+        (plain(640, "output", &[1, 8400, 85]), Yolox),
+        (plain(640, "758", &[1, 85, 40, 40]), FastestDet),
         (model(640, &detr[..2], &[]), Detr),
         (model(640, &detr, &[]), Detr),
     ] {
@@ -125,22 +126,16 @@ fn an_unknown_or_ambiguous_model_is_rejected_with_every_head_that_was_tried() {
         let entries = [("author", "Ultralytics"), (key, value)];
         model(64, &[("output0", &[1, 6, 84])], &entries)
     };
-    let boxes: (&str, &[i64]) = ("pred_boxes", &[1, 300, 4]);
+    let outputs: [(&str, &[i64]); 2] = [("logits", &[1, 300, 80]), ("pred_boxes", &[1, 300, 4])];
+    let unknown_transformer = model(64, &outputs, &[]);
     for (signature, reason) in [
-        (model(64, &[("logits", &[1, 1000])], &[]), "none of them"),
+        (plain(64, "logits", &[1, 1000]), "none of them"),
         // YOLOv5: three boxes per cell.
-        (
-            model(640, &[("output0", &[1, 25200, 85])], &[]),
-            "none of them",
-        ),
-        // A transformer with unknown scores and colours.
-        (
-            model(64, &[("logits", &[1, 300, 80]), boxes], &[]),
-            "none of them",
-        ),
+        (plain(640, "output0", &[1, 25200, 85]), "none of them"),
+        (unknown_transformer, "none of them"),
         // Either YOLOX with one class, or 84 finished boxes.
         (
-            model(64, &[("output", &[1, 84, 6])], &[]),
+            plain(64, "output", &[1, 84, 6]),
             "each of end-to-end, yolox",
         ),
         (ultralytics("task", "segment"), "`segment`"),
