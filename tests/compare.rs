@@ -1,5 +1,6 @@
 //! `albireo compare` end to end: the code of the node with YOLOX-Nano on a clip of a few seconds, and the report.
 
+use crate::power_live::board;
 use crate::support::{Ended, assert_contains, fake_nvpmodel, fake_tegrastats, project, run};
 use albireo_wire::{ClipReport, EnergyQuality};
 use rstest::rstest;
@@ -39,10 +40,6 @@ fn compared(
     (words.join(" "), progress, report)
 }
 
-fn number(value: &Value) -> f64 {
-    value.as_f64().unwrap()
-}
-
 fn report(run: &Value) -> ClipReport {
     serde_json::from_value(run["report"].clone()).unwrap()
 }
@@ -58,7 +55,7 @@ fn without_a_meter_cpu_time_and_detector_calls_are_compared_and_energy_is_marked
     // Without a terminal for a progress bar, one line per run reports the progress.
     assert_contains(&progress, &["run 4 of 4, vanilla …"]);
     let verdict = &found["verdicts"][0];
-    let calls = number(&verdict["detector_calls_percent"]);
+    let calls = verdict["detector_calls_percent"].as_f64().unwrap();
     assert!(calls < 0.0, "{verdict}");
     assert_eq!(verdict["energy"], "estimated", "{verdict}");
 
@@ -71,7 +68,7 @@ fn without_a_meter_cpu_time_and_detector_calls_are_compared_and_energy_is_marked
         assert_eq!(report.energy.quality, EnergyQuality::Estimated);
         // The duration includes the last frame.
         assert!(report.duration_s > 1.95, "{report:?}");
-        assert!(number(&run["cpu_s"]) > 0.0);
+        assert!(run["cpu_s"].as_f64().unwrap() > 0.0);
         let calls = report.detector_latency_ms.count;
         let agreement = &run["agreement"];
         if run["variant"] == 0 {
@@ -79,7 +76,7 @@ fn without_a_meter_cpu_time_and_detector_calls_are_compared_and_energy_is_marked
             assert_eq!(agreement["ap50"], 1.0, "vanilla agrees with itself");
         } else {
             assert!(calls < report.frames, "albireo skips: {report:?}");
-            let recall = number(&agreement["recall"]);
+            let recall = agreement["recall"].as_f64().unwrap();
             assert!(recall > 0.3 && recall <= 1.0, "{agreement}");
         }
     }
@@ -94,11 +91,7 @@ fn the_boards_own_meter_is_read_in_every_run() {
     let task = json!({"curve": [[0, 21.5], [1, 21.5]]});
     let program = fake_tegrastats(folder.path(), &task);
     let power = format!("source = \"tegrastats\"\ntegrastats = {program:?}");
-    let sysfs = folder.path().join("sys");
-    let zone = sysfs.join("class/thermal/thermal_zone0");
-    std::fs::create_dir_all(&zone).unwrap();
-    std::fs::write(zone.join("type"), "tj-thermal").unwrap();
-    std::fs::write(zone.join("temp"), "63281").unwrap();
+    let sysfs = board(folder.path());
     let nvpmodel = fake_nvpmodel(folder.path());
     let constants = format!("sysfs={} nvpmodel={}", sysfs.display(), nvpmodel.display());
     let (words, _, found) = compared(folder.path(), &power, &constants, &["--unpaced"]);

@@ -203,10 +203,8 @@ async fn a_second_node_with_the_same_state_directory_is_rejected_with_a_reason()
 #[ignore = "needs ONNX Runtime"]
 async fn a_node_starts_without_its_router_answers_health_and_survives_a_router_restart() {
     let endpoint = format!("tcp/127.0.0.1:{}", free_port());
-    let settings = format!(
-        "zenoh.mode = \"client\"\nzenoh.connect = [\"{endpoint}\"]\n{}",
-        settings()
-    );
+    let connect = format!("zenoh.mode = \"client\"\nzenoh.connect = [\"{endpoint}\"]\n");
+    let settings = connect + &settings();
     let client = [("ALBIREO_ZENOH__LISTEN", "[]")];
     let node = Node::start_with(tempfile::tempdir().unwrap(), &settings, &client).await;
     assert_contains(&node.text("/healthz").await, &["ok"]);

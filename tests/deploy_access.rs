@@ -1,9 +1,10 @@
 //! Access control of a fleet: a router and a hub as processes, certificates and rules made by the program, and every
 //! kind of intruder.
 
+use crate::support::camera::Camera;
 use crate::support::fleet::{HubProcess, Settings, deliver, now_ns, settings, sqlite};
 use crate::support::{
-    PATIENCE, albireo, assert_contains, free_port, run, signal, subscribe, text, text_at,
+    Node, PATIENCE, albireo, assert_contains, free_port, run, signal, subscribe, text, text_at,
     until_ready, value_of, zenoh_session,
 };
 use albireo_router::authority::{Authority, DAY, Role};
@@ -259,8 +260,6 @@ async fn a_revoked_node_is_locked_out_by_the_new_rules_until_it_has_a_new_certif
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ONNX Runtime"]
 async fn a_real_node_reports_through_the_router_with_its_certificate() {
-    use crate::support::Node;
-    use crate::support::camera::Camera;
     let (fleet, _router, hub) = Fleet::started().await;
     let authority = fleet.authority().display().to_string();
     let settings = format!(
@@ -274,14 +273,10 @@ async fn a_real_node_reports_through_the_router_with_its_certificate() {
     let node = Node::start(&settings).await;
     let mut camera = Camera::at(&node.zenoh, "car-7").await;
     camera.clips(4).await;
-    let three = |page: &Value| {
-        page["clips"]
-            .as_array()
-            .is_some_and(|clips| clips.len() >= 3)
-    };
+    let three = |page: &Value| page["clips"].as_array().map_or(0, Vec::len) >= 3;
     hub.until("/api/v1/clips?node=car-7", three).await;
-    hub.until("/api/v1/nodes/car-7", |node| node["state"] == "online")
-        .await;
+    let is_online = |node: &Value| node["state"] == "online";
+    hub.until("/api/v1/nodes/car-7", is_online).await;
 }
 
 #[test]

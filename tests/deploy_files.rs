@@ -1,6 +1,7 @@
 //! The shipped files: manual pages, completions, packages, containers, proxies.
 
-use crate::support::{assert_contains, project, run, run_command, text};
+use crate::support::fleet::{HubProcess, settings, sqlite};
+use crate::support::{assert_contains, free_port, project, run, run_command, text, until};
 use clap::CommandFactory;
 use std::path::Path;
 use std::process::Command;
@@ -196,9 +197,8 @@ fn every_command_in_the_compose_file_parses() {
     let commands = (compose.lines()).filter_map(|line| line.trim().strip_prefix("command: "));
     let commands = commands.map(|command| serde_json::from_str::<Vec<String>>(command).unwrap());
     // The bridge is a different program.
-    let commands: Vec<_> = commands
-        .filter(|words| !words[0].starts_with("--"))
-        .collect();
+    let commands = commands.filter(|words| !words[0].starts_with("--"));
+    let commands: Vec<_> = commands.collect();
     assert!(commands.len() >= 6, "{commands:?}");
     for words in commands {
         let words = std::iter::once("albireo").chain(words.iter().map(String::as_str));
@@ -218,8 +218,6 @@ fn the_compose_file_is_valid() {
 #[tokio::test]
 #[ignore = "needs Caddy and curl"]
 async fn the_proxy_adds_tls_and_forwards_the_token_and_the_event_stream() {
-    use crate::support::fleet::{HubProcess, settings, sqlite};
-    use crate::support::{free_port, until};
     let folder = tempfile::tempdir().unwrap();
     let (_, mut settings) = settings(&sqlite(folder.path()));
     settings.push(("ALBIREO_HTTP__TOKEN", "a-long-random-secret".to_owned()));

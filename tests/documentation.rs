@@ -228,7 +228,7 @@ pub(crate) fn workshop() -> tempfile::TempDir {
     folder
 }
 
-fn shell(folder: &Path, line: &str, settings: &[(&str, String)]) -> Child {
+fn shell(folder: &Path, line: &str) -> Child {
     let programs = Path::new(env!("CARGO_BIN_EXE_albireo")).parent().unwrap();
     let path = std::env::var("PATH").unwrap_or_default();
     // As in the README, from a folder other than the checkout.
@@ -240,7 +240,6 @@ fn shell(folder: &Path, line: &str, settings: &[(&str, String)]) -> Child {
         .current_dir(folder)
         .env("PATH", format!("{}:{path}", programs.display()))
         .env("ORT_DYLIB_PATH", library)
-        .envs(settings.iter().map(|(name, value)| (*name, value)))
         .kill_on_drop(true)
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
@@ -249,8 +248,17 @@ fn shell(folder: &Path, line: &str, settings: &[(&str, String)]) -> Child {
         .unwrap()
 }
 
-async fn run_line(folder: &Path, line: &str, settings: &[(&str, String)]) -> String {
-    let child = shell(folder, line, settings);
+/// Starts the node of a command on free ports, and returns its two addresses too.
+fn node_of(folder: &Path, command: &str) -> (Child, String, String) {
+    let http = format!("127.0.0.1:{}", free_port());
+    let zenoh = format!("tcp/127.0.0.1:{}", free_port());
+    let ports = format!("ALBIREO_HTTP__LISTEN={http} ALBIREO_ZENOH__LISTEN='[\"{zenoh}\"]'");
+    let node = shell(folder, &format!("{ports} {command}"));
+    (node, http, zenoh)
+}
+
+async fn run_line(folder: &Path, line: &str) -> String {
+    let child = shell(folder, line);
     let output = timeout(4 * PATIENCE, child.wait_with_output()).await;
     let output = output.unwrap_or_else(|_| panic!("{line} does not end"));
     println!("$ {line}");
@@ -261,14 +269,8 @@ async fn run_line(folder: &Path, line: &str, settings: &[(&str, String)]) -> Str
 #[ignore = "needs ONNX Runtime and curl"]
 async fn the_documented_commands_run_in_order() {
     let folder = workshop();
-    let http = format!("127.0.0.1:{}", free_port());
-    let zenoh = format!("tcp/127.0.0.1:{}", free_port());
-    let settings = [
-        ("ALBIREO_HTTP__LISTEN", http.clone()),
-        ("ALBIREO_ZENOH__LISTEN", format!("[\"{zenoh}\"]")),
-    ];
     // The page asks for a node in another terminal.
-    let mut node = shell(folder.path(), "albireo node --config node.toml", &settings);
+    let (mut node, http, zenoh) = node_of(folder.path(), "albireo node --config node.toml");
     until_ready(&format!("http://{http}")).await;
     // The commands of the camera page need cameras.
     let commands = commands_to_run(|page| page != "docs/cameras.md");
@@ -287,7 +289,7 @@ async fn the_documented_commands_run_in_order() {
             if line.starts_with("albireo replay ") {
                 line = format!("{line} --connect {zenoh}");
             }
-            run_line(folder.path(), &line, &[]).await;
+            run_line(folder.path(), &line).await;
         }
     };
     tokio::join!(run(with_node), run(comparing), run(others));
@@ -301,7 +303,7 @@ async fn the_documented_commands_run_in_order() {
 #[ignore = "needs ONNX Runtime and Python"]
 async fn the_python_examples_publish_and_listen() {
     let folder = workshop();
-    run_line(folder.path(), "tar -xf demo/road.tar busy", &[]).await;
+    run_line(folder.path(), "tar -xf demo/road.tar busy").await;
     let model = project("models/yolox_nano.onnx");
     let camera = "[[camera]]\nname = \"front\"\n";
     let node = Node::start(&format!("detector.model = {model:?}\n{camera}")).await;
@@ -310,12 +312,12 @@ async fn the_python_examples_publish_and_listen() {
         format!("{} {} {more}", python(), script.display())
     };
     let listen = format!("'albireo/*/*/detections' {} 10", node.zenoh);
-    let listening = shell(folder.path(), &example("listen.py", &listen), &[]);
+    let listening = shell(folder.path(), &example("listen.py", &listen));
     let publish = format!("busy albireo/node/front/frame {}", node.zenoh);
     // The listener may start late: publish until it has received enough.
     let heard = tokio::spawn(listening.wait_with_output());
     while !heard.is_finished() {
-        let said = run_line(folder.path(), &example("publish.py", &publish), &[]).await;
+        let said = run_line(folder.path(), &example("publish.py", &publish)).await;
         assert_contains(&said, &["88 frames sent on albireo/node/front/frame"]);
     }
     let said = Ended::from(heard.await.unwrap().unwrap()).succeeds();
@@ -353,12 +355,7 @@ async fn the_camera_page_opens_a_camera_with_a_password_and_publishes_one_to_a_r
     let folder = workshop();
     let config = to_camera(config, &camera);
     std::fs::write(folder.path().join("node.toml"), config).unwrap();
-    let http = format!("127.0.0.1:{}", free_port());
-    let settings = [
-        ("ALBIREO_HTTP__LISTEN", http.clone()),
-        ("ALBIREO_ZENOH__LISTEN", "[\"tcp/127.0.0.1:0\"]".to_owned()),
-    ];
-    let mut node = shell(folder.path(), command("GATE_USER="), &settings);
+    let (mut node, http, _) = node_of(folder.path(), command("GATE_USER="));
     until_frames(&format!("http://{http}")).await;
     node.kill().await.unwrap();
 
@@ -368,11 +365,11 @@ async fn the_camera_page_opens_a_camera_with_a_password_and_publishes_one_to_a_r
     let node = Node::start(&format!("detector.model = {model:?}\n{settings}")).await;
     let line = to_camera(command("albireo publish "), &camera);
     let line = replaced(&line, "tcp/192.168.0.5:7447", &node.zenoh);
-    let mut publisher = shell(folder.path(), &line, &[]);
+    let mut publisher = shell(folder.path(), &line);
     until_frames(&node.http).await;
     publisher.kill().await.unwrap();
     // The help has the options that the page names.
-    let help = run_line(folder.path(), "albireo publish --help", &[]).await;
+    let help = run_line(folder.path(), "albireo publish --help").await;
     for option in page.split('`').filter(|quoted| quoted.starts_with("--")) {
         assert_contains(&help, &[option]);
     }

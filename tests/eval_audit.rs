@@ -1,10 +1,9 @@
 //! The intervals of the audit on recordings, where the result for all frames is known.
 
-use crate::support::shared;
+use crate::golden_traces::shared_data::sequences;
 use albireo_core::audit::{AuditDraw, AuditRate, AuditSums};
 use albireo_core::policy::PolicyConfig;
 use albireo_eval::against_detector::against_detector;
-use albireo_eval::data::recorded;
 use albireo_eval::run::Settings;
 
 /// The comparison of each frame without a detector call against the detector.
@@ -24,11 +23,10 @@ fn sample(cameras: &[Camera], share: f64, seed: u64) -> AuditSums {
 }
 
 fn cameras(policy: &str) -> (Vec<Camera>, AuditSums) {
-    let clips = recorded::read(&shared("data/recorded")).expect("the recordings");
     let mut config = PolicyConfig::default();
     config.select(policy).expect("a policy");
     let mut policy = config.build().expect("a policy");
-    let compared: Vec<_> = (clips.clips.iter())
+    let compared: Vec<_> = (sequences().iter())
         .filter(|clip| clip.truth.iter().flatten().any(|truth| !truth.is_empty()))
         .map(|clip| against_detector(policy.as_mut(), clip, &Settings::default()).expect("it runs"))
         .collect();

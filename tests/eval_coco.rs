@@ -2,13 +2,13 @@
 //!
 //! These tests need the Python environment of tests/requirements.txt at .cache/python.
 
-use crate::support::{ask_script, project, python, shared};
+use crate::golden_traces::shared_data::sequences;
+use crate::support::{ask_script, project, python};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::Corners;
 use albireo_eval::average_precision::Classes::{Pooled, Separate};
 use albireo_eval::average_precision::Interpolation::{AllPoints, Coco101};
 use albireo_eval::average_precision::{ScoredBox, accuracy};
-use albireo_eval::data::recorded;
 use rand_core::{RngCore, SeedableRng};
 use serde_json::{Value, json};
 use std::process::Command;
@@ -16,7 +16,6 @@ use std::process::Command;
 /// A name, predictions and ground truth.
 type Case = (String, Vec<Vec<ScoredBox>>, Vec<Vec<ScoredBox>>);
 
-/// The answer of pycocotools per case.
 fn coco(cases: &[Case]) -> Value {
     let clips: Vec<Value> = cases.iter().map(frames).collect();
     let mut script = Command::new(python());
@@ -26,17 +25,13 @@ fn coco(cases: &[Case]) -> Value {
 
 /// A case in the format of the script.
 fn frames((_, predictions, truth): &Case) -> Value {
-    let predicted = |b: &ScoredBox| {
+    let row = |b: &ScoredBox| {
         let c = b.corners;
         json!([c.x1, c.y1, c.x2, c.y2, b.class.0, b.confidence])
     };
-    let known = |b: &ScoredBox| {
-        let c = b.corners;
-        json!([c.x1, c.y1, c.x2, c.y2, b.class.0])
-    };
     let frames = predictions.iter().zip(truth).map(|(predictions, truth)| {
-        let predictions: Vec<_> = predictions.iter().map(predicted).collect();
-        let truth: Vec<_> = truth.iter().map(known).collect();
+        let [predictions, truth] =
+            [predictions, truth].map(|boxes| boxes.iter().map(row).collect::<Vec<_>>());
         json!({"predictions": predictions, "truth": truth})
     });
     frames.collect()
@@ -105,9 +100,8 @@ fn python_random_boxes_of_three_classes_score_as_in_pycocotools() {
 #[test]
 #[ignore = "needs ../shared and Python"]
 fn shared_python_recorded_detections_score_as_in_pycocotools() {
-    let clips = recorded::read(&shared("data/recorded")).expect("the recordings");
     // pycocotools takes seconds for a long clip.
-    let short = clips.clips.into_iter().filter(|clip| clip.frames <= 300);
+    let short = sequences().into_iter().filter(|clip| clip.frames <= 300);
     let cases = short.filter_map(|clip| Some((clip.name, clip.detections?, clip.truth?)));
     let cases: Vec<Case> = cases.collect();
     assert_eq!(cases.len(), 8);

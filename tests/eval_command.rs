@@ -1,7 +1,8 @@
-//! `albireo eval` end to end: its output, its files, and its errors for bad input.
+//! `albireo eval` end to end: its output, its files, its errors for bad input, and the shipped energy models.
 
-use crate::support::{Ended, assert_contains, run};
+use crate::support::{Ended, assert_contains, project, run};
 use albireo_core::policy::FrameState;
+use albireo_eval::energy_model::EnergyModel;
 use albireo_eval::trace;
 use rstest::rstest;
 use std::path::Path;
@@ -41,7 +42,7 @@ fn write(folder: &Path, name: &str, content: &str) {
     std::fs::write(path, content).expect("written");
 }
 
-fn eval(command: &str) -> Ended {
+pub(crate) fn eval(command: &str) -> Ended {
     let words: Vec<_> = command.split_whitespace().collect();
     run(&[&["eval"], &words[..]].concat(), &[])
 }
@@ -129,4 +130,23 @@ fn bad_input_is_reported_with_its_place_cause_and_remedy(
         let count = ended.err.matches(part).count();
         assert_eq!(count, 1, "{part} in {}", ended.err);
     }
+}
+
+#[test]
+fn every_shipped_energy_model_states_its_source_and_its_error() {
+    let mut boards = Vec::new();
+    for file in std::fs::read_dir(project("config/energy")).expect("the shipped models") {
+        let path = file.expect("a file").path();
+        let model = EnergyModel::load(&path).expect("a model that can be used");
+        assert!(model.source.contains("commit "), "{model:?}");
+        let missed = model.left_out.expect("it was tested on clips left out");
+        assert!(missed.energy_percent > 0.0 && missed.energy_percent < 10.0);
+        assert!((missed.saving_measured_percent - missed.saving_projected_percent).abs() < 2.0);
+        // A frame without the detector costs less than one with it.
+        assert!(model.energy_j.predicted < model.energy_j.detector / 2.0);
+        assert!(model.energy_j.screen < model.energy_j.detector / 2.0);
+        boards.push(model.board);
+    }
+    boards.sort();
+    assert_eq!(boards, ["NVIDIA Jetson AGX Orin", "NVIDIA Jetson AGX Thor"]);
 }

@@ -4,8 +4,9 @@
 mod bad_input;
 mod live;
 
+use crate::eval_command::eval;
 use crate::support::detectors::model;
-use crate::support::{assert_contains, run, shared};
+use crate::support::{assert_contains, shared};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_core::policy::PolicyConfig;
@@ -25,15 +26,8 @@ use albireo_vision::picture::ColorOrder;
 use albireo_vision::screen::ScreenConfig;
 use std::path::Path;
 
-/// The path of a fixture model, as an argument.
 fn detector(name: &str) -> String {
     model(name).display().to_string()
-}
-
-/// Runs `albireo eval` with the words of `command`.
-fn eval(command: &str) -> String {
-    let arguments: Vec<_> = command.split_whitespace().collect();
-    run(&[&["eval"], &arguments[..]].concat(), &[]).succeeds()
 }
 
 /// Writes JPEG pictures. The confidences of the fixture detector are the means of the three colours, and the fixture screen
@@ -168,6 +162,7 @@ fn pictures_without_ground_truth_are_judged_against_vanilla_and_timed() {
         "pictures {drive} --detector {colours} --screen-model {screen} --policy albireo --policy erd-only \
          --policy statues:25 --energy-model config/energy/agx-thor.toml"
     ));
+    let said = said.succeeds();
     assert_contains(&said, &["Judged against vanilla", "statues-25"]);
     assert_contains(&said, &["Time of the detector"]);
     assert_contains(&said, &["projected from an energy model"]);
@@ -214,14 +209,14 @@ fn pictures_are_judged_by_their_ground_truth_and_their_streams_as_those_of_store
         "video {sequence}/img1 --detector {boxes} --truth-format motchallenge --ground-truth {sequence} \
          --policy fixed-skip:2 --policy expected-loss+flow --save-detections {saved} {streams} {first}"
     ));
-    assert_contains(&said, &["Judged by ground truth"]);
+    assert_contains(&said.succeeds(), &["Judged by ground truth"]);
     let report = std::fs::read(format!("{first}/report.json")).unwrap();
     let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
     let ap50 = |policy: usize| report["policies"][policy]["ap50"].as_f64().unwrap();
     assert!(ap50(0) > 0.99, "the detector finds every box: {}", ap50(0));
     assert!(ap50(1) < ap50(0), "every second frame is predicted");
 
-    eval(&format!("recorded {saved} {streams} {second}"));
+    eval(&format!("recorded {saved} {streams} {second}")).succeeds();
     let line = |folder: &str, file: &str, policy: &str| {
         let text = std::fs::read_to_string(Path::new(folder).join(file)).unwrap();
         let found = text.lines().find(|line| line.starts_with(policy));

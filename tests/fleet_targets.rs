@@ -50,10 +50,8 @@ async fn a_target_set_at_the_hub_is_held_by_the_node_until_its_threshold_is_set_
         at_node(&car).await["state"]["actual"].is_f64()
     })
     .await;
-    hub.until("/api/v1/nodes/car-1", |node| {
-        node["status"]["target"]["actual"].is_f64()
-    })
-    .await;
+    let is_reported = |node: &Value| node["status"]["target"]["actual"].is_f64();
+    hub.until("/api/v1/nodes/car-1", is_reported).await;
     let (said, _) = fleet(&hub, "show car-1");
     assert_contains(&said, &["target       skip_rate 0.5, now "]);
 
@@ -62,9 +60,8 @@ async fn a_target_set_at_the_hub_is_held_by_the_node_until_its_threshold_is_set_
     assert_has(&at_node(&car).await, &held);
 
     let threshold = format!("{}/api/v1/threshold", car.node.as_ref().unwrap().http);
-    let turned = reqwest::Client::new()
-        .put(threshold)
-        .body(r#"{"lambda": 0.3}"#);
+    let turned = reqwest::Client::new().put(threshold);
+    let turned = turned.body(r#"{"lambda": 0.3}"#);
     assert_eq!(turned.send().await.unwrap().status(), 200);
     let drift = hub.until("/api/v1/drift", |drift| drift[0]["node"] == "car-1");
     let drift = drift.await;

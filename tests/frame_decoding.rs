@@ -266,11 +266,9 @@ fn every_format_can_be_shown_as_jpeg() {
     let jpeg = rgb_jpeg(32, 16, false);
     assert_eq!(to_jpeg(&jpeg, &limits).unwrap(), jpeg.bytes);
     let pixels = gradient(32, 16);
+    let png = png_file(32, 16, ColorType::Rgb, BitDepth::Eight, &pixels);
     for (picture, most) in [
-        (
-            png_file(32, 16, ColorType::Rgb, BitDepth::Eight, &pixels),
-            16,
-        ),
+        (png, 16),
         (encoded(PictureFormat::Rgb8, 32, 16, pixels.clone()), 16),
         (encoded(PictureFormat::Gray8, 32, 16, luma_of(&pixels)), 12),
     ] {

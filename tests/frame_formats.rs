@@ -1,6 +1,5 @@
 //! Every payload format of a camera is read, and unreadable payloads are rejected by kind.
 
-use crate::node_frames::rmw_attachment;
 use albireo_core::geometry::PictureSize;
 use albireo_node::input::{Frame, FrameNumber, PayloadFormat, RawSample, read_frame};
 use albireo_vision::picture::{FrameFault, FrameLimits, PictureFormat};
@@ -65,7 +64,10 @@ fn ros2_messages_of_another_library_in_both_byte_orders_are_read_and_numbered_un
         assert_eq!(frame.picture.format, format);
         assert_eq!(frame.sequence, 12, "numbered by arrival");
         assert_eq!(frame.payload_bytes, payload.len());
-        let (attachment, limits) = (rmw_attachment(900, 3), FrameLimits::default());
+        // The attachment of rmw_zenoh: number, time and publisher id.
+        let stamp = 1_700_000_000_000_000_000_i64.to_le_bytes();
+        let attachment = [&900_u64.to_le_bytes()[..], &stamp, &[16], &[3; 16]].concat();
+        let limits = FrameLimits::default();
         let numbered = sample(&payload, "", Some(&attachment));
         let numbered = read_as(numbered, PayloadFormat::Ros2CompressedImage, &limits).unwrap();
         // The time is still the header's.

@@ -3,7 +3,7 @@
 mod access;
 mod connections;
 mod documented;
-mod events;
+pub(crate) mod events;
 mod history;
 mod resources;
 pub(crate) mod served;

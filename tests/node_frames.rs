@@ -280,15 +280,6 @@ async fn ask(session: &Session, payload: Option<&str>) -> Result<f64, String> {
     Ok(message["threshold"]["value"].as_f64().unwrap())
 }
 
-/// The attachment of rmw_zenoh: number, time and publisher id.
-pub(crate) fn rmw_attachment(seq: u64, publisher: u8) -> Vec<u8> {
-    let mut attachment = seq.to_le_bytes().to_vec();
-    attachment.extend_from_slice(&1_700_000_000_000_000_000_i64.to_le_bytes());
-    attachment.push(16);
-    attachment.extend_from_slice(&[publisher; 16]);
-    attachment
-}
-
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_ros_2_camera_beside_another_is_answered_under_its_own_key() {
@@ -300,11 +291,8 @@ async fn a_ros_2_camera_beside_another_is_answered_under_its_own_key() {
     });
     let mut bench = Bench::start(&config).await;
     let message = std::fs::read(project("tests/fixtures/ros2/compressed_image_0_be.cdr")).unwrap();
-    bench
-        .session
-        .put("camera/image_raw/compressed", message)
-        .await
-        .unwrap();
+    let put = bench.session.put("camera/image_raw/compressed", message);
+    put.await.unwrap();
     let answer = bench.answer().await;
     assert_eq!((answer.width, answer.height), (320, 180));
     assert_eq!(answer.t_ns, 1_700_000_000_123_456_789);

@@ -3,12 +3,7 @@
 use crate::support::{project, run_command};
 use serde_json::Value;
 use std::collections::BTreeSet;
-use std::path::PathBuf;
 use std::process::Command;
-
-fn web() -> PathBuf {
-    project("web")
-}
 
 /// The pages' types are made from these. `ALBIREO_UPDATE=1` overwrites them; then `npm run types` makes the types.
 #[test]
@@ -16,7 +11,7 @@ fn the_descriptions_behind_the_pages_are_current_and_each_operation_has_its_own_
     let node = serde_json::to_string_pretty(&albireo_node::api::http::openapi());
     let hub = serde_json::to_string_pretty(&albireo_hub::http::openapi());
     for (service, now) in [("node", node), ("hub", hub)] {
-        let path = web().join(format!("api/{service}.json"));
+        let path = project(&format!("web/api/{service}.json"));
         let now = now.unwrap() + "\n";
         if std::env::var_os("ALBIREO_UPDATE").is_some() {
             std::fs::write(&path, &now).unwrap();
@@ -37,7 +32,7 @@ fn the_descriptions_behind_the_pages_are_current_and_each_operation_has_its_own_
 
 fn run(program: &str, arguments: &[&str]) {
     let mut command = Command::new(program);
-    run_command(command.args(arguments).current_dir(web())).succeeds();
+    run_command(command.args(arguments).current_dir(project("web"))).succeeds();
 }
 
 #[test]
@@ -51,7 +46,7 @@ fn the_pages_types_are_current_and_their_own_tests_pass() {
 #[test]
 #[ignore = "needs Node.js"]
 fn both_pages_together_are_at_most_150_kilobytes_on_the_wire() {
-    let folders = [web().join("dist"), web().join("dist/assets")];
+    let folders = ["web/dist", "web/dist/assets"].map(project);
     let sizes: Vec<u64> = folders
         .iter()
         .flat_map(|folder| std::fs::read_dir(folder).expect("`make web` builds the pages"))

@@ -1,6 +1,7 @@
 //! A node with a board's power monitor, in a copy of the sysfs tree, reports watts and joules, and its frames do not wait for
 //! a hanging monitor.
 
+use crate::http_api::events::Events;
 use crate::support::{
     Client, Node, PATIENCE, albireo, assert_has, fake_nvpmodel, fake_tegrastats, metric, replay,
     script, value_of,
@@ -10,7 +11,7 @@ use std::path::{Path, PathBuf};
 use tokio::time::timeout;
 
 /// A sysfs tree with 24 W on three rails and a temperature sensor.
-fn board(root: &Path) -> PathBuf {
+pub(crate) fn board(root: &Path) -> PathBuf {
     let sysfs = root.join("sys");
     let write = |file: String, text: &str| {
         let path = sysfs.join("class").join(file);
@@ -100,14 +101,8 @@ async fn measured_watts_are_reported_everywhere_and_nothing_waits_for_a_meter_th
     }
 
     let events = format!("{}/api/v1/events?types=counters", node.http);
-    let mut events = reqwest::get(events).await.unwrap();
-    let mut seen = String::new();
-    while !seen.contains("\n\n") {
-        let piece = timeout(PATIENCE, events.chunk()).await.unwrap().unwrap();
-        seen.push_str(&String::from_utf8_lossy(&piece.unwrap()));
-    }
-    let data = seen.lines().find_map(|line| line.strip_prefix("data:"));
-    let event: Value = serde_json::from_str(data.unwrap()).unwrap();
+    let mut events = Events::new(reqwest::get(events).await.unwrap());
+    let event = events.expect("counters").await;
     assert!((watts(&event, "total") - 24.0).abs() < 1e-6, "{event}");
 
     let gpu = r#"albireo_power_watts{domain="gpu",source="ina"}"#;
@@ -165,8 +160,7 @@ async fn measured_watts_are_reported_everywhere_and_nothing_waits_for_a_meter_th
     assert_eq!(report["energy"]["quality"], "unavailable", "{report}");
     assert!(report["energy"]["joules"].is_null());
 
-    let (status, took, log, _) = node.stop().await;
-    assert!(status.success(), "{log}");
+    let (took, _) = node.stop_well().await;
     assert!(took.as_secs_f64() < 10.0, "ended after {took:?}");
 }
 

@@ -48,14 +48,9 @@ fn close(found: f64, expected: f64) -> bool {
 #[tokio::test]
 async fn a_square_wave_keeps_its_mean_and_its_peak() {
     // The steps are so small that late lines on a busy machine do not matter, yet larger than the tolerance.
-    let wave = json!([
-        [0, 39.9],
-        [0.5, 39.9],
-        [0.500001, 40.1],
-        [1, 40.1],
-        [1.000001, 39.9]
-    ]);
-    let task = json!({"curve": wave});
+    let task = json!({
+        "curve": [[0, 39.9], [0.5, 39.9], [0.500001, 40.1], [1, 40.1], [1.000001, 39.9]],
+    });
     let (mean, found, _) = watch(&task, Duration::from_secs(5)).await;
     assert!(close(mean, 40.0), "{mean} {found:?}");
     assert_eq!(found.domains[0].peak_watts, Some(40.1));

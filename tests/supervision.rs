@@ -316,6 +316,26 @@ async fn a_detector_run_that_never_returns_ends_the_node_with_an_error() {
     assert_contains(&log, &[said]);
 }
 
+#[tokio::test]
+#[ignore = "needs ONNX Runtime"]
+async fn a_node_whose_model_never_finishes_loading_stops_on_request() {
+    let folder = tempfile::tempdir().unwrap();
+    let node = Node::start_with(folder, &settings("endless.onnx", ""), &[]).await;
+    let ready = reqwest::get(format!("{}/readyz", node.http)).await.unwrap();
+    assert_eq!(ready.status(), 503);
+    until("the model is being loaded", async || {
+        let lines = node.text("/api/v1/log").await;
+        lines.contains("ONNX Runtime loaded") && lines.contains("endless.onnx")
+    })
+    .await;
+    let (took, log) = node.stop_well().await;
+    assert!(took < Duration::from_secs(10), "it took {took:?}:\n{log}");
+    let said = ["loading the detector", "stopped before the node was ready"];
+    assert_contains(&log, &said);
+    // The unloading of ONNX Runtime must not break a run in progress.
+    assert!(!log.contains("GetElementType"), "{log}");
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_disk_that_stalls_at_start_delays_no_health_check() {

@@ -124,7 +124,6 @@ fn attachment(data: &[u8]) -> bool {
     sample(&[7; 12], raw, Some(data), PayloadFormat::Encoding)
 }
 
-/// A ROS 2 message, read as each of the two types.
 fn ros2(data: &[u8]) -> bool {
     let formats = [PayloadFormat::Ros2CompressedImage, PayloadFormat::Ros2Image];
     (formats.map(|format| sample(data, "", None, format))).contains(&true)
@@ -211,7 +210,6 @@ fn desired(data: &[u8]) -> bool {
     .contains(&true)
 }
 
-/// A service's configuration file.
 fn toml<C: Configuration>(data: &[u8]) -> bool {
     let Ok(text) = std::str::from_utf8(data) else {
         return false;
@@ -266,7 +264,6 @@ fn names(data: &[u8]) -> bool {
     true
 }
 
-/// A rollout request and a selection of nodes.
 fn rollout(data: &[u8]) -> bool {
     if let Ok(selector) = Selector::new(&[String::from_utf8_lossy(data)]) {
         selector.selects(

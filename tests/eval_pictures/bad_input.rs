@@ -1,7 +1,7 @@
 //! Bad input to the evaluation is rejected with its place, cause and remedy.
 
-use super::{by_hand, detector, fixture_detector, write_pictures};
-use crate::support::{assert_contains, grey_jpeg, run};
+use super::{by_hand, detector, eval, fixture_detector, write_pictures};
+use crate::support::{assert_contains, grey_jpeg};
 use albireo_core::geometry::PictureSize;
 use albireo_eval::data::LoadReport;
 use albireo_eval::footage::{FrameSource, Pictures};
@@ -11,21 +11,19 @@ use std::path::Path;
 
 /// The error of a run that must fail.
 fn refusal(command: &str) -> String {
-    let words: Vec<_> = command.split_whitespace().collect();
-    let ended = run(&words, &[]);
+    let ended = eval(command);
     assert!(ended.out.is_empty(), "no table after a failure");
     ended.fails()
 }
 
 fn on_pictures(folder: &Path, more: &str) -> String {
     let (folder, detector) = (folder.display(), detector("colours.onnx"));
-    let command = format!("eval pictures {folder} --detector {detector} {more}");
-    refusal(&command)
+    refusal(&format!("pictures {folder} --detector {detector} {more}"))
 }
 
 #[test]
 fn a_missing_file_folder_or_model_is_named() {
-    let said = refusal("eval video no/such.mp4");
+    let said = refusal("video no/such.mp4");
     assert_contains(&said, &["no/such.mp4: no such file or folder"]);
     let said = on_pictures(Path::new("no/such"), "");
     assert_contains(&said, &["no/such: no such file or folder"]);
@@ -33,7 +31,7 @@ fn a_missing_file_folder_or_model_is_named() {
     assert_contains(&on_pictures(folder.path(), ""), &["no .jpg"]);
     write_pictures(folder.path(), 2);
     let drive = folder.path().display();
-    let said = refusal(&format!("eval pictures {drive} --detector no/such.onnx"));
+    let said = refusal(&format!("pictures {drive} --detector no/such.onnx"));
     assert_contains(&said, &["no/such.onnx"]);
     // Recorded screen verdicts need a screen model.
     let said = on_pictures(folder.path(), "--screen recorded");

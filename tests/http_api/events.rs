@@ -6,13 +6,13 @@ use reqwest::Response;
 use serde_json::{Value, json};
 use tokio::time::timeout;
 
-struct Events {
+pub(crate) struct Events {
     response: Response,
     text: String,
 }
 
 impl Events {
-    fn new(response: Response) -> Self {
+    pub(crate) fn new(response: Response) -> Self {
         assert_eq!(response.headers()["content-type"], "text/event-stream");
         let text = String::new();
         Self { response, text }
@@ -36,7 +36,7 @@ impl Events {
         }
     }
 
-    async fn expect(&mut self, name: &str) -> Value {
+    pub(crate) async fn expect(&mut self, name: &str) -> Value {
         let (found, data) = self.next().await.expect("the stream ended");
         assert_eq!(found, name, "{data}");
         data

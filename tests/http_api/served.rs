@@ -31,7 +31,6 @@ pub(crate) struct Served {
     pub task: JoinHandle<Result<(), HttpError>>,
 }
 
-/// A board with the cameras `front` and `rear`.
 pub(crate) fn board(policy: &str, state_dir: Option<&Path>) -> Arc<Board> {
     let mut config = NodeConfig {
         cameras: ["front", "rear"].map(CameraConfig::named).to_vec(),

@@ -46,10 +46,8 @@ async fn an_invalid_threshold_is_rejected_with_the_allowed_range_and_changes_not
             let refused = problem(node.put(path, body).await, status).await;
             let detail = refused["detail"].as_str().unwrap();
             assert_contains(detail, &["number from 1e-9 to 1"]);
-            assert_has(
-                &refused["threshold_spec"],
-                &json!({"minimum": 1e-9, "maximum": 1.0}),
-            );
+            let allowed = json!({"minimum": 1e-9, "maximum": 1.0});
+            assert_has(&refused["threshold_spec"], &allowed);
         }
     }
     for camera in &node.board.cameras {
@@ -82,11 +80,8 @@ async fn only_json_of_limited_size_and_what_plain_curl_sends_is_accepted() {
                 assert_eq!(refused["allowed"], json!(["application/json"]));
                 let remedy = "-H 'content-type: application/json'";
                 assert_contains(refused["detail"].as_str().unwrap(), &[remedy]);
-                assert_eq!(
-                    node.front().threshold(),
-                    Some(THRESHOLD.default),
-                    "{media:?}"
-                );
+                let kept = Some(THRESHOLD.default);
+                assert_eq!(node.front().threshold(), kept, "{media:?}");
             }
         }
     }

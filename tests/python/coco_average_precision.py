@@ -2,7 +2,7 @@
 
 Reads JSON from standard input:
   {"clips": [[{"predictions": [[x1, y1, x2, y2, class, confidence], ...],
-               "truth": [[x1, y1, x2, y2, class], ...]}, ...], ...]}
+               "truth": [[x1, y1, x2, y2, class, confidence], ...]}, ...], ...]}
 Writes JSON: for each clip and definition, AP@50 and the mean over IoU 0.50 to 0.95.
 
 COCO samples precision at 101 recall levels. The area over all points is the mean of the interpolated
@@ -30,7 +30,7 @@ def box(corners):
 def build(frames):
     truth, predictions, classes = [], [], set()
     for image, frame in enumerate(frames, start=1):
-        for *corners, category in frame["truth"]:
+        for *corners, category, _ in frame["truth"]:
             x, y, width, height = box(corners)
             truth.append(
                 {

@@ -29,9 +29,8 @@ pub(crate) fn changed(name: &str, change: impl FnOnce(&mut DetectorConfig)) -> D
 }
 
 pub(crate) async fn started(config: &DetectorConfig) -> DetectorHandle {
-    DetectorHandle::start(config)
-        .await
-        .unwrap_or_else(|error| panic!("{config:?}: {error}"))
+    let started = DetectorHandle::start(config).await;
+    started.unwrap_or_else(|error| panic!("{config:?}: {error}"))
 }
 
 pub(crate) async fn refusal(config: &DetectorConfig) -> String {

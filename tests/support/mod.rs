@@ -41,9 +41,8 @@ pub(crate) fn text(path: &str) -> String {
 /// A file of the shared recordings, clips and models.
 pub(crate) fn shared(path: &str) -> PathBuf {
     let folder = std::env::var_os("ALBIREO_SHARED");
-    let file = folder
-        .map_or_else(|| project("../shared"), PathBuf::from)
-        .join(path);
+    let folder = folder.map_or_else(|| project("../shared"), PathBuf::from);
+    let file = folder.join(path);
     let missing = "does not exist: set ALBIREO_SHARED, or skip the tests named shared_";
     assert!(file.exists(), "{} {missing}", file.display());
     file
@@ -214,9 +213,8 @@ pub(crate) fn run_command(command: &mut std::process::Command) -> Ended {
         command.current_dir(env!("CARGO_MANIFEST_DIR"));
     }
     let output = command.stdin(Stdio::null()).output();
-    output
-        .unwrap_or_else(|error| panic!("{command:?}: {error}"))
-        .into()
+    let output = output.unwrap_or_else(|error| panic!("{command:?}: {error}"));
+    output.into()
 }
 
 pub(crate) fn albireo() -> Command {
@@ -305,11 +303,6 @@ impl Node {
         node
     }
 
-    /// Starts a node that cannot be ready yet.
-    pub(crate) async fn start_unready(settings: &str) -> Self {
-        Self::start_with(tempfile::tempdir().unwrap(), settings, &[]).await
-    }
-
     pub(crate) async fn start_with(
         folder: tempfile::TempDir,
         settings: &str,
@@ -369,10 +362,10 @@ impl Node {
         self.ended().await
     }
 
-    pub(crate) async fn stop_well(self) -> String {
-        let (status, _, log, _) = self.stop().await;
-        assert!(status.success(), "{log}");
-        log
+    pub(crate) async fn stop_well(self) -> (Duration, String) {
+        let (status, took, log, _) = self.stop().await;
+        assert!(status.success(), "{status}:\n{log}");
+        (took, log)
     }
 }
 
