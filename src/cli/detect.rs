@@ -308,10 +308,7 @@ mod tests {
 
     #[test]
     fn a_box_is_outlined_and_cut_off_at_the_border_of_the_picture() {
-        let mut picture = Picture::black(PictureSize {
-            width: 8,
-            height: 6,
-        });
+        let mut picture = Picture::black(PictureSize::new(8, 6));
         outline(&mut picture, [2.0, 1.0, 20.0, 5.0], [9, 9, 9]);
         let lit = |x: usize, y: usize| picture.pixels[3 * (8 * y + x)] == 9;
         assert!(lit(2, 1) && lit(7, 1) && lit(2, 4) && lit(7, 4));

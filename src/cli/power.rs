@@ -123,14 +123,6 @@ mod tests {
             why_not: Some("rapl: not on this machine: no counter".to_owned()),
             ..source("rapl")
         };
-        let expected = "\
-source        usable      watts  rails, or why not
-ina *         yes       19.78 W  input_rail; reading it takes 0.12 % of one core
-                        19.78 W  VIN (in total)
-                         1.96 W  VDD_GPU (gpu)
-                              -  VDD_CPU_SOC_MSS (cpu)
-rapl          no                 not on this machine: no counter
-";
-        assert_eq!(table(&[ina, rapl]), expected);
+        insta::assert_snapshot!(table(&[ina, rapl]));
     }
 }

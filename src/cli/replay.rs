@@ -166,23 +166,22 @@ mod tests {
         replay: ReplayArguments,
     }
 
-    fn parse(arguments: &[&str]) -> Result<ReplayArguments, String> {
-        Command::try_parse_from([&["replay"], arguments].concat())
-            .map(|command| command.replay)
-            .map_err(|error| error.to_string())
+    pub(super) fn parse(arguments: &str) -> Result<ReplayArguments, clap::Error> {
+        let program = ["replay", "demo"].into_iter();
+        let command = Command::try_parse_from(program.chain(arguments.split_whitespace()));
+        command.map(|command| command.replay)
     }
 
     #[test]
     fn the_key_is_the_camera_s_or_the_one_given_and_nonsense_is_refused() {
         let key = |arguments| parse(arguments).unwrap().target.frame_key();
-        assert_eq!(key(&["demo"]).unwrap(), "albireo/node/front/frame");
-        let named = ["demo", "--prefix", "f", "--node", "n", "--camera", "c"];
-        assert_eq!(key(&named).unwrap(), "f/n/c/frame");
-        assert_eq!(key(&["demo", "--key", "a/b"]).unwrap(), "a/b");
-        assert!(key(&["demo", "--camera", "a/b"]).is_err());
+        assert_eq!(key("").unwrap(), "albireo/node/front/frame");
+        let named = "--prefix f --node n --camera c";
+        assert_eq!(key(named).unwrap(), "f/n/c/frame");
+        assert_eq!(key("--key a/b").unwrap(), "a/b");
+        assert!(key("--camera a/b").is_err());
         for wrong in ["--key a --node n", "--rate 0", "--clip-seconds 0"] {
-            let arguments: Vec<_> = ["demo"].into_iter().chain(wrong.split(' ')).collect();
-            assert!(parse(&arguments).is_err(), "{wrong}");
+            assert!(parse(wrong).is_err(), "{wrong}");
         }
     }
 

@@ -119,10 +119,8 @@ impl Recordings {
         unjudged.iter_mut().for_each(|clip| clip.truth = None);
         let mut config = PolicyConfig::default();
         config.select(name)?;
-        let spec = config
-            .build()?
-            .threshold_spec()
-            .ok_or("it has no threshold")?;
+        let spec = config.build()?.threshold_spec();
+        let spec = spec.ok_or("it has no threshold")?;
         // Half a frame.
         let frames: usize = self.clips.iter().map(|clip| clip.frames).sum();
         let near = 2e-4f64.max(0.5 / frames as f64);

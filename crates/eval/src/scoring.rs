@@ -106,7 +106,7 @@ fn truncate(edge: f64) -> f64 {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::average_precision::tests::square;
     use albireo_core::detection::{ClassId, ObjectId};
@@ -118,29 +118,27 @@ mod tests {
         assert!((decayed_confidence(0.9, 1.0, 3e-4) - 0.09).abs() < 1e-15);
     }
 
+    pub(crate) fn object(bounding_box: [f64; 4]) -> ObjectRecord {
+        ObjectRecord {
+            id: ObjectId(7),
+            class: ClassId(2),
+            confirmed: true,
+            confidence: 1.0 / 3.0,
+            bounding_box: bounding_box.into(),
+            tau: 2.4961199111764362e-5,
+            hits: 3,
+            since_update: 1,
+            since_infer: 1,
+            misses: 0,
+        }
+    }
+
     #[test]
     fn an_objects_box_is_cut_and_clamped_to_the_last_pixel() {
-        let picture = PictureSize::new(100, 50);
-        let object = ObjectRecord {
-            id: ObjectId(0),
-            class: ClassId(2),
-            confirmed: false,
-            confidence: 0.7,
-            bounding_box: [0.95, 0.2, 0.3, 0.6].into(),
-            tau: 0.0,
-            hits: 1,
-            since_update: 0,
-            since_infer: 0,
-            misses: 0,
-        };
-        let scored = score_object(&object, picture);
-        let expected = Corners {
-            x1: 80.0,
-            y1: 0.0,
-            x2: 99.0,
-            y2: 25.0,
-        };
-        assert_eq!(scored.corners, expected);
+        let object = object([0.95, 0.2, 0.3, 0.6]);
+        let cut = score_object(&object, PictureSize::new(100, 50)).corners;
+        let edges = [cut.x1, cut.y1, cut.x2, cut.y2];
+        assert_eq!(edges, [80.0, 0.0, 99.0, 25.0]);
     }
 
     #[test]

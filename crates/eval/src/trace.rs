@@ -67,7 +67,7 @@ pub fn read(path: &Path) -> Result<Vec<TraceFrame>, EvalError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use albireo_core::detection::{ClassId, ObjectId};
+    use crate::scoring::tests::object;
 
     #[test]
     fn a_trace_read_back_is_the_trace_written_to_the_last_bit() {
@@ -86,18 +86,7 @@ mod tests {
                 state: FrameState::P,
                 tau_max: Some(0.1 + 0.2),
                 active: 1,
-                objects: vec![ObjectRecord {
-                    id: ObjectId(7),
-                    class: ClassId(2),
-                    confirmed: true,
-                    confidence: 1.0 / 3.0,
-                    bounding_box: [0.1, 0.7, 1e-17, 0.3].into(),
-                    tau: 2.4961199111764362e-5,
-                    hits: 3,
-                    since_update: 1,
-                    since_infer: 1,
-                    misses: 0,
-                }],
+                objects: vec![object([0.1, 0.7, 1e-17, 0.3])],
             },
         ];
         write(&path, &frames).expect("the trace can be written");

@@ -1,5 +1,4 @@
 use super::*;
-use albireo_core::policy::FrameState;
 
 #[test]
 fn an_unknown_version_is_rejected_with_its_number() {
@@ -8,17 +7,6 @@ fn an_unknown_version_is_rejected_with_its_number() {
     assert_eq!(error.to_string(), expected);
     assert!(read::<FrameAttachment>(br#"{"seq":1}"#).is_err());
     assert!(read::<FrameAttachment>(b"\xff").is_err());
-}
-
-#[test]
-fn the_five_states_sum_to_all_frames() {
-    let mut states = FrameStates::default();
-    for state in FrameState::ALL {
-        states.count(state);
-        assert_eq!(states.get(state), 1);
-    }
-    assert_eq!(states.frames(), 5);
-    assert!((states.skip_rate(0) - 0.4).abs() < 1e-12);
 }
 
 /// The batch that serves as the compression dictionary.

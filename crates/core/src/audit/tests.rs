@@ -6,7 +6,6 @@ use crate::policy::tests::random;
 use crate::policy::{BoxSource, OutputBox};
 use proptest::prelude::*;
 
-/// A box and its class.
 type Place = (BoundingBox, u16);
 
 fn add(sums: &mut AuditSums, shown: &[Place], detected: &[Place]) {

@@ -261,10 +261,8 @@ mod tests {
                     let mut sum = 0;
                     for (j, wj) in weights.iter().enumerate() {
                         for (i, wi) in weights.iter().enumerate() {
-                            sum += wi * wj * at(
-                                (2 * x + i) as isize - 2,
-                                (2 * y + j) as isize - 2,
-                            );
+                            let (x, y) = (2 * x + i, 2 * y + j);
+                            sum += wi * wj * at(x as isize - 2, y as isize - 2);
                         }
                     }
                     prop_assert_eq!(u32::from(levels[1].pixels[(y + BORDER) * levels[1].stride + BORDER + x]), (sum + 128) / 256);

@@ -151,11 +151,8 @@ fn a_guess_finds_boxes_that_moved_too_far_otherwise() {
     let after = pyramid(&texture.picture(middle, shift, 1.0));
     let area = corners([130.0, 70.0, 190.0, 110.0]);
     let mut flow = BoxFlow::new(BoxFlowSettings::default());
-    let found = |followed: Followed| {
-        followed
-            .motion
-            .is_some_and(|m| (m.shift[0] - shift[0]).abs() + (m.shift[1] - shift[1]).abs() < 0.2)
-    };
+    let off = |[x, y]: [f64; 2]| (x - shift[0]).abs() + (y - shift[1]).abs();
+    let found = |followed: Followed| followed.motion.is_some_and(|m| off(m.shift) < 0.2);
     assert!(!found(flow.follow(&before, &after, area, [0.0; 2])));
     let followed = flow.follow(&before, &after, area, [56.0, -17.0]);
     assert!(found(followed), "{followed:?}");

@@ -24,8 +24,8 @@ pub(crate) fn is_usable(detection: &Detection) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::detection::ClassId;
     use crate::geometry::BoundingBox;
+    use crate::policy::tests::seen;
 
     /// A usable detection with `number` in one of its five fields.
     fn with(field: usize, number: f64) -> Detection {
@@ -34,8 +34,7 @@ mod tests {
         let [x, y, width, height, confidence] = numbers;
         Detection {
             bounding_box: BoundingBox::new(x, y, width, height),
-            class: ClassId(0),
-            confidence,
+            ..seen(x, confidence)
         }
     }
 

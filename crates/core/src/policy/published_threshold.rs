@@ -69,6 +69,7 @@ pub(super) fn sizeless(published: FilterParameters) -> FilterParameters {
 mod tests {
     use super::*;
     use crate::policy::Albireo;
+    use crate::policy::tests::PICTURE;
 
     const SIZES: [PictureSize; 5] = [
         PictureSize::new(640, 480),
@@ -80,12 +81,11 @@ mod tests {
 
     #[test]
     fn at_the_papers_size_both_filters_are_identical_to_the_last_bit() {
-        let picture = PictureSize::new(1280, 720);
-        let published = FilterModel::new(&AlbireoSettings::reference().filter, picture);
-        let paper = FilterModel::new(&AlbireoSettings::paper().filter, picture);
+        let published = FilterModel::new(&AlbireoSettings::reference().filter, PICTURE);
+        let paper = FilterModel::new(&AlbireoSettings::paper().filter, PICTURE);
         assert_eq!(published, paper);
         for u in [1e-9, 3e-4, 1e-3, 1.0] {
-            assert_eq!(published_threshold(u, picture).to_bits(), u.to_bits());
+            assert_eq!(published_threshold(u, PICTURE).to_bits(), u.to_bits());
         }
     }
 
@@ -110,10 +110,7 @@ mod tests {
 
     #[test]
     fn the_range_of_u_covers_every_useful_value() {
-        let model = FilterModel::new(
-            &AlbireoSettings::paper().filter,
-            PictureSize::new(1280, 720),
-        );
+        let model = FilterModel::new(&AlbireoSettings::paper().filter, PICTURE);
         let taus = curve(&model);
         let spec = Albireo::THRESHOLD;
         // Below the first a seen object calls the detector on every frame.

@@ -1,10 +1,9 @@
 //! Simulates a node by a few straight lines, second by second in virtual time.
 
 use super::*;
-use crate::audit::AuditSums;
 use crate::audit::tests::add_crowd;
 use crate::policy::tests::random;
-use crate::policy::{Albireo, ExpectedLoss, PolicyConfig};
+use crate::policy::{Albireo, Ctd, ExpectedLoss};
 use proptest::prelude::*;
 
 const RANGE: ThresholdRange = ThresholdRange {
@@ -334,10 +333,7 @@ fn the_default_range_costs_little_accuracy_and_other_thresholds_are_rejected() {
         let range = ThresholdRange::of("expected-loss", Some(threshold), Some(least), Some(most));
         assert!(range.is_err(), "{least} {most}");
     }
-    let mut ctd = PolicyConfig::default();
-    ctd.select("ctd").unwrap();
-    let ctd = ctd.build().unwrap().threshold_spec();
-    let refused = ThresholdRange::of("ctd", ctd.as_ref(), None, None).unwrap_err();
+    let refused = ThresholdRange::of("ctd", Some(&Ctd::THRESHOLD), None, None).unwrap_err();
     assert!(refused.to_string().contains("`ctd`"), "{refused}");
     let refused = ThresholdRange::of("vanilla", None, None, None).unwrap_err();
     let expected = "a target moves `u` or `lambda`, and policy `vanilla` has no threshold";

@@ -24,16 +24,12 @@ pub(crate) fn at(left: f64, confidence: f64) -> ScoredBox {
     scored(square(left, 0.0, 10.0), confidence)
 }
 
-fn truth(corners: Corners) -> ScoredBox {
-    scored(corners, 1.0)
-}
-
 /// Four boxes to find, 20 pixels apart.
 fn four() -> Vec<Vec<ScoredBox>> {
     vec![[0.0, 20.0, 40.0, 60.0].map(|left| at(left, 1.0)).to_vec()]
 }
 
-fn pooled(predictions: &[Vec<ScoredBox>], truth: &[Vec<ScoredBox>]) -> Accuracy {
+pub(crate) fn pooled(predictions: &[Vec<ScoredBox>], truth: &[Vec<ScoredBox>]) -> Accuracy {
     let area = Interpolation::AllPoints;
     accuracy(predictions, truth, Classes::Pooled, area).expect("there is ground truth")
 }
@@ -139,7 +135,7 @@ proptest! {
         frames in proptest::collection::vec((some_boxes(), some_boxes()), 1..5),
     ) {
         let (predictions, there): (Vec<_>, Vec<_>) = frames.into_iter().unzip();
-        let truths = there.iter().map(|boxes| boxes.iter().map(|b| truth(b.corners)).collect());
+        let truths = there.iter().map(|boxes| boxes.iter().map(|b| scored(b.corners, 1.0)).collect());
         let truths: Vec<Vec<ScoredBox>> = truths.collect();
         prop_assume!(truths.iter().any(|frame| !frame.is_empty()));
         let fast = pooled(&predictions, &truths);
@@ -161,7 +157,7 @@ fn boxes_in_an_ignored_region_are_no_false_positives_and_found_objects_there_cou
         scored(square(150.0, 50.0, 40.0), 0.6),
         scored(square(400.0, 50.0, 40.0), 0.5),
     ];
-    let truths = vec![vec![truth(square(150.0, 50.0, 40.0))], Vec::new()];
+    let truths = vec![vec![scored(square(150.0, 50.0, 40.0), 1.0)], Vec::new()];
     let later = vec![scored(square(120.0, 10.0, 20.0), 0.9)];
     let judged = outside_ignored(&[found, later], &truths, &[vec![region]]);
     let confidences = |frame: &[ScoredBox]| frame.iter().map(|b| b.confidence).collect::<Vec<_>>();
@@ -179,7 +175,7 @@ fn spread_over_frames(count: usize) -> (Vec<Vec<ScoredBox>>, Vec<Vec<ScoredBox>>
             let off_by = ((frame + index) % 40) as f64;
             let confidence = ((frame * 7 + index) % 101) as f64 / 101.0;
             let predicted = scored(square(x + off_by, y, 80.0), confidence);
-            (predicted, truth(square(x, y, 80.0)))
+            (predicted, scored(square(x, y, 80.0), 1.0))
         });
         boxes.unzip()
     };

@@ -195,6 +195,13 @@ mod tests {
         let lines = sentences(&comparison(&policies, rounds([80.0, 79.9], 39).collect()));
         let said = "no clear difference in energy in 3 rounds";
         assert!(lines[0].contains(said), "{lines:?}");
+        let calls = [(100, 20), (100, 95), (100, 85)];
+        let runs = calls.iter().enumerate().flat_map(|(round, &(first, own))| {
+            [run(round, 0, first, None), run(round, 1, own, None)]
+        });
+        let lines = sentences(&comparison(&policies, runs.collect()));
+        let said = "no clear difference in detector calls to vanilla in 3 rounds";
+        assert!(lines[0].contains(said), "{lines:?}");
     }
 
     #[test]
@@ -223,17 +230,5 @@ mod tests {
             assert!(lines[0].contains("25 % of the energy saved"), "{lines:?}");
             assert!(!lines[0].contains("year"), "{lines:?}");
         }
-    }
-
-    #[test]
-    fn calls_that_differ_between_rounds_are_no_clear_difference() {
-        let calls = [(100, 20), (100, 95), (100, 85)];
-        let runs = calls.iter().enumerate().flat_map(|(round, &(first, own))| {
-            [run(round, 0, first, None), run(round, 1, own, None)]
-        });
-        let comparison = comparison(&["vanilla", "albireo u=5e-4"], runs.collect());
-        let lines = sentences(&comparison);
-        let said = "no clear difference in detector calls to vanilla in 3 rounds";
-        assert!(lines[0].contains(said), "{lines:?}");
     }
 }

@@ -105,10 +105,8 @@ mod tests {
     use crate::footage::Pictures;
     use std::path::Path;
 
-    fn taken(selection: FrameSelection, frames: u64) -> Vec<u64> {
-        (0..frames)
-            .filter(|index| selection.takes(*index))
-            .collect()
+    fn taken(kept: FrameSelection, frames: u64) -> Vec<u64> {
+        (0..frames).filter(|index| kept.takes(*index)).collect()
     }
 
     #[test]

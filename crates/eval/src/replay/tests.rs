@@ -103,10 +103,8 @@ fn a_policy_gets_its_evidence_and_learns_of_missing_screen_verdicts() {
     let result = replayed(&mut policy, &recording(&[]), Profile::Paper).expect("it runs");
     let expected = "screen false, grey 2x1, detections 0, unavailable, grey 2x1, detections 0";
     assert_eq!(policy.answers.join(", "), expected);
-    let asked = result
-        .frames
-        .iter()
-        .map(|frame| (frame.screen, frame.detector));
+    let frames = result.frames.iter();
+    let asked = frames.map(|frame| (frame.screen, frame.detector));
     assert_eq!(asked.collect::<Vec<_>>(), [(true, true); 2]);
 }
 

@@ -3,7 +3,6 @@ use crate::average_precision::ScoredBox;
 use crate::average_precision::tests::scored;
 use crate::source::ScreenRule;
 use crate::spec::resolve;
-use albireo_core::detection::ClassId;
 use albireo_core::geometry::Corners;
 use albireo_core::policy::PolicyConfig;
 
@@ -25,10 +24,7 @@ fn drive_by(frames: usize, speed: f64) -> Clip {
         x2: 180.0 + speed * frame as f64,
         y2: 160.0,
     };
-    let detection = |frame| ScoredBox {
-        class: ClassId(2),
-        ..scored(car(frame), 0.9)
-    };
+    let detection = |frame| scored(car(frame), 0.9);
     let truth = |frame| ScoredBox {
         confidence: 1.0,
         object: Some(1),

@@ -1,5 +1,6 @@
 use super::*;
 use crate::average_precision::Accuracy;
+use crate::average_precision::tests::{at, pooled};
 use crate::replay::Replay;
 use albireo_core::policy::FrameState;
 
@@ -14,16 +15,9 @@ pub(crate) fn of_states(clip: &str, policy: &str, states: &[FrameState]) -> Clip
 fn result(clip: &str, policy: &str, ap50: Option<f64>, skipped: usize) -> ClipResult {
     let states = [[FrameState::P; 10], [FrameState::I; 10]].concat();
     let mut result = of_states(clip, policy, &states[10 - skipped..][..10]);
-    result.accuracy = ap50.map(|ap50| Accuracy {
-        ap50,
-        map: ap50 / 2.0,
-        ap75: ap50 / 2.0,
-        f1_50_shown: ap50,
-        precision: 1.0,
-        recall: 1.0,
-        predictions: 1,
-        truths: 1,
-    });
+    let boxes = [vec![at(0.0, 1.0)]];
+    let perfect = pooled(&boxes, &boxes);
+    result.accuracy = ap50.map(|ap50| Accuracy { ap50, ..perfect });
     result
 }
 
@@ -56,9 +50,7 @@ fn the_skip_frontier_contains_every_unbeaten_policy() {
         result("a", "good", Some(0.6), 5),
         result("a", "bad", Some(0.5), 4),
     ];
-    let on: Vec<bool> = summarise(&results)
-        .iter()
-        .map(|summary| summary.on_skip_frontier)
-        .collect();
-    assert_eq!(on, [true, true, false]);
+    let summaries = summarise(&results);
+    let on = summaries.iter().map(|summary| summary.on_skip_frontier);
+    assert_eq!(on.collect::<Vec<_>>(), [true, true, false]);
 }

@@ -1,8 +1,8 @@
+use super::super::tests::parse;
 use super::*;
 use albireo_core::geometry::PictureSize;
 use albireo_eval::footage::Pictures;
 use bytes::Bytes;
-use clap::Parser;
 use std::path::Path;
 use std::sync::Mutex;
 
@@ -17,15 +17,8 @@ fn numbers(length: u8) -> Box<dyn FrameSource> {
     Box::new(Pictures::in_memory("numbers".to_owned(), pictures, 10.0))
 }
 
-#[derive(Parser)]
-struct Command {
-    #[command(flatten)]
-    options: PublishOptions,
-}
-
 fn options(arguments: &str) -> PublishOptions {
-    let words = arguments.split_whitespace();
-    Command::parse_from(["play"].into_iter().chain(words)).options
+    parse(arguments).unwrap().options
 }
 
 /// Everything sent, with the time since the start.
@@ -55,10 +48,6 @@ async fn played(
     (frames.into_inner().unwrap(), sent)
 }
 
-fn at_once(_: u64) -> Duration {
-    Duration::ZERO
-}
-
 #[tokio::test(start_paused = true)]
 async fn frames_go_out_at_the_source_s_rate_or_a_given_one() {
     for (rate, period) in [("", 100), ("--rate 4", 250)] {
@@ -66,7 +55,7 @@ async fn frames_go_out_at_the_source_s_rate_or_a_given_one() {
             first_sequence: 7,
             ..options(rate)
         };
-        let (frames, sent) = played(numbers(5), options, at_once).await;
+        let (frames, sent) = played(numbers(5), options, |_| Duration::ZERO).await;
         assert_eq!((sent.frames, sent.bytes, sent.behind), (5, 5, 0));
         for (number, (when, frame)) in (0..).zip(&frames) {
             let expected = Duration::from_millis(period) * number;
@@ -113,7 +102,7 @@ async fn clips_are_passes_lengths_of_time_or_those_of_the_source() {
             "road" => Box::new(Pictures::of_archive(Path::new("demo/road.tar"), 10.0).unwrap()),
             length => numbers(length.parse().unwrap()),
         };
-        let (frames, sent) = played(source, options(arguments), at_once).await;
+        let (frames, sent) = played(source, options(arguments), |_| Duration::ZERO).await;
         let sequence = frames.iter().map(|(_, frame)| frame.attachment.seq);
         assert!(sequence.eq((0..sent.frames).map(Some)), "{case}");
         let clips: Vec<_> = (frames.iter())

@@ -6,7 +6,6 @@ fn seen(x: f64) -> Detection {
     crate::policy::tests::seen(x, 0.9)
 }
 
-/// One frame in which the detector finds `detections`.
 fn frame(objects: &mut ObjectStates, detections: &[Detection]) {
     objects.predict(PICTURE, 1);
     let life_cycle = objects.settings().life_cycle;
@@ -17,7 +16,6 @@ fn objects() -> ObjectStates {
     ObjectStates::new(AlbireoSettings::paper().objects())
 }
 
-/// `objects` with a confirmed one.
 fn confirmed(mut objects: ObjectStates) -> ObjectStates {
     for _ in 0..3 {
         frame(&mut objects, &[seen(0.5)]);
@@ -127,12 +125,11 @@ fn hostile_detections_are_counted_and_have_no_effect() {
     let mut clean = objects.clone();
     let mut found = vec![seen(0.5)];
     for number in [f64::NAN, f64::INFINITY, -1e300, 1e300] {
-        let mut bad = seen(0.5);
-        bad.bounding_box.center_x = number;
-        found.push(bad);
-        let mut bad = seen(0.5);
-        bad.bounding_box.height = number;
-        found.insert(0, bad);
+        let [mut off, mut long] = [seen(0.5); 2];
+        off.bounding_box.center_x = number;
+        long.bounding_box.height = number;
+        found.push(off);
+        found.insert(0, long);
     }
     frame(&mut objects, &found);
     frame(&mut clean, &[seen(0.5)]);

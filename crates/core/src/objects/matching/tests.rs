@@ -1,9 +1,8 @@
 use super::*;
 use crate::detection::ObjectId;
-use crate::geometry::PictureSize;
 use crate::kalman::FilterParameters;
 use crate::objects::{ComponentSolver, Edge};
-use crate::policy::tests::seen;
+use crate::policy::tests::{PICTURE, seen};
 use proptest::prelude::*;
 
 const SETTINGS: Association = Association {
@@ -14,7 +13,7 @@ const SETTINGS: Association = Association {
 };
 
 fn model() -> FilterModel {
-    FilterModel::new(&FilterParameters::default(), PictureSize::new(1280, 720))
+    FilterModel::new(&FilterParameters::default(), PICTURE)
 }
 
 fn detection(bounding_box: BoundingBox) -> Detection {

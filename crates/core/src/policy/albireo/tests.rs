@@ -1,6 +1,6 @@
 use super::*;
 use crate::geometry::{BoundingBox, PictureSize};
-use crate::policy::tests::{Run, seen};
+use crate::policy::tests::{Run, random, seen};
 use crate::policy::{BoxSource, FrameEvidence};
 
 fn start(settings: AlbireoSettings, u: f64) -> Run<Albireo> {
@@ -199,21 +199,14 @@ fn evidence_of_the_wrong_kind_is_ignored() {
     assert_eq!(run.outcome.boxes.len(), 1);
 }
 
-/// The state of a frame, and the ids of its objects.
 type Decided = (FrameState, Vec<u64>);
 
 /// Decides a minute of a street in pictures of `size`: cars come, go, jitter and are sometimes missed, all at fractions of the
 /// picture, converted through pixels as a detector does.
-fn decided_in_pictures_of(size: PictureSize, settings: AlbireoSettings, u: f64) -> Vec<Decided> {
+fn decided(size: PictureSize, settings: AlbireoSettings, u: f64) -> Vec<Decided> {
     let mut run = start(settings, u);
     run.picture = size;
-    let mut random = 7_u64;
-    let mut next = move || {
-        random = random
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1);
-        (random >> 40) as f64 / (1 << 24) as f64
-    };
+    let mut next = random(7);
     (0..600_u64)
         .map(|index| {
             let mut found = Vec::new();
@@ -251,20 +244,14 @@ fn decisions_do_not_depend_on_the_picture_size() {
         PictureSize::new(3840, 2160),
     ];
     for u in [3e-4, 5e-4, 7e-4, 1e-3] {
-        let [expected, others @ ..] =
-            sizes.map(|size| decided_in_pictures_of(size, AlbireoSettings::paper(), u));
+        let [expected, others @ ..] = sizes.map(|size| decided(size, AlbireoSettings::paper(), u));
         let skipped = expected.iter().filter(|(state, _)| state.is_skipped());
         let skipped = skipped.count();
         assert!((60..480).contains(&skipped), "{skipped} of 600 at u = {u}");
         assert!(others.iter().all(|other| *other == expected), "u = {u}");
     }
     // The published code counts pixels, and skips nothing in small pictures.
-    let published = |size| {
-        decided_in_pictures_of(
-            size,
-            AlbireoSettings::reference(),
-            Albireo::THRESHOLD.default,
-        )
-    };
+    let u = Albireo::THRESHOLD.default;
+    let published = |size| decided(size, AlbireoSettings::reference(), u);
     assert_ne!(published(sizes[0]), published(sizes[1]));
 }

@@ -47,10 +47,10 @@ fn a_setting_overrides_the_profile() {
         (Profile::Reference, SkippedBoxes::Reuse, 0),
     ] {
         let mut config = PolicyConfig {
+            name: FixedSkip::NAME.to_owned(),
             profile,
             ..PolicyConfig::default()
         };
-        config.select(FixedSkip::NAME).unwrap();
         config.fixed_skip.skipped_boxes = Some(skipped);
         let mut run = Run::with(config.build().unwrap());
         run.see(&[seen(0.5, 0.9)]);

@@ -66,15 +66,9 @@ impl Event {
         }
     }
 
-    /// The threshold set before the frame.
     fn threshold(&self, policy: &dyn Policy) -> Option<f64> {
         Some(useful(policy.threshold_spec()?, self.threshold?))
     }
-}
-
-/// Names of all policies that can answer at once.
-fn late_policies() -> impl Iterator<Item = &'static str> {
-    known_policies().filter(|name| build(name).can_rewind())
 }
 
 fn build(name: &str) -> Box<dyn Policy> {
@@ -118,19 +112,7 @@ struct Camera<'a> {
     settled: Vec<(usize, Outcome)>,
 }
 
-impl<'a> Camera<'a> {
-    fn new(policy: Box<dyn Policy>, script: &'a [Event]) -> Self {
-        Self {
-            late: LatePolicy::new(policy).unwrap(),
-            script,
-            next: 0,
-            waits: None,
-            given: vec![0; script.len()],
-            live: Outcome::default(),
-            settled: Vec::new(),
-        }
-    }
-
+impl Camera<'_> {
     /// Plays the next frame; returns false after the last.
     fn frame(&mut self) -> bool {
         let Some(event) = self.script.get(self.next) else {
@@ -198,8 +180,16 @@ proptest! {
         script in prop_oneof![events(0), events(6)],
         profile in prop::sample::select(vec![Profile::Paper, Profile::Reference]),
     ) {
-        for name in late_policies() {
-            let mut camera = Camera::new(built(name, profile), &script);
+        for name in known_policies().filter(|name| build(name).can_rewind()) {
+            let mut camera = Camera {
+                late: LatePolicy::new(built(name, profile)).unwrap(),
+                script: &script,
+                next: 0,
+                waits: None,
+                given: vec![0; script.len()],
+                live: Outcome::default(),
+                settled: Vec::new(),
+            };
             while camera.frame() {
                 let so_far = &script[..camera.next];
                 let mut policy = built(name, profile);

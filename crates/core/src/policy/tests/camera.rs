@@ -53,7 +53,6 @@ pub(in crate::policy) fn records<P: Policy + ?Sized>(policy: &P) -> Vec<ObjectRe
     records
 }
 
-/// A policy with a frame counter.
 pub(in crate::policy) struct Run<P: ?Sized = dyn Policy> {
     pub policy: Box<P>,
     pub outcome: Outcome,
@@ -64,7 +63,6 @@ pub(in crate::policy) struct Run<P: ?Sized = dyn Policy> {
 }
 
 impl Run {
-    /// The policy `asked` for, `NAME[:ARGUMENT]`.
     pub(in crate::policy) fn new(asked: &str, profile: Profile) -> Self {
         Self::with(built(asked, profile))
     }
@@ -83,11 +81,6 @@ impl<P: Policy + ?Sized> Run<P> {
 
     /// Begins a frame that the test answers itself.
     pub(in crate::policy) fn begin(&mut self, step: u32) -> Need {
-        let head = self.head(step);
-        self.policy.begin(head)
-    }
-
-    fn head(&mut self, step: u32) -> FrameHead {
         self.index += u64::from(step) - 1;
         let head = FrameHead {
             index: self.index,
@@ -95,7 +88,7 @@ impl<P: Policy + ?Sized> Run<P> {
             picture: self.picture,
         };
         self.index += 1;
-        head
+        self.policy.begin(head)
     }
 
     /// Plays a whole frame, `step` after the previous one.
@@ -112,8 +105,7 @@ impl<P: Policy + ?Sized> Run<P> {
         mut known: FrameEvidence<'_>,
     ) -> bool {
         self.needs.clear();
-        let head = self.head(step);
-        let mut need = self.policy.begin(head);
+        let mut need = self.begin(step);
         while need != Need::Nothing {
             if self.needs.len() == most {
                 return false;
@@ -132,7 +124,6 @@ impl<P: Policy + ?Sized> Run<P> {
         self.frame(1, FrameEvidence::in_view(found))
     }
 
-    /// Plays a frame without any evidence.
     pub(in crate::policy) fn blind(&mut self) -> FrameState {
         self.frame(1, FrameEvidence::default())
     }
@@ -143,14 +134,11 @@ impl<P: Policy + ?Sized> Run<P> {
 
     /// Source, centre and confidence of each box reported.
     pub(in crate::policy) fn reported(&self) -> Vec<(BoxSource, f64, f64)> {
-        let boxes = self.outcome.boxes.iter();
-        boxes
-            .map(|b| (b.source, b.bounding_box.center_x, b.confidence))
-            .collect()
+        let of = |b: &OutputBox| (b.source, b.bounding_box.center_x, b.confidence);
+        self.outcome.boxes.iter().map(of).collect()
     }
 }
 
-/// The size of the pictures of [`ride`].
 const GREY: PictureSize = PictureSize::new(320, 180);
 
 /// A textured world that has moved to the right by this many pixels.

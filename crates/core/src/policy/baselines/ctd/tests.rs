@@ -1,9 +1,7 @@
 use super::*;
-use crate::policy::BoxSource;
-use crate::policy::FrameEvidence;
 use crate::policy::FrameState::{I, P};
-use crate::policy::Profile;
 use crate::policy::tests::{Run, seen};
+use crate::policy::{BoxSource, FrameEvidence, Profile};
 use proptest::prelude::*;
 
 /// Frames until the detector runs, which then finds `found`.

@@ -1,10 +1,9 @@
 use super::*;
 use crate::detection::Detection;
 use crate::policy::BoxSource::{Detected, Predicted};
-use crate::policy::FrameEvidence;
 use crate::policy::FrameState::{I, P};
-use crate::policy::Profile;
 use crate::policy::tests::{Run, seen};
+use crate::policy::{FrameEvidence, Profile};
 
 const SIZE: PictureSize = PictureSize::new(64, 36);
 
