@@ -56,11 +56,8 @@ impl Car {
         (self.node, self.camera) = (Some(node), Some(camera));
     }
 
-    /// Sends frames, each of its own clip.
     pub(crate) async fn drive(&mut self, clips: u64) {
-        let camera = self.camera.as_mut().unwrap();
-        camera.clips(clips).await;
-        self.seq = camera.seq;
+        self.camera.as_mut().unwrap().clips(clips).await;
     }
 
     /// Kills the node while frames are on their way.
@@ -83,9 +80,9 @@ impl Car {
 
     /// Waits until the last closed clip is on the disk and the hub has acknowledged everything.
     async fn until_delivered(&mut self) {
-        let last = format!("clip-{}", self.seq - 2);
         let http = &self.node.as_ref().unwrap().http;
         let camera = self.camera.as_mut().unwrap();
+        let last = format!("clip-{}", camera.seq - 2);
         let mut kept = || camera.reported().contains(&last);
         let waiting = async || metric(http, "albireo_outbox_waiting").await;
         let what = format!("{}: {last} is delivered", self.name);
@@ -128,10 +125,8 @@ async fn a_node_sends_counters_and_pictures_over_its_uplink_only_while_somebody_
     })
     .await;
     let listener = zenoh_client(&endpoint).await;
-    let counters = listener
-        .declare_subscriber("albireo/car-1/*/counters")
-        .await
-        .unwrap();
+    let counters = listener.declare_subscriber("albireo/car-1/*/counters");
+    let counters = counters.await.unwrap();
     // Nobody watches the node: it serves no picture, and three polls of the uplink's thread send no counters.
     let nothing = listener.get("albireo/car-1/front/picture").await.unwrap();
     assert!(nothing.recv_async().await.is_err());

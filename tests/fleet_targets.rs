@@ -5,7 +5,6 @@ use crate::support::fleet::{HubProcess, settings, sqlite};
 use crate::support::{assert_contains, assert_has, json_at, run, until};
 use serde_json::{Value, json};
 
-/// The output and the exit code of `albireo fleet`.
 fn fleet(hub: &HubProcess, words: &str) -> (String, Option<i32>) {
     let words: Vec<_> = words.split(' ').collect();
     let ended = run(&[&["fleet", "--hub", &hub.http], &words[..]].concat(), &[]);

@@ -40,9 +40,8 @@ async fn a_full_disk_delays_acknowledgements_and_loses_nothing() {
     };
     assert_eq!(refusal.reason, RefusalReason::Unavailable, "{refusal:?}");
     assert!(refusal.retry_after_ms.is_some(), "{refusal:?}");
-    let ready = hub
-        .until("/readyz", |answer| answer["ready"] == false)
-        .await;
+    let ready = hub.until("/readyz", |answer| answer["ready"] == false);
+    let ready = ready.await;
     let reason = ready["reasons"]["database"].as_str().unwrap();
     assert_contains(reason, &["cannot be used now"]);
     assert!(metric(&hub.http, "albireo_hub_database_errors_total").await > 0.0);
@@ -194,9 +193,7 @@ struct Traced {
 impl Traced {
     /// Reads a line of `strace -f -y`: `4711 pwrite64(11</tmp/x/hub.db-wal>, "…", 4096, 0) = 4096`.
     fn take(&mut self, line: &str) {
-        let Some((thread, call)) = line.split_once(' ') else {
-            return;
-        };
+        let (thread, call) = line.split_once(' ').unwrap_or_default();
         let (thread, call): (u32, &str) = (thread.parse().unwrap_or(0), call.trim_start());
         let log = call.contains("hub.db-wal>");
         if call.starts_with("pwrite64(") && log {
@@ -207,9 +204,7 @@ impl Traced {
             } else {
                 self.synced(self.unsynced);
             }
-        } else if call.starts_with("<... fdatasync resumed")
-            || call.starts_with("<... fsync resumed")
-        {
+        } else if call.starts_with("<... f") && call.contains("sync resumed") {
             if let Some(begun) = self.syncing.remove(&thread) {
                 self.synced(begun);
             }

@@ -13,7 +13,6 @@ use std::process::Stdio;
 use std::time::{Duration, Instant};
 use tokio::process::{Child, Command};
 
-/// `albireo hub`, running.
 pub(crate) struct HubProcess {
     child: Child,
     pub(crate) http: String,
@@ -43,7 +42,6 @@ pub(crate) fn settings(database: &str) -> (String, Settings) {
 /// The settings of a hub that reaches its nodes through a router.
 pub(crate) fn behind(router: &str, database: &str) -> Settings {
     let (_, mut settings) = settings(database);
-    settings.retain(|(name, _)| *name != "ALBIREO_ZENOH__LISTEN");
     settings.extend([
         ("ALBIREO_ZENOH__MODE", "client".to_owned()),
         ("ALBIREO_ZENOH__CONNECT", format!("[\"{router}\"]")),
@@ -86,7 +84,6 @@ impl HubProcess {
         self.child.kill().await.expect("the hub is killed");
     }
 
-    /// The JSON answer at a path; null without an answer.
     pub(crate) async fn get(&self, path: &str) -> Value {
         json_at(&format!("{}{path}", self.http)).await
     }
@@ -102,11 +99,8 @@ impl HubProcess {
             if wanted(&answer) {
                 return answer;
             }
-            assert!(
-                Instant::now() < until,
-                "{path} stays at {answer}\n{}",
-                std::fs::read_to_string(self.log.path()).unwrap_or_default()
-            );
+            let log = std::fs::read_to_string(self.log.path()).unwrap_or_default();
+            assert!(Instant::now() < until, "{path} stays at {answer}\n{log}");
             tokio::time::sleep(Duration::from_millis(20)).await;
         }
     }
@@ -116,7 +110,6 @@ impl HubProcess {
             .await;
     }
 
-    /// All clips of a node, page by page.
     pub(crate) async fn clips(&self, node: &str) -> Vec<Value> {
         let (mut clips, mut cursor) = (Vec::new(), String::new());
         loop {

@@ -10,8 +10,8 @@ use zenoh::Wait;
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_watched_node_learns_it_and_its_counters_and_pictures_reach_the_watcher() {
     let hub = Hub::fresh().await;
-    let unknown = reqwest::get(format!("{}/api/v1/nodes/car-7/live", hub.http)).await;
-    assert_eq!(unknown.unwrap().status(), 404);
+    let live = format!("{}/api/v1/nodes/car-7/live", hub.http);
+    assert_eq!(reqwest::get(&live).await.unwrap().status(), 404);
     let node = &hub.uplink;
     let notices = node.declare_subscriber("albireo/@changed/car-7");
     let notices = notices.await.unwrap();
@@ -20,9 +20,7 @@ async fn a_watched_node_learns_it_and_its_counters_and_pictures_reach_the_watche
     assert_eq!(hub.pull("car-7").await.watched_for_s, None);
     while let Ok(Some(_)) = notices.try_recv() {}
 
-    let mut live = reqwest::get(format!("{}/api/v1/nodes/car-7/live", hub.http))
-        .await
-        .unwrap();
+    let mut live = reqwest::get(live).await.unwrap();
     assert_eq!(live.status(), 200);
     let notice = timeout(PATIENCE, notices.recv_async()).await;
     notice.unwrap().unwrap();
@@ -67,14 +65,13 @@ async fn a_watched_node_learns_it_and_its_counters_and_pictures_reach_the_watche
         })
         .await
         .unwrap();
-    let path = "/api/v1/nodes/car-7/cameras/front/frame.jpg";
-    let answer = reqwest::get(format!("{}{path}", hub.http)).await.unwrap();
+    let path = format!("{}/api/v1/nodes/car-7/cameras/front/frame.jpg", hub.http);
+    let answer = reqwest::get(&path).await.unwrap();
     assert_eq!(answer.status(), 200);
     assert_eq!(answer.headers()["albireo-frame"], "42");
     assert_eq!(answer.headers()["content-type"], "image/jpeg");
     assert!(answer.bytes().await.unwrap().starts_with(b"\xff\xd8\xff"));
-    let odd = path.replace("front", "*");
-    let odd = reqwest::get(format!("{}{odd}", hub.http)).await;
+    let odd = reqwest::get(path.replace("front", "*")).await;
     assert_eq!(odd.unwrap().status(), 404);
     hub.stop().await;
 }

@@ -113,9 +113,8 @@ async fn a_hub_without_its_router_is_not_ready_and_declares_nobody_silent() {
     hub.until_state("car-9", "online").await;
 
     first.close().await.unwrap();
-    let held = hub
-        .until("/readyz", |answer| answer["ready"] == false)
-        .await;
+    let held = hub.until("/readyz", |answer| answer["ready"] == false);
+    let held = held.await;
     assert!(held["reasons"]["zenoh"].is_string(), "{held}");
     // Longer than the time after which a node is offline.
     tokio::time::sleep(Duration::from_secs(5)).await;

@@ -16,9 +16,8 @@ async fn hold(hub: &Hub, target: &Value, select: &str, counts: Value) -> Value {
 /// The target that each node reports.
 fn held(nodes: &Value) -> Vec<Value> {
     let nodes = nodes["nodes"].as_array().unwrap().iter();
-    nodes
-        .map(|node| node["status"]["target"]["target"].clone())
-        .collect()
+    let held = nodes.map(|node| node["status"]["target"]["target"].clone());
+    held.collect()
 }
 
 async fn a_value_or_target_reaches_the_selected_nodes_and_replaces_the_one_before(database: &str) {
@@ -52,13 +51,11 @@ async fn a_value_or_target_reaches_the_selected_nodes_and_replaces_the_one_befor
     let from = json!({"threshold": {"name": "u", "value": 3e-4}});
     let expected = json!({"from": from, "outcome": "applied"});
     assert_has(&detail["nodes"][0], &expected);
-    let metrics = hub.metrics().await;
-    for line in [
+    hub.assert_metrics(&[
         "albireo_hub_targets{status=\"held\"} 3",
         "albireo_hub_targets{status=\"cannot_be_met\"} 0",
-    ] {
-        assert!(metrics.contains(line), "{line}: {metrics}");
-    }
+    ])
+    .await;
 
     // The same target again changes no node. A node that holds nothing can be given another one.
     let answer = hold(&hub, &wanted, "sim-000001", json!({"unchanged": 1})).await;
@@ -171,9 +168,8 @@ async fn a_node_changed_repeatedly_is_set_back_three_times_and_then_left_alone()
     report(revision, 5e-4).await;
     for times in 1..=3 {
         report(revision, 9e-4).await;
-        let drift = hub
-            .until("/api/v1/drift", |drift| drift[0]["set_back"] == times)
-            .await;
+        let drift = hub.until("/api/v1/drift", |drift| drift[0]["set_back"] == times);
+        let drift = drift.await;
         assert_eq!(drift[0]["node"], "car-1");
         let changes = hub.get("/api/v1/changes").await;
         assert_eq!(changes["changes"][0]["origin"], "drift", "{changes}");
@@ -186,9 +182,8 @@ async fn a_node_changed_repeatedly_is_set_back_three_times_and_then_left_alone()
         }
     }
     report(revision, 9e-4).await;
-    let drift = hub
-        .until("/api/v1/drift", |drift| drift[0]["node"] == "car-1")
-        .await;
+    let drift = hub.until("/api/v1/drift", |drift| drift[0]["node"] == "car-1");
+    let drift = drift.await;
     assert_eq!(drift[0]["set_back"], 3, "{drift}");
     // A change by a user restarts the count.
     let ordered = order(6e-4).await;

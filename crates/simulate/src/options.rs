@@ -171,10 +171,8 @@ mod tests {
         }
         assert!(with(&|o| o.nodes = 0).is_err());
         assert!(with(&|o| o.nodes = 2_000_000).is_err());
-        assert!(
-            with(&|o| o.sessions = 200).is_err(),
-            "more sessions than nodes"
-        );
+        let more_sessions_than_nodes = with(&|o| o.sessions = 200);
+        assert!(more_sessions_than_nodes.is_err());
         assert!(with(&|o| o.clip_s = f64::NAN).is_err());
         assert!(with(&|o| o.gather = 0).is_err());
     }

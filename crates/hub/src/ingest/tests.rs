@@ -1,5 +1,3 @@
-//! The decisions about a report, by table.
-
 mod hostile;
 
 use super::plan::{Counts, Present, Seen, key};

@@ -114,7 +114,7 @@ pub(crate) mod tests {
     use serde_json::json;
     use std::sync::LazyLock;
 
-    static STATUS: LazyLock<NodeStatus> = LazyLock::new(|| {
+    pub(crate) static STATUS: LazyLock<NodeStatus> = LazyLock::new(|| {
         let status = json!({
             "version": "", "cameras": [{"name": "", "state": "live", "threshold_source": "hub"}], "policy": "",
             "model": "", "power_source": "", "power_quality": "measured", "health": {"state": "ready", "reasons": {}},

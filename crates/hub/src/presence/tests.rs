@@ -1,5 +1,4 @@
-//! The state of a node by table, and the fleet over time.
-
+use super::settings::tests::STATUS;
 use super::*;
 use crate::config::PresenceConfig;
 use albireo_wire::{HealthState, Heartbeat, StatusMessage, VERSION};
@@ -109,15 +108,10 @@ fn a_heartbeat_confirms_the_last_status_of_its_run_and_another_run_requests_the_
     let fleet = Fleet::new(&PresenceConfig::default());
     let start = Instant::now();
     let at = |seconds| start + Duration::from_secs(seconds);
-    let full = json!({
-        "version": "0.1.0", "cameras": [], "policy": "albireo", "model": "m.onnx", "power_source": "none",
-        "power_quality": "unavailable", "health": {"state": "degraded", "reasons": {"screen": "it is away"}},
-        "outbox": {"waiting": 0, "lost": 0, "durable": true},
-    });
     let first = StatusMessage {
         health: HealthState::Degraded,
         revision: 7,
-        full: Some(serde_json::from_value(full).unwrap()),
+        full: Some(Box::new(STATUS.clone())),
         ..life(0)
     };
     assert!(!fleet.apply_status("a", &first, at(0), 0));
@@ -133,11 +127,8 @@ fn a_heartbeat_confirms_the_last_status_of_its_run_and_another_run_requests_the_
     assert!(fleet.alive("a", sign(3), at(181), 181_000));
     assert!(fleet.needs_full_status("a"));
     // The hub knows nothing of another run, and does not mistake it for this one.
-    let other = Heartbeat {
-        run: run + 1,
-        seq: 0,
-        waiting: 0,
-    };
+    let run = run + 1;
+    let other = Heartbeat { run, ..sign(0) };
     assert!(fleet.alive("a", other, at(200), 200_000));
     assert!(fleet.alive("b", other, at(200), 200_000));
     assert_eq!(fleet.view("b").unwrap().state, PresenceState::Silent);

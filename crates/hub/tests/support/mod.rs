@@ -36,7 +36,6 @@ use tokio_util::sync::CancellationToken;
 /// The limit of any single wait on a busy machine.
 pub const PATIENCE: Duration = Duration::from_secs(60);
 
-/// A running hub, and the uplink of nodes to it.
 pub struct Hub {
     pub http: String,
     pub zenoh: String,
@@ -101,7 +100,6 @@ impl Hub {
         self.task.await.unwrap().unwrap();
     }
 
-    /// Stops the hub and starts it with the same configuration and database.
     pub async fn restart(mut self) -> Self {
         let (config, folder) = (self.config.clone(), self.folder.take());
         self.stop().await;
@@ -116,9 +114,12 @@ impl Hub {
         response.json().await.unwrap()
     }
 
-    pub async fn metrics(&self) -> String {
+    pub async fn assert_metrics(&self, lines: &[&str]) {
         let response = reqwest::get(format!("{}/metrics", self.http)).await;
-        response.unwrap().text().await.unwrap()
+        let metrics = response.unwrap().text().await.unwrap();
+        for line in lines {
+            assert!(metrics.contains(line), "{line}: {metrics}");
+        }
     }
 
     pub async fn clips_with_energy(&self) -> i64 {
@@ -167,7 +168,6 @@ impl Hub {
         self.deliver(&batch(node, numbers)).await.assert_stored();
     }
 
-    /// The counts of a node's clips, sorted.
     pub async fn counts(&self, node: &str) -> Vec<u64> {
         let path = format!("/api/v1/clips?node={node}&limit=1000");
         let clips = self.get(&path).await;
@@ -244,13 +244,11 @@ pub fn batch_of(node: &str, numbers: RangeInclusive<u64>, started_ns: u64) -> Re
     reports::in_batch(node, reports.collect())
 }
 
-/// The names of the nodes of a page, in its order.
 pub fn names(page: &Value) -> Vec<&str> {
     let nodes = page["nodes"].as_array().unwrap().iter();
     nodes.map(|node| node["node"].as_str().unwrap()).collect()
 }
 
-/// A short status, without the full part.
 pub fn status(run: u32, seq: u64) -> StatusMessage {
     let status = json!({
         "v": VERSION, "run": run, "started_ns": 1, "seq": seq, "t_ns": now_ns(), "health": "ready", "waiting": 0,

@@ -10,7 +10,6 @@ pub(crate) fn sqlite(folder: &Path) -> String {
     format!("sqlite:{}", folder.join("hub.db").display())
 }
 
-/// A test on SQLite and on PostgreSQL.
 macro_rules! on_both {
     ($test:ident) => {
         mod $test {
@@ -31,7 +30,6 @@ macro_rules! on_both {
 }
 pub(crate) use on_both;
 
-/// A running server; stopped when dropped.
 pub struct Postgres {
     folder: tempfile::TempDir,
     port: u16,
@@ -88,11 +86,8 @@ impl Postgres {
         ];
         let until = Instant::now() + Duration::from_secs(60);
         while !self.command("pg_ctl", &start).status().unwrap().success() {
-            assert!(
-                Instant::now() < until,
-                "{}",
-                std::fs::read_to_string(&log).unwrap_or_default()
-            );
+            let said = std::fs::read_to_string(&log).unwrap_or_default();
+            assert!(Instant::now() < until, "{said}");
             std::thread::sleep(Duration::from_millis(50));
         }
     }

@@ -1,92 +1,16 @@
+#[path = "../../../../tests/support/configuration.rs"]
+mod configuration;
+
 use super::*;
-use albireo_service::config::{ConfigError, Configuration as _};
+use albireo_service::config::Configuration as _;
+use configuration::{key_of, load, problem, problems};
 
-fn shipped() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../config/node.toml")
-}
-
-fn load(text: &str) -> Result<NodeConfig, ConfigError> {
-    let directory = tempfile::tempdir().unwrap();
-    let file = directory.path().join("node.toml");
-    std::fs::write(&file, text).unwrap();
-    albireo_service::config::load(Some(&file))
-}
-
-/// The problems of a configuration, one `key: reason` line each.
-fn problems(text: &str) -> Vec<String> {
-    load(text)
-        .expect_err(text)
-        .findings
-        .iter()
-        .map(ToString::to_string)
-        .collect()
-}
-
-/// The only problem of a configuration.
-fn problem(text: &str) -> String {
-    let mut found = problems(text);
-    assert_eq!(found.len(), 1, "{text}: {found:?}");
-    found.remove(0)
-}
-
-#[test]
-fn the_shipped_file_is_exactly_the_defaults() {
-    let shipped = shipped();
-    for file in [Some(&*shipped), None] {
-        let config: NodeConfig = albireo_service::config::load(file).unwrap();
-        assert_eq!(config, NodeConfig::default());
-    }
-}
-
-/// The key that a line sets, even in a comment.
-fn key_of(line: &str) -> Option<&str> {
-    let (key, _) = line.strip_prefix("# ").unwrap_or(line).split_once(" = ")?;
-    let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || byte == b'_';
-    key.bytes().all(is_plain).then_some(key)
-}
-
-#[test]
-fn the_shipped_file_has_exactly_the_accepted_keys_each_with_a_comment() {
-    let text = std::fs::read_to_string(shipped()).unwrap();
-    let mut section = String::new();
-    let mut shown = Vec::new();
-    let mut commented = false;
-    for line in text.lines() {
-        // There is no token by default: its section is a comment too.
-        let bare = line.strip_prefix("# ").unwrap_or(line);
-        if bare.starts_with('[') {
-            section = bare.trim_matches(['[', ']']).to_owned();
-            commented = false;
-        } else if let Some(key) = key_of(line) {
-            assert!(commented, "no comment above: {line}");
-            shown.push(format!("{section}.{key}"));
-            commented = false;
-        } else {
-            commented = line.starts_with('#');
-        }
-    }
-    // The tables of the policies for comparison are written only if they differ from their defaults.
-    let config = load("[[token]]\nname = \"a\"\ntoken = \"a-long-random-secret\"").unwrap();
-    let mut wanted = Vec::new();
-    for (section, keys) in serde_json::to_value(&config).unwrap().as_object().unwrap() {
-        for (key, value) in keys.get(0).unwrap_or(keys).as_object().unwrap() {
-            let key = format!("{section}.{key}");
-            match value.as_object().filter(|keys| !keys.is_empty()) {
-                Some(keys) => wanted.extend(keys.keys().map(|inner| format!("{key}.{inner}"))),
-                None => wanted.push(key),
-            }
-        }
-    }
-    shown.sort();
-    wanted.sort();
-    assert_eq!(shown, wanted);
-    assert!(shown.len() <= 80, "more than a user should have to read");
-}
+type Config = NodeConfig;
+const SHIPPED: &str = include_str!("../../../../config/node.toml");
 
 #[test]
 fn the_keys_in_comments_can_be_used_unchanged() {
-    let text: String = std::fs::read_to_string(shipped())
-        .unwrap()
+    let text: String = SHIPPED
         .lines()
         // A token and a token file exclude each other, and so do a key and a source.
         .filter(|line| key_of(line) != Some("token_file"))

@@ -263,17 +263,12 @@ mod tests {
         const SECTIONS: &'static [&'static str] = &["HTTP"];
 
         fn findings(&self) -> Vec<Finding> {
-            let mut findings = Vec::new();
-            if self.http.port == 0 {
-                findings.push(Finding::new("http.port", "must not be 0"));
-            }
-            for (index, camera) in self.camera.iter().enumerate() {
-                if camera.name.is_empty() || camera.name.contains(' ') || camera.ring > 9 {
-                    let key = format!("camera[{index}].name");
-                    findings.push(Finding::new(key, "no such name"));
-                }
-            }
-            findings
+            let port = (self.http.port == 0).then(|| Finding::new("http.port", "must not be 0"));
+            let cameras = self.camera.iter().enumerate();
+            let wrong = cameras.filter(|(_, camera)| matches!(&*camera.name, "" | "a b"));
+            let wrong = wrong.map(|(index, _)| format!("camera[{index}].name"));
+            let wrong = wrong.map(|key| Finding::new(key, "no such name"));
+            port.into_iter().chain(wrong).collect()
         }
     }
 

@@ -13,8 +13,7 @@ use std::collections::BTreeSet;
 use std::io::Write as _;
 use uuid::{Builder, Uuid};
 
-/// Batches per transaction.
-const GROUP: usize = 250;
+const BATCHES_PER_TRANSACTION: usize = 250;
 /// The number of report ids, small so that some repeat.
 const REPORTS: u64 = 4000;
 const NOW_MS: i64 = 1_790_000_000_000;
@@ -26,7 +25,6 @@ fn batch(random: &mut Pcg64Mcg) -> Value {
     json!({ "v": VERSION, "node": "car-1", "t_ms": NOW_MS, "reports": reports })
 }
 
-/// A valid report.
 fn report(number: u64) -> Value {
     let times = json!({"count": 9, "mean": 5.0, "p50": 5.0, "p95": 6.0, "p99": 7.0});
     let id = Builder::from_unix_timestamp_millis(NOW_MS.unsigned_abs() + number, &[3; 10]);
@@ -43,7 +41,6 @@ fn report(number: u64) -> Value {
     })
 }
 
-/// A value that nobody should send.
 fn hostile(random: &mut Pcg64Mcg) -> Value {
     let values = json!([
         null, u64::MAX, i64::MAX, i64::MIN, -1, 1e300, f64::MIN_POSITIVE, "\u{0}\u{7f}'; DROP TABLE clips; --",
@@ -53,7 +50,6 @@ fn hostile(random: &mut Pcg64Mcg) -> Value {
     values[random.next_u64() as usize % 14].clone()
 }
 
-/// Corrupts a random member.
 fn corrupt(value: &mut Value, random: &mut Pcg64Mcg) {
     // Rarely at the outermost level: a batch that is no object is rejected at once.
     let deeper = !random.next_u64().is_multiple_of(4);
@@ -144,7 +140,7 @@ async fn hostile_batches_break_nothing_and_every_acknowledged_report_is_accounte
                 unreadable += 1;
             }
         }
-        if group.len() < GROUP && number < batches {
+        if group.len() < BATCHES_PER_TRANSACTION && number < batches {
             continue;
         }
         let group = std::mem::take(&mut group);
@@ -167,7 +163,6 @@ async fn hostile_batches_break_nothing_and_every_acknowledged_report_is_accounte
          {refused} refused by name"
     );
     assert!(unreadable > batches / 20 && clips > 0 && again > 0 && aside > 0 && refused > 0);
-    // Acknowledged reports are stored once, and the counts match the rows.
     assert_eq!(stored.len() as u64, clips);
     let counts = store.report_counts("car-1").await.unwrap().unwrap();
     assert_eq!(counts.stored.unsigned_abs(), clips);
@@ -184,10 +179,8 @@ fn an_empty_batch_and_an_oversized_one_are_rejected_whole() {
     };
     let why = |reports| of("car-1", reports).unwrap_err();
     assert_eq!(why(json!([])), "the batch has no reports");
-    assert_eq!(
-        why(json!(vec![0; 200_000])),
-        "200000 reports, more than 1000"
-    );
+    let many = why(json!(vec![0; 200_000]));
+    assert_eq!(many, "200000 reports, more than 1000");
     let mut other = report(1);
     other["node"] = "car-2".into();
     let batch = of("car-1", json!([other])).unwrap();

@@ -45,10 +45,7 @@ fn files_that_are_not_page_assets_are_not_served() {
 /// Checks the files of the embedded build; passes if there is none.
 #[test]
 fn assets_are_compressed_if_the_client_accepts_gzip() {
-    let names: Vec<_> = Built::iter()
-        .filter(|name| media_type(name).is_some())
-        .collect();
-    for name in names {
+    for name in Built::iter().filter(|name| media_type(name).is_some()) {
         let plain = file(&name, &HeaderMap::new(), "no-cache").unwrap();
         let packed = file(&name, &asking(ACCEPT_ENCODING, "gzip"), "no-cache").unwrap();
         assert!(!plain.headers().contains_key(CONTENT_ENCODING), "{name}");

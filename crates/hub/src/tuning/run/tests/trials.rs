@@ -1,5 +1,3 @@
-//! Trials: the draw, the result, and the return to the old value.
-
 use super::super::super::metric::{Figure, Mean};
 use super::super::*;
 use super::{SECOND, World, in_windows, new, old};
