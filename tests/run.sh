@@ -71,11 +71,15 @@ run_targets() {
 
 for what in ${missing[@]+"${missing[@]}"}; do echo "no $what: the tests that need it are skipped"; done
 # Unit tests compute, the others mostly wait: side by side. The output of the unit tests follows when they have ended.
-run_targets unit --lib > "$logs/shown" 2>&1 &
+{
+    unit=0
+    run "$logs/documentation" --doc || unit=1
+    run_targets unit --lib || unit=1
+    exit "$unit"
+} > "$logs/shown" 2>&1 &
 unit=$!
 status=0
 run_targets integration --test '*' || status=1
-run "$logs/documentation" --doc || status=1
 wait "$unit" || status=1
 cat "$logs/shown"
 

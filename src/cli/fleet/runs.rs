@@ -77,7 +77,7 @@ pub(super) struct RolloutArguments {
     #[command(flatten)]
     #[serde(flatten)]
     basics: Basics,
-    /// How many nodes have the value in each stage, numbers or percent (rounded up), the last 100%.
+    /// How many nodes have the value in each stage, numbers or percent (rounded up).
     #[arg(long, value_delimiter = ',', value_name = "SIZES")]
     stages: Vec<String>,
     /// Time that a stage is held before it is judged.

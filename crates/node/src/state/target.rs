@@ -27,9 +27,9 @@ const LEAST_CHANGE: f64 = 0.02;
 pub struct TargetConfig {
     /// The target: `{ skip_rate = 0.5 }`. One at a time.
     pub hold: Option<Target>,
-    /// Smallest value of the threshold; by default the end of the range that costs little accuracy.
+    /// Smallest value of the threshold; by default the lower end of [`ThresholdRange::of`].
     pub least: Option<f64>,
-    /// Largest value of the threshold; by default the end of the range that costs little accuracy.
+    /// Largest value of the threshold; by default its upper end.
     pub most: Option<f64>,
 }
 
