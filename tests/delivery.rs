@@ -61,6 +61,7 @@ impl Hub {
     async fn asked(&mut self) -> (Query, Vec<(Uuid, u64)>) {
         let query = next(&mut self.queries).await;
         let payload = query.payload().unwrap().to_bytes();
+        assert!(payload.len() < 1 << 20, "a batch is below 1 MiB");
         let reports = ReportBatch::from_payload(&payload).unwrap().reports;
         let reports = reports.iter().map(|one| (one.id, one.count.unwrap()));
         let reports = reports.collect();

@@ -52,6 +52,14 @@ fn every_action_in_the_public_workflows_is_pinned_by_hash() {
 }
 
 #[test]
+fn scripts_outside_the_packages_parse_and_stop_at_the_first_error() {
+    for script in ["deploy/dist.sh", "deploy/fetch-onnxruntime.sh"] {
+        accepts("bash", &["-n", script]);
+        assert_contains(&text(script), &["\nset -e"]);
+    }
+}
+
+#[test]
 #[ignore = "needs shellcheck"]
 fn shellcheck_accepts_the_scripts() {
     let check = "shellcheck --severity=warning deploy/*.sh deploy/debian/*/*";

@@ -191,6 +191,29 @@ fn every_kind_of_png_and_raw_layout_gives_its_colours_and_their_luma() {
 }
 
 #[test]
+fn an_interlaced_png_is_decoded() {
+    // 3x2 grey, Adam7 (W3C PNG, 8.2): pass 1 has (0,0), pass 4 (2,0), pass 6 (1,0), pass 7 row 1; each row with its filter
+    // byte, without compression.
+    let rows = [0, 10, 0, 30, 0, 20, 0, 40, 50, 60];
+    let mut file = b"\x89PNG\r\n\x1a\n".to_vec();
+    let mut chunk = |kind: &[u8; 4], data: &[u8]| {
+        file.extend_from_slice(&(data.len() as u32).to_be_bytes());
+        let content = [&kind[..], data].concat();
+        let mut crc = flate2::Crc::new();
+        crc.update(&content);
+        file.extend_from_slice(&content);
+        file.extend_from_slice(&crc.sum().to_be_bytes());
+    };
+    chunk(b"IHDR", &[0, 0, 0, 3, 0, 0, 0, 2, 8, 0, 0, 0, 1]);
+    let mut deflate = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::none());
+    std::io::Write::write_all(&mut deflate, &rows).unwrap();
+    chunk(b"IDAT", &deflate.finish().unwrap());
+    chunk(b"IEND", &[]);
+    let picture = encoded(PictureFormat::Png, 3, 2, file);
+    assert_eq!(grey(&picture), [10, 20, 30, 40, 50, 60]);
+}
+
+#[test]
 fn nv12_is_limited_range_bt601() {
     // Studio black, white and grey, and the red, green and blue of the 75 % bars (ITU-R BT.801-1).
     for (luma, cb, cr, expected) in [

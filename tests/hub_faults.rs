@@ -221,6 +221,28 @@ impl Traced {
     }
 }
 
+#[test]
+fn a_trace_with_an_answer_before_its_sync_is_caught() {
+    let write = r#"7 pwrite64(11</t/hub.db-wal>, "x"..., 4096, 0) = 4096"#;
+    let sync = "7 fdatasync(11</t/hub.db-wal>) = 0";
+    let answer =
+        r#"9 sendto(5<socket:[1]>, "...{\"v\":1,\"database\":\"0\"}", 40, 0, NULL, 0) = 40"#;
+    let begun = "7 fdatasync(11</t/hub.db-wal> <unfinished ...>";
+    let ended = "7 <... fdatasync resumed>) = 0";
+    for (lines, too_early) in [
+        (vec![write, sync, answer], 0),
+        (vec![write, answer, sync], 1),
+        (vec![write, begun, ended, answer], 0),
+        (vec![write, begun, answer, ended], 1),
+        (vec![write, begun, write, ended, answer], 1),
+    ] {
+        let mut traced = Traced::default();
+        lines.iter().for_each(|line| traced.take(line));
+        let found = (traced.acknowledged, traced.too_early);
+        assert_eq!(found, (1, too_early), "{lines:?}");
+    }
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs strace"]
 async fn reports_are_synced_to_disk_before_they_are_acknowledged() {

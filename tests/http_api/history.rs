@@ -71,7 +71,7 @@ async fn the_skip_rate_of_another_threshold_is_marked_as_estimated() {
     assert_eq!(curve.len(), 41);
     let is_rising = curve.is_sorted_by_key(|value| value["skipped"].as_u64());
     assert!(is_rising, "{curve:?}");
-    for bad in ["x", &"1,".repeat(70)] {
+    for bad in ["x", "0", "-1", "nan", &"1,".repeat(70)] {
         node.refused(&format!("{path}?values={bad}"), 400).await;
     }
 }

@@ -11,28 +11,37 @@ const PATHS: [&str; 2] = ["/api/v1/threshold", "/api/v1/cameras/front/threshold"
 const BAD: &str = r#"
 {"u": -1}
 {"u": 0}
+{"u": -0.0}
 {"u": 1e-300}
 {"u": 1.0000001}
+{"u": 1e300}
+{"u": "NaN"}
 {"u": "3e-4"}
 {"u": null}
+{"u": true}
 {"u": [3e-4]}
 {"u": 3e-4, "U": 3e-4}
 {"u": 3e-4, "camera": "front"}
 {"u": 3e-4, "u": 5e-4}
 {"u": 3e-4, "v": 2}
+{"v": 1}
 {}
 [1, 3e-4]
+3e-4
 null
+"3e-4"
 "#;
 
 /// Invalid JSON.
-const BROKEN: [&[u8]; 7] = [
+const BROKEN: [&[u8]; 9] = [
     br#"{"u": 1e999}"#,
     br#"{"u": NaN}"#,
+    br#"{"u": Infinity}"#,
     b"",
     b"u=3e-4",
     br#"{"u": 3e-4"#,
     br#"{"u": 3e-4} {"u": 4e-4}"#,
+    b"\0",
     b"\xff\xfe",
 ];
 
@@ -148,17 +157,24 @@ async fn a_target_holds_until_null_or_a_manual_threshold_and_an_invalid_one_chan
     assert_has(&set, &expected);
     let bad = r#"
 {"target": {"skip_rate": 1.0}}
+{"target": {"skip_rate": -0.6}}
 {"target": {"recall": 1.5}}
 {"target": {"watts": 0}}
+{"target": {"watts": "6"}}
 {"target": {"speed": 3}}
+{"target": {"skip_rate": 0.6, "watts": 6}}
+{"target": 0.6}
 {"target": {"skip_rate": 0.6}, "v": 2}
+{"target": {"skip_rate": 0.6}, "u": 1e-3}
+{}
 []
 "#;
     let bad = bad.trim().lines().map(|body| (body, 422));
     for (body, status) in bad.chain([("", 400), (r#"{"target": {"skip_rate": 0.6}"#, 400)]) {
-        problem(node.put(TARGET, body).await, status).await;
+        let refused = problem(node.put(TARGET, body).await, status).await;
+        assert!(refused["detail"].is_string(), "{body}");
+        assert_eq!(node.json(TARGET).await, set, "{body}");
     }
-    assert_eq!(node.json(TARGET).await, set);
     let series = "albireo_target{target=\"skip_rate\"} 0.5";
     assert_contains(&node.metrics().await, &[series]);
 

@@ -127,7 +127,7 @@ token = "a-token-that-may-look"
     quiet(page);
   });
 
-  await test("a target is set in the place of a value, shown at the node, and switched off", async () => {
+  await test("a target replaces a value, shown at the node, and switched off", async () => {
     await page.goto(`${address}/#/nodes/sim-000005`);
     await page.getByLabel("threshold or target").selectOption("hold skip_rate");
     await page.getByLabel("value", { exact: true }).fill("0.6");
@@ -198,7 +198,7 @@ token = "a-token-that-may-look"
     await looker.context().close();
   });
 
-  await test("a hub that starts anew is followed without a reload", async () => {
+  await test("a hub that restarts is followed without a reload", async () => {
     await page.goto(`${address}/#/fleet`);
     await page.getByText("connected").waitFor();
     await stop(hub, "SIGKILL");

@@ -136,7 +136,7 @@ export async function nodeTests(browser) {
     await phone.context().close();
   });
 
-  await test("a node that starts anew is followed without a reload", async () => {
+  await test("a node that restarts is followed without a reload", async () => {
     await stop(node, "SIGKILL");
     await page.getByText("node does not answer").waitFor();
     node = demo();
@@ -234,7 +234,7 @@ async function cameraTests(browser) {
   await page.context().close();
 
   await test("a broken detector is red, and its frames are not among the skipped", async () => {
-    // Computes for ever on any picture that is bright somewhere: each run is given up, and the session built anew.
+    // Computes for ever on any picture that is bright somewhere: each run is given up, and the session is rebuilt.
     const model = join(ROOT, "tests/fixtures/models/hanging.onnx");
     node = start(["node"], { ...env, ALBIREO_DETECTOR__MODEL: model, ALBIREO_DETECTOR__TIMEOUT_MS: "300" });
     await until("the node answers", async () => (await fetch(`${address}/healthz`)).ok);

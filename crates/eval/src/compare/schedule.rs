@@ -32,8 +32,25 @@ mod tests {
 
     #[test]
     fn every_second_round_runs_in_reverse_order() {
-        let runs = schedule(2, 3).into_iter();
-        let order: Vec<_> = runs.map(|run| (run.round, run.variant)).collect();
-        assert_eq!(order, [(0, 0), (0, 1), (1, 1), (1, 0), (2, 0), (2, 1)]);
+        let order: Vec<_> = schedule(3, 3).iter().map(|run| run.variant).collect();
+        assert_eq!(order, [0, 1, 2, 2, 1, 0, 0, 1, 2]);
+        assert_eq!(
+            schedule(2, 1)[1],
+            ScheduledRun {
+                round: 0,
+                variant: 1
+            }
+        );
+    }
+
+    #[test]
+    fn a_steady_drift_affects_all_variants_alike() {
+        for variants in 1..5 {
+            let mut places = vec![0; variants];
+            for (place, run) in schedule(variants, 4).iter().enumerate() {
+                places[run.variant] += place;
+            }
+            assert!(places.iter().all(|sum| *sum == places[0]), "{places:?}");
+        }
     }
 }

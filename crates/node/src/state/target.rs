@@ -130,7 +130,7 @@ impl NodeTarget {
         TargetController::new(target, range, threshold.unwrap_or(range.least)).map(Some)
     }
 
-    /// Holds `target` from now on, beginning with the threshold at `threshold`; or none, and the threshold stays.
+    /// Holds `target` from now on, beginning at `threshold`; or none, and the threshold stays.
     /// Writes a small file.
     ///
     /// # Errors
