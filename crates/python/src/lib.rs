@@ -6,8 +6,8 @@ use albireo_core::audit::{AuditDraw, AuditSums};
 use albireo_core::detection::{ClassId, Detection};
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_core::policy::{
-    BoxSource, Evidence, FrameHead, GreyPicture, InvalidThreshold, LatePolicy, Need, Outcome, OutputBox,
-    Policy, PolicyConfig, Profile, SettledFrame, Settler,
+    BoxSource, Evidence, FrameHead, GreyPicture, InvalidThreshold, LatePolicy, Need, Outcome,
+    OutputBox, Policy, PolicyConfig, Profile, SettledFrame, Settler,
 };
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods,
