@@ -1,46 +1,29 @@
 //! Key expressions: `{prefix}/{node}/{camera}/…`.
 
+use std::fmt::Display;
+
 /// The error for a name that cannot be part of a key expression.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "{what} `{name}` cannot be used in a Zenoh key: {reason}; use letters, digits, `-`, `_` and `.`{}",
-    if *slashes { ", and `/` between parts" } else { "" }
-)]
-pub struct KeyError {
-    what: &'static str,
-    name: String,
-    reason: &'static str,
-    slashes: bool,
-}
+#[error("{0}")]
+pub struct KeyError(String);
 
 /// Checks that `name` is valid as one segment of a key expression.
 ///
 /// # Errors
 /// [`KeyError`] if it is empty, or has a character that is special to Zenoh (`/ * $ # ? @`) or not allowed in names. A
 /// leading `@` is reserved by Zenoh (verbatim segments), so names may not have it.
-pub fn check_segment(what: &'static str, name: &str) -> Result<(), KeyError> {
-    check(what, name, false)
-}
-
-fn check(what: &'static str, name: &str, slashes: bool) -> Result<(), KeyError> {
+pub fn check_segment(what: &str, name: &str) -> Result<(), KeyError> {
+    let is_allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
     let reason = if name.is_empty() {
         "it is empty"
-    } else if slashes && name.split('/').any(str::is_empty) {
-        "it has an empty part"
-    } else if !name
-        .chars()
-        .all(|c| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.') || (slashes && c == '/'))
-    {
+    } else if !name.chars().all(is_allowed) {
         "it has a character that is not allowed"
     } else {
         return Ok(());
     };
-    Err(KeyError {
-        what,
-        name: name.to_owned(),
-        reason,
-        slashes,
-    })
+    Err(KeyError(format!(
+        "{what} `{name}` cannot be used in a Zenoh key: {reason}; use letters, digits, `-`, `_` and `.`"
+    )))
 }
 
 /// The keys of one node. In keys between a node and a hub, the kind precedes the node: with the node first, a router
@@ -57,12 +40,10 @@ impl NodeKeys {
     /// # Errors
     /// [`KeyError`] if either name is invalid.
     pub fn new(prefix: &str, node: &str) -> Result<Self, KeyError> {
-        check("prefix", prefix, true)?;
         check_segment("node name", node)?;
-        Ok(Self {
-            prefix: prefix.to_owned(),
-            node: node.to_owned(),
-        })
+        let mut keys = Self::all(prefix)?;
+        keys.node = node.to_owned();
+        Ok(keys)
     }
 
     /// Returns the keys of all nodes under `prefix`, for a hub's subscriptions.
@@ -70,7 +51,8 @@ impl NodeKeys {
     /// # Errors
     /// [`KeyError`] if the prefix is invalid.
     pub fn all(prefix: &str) -> Result<Self, KeyError> {
-        check("prefix", prefix, true)?;
+        let mut parts = prefix.split('/');
+        parts.try_for_each(|part| check_segment("part of the prefix", part))?;
         Ok(Self {
             prefix: prefix.to_owned(),
             node: "*".to_owned(),
@@ -187,14 +169,9 @@ impl CameraKeys {
 }
 
 /// Returns the key of the liveliness token that a publisher of frames holds while it runs, so that the next stream is
-/// accepted at once: `{frame key}/@stream/{stream}`.
-pub fn stream_token(frame_key: &str, stream: u64) -> String {
+/// accepted at once: `{frame key}/@stream/{stream}`. The stream `*` stands for all of them.
+pub fn stream_token(frame_key: &str, stream: impl Display) -> String {
     format!("{frame_key}/@stream/{stream}")
-}
-
-/// Returns the key expression of the tokens of all streams on a frame key.
-pub fn stream_tokens(frame_key: &str) -> String {
-    format!("{frame_key}/@stream/*")
 }
 
 /// Returns the stream of a [`stream_token`].

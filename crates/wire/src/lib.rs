@@ -21,7 +21,7 @@ mod version;
 
 pub use albireo_core::audit::{AuditRate, AuditSquares, AuditSums};
 pub use albireo_core::policy::{CallCause, InvalidThreshold, ThresholdSpec};
-pub use albireo_core::target::{Target, TargetError, TargetState, TargetStatus, ThresholdRange};
+pub use albireo_core::target::{Target, TargetStatus};
 pub use audit::{AuditFigures, AuditReport};
 pub use clip::{
     BoardState, ClipEnd, ClipEnergy, ClipReport, DomainEnergy, EnergyQuality, FULL_COVERAGE,
@@ -32,13 +32,11 @@ pub use desired::{ConfigChanged, Desired, DesiredSetting, PullRequest};
 pub use frames::{
     BoxMessage, DetectionsMessage, FrameAnswer, FrameAttachment, Latency, SettledMessage,
 };
-pub use keys::{
-    CameraKeys, KeyError, NodeKeys, check_segment, stream_of_token, stream_token, stream_tokens,
-};
+pub use keys::{CameraKeys, KeyError, NodeKeys, check_segment, stream_of_token, stream_token};
 pub use report::{
-    BatchCompression, BatchError, IDENTITY_DAYS, LARGEST_BATCH_BYTES, LARGEST_REPORT_BYTES,
-    MOST_REPORTS, REPORT_DICTIONARY, RefusalReason, RefusedReport, ReportAnswer, ReportBatch,
-    ReportRefusal, decompress_batch,
+    BatchCompression, IDENTITY_DAYS, LARGEST_BATCH_BYTES, LARGEST_REPORT_BYTES, MOST_REPORTS,
+    REPORT_DICTIONARY, RefusalReason, RefusedReport, ReportAnswer, ReportBatch, ReportRefusal,
+    decompress_batch,
 };
 pub use states::{DetectorCalls, DroppedFrames, FrameStates};
 pub use status::{

@@ -46,39 +46,21 @@ pub struct ReportBatch {
     pub reports: Vec<ClipReport>,
 }
 
-/// An error while reading or writing a batch.
-#[derive(Debug, thiserror::Error)]
-pub enum BatchError {
-    /// The batch is truncated or not compressed in a known way.
-    #[error("cannot be decompressed: {0}")]
-    Compression(#[from] std::io::Error),
-    /// The batch uses a dictionary that this program does not have.
-    #[error("compressed with dictionary {0}; this program has dictionary {REPORT_DICTIONARY}")]
-    UnknownDictionary(u8),
-    /// The decompressed batch exceeds the limit.
-    #[error("more than {LARGEST_BATCH_BYTES} bytes when decompressed")]
-    TooLarge,
-    /// The batch is not a valid message.
-    #[error(transparent)]
-    Message(#[from] MessageError),
-}
-
 impl ReportBatch {
     /// Returns the payload to send.
     ///
     /// # Errors
-    /// [`BatchError`] if it cannot be written; a batch of reports that were read cannot fail.
-    pub fn to_payload(&self, compression: BatchCompression) -> Result<Vec<u8>, BatchError> {
-        let json = serde_json::to_vec(self).map_err(MessageError::from)?;
-        Ok(compression.compress(&json)?)
+    /// [`MessageError`] if it cannot be written; a batch of reports that were read cannot fail.
+    pub fn to_payload(&self, compression: BatchCompression) -> Result<Vec<u8>, MessageError> {
+        Ok(compression.compress(&serde_json::to_vec(self)?)?)
     }
 
     /// Reads a payload.
     ///
     /// # Errors
-    /// [`BatchError`] if it is not a batch of a known version, or is larger than [`LARGEST_BATCH_BYTES`].
-    pub fn from_payload(payload: &[u8]) -> Result<Self, BatchError> {
-        Ok(crate::read(&decompress_batch(payload)?)?)
+    /// [`MessageError`] if it is not a batch of a known version, or is larger than [`LARGEST_BATCH_BYTES`].
+    pub fn from_payload(payload: &[u8]) -> Result<Self, MessageError> {
+        crate::read(&decompress_batch(payload)?)
     }
 }
 

@@ -1,7 +1,7 @@
 //! Counts of frames: processed frames by state and dropped frames by kind.
 
 use albireo_core::policy::{CallCause, FrameState};
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde::{Deserialize, Serialize, Serializer};
 use std::collections::BTreeMap;
 use utoipa::ToSchema;
 
@@ -26,26 +26,24 @@ pub struct FrameStates {
 }
 
 impl FrameStates {
-    /// Counts one frame.
-    pub fn count(&mut self, state: FrameState) {
+    fn place(&mut self, state: FrameState) -> &mut u64 {
         match state {
-            FrameState::E => self.e += 1,
-            FrameState::P => self.p += 1,
-            FrameState::EI => self.ei += 1,
-            FrameState::I => self.i += 1,
-            FrameState::AI => self.ai += 1,
+            FrameState::E => &mut self.e,
+            FrameState::P => &mut self.p,
+            FrameState::EI => &mut self.ei,
+            FrameState::I => &mut self.i,
+            FrameState::AI => &mut self.ai,
         }
     }
 
+    /// Counts one frame.
+    pub fn count(&mut self, state: FrameState) {
+        *self.place(state) += 1;
+    }
+
     /// Returns the number of frames in `state`.
-    pub fn get(&self, state: FrameState) -> u64 {
-        match state {
-            FrameState::E => self.e,
-            FrameState::P => self.p,
-            FrameState::EI => self.ei,
-            FrameState::I => self.i,
-            FrameState::AI => self.ai,
-        }
+    pub fn get(mut self, state: FrameState) -> u64 {
+        *self.place(state)
     }
 
     /// Returns the number of all frames: the sum of the five states.
@@ -70,17 +68,16 @@ impl FrameStates {
 
 impl std::ops::AddAssign for FrameStates {
     fn add_assign(&mut self, more: Self) {
-        self.e += more.e;
-        self.p += more.p;
-        self.ei += more.ei;
-        self.i += more.i;
-        self.ai += more.ai;
+        for state in FrameState::ALL {
+            *self.place(state) += more.get(state);
+        }
     }
 }
 
 /// Frames that called the detector, by cause. In JSON, causes that occurred with their counts; unknown causes of a
 /// later version are ignored when read.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(from = "BTreeMap<String, u64>")]
 pub struct DetectorCalls([u64; CallCause::ALL.len()]);
 
 impl DetectorCalls {
@@ -96,14 +93,9 @@ impl DetectorCalls {
         self.0.get(cause as usize).copied().unwrap_or_default()
     }
 
-    /// Returns the number of all calls.
-    pub fn total(&self) -> u64 {
-        self.0.iter().sum()
-    }
-
     /// True if there were no calls.
     pub fn is_empty(&self) -> bool {
-        self.total() == 0
+        *self == Self::default()
     }
 
     /// Iterates over causes and counts, in the order of [`CallCause::ALL`].
@@ -119,14 +111,10 @@ impl Serialize for DetectorCalls {
     }
 }
 
-impl<'de> Deserialize<'de> for DetectorCalls {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let counts = BTreeMap::<String, u64>::deserialize(deserializer)?;
-        let mut calls = Self::default();
-        for (place, cause) in calls.0.iter_mut().zip(CallCause::ALL) {
-            *place = counts.get(cause.as_str()).copied().unwrap_or_default();
-        }
-        Ok(calls)
+impl From<BTreeMap<String, u64>> for DetectorCalls {
+    fn from(counts: BTreeMap<String, u64>) -> Self {
+        let count = |cause: CallCause| counts.get(cause.as_str()).copied().unwrap_or_default();
+        Self(CallCause::ALL.map(count))
     }
 }
 
@@ -163,19 +151,23 @@ pub struct DroppedFrames {
 }
 
 impl DroppedFrames {
-    /// Returns names and counts, in the order of the fields.
-    pub fn by_kind(&self) -> [(&'static str, u64); 9] {
+    fn places(&mut self) -> [(&'static str, &mut u64); 9] {
         [
-            ("lost", self.lost),
-            ("overrun", self.overrun),
-            ("late", self.late),
-            ("stray", self.stray),
-            ("duplicate", self.duplicate),
-            ("undecodable", self.undecodable),
-            ("oversized", self.oversized),
-            ("unknown_format", self.unknown_format),
-            ("stopped", self.stopped),
+            ("lost", &mut self.lost),
+            ("overrun", &mut self.overrun),
+            ("late", &mut self.late),
+            ("stray", &mut self.stray),
+            ("duplicate", &mut self.duplicate),
+            ("undecodable", &mut self.undecodable),
+            ("oversized", &mut self.oversized),
+            ("unknown_format", &mut self.unknown_format),
+            ("stopped", &mut self.stopped),
         ]
+    }
+
+    /// Returns names and counts, in the order of the fields.
+    pub fn by_kind(mut self) -> [(&'static str, u64); 9] {
+        self.places().map(|(kind, count)| (kind, *count))
     }
 
     /// Returns the number of all dropped frames.
@@ -186,14 +178,8 @@ impl DroppedFrames {
 
 impl std::ops::AddAssign<&Self> for DroppedFrames {
     fn add_assign(&mut self, more: &Self) {
-        self.lost += more.lost;
-        self.overrun += more.overrun;
-        self.late += more.late;
-        self.stray += more.stray;
-        self.duplicate += more.duplicate;
-        self.undecodable += more.undecodable;
-        self.oversized += more.oversized;
-        self.unknown_format += more.unknown_format;
-        self.stopped += more.stopped;
+        for ((_, count), (_, more)) in self.places().into_iter().zip(more.by_kind()) {
+            *count += more;
+        }
     }
 }

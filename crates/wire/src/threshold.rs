@@ -39,10 +39,7 @@ impl Threshold {
         if self.name.as_str() == spec.name {
             Ok(self.value)
         } else {
-            Err(OtherThreshold {
-                wanted: spec.name,
-                sent: self.name,
-            })
+            Err(OtherThreshold(spec.name, self.name))
         }
     }
 }
@@ -56,13 +53,8 @@ impl fmt::Display for Threshold {
 
 /// The error for a threshold whose name is not the policy's.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-#[error("the threshold of the policy in use is `{wanted}`, not `{sent}`")]
-pub struct OtherThreshold {
-    /// The policy's name for its threshold.
-    pub wanted: &'static str,
-    /// The name that was sent.
-    pub sent: ThresholdName,
-}
+#[error("the threshold of the policy in use is `{0}`, not `{1}`")]
+pub struct OtherThreshold(&'static str, ThresholdName);
 
 /// A change of the threshold during a clip.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]

@@ -1,22 +1,29 @@
 //! The version that every message carries as `v`; unknown versions are refused.
 
+use crate::{LARGEST_BATCH_BYTES, REPORT_DICTIONARY};
 use serde::Deserialize;
 
 /// The version that this program writes and reads.
 pub const VERSION: u32 = 1;
 
-/// The error for a message that cannot be accepted.
+/// The error for a message that cannot be read or written.
 #[derive(Debug, thiserror::Error)]
 pub enum MessageError {
     /// The message is not the expected JSON.
     #[error("not a valid message: {0}")]
     Malformed(#[from] serde_json::Error),
     /// The version is unknown to this program.
-    #[error("message version {found} is not known here; this program reads version {VERSION}")]
-    Version {
-        /// The version found.
-        found: u32,
-    },
+    #[error("message version {0} is not known here; this program reads version {VERSION}")]
+    Version(u32),
+    /// The batch is truncated or not compressed in a known way.
+    #[error("cannot be decompressed: {0}")]
+    Compression(#[from] std::io::Error),
+    /// The batch uses a dictionary that this program does not have.
+    #[error("compressed with dictionary {0}; this program has dictionary {REPORT_DICTIONARY}")]
+    Dictionary(u8),
+    /// The decompressed batch exceeds the limit.
+    #[error("more than {LARGEST_BATCH_BYTES} bytes when decompressed")]
+    TooLarge,
 }
 
 /// Reads a message of any type of this crate after checking its version.
@@ -40,7 +47,7 @@ pub fn read<'a, T: Deserialize<'a>>(bytes: &'a [u8]) -> Result<T, MessageError> 
 pub fn check_version(found: u32) -> Result<(), MessageError> {
     match found {
         VERSION => Ok(()),
-        found => Err(MessageError::Version { found }),
+        found => Err(MessageError::Version(found)),
     }
 }
 

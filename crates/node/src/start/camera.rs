@@ -20,7 +20,7 @@ use albireo_service::supervise::Supervisor;
 use albireo_vision::detector::{CameraSlot, DetectorHandle};
 use albireo_vision::pixel_work::PixelWork;
 use albireo_vision::screen::{CameraScreen, ScreenHandle};
-use albireo_wire::{HealthState, stream_of_token, stream_tokens};
+use albireo_wire::{HealthState, stream_of_token, stream_token};
 use std::any::Any;
 use std::sync::Arc;
 use std::time::Duration;
@@ -156,7 +156,7 @@ impl Cameras {
         let tokens = self
             .session
             .liveliness()
-            .declare_subscriber(stream_tokens(key))
+            .declare_subscriber(stream_token(key, "*"))
             .callback(move |token| {
                 if let Some(stream) = stream_of_token(token.key_expr().as_str()) {
                     publishers.publisher_changed(stream, token.kind() == SampleKind::Delete);

@@ -1,7 +1,7 @@
 //! Compresses batches with Zstandard and a dictionary shared by node and hub, so that names and frequent words are not
 //! sent.
 
-use super::{BatchError, LARGEST_BATCH_BYTES};
+use crate::{LARGEST_BATCH_BYTES, MessageError};
 use std::io::{Read, Write};
 use std::sync::LazyLock;
 use zstd::dict::{DecoderDictionary, EncoderDictionary};
@@ -51,18 +51,18 @@ impl BatchCompression {
 /// Returns the JSON of a batch's payload, at most [`LARGEST_BATCH_BYTES`].
 ///
 /// # Errors
-/// [`BatchError`] if it is not compressed with a known dictionary, is truncated, or is too large.
-pub fn decompress_batch(payload: &[u8]) -> Result<Vec<u8>, BatchError> {
+/// [`MessageError`] if it is not compressed with a known dictionary, is truncated, or is too large.
+pub fn decompress_batch(payload: &[u8]) -> Result<Vec<u8>, MessageError> {
     let (dictionary, compressed) = payload.split_first().unwrap_or((&0, &[]));
     if *dictionary != REPORT_DICTIONARY {
-        return Err(BatchError::UnknownDictionary(*dictionary));
+        return Err(MessageError::Dictionary(*dictionary));
     }
     let mut decoder = zstd::Decoder::with_prepared_dictionary(compressed, &DECODER)?;
     decoder.window_log_max(WINDOW_LOG)?;
     let mut json = Vec::new();
     (decoder.take(LARGEST_BATCH_BYTES as u64 + 1)).read_to_end(&mut json)?;
     if json.len() > LARGEST_BATCH_BYTES {
-        return Err(BatchError::TooLarge);
+        return Err(MessageError::TooLarge);
     }
     Ok(json)
 }
