@@ -188,7 +188,6 @@ pub struct ClipReport {
 }
 
 // Serde passes a reference.
-#[allow(clippy::trivially_copy_pass_by_ref)]
 const fn is_zero(number: &u32) -> bool {
     *number == 0
 }
@@ -216,35 +215,30 @@ impl ClipReport {
     /// Rounds energies and times to six significant digits, latencies and watts to four. Further digits are noise that
     /// compresses badly.
     pub fn round(&mut self) {
+        let six = |value: &mut f64| *value = significant(*value, 6);
+        let four = |value: &mut f64| *value = significant(*value, 4);
+        six(&mut self.detector_used_ms);
+        six(&mut self.duration_s);
+        six(&mut self.skip_rate);
         let energy = &mut self.energy;
-        let (total, detector) = (&mut self.total_latency_ms, &mut self.detector_latency_ms);
-        let mut six = vec![
-            &mut self.detector_used_ms,
-            &mut self.duration_s,
-            &mut self.skip_rate,
-            &mut energy.coverage,
-        ];
-        let energies = [
-            &mut energy.joules,
-            &mut energy.node_joules,
-            &mut energy.saved_joules_estimated,
-            &mut energy.edp,
-        ];
-        six.extend(energies.into_iter().flatten());
-        let mut four: Vec<_> = [total, detector]
-            .into_iter()
-            .flat_map(|one| [&mut one.mean, &mut one.p50, &mut one.p95, &mut one.p99])
-            .collect();
+        six(&mut energy.coverage);
+        energy.joules.iter_mut().for_each(six);
+        energy.node_joules.iter_mut().for_each(six);
+        energy.saved_joules_estimated.iter_mut().for_each(six);
+        energy.edp.iter_mut().for_each(six);
         for domain in &mut energy.domains {
-            six.push(&mut domain.joules);
-            four.push(&mut domain.mean_watts);
-            four.extend(&mut domain.peak_watts);
+            six(&mut domain.joules);
+            four(&mut domain.mean_watts);
+            domain.peak_watts.iter_mut().for_each(four);
         }
-        four.extend(self.audit.as_mut().and_then(|audit| audit.joules.as_mut()));
-        for (values, digits) in [(six, 6), (four, 4)] {
-            for value in values {
-                *value = significant(*value, digits);
-            }
+        for latency in [&mut self.total_latency_ms, &mut self.detector_latency_ms] {
+            four(&mut latency.mean);
+            four(&mut latency.p50);
+            four(&mut latency.p95);
+            four(&mut latency.p99);
+        }
+        if let Some(audit) = &mut self.audit {
+            audit.joules.iter_mut().for_each(four);
         }
     }
 }

@@ -17,23 +17,6 @@ pub enum DesiredSetting {
     Target(Option<Target>),
 }
 
-impl From<Threshold> for DesiredSetting {
-    fn from(threshold: Threshold) -> Self {
-        Self::Threshold(threshold)
-    }
-}
-
-impl std::fmt::Display for DesiredSetting {
-    /// Examples: `u 3e-4`, `target skip_rate 0.5`, `no target`.
-    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Threshold(threshold) => threshold.fmt(formatter),
-            Self::Target(Some(target)) => write!(formatter, "target {target}"),
-            Self::Target(None) => formatter.write_str("no target"),
-        }
-    }
-}
-
 /// Notifies a node that its desired setting has changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct ConfigChanged {

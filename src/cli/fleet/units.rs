@@ -197,6 +197,6 @@ mod tests {
         assert_eq!(held, "hold skip_rate 0.5");
         assert_eq!(setting(&DesiredSetting::Target(None)), "hold nothing");
         let threshold = Threshold::new("u", 5e-4);
-        assert_eq!(setting(&threshold.into()), "5e-4");
+        assert_eq!(setting(&DesiredSetting::Threshold(threshold)), "5e-4");
     }
 }

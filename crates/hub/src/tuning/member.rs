@@ -209,7 +209,8 @@ impl Member {
         self.reachable = node.reachable;
         match self.asked {
             Some(asked) if self.due().is_none() => {
-                (self.ask).observe(node, asked.into(), patience_ms, now)
+                let asked = DesiredSetting::Threshold(asked);
+                (self.ask).observe(node, asked, patience_ms, now)
             }
             _ => false,
         }

@@ -7,7 +7,7 @@ use super::tuner::Tuner;
 use crate::presence::NodeSettings;
 use crate::store::tables::EventRow;
 use crate::store::{ChangeRow, StoreError};
-use albireo_wire::Threshold;
+use albireo_wire::{DesiredSetting, Threshold};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::collections::{BTreeMap, HashMap};
@@ -324,7 +324,7 @@ impl Tuner {
                 },
                 origin: format!("{} {id}", run.kind.name()),
                 selector: String::new(),
-                setting: order.threshold.into(),
+                setting: DesiredSetting::Threshold(order.threshold),
             };
             let revision = self.order(change, order.nodes.clone()).await?;
             run.asked(&order, revision, now);

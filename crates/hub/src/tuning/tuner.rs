@@ -382,7 +382,7 @@ impl Tuner {
         }
         if self.config.local_change == LocalChange::SetBack {
             found.retain(|(node, _)| self.set_back_times(node) < SET_BACK_TIMES);
-            found.sort_by_cached_key(|(_, desired)| desired.to_string());
+            found.sort_by_cached_key(|(_, desired)| format!("{desired:?}"));
             for alike in found.chunk_by(|a, b| a.1 == b.1) {
                 let change = ChangeRow {
                     revision: 0,

@@ -119,7 +119,7 @@ mod tests {
     #[test]
     fn each_revision_applies_once_and_what_it_set_holds_until_a_newer_one_or_a_manual_change() {
         let half = DesiredSetting::Target(HALF);
-        let value = DesiredSetting::from(Threshold::new("u", 0.07));
+        let value = DesiredSetting::Threshold(Threshold::new("u", 0.07));
         let folder = tempfile::tempdir().unwrap();
         let node = Node::start(folder.path());
         assert!(node.take(3, half));

@@ -157,7 +157,7 @@ impl Hub {
 
     pub(super) fn order(&self, nodes: &[String], value: f64, now: Now) {
         let Some(hub) = &self.running else { return };
-        let setting = Threshold::new("u", value).into();
+        let setting = DesiredSetting::Threshold(Threshold::new("u", value));
         let request = NewChange {
             select: Selector::new(nodes).unwrap(),
             ..NewChange::default()
