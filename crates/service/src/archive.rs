@@ -14,19 +14,15 @@ pub fn diagnostics(name: &str, files: &[(&str, Vec<u8>)], at_s: u64) -> Response
     let lines = logging::lines_after(0, usize::MAX).into_iter();
     let log: String = lines.map(|line| format!("{line}\n")).collect();
     let log = ("log.txt", log.into_bytes());
-    match archive(files.iter().chain([&log]), at_s) {
-        Ok(archive) => {
-            let file = format!("attachment; filename=\"{name}-{at_s}.tar\"");
-            let headers = [
-                (CONTENT_TYPE, "application/x-tar".to_owned()),
-                (CONTENT_DISPOSITION, file),
-            ];
-            (headers, archive).into_response()
-        }
-        Err(error) => {
-            Problem::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()).into_response()
-        }
-    }
+    let file = format!("attachment; filename=\"{name}-{at_s}.tar\"");
+    let headers = [
+        (CONTENT_TYPE, "application/x-tar".to_owned()),
+        (CONTENT_DISPOSITION, file),
+    ];
+    archive(files.iter().chain([&log]), at_s)
+        .map(|archive| (headers, archive))
+        .map_err(|error| Problem::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()))
+        .into_response()
 }
 
 fn archive<'a>(

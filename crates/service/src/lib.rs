@@ -8,7 +8,7 @@ pub mod http;
 pub mod logging;
 pub mod metrics;
 pub mod notify;
-pub mod panics;
+mod panics;
 mod process;
 pub mod rate_limit;
 pub mod readiness;

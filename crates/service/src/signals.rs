@@ -2,6 +2,7 @@
 
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
+use signal_hook::low_level::signal_name;
 use std::time::{Duration, Instant};
 use std::{io, process, thread};
 use tokio_util::sync::CancellationToken;
@@ -11,12 +12,6 @@ pub const CONTEXT: &str = "the signal handlers cannot be installed";
 
 /// Signals this soon after the first are the same request: `timeout` signals its child, then the whole group.
 const ONE_REQUEST: Duration = Duration::from_secs(1);
-
-/// The exit code after a second signal.
-const TWICE: i32 = 130;
-
-/// The exit code if stopping took too long.
-const TOO_LONG: i32 = 1;
 
 /// Returns a token that the first Ctrl-C or SIGTERM cancels. A second one, at least a second later, ends the program at
 /// once, with exit code 130.
@@ -45,35 +40,27 @@ fn listen(limit: Option<Duration>) -> io::Result<CancellationToken> {
         .spawn(move || {
             let mut first: Option<Instant> = None;
             for signal in signals.forever() {
-                let name = if signal == SIGTERM {
-                    "SIGTERM"
-                } else {
-                    "Ctrl-C"
-                };
+                let name = signal_name(signal).unwrap_or_default();
                 match first {
                     None => {
                         first = Some(Instant::now());
                         tracing::info!("{name}: stopping");
                         cancelled.cancel();
                         if let Some(limit) = limit {
-                            end_after(limit);
+                            thread::spawn(move || {
+                                thread::sleep(limit);
+                                tracing::error!("not stopped within {limit:?}: exiting");
+                                process::exit(1);
+                            });
                         }
                     }
                     Some(at) if at.elapsed() >= ONE_REQUEST => {
                         tracing::warn!("{name} again: exiting at once");
-                        process::exit(TWICE);
+                        process::exit(130);
                     }
                     Some(_) => {}
                 }
             }
         })?;
     Ok(token)
-}
-
-fn end_after(limit: Duration) {
-    thread::spawn(move || {
-        thread::sleep(limit);
-        tracing::error!("not stopped within {limit:?}: exiting");
-        process::exit(TOO_LONG);
-    });
 }
