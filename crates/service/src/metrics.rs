@@ -4,11 +4,6 @@ use crate::process;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::{IntoResponse, Response};
 use std::fmt::Write as _;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
-
-/// Names and values of a sample's labels.
-type Labels<'a> = &'a [(&'a str, &'a str)];
 
 /// A page of metrics: each family with its help, its kind and its samples.
 #[derive(Debug, Default)]
@@ -46,14 +41,9 @@ impl MetricsPage {
         self.family(name, "counter", help, samples);
     }
 
-    /// Adds the resource usage of the process.
+    /// Adds the resource usage of the process; nothing if it cannot be read.
     pub fn process(&mut self) {
-        for (name, help, value) in process::figures() {
-            match name.ends_with("_total") {
-                true => self.counter(name, help, value),
-                false => self.gauge(name, help, value),
-            }
-        }
+        let _ = process::add(self);
     }
 
     /// Adds the latency histograms of one name, by labels.
@@ -102,24 +92,16 @@ impl MetricsPage {
         let _ = writeln!(self.0, "# HELP {name} {help}\n# TYPE {name} {kind}");
     }
 
-    fn sample(&mut self, name: &str, labels: Labels<'_>, value: f64) {
-        let _ = writeln!(self.0, "{name}{} {value}", written(labels));
-    }
-}
-
-/// A number that only grows. Clones share it.
-#[derive(Clone, Debug, Default)]
-pub struct Counter(Arc<AtomicU64>);
-
-impl Counter {
-    /// Adds one.
-    pub fn inc(&self) {
-        self.0.fetch_add(1, Ordering::Relaxed);
-    }
-
-    /// The count.
-    pub fn get(&self) -> u64 {
-        self.0.load(Ordering::Relaxed)
+    fn sample(&mut self, name: &str, labels: &[(&str, &str)], value: f64) {
+        let label = |(name, value): &(&str, &str)| {
+            let value = value.replace('\\', r"\\").replace('"', r#"\""#);
+            format!("{name}=\"{}\"", value.replace('\n', r"\n"))
+        };
+        let labels: Vec<_> = labels.iter().map(label).collect();
+        let _ = match labels.is_empty() {
+            true => writeln!(self.0, "{name} {value}"),
+            false => writeln!(self.0, "{name}{{{}}} {value}", labels.join(",")),
+        };
     }
 }
 
@@ -146,19 +128,6 @@ impl LatencyHistogram {
         }
         self.sum_s += seconds;
     }
-}
-
-fn written(labels: Labels<'_>) -> String {
-    if labels.is_empty() {
-        return String::new();
-    }
-    let escaped = |value: &str| {
-        let value = value.replace('\\', r"\\").replace('"', r#"\""#);
-        value.replace('\n', r"\n")
-    };
-    let label = |(name, value): &(&str, &str)| format!("{name}=\"{}\"", escaped(value));
-    let labels: Vec<_> = labels.iter().map(label).collect();
-    format!("{{{}}}", labels.join(","))
 }
 
 impl IntoResponse for MetricsPage {

@@ -1,72 +1,77 @@
 //! The resource usage of the process, under the names that Prometheus' own client libraries use.
 
+use crate::metrics::MetricsPage;
 use procfs::process::{LimitValue, Process};
 use procfs::{ProcResult, boot_time_secs, page_size, ticks_per_second};
 
-/// Name, help and value of one figure. A name that ends in `_total` denotes a counter.
-pub(crate) type ProcessFigure = (&'static str, &'static str, f64);
-
-/// The present resource usage of the process; empty if it cannot be read (hidden procfs).
-pub(crate) fn figures() -> Vec<ProcessFigure> {
-    read().unwrap_or_default()
-}
-
-fn read() -> ProcResult<Vec<ProcessFigure>> {
+/// Adds the present resource usage of the process.
+///
+/// # Errors
+/// If it cannot be read (hidden procfs); then nothing is added.
+pub(crate) fn add(page: &mut MetricsPage) -> ProcResult<()> {
     let process = Process::myself()?;
-    let stat = process.stat()?;
-    let ticks = ticks_per_second() as f64;
-    let most = match process.limits()?.max_open_files.soft_limit {
+    let (stat, files) = (process.stat()?, process.fd_count()?);
+    let (ticks, boot_s) = (ticks_per_second() as f64, boot_time_secs()? as f64);
+    let most_files = match process.limits()?.max_open_files.soft_limit {
         LimitValue::Value(most) => most as f64,
         LimitValue::Unlimited => f64::INFINITY,
     };
-    Ok(vec![
-        (
-            "process_cpu_seconds_total",
-            "Processor time the process has used",
-            (stat.utime + stat.stime) as f64 / ticks,
-        ),
-        (
-            "process_resident_memory_bytes",
-            "Memory of the process that is in RAM",
-            (stat.rss * page_size()) as f64,
-        ),
-        (
-            "process_threads",
-            "Threads of the process",
-            stat.num_threads as f64,
-        ),
-        (
-            "process_open_fds",
-            "Files and sockets the process has open",
-            process.fd_count()? as f64,
-        ),
-        (
-            "process_max_fds",
-            "Maximum number of files and sockets the process may have open",
-            most,
-        ),
-        (
-            "process_start_time_seconds",
-            "Start time of the process, seconds since the Unix epoch",
-            boot_time_secs()? as f64 + stat.starttime as f64 / ticks,
-        ),
-    ])
+    page.counter(
+        "process_cpu_seconds_total",
+        "Processor time the process has used",
+        (stat.utime + stat.stime) as f64 / ticks,
+    );
+    page.gauge(
+        "process_resident_memory_bytes",
+        "Memory of the process that is in RAM",
+        (stat.rss * page_size()) as f64,
+    );
+    page.gauge(
+        "process_threads",
+        "Threads of the process",
+        stat.num_threads as f64,
+    );
+    page.gauge(
+        "process_open_fds",
+        "Files and sockets the process has open",
+        files as f64,
+    );
+    page.gauge(
+        "process_max_fds",
+        "Maximum number of files and sockets the process may have open",
+        most_files,
+    );
+    page.gauge(
+        "process_start_time_seconds",
+        "Start time of the process, seconds since the Unix epoch",
+        boot_s + stat.starttime as f64 / ticks,
+    );
+    Ok(())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn figures() -> Vec<f64> {
+        let mut page = MetricsPage::default();
+        add(&mut page).unwrap();
+        let text = page.into_text();
+        let samples = text.lines().filter(|line| !line.starts_with('#'));
+        let value = |line: &str| line.split_once(' ').unwrap().1.parse().unwrap();
+        samples.map(value).collect()
+    }
+
     #[test]
     fn all_six_figures_of_this_process_are_positive() {
         // Processor time has a resolution of 10 ms, so the first tick takes a while.
         let begun = std::time::Instant::now();
-        while figures().first().is_some_and(|(.., cpu)| *cpu == 0.0) {
+        while figures()[0] == 0.0 {
             assert!(begun.elapsed().as_secs() < 60, "no processor time");
         }
         let figures = figures();
         assert_eq!(figures.len(), 6, "{figures:?}");
-        let are_positive = figures.iter().all(|(.., value)| *value > 0.0);
+        let are_positive = figures.iter().all(|value| *value > 0.0);
         assert!(are_positive, "{figures:?}");
     }
 }

@@ -22,7 +22,6 @@ use crate::config::NodeConfig;
 use crate::state::board::{Board, CameraBoard, DetectorEvent, FrameEvent, ThresholdEvent};
 use albireo_service::config::without_secrets;
 use albireo_service::http::{self, Page, Problem, Route, TokenSecurity};
-use albireo_service::metrics::Counter;
 use albireo_vision::picture::FrameLimits;
 use albireo_wire::{
     ConfigChanged, CountersMessage, Desired, DetectionsMessage, FrameAnswer, FrameAttachment,
@@ -35,6 +34,7 @@ use axum::http::StatusCode;
 use axum::routing::get;
 use std::ops::RangeInclusive;
 use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
 use tokio::sync::{Mutex, Semaphore};
 use tokio_util::sync::CancellationToken;
 use utoipa::OpenApi as _;
@@ -53,7 +53,7 @@ struct RouteState {
     /// Locked while a picture is decoded, so that memory holds one decoded picture at a time.
     decoding: Arc<Mutex<()>>,
     /// The number of pictures decoded for display.
-    decoded: Counter,
+    decoded: Arc<AtomicU64>,
     /// Permits for event streams.
     streams: Arc<Semaphore>,
     shutdown: CancellationToken,
@@ -188,7 +188,7 @@ pub fn router(board: Arc<Board>, config: &NodeConfig, shutdown: CancellationToke
             limits: config.frame,
             config: Arc::new(without_secrets(config)),
             decoding: Arc::default(),
-            decoded: Counter::default(),
+            decoded: Arc::default(),
             streams: Arc::new(Semaphore::new(events::MOST_STREAMS)),
             shutdown,
             routes,

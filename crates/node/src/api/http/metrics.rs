@@ -9,6 +9,7 @@ use albireo_service::metrics::MetricsPage;
 use albireo_vision::detector::DetectorStatus;
 use albireo_wire::{EnergyQuality, TargetStatus};
 use axum::extract::State;
+use std::sync::atomic::Ordering;
 
 fn flag(on: bool) -> f64 {
     f64::from(u8::from(on))
@@ -29,7 +30,7 @@ pub(super) fn page(shared: &RouteState) -> MetricsPage {
     page.counter(
         "albireo_shown_pictures_decoded_total",
         "Pictures decoded for display",
-        shared.decoded.get() as f64,
+        shared.decoded.load(Ordering::Relaxed) as f64,
     );
     node(&mut page, board);
     detector(&mut page, board);

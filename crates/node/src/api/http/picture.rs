@@ -7,6 +7,7 @@ use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
 use axum::http::{HeaderName, StatusCode};
 use axum::response::{IntoResponse, Response};
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 
 /// The header with the frame's sequence number, as in its detections.
 const FRAME: HeaderName = HeaderName::from_static("albireo-frame");
@@ -39,7 +40,7 @@ pub(super) async fn jpeg(
     let making = tokio::task::spawn_blocking(move || {
         let _turn = turn;
         if !picture.is_made() {
-            decoded.inc();
+            decoded.fetch_add(1, Ordering::Relaxed);
         }
         picture.jpeg(&limits)
     });
