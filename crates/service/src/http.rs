@@ -3,16 +3,14 @@
 
 mod auth;
 mod caller;
-mod error;
 mod index;
 mod page;
 mod problem;
 mod serve;
 
-pub use auth::{Caller, token_file_fault};
+pub use auth::{Caller, read_token};
 pub use caller::*;
-pub use error::HttpError;
 pub use index::{Route, routes};
 pub use page::Page;
 pub use problem::{Problem, response};
-pub use serve::{BODY_LIMIT, run};
+pub use serve::{BODY_LIMIT, HttpError, run};

@@ -1,12 +1,13 @@
 //! Serves the node's values on Zenoh keys: a query reads a value, a put or a query with a payload changes it.
 
 use crate::state::board::{Board, CameraBoard, set_thresholds};
-use albireo_service::rate_limit::SharedLimit;
+use albireo_service::rate_limit::RateLimit;
 use albireo_wire::{SettingSource, TargetMessage, ThresholdMessage, VERSION, check_version};
 use serde::de::DeserializeOwned;
 use std::any::Any;
 use std::io::Read;
 use std::sync::Arc;
+use std::time::Duration;
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 use zenoh::Session;
@@ -19,6 +20,9 @@ const MAX_MESSAGE_BYTES: usize = 4096;
 
 /// The maximum number of requests that wait for the file; a person or a hub sends a few per second at most.
 const WAITING: usize = 64;
+
+/// The time between two log lines about requests that are not answered.
+const LOG_PERIOD: Duration = Duration::from_secs(10);
 
 /// The value on a key.
 pub(crate) enum KeyValue {
@@ -77,7 +81,7 @@ pub(crate) struct NodeKeyValues {
     declared: Vec<Box<dyn Any + Send + Sync>>,
     requests: mpsc::Sender<Request>,
     waiting: mpsc::Receiver<Request>,
-    refused: Arc<SharedLimit>,
+    refused: Arc<RateLimit>,
 }
 
 impl NodeKeyValues {
@@ -87,7 +91,7 @@ impl NodeKeyValues {
             declared: Vec::new(),
             requests,
             waiting,
-            refused: Arc::default(),
+            refused: Arc::new(RateLimit::new(LOG_PERIOD)),
         }
     }
 
@@ -102,7 +106,7 @@ impl NodeKeyValues {
         key: String,
         value: KeyValue,
     ) -> zenoh::Result<()> {
-        let (requests, too_many) = (self.requests.clone(), SharedLimit::new());
+        let (requests, too_many) = (self.requests.clone(), RateLimit::new(LOG_PERIOD));
         let (served, value) = (Arc::<str>::from(&*key), Arc::new(value));
         let take = Arc::new(move |payload: Option<Vec<u8>>, query: Option<Query>| {
             let request = Request {
@@ -150,7 +154,7 @@ impl NodeKeyValues {
     }
 }
 
-fn serve(request: Request, refused: &SharedLimit) {
+fn serve(request: Request, refused: &RateLimit) {
     let Request {
         key,
         value,

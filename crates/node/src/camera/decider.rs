@@ -4,13 +4,14 @@ use super::BegunFrame;
 use super::evidence::LiveEvidence;
 use albireo_core::policy::{Evidence, LatePolicy, Need, Outcome};
 use albireo_service::clock::milliseconds;
-use albireo_service::rate_limit::SharedLimit;
+use albireo_service::rate_limit::RateLimit;
 use albireo_vision::picture::FrameFault;
 use std::future::Future;
 use std::pin::Pin;
+use std::time::Duration;
 use tokio::time::Instant;
 
-static BROKEN: SharedLimit = SharedLimit::new();
+static BROKEN: RateLimit = RateLimit::new(Duration::from_secs(10));
 
 /// Decides a camera's frames one at a time, and gives the policy the evidence it needs.
 pub(crate) struct Decider {

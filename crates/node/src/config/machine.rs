@@ -4,7 +4,7 @@
 use super::NodeConfig;
 use crate::input::source::LiveSource;
 use albireo_service::config::{Finding, Findings};
-use albireo_service::http::token_file_fault;
+use albireo_service::http::read_token;
 use albireo_vision::detector::{ExecutionProvider, find_library};
 use std::fmt::Display;
 use std::net::TcpListener;
@@ -18,8 +18,8 @@ impl NodeConfig {
             file(key, path, &mut findings);
         }
         self.check_library(&mut findings);
-        if let Some(fault) = self.http.token_file.as_deref().and_then(token_file_fault) {
-            findings.add("http.token_file", fault);
+        if let Some(file) = &self.http.token_file {
+            findings.check("http.token_file", read_token(file));
         }
         let zenoh = self.zenoh.config_file.as_deref();
         file("zenoh.config_file", zenoh, &mut findings);

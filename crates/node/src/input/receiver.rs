@@ -285,15 +285,14 @@ impl FrameReceiver {
         };
         let mut limits = self.log_limits.lock();
         let limit = limits.entry(kind).or_insert(RateLimit::new(period));
-        let admitted = limit.admit(Instant::now());
-        drop(limits);
-        let Some(held_back) = admitted else { return };
         let camera = self.board.name();
-        if expected {
-            tracing::info!(camera, kind, number, held_back, "frame dropped: {reason}");
-        } else {
-            tracing::warn!(camera, kind, number, held_back, "frame dropped: {reason}");
-        }
+        limit.log(|held_back| {
+            if expected {
+                tracing::info!(camera, kind, number, held_back, "frame dropped: {reason}");
+            } else {
+                tracing::warn!(camera, kind, number, held_back, "frame dropped: {reason}");
+            }
+        });
     }
 
     /// Counts a frame that will not be processed, and returns the reason.

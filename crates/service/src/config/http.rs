@@ -90,6 +90,14 @@ impl Default for HttpConfig {
 }
 
 impl HttpConfig {
+    /// The error of an interface at `address` that nothing protects.
+    pub(crate) fn unprotected(address: SocketAddr) -> String {
+        format!(
+            "{address} can be reached from other machines, and no token is set; set http.token_file (or http.token), or \
+             http.allow_unauthenticated = true if anybody may use it"
+        )
+    }
+
     /// Adds the errors in the section, checked together with the named tokens.
     pub fn check(&self, tokens: &[NamedToken], findings: &mut Findings) {
         NamedToken::check(tokens, findings);
@@ -109,14 +117,7 @@ impl HttpConfig {
             && tokens.is_empty()
             && !self.allow_unauthenticated
         {
-            findings.add(
-                "http.listen",
-                format!(
-                    "{} can be reached from other machines, and no token is set; set http.token_file (or \
-                     http.token), or http.allow_unauthenticated = true if anybody may use it",
-                    self.listen
-                ),
-            );
+            findings.add("http.listen", Self::unprotected(self.listen));
         }
         for origin in &self.cors_origins {
             let host = origin

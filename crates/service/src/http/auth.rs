@@ -3,7 +3,7 @@
 use super::HttpError;
 use super::Problem;
 use crate::config::{HttpConfig, NamedToken, Role, Token};
-use crate::rate_limit::SharedLimit;
+use crate::rate_limit::RateLimit;
 use axum::extract::{Request, State};
 use axum::http::header::{AUTHORIZATION, CONTENT_TYPE, HOST, HeaderName, ORIGIN, WWW_AUTHENTICATE};
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Version};
@@ -60,6 +60,8 @@ impl Caller {
 /// The interval at which the token files are read again.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
 
+static WRONG_TOKEN: RateLimit = RateLimit::new(Duration::from_secs(10));
+
 enum Rule {
     /// Requests must carry one of the tokens.
     Tokens(RwLock<Vec<(Caller, Token)>>),
@@ -81,8 +83,9 @@ impl Guard {
         named: &[NamedToken],
         listener: &TcpListener,
     ) -> Result<Self, HttpError> {
-        let address = listener.local_addr().map_err(HttpError::Listener)?;
-        let tokens = read_tokens(config, named).map_err(HttpError::Token)?;
+        let address = (listener.local_addr())
+            .map_err(|error| HttpError(format!("the HTTP listener failed: {error}")))?;
+        let tokens = read_tokens(config, named).map_err(HttpError)?;
         let rule = if !tokens.is_empty() {
             Rule::Tokens(RwLock::new(tokens))
         } else if config.allow_unauthenticated {
@@ -90,7 +93,8 @@ impl Guard {
         } else if address.ip().is_loopback() {
             Rule::ThisMachine
         } else {
-            return Err(HttpError::Unprotected { address });
+            let reason = HttpConfig::unprotected(address);
+            return Err(HttpError(format!("http.listen: {reason}")));
         };
         Ok(Self {
             rule: Arc::new(rule),
@@ -102,35 +106,33 @@ impl Guard {
     /// last valid tokens stay.
     pub(crate) async fn follow_files(self, config: HttpConfig, named: Vec<NamedToken>) {
         let has_file = |token: &NamedToken| token.token_file.is_some();
-        let Rule::Tokens(tokens) = &*self.rule else {
-            return;
+        let has_file = config.token_file.is_some() || named.iter().any(has_file);
+        let tokens = match &*self.rule {
+            Rule::Tokens(tokens) if has_file => tokens,
+            _ => return,
         };
-        if config.token_file.is_none() && !named.iter().any(has_file) {
-            return;
-        }
-        let read = Arc::new(move || read_tokens(&config, &named));
+        let given = Arc::new((config, named));
         let mut fault = None;
         loop {
             tokio::time::sleep(LOOK_EVERY).await;
-            let read = Arc::clone(&read);
-            match tokio::task::spawn_blocking(move || read()).await {
-                Ok(Ok(found)) => {
+            let given = Arc::clone(&given);
+            let read = tokio::task::spawn_blocking(move || read_tokens(&given.0, &given.1)).await;
+            match read.unwrap_or_else(|error| Err(error.to_string())) {
+                Ok(found) => {
                     fault = None;
                     if *tokens.read() != found {
                         *tokens.write() = found;
                         tracing::info!("a token was replaced");
                     }
                 }
-                Ok(Err(error)) => {
-                    if fault.as_ref() != Some(&error) {
-                        tracing::error!(
-                            error,
-                            "the token files cannot be used; the previous tokens stay in force"
-                        );
-                        fault = Some(error);
-                    }
+                Err(error) if fault.as_ref() == Some(&error) => {}
+                Err(error) => {
+                    tracing::error!(
+                        error,
+                        "the token files cannot be used; the previous tokens stay in force"
+                    );
+                    fault = Some(error);
                 }
-                Err(error) => tracing::error!(%error, "the token files were not read"),
             }
         }
     }
@@ -143,54 +145,53 @@ impl Guard {
             role,
         };
         let looks = matches!(*method, Method::GET | Method::HEAD | Method::OPTIONS);
-        let (status, detail) = match &*self.rule {
+        let refused = |status, detail: &str| Err(Problem::new(status, detail));
+        match &*self.rule {
             Rule::Tokens(tokens) => {
                 let tokens = tokens.read();
                 let holder = tokens.iter().find(|(_, token)| carries(headers, token));
-                match holder {
-                    Some((caller, _)) if looks || caller.role == Role::Tune => {
+                if let Some((caller, _)) = holder {
+                    if looks || caller.role == Role::Tune {
                         return Ok(caller.clone());
                     }
-                    Some((caller, _)) => {
-                        let detail = format!(
-                            "the token `{}` may only read: this needs a token with the role `tune`",
-                            caller.name
-                        );
-                        return Err(Problem::new(StatusCode::FORBIDDEN, detail));
-                    }
-                    None if headers.contains_key(AUTHORIZATION) => log_wrong_token(),
-                    None => {}
+                    let name = &caller.name;
+                    let detail = format!(
+                        "the token `{name}` may only read: this needs a token with the role `tune`"
+                    );
+                    return refused(StatusCode::FORBIDDEN, &detail);
+                }
+                if headers.contains_key(AUTHORIZATION) {
+                    WRONG_TOKEN.log(|held_back| {
+                        tracing::warn!(held_back, "a request with a wrong token was rejected");
+                    });
                 }
                 if is_open(request.uri().path()) {
                     return Ok(anonymous(Role::Read));
                 }
-                (
+                refused(
                     StatusCode::UNAUTHORIZED,
                     "this needs the header `Authorization: Bearer TOKEN` with the node's token",
                 )
             }
-            _ if !looks && self.is_from_another_site(headers) => (
+            _ if !looks && self.is_from_another_site(headers) => refused(
                 StatusCode::FORBIDDEN,
                 "without a token a page of another site may not change anything: set a token, or name the page's \
                  origin in http.cors_origins",
             ),
             // The other content types are those that a browser sends to another site without a preflight.
-            _ if *method == Method::POST && !is_json(headers) => {
-                return Err(Problem::new(
-                    StatusCode::UNSUPPORTED_MEDIA_TYPE,
-                    "without a token the content type of a POST must be `application/json`; \
-                     with curl: -H 'content-type: application/json'",
-                )
-                .allowing(["application/json"]));
-            }
-            Rule::ThisMachine if !called_by_address(request) => (
+            _ if *method == Method::POST && !is_json(headers) => Err(Problem::new(
+                StatusCode::UNSUPPORTED_MEDIA_TYPE,
+                "without a token the content type of a POST must be `application/json`; \
+                 with curl: -H 'content-type: application/json'",
+            )
+            .allowing(["application/json"])),
+            Rule::ThisMachine if !called_by_address(request) => refused(
                 StatusCode::MISDIRECTED_REQUEST,
                 "without a token this interface answers only when called by address or as `localhost`; \
                  to reach it under another name set a token, or http.allow_unauthenticated = true",
             ),
-            Rule::Anybody | Rule::ThisMachine => return Ok(anonymous(Role::Tune)),
-        };
-        Err(Problem::new(status, detail))
+            Rule::Anybody | Rule::ThisMachine => Ok(anonymous(Role::Tune)),
+        }
     }
 
     /// True if a browser sent the request for a page of another site. Newer browsers report that in `Sec-Fetch-Site`,
@@ -219,18 +220,13 @@ fn is_json(headers: &HeaderMap) -> bool {
     media_type.trim().eq_ignore_ascii_case("application/json")
 }
 
-fn log_wrong_token() {
-    static LOG: SharedLimit = SharedLimit::new();
-    LOG.log(|held_back| tracing::warn!(held_back, "a request with a wrong token was rejected"));
-}
-
 fn read_tokens(config: &HttpConfig, named: &[NamedToken]) -> Result<Vec<(Caller, Token)>, String> {
     let own = ("token", Role::Tune, &config.token, &config.token_file);
     let named = (named.iter()).map(|one| (&*one.name, one.role, &one.token, &one.token_file));
     let mut tokens = Vec::new();
     for (name, role, token, file) in std::iter::once(own).chain(named) {
         let token = match file {
-            Some(file) => Some(read(file)?),
+            Some(file) => Some(read_token(file)?),
             None => token.clone(),
         };
         if let Some(token) = token {
@@ -242,12 +238,11 @@ fn read_tokens(config: &HttpConfig, named: &[NamedToken]) -> Result<Vec<(Caller,
     Ok(tokens)
 }
 
-/// Returns the reason no token can be read from a file; `None` if one can.
-pub fn token_file_fault(file: &Path) -> Option<String> {
-    read(file).err()
-}
-
-fn read(file: &Path) -> Result<Token, String> {
+/// Reads the token in the first line of a file.
+///
+/// # Errors
+/// The file, and why its first line cannot be used.
+pub fn read_token(file: &Path) -> Result<Token, String> {
     let wrong = |fault: &dyn std::fmt::Display| format!("token_file {}: {fault}", file.display());
     let text = std::fs::read_to_string(file).map_err(|error| wrong(&error))?;
     let token = Token::new(text.lines().next().unwrap_or_default().trim());
@@ -258,25 +253,22 @@ fn read(file: &Path) -> Result<Token, String> {
 }
 
 fn carries(headers: &HeaderMap, token: &Token) -> bool {
-    let Some(sent) = headers
-        .get(AUTHORIZATION)
-        .and_then(|value| value.as_bytes().split_at_checked(7))
-        .and_then(|(scheme, rest)| scheme.eq_ignore_ascii_case(b"bearer ").then_some(rest))
-    else {
-        return false;
-    };
-    // In constant time, so that the delay does not reveal how many characters were right.
-    sent.ct_eq(token.secret().as_bytes()).into()
+    let sent = (headers.get(AUTHORIZATION)).and_then(|sent| sent.as_bytes().split_at_checked(7));
+    sent.is_some_and(|(scheme, sent)| {
+        // In constant time, so that the delay does not reveal how many characters were right.
+        let is_right = bool::from(sent.ct_eq(token.secret().as_bytes()));
+        scheme.eq_ignore_ascii_case(b"bearer ") && is_right
+    })
 }
 
 /// True if the request names this machine by address or as `localhost`, and nothing else. An unreadable name, or two
 /// names, count as another name.
 fn called_by_address(request: &Request) -> bool {
-    let hosts: Vec<_> = request.headers().get_all(HOST).iter().collect();
-    let host_is_right = match hosts[..] {
+    let mut hosts = request.headers().get_all(HOST).iter();
+    let host_is_right = match (hosts.next(), hosts.next()) {
         // HTTP/1.0 has no Host header; no browser sends HTTP/1.0.
-        [] => request.version() <= Version::HTTP_10,
-        [host] => host.to_str().is_ok_and(is_address),
+        (None, _) => request.version() <= Version::HTTP_10,
+        (Some(host), None) => host.to_str().is_ok_and(is_address),
         _ => false,
     };
     let authority = request.uri().authority();
@@ -285,15 +277,13 @@ fn called_by_address(request: &Request) -> bool {
 
 fn is_address(host: &str) -> bool {
     let is_port = |port: &str| port.bytes().all(|byte| byte.is_ascii_digit());
-    if let Some(rest) = host.strip_prefix('[') {
-        let Some((name, port)) = rest.split_once(']') else {
-            return false;
-        };
-        let port_is_right = port.is_empty() || port.strip_prefix(':').is_some_and(is_port);
-        return port_is_right && name.parse::<Ipv6Addr>().is_ok();
+    let with_port = host.rsplit_once(':').filter(|(_, port)| is_port(port));
+    let name = with_port.map_or(host, |(name, _)| name);
+    let in_brackets = (name.strip_prefix('[')).and_then(|name| name.strip_suffix(']'));
+    match in_brackets {
+        Some(name) => name.parse::<Ipv6Addr>().is_ok(),
+        None => name.eq_ignore_ascii_case("localhost") || name.parse::<Ipv4Addr>().is_ok(),
     }
-    let (name, port) = host.split_once(':').unwrap_or((host, ""));
-    is_port(port) && (name.eq_ignore_ascii_case("localhost") || name.parse::<Ipv4Addr>().is_ok())
 }
 
 /// Passes a request on with its [`Caller`], or answers it.
@@ -302,19 +292,20 @@ pub(super) async fn guard(
     mut request: Request,
     next: Next,
 ) -> Response {
-    let problem = match guard.admit(&request) {
+    match guard.admit(&request) {
         Ok(caller) => {
             request.extensions_mut().insert(caller);
-            return next.run(request).await;
+            next.run(request).await
         }
-        Err(problem) => problem,
-    };
-    let mut response = problem.into_response();
-    if response.status() == StatusCode::UNAUTHORIZED {
-        let scheme = HeaderValue::from_static("Bearer");
-        response.headers_mut().insert(WWW_AUTHENTICATE, scheme);
+        Err(problem) => {
+            let mut response = problem.into_response();
+            if response.status() == StatusCode::UNAUTHORIZED {
+                let scheme = HeaderValue::from_static("Bearer");
+                response.headers_mut().insert(WWW_AUTHENTICATE, scheme);
+            }
+            response
+        }
     }
-    response
 }
 
 #[cfg(test)]

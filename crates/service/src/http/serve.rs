@@ -1,6 +1,5 @@
 //! Adds the common layers to a router and serves it.
 
-use super::HttpError;
 use super::auth::{Guard, guard};
 use super::problem;
 use crate::config::{HttpConfig, NamedToken};
@@ -25,6 +24,11 @@ use tower_service::Service;
 
 /// The largest request body, bytes. The largest legitimate one has about thirty.
 pub const BODY_LIMIT: usize = 16 << 10;
+
+/// The reason the interface cannot be served.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub struct HttpError(pub(super) String);
 
 /// The time for requests in progress to end after the shutdown.
 const GRACE: Duration = Duration::from_secs(1);
