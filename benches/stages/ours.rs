@@ -40,8 +40,8 @@ impl Line {
             ..ZenohConfig::default()
         };
         let limit = FrameLimits::default().max_payload_bytes;
-        let node = session::open(&listening, limit, |_| {}).await?;
-        let client = session::open(&connecting, limit, |_| {}).await?;
+        let node = session::open(&listening, limit, &[], false, |_| {}).await?;
+        let client = session::open(&connecting, limit, &[], false, |_| {}).await?;
         let failed = |error: zenoh::Error| anyhow!("Zenoh: {error}");
         client
             .declare_subscriber(KEY)

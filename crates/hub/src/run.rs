@@ -140,7 +140,7 @@ async fn parts(config: &HubConfig, view: &HubView) -> Result<(), HubError> {
     // This is the only place that sets it.
     let _ = view.opened.set(store.clone());
     database.works();
-    let opening = session::open_patiently(&config.zenoh, MAX_PAYLOAD_BYTES, SESSION, |error| {
+    let opening = session::open(&config.zenoh, MAX_PAYLOAD_BYTES, SESSION, true, |error| {
         zenoh.not_ready(error.to_string());
     });
     let Some(session) = shutdown.run_until_cancelled(opening).await.transpose()? else {

@@ -148,7 +148,8 @@ async fn try_router(config: &NodeConfig) -> Result<String, Failure> {
         ..config.zenoh.clone()
     };
     let endpoints = &client.connect;
-    let opening = session::open(&client, config.frame.max_payload_bytes, |_| {});
+    let limit = config.frame.max_payload_bytes;
+    let opening = session::open(&client, limit, &[], false, |_| {});
     close(in_time(endpoints, async { Ok(opening.await?) }).await?).await;
     Ok(format!("{} answers", endpoints.join(", ")))
 }

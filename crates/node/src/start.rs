@@ -116,8 +116,9 @@ impl PreparedNode {
         let keys = config.keys().map_err(NodeError::new)?;
         let zenoh = board.readiness.part(readiness::ZENOH);
         zenoh.not_ready("the session is not open yet");
-        let session = session::open(&config.zenoh, config.frame.max_payload_bytes, |reason| {
-            zenoh.not_ready(reason);
+        let limit = config.frame.max_payload_bytes;
+        let session = session::open(&config.zenoh, limit, &[], false, |error| {
+            zenoh.not_ready(format!("the router cannot be reached: {error}"));
         })
         .await
         .map_err(NodeError::new)?;

@@ -21,11 +21,6 @@ impl From<tokio::task::JoinError> for SessionError {
     }
 }
 
-/// An error for a section that Zenoh rejects: retrying does not help.
-fn malformed(section: &str, reason: &str) -> SessionError {
-    SessionError(format!("[{section}] {reason}"))
-}
-
 /// Inserts settings by Zenoh's names, such as `("transport/link/tx/lease", 60000)`, into a Zenoh configuration.
 ///
 /// # Errors
@@ -39,61 +34,38 @@ pub fn set<V: Display>(config: &mut zenoh::Config, settings: &[(&str, V)]) -> Re
     Ok(())
 }
 
-/// Opens a session as configured. `max_payload_bytes` limits what is accepted from the network. A client waits for its
-/// router without limit: drop the future to give up. `waiting` receives the reason of each failed attempt.
+/// Opens a session as configured, with `settings` added. `max_payload_bytes` limits what is accepted from the network. A
+/// client waits for its router without limit, and so does any other session if `patient`: drop the future to give up.
+/// `failed` receives the error of each failed attempt.
 ///
 /// # Errors
-/// [`SessionError`] if Zenoh rejects the configuration or cannot listen on an endpoint.
+/// [`SessionError`] if Zenoh rejects the configuration, or cannot listen on an endpoint and does not retry.
 pub async fn open(
     config: &ZenohConfig,
     max_payload_bytes: usize,
-    waiting: impl Fn(&str),
-) -> Result<Session, SessionError> {
-    let zenoh = (config.to_zenoh(max_payload_bytes)).map_err(|why| malformed("zenoh", &why))?;
-    // From the final configuration, because a Zenoh configuration file sets its own mode.
-    let is_client = zenoh
-        .get_json("mode")
-        .is_ok_and(|mode| mode == "\"client\"");
-    attempts(config, zenoh, is_client, |error| {
-        waiting(&format!("the router cannot be reached: {error}"));
-    })
-    .await
-}
-
-/// Opens a session with `settings` added to the section, and retries until it is open, in any mode: a router that is
-/// not running yet is no reason to fail. Drop the future to give up. `failed` receives each failure.
-///
-/// # Errors
-/// [`SessionError`] if Zenoh rejects the configuration: retrying does not help.
-pub async fn open_patiently(
-    config: &ZenohConfig,
-    max_payload_bytes: usize,
     settings: &[(&str, &str)],
-    failed: impl FnMut(&SessionError),
-) -> Result<Session, SessionError> {
-    let zenoh = config.to_zenoh(max_payload_bytes).and_then(|mut zenoh| {
-        set(&mut zenoh, settings)?;
-        Ok(zenoh)
-    });
-    let zenoh = zenoh.map_err(|why| malformed("zenoh", &why))?;
-    attempts(config, zenoh, true, failed).await
-}
-
-async fn attempts(
-    config: &ZenohConfig,
-    zenoh: zenoh::Config,
-    again: bool,
+    patient: bool,
     mut failed: impl FnMut(&SessionError),
 ) -> Result<Session, SessionError> {
+    let malformed = |reason: String| SessionError(format!("[zenoh] {reason}"));
+    let mut zenoh = config.to_zenoh(max_payload_bytes).map_err(malformed)?;
+    set(&mut zenoh, settings).map_err(malformed)?;
+    // From the final configuration, because a Zenoh configuration file sets its own mode.
+    let mode = zenoh.get_json("mode");
+    let retries = patient || mode.is_ok_and(|mode| mode == "\"client\"");
+    let place = match &config.config_file {
+        Some(file) => format!("configuration file {}", file.display()),
+        None => format!("listen {:?}, connect {:?}", config.listen, config.connect),
+    };
     let mut pause = RETRY.0;
     loop {
         let attempt = zenoh.clone();
-        let opened = tokio::task::spawn_blocking(|| zenoh::open(attempt).wait()).await?;
-        let error = match opened {
+        let error = match tokio::task::spawn_blocking(|| zenoh::open(attempt).wait()).await? {
             Ok(session) => return Ok(session),
-            Err(error) => not_opened(config, &error),
+            Err(error) => plain(&error),
         };
-        if !again {
+        let error = SessionError(format!("Zenoh session not opened ({place}): {error}"));
+        if !retries {
             return Err(error);
         }
         tracing::warn!("{error}; retrying");
@@ -109,24 +81,13 @@ async fn attempts(
 /// [`SessionError`] if no router can be reached or Zenoh rejects the configuration.
 pub fn open_uplink(uplink: &UplinkConfig) -> Result<Session, SessionError> {
     let config = uplink.to_zenoh(jittered(Duration::from_millis(1000)));
-    let config = config.map_err(|why| malformed("uplink", &why))?;
+    let config = config.map_err(|reason| SessionError(format!("[uplink] {reason}")))?;
     zenoh::open(config).wait().map_err(|error| {
         let (place, reason) = (uplink.connect.join(", "), plain(&error));
         SessionError(format!(
             "the hub's router cannot be reached ({place}): {reason}"
         ))
     })
-}
-
-fn not_opened(config: &ZenohConfig, error: &zenoh::Error) -> SessionError {
-    let place = match &config.config_file {
-        Some(file) => format!("configuration file {}", file.display()),
-        None => format!("listen {:?}, connect {:?}", config.listen, config.connect),
-    };
-    SessionError(format!(
-        "Zenoh session not opened ({place}): {}",
-        plain(error)
-    ))
 }
 
 /// A random duration between half and one and a half of `pause`, so that many nodes do not retry at the same time.
@@ -142,18 +103,10 @@ pub fn plain(error: &zenoh::Error) -> String {
 
 /// A text from Zenoh without its source locations.
 pub fn without_places(text: &str) -> String {
-    let mut rest = text;
-    let mut plain = String::new();
-    while let Some(found) = rest.find(".rs:") {
-        let (before, after) = rest.split_at(found);
-        let after = after
-            .trim_start_matches(".rs:")
-            .trim_start_matches(|c: char| c.is_ascii_digit());
-        match before.rfind(" at ") {
-            Some(at) => plain.push_str(&before[..at]),
-            None => plain.push_str(before),
-        }
-        rest = after;
+    let (mut plain, mut rest) = (String::new(), text);
+    while let Some((before, after)) = rest.split_once(".rs:") {
+        plain.push_str(before.rsplit_once(" at ").map_or(before, |(said, _)| said));
+        rest = after.trim_start_matches(|c: char| c.is_ascii_digit());
     }
     plain.push_str(rest);
     plain.trim().to_owned()
@@ -189,8 +142,8 @@ mod tests {
         };
         let (failed, failures) = std::sync::mpsc::channel();
         let opening = tokio::spawn(async move {
-            open(&client, 1 << 20, |reason| {
-                let _ = failed.send(reason.to_owned());
+            open(&client, 1 << 20, &[], false, |error| {
+                let _ = failed.send(error.to_string());
             })
             .await
         });
@@ -202,7 +155,7 @@ mod tests {
             listen: vec![endpoint],
             ..ZenohConfig::default()
         };
-        let router = open(&router, 1 << 20, |_| {}).await.unwrap();
+        let router = open(&router, 1 << 20, &[], false, |_| {}).await.unwrap();
         let session = opening.await.unwrap().unwrap();
         session.close().await.unwrap();
         router.close().await.unwrap();
