@@ -7,8 +7,7 @@
 use crate::clock::seconds;
 use albireo_wire::{HealthState, HealthStatus};
 use parking_lot::Mutex;
-use serde::{Serialize, Serializer};
-use std::borrow::Cow;
+use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::Arc;
@@ -44,30 +43,23 @@ impl Fault {
 }
 
 /// A fault of one of the service's parts.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub struct PartFault {
     /// The part: `detector`, `zenoh`, …
-    #[schema(value_type = String)]
-    pub part: Cow<'static, str>,
+    pub part: &'static str,
     /// The name of a camera or a task, if the part has several; absent for the part itself.
-    #[serde(skip_serializing_if = "str::is_empty")]
+    #[serde(skip_serializing_if = "String::is_empty")]
     #[schema(value_type = Option<String>)]
-    pub subject: Cow<'static, str>,
+    pub subject: String,
     /// The fault.
     #[serde(flatten)]
     pub fault: Fault,
     /// Seconds for which the part has been faulty, for any reason.
-    #[serde(rename = "since_s", serialize_with = "in_seconds")]
-    #[schema(value_type = f64)]
-    pub lasted: Duration,
-}
-
-fn in_seconds<S: Serializer>(time: &Duration, serializer: S) -> Result<S::Ok, S::Error> {
-    serializer.serialize_f64(seconds(*time))
+    pub since_s: f64,
 }
 
 /// All faults at one moment.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Health {
     /// The faults, by part and subject.
     pub faults: Vec<PartFault>,
@@ -77,7 +69,7 @@ impl Health {
     /// The worst effect of all faults.
     pub fn state(&self) -> HealthState {
         let effects = self.faults.iter().map(|fault| fault.fault.effect);
-        effects.max().unwrap_or(HealthState::Ready)
+        effects.max().unwrap_or_default()
     }
 
     /// True if the service does its work, possibly with a part missing.
@@ -105,9 +97,11 @@ impl Health {
     }
 }
 
-type Key = (Cow<'static, str>, Cow<'static, str>);
+/// A part and its subject.
+type Key = (&'static str, String);
 type Look = dyn Fn() -> Option<Fault> + Send + Sync;
 
+#[derive(Default)]
 struct Inner {
     /// The fault of each part, and its start.
     faults: Mutex<BTreeMap<Key, (Fault, Instant)>>,
@@ -116,54 +110,37 @@ struct Inner {
 }
 
 /// The state of a service and all its parts. Clones share it.
-#[derive(Clone)]
+#[derive(Clone, Default)]
 pub struct Readiness(Arc<Inner>);
-
-impl Default for Readiness {
-    fn default() -> Self {
-        let ready = Health::default().status();
-        Self(Arc::new(Inner {
-            faults: Mutex::default(),
-            probes: Mutex::default(),
-            changes: watch::Sender::new(ready),
-        }))
-    }
-}
 
 impl fmt::Debug for Readiness {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_tuple("Readiness")
-            .field(&*self.0.changes.borrow())
-            .finish()
+        fmt::Debug::fmt(&*self.0.changes.borrow(), f)
     }
 }
 
 impl Readiness {
     /// Creates the handle through which a part reports its state.
-    pub fn part(&self, part: impl Into<Cow<'static, str>>) -> Part {
+    pub fn part(&self, part: &'static str) -> Part {
         self.part_of(part, "")
     }
 
     /// Like [`part`](Self::part), for one of several: the camera `front` of the part `cameras`.
-    pub fn part_of(
-        &self,
-        part: impl Into<Cow<'static, str>>,
-        subject: impl Into<Cow<'static, str>>,
-    ) -> Part {
+    pub fn part_of(&self, part: &'static str, subject: impl Into<String>) -> Part {
         Part {
             readiness: self.clone(),
-            key: (part.into(), subject.into()),
+            key: (part, subject.into()),
         }
     }
 
     /// Calls `look` at each [`health`](Self::health). It must not block.
     pub fn probe(
         &self,
-        part: impl Into<Cow<'static, str>>,
-        subject: impl Into<Cow<'static, str>>,
+        part: &'static str,
+        subject: impl Into<String>,
         look: impl Fn() -> Option<Fault> + Send + Sync + 'static,
     ) {
-        let key = (part.into(), subject.into());
+        let key = (part, subject.into());
         self.0.probes.lock().push((key, Arc::new(look)));
     }
 
@@ -171,24 +148,20 @@ impl Readiness {
     pub fn health(&self) -> Health {
         // Probes run without the lock: a probe may itself report a part.
         let probes = self.0.probes.lock().clone();
-        let probed: Vec<_> = (probes.into_iter())
-            .map(|(key, probe)| (key, probe()))
-            .collect();
+        let probed = probes.into_iter().map(|(key, probe)| (key, probe()));
+        let probed: Vec<_> = probed.collect();
         let mut known = self.0.faults.lock();
         for (key, fault) in probed {
             put(&mut known, key, fault);
         }
-        let faults = known
-            .iter()
-            .map(|((part, subject), (fault, since))| PartFault {
-                part: part.clone(),
-                subject: subject.clone(),
-                fault: fault.clone(),
-                lasted: since.elapsed(),
-            });
-        let health = Health {
-            faults: faults.collect(),
-        };
+        let faults = known.iter().map(|(key, (fault, since))| PartFault {
+            part: key.0,
+            subject: key.1.clone(),
+            fault: fault.clone(),
+            since_s: seconds(since.elapsed()),
+        });
+        let faults = faults.collect();
+        let health = Health { faults };
         // Under the lock, so that the later of two concurrent reads is sent last.
         let status = health.status();
         self.0.changes.send_if_modified(|shown| {
@@ -212,10 +185,7 @@ impl Readiness {
         loop {
             tokio::select! {
                 _ = ticks.tick() => drop(self.health()),
-                changed = changes.changed() => match changed {
-                    Ok(()) => log(&changes.borrow_and_update()),
-                    Err(_) => return,
-                },
+                Ok(()) = changes.changed() => log(&changes.borrow_and_update()),
             }
         }
     }
@@ -294,7 +264,7 @@ mod tests {
         let health = readiness.health();
         assert_eq!(health.state(), HealthState::Degraded);
         assert!(health.is_ready());
-        assert_eq!(health.faults[0].lasted, Duration::from_secs(3));
+        assert_eq!(health.faults[0].since_s, 3.0);
         let front = readiness.part_of("cameras", "front");
         front.not_ready("its loop failed");
         readiness.part_of("cameras", "rear").degraded("silent");
@@ -323,7 +293,7 @@ mod tests {
         assert_eq!(changes.borrow_and_update().state, HealthState::NotReady);
         tokio::time::sleep(Duration::from_secs(5)).await;
         assert!(!changes.has_changed().unwrap());
-        assert!(readiness.health().faults[0].lasted >= Duration::from_secs(5));
+        assert!(readiness.health().faults[0].since_s >= 5.0);
         watching.abort();
     }
 }

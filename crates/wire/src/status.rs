@@ -70,10 +70,13 @@ impl Heartbeat {
 }
 
 /// The health of a node.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, ToSchema)]
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, ToSchema,
+)]
 #[serde(rename_all = "snake_case")]
 pub enum HealthState {
     /// All parts work.
+    #[default]
     Ready,
     /// It answers frames, but a part has failed.
     Degraded,
@@ -82,7 +85,7 @@ pub enum HealthState {
 }
 
 /// The health of a node with the reasons.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct HealthStatus {
     /// Health of the node.
     pub state: HealthState,

@@ -71,13 +71,14 @@ pub(crate) fn service_state(
     let waits_for_session = *detector == DetectorStatus::Starting
         && (health.faults.iter()).any(|fault| fault.part == ZENOH && fault.subject.is_empty());
     let stuck = health.faults.iter().find(|fault| {
-        let own = match &*fault.part {
+        let own = match fault.part {
             DETECTOR => !waits_for_session,
             TASKS => true,
             ZENOH => fault.subject == ZENOH_SESSION,
             _ => false,
         };
-        own && fault.fault.effect == HealthState::NotReady && fault.lasted >= stuck_after
+        own && fault.fault.effect == HealthState::NotReady
+            && fault.since_s >= stuck_after.as_secs_f64()
     });
     ServiceState {
         ready: health.is_ready(),
