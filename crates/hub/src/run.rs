@@ -10,7 +10,7 @@ use crate::tuning::{self, Tuner};
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::notify::{self, ServiceState};
 use albireo_service::readiness::Readiness;
-use albireo_service::supervise::{Supervisor, TaskTally};
+use albireo_service::supervise::{Supervisor, TaskFailures};
 use albireo_service::{logging, session};
 use axum::http::Method;
 use parking_lot::Mutex;
@@ -155,7 +155,7 @@ async fn parts(config: &HubConfig, view: &HubView) -> Result<(), HubError> {
         .map_err(HubError::at("the ingest threads cannot be started"))?;
     // A hub that lost a task would look healthy and do half of its work. So the hub stops when a task ends, and the
     // service manager restarts it.
-    let mut tasks = Supervisor::new(readiness.clone(), TaskTally::default(), shutdown.clone());
+    let mut tasks = Supervisor::new(readiness.clone(), TaskFailures::default(), shutdown.clone());
     tasks.essential("writer", written);
     let (listening, receiving) = listen(config, view, &session, replies).await?;
     tasks.essential("presence", receiving);

@@ -33,13 +33,6 @@ const CALM: Duration = Duration::from_secs(60);
 #[derive(Debug, Default)]
 pub struct TaskEnd(Option<String>);
 
-impl TaskEnd {
-    fn reason(self) -> String {
-        self.0
-            .unwrap_or_else(|| "ended before the shutdown".to_owned())
-    }
-}
-
 impl From<()> for TaskEnd {
     fn from((): ()) -> Self {
         Self(None)
@@ -62,32 +55,8 @@ pub struct TaskFailed {
     pub reason: String,
 }
 
-/// The counts of one task.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct TaskCounts {
-    /// The number of times it panicked, failed, or ended unexpectedly.
-    pub failures: u64,
-    /// The number of times it was restarted.
-    pub restarts: u64,
-}
-
-/// The counts of all tasks of a service, by name. Clones share them.
-#[derive(Clone, Debug, Default)]
-pub struct TaskTally(Arc<Mutex<BTreeMap<String, TaskCounts>>>);
-
-impl TaskTally {
-    fn add(&self, name: &str, failures: u64, restarts: u64) {
-        let mut tasks = self.0.lock();
-        let counts = tasks.entry(name.to_owned()).or_default();
-        counts.failures += failures;
-        counts.restarts += restarts;
-    }
-
-    /// Returns every task ever started, with its counts.
-    pub fn counts(&self) -> Vec<(String, TaskCounts)> {
-        self.0.lock().clone().into_iter().collect()
-    }
-}
+/// Every task ever started, and the number of times it panicked, failed, or ended unexpectedly. Clones share them.
+pub type TaskFailures = Arc<Mutex<BTreeMap<String, u64>>>;
 
 /// The tasks of a service. The owner must poll [`watch`](Self::watch) while the service runs, and
 /// [`finish`](Self::finish) at its end. Dropping it drops the tasks.
@@ -95,18 +64,18 @@ pub struct Supervisor {
     running: JoinSet<(String, TaskEnd)>,
     names: BTreeSet<String>,
     readiness: Readiness,
-    tally: TaskTally,
+    failures: TaskFailures,
     shutdown: CancellationToken,
 }
 
 impl Supervisor {
     /// Creates a supervisor without tasks. After `shutdown`, tasks are expected to end.
-    pub fn new(readiness: Readiness, tally: TaskTally, shutdown: CancellationToken) -> Self {
+    pub fn new(readiness: Readiness, failures: TaskFailures, shutdown: CancellationToken) -> Self {
         Self {
             running: JoinSet::new(),
             names: BTreeSet::new(),
             readiness,
-            tally,
+            failures,
             shutdown,
         }
     }
@@ -123,7 +92,7 @@ impl Supervisor {
     {
         let name = name.into();
         let part = self.readiness.part_of(PART, name.clone());
-        let (tally, shutdown) = (self.tally.clone(), self.shutdown.clone());
+        let (failures, shutdown) = (self.failures.clone(), self.shutdown.clone());
         self.essential(name.clone(), async move {
             let mut pause = FIRST_PAUSE;
             loop {
@@ -141,9 +110,7 @@ impl Supervisor {
                 if shutdown.is_cancelled() {
                     return end;
                 }
-                let reason = end.reason();
-                tally.add(&name, 1, 0);
-                tracing::error!(task = name, "the task {reason}");
+                let reason = failed(&failures, &name, end);
                 let reason = format!("{reason}; it will be restarted");
                 part.fault(Fault { effect, reason });
                 let waited = shutdown.run_until_cancelled(sleep(pause)).await;
@@ -151,7 +118,6 @@ impl Supervisor {
                     return TaskEnd::default();
                 }
                 pause = (pause * 2).min(LONGEST_PAUSE);
-                tally.add(&name, 0, 1);
                 tracing::info!("the task was restarted");
                 part.degraded(
                     "failed and was restarted; counts as working once it has run for a minute",
@@ -166,7 +132,7 @@ impl Supervisor {
         F: Future<Output: Into<TaskEnd>> + Send + 'static,
     {
         let name = name.into();
-        self.tally.add(&name, 0, 0);
+        self.failures.lock().entry(name.clone()).or_default();
         self.names.insert(name.clone());
         let span = tracing::info_span!("task", name);
         let run = async move { (name, end_of(task).await) };
@@ -207,9 +173,7 @@ impl Supervisor {
         if stopping && end.0.is_none() {
             return Ok(());
         }
-        let reason = end.reason();
-        self.tally.add(&task, 1, 0);
-        tracing::error!(task, "the task {reason}");
+        let reason = failed(&self.failures, &task, end);
         if stopping {
             return Ok(());
         }
@@ -232,6 +196,15 @@ impl Supervisor {
     pub fn still_running(&self) -> Vec<&str> {
         self.names.iter().map(String::as_str).collect()
     }
+}
+
+/// Counts and logs a failure, and returns its reason.
+fn failed(failures: &TaskFailures, task: &str, end: TaskEnd) -> String {
+    let ended_early = || "ended before the shutdown".to_owned();
+    let reason = end.0.unwrap_or_else(ended_early);
+    *failures.lock().entry(task.to_owned()).or_default() += 1;
+    tracing::error!(task, "the task {reason}");
+    reason
 }
 
 /// Runs a task to its end or its panic.

@@ -25,7 +25,7 @@ use albireo_core::target::{Target, TargetError};
 pub use albireo_power::PowerSnapshot;
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::readiness::{Fault, Readiness};
-use albireo_service::supervise::TaskTally;
+use albireo_service::supervise::TaskFailures;
 use albireo_vision::detector::{DetectorCounts, DetectorMeter, DetectorStatus, ExecutionProvider};
 use albireo_vision::worker::{WorkerCounts, WorkerMeter};
 use albireo_wire::{AuditReport, ClipReport, CountersMessage, SettingSource};
@@ -62,7 +62,7 @@ pub struct Board {
     /// Reports whether the node works, part by part.
     pub readiness: Readiness,
     /// Counts the failures of the node's tasks.
-    pub tasks: TaskTally,
+    pub tasks: TaskFailures,
     /// Holds reports for a hub.
     pub(crate) outbox: Outbox,
     /// Keeps changed settings over restarts.
@@ -134,7 +134,7 @@ impl Board {
             providers: config.detector.providers.clone(),
             cameras,
             readiness,
-            tasks: TaskTally::default(),
+            tasks: TaskFailures::default(),
             outbox,
             settings,
             target,

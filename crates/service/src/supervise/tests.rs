@@ -9,7 +9,7 @@ use tokio::time::Instant;
 
 struct Bench {
     readiness: Readiness,
-    tally: TaskTally,
+    failures: TaskFailures,
     shutdown: CancellationToken,
     /// The time of each start of the task.
     starts: UnboundedReceiver<Instant>,
@@ -17,8 +17,11 @@ struct Bench {
 }
 
 fn supervisor() -> Supervisor {
-    let (readiness, tally) = (Readiness::default(), TaskTally::default());
-    Supervisor::new(readiness, tally, CancellationToken::new())
+    Supervisor::new(
+        Readiness::default(),
+        TaskFailures::default(),
+        CancellationToken::new(),
+    )
 }
 
 /// Supervises a task that runs `what` with the number of its start, counted from 0.
@@ -26,7 +29,7 @@ fn bench<F: Future<Output: Into<TaskEnd>> + Send + 'static>(
     what: impl Fn(u32, CancellationToken) -> F + Clone + Send + Sync + 'static,
 ) -> Bench {
     let mut supervisor = supervisor();
-    let (readiness, tally) = (supervisor.readiness.clone(), supervisor.tally.clone());
+    let (readiness, failures) = (supervisor.readiness.clone(), supervisor.failures.clone());
     let shutdown = supervisor.shutdown.clone();
     let (started, starts) = unbounded_channel();
     let (number, stop) = (AtomicU32::new(0), shutdown.clone());
@@ -41,16 +44,17 @@ fn bench<F: Future<Output: Into<TaskEnd>> + Send + 'static>(
     });
     Bench {
         readiness,
-        tally,
+        failures,
         shutdown,
         starts,
         watching,
     }
 }
 
-fn counts(failures: u64, restarts: u64) -> Vec<(String, TaskCounts)> {
-    let counts = TaskCounts { failures, restarts };
-    vec![("camera/front".to_owned(), counts)]
+impl Bench {
+    fn failures(&self) -> u64 {
+        self.failures.lock()["camera/front"]
+    }
 }
 
 #[tokio::test(start_paused = true)]
@@ -70,22 +74,22 @@ async fn a_task_that_panics_or_ends_too_early_is_counted_reported_and_restarted(
     let reported = &status.reasons[PART];
     let expected = "camera/front: panicked: index out of bounds";
     assert!(reported.contains(expected), "{reported}");
-    assert_eq!(bench.tally.counts(), counts(1, 0));
+    assert_eq!(bench.failures(), 1);
 
     let again = bench.starts.recv().await.unwrap();
     assert_eq!(again - first, FIRST_PAUSE);
-    assert_eq!(bench.tally.counts(), counts(1, 1));
+    assert_eq!(bench.failures(), 1);
     assert_eq!(bench.readiness.health().state(), HealthState::Degraded);
     // It ends after a pause, and the next one is twice as long.
     let last = bench.starts.recv().await.unwrap();
     assert_eq!(last - again, 3 * FIRST_PAUSE);
-    assert_eq!(bench.tally.counts(), counts(2, 2));
+    assert_eq!(bench.failures(), 2);
     tokio::time::sleep(CALM).await;
     tokio::task::yield_now().await;
     assert_eq!(bench.readiness.health().state(), HealthState::Ready);
     bench.shutdown.cancel();
     assert_eq!(bench.watching.await.unwrap(), Ok(()));
-    assert_eq!(bench.tally.counts(), counts(2, 2));
+    assert_eq!(bench.failures(), 2);
 }
 
 #[tokio::test(start_paused = true)]

@@ -90,16 +90,11 @@ fn node(page: &mut MetricsPage, board: &Board) {
             ([("part", part)], flag(works))
         }),
     );
-    let tasks = board.tasks.counts();
+    let failures = board.tasks.lock().clone();
     page.counters(
         "albireo_task_failures_total",
         "Times a task of the node panicked, failed or ended before the shutdown",
-        (tasks.iter()).map(|(task, counts)| ([("task", &**task)], counts.failures as f64)),
-    );
-    page.counters(
-        "albireo_task_restarts_total",
-        "Times a task of the node was restarted",
-        (tasks.iter()).map(|(task, counts)| ([("task", &**task)], counts.restarts as f64)),
+        (failures.iter()).map(|(task, count)| ([("task", &**task)], *count as f64)),
     );
 }
 
