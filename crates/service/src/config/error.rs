@@ -9,8 +9,6 @@ pub struct Finding {
     pub key: String,
     /// The error, and what is allowed.
     pub reason: String,
-    /// The source of the value if it is not the file: an environment variable.
-    pub source: Option<String>,
 }
 
 impl Finding {
@@ -19,7 +17,6 @@ impl Finding {
         Self {
             key: key.into(),
             reason: reason.into(),
-            source: None,
         }
     }
 }
@@ -29,11 +26,7 @@ impl fmt::Display for Finding {
         if !self.key.is_empty() {
             write!(f, "{}: ", self.key)?;
         }
-        f.write_str(&self.reason)?;
-        match &self.source {
-            Some(source) => write!(f, " (from {source})"),
-            None => Ok(()),
-        }
+        f.write_str(&self.reason)
     }
 }
 

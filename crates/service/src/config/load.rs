@@ -56,8 +56,7 @@ pub fn examine<C: Configuration>(file: Option<&Path>) -> (Option<C>, Vec<Finding
 /// Like [`examine`], with the file's text.
 pub fn examine_text<C: Configuration>(text: &str) -> (Option<C>, Vec<Finding>) {
     let figment = Figment::from(Toml::string(text));
-    let variables = std::env::vars_os().filter_map(|(k, _)| k.into_string().ok());
-    let mut findings = misspelt_variables(variables, C::SECTIONS);
+    let mut findings = misspelt_variables(C::SECTIONS);
     let figment = figment.merge(
         Env::prefixed(PREFIX)
             .filter(|key| key.as_str().contains("__") || key == "camera")
@@ -77,7 +76,12 @@ pub fn examine_text<C: Configuration>(text: &str) -> (Option<C>, Vec<Finding>) {
         findings.extend((config.findings().into_iter()).filter(|finding| !reported(&finding.key)));
     }
     for finding in &mut findings {
-        finding.source = source(&figment, &finding.key);
+        let metadata = figment.find_metadata(&finding.key);
+        if metadata.is_some_and(|found| found.name.contains("environment")) {
+            let name = finding.key.to_ascii_uppercase().replace('.', "__");
+            let source = format!(" (from environment variable {PREFIX}{name})");
+            finding.reason.push_str(&source);
+        }
         finding.key = by_name(&figment, &finding.key);
     }
     (config, findings)
@@ -111,32 +115,26 @@ fn read<C: Configuration>(figment: &Figment) -> (Option<C>, Vec<Finding>) {
     }
 }
 
-/// Removes the value at `path` so that the rest can be read; false if that is impossible.
+/// Removes the value at `path`, or the whole list if it is an element of one, so that the rest can be read and every
+/// other element keeps its place; false if that is impossible.
 fn take_out(values: &mut Value, path: &[String]) -> bool {
-    let Some((last, parent)) = path.split_last() else {
+    let Some(last) = path.iter().rposition(|part| !is_index(part)) else {
         return false;
     };
-    match (values.pointer_mut(&pointer(parent)), last.parse::<usize>()) {
-        (Some(Value::Object(table)), _) => table.remove(last).is_some(),
-        (Some(Value::Array(list)), Ok(index)) if index < list.len() => {
-            list.remove(index);
-            true
-        }
+    match values.pointer_mut(&pointer(&path[..last])) {
+        Some(Value::Object(table)) => table.remove(&path[last]).is_some(),
         _ => false,
     }
+}
+
+fn is_index(part: &str) -> bool {
+    part.parse::<usize>().is_ok()
 }
 
 /// A path as a JSON pointer (RFC 6901).
 fn pointer(path: &[String]) -> String {
     let escaped = |part: &String| format!("/{}", part.replace('~', "~0").replace('/', "~1"));
     path.iter().map(escaped).collect()
-}
-
-/// The environment variable that sets the value of `key`, if it is not from the file.
-fn source(figment: &Figment, key: &str) -> Option<String> {
-    let metadata = figment.find_metadata(key)?;
-    let is_variable = metadata.name.contains("environment");
-    is_variable.then(|| variable(key))
 }
 
 /// Turns `camera[1].rate` into `camera.cabin.rate` if the second camera is named `cabin`.
@@ -151,17 +149,12 @@ fn by_name(figment: &Figment, key: &str) -> String {
     named().unwrap_or_else(|| key.to_owned())
 }
 
-/// The environment variable that sets the key at `path`.
-fn variable(path: &str) -> String {
-    let name = path.to_ascii_uppercase().replace('.', "__");
-    format!("environment variable {PREFIX}{name}")
-}
-
 /// Reports variables that look like a key with one underscore instead of two: they would silently have no
 /// effect.
-fn misspelt_variables(names: impl Iterator<Item = String>, sections: &[&str]) -> Vec<Finding> {
-    names
-        .filter_map(|name| {
+fn misspelt_variables(sections: &[&str]) -> Vec<Finding> {
+    std::env::vars_os()
+        .filter_map(|(name, _)| {
+            let name = name.into_string().ok()?;
             let rest = name.strip_prefix(PREFIX)?;
             let (section, key) = rest.split_once('_')?;
             (sections.contains(&section) && !key.starts_with('_')).then(|| {
@@ -182,7 +175,7 @@ fn misspelt_variables(names: impl Iterator<Item = String>, sections: &[&str]) ->
 fn finding(error: &Kind, path: &[String], removed: &str) -> Finding {
     let (mut key, mut of_any) = (String::new(), Vec::new());
     for part in path {
-        if part.bytes().all(|byte| byte.is_ascii_digit()) {
+        if is_index(part) {
             key.push_str(&format!("[{part}]"));
         } else {
             key.push_str(if key.is_empty() { "" } else { "." });
@@ -213,19 +206,17 @@ fn in_words(expected: &str) -> &str {
     }
 }
 
-/// The known name that is at most two typing errors away.
-fn closest<'a>(name: &str, known: &[&'a str]) -> Option<&'a str> {
-    let distances = known.iter().map(|&k| (strsim::osa_distance(name, k), k));
-    let (distance, closest) = distances.min()?;
-    (distance <= 2).then_some(closest)
-}
-
 fn reason(kind: &Kind) -> String {
     match kind {
-        Kind::UnknownField(name, known) => match closest(name, known) {
-            Some(meant) => format!("unknown key `{name}`; did you mean `{meant}`?"),
-            None => format!("unknown key `{name}`; known are {}", OneOf(known)),
-        },
+        Kind::UnknownField(name, known) => {
+            let mistakes = |known: &&str| strsim::osa_distance(name, known);
+            match known.iter().copied().min_by_key(mistakes) {
+                Some(meant) if mistakes(&meant) <= 2 => {
+                    format!("unknown key `{name}`; did you mean `{meant}`?")
+                }
+                _ => format!("unknown key `{name}`; known are {}", OneOf(known)),
+            }
+        }
         Kind::UnknownVariant(value, known) => format!("`{value}` is not {}", OneOf(known)),
         Kind::InvalidType(found, expected) | Kind::InvalidValue(found, expected) => {
             format!("must be {}, not {found}", in_words(expected))
@@ -290,5 +281,14 @@ mod tests {
             "http.timeout: must be a number, not string \"long\"",
         ];
         assert_eq!(reported, expected);
+    }
+
+    #[test]
+    fn a_wrong_element_of_a_list_leaves_the_others_their_places() {
+        let (config, findings) = examine_text::<Small>("camera = [{}, 7, { name = \"a b\" }]\n");
+        let keys = findings.iter().map(|finding| finding.key.as_str());
+        let of_cameras: Vec<_> = keys.filter(|key| key.starts_with("camera")).collect();
+        assert_eq!(of_cameras, ["camera[1]"]);
+        assert!(config.unwrap().camera.is_empty());
     }
 }
