@@ -5,10 +5,8 @@ mod tail;
 pub use tail::{LogLine, conceal, lines_after};
 
 use crate::config::{LogConfig, LogFormat, check_level};
-use std::fmt::Display;
 use std::io::IsTerminal;
 use tracing::Subscriber;
-use tracing_subscriber::filter::ParseError;
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 use tracing_subscriber::{EnvFilter, Layer};
@@ -36,38 +34,35 @@ pub struct LogError(String);
 /// # Errors
 /// [`LogError`] if the level is invalid or a log was already set up.
 pub fn start(config: &LogConfig) -> Result<(), LogError> {
-    let variable = std::env::var("RUST_LOG")
-        .ok()
-        .filter(|variable| !variable.is_empty());
-    let wrong = |what: &str, why: &dyn Display| LogError(format!("{what}: {why}"));
-    if let Some(variable) = &variable {
-        check_level(variable).map_err(|why| wrong("environment variable RUST_LOG", &why))?;
-    }
-    let level = variable.as_deref().unwrap_or(&config.level);
-    let log = subscriber(level, config.format).map_err(|why| wrong("log.level", &why))?;
-    log.try_init()
-        .map_err(|why| wrong("the log cannot be set up", &why))?;
+    let variable = std::env::var("RUST_LOG").unwrap_or_default();
+    let (source, level) = match variable.as_str() {
+        "" => ("log.level", config.level.as_str()),
+        level => ("environment variable RUST_LOG", level),
+    };
+    check_level(level).map_err(|why| LogError(format!("{source}: {why}")))?;
+    let log = subscriber(level, config.format).try_init();
+    log.map_err(|why| LogError(format!("the log cannot be set up: {why}")))?;
     crate::panics::log_panics();
     Ok(())
 }
 
-/// Creates the subscriber for the level and format.
-fn subscriber(level: &str, format: LogFormat) -> Result<impl Subscriber + Send + Sync, ParseError> {
+/// Creates the subscriber for the level and format. The level was checked.
+fn subscriber(level: &str, format: LogFormat) -> impl Subscriber + Send + Sync {
     let written = tracing_subscriber::fmt::layer().with_writer(std::io::stderr);
     let written = match format {
         LogFormat::Human => written
             .with_ansi(std::io::stderr().is_terminal())
-            .with_filter(filter(level)?)
+            .with_filter(filter(level))
             .boxed(),
         LogFormat::Json => written
             .json()
             .flatten_event(true)
-            .with_filter(filter(level)?)
+            .with_filter(filter(level))
             .boxed(),
     };
-    Ok(tracing_subscriber::registry()
+    tracing_subscriber::registry()
         .with(written)
-        .with(tail::layer().with_filter(filter(tail_level(level))?)))
+        .with(tail::layer().with_filter(filter(tail_level(level))))
 }
 
 /// The level of the kept lines: never stricter than `info`, so the page has useful lines even if standard error has
@@ -79,10 +74,9 @@ fn tail_level(level: &str) -> &str {
     }
 }
 
-fn filter(level: &str) -> Result<EnvFilter, ParseError> {
+fn filter(level: &str) -> EnvFilter {
     // The last of two directives for the same target applies, so the user's come last.
-    let directives = QUIET.join(",") + "," + level;
-    EnvFilter::builder().parse(directives)
+    EnvFilter::builder().parse_lossy(QUIET.join(",") + "," + level)
 }
 
 #[cfg(test)]
@@ -98,7 +92,7 @@ mod tests {
     #[test]
     fn events_that_nothing_records_are_disabled() {
         let _alone = ONE_SUBSCRIBER.lock();
-        let log = subscriber("warn", LogFormat::Human).unwrap();
+        let log = subscriber("warn", LogFormat::Human);
         with_default(log, || {
             assert!(tracing::enabled!(Level::INFO));
             assert!(tracing::enabled!(target: "zenoh", Level::WARN));
@@ -123,7 +117,7 @@ mod tests {
     #[test]
     fn ort_logs_only_warnings_unless_configured() {
         let directives = |level: &str| -> Vec<String> {
-            let filter = filter(level).unwrap().to_string();
+            let filter = filter(level).to_string();
             filter.split(',').map(str::to_owned).collect()
         };
         assert!(directives("info").contains(&"ort=warn".to_owned()));

@@ -89,19 +89,15 @@ async fn watch_state(
 
 /// The status line for `systemctl status`.
 fn status(state: &ServiceState) -> String {
-    let word = match (&state.stuck, state.ready, state.reasons.is_empty()) {
-        (Some(reason), ..) => return line(&format!("stuck: {reason}")),
-        (None, true, true) => return "every part works".to_owned(),
-        (None, true, false) => "degraded",
-        (None, false, _) => "not ready",
+    let text = match (&state.stuck, state.ready, state.reasons.as_str()) {
+        (Some(reason), ..) => format!("stuck: {reason}"),
+        (None, true, "") => "every part works".to_owned(),
+        (None, true, reasons) => format!("degraded: {reasons}"),
+        (None, false, reasons) => format!("not ready: {reasons}"),
     };
-    line(&format!("{word}: {}", state.reasons))
-}
-
-/// The text as one line of limited length: a line break would end the message.
-fn line(text: &str) -> String {
-    let plain = text.chars().map(|c| if c.is_control() { ' ' } else { c });
-    plain.take(LONGEST).collect()
+    // A line break would end the message.
+    let line = text.chars().map(|c| if c.is_control() { ' ' } else { c });
+    line.take(LONGEST).collect()
 }
 
 #[cfg(test)]

@@ -2,6 +2,8 @@
 
 use super::Findings;
 use serde::{Deserialize, Serialize};
+use tracing_subscriber::EnvFilter;
+use tracing_subscriber::filter::LevelFilter;
 
 /// The format of log lines.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -45,17 +47,16 @@ impl LogConfig {
 
 /// Checks a level or filter and returns why it is invalid.
 pub(crate) fn check_level(level: &str) -> Result<(), String> {
-    let fault = |error: &dyn std::fmt::Display| {
-        format!("`{level}` is neither error, warn, info, debug, trace nor a filter: {error}")
-    };
     // The filter takes a single word that is not a level for a module name, and then logs nothing else.
-    for word in level.split(',').filter(|part| !part.contains(['=', '['])) {
-        word.trim()
-            .parse::<tracing::level_filters::LevelFilter>()
-            .map_err(|_| fault(&format!("`{word}` is not a level")))?;
-    }
-    tracing_subscriber::EnvFilter::builder()
-        .parse(level)
-        .map(drop)
-        .map_err(|error| fault(&error))
+    let mut words = level.split(',').filter(|part| !part.contains(['=', '[']));
+    let fault = match words.find(|word| word.trim().parse::<LevelFilter>().is_err()) {
+        Some(word) => format!("`{word}` is not a level"),
+        None => match EnvFilter::builder().parse(level) {
+            Ok(_) => return Ok(()),
+            Err(error) => error.to_string(),
+        },
+    };
+    Err(format!(
+        "`{level}` is neither error, warn, info, debug, trace nor a filter: {fault}"
+    ))
 }

@@ -94,41 +94,31 @@ pub(super) async fn translate(
     let path = request.uri().path().to_owned();
     let response = next.run(request).await;
     let status = response.status();
-    let is_problem = response
-        .headers()
-        .get(CONTENT_TYPE)
-        .is_some_and(|value| value == MEDIA_TYPE);
+    let media_type = response.headers().get(CONTENT_TYPE);
+    let is_problem = media_type.is_some_and(|value| value == MEDIA_TYPE);
     if is_problem || !(status.is_client_error() || status.is_server_error()) {
         return response;
     }
     let (mut parts, body) = response.into_parts();
-    let problem = if status == StatusCode::METHOD_NOT_ALLOWED {
-        let allowed = parts
-            .headers
-            .get(ALLOW)
-            .and_then(|value| value.to_str().ok());
-        let allowed: Vec<_> = (allowed.unwrap_or_default().split(','))
-            .map(str::trim)
-            .collect();
-        let detail = format!(
-            "{method} is not allowed here; allowed: {}",
-            allowed.join(", ")
-        );
-        Problem::new(status, detail).allowing(allowed)
-    } else {
-        let text = to_bytes(body, 4096).await.unwrap_or_default();
-        let detail = match (String::from_utf8_lossy(&text).trim(), status) {
-            ("", StatusCode::REQUEST_TIMEOUT) => {
-                format!("the request did not end within {limit:?}")
-            }
-            ("", StatusCode::NOT_FOUND) => {
-                format!("there is nothing at {path}; /openapi.json lists all paths")
-            }
-            ("", _) => status.canonical_reason().unwrap_or("an error").to_owned(),
-            (text, _) => text.to_owned(),
-        };
-        Problem::new(status, detail)
+    let text = to_bytes(body, 4096).await.unwrap_or_default();
+    let allowed: Vec<_> = (parts.headers.get_all(ALLOW).iter())
+        .filter_map(|methods| methods.to_str().ok())
+        .flat_map(|methods| methods.split(','))
+        .map(str::trim)
+        .collect();
+    let detail = match (String::from_utf8_lossy(&text).trim(), status) {
+        ("", StatusCode::METHOD_NOT_ALLOWED) => {
+            let allowed = allowed.join(", ");
+            format!("{method} is not allowed here; allowed: {allowed}")
+        }
+        ("", StatusCode::REQUEST_TIMEOUT) => format!("the request did not end within {limit:?}"),
+        ("", StatusCode::NOT_FOUND) => {
+            format!("there is nothing at {path}; /openapi.json lists all paths")
+        }
+        ("", _) => status.canonical_reason().unwrap_or("an error").to_owned(),
+        (text, _) => text.to_owned(),
     };
+    let problem = Problem::new(status, detail).allowing(allowed);
     // The answer's other headers stay, such as the list of methods.
     parts.headers.remove(CONTENT_TYPE);
     parts.headers.remove(CONTENT_LENGTH);
