@@ -27,7 +27,7 @@ fn set(config: &mut NodeConfig, pair: &str) -> anyhow::Result<()> {
         "retry_min_ms" => config.outbox.retry_min_ms = value.parse()?,
         "retry_max_ms" => config.outbox.retry_max_ms = value.parse()?,
         "answer_timeout_ms" => config.outbox.answer_timeout_ms = value.parse()?,
-        "reconnect_max_ms" => config.uplink.retry_max_ms = value.parse()?,
+        "reconnect_max_ms" => config.uplink.retry_max_ms = Some(value.parse()?),
         "ring" => {
             let ring = value.parse()?;
             config

@@ -26,7 +26,7 @@ use crate::presence::{Fleet, ListenCounters};
 use crate::store::{EnergyBy, Sort, Store, StoreError, StoredEvent};
 use crate::tuning::Tuner;
 use crate::tuning::run::Command;
-use albireo_service::http::{self, Page, Problem, Route, TokenSecurity};
+use albireo_service::http::{self, Problem, Route, TokenSecurity};
 use albireo_service::readiness::Readiness;
 use albireo_wire::{CountersMessage, Desired};
 use axum::http::StatusCode;
@@ -226,8 +226,7 @@ pub(crate) fn router(view: HubView) -> Router {
     let (router, openapi) = described();
     let routes: Arc<[Route]> = http::routes(&openapi).into();
     let openapi = Arc::new(openapi);
-    Page::Hub
-        .serve_on(router)
+    http::with_page(router, "hub.html")
         .route(
             "/openapi.json",
             get(move || async move { axum::Json(Arc::unwrap_or_clone(openapi)) }),

@@ -11,6 +11,6 @@ mod serve;
 pub use auth::{Caller, read_token};
 pub use caller::*;
 pub use index::{Route, routes};
-pub use page::Page;
+pub use page::with_page;
 pub use problem::{Problem, response};
 pub use serve::{BODY_LIMIT, HttpError, run};

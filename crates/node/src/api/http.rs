@@ -21,7 +21,7 @@ pub(crate) use health::alive;
 use crate::config::NodeConfig;
 use crate::state::board::{Board, CameraBoard, DetectorEvent, FrameEvent, ThresholdEvent};
 use albireo_service::config::without_secrets;
-use albireo_service::http::{self, Page, Problem, Route, TokenSecurity};
+use albireo_service::http::{self, Problem, Route, TokenSecurity};
 use albireo_vision::picture::FrameLimits;
 use albireo_wire::{
     ConfigChanged, CountersMessage, Desired, DetectionsMessage, FrameAnswer, FrameAttachment,
@@ -177,8 +177,7 @@ pub fn router(board: Arc<Board>, config: &NodeConfig, shutdown: CancellationToke
     );
     let routes = http::routes(&openapi).into();
     let openapi = Arc::new(openapi);
-    Page::Node
-        .serve_on(router)
+    http::with_page(router, "node.html")
         .route(
             "/openapi.json",
             get(move || async move { axum::Json(Arc::unwrap_or_clone(openapi)) }),

@@ -37,11 +37,7 @@ impl NamedToken {
             if token.name.is_empty() {
                 findings.add(key("name"), "is empty");
             }
-            if tokens
-                .iter()
-                .take(index)
-                .any(|other| other.name == token.name)
-            {
+            if (tokens[..index].iter()).any(|other| other.name == token.name) {
                 findings.add(key("name"), format!("`{}` is used twice", token.name));
             }
             if let Some(fault) = token.token.as_ref().and_then(Token::fault) {

@@ -13,7 +13,7 @@ use std::time::Duration;
 const LEASE_MS: u64 = 120_000;
 
 /// The connection of a node to its hub. Without `connect`, the `[zenoh]` session serves both.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct UplinkConfig {
     /// Endpoints of the hub's router; the first reachable one is used: `tls/hub.example:7447`.
@@ -24,28 +24,14 @@ pub struct UplinkConfig {
     pub certificate: Option<PathBuf>,
     /// Its private key.
     pub private_key: Option<PathBuf>,
-    /// The longest pause between two attempts to reconnect to the router, milliseconds. Not a setting: when a router
-    /// returns, its fleet reconnects within half a minute, spread over that time.
+    /// The longest pause between two attempts to reconnect to the router, milliseconds; by default 30,000: when a router
+    /// returns, its fleet reconnects within half a minute, spread over that time. Not a setting.
     #[serde(skip)]
-    pub retry_max_ms: u64,
+    pub retry_max_ms: Option<u64>,
     /// Declares a liveliness token. Useful for some thousand nodes, a burden with many more.
     pub liveliness: bool,
     /// Allows viewers at the hub to see the newest picture of a camera.
     pub pictures: bool,
-}
-
-impl Default for UplinkConfig {
-    fn default() -> Self {
-        Self {
-            connect: Vec::new(),
-            root_ca_certificate: None,
-            certificate: None,
-            private_key: None,
-            retry_max_ms: 30_000,
-            liveliness: false,
-            pictures: false,
-        }
-    }
 }
 
 impl UplinkConfig {
@@ -73,8 +59,8 @@ impl UplinkConfig {
         let mut config = ::zenoh::Config::default();
         let first = u64::try_from(first_retry.as_millis()).unwrap_or(1000);
         let retry = json!({
-            "period_init_ms": first.max(1),
-            "period_max_ms": self.retry_max_ms.max(first),
+            "period_init_ms": first,
+            "period_max_ms": self.retry_max_ms.unwrap_or(30_000).max(first),
             "period_increase_factor": 2,
         });
         let tls = json!({

@@ -36,41 +36,25 @@ const MISSING: &str = "<!doctype html>\n<html lang=\"en\">\n<meta charset=\"utf-
 #[folder = "../../web/dist"]
 struct Built;
 
-/// The page that a service shows.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Page {
-    /// One node.
-    Node,
-    /// A fleet.
-    Hub,
+/// Adds the page `name` at `/`, `node.html` or `hub.html`, and the files it loads.
+pub fn with_page<S>(router: Router<S>, name: &'static str) -> Router<S>
+where
+    S: Clone + Send + Sync + 'static,
+{
+    let page = move |headers: HeaderMap| async move { answer(name, &headers) };
+    router
+        .route("/", get(page))
+        .route("/assets/{file}", get(asset))
 }
 
-impl Page {
-    /// Adds the page at `/`, and the files it loads.
-    pub fn serve_on<S>(self, router: Router<S>) -> Router<S>
-    where
-        S: Clone + Send + Sync + 'static,
-    {
-        let page = move |headers: HeaderMap| async move { self.answer(&headers) };
-        router
-            .route("/", get(page))
-            .route("/assets/{file}", get(asset))
-    }
-
-    fn answer(self, headers: &HeaderMap) -> Response {
-        let name = match self {
-            Self::Node => "node.html",
-            Self::Hub => "hub.html",
-        };
-        let page = file(name, headers, "no-cache").unwrap_or_else(|| {
-            ([(CONTENT_TYPE, "text/html; charset=utf-8")], MISSING).into_response()
-        });
-        let policy = [
-            (CONTENT_SECURITY_POLICY, POLICY),
-            (REFERRER_POLICY, "no-referrer"),
-        ];
-        (policy, page).into_response()
-    }
+fn answer(name: &str, headers: &HeaderMap) -> Response {
+    let page = file(name, headers, "no-cache")
+        .unwrap_or_else(|| ([(CONTENT_TYPE, "text/html; charset=utf-8")], MISSING).into_response());
+    let policy = [
+        (CONTENT_SECURITY_POLICY, POLICY),
+        (REFERRER_POLICY, "no-referrer"),
+    ];
+    (policy, page).into_response()
 }
 
 /// A file of a page. Its name changes with its contents, so a cached copy never expires.

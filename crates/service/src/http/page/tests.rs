@@ -23,8 +23,8 @@ fn gzip_needs_an_accept_encoding_that_allows_it() {
 
 #[test]
 fn each_page_has_a_strict_content_security_policy() {
-    for page in [Page::Node, Page::Hub] {
-        let response = page.answer(&HeaderMap::new());
+    for page in ["node.html", "hub.html"] {
+        let response = answer(page, &HeaderMap::new());
         assert_eq!(response.status(), StatusCode::OK);
         let policy = &response.headers()[CONTENT_SECURITY_POLICY];
         let policy = policy.to_str().unwrap();
