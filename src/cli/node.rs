@@ -53,7 +53,8 @@ pub(super) fn configuration(file: Option<&Path>) -> anyhow::Result<NodeConfig> {
 }
 
 async fn serve(config: NodeConfig) -> anyhow::Result<()> {
-    let shutdown = signals::shutdown_within(config.node.stop_timeout).context(signals::CONTEXT)?;
+    let shutdown =
+        signals::shutdown_within(Some(config.node.stop_timeout)).context(signals::CONTEXT)?;
     let listener = TcpListener::bind(config.http.listen)
         .await
         .with_context(|| format!("http.listen: {} cannot be listened on", config.http.listen))?;

@@ -136,7 +136,7 @@ ingest.busy_retry_ms: a node that is answered \"busy\" retries after 2 s";
         if let Err(error) = NodeKeys::all(&self.hub.prefix) {
             findings.add("hub.prefix", error.to_string());
         }
-        self.zenoh.check(MAX_PAYLOAD_BYTES, &mut findings);
+        self.zenoh.check(&mut findings);
         self.http.check(&self.tokens, &mut findings);
         self.database.check(&mut findings);
         self.ingest.check(&mut findings);

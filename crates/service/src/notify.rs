@@ -55,10 +55,9 @@ async fn watch_state(
     read: impl Fn() -> ServiceState,
     shutdown: CancellationToken,
 ) {
-    let period = watchdog.unwrap_or(CHECK_INTERVAL).min(CHECK_INTERVAL);
+    let period = watchdog.unwrap_or(CHECK_INTERVAL);
     // A watchdog period of zero would spin.
-    let period = period.max(Duration::from_millis(1));
-    let mut ticks = interval(period);
+    let mut ticks = interval(period.clamp(Duration::from_millis(1), CHECK_INTERVAL));
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let begun = Instant::now();
     let (mut started, mut starving) = (false, false);

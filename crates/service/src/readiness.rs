@@ -191,14 +191,11 @@ impl Readiness {
     }
 
     fn set(&self, key: &Key, fault: Option<Fault>) {
-        let mut faults = self.0.faults.lock();
         // Parts report after each transaction or message that they work: nothing changed then.
-        if fault.is_none() && !faults.contains_key(key) {
-            return;
+        if fault.is_some() || self.0.faults.lock().contains_key(key) {
+            put(&mut self.0.faults.lock(), key.clone(), fault);
+            self.health();
         }
-        put(&mut faults, key.clone(), fault);
-        drop(faults);
-        drop(self.health());
     }
 }
 

@@ -19,18 +19,14 @@ const ONE_REQUEST: Duration = Duration::from_secs(1);
 /// # Errors
 /// An I/O error if the signal handlers cannot be installed.
 pub fn shutdown() -> io::Result<CancellationToken> {
-    listen(None)
+    shutdown_within(None)
 }
 
 /// Like [`shutdown`]; the program also ends, with exit code 1, if it still runs `limit` after the first signal.
 ///
 /// # Errors
 /// Same as [`shutdown`].
-pub fn shutdown_within(limit: Duration) -> io::Result<CancellationToken> {
-    listen(Some(limit))
-}
-
-fn listen(limit: Option<Duration>) -> io::Result<CancellationToken> {
+pub fn shutdown_within(limit: Option<Duration>) -> io::Result<CancellationToken> {
     let token = CancellationToken::new();
     let cancelled = token.clone();
     let mut signals = Signals::new([SIGTERM, SIGINT])?;

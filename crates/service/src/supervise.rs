@@ -184,11 +184,9 @@ impl Supervisor {
 
     /// Waits until every task has ended. Call it after the shutdown.
     pub async fn finish(&mut self) {
-        while let Some(ended) = self.running.join_next().await {
-            if let Ok((name, end)) = ended {
-                // `ended` has logged the error.
-                let _ = self.ended(name, end);
-            }
+        while let Some(Ok((name, end))) = self.running.join_next().await {
+            // `ended` has logged the error.
+            let _ = self.ended(name, end);
         }
     }
 

@@ -79,8 +79,7 @@ power.gpu_busy_watts: the estimate is of the processor alone; a GPU needs a mete
     fn findings(&self) -> Vec<Finding> {
         let mut findings = Findings::default();
         self.check_names(&mut findings);
-        self.zenoh
-            .check(self.frame.max_payload_bytes, &mut findings);
+        self.zenoh.check(&mut findings);
         self.uplink.check(&mut findings);
         findings.count("outbox.gather_s", self.outbox.gather_s, 0, 86_400);
         self.http.check(&self.tokens, &mut findings);

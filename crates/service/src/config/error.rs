@@ -44,11 +44,8 @@ impl fmt::Display for ConfigError {
         write!(f, "{} cannot be used:", self.file)?;
         for finding in &self.findings {
             // A TOML syntax error has several lines, with the position underlined.
-            write!(
-                f,
-                "\n  {}",
-                finding.to_string().trim_end().replace('\n', "\n  ")
-            )?;
+            let text = finding.to_string();
+            write!(f, "\n  {}", text.trim_end().replace('\n', "\n  "))?;
         }
         Ok(())
     }

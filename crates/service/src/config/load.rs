@@ -33,15 +33,11 @@ pub trait Configuration: DeserializeOwned {
 /// [`ConfigError`] with all unknown keys and invalid values.
 pub fn load<C: Configuration>(file: Option<&Path>) -> Result<C, ConfigError> {
     let (config, findings) = examine(file);
+    let file = file.unwrap_or(Path::new("built-in defaults"));
+    let file = file.display().to_string();
     match config {
         Some(config) if findings.is_empty() => Ok(config),
-        _ => Err(ConfigError {
-            file: file.map_or_else(
-                || "built-in defaults".to_owned(),
-                |file| file.display().to_string(),
-            ),
-            findings,
-        }),
+        _ => Err(ConfigError { file, findings }),
     }
 }
 
@@ -173,19 +169,19 @@ fn misspelt_variables(sections: &[&str]) -> Vec<Finding> {
 /// The error about the value at `path`. For removed keys and values it names the replacement, whichever camera it is:
 /// `camera[1].ring` is `camera.ring`.
 fn finding(error: &Kind, path: &[String], removed: &str) -> Finding {
-    let (mut key, mut of_any) = (String::new(), Vec::new());
+    let (mut key, mut of_any) = (String::new(), String::new());
     for part in path {
         if is_index(part) {
             key.push_str(&format!("[{part}]"));
         } else {
-            key.push_str(if key.is_empty() { "" } else { "." });
-            key.push_str(part);
-            of_any.push(part.as_str());
+            let dot = if key.is_empty() { "" } else { "." };
+            key.push_str(&format!("{dot}{part}"));
+            of_any.push_str(&format!("{dot}{part}"));
         }
     }
     let gone = match error {
-        Kind::UnknownField(..) => of_any.join("."),
-        Kind::UnknownVariant(value, _) => format!("{} = {value}", of_any.join(".")),
+        Kind::UnknownField(..) => of_any,
+        Kind::UnknownVariant(value, _) => format!("{of_any} = {value}"),
         _ => String::new(),
     };
     let mut removed = removed.lines().filter_map(|line| line.split_once(": "));

@@ -81,17 +81,12 @@ impl ZenohConfig {
     }
 
     /// Adds the errors in the section.
-    pub fn check(&self, max_payload_bytes: usize, findings: &mut Findings) {
-        let are_right = check_endpoints("zenoh.connect", &self.connect, findings)
-            & check_endpoints("zenoh.listen", &self.listen, findings);
+    pub fn check(&self, findings: &mut Findings) {
+        check_endpoints("zenoh.connect", &self.connect, findings);
+        check_endpoints("zenoh.listen", &self.listen, findings);
         findings.path("zenoh.config_file", self.config_file.as_deref());
-        if self.config_file.is_some() {
-            return;
-        }
-        if are_right && let Err(error) = self.to_zenoh(max_payload_bytes) {
-            findings.add("zenoh", error);
-        }
-        if self.mode == ZenohMode::Client && self.connect.is_empty() && !self.multicast_scouting {
+        let finds_none = self.connect.is_empty() && !self.multicast_scouting;
+        if self.config_file.is_none() && self.mode == ZenohMode::Client && finds_none {
             findings.add(
                 "zenoh.connect",
                 "is empty: a client needs a router to connect to (or multicast_scouting = true)",
@@ -103,9 +98,8 @@ impl ZenohConfig {
 /// The transports that are compiled in.
 const TRANSPORTS: [&str; 4] = ["tcp", "tls", "udp", "unixsock-stream"];
 
-/// Adds an error for each endpoint that Zenoh cannot parse or this program cannot open; returns true if there is none.
-pub(super) fn check_endpoints(key: &str, endpoints: &[String], findings: &mut Findings) -> bool {
-    let mut are_right = true;
+/// Adds an error for each endpoint that Zenoh cannot parse or this program cannot open.
+pub(super) fn check_endpoints(key: &str, endpoints: &[String], findings: &mut Findings) {
     for endpoint in endpoints {
         let fault = match endpoint.parse::<EndPoint>() {
             Err(error) => format!("is not an endpoint such as `tcp/127.0.0.1:7447`: {error}"),
@@ -117,9 +111,7 @@ pub(super) fn check_endpoints(key: &str, endpoints: &[String], findings: &mut Fi
             ),
         };
         findings.add(key, format!("`{endpoint}` {fault}"));
-        are_right = false;
     }
-    are_right
 }
 
 #[cfg(test)]
@@ -134,7 +126,7 @@ mod tests {
             ..ZenohConfig::default()
         };
         let mut findings = Findings::default();
-        zenoh.check(1 << 20, &mut findings);
+        zenoh.check(&mut findings);
         let findings = findings.into_vec();
         assert_eq!(findings.len(), 3, "{findings:?}");
         let first = findings[0].to_string();

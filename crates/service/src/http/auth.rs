@@ -111,12 +111,11 @@ impl Guard {
             Rule::Tokens(tokens) if has_file => tokens,
             _ => return,
         };
-        let given = Arc::new((config, named));
         let mut fault = None;
         loop {
             tokio::time::sleep(LOOK_EVERY).await;
-            let given = Arc::clone(&given);
-            let read = tokio::task::spawn_blocking(move || read_tokens(&given.0, &given.1)).await;
+            let (config, named) = (config.clone(), named.clone());
+            let read = tokio::task::spawn_blocking(move || read_tokens(&config, &named)).await;
             match read.unwrap_or_else(|error| Err(error.to_string())) {
                 Ok(found) => {
                     fault = None;

@@ -56,10 +56,8 @@ pub async fn run(
     shutdown: CancellationToken,
 ) -> Result<(), HttpError> {
     let allowed = Guard::new(config, tokens, &listener)?;
-    let following = allowed
-        .clone()
-        .follow_files(config.clone(), tokens.to_vec());
-    let following = tokio::spawn(following);
+    let follower = allowed.clone();
+    let following = tokio::spawn(follower.follow_files(config.clone(), tokens.to_vec()));
     let router = layered(config, methods, router, allowed);
     let idle = Duration::from_millis(config.idle_timeout_ms);
     let mut serving = JoinSet::new();
@@ -145,15 +143,12 @@ fn layered(config: &HttpConfig, methods: &[Method], router: Router, allowed: Gua
         .fallback_service(inner)
         .layer(from_fn_with_state(limit, problem::translate));
     if !config.cors_origins.is_empty() {
-        let origins: Vec<HeaderValue> = config
-            .cors_origins
-            .iter()
-            .filter_map(|origin| origin.parse().ok())
-            .collect();
+        let origins = config.cors_origins.iter();
+        let origins = origins.filter_map(|origin| origin.parse::<HeaderValue>().ok());
         // Outermost, because a preflight request carries no token.
         router = router.layer(
             CorsLayer::new()
-                .allow_origin(origins)
+                .allow_origin(origins.collect::<Vec<_>>())
                 .allow_methods(methods.to_vec())
                 .allow_headers([AUTHORIZATION, CONTENT_TYPE]),
         );

@@ -3,7 +3,7 @@
 use crate::config::MASK;
 use parking_lot::{Mutex, RwLock};
 use serde::Serialize;
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 use std::time::{Duration, UNIX_EPOCH};
 use std::{fmt, io};
 use tracing::{Level, Metadata, Subscriber};
@@ -21,7 +21,7 @@ const LONGEST: usize = 4096;
 const SHORTEST_SECRET: usize = 4;
 
 static LAST: Mutex<VecDeque<LogLine>> = Mutex::new(VecDeque::new());
-static SECRETS: RwLock<Vec<String>> = RwLock::new(Vec::new());
+static SECRETS: RwLock<BTreeSet<String>> = RwLock::new(BTreeSet::new());
 
 /// One line of the log.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
@@ -55,21 +55,15 @@ pub fn lines_after(number: u64, most: usize) -> Vec<LogLine> {
 /// Masks `secret` in all lines, including those already kept.
 pub fn conceal(secret: &str) {
     let secret = secret.trim();
-    if secret.len() < SHORTEST_SECRET {
-        return;
-    }
-    let mut secrets = SECRETS.write();
-    if !secrets.iter().any(|known| known == secret) {
-        secrets.push(secret.to_owned());
-    }
-    drop(secrets);
-    for line in LAST.lock().iter_mut() {
-        mask(&mut line.text);
+    if secret.len() >= SHORTEST_SECRET && SECRETS.write().insert(secret.to_owned()) {
+        let mut kept = LAST.lock();
+        kept.iter_mut().for_each(|line| mask(&mut line.text));
     }
 }
 
 fn mask(text: &mut String) {
-    for secret in SECRETS.read().iter() {
+    // In reverse, so that of two secrets that begin alike the longer one is masked first.
+    for secret in SECRETS.read().iter().rev() {
         if text.contains(secret.as_str()) {
             *text = text.replace(secret.as_str(), MASK);
         }
