@@ -58,7 +58,7 @@ mod tests {
         add(&mut page).unwrap();
         let text = page.into_text();
         let samples = text.lines().filter(|line| !line.starts_with('#'));
-        let value = |line: &str| line.split_once(' ').unwrap().1.parse().unwrap();
+        let value = |line: &str| line.split_once(' ').unwrap().1.parse::<f64>().unwrap();
         samples.map(value).collect()
     }
 
