@@ -4,7 +4,6 @@ use super::served::{Served, answered, clip, frame, problem, received};
 use crate::support::{Ended, run_command, value_of};
 use albireo_core::policy::FrameState;
 use albireo_node::state::board::PowerSnapshot;
-use albireo_power::MeterCost;
 use albireo_vision::picture::PictureFormat;
 use albireo_wire::{DomainWatts, DroppedFrames, EnergyQuality};
 use reqwest::Method;
@@ -36,10 +35,7 @@ async fn filled() -> Served {
         }],
         joules: [("total".to_owned(), 99.5)].into(),
         covered_s: [("total".to_owned(), 8.0)].into(),
-        cost: MeterCost {
-            cpu: Duration::from_millis(250),
-            ..MeterCost::default()
-        },
+        meter_cpu: Duration::from_millis(250),
         failed_reads: 3,
         hottest: Some(("gpu-thermal".to_owned(), 61.5)),
         ..PowerSnapshot::default()

@@ -4,10 +4,9 @@
 //! the first sample after that instant arrives, so a measurement of any length uses constant memory.
 
 use crate::attribution::Attribution;
-use crate::condition::{Condition, ConditionSum};
+use crate::condition::ConditionSum;
 use crate::detector_watts::DetectorWatts;
 use crate::reading::{Domain, Reading};
-use crate::sampler::MeterCost;
 use crate::totals::{History, Sample, Totals};
 use albireo_wire::{BoardState, ClipEnergy, DomainEnergy, EnergyQuality, FULL_COVERAGE};
 use std::borrow::Cow;
@@ -81,12 +80,14 @@ impl Open {
 #[derive(Debug)]
 pub(crate) struct Account {
     pub source: String,
+    pub interval: Duration,
     pub quality: EnergyQuality,
     pub history: History,
     pub cameras: Attribution,
     pub detector: DetectorWatts,
-    pub condition: Condition,
-    pub cost: MeterCost,
+    pub condition: BoardState,
+    /// CPU time of reading the meter.
+    pub meter_cpu: Duration,
     pub failed_reads: u64,
     open: BTreeMap<u64, Open>,
     next_number: u64,
@@ -97,12 +98,13 @@ impl Account {
     pub(crate) fn new(source: &str, quality: EnergyQuality, interval: Duration) -> Self {
         Self {
             source: source.to_owned(),
+            interval,
             quality,
             history: History::new(interval),
             cameras: Attribution::default(),
             detector: DetectorWatts::new(interval),
-            condition: Condition::default(),
-            cost: MeterCost::default(),
+            condition: BoardState::default(),
+            meter_cpu: Duration::ZERO,
             failed_reads: 0,
             open: BTreeMap::new(),
             next_number: 0,
@@ -126,7 +128,7 @@ impl Account {
     }
 
     /// Sets the board's condition.
-    pub(crate) fn set_condition(&mut self, condition: Condition) {
+    pub(crate) fn set_condition(&mut self, condition: BoardState) {
         for open in self.open.values_mut() {
             open.notes.conditions.add(&condition);
         }
@@ -197,30 +199,26 @@ impl Account {
             ..ClipEnergy::default()
         };
         let mut least = 1.0_f64;
-        for domain in Domain::ALL {
+        for domain in (Domain::ALL.into_iter()).filter(|domain| self.history.has(*domain)) {
             let index = domain as usize;
-            if !self.history.has(domain) {
-                continue;
-            }
             let (from, to) = (from.sums[index], to.sums[index]);
             let (joules, covered_s) = (to.joules - from.joules, to.covered_s - from.covered_s);
-            let share = match seconds > 0.0 {
-                true => (covered_s / seconds).clamp(0.0, 1.0),
-                false => 0.0,
-            };
+            if covered_s <= 0.0 {
+                least = 0.0;
+                continue;
+            }
+            let share = (covered_s / seconds).min(1.0);
             least = least.min(share);
             if domain == Domain::Total {
                 found.coverage = share;
-                found.node_joules = (share > 0.0).then_some(joules);
+                found.node_joules = Some(joules);
             }
-            if share > 0.0 {
-                found.domains.push(DomainEnergy {
-                    domain: domain.as_str().to_owned(),
-                    joules,
-                    mean_watts: joules / covered_s,
-                    peak_watts: notes.peaks[index],
-                });
-            }
+            found.domains.push(DomainEnergy {
+                domain: domain.as_str().to_owned(),
+                joules,
+                mean_watts: joules / covered_s,
+                peak_watts: notes.peaks[index],
+            });
         }
         found.quality = match self.quality {
             _ if found.coverage <= 0.0 => EnergyQuality::Unavailable,

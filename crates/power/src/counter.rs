@@ -1,5 +1,6 @@
 //! A hardware energy counter extended to rise without end: follows wraps and detects resets.
 
+use std::sync::Arc;
 use tokio::time::Instant;
 
 /// No device draws more: a counter that rises faster was reset (for example after suspend) and did not wrap.
@@ -8,17 +9,19 @@ const IMPLAUSIBLE_WATTS: f64 = 10_000.0;
 /// Follows one counter.
 #[derive(Clone, Debug)]
 pub(crate) struct Counter {
+    pub name: Arc<str>,
     /// Joules per count.
     unit: f64,
-    /// The highest count, after which the counter restarts at 0; `None` if it never does.
-    range: Option<u64>,
+    /// The highest count, after which the counter restarts at 0.
+    range: u64,
     last: Option<(Instant, u64)>,
     counted: u64,
 }
 
 impl Counter {
-    pub(crate) const fn new(unit: f64, range: Option<u64>) -> Self {
+    pub(crate) const fn new(name: Arc<str>, unit: f64, range: u64) -> Self {
         Self {
+            name,
             unit,
             range,
             last: None,
@@ -26,23 +29,20 @@ impl Counter {
         }
     }
 
-    /// Records the counter's present value. Returns false if the counter was reset: its count since the last call, less
-    /// than one interval's worth, is lost.
-    pub(crate) fn update(&mut self, now: Instant, raw: u64) -> bool {
-        let mut sound = true;
-        if let Some((then, before)) = self.last {
-            let rise = match (raw.checked_sub(before), self.range) {
-                (Some(rise), _) => Some(rise),
-                (None, Some(range)) => Some(range.saturating_sub(before).saturating_add(raw)),
-                (None, None) => None,
-            };
+    /// Records the counter's present value and returns the joules so far. If the counter was reset, its count since the
+    /// last call, less than one interval's worth, is lost.
+    pub(crate) fn update(&mut self, now: Instant, raw: u64) -> f64 {
+        if let Some((then, before)) = self.last.replace((now, raw)) {
+            let wrapped = || self.range.saturating_sub(before).saturating_add(raw);
+            let rise = raw.checked_sub(before).unwrap_or_else(wrapped);
             let seconds = now.saturating_duration_since(then).as_secs_f64().max(0.1);
-            let plausible = rise.filter(|r| *r as f64 * self.unit <= IMPLAUSIBLE_WATTS * seconds);
-            sound = plausible.is_some();
-            self.counted += plausible.unwrap_or(0);
+            if rise as f64 * self.unit <= IMPLAUSIBLE_WATTS * seconds {
+                self.counted += rise;
+            } else {
+                tracing::warn!(counter = %self.name, raw, "an energy counter was reset; counting continues from its new value");
+            }
         }
-        self.last = Some((now, raw));
-        sound
+        self.joules()
     }
 
     /// Joules counted since the first update.
@@ -60,12 +60,16 @@ mod tests {
     fn counting_continues_across_a_wrap_and_a_reset_adds_nothing() {
         let start = Instant::now();
         let at = |s: u64| start + Duration::from_secs(s);
-        let mut counter = Counter::new(1e-6, Some(262_143_328_850));
-        assert!(counter.update(at(0), 262_143_328_850 - 1_000_000));
-        assert!(counter.update(at(1), 2_000_000));
-        assert!((counter.joules() - 3.0).abs() < 1e-9);
-        assert!(!counter.update(at(2), 1_000_000));
-        assert!(counter.update(at(3), 5_000_000));
-        assert!((counter.joules() - 7.0).abs() < 1e-9);
+        let range = 262_143_328_850;
+        let mut counter = Counter::new("package-0".into(), 1e-6, range);
+        for (second, raw, joules) in [
+            (0, range - 1_000_000, 0.0),
+            (1, 2_000_000, 3.0),
+            (2, 1_000_000, 3.0),
+            (3, 5_000_000, 7.0),
+        ] {
+            let counted = counter.update(at(second), raw);
+            assert!((counted - joules).abs() < 1e-9, "after {second} s");
+        }
     }
 }

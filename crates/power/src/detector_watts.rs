@@ -38,7 +38,6 @@ struct RunEnd {
 #[derive(Debug)]
 pub(crate) struct DetectorWatts {
     shortest: Duration,
-    used_s: f64,
     last: Option<RunEnd>,
     /// The start of the current piece, and the node's total at that moment.
     begun: Option<(RunEnd, Sum)>,
@@ -51,7 +50,6 @@ impl DetectorWatts {
     pub(crate) fn new(interval: Duration) -> Self {
         Self {
             shortest: PIECE.max(interval * 5),
-            used_s: 0.0,
             last: None,
             begun: None,
             line: Line::default(),
@@ -61,10 +59,13 @@ impl DetectorWatts {
 
     /// Records a call that ended at `end` and took `used`.
     pub(crate) fn called(&mut self, end: Instant, used: Duration) {
-        self.used_s += used.as_secs_f64();
+        let last = self.last.unwrap_or(RunEnd {
+            at: end,
+            used_s: 0.0,
+        });
         self.last = Some(RunEnd {
-            at: self.last.map_or(end, |last| last.at.max(end)),
-            used_s: self.used_s,
+            at: last.at.max(end),
+            used_s: last.used_s + used.as_secs_f64(),
         });
     }
 
@@ -73,21 +74,21 @@ impl DetectorWatts {
         let Some(end) = self.last.filter(|end| history.newest() >= Some(end.at)) else {
             return;
         };
+        let now = history.at(end.at).total();
         if let Some((start, before)) = &self.begun {
             let seconds = end.at.saturating_duration_since(start.at).as_secs_f64();
             if seconds < self.shortest.as_secs_f64() {
                 return;
             }
-            let now = history.at(end.at).total();
             let covered_s = now.covered_s - before.covered_s;
             if covered_s >= COVERED * seconds {
                 let share = (end.used_s - start.used_s) / seconds;
-                self.line
-                    .add(share, (now.joules - before.joules) / covered_s, seconds);
+                let watts = (now.joules - before.joules) / covered_s;
+                self.line.add(share, watts, seconds);
                 self.known = self.line.slope().or(self.known);
             }
         }
-        self.begun = Some((end, history.at(end.at).total()));
+        self.begun = Some((end, now));
     }
 
     /// The watts that the detector adds while it runs; `None` until known.

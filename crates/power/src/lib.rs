@@ -64,13 +64,12 @@ mod totals;
 
 pub use account::Measured;
 pub use choose::open;
-pub use condition::Condition;
 pub use config::{PowerConfig, PowerSource};
 pub use error::MeterError;
 pub use measurement::{CameraEnergy, Measurement};
 pub use meter::Meter;
 pub use rails::{RailMap, RailTable, RailWatts};
 pub use reading::{Domain, Rail, Reading, Value, Values};
-pub use sampler::{MeterCost, PowerHandle, PowerSnapshot, start, start_with};
+pub use sampler::{PowerHandle, PowerSnapshot, start, start_with};
 pub use survey::{RailNow, SourceSurvey, survey};
 pub use tegrastats::tegrastats_rails;

@@ -1,13 +1,13 @@
 //! Reads the machine's condition: thermal zones, throttling, clocks, power mode. Missing files are skipped.
 
-use crate::condition::Condition;
+use crate::condition::Mean;
 use crate::config::PowerConfig;
 use crate::sysfs;
+use albireo_wire::BoardState;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::sync::{Arc, mpsc};
+use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
-use tokio::sync::watch;
 
 const SOURCE: &str = "condition";
 
@@ -20,24 +20,22 @@ const PI_THROTTLED: &str = "devices/platform/soc/soc:firmware/get_throttled";
 /// Bits of the Raspberry Pi firmware's word for the present: frequency capped, throttled, soft limit.
 const PI_NOW: u64 = 0b1110;
 
-/// The board's power mode, if it is known.
-type Mode = Option<Arc<str>>;
-
 /// The files that report the machine's condition.
 #[derive(Debug)]
 pub(crate) struct Machine {
     /// Thermal zones: type and temperature file (millidegrees).
-    zones: Vec<(Arc<str>, PathBuf)>,
+    zones: Vec<(String, PathBuf)>,
     /// Cooling devices that limit clocks; 0 if they do not.
     cooling: Vec<PathBuf>,
     /// Counters of throttling events.
     events: Vec<PathBuf>,
     last_events: Option<u64>,
-    pi: Option<PathBuf>,
+    pi: PathBuf,
     cpu_clocks: Vec<PathBuf>,
     gpu_clock: Option<PathBuf>,
-    /// The mode from `nvpmodel`, and the ACPI platform profile as the fallback.
-    mode: watch::Receiver<Mode>,
+    /// The mode from `nvpmodel`, its later answers, and the ACPI platform profile for machines without it.
+    mode: Option<String>,
+    modes: Receiver<String>,
     profile: PathBuf,
 }
 
@@ -46,11 +44,13 @@ impl Machine {
     pub(crate) fn new(config: &PowerConfig) -> Self {
         let class = |name: &str| sysfs::entries(&config.sysfs.join("class").join(name));
         let label = |path: &Path| sysfs::text(SOURCE, &path.join("type")).unwrap_or_default();
-        let cpus: Vec<PathBuf> = sysfs::entries(&config.sysfs.join("devices/system/cpu"))
-            .into_iter()
-            .filter(|p| is_cpu(sysfs::name(p)))
-            .collect();
         let there = |path: PathBuf| path.exists().then_some(path);
+        let mut cpus = sysfs::entries(&config.sysfs.join("devices/system/cpu"));
+        // `cpu0` and `cpu11`, but not `cpufreq`.
+        cpus.retain(|path| {
+            let number = sysfs::name(path).strip_prefix("cpu");
+            number.is_some_and(|number| number.parse::<u32>().is_ok())
+        });
         let x86 = cpus.iter().flat_map(|cpu| {
             ["core_throttle_count", "package_throttle_count"]
                 .map(|file| cpu.join("thermal_throttle").join(file))
@@ -62,13 +62,14 @@ impl Machine {
                 let name = sysfs::name(file);
                 name.starts_with("oc") && name.ends_with("_event_cnt")
             });
+        let (mode, modes) = follow_mode(config.nvpmodel.clone(), MODE_EVERY);
         Self {
             zones: class("thermal")
                 .into_iter()
                 .filter(|zone| sysfs::name(zone).starts_with("thermal_zone"))
                 .map(|zone| (label(&zone), zone.join("temp")))
-                .filter(|(name, _)| is_a_sensor(name))
-                .map(|(name, file)| (name.into(), file))
+                // This zone of Jetson boards reads a constant 50 °C or 100 °C.
+                .filter(|(name, _)| !name.to_ascii_lowercase().starts_with("pmic"))
                 .collect(),
             cooling: class("thermal")
                 .into_iter()
@@ -78,7 +79,7 @@ impl Machine {
                 .collect(),
             events: x86.filter_map(there).chain(jetson).collect(),
             last_events: None,
-            pi: there(config.sysfs.join(PI_THROTTLED)),
+            pi: config.sysfs.join(PI_THROTTLED),
             cpu_clocks: cpus
                 .iter()
                 .map(|cpu| cpu.join("cpufreq/scaling_cur_freq"))
@@ -89,68 +90,53 @@ impl Machine {
                 .into_iter()
                 .find(|device| has_one(sysfs::name(device), &GPUS))
                 .map(|device| device.join("cur_freq")),
-            mode: follow_mode(config.nvpmodel.clone(), MODE_EVERY),
+            mode,
+            modes,
             profile: config.sysfs.join("firmware/acpi/platform_profile"),
         }
     }
 
     /// Reads the files.
-    pub(crate) fn read(&mut self) -> Condition {
+    pub(crate) fn read(&mut self) -> BoardState {
         let number = |path: &PathBuf| sysfs::number::<f64>(SOURCE, path).ok();
         let hottest = self
             .zones
             .iter()
-            .filter_map(|(name, file)| Some((Arc::clone(name), number(file)? * 1e-3)))
+            .filter_map(|(name, file)| Some((name, number(file)? * 1e-3)))
             // Disabled sensors read far below zero or impossibly hot.
             .filter(|(_, celsius)| (-100.0..200.0).contains(celsius))
             .max_by(|a, b| a.1.total_cmp(&b.1));
-        let clocks: Vec<f64> = self.cpu_clocks.iter().filter_map(number).collect();
-        let cpu_mhz =
-            (!clocks.is_empty()).then(|| clocks.iter().sum::<f64>() / clocks.len() as f64 * 1e-3);
-        let mode = self.mode.borrow().clone();
+        let mut cpu_khz = Mean::default();
+        for file in &self.cpu_clocks {
+            cpu_khz.add(number(file));
+        }
+        self.mode = self.modes.try_iter().last().or(self.mode.take());
         let profile = || {
             let profile = sysfs::text(SOURCE, &self.profile).ok();
-            profile.filter(|mode| !mode.is_empty()).map(Into::into)
+            profile.filter(|mode| !mode.is_empty())
         };
-        let mode = mode.or_else(profile);
-        Condition {
-            hottest,
-            throttled: self.throttled(),
-            cpu_mhz,
+        BoardState {
+            power_mode: self.mode.clone().or_else(profile),
+            hottest_celsius: hottest.map(|(_, celsius)| celsius),
+            hottest_sensor: hottest.map(|(sensor, _)| sensor.clone()),
+            cpu_mhz: cpu_khz.value().map(|khz| khz * 1e-3),
             gpu_mhz: self.gpu_clock.as_ref().and_then(number).map(|hz| hz * 1e-6),
-            mode,
+            throttled: self.throttled(),
         }
     }
 
     /// Returns true if clocks are limited now or were since the last read; `None` if nothing reports it.
     fn throttled(&mut self) -> Option<bool> {
         let count = |path: &PathBuf| sysfs::number::<u64>(SOURCE, path).ok();
-        let cooling: Vec<u64> = self.cooling.iter().filter_map(count).collect();
-        let events: Vec<u64> = self.events.iter().filter_map(count).collect();
-        let pi = self.pi.as_ref().and_then(|file| {
-            let word = sysfs::text(SOURCE, file).ok()?;
-            u64::from_str_radix(word.trim_start_matches("0x"), 16).ok()
-        });
-        let sum: u64 = events.iter().sum();
-        let more = self.last_events.is_some_and(|last| sum > last);
-        if !events.is_empty() {
-            self.last_events = Some(sum);
-        }
-        let reported = !cooling.is_empty() || !events.is_empty() || pi.is_some();
-        let now = cooling.iter().any(|state| *state > 0) || pi.is_some_and(|w| w & PI_NOW != 0);
-        reported.then_some(more || now)
+        let cooling = self.cooling.iter().filter_map(count);
+        let events = self.events.iter().filter_map(count).reduce(|a, b| a + b);
+        let last = std::mem::replace(&mut self.last_events, events);
+        let pi = sysfs::text(SOURCE, &self.pi).ok();
+        let pi = pi.and_then(|word| u64::from_str_radix(word.trim_start_matches("0x"), 16).ok());
+        let limited = cooling.map(|state| state > 0).max();
+        let limited = limited.max(pi.map(|word| word & PI_NOW != 0));
+        limited.max(events.map(|events| last.is_some_and(|last| events > last)))
     }
-}
-
-/// True for `cpu0` and `cpu11`, false for `cpufreq`.
-fn is_cpu(name: &str) -> bool {
-    name.strip_prefix("cpu")
-        .is_some_and(|n| !n.is_empty() && n.bytes().all(|b| b.is_ascii_digit()))
-}
-
-/// False for the `PMIC` zone of Jetson boards, which reads a constant 50 °C or 100 °C.
-fn is_a_sensor(name: &str) -> bool {
-    !name.to_ascii_lowercase().starts_with("pmic")
 }
 
 /// Substrings of the names that Jetson boards and others give a GPU's devfreq device.
@@ -176,37 +162,29 @@ const MODE_EVERY: Duration = Duration::from_secs(60);
 const FIRST_MODE: Duration = Duration::from_secs(2);
 
 /// Queries `nvpmodel` for the power mode, now and every `period`, until the receiver is dropped. A thread does it
-/// because the program is slow. If the first query has no answer, it stops.
-fn follow_mode(nvpmodel: PathBuf, period: Duration) -> watch::Receiver<Mode> {
-    let (newest, mode) = watch::channel(None);
-    let (answered, first) = mpsc::channel();
+/// because the program is slow. Returns the first answer, if it comes in time. If there is none, the thread stops.
+fn follow_mode(nvpmodel: PathBuf, period: Duration) -> (Option<String>, Receiver<String>) {
+    let (newest, modes) = channel();
     std::thread::spawn(move || {
-        while !newest.is_closed() {
-            if let Some(mode) = ask(&nvpmodel) {
-                newest.send_replace(Some(mode));
-            }
-            let _ = answered.send(());
-            if newest.borrow().is_none() {
-                return;
-            }
+        let mut mode = ask(&nvpmodel);
+        while let Some(known) = mode
+            && newest.send(known.clone()).is_ok()
+        {
             std::thread::sleep(period);
+            mode = ask(&nvpmodel).or(Some(known));
         }
     });
-    let _ = first.recv_timeout(FIRST_MODE);
-    mode
-}
-
-fn ask(nvpmodel: &Path) -> Mode {
-    let mut command = Command::new(nvpmodel);
-    let output = command.arg("-q").stdin(Stdio::null()).output().ok()?;
-    mode_in(&String::from_utf8_lossy(&output.stdout)).map(Into::into)
+    (modes.recv_timeout(FIRST_MODE).ok(), modes)
 }
 
 /// The mode in the output of `nvpmodel -q`: `NV Power Mode: MODE_30W`, followed by its number.
-fn mode_in(output: &str) -> Option<&str> {
-    let mut lines = output.lines();
+fn ask(nvpmodel: &Path) -> Option<String> {
+    let mut command = Command::new(nvpmodel);
+    let output = command.arg("-q").stdin(Stdio::null()).output().ok()?;
+    let text = String::from_utf8_lossy(&output.stdout);
+    let mut lines = text.lines();
     let mode = lines.find_map(|line| line.trim().strip_prefix("NV Power Mode:"))?;
-    Some(mode.trim())
+    Some(mode.trim().to_owned())
 }
 
 #[cfg(test)]

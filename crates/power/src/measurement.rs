@@ -74,10 +74,7 @@ impl Measurement {
     pub async fn finish(&self, end: Instant, patience: Duration) -> Option<Measured> {
         let power = &self.camera.0.power;
         power.sampled(end, patience).await;
-        let mut account = power.account();
-        let measured = account.close(self.number, end);
-        drop(account);
-        measured
+        power.account().close(self.number, end)
     }
 }
 

@@ -1,9 +1,8 @@
 //! The trait of all power meters.
 
-use crate::condition::Condition;
 use crate::error::MeterError;
 use crate::reading::Reading;
-use albireo_wire::EnergyQuality;
+use albireo_wire::{BoardState, EnergyQuality};
 use std::time::Duration;
 use tokio::time::Instant;
 
@@ -25,8 +24,8 @@ pub trait Meter: Send {
     fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError>;
 
     /// The board's condition as far as the source reads it, at the last poll. Called once per second.
-    fn condition(&mut self) -> Condition {
-        Condition::default()
+    fn condition(&mut self) -> BoardState {
+        BoardState::default()
     }
 
     /// CPU time the meter has used outside [`poll`](Self::poll), in child processes.

@@ -6,11 +6,12 @@
 
 mod driver;
 
-use crate::condition::Condition;
+use crate::condition::combined;
 use crate::counter::Counter;
 use crate::error::MeterError;
 use crate::meter::Meter;
 use crate::reading::{Domain, Rail, Reading, Value};
+use albireo_wire::BoardState;
 use std::path::Path;
 use std::sync::Arc;
 use tokio::time::Instant;
@@ -32,24 +33,13 @@ trait Cards: Send {
     /// Power now, milliwatts.
     fn power_mw(&self, card: u32) -> Result<Option<u32>, String>;
     /// Temperature, throttling and clock.
-    fn condition(&self, card: u32) -> Condition;
+    fn condition(&self, card: u32) -> BoardState;
 }
 
 #[derive(Debug)]
 struct Card {
     index: u32,
-    name: Arc<str>,
     energy: Counter,
-}
-
-impl Card {
-    /// Joules counted so far, with the counter now at `raw`.
-    fn count(&mut self, now: Instant, raw: u64) -> f64 {
-        if !self.energy.update(now, raw) {
-            tracing::warn!(card = %self.name, "the card's energy counter was reset; counting continues from its new value");
-        }
-        self.energy.joules()
-    }
 }
 
 /// The NVIDIA cards of this machine.
@@ -66,7 +56,7 @@ impl Nvml {
     /// # Errors
     /// [`MeterError::Missing`] if there is no driver or no card, or if no card reports its power.
     pub(crate) fn open() -> Result<Self, MeterError> {
-        let driver = driver::Driver::load(&driver::LIBRARIES).map_err(missing)?;
+        let driver = driver::load(driver::LIBRARY).map_err(missing)?;
         Self::with(Box::new(driver))
     }
 
@@ -81,10 +71,10 @@ impl Nvml {
             }
             all_count &= counts;
             let name = driver.name(index).unwrap_or_else(|| "card".to_owned());
+            let name = format!("{index} {name}");
             cards.push(Card {
                 index,
-                name: format!("{index} {name}").into(),
-                energy: Counter::new(UNIT, None),
+                energy: Counter::new(name.into(), UNIT, u64::MAX),
             });
         }
         if cards.is_empty() {
@@ -126,7 +116,7 @@ impl Meter for Nvml {
         for card in &mut self.cards {
             let read = match self.count {
                 true => (self.driver.energy_mj(card.index))
-                    .map(|raw| raw.map(|raw| card.count(now, raw))),
+                    .map(|raw| raw.map(|raw| card.energy.update(now, raw))),
                 false => (self.driver.power_mw(card.index))
                     .map(|milliwatts| milliwatts.map(|milliwatts| f64::from(milliwatts) * 1e-3)),
             };
@@ -135,7 +125,7 @@ impl Meter for Nvml {
             let read = read.map_err(|reason| unreadable(card.index, reason))?;
             sum += read;
             rails.push(Rail {
-                name: Arc::clone(&card.name),
+                name: Arc::clone(&card.energy.name),
                 domain: Some(Domain::Gpu),
                 in_total: true,
                 value: value(read),
@@ -149,11 +139,11 @@ impl Meter for Nvml {
         }])
     }
 
-    fn condition(&mut self) -> Condition {
+    fn condition(&mut self) -> BoardState {
         self.cards
             .iter()
             .map(|card| self.driver.condition(card.index))
-            .fold(Condition::default(), Condition::and)
+            .fold(BoardState::default(), combined)
     }
 }
 

@@ -20,49 +20,20 @@ use tokio::time::Instant;
 
 const SOURCE: &str = "rapl";
 
+/// The name of the platform's counter.
+const PLATFORM: &str = "psys";
+
 /// The time for which `psys` is checked before it is used.
 const WATCH_PLATFORM: Duration = Duration::from_millis(200);
 
 /// The share of its parts' energy that `psys` must show: counters are not updated at the same moment.
 const PLATFORM_AT_LEAST: f64 = 0.8;
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Kind {
-    Platform,
-    Package,
-    Core,
-    Uncore,
-    Dram,
-    Other,
-}
-
-impl Kind {
-    fn of(name: &str) -> Self {
-        match name {
-            "psys" => Self::Platform,
-            "core" => Self::Core,
-            "uncore" => Self::Uncore,
-            "dram" => Self::Dram,
-            _ if name.starts_with("package") => Self::Package,
-            _ => Self::Other,
-        }
-    }
-
-    const fn domain(self) -> Option<Domain> {
-        match self {
-            Self::Package => Some(Domain::Cpu),
-            Self::Uncore => Some(Domain::Gpu),
-            Self::Dram => Some(Domain::IoMem),
-            Self::Platform | Self::Core | Self::Other => None,
-        }
-    }
-}
-
-/// One counter, extended to rise without end.
+/// One counter of the machine.
 #[derive(Debug)]
 struct Zone {
-    kind: Kind,
-    name: Arc<str>,
+    /// The domain that includes it besides the total, if any.
+    domain: Option<Domain>,
     energy: PathBuf,
     counter: Counter,
 }
@@ -73,23 +44,29 @@ impl Zone {
         let energy = directory.join("energy_uj");
         sysfs::number::<u64>(SOURCE, &energy)?;
         let range = sysfs::number(SOURCE, &directory.join("max_energy_range_uj"))?;
+        let domain = match &*name {
+            "uncore" => Some(Domain::Gpu),
+            "dram" => Some(Domain::IoMem),
+            package if package.starts_with("package") => Some(Domain::Cpu),
+            _ => None,
+        };
+        let name = match label {
+            Some(parent) => format!("{parent}/{name}"),
+            None => name,
+        };
         Ok(Self {
-            kind: Kind::of(&name),
-            name: match label {
-                Some(parent) => format!("{parent}/{name}").into(),
-                None => name.into(),
-            },
+            domain,
             energy,
-            counter: Counter::new(1e-6, Some(range)),
+            counter: Counter::new(name.into(), 1e-6, range),
         })
     }
 
-    fn read(&mut self, now: Instant) -> Result<(), MeterError> {
-        let raw = sysfs::number(SOURCE, &self.energy)?;
-        if !self.counter.update(now, raw) {
-            tracing::warn!(zone = %self.name, raw, "an energy counter was reset; counting continues from its new value");
+    /// True if it is part of the total: the platform's counter, or without one the packages and their memory.
+    fn in_total(&self, platform: bool) -> bool {
+        match platform {
+            true => &*self.counter.name == PLATFORM,
+            false => matches!(self.domain, Some(Domain::Cpu | Domain::IoMem)),
         }
-        Ok(())
     }
 }
 
@@ -109,8 +86,8 @@ impl Rapl {
     pub(crate) fn open(config: &PowerConfig) -> Result<Self, MeterError> {
         let root = config.sysfs.join("class/powercap");
         let mut zones = find(&root)?;
-        let mut platform = zones.iter().any(|z| z.kind == Kind::Platform);
-        if !platform && !zones.iter().any(|z| z.kind == Kind::Package) {
+        let mut platform = zones.iter().any(|zone| zone.in_total(true));
+        if !platform && !zones.iter().any(|zone| zone.in_total(false)) {
             let reason = format!(
                 "no package or psys counter under {} (it needs an Intel or AMD processor, Linux, and \
                  the kernel module intel_rapl_msr; virtual machines and containers often hide it)",
@@ -131,52 +108,45 @@ impl Rapl {
         }
         Ok(Self { zones, platform })
     }
-
-    /// True if the zone is part of the total.
-    fn in_total(&self, kind: Kind) -> bool {
-        match kind {
-            Kind::Platform => true,
-            Kind::Package | Kind::Dram => !self.platform,
-            Kind::Core | Kind::Uncore | Kind::Other => false,
-        }
-    }
 }
 
 fn read(zones: &mut [Zone], now: Instant) -> Result<(), MeterError> {
-    zones.iter_mut().try_for_each(|zone| zone.read(now))
+    for zone in zones {
+        let raw = sysfs::number(SOURCE, &zone.energy)?;
+        zone.counter.update(now, raw);
+    }
+    Ok(())
 }
 
 /// True if the platform's counter covers the packages and their memory. On some machines it has a wrong unit or
 /// does not move.
 fn includes_its_parts(zones: &[Zone]) -> bool {
-    let sum = |kinds: &[Kind]| -> f64 {
-        let counted = zones.iter().filter(|z| kinds.contains(&z.kind));
-        counted.map(|z| z.counter.joules()).sum()
+    let sum = |platform: bool| -> f64 {
+        let counted = zones.iter().filter(|zone| zone.in_total(platform));
+        counted.map(|zone| zone.counter.joules()).sum()
     };
-    sum(&[Kind::Platform]) >= PLATFORM_AT_LEAST * sum(&[Kind::Package, Kind::Dram])
+    sum(true) >= PLATFORM_AT_LEAST * sum(false)
 }
 
 fn find(root: &Path) -> Result<Vec<Zone>, MeterError> {
-    let numbered = |path: &PathBuf| {
-        let number = sysfs::name(path).rsplit_once(':').map(|(_, number)| number);
-        number.is_some_and(|number| number.parse::<u32>().is_ok())
-    };
-    let tops = |kind: &'static str| {
-        let entries = sysfs::entries(root).into_iter().filter(numbered);
-        entries.filter(move |path| sysfs::name(path).split(':').next() == Some(kind))
-    };
+    let mut tops = sysfs::entries(root);
+    tops.retain(|path| {
+        let kind = sysfs::name(path).rsplit_once(':').map(|(kind, _)| kind);
+        matches!(kind, Some("intel-rapl" | "intel-rapl-mmio"))
+    });
+    tops.sort_by_key(|path| sysfs::name(path).starts_with("intel-rapl-mmio"));
     let mut zones: Vec<Zone> = Vec::new();
-    for top in tops("intel-rapl").chain(tops("intel-rapl-mmio")) {
+    for top in tops {
         let zone = Zone::open(&top, None)?;
-        if zones.iter().any(|known| known.name == zone.name) {
+        let name = Arc::clone(&zone.counter.name);
+        if zones.iter().any(|known| known.counter.name == name) {
             continue;
         }
-        let label = Arc::clone(&zone.name);
         zones.push(zone);
         let prefix = format!("{}:", sysfs::name(&top));
         for sub in sysfs::entries(&top) {
             if sysfs::name(&sub).starts_with(&prefix) {
-                zones.push(Zone::open(&sub, Some(&label))?);
+                zones.push(Zone::open(&sub, Some(&name))?);
             }
         }
     }
@@ -197,20 +167,19 @@ impl Meter for Rapl {
         let mut rails = Vec::with_capacity(self.zones.len());
         for zone in &self.zones {
             let joules = zone.counter.joules();
-            let in_total = self.in_total(zone.kind);
+            let in_total = zone.in_total(self.platform);
             if in_total {
                 add(Domain::Total, joules);
             }
-            let domain = zone.kind.domain();
-            if let Some(domain) = domain {
+            if let Some(domain) = zone.domain {
                 add(domain, joules);
             }
-            if zone.kind == Kind::Uncore {
+            if zone.domain == Some(Domain::Gpu) {
                 add(Domain::Cpu, -joules);
             }
             rails.push(Rail {
-                name: Arc::clone(&zone.name),
-                domain,
+                name: Arc::clone(&zone.counter.name),
+                domain: zone.domain,
                 in_total,
                 value: Value::Counter(joules),
             });

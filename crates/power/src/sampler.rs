@@ -2,6 +2,7 @@
 
 use crate::account::Account;
 use crate::choose;
+use crate::condition::combined;
 use crate::config::PowerConfig;
 use crate::error::MeterError;
 use crate::machine::Machine;
@@ -47,8 +48,8 @@ pub struct PowerSnapshot {
     /// The watts that a running detector adds on this machine, learnt from how power follows the detector's use; `None`
     /// until known. Has the same quality as the power.
     pub detector_watts: Option<f64>,
-    /// The cost of reading the source.
-    pub cost: MeterCost,
+    /// CPU time of reading the source, including child processes if the system reports it.
+    pub meter_cpu: Duration,
     /// The number of failed reads.
     pub failed_reads: u64,
     /// The machine's hottest sensor and its temperature, °C.
@@ -64,61 +65,40 @@ impl Default for PowerSnapshot {
 impl PowerSnapshot {
     /// Returns the same snapshot, but with energy, covered time and savings counted since `before`.
     #[must_use]
-    pub fn since(self, before: &Self) -> Self {
-        let since = |mut now: BTreeMap<String, f64>, before: &BTreeMap<String, f64>| {
-            for (domain, sum) in &mut now {
+    pub fn since(mut self, before: &Self) -> Self {
+        for (now, before) in [
+            (&mut self.joules, &before.joules),
+            (&mut self.covered_s, &before.covered_s),
+        ] {
+            for (domain, sum) in now {
                 *sum -= before.get(domain).copied().unwrap_or_default();
             }
-            now
-        };
-        Self {
-            joules: since(self.joules, &before.joules),
-            covered_s: since(self.covered_s, &before.covered_s),
-            sampled_s: self.sampled_s - before.sampled_s,
-            saved_detector_s: self.saved_detector_s - before.saved_detector_s,
-            ..self
         }
+        self.sampled_s -= before.sampled_s;
+        self.saved_detector_s -= before.saved_detector_s;
+        self
     }
 
     /// Returns the joules of a domain and the seconds that samples cover; `None` if they cover none.
     pub fn energy(&self, domain: &str) -> Option<(f64, f64)> {
-        let seconds = self
-            .covered_s
-            .get(domain)
-            .filter(|seconds| **seconds > 0.0)?;
-        Some((*self.joules.get(domain)?, *seconds))
+        let seconds = *self.covered_s.get(domain)?;
+        (seconds > 0.0).then_some((*self.joules.get(domain)?, seconds))
     }
-}
 
-/// The cost of reading the meter.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct MeterCost {
-    /// The number of polls.
-    pub polls: u64,
-    /// CPU time of all polls, including child processes if the system reports it.
-    pub cpu: Duration,
-    /// Time since sampling began.
-    pub elapsed: Duration,
-}
-
-impl MeterCost {
-    /// CPU time as a share of one core, 0 to 1 (above 1 for more than one core).
-    pub fn share_of_core(&self) -> f64 {
-        self.cpu.as_secs_f64() / self.elapsed.as_secs_f64().max(f64::MIN_POSITIVE)
+    /// CPU time of reading the source as a share of one core; 0 before the second sample.
+    pub fn meter_share_of_core(&self) -> f64 {
+        match self.sampled_s > 0.0 {
+            true => self.meter_cpu.as_secs_f64() / self.sampled_s,
+            false => 0.0,
+        }
     }
-}
-
-/// State shared by the sampler and its handles. The lock is held for microseconds, never during a reading.
-#[derive(Debug)]
-struct Shared {
-    interval: Duration,
-    account: Mutex<Account>,
 }
 
 /// Returns power and energy. Cheap to clone.
 #[derive(Clone, Debug)]
 pub struct PowerHandle {
-    shared: Arc<Shared>,
+    /// The lock is held for microseconds, never during a reading.
+    account: Arc<Mutex<Account>>,
     newest: watch::Receiver<Option<Instant>>,
 }
 
@@ -132,11 +112,8 @@ impl PowerHandle {
         let interval = interval.max(Duration::from_millis(1));
         let (announce, newest) = watch::channel(None);
         let account = Account::new(meter.source(), meter.quality(), interval);
-        let shared = Arc::new(Shared {
-            interval,
-            account: Mutex::new(account),
-        });
-        (Self { shared, newest }, announce)
+        let account = Arc::new(Mutex::new(account));
+        (Self { account, newest }, announce)
     }
 
     /// Adds a camera that shares the node's energy.
@@ -145,16 +122,17 @@ impl PowerHandle {
     }
 
     pub(crate) fn account(&self) -> MutexGuard<'_, Account> {
-        self.shared.account.lock()
+        self.account.lock()
     }
 
     /// Waits for the first sample at or after `end`, at most `patience` and at most two intervals, because the meter
     /// may have failed. Does not wait without a meter or after sampling has stopped.
     pub(crate) async fn sampled(&self, end: Instant, patience: Duration) {
+        let interval = self.account().interval;
         if self.account().quality == EnergyQuality::Unavailable {
             return;
         }
-        let limit = end + 2 * self.shared.interval + Duration::from_millis(50);
+        let limit = end + 2 * interval + Duration::from_millis(50);
         let patient = Instant::now().checked_add(patience).unwrap_or(limit);
         let mut newest = self.newest.clone();
         let reached = newest.wait_for(|newest| *newest >= Some(end));
@@ -168,7 +146,7 @@ impl PowerHandle {
         let present = history.present(Instant::now());
         let (mut watts, mut joules, mut covered_s) = (Vec::new(), BTreeMap::new(), BTreeMap::new());
         for domain in Domain::ALL {
-            let (name, sum) = (domain.as_str(), history.totals().sums[domain as usize]);
+            let (name, sum) = (domain.as_str(), history.totals.sums[domain as usize]);
             if history.has(domain) {
                 joules.insert(name.to_owned(), sum.joules);
                 covered_s.insert(name.to_owned(), sum.covered_s);
@@ -178,8 +156,8 @@ impl PowerHandle {
                 watts.push(DomainWatts { domain, watts: now });
             }
         }
-        let cameras = history.totals().cameras.iter();
-        let hottest = account.condition.hottest.clone();
+        let cameras = history.totals.cameras.iter();
+        let sensor = account.condition.hottest_sensor.clone();
         PowerSnapshot {
             source: account.source.clone(),
             quality: match watts.is_empty() {
@@ -190,12 +168,12 @@ impl PowerHandle {
             watts,
             joules,
             covered_s,
-            sampled_s: history.sampled_s(),
+            sampled_s: history.sampled_s,
             saved_detector_s: cameras.map(|(_, camera)| camera.saved_s).sum(),
             detector_watts: account.detector.watts(),
-            cost: account.cost,
+            meter_cpu: account.meter_cpu,
             failed_reads: account.failed_reads,
-            hottest: hottest.map(|(sensor, celsius)| (sensor.to_string(), celsius)),
+            hottest: sensor.zip(account.condition.hottest_celsius),
         }
     }
 }
@@ -238,12 +216,10 @@ fn launch(
     let sensors = Sensors {
         meter,
         machine,
-        began: Instant::now(),
         condition_at: None,
         cpu: Duration::ZERO,
     };
-    let shared = Arc::clone(&handle.shared);
-    let task = tokio::spawn(sample(sensors, shared, announce, shutdown));
+    let task = tokio::spawn(sample(sensors, handle.clone(), announce, shutdown));
     (handle, task)
 }
 
@@ -251,7 +227,6 @@ fn launch(
 struct Sensors {
     meter: Box<dyn Meter>,
     machine: Option<Machine>,
-    began: Instant,
     condition_at: Option<Instant>,
     /// CPU time spent in [`read`](Self::read) so far.
     cpu: Duration,
@@ -270,15 +245,11 @@ impl Sensors {
         let condition = self.condition_at.is_none_or(is_due).then(|| {
             self.condition_at = Some(before);
             let machine = self.machine.as_mut().map(Machine::read);
-            self.meter.condition().and(machine.unwrap_or_default())
+            combined(self.meter.condition(), machine.unwrap_or_default())
         });
         self.cpu += thread_cpu().saturating_sub(cpu);
         let mut account = account.lock();
-        account.cost = MeterCost {
-            polls: account.cost.polls + 1,
-            cpu: self.cpu + self.meter.other_cpu(),
-            elapsed: self.began.elapsed(),
-        };
+        account.meter_cpu = self.cpu + self.meter.other_cpu();
         if let Some(condition) = condition {
             account.set_condition(condition);
         }
@@ -292,11 +263,11 @@ impl Sensors {
 
 async fn sample(
     mut sensors: Sensors,
-    shared: Arc<Shared>,
+    handle: PowerHandle,
     announce: watch::Sender<Option<Instant>>,
     shutdown: CancellationToken,
 ) {
-    let mut ticks = tokio::time::interval(shared.interval);
+    let mut ticks = tokio::time::interval(handle.account().interval);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
     let mut warned: Option<Instant> = None;
     loop {
@@ -305,9 +276,9 @@ async fn sample(
             () = shutdown.cancelled() => break,
             _ = ticks.tick() => {}
         }
-        let sharing = Arc::clone(&shared);
+        let account = Arc::clone(&handle.account);
         let reading = tokio::task::spawn_blocking(move || {
-            let read = sensors.read(&sharing.account);
+            let read = sensors.read(&account);
             (sensors, read)
         });
         let Ok((returned, read)) = reading.await else {
@@ -315,7 +286,7 @@ async fn sample(
             return;
         };
         sensors = returned;
-        announce.send_replace(shared.account.lock().history.newest());
+        announce.send_replace(handle.account().history.newest());
         if let Err(error) = read
             && warned.is_none_or(|warned| warned.elapsed() > WARN_EVERY)
         {

@@ -80,8 +80,10 @@ pub(crate) struct Sample {
 #[derive(Debug)]
 pub(crate) struct History {
     gap_s: f64,
-    totals: Totals,
-    sampled_s: f64,
+    /// The totals up to the newest sample.
+    pub totals: Totals,
+    /// The time from the first sample to the newest, seconds.
+    pub sampled_s: f64,
     /// The newest value of each domain.
     last: [Option<(Instant, Value)>; Domain::ALL.len()],
     recent: VecDeque<Sample>,
@@ -160,11 +162,6 @@ impl History {
         self.last[domain as usize].is_some()
     }
 
-    /// The totals up to the newest sample.
-    pub(crate) const fn totals(&self) -> &Totals {
-        &self.totals
-    }
-
     /// The newest sample.
     pub(crate) fn latest(&self) -> Option<&Sample> {
         self.recent.back()
@@ -173,11 +170,6 @@ impl History {
     /// The time of the newest sample.
     pub(crate) fn newest(&self) -> Option<Instant> {
         self.latest().map(|sample| sample.at)
-    }
-
-    /// The time from the first sample to the newest, seconds.
-    pub(crate) fn sampled_s(&self) -> f64 {
-        self.sampled_s
     }
 
     /// The newest sample, unless it is too old to be current at `now`.
@@ -200,9 +192,7 @@ impl History {
 
     /// The totals at `moment`, or at the nearest kept sample if `moment` is before the first or after the last.
     pub(crate) fn at(&self, moment: Instant) -> Totals {
-        let next = self.recent.partition_point(|sample| sample.at <= moment);
-        let before = next.checked_sub(1).and_then(|i| self.recent.get(i));
-        match (before, self.recent.get(next)) {
+        match (self.before(moment), self.after(moment).next()) {
             (Some(before), Some(after)) => between(before, after, moment),
             (Some(sample), None) | (None, Some(sample)) => sample.totals.clone(),
             (None, None) => Totals::default(),

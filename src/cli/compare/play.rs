@@ -150,7 +150,7 @@ impl Player {
         Ok(Played {
             report: ClipReport::clone(&report),
             cpu,
-            meter_share_of_core: board.power().cost.share_of_core(),
+            meter_share_of_core: board.power().meter_share_of_core(),
             first: self.warm_up_frames(),
             answers,
         })

@@ -65,7 +65,7 @@ fn a_clip_of_three_hours_is_exact_in_bounded_memory() {
     for second in 1..=10_800 {
         bench.sample_until(second * 1000, watts);
         bench.until(span, second * 1000);
-        bench.account.set_condition(Condition::default());
+        bench.account.set_condition(BoardState::default());
         most = most.max(bench.account.footprint());
     }
     let spent = bench.close(span, 10_800_000);
@@ -135,9 +135,9 @@ fn samples_missing_from_the_total_make_the_energy_partial_and_a_change_of_its_ru
 #[test]
 fn a_clip_between_two_samples_is_interpolated_and_has_rule_and_board_state() {
     let mut bench = Bench::read_every(100);
-    bench.account.set_condition(Condition {
+    bench.account.set_condition(BoardState {
         cpu_mhz: Some(1500.0),
-        ..Condition::default()
+        ..BoardState::default()
     });
     bench.sample_until(1000, |t| 10.0 * t);
     let span = bench.open(1020);

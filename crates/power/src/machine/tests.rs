@@ -1,7 +1,7 @@
 use super::*;
 use crate::tests::{Tree, ms};
 
-fn read(tree: &Tree) -> Condition {
+fn read(tree: &Tree) -> BoardState {
     Machine::new(&tree.config()).read()
 }
 
@@ -14,7 +14,7 @@ fn nvpmodel(tree: &Tree, says: &str) {
 #[test]
 fn the_hottest_usable_sensor_and_the_mean_clocks_are_reported_if_there_are_any() {
     let tree = Tree::default();
-    assert_eq!(read(&tree), Condition::default());
+    assert_eq!(read(&tree), BoardState::default());
     for (file, text) in [
         ("class/thermal/thermal_zone0/type", "cpu-thermal"),
         ("class/thermal/thermal_zone0/temp", "51250"),
@@ -31,11 +31,12 @@ fn the_hottest_usable_sensor_and_the_mean_clocks_are_reported_if_there_are_any()
         let file = format!("sys/devices/system/cpu/cpu{cpu}/cpufreq/scaling_cur_freq");
         tree.write(file, 1_000_000 * (cpu + 1));
     }
-    let expected = Condition {
-        hottest: Some(("cpu-thermal".into(), 51.25)),
+    let expected = BoardState {
+        hottest_celsius: Some(51.25),
+        hottest_sensor: Some("cpu-thermal".to_owned()),
         cpu_mhz: Some(1500.0),
         gpu_mhz: Some(612.0),
-        ..Condition::default()
+        ..BoardState::default()
     };
     assert_eq!(read(&tree), expected);
 }
@@ -68,9 +69,9 @@ fn throttling_is_an_active_cooling_device_but_no_fan_and_an_event_counter_that_r
 fn the_platform_profile_is_the_mode_without_a_working_nvpmodel() {
     let tree = Tree::default();
     tree.write("sys/firmware/acpi/platform_profile", "low-power");
-    assert_eq!(read(&tree).mode.as_deref(), Some("low-power"));
+    assert_eq!(read(&tree).power_mode.as_deref(), Some("low-power"));
     nvpmodel(&tree, "nvpmodel: permission denied");
-    assert_eq!(read(&tree).mode.as_deref(), Some("low-power"));
+    assert_eq!(read(&tree).power_mode.as_deref(), Some("low-power"));
 }
 
 #[test]
@@ -78,21 +79,21 @@ fn nvpmodel_is_polled_and_a_slow_answer_blocks_no_reading() {
     let tree = Tree::default();
     nvpmodel(&tree, "NV Fan Mode:quiet\nNV Power Mode: MODE_30W\n2");
     let mut machine = Machine::new(&tree.config());
-    assert_eq!(machine.read().mode.as_deref(), Some("MODE_30W"));
+    assert_eq!(machine.read().power_mode.as_deref(), Some("MODE_30W"));
     let calls = || std::fs::read_to_string(tree.path("nvpmodel.calls")).unwrap();
     assert_eq!(calls(), "-q\n", "the next time in a minute");
-    machine.mode = follow_mode(tree.path("nvpmodel"), ms(100));
+    (machine.mode, machine.modes) = follow_mode(tree.path("nvpmodel"), ms(100));
     // From now on it answers only after a write to the pipe.
     let says = tree.path("nvpmodel.says");
     std::fs::remove_file(&says).unwrap();
     let made = Command::new("mkfifo").arg(&says).status();
     assert!(made.unwrap().success());
     while calls().lines().count() < 3 {
-        assert_eq!(machine.read().mode.as_deref(), Some("MODE_30W"));
+        assert_eq!(machine.read().power_mode.as_deref(), Some("MODE_30W"));
         std::thread::sleep(ms(5));
     }
     std::fs::write(says, "NV Power Mode: MODE_15W\n").unwrap();
-    while machine.read().mode.as_deref() != Some("MODE_15W") {
+    while machine.read().power_mode.as_deref() != Some("MODE_15W") {
         std::thread::sleep(ms(5));
     }
 }

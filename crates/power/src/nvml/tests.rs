@@ -41,11 +41,11 @@ impl Cards for FakeMachine {
         self.card(card).map(|(_, power)| power)
     }
 
-    fn condition(&self, card: u32) -> Condition {
-        Condition {
-            hottest: Some(("gpu".into(), 40.0 + f64::from(card))),
+    fn condition(&self, card: u32) -> BoardState {
+        BoardState {
+            hottest_celsius: Some(40.0 + f64::from(card)),
             throttled: Some(card == 1),
-            ..Condition::default()
+            ..BoardState::default()
         }
     }
 }
@@ -80,7 +80,7 @@ fn the_cards_make_one_reading(#[case] cards: Vec<Fake>, #[case] next: Fake, #[ca
 #[test]
 fn a_card_without_readings_is_left_out_and_no_other_card_is_an_error() {
     let meter = FakeMachine::new(vec![JETSON, counting(0)]).open().unwrap();
-    let names: Vec<_> = meter.cards.iter().map(|card| &*card.name).collect();
+    let names: Vec<_> = meter.cards.iter().map(|card| &*card.energy.name).collect();
     assert_eq!(names, ["1 Test GPU"]);
     let refused = |cards| FakeMachine::new(cards).open().err().unwrap();
     let parts = ["no card reports its power", "ina or tegrastats"];
@@ -102,14 +102,14 @@ fn a_lost_card_is_an_error_rather_than_zero() {
 fn the_condition_has_the_hottest_card_and_any_throttling() {
     let machine = FakeMachine::new(vec![counting(0), counting(0)]);
     let found = machine.open().unwrap().condition();
-    assert_eq!(found.hottest, Some(("gpu".into(), 41.0)));
+    assert_eq!(found.hottest_celsius, Some(41.0));
     assert_eq!(found.throttled, Some(true));
 }
 
 #[test]
 fn a_missing_driver_is_reported_with_the_reason() {
-    let error = driver::Driver::load(&["/nowhere/libnvidia-ml.so.1"]).err();
+    let error = driver::load("/nowhere/libnvidia-ml.so.1").err();
     let expected =
-        "nvml: not on this machine: no NVIDIA driver: libnvidia-ml.so.1 cannot be loaded";
+        "nvml: not on this machine: no NVIDIA driver: /nowhere/libnvidia-ml.so.1 cannot be loaded";
     assert_eq!(missing(error.unwrap()).to_string(), expected);
 }

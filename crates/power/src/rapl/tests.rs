@@ -89,4 +89,13 @@ fn a_psys_counter_below_its_packages_is_not_trusted() {
         read(&mut zones, start + Duration::from_secs(second)).unwrap();
         assert_eq!(includes_its_parts(&zones), believed);
     }
+    for (platform, total) in [(false, 10.0), (true, 12.0)] {
+        let mut meter = Rapl { zones, platform };
+        let reading = meter
+            .poll(start + Duration::from_secs(3))
+            .unwrap()
+            .remove(0);
+        assert_eq!(reading.value(Domain::Total), Some(Value::Counter(total)));
+        zones = meter.zones;
+    }
 }

@@ -293,6 +293,6 @@ fn power(page: &mut MetricsPage, board: &Board) {
     page.counters(
         "albireo_power_meter_cpu_seconds_total",
         "CPU time spent on reading the power source",
-        [([source], power.cost.cpu.as_secs_f64())],
+        [([source], power.meter_cpu.as_secs_f64())],
     );
 }
