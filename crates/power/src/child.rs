@@ -73,13 +73,22 @@ impl LineChild {
             self.last_sign = *at;
         }
         let silent = self.last_sign.elapsed() > longest_silence;
-        if ended || silent {
-            self.end();
-            if silent {
-                let seconds = longest_silence.as_secs();
-                self.trouble = Some(format!("it printed nothing for {seconds} s"));
+        if !ended && !silent {
+            return lines;
+        }
+        self.end();
+        if silent {
+            let seconds = longest_silence.as_secs();
+            self.trouble = Some(format!("it printed nothing for {seconds} s"));
+        }
+        if self.last_sign.elapsed() >= PAUSE {
+            self.last_sign = Instant::now();
+            let reason = self.trouble.as_deref();
+            tracing::warn!(reason, "restarting the power meter's child process");
+            match spawn(&mut self.command) {
+                Ok((child, lines)) => (self.child, self.lines) = (Some(child), lines),
+                Err(error) => self.trouble = Some(format!("it cannot be started: {error}")),
             }
-            self.restart();
         }
         lines
     }
@@ -91,19 +100,6 @@ impl LineChild {
             self.end();
         }
         line.ok()
-    }
-
-    fn restart(&mut self) {
-        if self.last_sign.elapsed() < PAUSE {
-            return;
-        }
-        self.last_sign = Instant::now();
-        let reason = self.trouble.as_deref();
-        tracing::warn!(reason, "restarting the power meter's child process");
-        match spawn(&mut self.command) {
-            Ok((child, lines)) => (self.child, self.lines) = (Some(child), lines),
-            Err(error) => self.trouble = Some(format!("it cannot be started: {error}")),
-        }
     }
 
     /// Kills and reaps the child, if there is one.

@@ -75,7 +75,7 @@ mod tests {
         let chosen = || open(&tree.config()).unwrap().source().to_owned();
         // NVML sees the cards of the machine that runs the test, so `nvml` may come before an entry of the tree.
         assert!(["none", "nvml"].contains(&&*chosen()));
-        tree.write("proc/stat", "cpu 1 2 3 4");
+        tree.write("proc/stat", "cpu 1 2 3 4 5 6 7 8");
         assert!(["estimate", "nvml"].contains(&&*chosen()));
         tree.rapl("intel-rapl:0", "package-0", 1);
         assert_eq!(chosen(), "rapl");

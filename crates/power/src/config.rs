@@ -122,7 +122,7 @@ impl PowerConfig {
     /// [`MeterError::Failed`] with the first of the [`problems`](Self::problems).
     pub fn check(&self) -> Result<(), MeterError> {
         match self.problems().into_iter().next() {
-            Some((key, reason)) => Err(MeterError::configuration(&key, reason)),
+            Some((key, reason)) => Err(MeterError::Failed(format!("power.{key}: {reason}"))),
             None => Ok(()),
         }
     }

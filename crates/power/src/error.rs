@@ -35,9 +35,4 @@ impl MeterError {
             "{source}: may not read {path}: permission denied; {remedy}"
         ))
     }
-
-    /// The configuration value of `key` is invalid.
-    pub(crate) fn configuration(key: &str, reason: impl Display) -> Self {
-        Self::Failed(format!("power.{key}: {reason}"))
-    }
 }

@@ -54,30 +54,23 @@ impl Estimate {
     fn ticks(&self) -> Result<Ticks, MeterError> {
         let text = sysfs::text(SOURCE, &self.stat)?;
         parse(&text).ok_or_else(|| {
-            let reason = "its first line is not `cpu` with at least four numbers";
+            let reason = "its first line is not `cpu` with at least eight numbers";
             MeterError::unreadable(SOURCE, &self.stat, reason)
         })
     }
 }
 
 fn parse(stat: &str) -> Option<Ticks> {
-    let mut words = stat.lines().next()?.split_ascii_whitespace();
-    if words.next() != Some("cpu") {
+    let numbers = stat.lines().next()?.strip_prefix("cpu ")?;
+    let ticks = numbers.split_ascii_whitespace();
+    let ticks: Vec<u64> = ticks.map_while(|number| number.parse().ok()).collect();
+    // Two more follow: guest times, which user and nice include.
+    let [user, nice, system, idle, iowait, irq, softirq, steal, ..] = ticks[..] else {
         return None;
-    }
-    // user nice system idle iowait irq softirq steal; user and nice include guest times.
-    let mut ticks = [0_u64; 8];
-    let mut found = 0;
-    for (slot, word) in ticks.iter_mut().zip(words) {
-        *slot = word.parse().ok()?;
-        found += 1;
-    }
-    let [user, nice, system, idle, iowait, irq, softirq, steal] = ticks;
+    };
     let busy = user + nice + system + irq + softirq;
-    (found >= 4).then_some(Ticks {
-        busy,
-        all: busy + idle + iowait + steal,
-    })
+    let all = busy + idle + iowait + steal;
+    Some(Ticks { busy, all })
 }
 
 impl Meter for Estimate {
@@ -148,7 +141,7 @@ mod tests {
 
     #[test]
     fn a_malformed_stat_file_is_rejected() {
-        for text in ["", "intr 1 2 3", "cpu 1 2", "cpu 1 x 3 4"] {
+        for text in ["", "intr 1 2 3", "cpu 1 2", "cpu 1 x 3 4 5 6 7 8"] {
             assert!(open(&Tree::default(), text).is_err(), "{text:?}");
         }
     }

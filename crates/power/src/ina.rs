@@ -21,9 +21,6 @@ const SOURCE: &str = "ina";
 /// The name of an INA238's only rail if the device tree gives none.
 const INPUT: &str = "VIN";
 
-const INA3221: &str = "ina3221";
-const INA238: &str = "ina238";
-
 #[derive(Debug)]
 struct Channel {
     name: Arc<str>,
@@ -74,32 +71,31 @@ impl Ina {
 
 /// The rails of a chip; empty if the chip is not a power monitor.
 fn channels(chip: &Path) -> Vec<Channel> {
-    let text = |file: String| sysfs::text(SOURCE, &chip.join(file)).ok();
-    let kind = text("name".to_owned()).unwrap_or_default();
-    if kind == INA238 {
-        let label = ["power1_label", "in1_label", "label"]
-            .iter()
-            .find_map(|file| text((*file).to_owned()))
-            .filter(|label| !label.is_empty());
-        return vec![Channel {
-            name: label.map_or_else(|| INPUT.into(), Into::into),
-            files: vec![chip.join("power1_input")],
-        }];
+    let text = |file: &str| {
+        let text = sysfs::text(SOURCE, &chip.join(file)).ok();
+        text.filter(|text| !text.is_empty())
+    };
+    match text("name").as_deref() {
+        Some("ina238") => {
+            let mut labels = ["power1_label", "in1_label", "label"].into_iter();
+            vec![Channel {
+                name: labels.find_map(text).unwrap_or(INPUT.to_owned()).into(),
+                files: vec![chip.join("power1_input")],
+            }]
+        }
+        Some("ina3221") => (1..=3)
+            .filter(|i| text(&format!("in{i}_enable")).is_none_or(|on| on != "0"))
+            .filter_map(|i| Some((i, text(&format!("in{i}_label"))?)))
+            .filter(|(_, label)| label != "NC" && !label.contains("shunt"))
+            .map(|(i, label)| Channel {
+                name: label.into(),
+                files: ["in", "curr"]
+                    .map(|what| chip.join(format!("{what}{i}_input")))
+                    .into(),
+            })
+            .collect(),
+        _ => Vec::new(),
     }
-    if kind != INA3221 {
-        return Vec::new();
-    }
-    (1..=3)
-        .filter(|i| text(format!("in{i}_enable")).is_none_or(|on| on != "0"))
-        .filter_map(|i| Some((i, text(format!("in{i}_label"))?)))
-        .filter(|(_, label)| !label.is_empty() && label != "NC" && !label.contains("shunt"))
-        .map(|(i, label)| Channel {
-            name: label.into(),
-            files: ["in", "curr"]
-                .map(|what| chip.join(format!("{what}{i}_input")))
-                .into(),
-        })
-        .collect()
 }
 
 impl Meter for Ina {

@@ -22,12 +22,15 @@ impl Drop for Registered {
     }
 }
 
-impl CameraEnergy {
-    pub(crate) fn new(power: PowerHandle) -> Self {
-        let number = power.account().cameras.add();
-        Self(Arc::new(Registered { number, power }))
+impl PowerHandle {
+    /// Adds a camera that shares the node's energy.
+    pub fn camera(&self) -> CameraEnergy {
+        let (number, power) = (self.account().cameras.add(), self.clone());
+        CameraEnergy(Arc::new(Registered { number, power }))
     }
+}
 
+impl CameraEnergy {
     /// Counts a frame.
     pub fn frame(&self) {
         self.0.power.account().cameras.frame(self.0.number);

@@ -90,49 +90,40 @@ pub struct RailMap {
 }
 
 impl RailMap {
-    /// Creates a map from the user's table, or from the built-in ones.
+    /// Creates a map from the user's table, which must have no fault, or from the built-in ones.
     ///
     /// # Errors
-    /// [`MeterError`] if the user's table is invalid.
+    /// [`MeterError`] if the built-in tables cannot be read.
     pub fn new(user: Option<&RailTable>) -> Result<Self, MeterError> {
-        if let Some(fault) = user.and_then(RailTable::fault) {
-            return Err(MeterError::configuration("rails", fault));
-        }
-        let own = user.map(|table| vec![table.clone()]);
+        let tables = match user {
+            Some(table) => vec![table.clone()],
+            None => built_in()?,
+        };
         Ok(Self {
-            tables: own.map_or_else(built_in, Ok)?,
+            tables,
             has_input: false,
         })
     }
 
-    /// The table that names most of `rails`, if any names one.
-    pub(crate) fn board(&self, rails: &[RailWatts]) -> Option<&RailTable> {
-        let score = |t: &RailTable| rails.iter().filter(|r| t.knows(&r.name)).count();
-        let best = self.tables.iter().map(score).max().filter(|s| *s > 0)?;
-        self.tables.iter().find(|t| score(t) == best)
-    }
-
-    /// Returns the domains of one reading. A domain with a missing rail is left out, never reported too small. A
-    /// negative rail counts as zero: no rail returns power, so it is the sensor's offset.
+    /// Returns the domains of one reading, by the table that names most of `rails`. A domain with a missing rail is left
+    /// out, never reported too small. A negative rail counts as zero: no rail returns power, so it is the sensor's offset.
     pub fn reading(&mut self, rails: &[RailWatts]) -> Reading {
-        let table = self.board(rails).cloned();
-        let watts = |name: &str| {
-            rails
-                .iter()
-                .find(|r| &*r.name == name)
-                .map(|r| r.watts.max(0.0))
+        let known = |table: &RailTable| rails.iter().filter(|rail| table.knows(&rail.name)).count();
+        let tables = self.tables.iter().filter(|table| known(table) > 0);
+        // Of equals the first, which is the last in reverse.
+        let table = tables.rev().max_by_key(|table| known(table));
+        let watts = |name: &String| {
+            let rail = rails.iter().find(|rail| *rail.name == **name)?;
+            Some(rail.watts.max(0.0))
         };
         let added = |names: &[String]| -> Option<f64> {
-            (!names.is_empty()).then(|| names.iter().map(|n| watts(n)).sum())?
+            (!names.is_empty()).then(|| names.iter().map(watts).sum())?
         };
-        let input = table
-            .as_ref()
-            .and_then(|t| t.input.iter().find(|name| watts(name).is_some()))
-            .cloned();
+        let input = table.and_then(|table| table.input.iter().find(|name| watts(name).is_some()));
         self.has_input |= input.is_some();
         let (total, total_from) = if self.has_input {
-            (input.as_deref().and_then(watts), INPUT_RAIL)
-        } else if let Some(table) = &table {
+            (input.and_then(watts), INPUT_RAIL)
+        } else if let Some(table) = table {
             (added(&table.sum), SUM_OF_RAILS)
         } else {
             let all: f64 = rails.iter().map(|r| r.watts.max(0.0)).sum();
@@ -140,17 +131,17 @@ impl RailMap {
         };
         let mut values = Values::default();
         values[Domain::Total as usize] = total.map(Value::Power);
-        for (domain, names) in table.iter().flat_map(RailTable::domains) {
+        for (domain, names) in table.into_iter().flat_map(RailTable::domains) {
             values[domain as usize] = added(names).map(Value::Power);
         }
         let rails = rails
             .iter()
             .map(|rail| Rail {
                 name: Arc::clone(&rail.name),
-                domain: table.as_ref().and_then(|t| t.domain_of(&rail.name)),
-                in_total: match (&input, &table) {
+                domain: table.and_then(|table| table.domain_of(&rail.name)),
+                in_total: match (input, table) {
                     (Some(input), _) => **input == *rail.name,
-                    (None, Some(table)) => table.sum.iter().any(|r| **r == *rail.name),
+                    (None, Some(table)) => table.sum.iter().any(|name| **name == *rail.name),
                     (None, None) => true,
                 },
                 value: Value::Power(rail.watts),

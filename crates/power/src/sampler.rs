@@ -6,7 +6,6 @@ use crate::condition::combined;
 use crate::config::PowerConfig;
 use crate::error::MeterError;
 use crate::machine::Machine;
-use crate::measurement::CameraEnergy;
 use crate::meter::{Meter, NoMeter};
 use crate::reading::Domain;
 use albireo_wire::{DomainWatts, EnergyQuality};
@@ -114,11 +113,6 @@ impl PowerHandle {
         let account = Account::new(meter.source(), meter.quality(), interval);
         let account = Arc::new(Mutex::new(account));
         (Self { account, newest }, announce)
-    }
-
-    /// Adds a camera that shares the node's energy.
-    pub fn camera(&self) -> CameraEnergy {
-        CameraEnergy::new(self.clone())
     }
 
     pub(crate) fn account(&self) -> MutexGuard<'_, Account> {

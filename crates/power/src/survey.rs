@@ -1,7 +1,7 @@
 //! Tries every source and reports whether it can be used here, its rails, and its present watts.
 
 use crate::choose;
-use crate::config::{PowerConfig, PowerSource};
+use crate::config::PowerConfig;
 use crate::error::MeterError;
 use crate::meter::Meter;
 use crate::reading::{Domain, Reading};
@@ -28,7 +28,7 @@ pub struct RailNow {
 }
 
 /// The survey of one source on this machine.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct SourceSurvey {
     /// Its name in the configuration.
     pub source: &'static str,
@@ -50,28 +50,19 @@ pub struct SourceSurvey {
 
 /// Opens every source in turn and reads it for one second. Blocks for some seconds.
 pub fn survey(config: &PowerConfig) -> Vec<SourceSurvey> {
-    let automatic = choose::open_source(PowerSource::Auto, config)
-        .map(|meter| meter.source().to_owned())
-        .unwrap_or_default();
-    choose::BEST_FIRST
-        .into_iter()
-        .map(|source| {
-            let mut found = SourceSurvey {
-                source: source.as_str(),
-                automatic: automatic == source.as_str(),
-                why_not: None,
-                quality: EnergyQuality::Unavailable,
-                total_from: String::new(),
-                watts: Vec::new(),
-                rails: Vec::new(),
-                share_of_core: None,
-            };
-            let watched = choose::open_source(source, config)
-                .and_then(|mut meter| found.watch(meter.as_mut(), config));
-            found.why_not = watched.err().map(|error| error.to_string());
-            found
-        })
-        .collect()
+    let mut found: Vec<SourceSurvey> = Vec::new();
+    for source in choose::BEST_FIRST {
+        let opened = choose::open_source(source, config);
+        let mut one = SourceSurvey {
+            source: source.as_str(),
+            automatic: opened.is_ok() && !found.iter().any(|better| better.automatic),
+            ..SourceSurvey::default()
+        };
+        let watched = opened.and_then(|mut meter| one.watch(meter.as_mut(), config));
+        one.why_not = watched.err().map(|error| error.to_string());
+        found.push(one);
+    }
+    found
 }
 
 impl SourceSurvey {
@@ -93,14 +84,10 @@ impl SourceSurvey {
         self.quality = meter.quality();
         // The cost per interval does not depend on the length of this survey.
         self.share_of_core = Some(cpu.as_secs_f64() / f64::from(polls) / interval.as_secs_f64());
-        if let (Some(first), Some(last)) = (read.first(), read.last()) {
-            self.fill(first, last);
-        }
-        Ok(())
-    }
-
-    fn fill(&mut self, (from, first): &(Instant, Reading), (to, last): &(Instant, Reading)) {
-        let seconds = to.saturating_duration_since(*from).as_secs_f64();
+        let (Some((from, first)), Some((to, last))) = (read.first(), read.last()) else {
+            return Ok(());
+        };
+        let seconds = (*to - *from).as_secs_f64();
         self.total_from = last.total_from.to_string();
         let domains = Domain::ALL.into_iter().filter_map(|domain| {
             let watts = last.value(domain)?.mean_watts(first.value(domain), seconds);
@@ -117,5 +104,6 @@ impl SourceSurvey {
             }
         });
         self.rails = rails.collect();
+        Ok(())
     }
 }

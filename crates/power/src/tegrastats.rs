@@ -46,13 +46,8 @@ impl Tegrastats {
     pub(crate) fn open(config: &PowerConfig) -> Result<Self, MeterError> {
         let program = config.tegrastats.clone();
         let arguments = ["--interval".to_owned(), config.interval_ms.to_string()];
-        let child = LineChild::start(&program, &arguments).map_err(|error| match error.kind() {
-            std::io::ErrorKind::NotFound => {
-                let reason = format!("no program `{}` (Jetson boards have it)", program.display());
-                MeterError::missing(SOURCE, reason)
-            }
-            _ => sysfs::failure(SOURCE, &program, &error),
-        })?;
+        let child = LineChild::start(&program, &arguments)
+            .map_err(|error| sysfs::failure(SOURCE, &program, &error))?;
         let mut meter = Self {
             child,
             map: RailMap::new(config.rails.as_ref())?,
@@ -60,24 +55,19 @@ impl Tegrastats {
             longest_silence: SILENCE.max(Duration::from_millis(20 * config.interval_ms)),
             newest: Instant::now(),
         };
-        meter.first_line()?;
-        Ok(meter)
-    }
-
-    fn first_line(&mut self) -> Result<(), MeterError> {
-        let Some((at, line)) = self.child.first_line(FIRST_LINE) else {
-            return Err(self.unreadable(self.child.trouble().unwrap_or("it prints nothing")));
+        let Some((at, line)) = meter.child.first_line(FIRST_LINE) else {
+            return Err(meter.unreadable(meter.child.trouble().unwrap_or("it prints nothing")));
         };
-        self.newest = at;
+        meter.newest = at;
         let Some(rails) = tegrastats_rails(&line) else {
-            return Err(self.unreadable("its output is not that of tegrastats"));
+            return Err(meter.unreadable("its output is not that of tegrastats"));
         };
         if rails.is_empty() {
             let remedy = "it prints no power rails for this user; run as root, or let power.tegrastats name a script \
                           that runs `exec sudo -n tegrastats \"$@\"`, allowed in sudoers without a password";
-            return Err(MeterError::forbidden(SOURCE, &self.program, remedy));
+            return Err(MeterError::forbidden(SOURCE, &meter.program, remedy));
         }
-        Ok(())
+        Ok(meter)
     }
 
     fn unreadable(&self, reason: &str) -> MeterError {

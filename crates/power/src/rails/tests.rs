@@ -1,4 +1,5 @@
 use super::*;
+use crate::config::PowerConfig;
 use crate::tests::assert_contains;
 
 fn rails(list: &[(&str, f64)]) -> Vec<RailWatts> {
@@ -65,8 +66,11 @@ fn a_table_that_is_empty_or_counts_a_rail_twice_is_rejected() {
         ("sum = ['A', 'A']", "twice"),
         ("", "name the rail"),
     ] {
-        let table: RailTable = toml::from_str(text).unwrap();
-        assert_contains(RailMap::new(Some(&table)).unwrap_err(), &[expected]);
+        let config = PowerConfig {
+            rails: Some(toml::from_str(text).unwrap()),
+            ..PowerConfig::default()
+        };
+        assert_contains(config.check().unwrap_err(), &[expected]);
     }
     assert!(toml::from_str::<RailTable>("summ = []").is_err());
 }
