@@ -184,7 +184,7 @@ impl Account {
         let detector_watts = self.detector.watts();
         energy.joules = (energy.coverage > 0.0).then_some(after.joules - before.joules);
         energy.saved_joules_estimated =
-            detector_watts.map(|watts| watts * (after.saved_s - before.saved_s));
+            detector_watts.map(|watts| watts * (after.seconds - before.seconds));
         Some(Measured {
             energy,
             detector_watts,
@@ -202,7 +202,7 @@ impl Account {
         for domain in (Domain::ALL.into_iter()).filter(|domain| self.history.has(*domain)) {
             let index = domain as usize;
             let (from, to) = (from.sums[index], to.sums[index]);
-            let (joules, covered_s) = (to.joules - from.joules, to.covered_s - from.covered_s);
+            let (joules, covered_s) = (to.joules - from.joules, to.seconds - from.seconds);
             if covered_s <= 0.0 {
                 least = 0.0;
                 continue;

@@ -8,7 +8,7 @@
 //! An avoided call would have taken the mean time of a call; all avoided calls together, at most the idle time of the
 //! one detector.
 
-use crate::totals::CameraTotals;
+use crate::totals::Sum;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
@@ -32,7 +32,7 @@ struct Camera {
     weight: f64,
     /// Detector time of the calls avoided since the last sample.
     avoided_s: f64,
-    totals: CameraTotals,
+    totals: Sum,
 }
 
 /// Divides the node's energy.
@@ -64,9 +64,7 @@ impl Attribution {
 
     /// Counts a frame.
     pub(crate) fn frame(&mut self, number: u64) {
-        if let Some(camera) = self.cameras.get_mut(&number) {
-            camera.weight += FRAME_S;
-        }
+        self.cameras.entry(number).or_default().weight += FRAME_S;
     }
 
     /// Counts a detector call that took `used` of detector time.
@@ -75,20 +73,17 @@ impl Attribution {
         self.used_s += used;
         let mean = self.call_s.unwrap_or(used);
         self.call_s = Some(mean + (used - mean) / CALLS);
-        if let Some(camera) = self.cameras.get_mut(&number) {
-            camera.weight += used;
-        }
+        self.cameras.entry(number).or_default().weight += used;
     }
 
     /// Counts an avoided call.
     pub(crate) fn avoided(&mut self, number: u64) {
-        if let (Some(camera), Some(call_s)) = (self.cameras.get_mut(&number), self.call_s) {
-            camera.avoided_s += call_s;
-        }
+        let camera = self.cameras.entry(number).or_default();
+        camera.avoided_s += self.call_s.unwrap_or_default();
     }
 
     /// Divides the `joules` of the last `seconds` and returns the totals of all cameras.
-    pub(crate) fn divide(&mut self, joules: f64, seconds: f64) -> Vec<(u64, CameraTotals)> {
+    pub(crate) fn divide(&mut self, joules: f64, seconds: f64) -> Vec<(u64, Sum)> {
         let idle = self.idle_s + seconds - std::mem::take(&mut self.used_s);
         let idle = idle.min(seconds.max(LONGEST_IDLE_S));
         let avoided: f64 = self.cameras.values().map(|camera| camera.avoided_s).sum();
@@ -107,7 +102,7 @@ impl Attribution {
             };
             camera.totals.joules += joules * share;
             if saved > 0.0 {
-                camera.totals.saved_s += saved * camera.avoided_s / avoided;
+                camera.totals.seconds += saved * camera.avoided_s / avoided;
             }
             camera.avoided_s = 0.0;
             camera.weight *= decay;

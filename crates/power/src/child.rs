@@ -33,7 +33,8 @@ pub(crate) struct LineChild {
     lines: Receiver<Line>,
     /// The time of the start or of the newest line.
     last_sign: Instant,
-    trouble: Option<String>,
+    /// The reason the child last ended, if it ever did.
+    pub trouble: Option<String>,
 }
 
 impl LineChild {
@@ -120,11 +121,6 @@ impl LineChild {
                 Err(error) => break Some(format!("it cannot be waited for: {error}")),
             }
         };
-    }
-
-    /// The reason the child last ended, if it ever did.
-    pub(crate) fn trouble(&self) -> Option<&str> {
-        self.trouble.as_deref()
     }
 
     /// The id of the running process.

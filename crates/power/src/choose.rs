@@ -24,8 +24,10 @@ pub(crate) const BEST_FIRST: [PowerSource; 5] = [
 /// [`MeterError`] if the configuration is invalid or a meter requested by name cannot be used here.
 /// `auto` falls back to the estimate, which works wherever `/proc/stat` exists, then to none, and logs the fallback.
 pub fn open(config: &PowerConfig) -> Result<Box<dyn Meter>, MeterError> {
-    config.check()?;
-    open_source(config.source, config)
+    if let Some((key, reason)) = config.problems().into_iter().next() {
+        return Err(MeterError::Failed(format!("power.{key}: {reason}")));
+    }
+    open_source(config.source, config).map_err(|error| error.of(config.source))
 }
 
 /// Opens the meter `source`; for `auto`, the best available one.
@@ -55,9 +57,11 @@ fn automatic(config: &PowerConfig) -> Box<dyn Meter> {
                 }
                 return meter;
             }
-            // Warn only about a meter that exists but cannot be read.
-            Err(why @ MeterError::Missing(_)) => tracing::debug!(%why, "power source skipped"),
-            Err(why) => tracing::warn!(%why, "power source skipped"),
+            Err(error) => match error.of(source) {
+                // Warn only about a meter that exists but cannot be read.
+                why @ MeterError::Missing(_) => tracing::debug!(%why, "power source skipped"),
+                why @ MeterError::Failed(_) => tracing::warn!(%why, "power source skipped"),
+            },
         }
     }
     tracing::warn!("no power meter and no estimate: no energy figures");
@@ -91,5 +95,7 @@ mod tests {
         config.source = toml::Value::from(source).try_into().unwrap();
         let error = open(&config).err().unwrap();
         assert!(matches!(error, MeterError::Missing(_)), "{error}");
+        let named = format!("{source}: not on this machine: ");
+        assert!(error.to_string().starts_with(&named), "{error}");
     }
 }

@@ -1,6 +1,5 @@
 //! The `[power]` section of the configuration.
 
-use crate::error::MeterError;
 use crate::rails::RailTable;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -115,17 +114,6 @@ impl PowerConfig {
         }
         found
     }
-
-    /// Rejects invalid values.
-    ///
-    /// # Errors
-    /// [`MeterError::Failed`] with the first of the [`problems`](Self::problems).
-    pub fn check(&self) -> Result<(), MeterError> {
-        match self.problems().into_iter().next() {
-            Some((key, reason)) => Err(MeterError::Failed(format!("power.{key}: {reason}"))),
-            None => Ok(()),
-        }
-    }
 }
 
 #[cfg(test)]
@@ -149,7 +137,7 @@ mod tests {
             ("[rails]\ngpu = ['A']", "power.rails:"),
         ] {
             let config: PowerConfig = toml::from_str(text).unwrap();
-            assert_contains(config.check().unwrap_err(), &[expected]);
+            assert_contains(crate::open(&config).err().unwrap(), &[expected]);
         }
         assert!(toml::from_str::<PowerConfig>("watt = 3").is_err());
     }

@@ -26,21 +26,15 @@ const LEAST_DEVIATION: f64 = 0.01;
 /// The largest standard error of an answer, relative to the answer.
 const LARGEST_ERROR: f64 = 0.05;
 
-/// The end of a detector run.
-#[derive(Clone, Copy, Debug)]
-struct RunEnd {
-    at: Instant,
-    /// Total detector time until then, seconds.
-    used_s: f64,
-}
-
 /// Learns the watts that a running detector adds.
 #[derive(Debug)]
 pub(crate) struct DetectorWatts {
     shortest: Duration,
-    last: Option<RunEnd>,
-    /// The start of the current piece, and the node's total at that moment.
-    begun: Option<(RunEnd, Sum)>,
+    /// Total detector time, seconds, and the end of the newest run.
+    used_s: f64,
+    last: Option<Instant>,
+    /// The start of the current piece, and the detector time and the node's total at that moment.
+    begun: Option<(Instant, f64, Sum)>,
     line: Line,
     known: Option<f64>,
 }
@@ -50,6 +44,7 @@ impl DetectorWatts {
     pub(crate) fn new(interval: Duration) -> Self {
         Self {
             shortest: PIECE.max(interval * 5),
+            used_s: 0.0,
             last: None,
             begun: None,
             line: Line::default(),
@@ -59,36 +54,30 @@ impl DetectorWatts {
 
     /// Records a call that ended at `end` and took `used`.
     pub(crate) fn called(&mut self, end: Instant, used: Duration) {
-        let last = self.last.unwrap_or(RunEnd {
-            at: end,
-            used_s: 0.0,
-        });
-        self.last = Some(RunEnd {
-            at: last.at.max(end),
-            used_s: last.used_s + used.as_secs_f64(),
-        });
+        self.used_s += used.as_secs_f64();
+        self.last = self.last.max(Some(end));
     }
 
     /// Learns from the samples so far.
     pub(crate) fn learn(&mut self, history: &History) {
-        let Some(end) = self.last.filter(|end| history.newest() >= Some(end.at)) else {
+        let Some(end) = self.last.filter(|end| history.newest() >= Some(*end)) else {
             return;
         };
-        let now = history.at(end.at).total();
-        if let Some((start, before)) = &self.begun {
-            let seconds = end.at.saturating_duration_since(start.at).as_secs_f64();
+        let now = history.at(end).total();
+        if let Some((start, used_before, before)) = self.begun {
+            let seconds = end.saturating_duration_since(start).as_secs_f64();
             if seconds < self.shortest.as_secs_f64() {
                 return;
             }
-            let covered_s = now.covered_s - before.covered_s;
+            let covered_s = now.seconds - before.seconds;
             if covered_s >= COVERED * seconds {
-                let share = (end.used_s - start.used_s) / seconds;
+                let share = (self.used_s - used_before) / seconds;
                 let watts = (now.joules - before.joules) / covered_s;
                 self.line.add(share, watts, seconds);
                 self.known = self.line.slope().or(self.known);
             }
         }
-        self.begun = Some((end, now));
+        self.begun = Some((end, self.used_s, now));
     }
 
     /// The watts that the detector adds while it runs; `None` until known.

@@ -1,5 +1,6 @@
 //! Errors of power meters.
 
+use crate::config::PowerSource;
 use std::fmt::Display;
 use std::path::Path;
 
@@ -15,24 +16,28 @@ pub enum MeterError {
 }
 
 impl MeterError {
-    /// The machine does not have the meter `source`.
-    pub(crate) fn missing(source: &str, reason: impl Display) -> Self {
-        Self::Missing(format!("{source}: not on this machine: {reason}"))
+    /// The machine does not have the meter.
+    pub(crate) fn missing(reason: impl Display) -> Self {
+        Self::Missing(format!("not on this machine: {reason}"))
     }
 
-    /// A file, program or device of the meter `source` cannot be read.
-    pub(crate) fn unreadable(source: &str, path: &Path, reason: impl Display) -> Self {
-        Self::Failed(format!(
-            "{source}: cannot read {}: {reason}",
-            path.display()
-        ))
+    /// A file, program or device of the meter cannot be read.
+    pub(crate) fn unreadable(path: &Path, reason: impl Display) -> Self {
+        Self::Failed(format!("cannot read {}: {reason}", path.display()))
     }
 
-    /// This user may not read the meter `source`; `remedy` is the solution to suggest.
-    pub(crate) fn forbidden(source: &str, path: &Path, remedy: impl Display) -> Self {
+    /// This user may not read the meter; `remedy` is the solution to suggest.
+    pub(crate) fn forbidden(path: &Path, remedy: impl Display) -> Self {
         let path = path.display();
-        Self::Failed(format!(
-            "{source}: may not read {path}: permission denied; {remedy}"
-        ))
+        Self::Failed(format!("may not read {path}: permission denied; {remedy}"))
+    }
+
+    /// Names the meter in front.
+    pub(crate) fn of(self, source: PowerSource) -> Self {
+        let named = |reason: String| format!("{}: {reason}", source.as_str());
+        match self {
+            Self::Missing(reason) => Self::Missing(named(reason)),
+            Self::Failed(reason) => Self::Failed(named(reason)),
+        }
     }
 }

@@ -7,13 +7,11 @@
 use crate::config::PowerConfig;
 use crate::error::MeterError;
 use crate::meter::Meter;
-use crate::reading::{Rail, Reading, Value};
+use crate::reading::{Reading, Value};
 use crate::sysfs;
 use albireo_wire::EnergyQuality;
 use std::path::PathBuf;
 use tokio::time::Instant;
-
-const SOURCE: &str = "estimate";
 
 /// The estimate from CPU utilisation.
 #[derive(Debug)]
@@ -21,16 +19,10 @@ pub(crate) struct Estimate {
     stat: PathBuf,
     idle_watts: f64,
     busy_watts: f64,
-    last: Option<(Instant, Ticks)>,
+    /// The last poll, and the busy and all clock ticks then.
+    last: Option<(Instant, (u64, u64))>,
     watts: f64,
     joules: f64,
-}
-
-/// Clock ticks since boot, all cores together.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Ticks {
-    busy: u64,
-    all: u64,
 }
 
 impl Estimate {
@@ -51,31 +43,25 @@ impl Estimate {
         Ok(meter)
     }
 
-    fn ticks(&self) -> Result<Ticks, MeterError> {
-        let text = sysfs::text(SOURCE, &self.stat)?;
-        parse(&text).ok_or_else(|| {
+    /// The clock ticks since boot, all cores together: the busy ones, and all.
+    fn ticks(&self) -> Result<(u64, u64), MeterError> {
+        let text = sysfs::text(&self.stat)?;
+        let numbers = text.strip_prefix("cpu ").unwrap_or_default();
+        let ticks = numbers.split_ascii_whitespace();
+        let ticks: Vec<u64> = ticks.map_while(|number| number.parse().ok()).collect();
+        // Two more follow: guest times, which user and nice include.
+        let [user, nice, system, idle, iowait, irq, softirq, steal, ..] = ticks[..] else {
             let reason = "its first line is not `cpu` with at least eight numbers";
-            MeterError::unreadable(SOURCE, &self.stat, reason)
-        })
+            return Err(MeterError::unreadable(&self.stat, reason));
+        };
+        let busy = user + nice + system + irq + softirq;
+        Ok((busy, busy + idle + iowait + steal))
     }
-}
-
-fn parse(stat: &str) -> Option<Ticks> {
-    let numbers = stat.lines().next()?.strip_prefix("cpu ")?;
-    let ticks = numbers.split_ascii_whitespace();
-    let ticks: Vec<u64> = ticks.map_while(|number| number.parse().ok()).collect();
-    // Two more follow: guest times, which user and nice include.
-    let [user, nice, system, idle, iowait, irq, softirq, steal, ..] = ticks[..] else {
-        return None;
-    };
-    let busy = user + nice + system + irq + softirq;
-    let all = busy + idle + iowait + steal;
-    Some(Ticks { busy, all })
 }
 
 impl Meter for Estimate {
     fn source(&self) -> &str {
-        SOURCE
+        "estimate"
     }
 
     fn quality(&self) -> EnergyQuality {
@@ -83,30 +69,24 @@ impl Meter for Estimate {
     }
 
     fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
-        let ticks = self.ticks()?;
-        if let Some((then, before)) = self.last.replace((now, ticks)) {
-            let all = ticks.all.saturating_sub(before.all);
+        let (busy, all) = self.ticks()?;
+        if let Some((then, before)) = self.last.replace((now, (busy, all))) {
+            let all = all.saturating_sub(before.1);
             // The kernel counts in ticks of 10 ms: within one tick, the last figure still holds.
             if all > 0 {
-                let busy = ticks.busy.saturating_sub(before.busy).min(all);
+                let busy = busy.saturating_sub(before.0).min(all);
                 let utilisation = busy as f64 / all as f64;
                 self.watts = self.idle_watts + (self.busy_watts - self.idle_watts) * utilisation;
             }
             self.joules += self.watts * now.saturating_duration_since(then).as_secs_f64();
         }
-        let value = Value::Counter(self.joules);
         let (idle, busy) = (self.idle_watts, self.busy_watts);
         let formula = format!("estimated: {idle} W idle to {busy} W busy by CPU utilisation");
         Ok(vec![Reading {
             at: Some(now),
-            values: [Some(value), None, None, None],
+            values: [Some(Value::Counter(self.joules)), None, None, None],
             total_from: formula.into(),
-            rails: vec![Rail {
-                name: "CPU utilisation".into(),
-                domain: None,
-                in_total: true,
-                value,
-            }],
+            rails: Vec::new(),
         }])
     }
 }

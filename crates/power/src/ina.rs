@@ -16,8 +16,6 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use tokio::time::Instant;
 
-const SOURCE: &str = "ina";
-
 /// The name of an INA238's only rail if the device tree gives none.
 const INPUT: &str = "VIN";
 
@@ -30,11 +28,8 @@ struct Channel {
 
 impl Channel {
     fn watts(&self) -> Result<f64, MeterError> {
-        let numbers = (self.files.iter()).map(|file| sysfs::number::<i64>(SOURCE, file));
-        numbers
-            .map(|number| Ok(number? as f64))
-            .product::<Result<f64, _>>()
-            .map(|power| power * 1e-6)
+        let numbers = self.files.iter().map(|file| sysfs::number::<f64>(file));
+        Ok(numbers.product::<Result<f64, _>>()? * 1e-6)
     }
 }
 
@@ -58,7 +53,7 @@ impl Ina {
                 "no ina3221 or ina238 with a named rail under {}/class/hwmon (Jetson boards have them)",
                 config.sysfs.display()
             );
-            return Err(MeterError::missing(SOURCE, reason));
+            return Err(MeterError::missing(reason));
         }
         let mut meter = Self {
             channels,
@@ -72,14 +67,14 @@ impl Ina {
 /// The rails of a chip; empty if the chip is not a power monitor.
 fn channels(chip: &Path) -> Vec<Channel> {
     let text = |file: &str| {
-        let text = sysfs::text(SOURCE, &chip.join(file)).ok();
+        let text = sysfs::text(&chip.join(file)).ok();
         text.filter(|text| !text.is_empty())
     };
     match text("name").as_deref() {
         Some("ina238") => {
             let mut labels = ["power1_label", "in1_label", "label"].into_iter();
             vec![Channel {
-                name: labels.find_map(text).unwrap_or(INPUT.to_owned()).into(),
+                name: (labels.find_map(text)).map_or_else(|| INPUT.into(), Into::into),
                 files: vec![chip.join("power1_input")],
             }]
         }
@@ -100,7 +95,7 @@ fn channels(chip: &Path) -> Vec<Channel> {
 
 impl Meter for Ina {
     fn source(&self) -> &str {
-        SOURCE
+        "ina"
     }
 
     /// Omits a rail that cannot be read now; fails if none can be read.

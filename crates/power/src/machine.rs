@@ -9,8 +9,6 @@ use std::process::{Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
 
-const SOURCE: &str = "condition";
-
 /// The most CPU cores whose clocks are read: each read of a clock interrupts the core.
 const MOST_CORES: usize = 16;
 
@@ -43,7 +41,7 @@ impl Machine {
     /// Finds the files.
     pub(crate) fn new(config: &PowerConfig) -> Self {
         let class = |name: &str| sysfs::entries(&config.sysfs.join("class").join(name));
-        let label = |path: &Path| sysfs::text(SOURCE, &path.join("type")).unwrap_or_default();
+        let label = |path: &Path| sysfs::text(&path.join("type")).unwrap_or_default();
         let there = |path: PathBuf| path.exists().then_some(path);
         let mut cpus = sysfs::entries(&config.sysfs.join("devices/system/cpu"));
         // `cpu0` and `cpu11`, but not `cpufreq`.
@@ -98,7 +96,7 @@ impl Machine {
 
     /// Reads the files.
     pub(crate) fn read(&mut self) -> BoardState {
-        let number = |path: &PathBuf| sysfs::number::<f64>(SOURCE, path).ok();
+        let number = |path: &PathBuf| sysfs::number::<f64>(path).ok();
         let hottest = self
             .zones
             .iter()
@@ -112,7 +110,7 @@ impl Machine {
         }
         self.mode = self.modes.try_iter().last().or(self.mode.take());
         let profile = || {
-            let profile = sysfs::text(SOURCE, &self.profile).ok();
+            let profile = sysfs::text(&self.profile).ok();
             profile.filter(|mode| !mode.is_empty())
         };
         BoardState {
@@ -127,11 +125,11 @@ impl Machine {
 
     /// Returns true if clocks are limited now or were since the last read; `None` if nothing reports it.
     fn throttled(&mut self) -> Option<bool> {
-        let count = |path: &PathBuf| sysfs::number::<u64>(SOURCE, path).ok();
+        let count = |path: &PathBuf| sysfs::number::<u64>(path).ok();
         let cooling = self.cooling.iter().filter_map(count);
         let events = self.events.iter().filter_map(count).reduce(|a, b| a + b);
         let last = std::mem::replace(&mut self.last_events, events);
-        let pi = sysfs::text(SOURCE, &self.pi).ok();
+        let pi = sysfs::text(&self.pi).ok();
         let pi = pi.and_then(|word| u64::from_str_radix(word.trim_start_matches("0x"), 16).ok());
         let limited = cooling.map(|state| state > 0).max();
         let limited = limited.max(pi.map(|word| word & PI_NOW != 0));
@@ -143,13 +141,7 @@ impl Machine {
 const GPUS: [&str; 5] = ["gpu", "gp10b", "gv11b", "ga10b", "gb10b"];
 
 /// Substrings of the types of cooling devices that lower clocks instead of running a fan.
-const CLOCKS: [&str; 5] = [
-    "cpufreq",
-    "devfreq",
-    "Processor",
-    "cpu-balanced",
-    "gpu-balanced",
-];
+const CLOCKS: [&str; 4] = ["cpufreq", "devfreq", "Processor", "-balanced"];
 
 fn has_one(name: &str, parts: &[&str]) -> bool {
     parts.iter().any(|part| name.contains(part))

@@ -2,6 +2,7 @@
 
 use crate::account::Measured;
 use crate::sampler::PowerHandle;
+use albireo_wire::EnergyQuality;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::Instant;
@@ -72,11 +73,18 @@ impl Measurement {
         self.camera.0.power.account().until(self.number, at);
     }
 
-    /// Returns the energy used until `end`. Waits for the first sample after it, at most two intervals and at most
-    /// `patience`; does not wait without a meter.
+    /// Returns the energy used until `end`. Waits for the first sample after it, at most `patience` and at most two
+    /// intervals, because the meter may have failed. Does not wait without a meter or after sampling has stopped.
     pub async fn finish(&self, end: Instant, patience: Duration) -> Option<Measured> {
         let power = &self.camera.0.power;
-        power.sampled(end, patience).await;
+        let interval = power.account().interval;
+        if power.account().quality != EnergyQuality::Unavailable {
+            let limit = end + 2 * interval + Duration::from_millis(50);
+            let patient = Instant::now().checked_add(patience).unwrap_or(limit);
+            let mut newest = power.newest.clone();
+            let reached = newest.wait_for(|newest| *newest >= Some(end));
+            let _ = tokio::time::timeout_at(limit.min(patient), reached).await;
+        }
         power.account().close(self.number, end)
     }
 }

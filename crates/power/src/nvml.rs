@@ -16,8 +16,6 @@ use std::path::Path;
 use std::sync::Arc;
 use tokio::time::Instant;
 
-const SOURCE: &str = "nvml";
-
 /// Joules per count of a card's energy counter, which counts millijoules.
 const UNIT: f64 = 1e-3;
 
@@ -56,12 +54,12 @@ impl Nvml {
     /// # Errors
     /// [`MeterError::Missing`] if there is no driver or no card, or if no card reports its power.
     pub(crate) fn open() -> Result<Self, MeterError> {
-        let driver = driver::load(driver::LIBRARY).map_err(missing)?;
+        let driver = driver::load(driver::LIBRARY).map_err(MeterError::missing)?;
         Self::with(Box::new(driver))
     }
 
     fn with(driver: Box<dyn Cards>) -> Result<Self, MeterError> {
-        let count = driver.count().map_err(missing)?;
+        let count = driver.count().map_err(MeterError::missing)?;
         let (mut cards, mut all_count) = (Vec::new(), true);
         for index in 0..count {
             let counts = matches!(driver.energy_mj(index), Ok(Some(_)));
@@ -78,11 +76,11 @@ impl Nvml {
             });
         }
         if cards.is_empty() {
-            return Err(missing(if count == 0 {
-                "there is a driver, but no card".to_owned()
-            } else {
-                "NVML loads, but no card reports its power (as on Jetson boards: use ina or tegrastats there)"
-                    .to_owned()
+            return Err(MeterError::missing(match count {
+                0 => "there is a driver, but no card",
+                _ => {
+                    "NVML loads, but no card reports its power (as on Jetson boards: use ina or tegrastats there)"
+                }
             }));
         }
         Ok(Self {
@@ -93,17 +91,13 @@ impl Nvml {
     }
 }
 
-fn missing(reason: String) -> MeterError {
-    MeterError::missing(SOURCE, reason)
-}
-
 fn unreadable(card: u32, reason: String) -> MeterError {
-    MeterError::unreadable(SOURCE, Path::new(&format!("card {card}")), reason)
+    MeterError::unreadable(Path::new(&format!("card {card}")), reason)
 }
 
 impl Meter for Nvml {
     fn source(&self) -> &str {
-        SOURCE
+        "nvml"
     }
 
     fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {

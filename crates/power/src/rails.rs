@@ -57,12 +57,10 @@ impl RailTable {
                 "name the rail of the whole board in `input`, or the rails to add up in `sum`";
             return Some(fault.to_owned());
         }
-        if let Some(rail) = twice(self.sum.iter()) {
-            return Some(format!("`{rail}` is in `sum` twice"));
-        }
-        let rail = twice(self.domains().into_iter().flat_map(|(_, rails)| rails))?;
+        let domains = self.domains().into_iter().flat_map(|(_, rails)| rails);
+        let rail = twice(self.sum.iter()).or_else(|| twice(domains))?;
         Some(format!(
-            "`{rail}` is counted in two of gpu, cpu and io_mem, or twice in one"
+            "`{rail}` is counted in two of gpu, cpu and io_mem, or twice in one list"
         ))
     }
 }

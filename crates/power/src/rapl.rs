@@ -18,8 +18,6 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::Instant;
 
-const SOURCE: &str = "rapl";
-
 /// The name of the platform's counter.
 const PLATFORM: &str = "psys";
 
@@ -39,21 +37,18 @@ struct Zone {
 }
 
 impl Zone {
-    fn open(directory: &Path, label: Option<&str>) -> Result<Self, MeterError> {
-        let name = sysfs::text(SOURCE, &directory.join("name"))?;
+    fn open(directory: &Path, prefix: &str) -> Result<Self, MeterError> {
+        let name = sysfs::text(&directory.join("name"))?;
         let energy = directory.join("energy_uj");
-        sysfs::number::<u64>(SOURCE, &energy)?;
-        let range = sysfs::number(SOURCE, &directory.join("max_energy_range_uj"))?;
+        sysfs::number::<u64>(&energy)?;
+        let range = sysfs::number(&directory.join("max_energy_range_uj"))?;
         let domain = match &*name {
             "uncore" => Some(Domain::Gpu),
             "dram" => Some(Domain::IoMem),
             package if package.starts_with("package") => Some(Domain::Cpu),
             _ => None,
         };
-        let name = match label {
-            Some(parent) => format!("{parent}/{name}"),
-            None => name,
-        };
+        let name = format!("{prefix}{name}");
         Ok(Self {
             domain,
             energy,
@@ -93,7 +88,7 @@ impl Rapl {
                  the kernel module intel_rapl_msr; virtual machines and containers often hide it)",
                 root.display()
             );
-            return Err(MeterError::missing(SOURCE, reason));
+            return Err(MeterError::missing(reason));
         }
         if platform {
             read(&mut zones, Instant::now())?;
@@ -112,7 +107,7 @@ impl Rapl {
 
 fn read(zones: &mut [Zone], now: Instant) -> Result<(), MeterError> {
     for zone in zones {
-        let raw = sysfs::number(SOURCE, &zone.energy)?;
+        let raw = sysfs::number(&zone.energy)?;
         zone.counter.update(now, raw);
     }
     Ok(())
@@ -137,16 +132,16 @@ fn find(root: &Path) -> Result<Vec<Zone>, MeterError> {
     tops.sort_by_key(|path| sysfs::name(path).starts_with("intel-rapl-mmio"));
     let mut zones: Vec<Zone> = Vec::new();
     for top in tops {
-        let zone = Zone::open(&top, None)?;
+        let zone = Zone::open(&top, "")?;
         let name = Arc::clone(&zone.counter.name);
         if zones.iter().any(|known| known.counter.name == name) {
             continue;
         }
         zones.push(zone);
-        let prefix = format!("{}:", sysfs::name(&top));
+        let subs = format!("{}:", sysfs::name(&top));
         for sub in sysfs::entries(&top) {
-            if sysfs::name(&sub).starts_with(&prefix) {
-                zones.push(Zone::open(&sub, Some(&name))?);
+            if sysfs::name(&sub).starts_with(&subs) {
+                zones.push(Zone::open(&sub, &format!("{name}/"))?);
             }
         }
     }
@@ -155,7 +150,7 @@ fn find(root: &Path) -> Result<Vec<Zone>, MeterError> {
 
 impl Meter for Rapl {
     fn source(&self) -> &str {
-        SOURCE
+        "rapl"
     }
 
     fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {

@@ -98,7 +98,8 @@ impl PowerSnapshot {
 pub struct PowerHandle {
     /// The lock is held for microseconds, never during a reading.
     account: Arc<Mutex<Account>>,
-    newest: watch::Receiver<Option<Instant>>,
+    /// The time of the newest sample.
+    pub(crate) newest: watch::Receiver<Option<Instant>>,
 }
 
 impl PowerHandle {
@@ -119,20 +120,6 @@ impl PowerHandle {
         self.account.lock()
     }
 
-    /// Waits for the first sample at or after `end`, at most `patience` and at most two intervals, because the meter
-    /// may have failed. Does not wait without a meter or after sampling has stopped.
-    pub(crate) async fn sampled(&self, end: Instant, patience: Duration) {
-        let interval = self.account().interval;
-        if self.account().quality == EnergyQuality::Unavailable {
-            return;
-        }
-        let limit = end + 2 * interval + Duration::from_millis(50);
-        let patient = Instant::now().checked_add(patience).unwrap_or(limit);
-        let mut newest = self.newest.clone();
-        let reached = newest.wait_for(|newest| *newest >= Some(end));
-        let _ = tokio::time::timeout_at(limit.min(patient), reached).await;
-    }
-
     /// Returns the present power, and the energy up to the newest sample.
     pub fn snapshot(&self) -> PowerSnapshot {
         let account = self.account();
@@ -143,7 +130,7 @@ impl PowerHandle {
             let (name, sum) = (domain.as_str(), history.totals.sums[domain as usize]);
             if history.has(domain) {
                 joules.insert(name.to_owned(), sum.joules);
-                covered_s.insert(name.to_owned(), sum.covered_s);
+                covered_s.insert(name.to_owned(), sum.seconds);
             }
             if let Some(now) = present.and_then(|sample| sample.watts[domain as usize]) {
                 let domain = name.to_owned();
@@ -163,7 +150,7 @@ impl PowerHandle {
             joules,
             covered_s,
             sampled_s: history.sampled_s,
-            saved_detector_s: cameras.map(|(_, camera)| camera.saved_s).sum(),
+            saved_detector_s: cameras.map(|(_, camera)| camera.seconds).sum(),
             detector_watts: account.detector.watts(),
             meter_cpu: account.meter_cpu,
             failed_reads: account.failed_reads,
@@ -284,7 +271,8 @@ async fn sample(
         if let Err(error) = read
             && warned.is_none_or(|warned| warned.elapsed() > WARN_EVERY)
         {
-            tracing::warn!(%error, "the power meter cannot be read now");
+            let source = handle.account().source.clone();
+            tracing::warn!(source, %error, "the power meter cannot be read now");
             warned = Some(Instant::now());
         }
     }

@@ -59,7 +59,7 @@ pub fn survey(config: &PowerConfig) -> Vec<SourceSurvey> {
             ..SourceSurvey::default()
         };
         let watched = opened.and_then(|mut meter| one.watch(meter.as_mut(), config));
-        one.why_not = watched.err().map(|error| error.to_string());
+        one.why_not = watched.err().map(|error| error.of(source).to_string());
         found.push(one);
     }
     found

@@ -5,22 +5,19 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 /// Reads the file as text, without surrounding white space.
-pub(crate) fn text(source_name: &str, path: &Path) -> Result<String, MeterError> {
+pub(crate) fn text(path: &Path) -> Result<String, MeterError> {
     match std::fs::read_to_string(path) {
         Ok(text) => Ok(text.trim().to_owned()),
-        Err(error) => Err(failure(source_name, path, &error)),
+        Err(error) => Err(failure(path, &error)),
     }
 }
 
 /// Reads the file as a number.
-pub(crate) fn number<T: std::str::FromStr>(
-    source_name: &str,
-    path: &Path,
-) -> Result<T, MeterError> {
-    let text = text(source_name, path)?;
+pub(crate) fn number<T: std::str::FromStr>(path: &Path) -> Result<T, MeterError> {
+    let text = text(path)?;
     text.parse().map_err(|_| {
         let shown: String = text.chars().take(40).collect();
-        MeterError::unreadable(source_name, path, format!("`{shown}` is not a number"))
+        MeterError::unreadable(path, format!("`{shown}` is not a number"))
     })
 }
 
@@ -43,7 +40,7 @@ pub(crate) fn name(path: &Path) -> &str {
 }
 
 /// Converts an I/O error on `path` to a meter error.
-pub(crate) fn failure(source_name: &str, path: &Path, error: &io::Error) -> MeterError {
+pub(crate) fn failure(path: &Path, error: &io::Error) -> MeterError {
     match error.kind() {
         io::ErrorKind::PermissionDenied => {
             let remedy = format!(
@@ -51,12 +48,10 @@ pub(crate) fn failure(source_name: &str, path: &Path, error: &io::Error) -> Mete
                  `z {0} 0444` into /etc/tmpfiles.d/albireo.conf), or run as a user with permission",
                 path.display()
             );
-            MeterError::forbidden(source_name, path, remedy)
+            MeterError::forbidden(path, remedy)
         }
-        io::ErrorKind::NotFound => {
-            MeterError::missing(source_name, format!("there is no {}", path.display()))
-        }
-        _ => MeterError::unreadable(source_name, path, error),
+        io::ErrorKind::NotFound => MeterError::missing(format!("there is no {}", path.display())),
+        _ => MeterError::unreadable(path, error),
     }
 }
 
@@ -68,9 +63,9 @@ mod tests {
     #[test]
     fn permission_denied_names_the_file_and_the_remedy() {
         let path = Path::new("/sys/class/powercap/intel-rapl:0/energy_uj");
-        let error = failure("rapl", path, &io::ErrorKind::PermissionDenied.into());
+        let error = failure(path, &io::ErrorKind::PermissionDenied.into());
         let file = path.display();
-        let denied = format!("rapl: may not read {file}");
+        let denied = format!("may not read {file}");
         assert_contains(error, &[&denied, &format!("sudo chmod a+r {file}")]);
     }
 
@@ -79,7 +74,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("energy_uj");
         std::fs::write(&path, "many\n").unwrap();
-        let error = number::<u64>("rapl", &path).unwrap_err();
+        let error = number::<u64>(&path).unwrap_err();
         assert_contains(error, &["energy_uj: `many` is not a number"]);
     }
 }

@@ -19,8 +19,6 @@ use std::path::PathBuf;
 use std::time::Duration;
 use tokio::time::Instant;
 
-const SOURCE: &str = "tegrastats";
-
 /// The time limit for the first line.
 const FIRST_LINE: Duration = Duration::from_secs(5);
 
@@ -47,7 +45,7 @@ impl Tegrastats {
         let program = config.tegrastats.clone();
         let arguments = ["--interval".to_owned(), config.interval_ms.to_string()];
         let child = LineChild::start(&program, &arguments)
-            .map_err(|error| sysfs::failure(SOURCE, &program, &error))?;
+            .map_err(|error| sysfs::failure(&program, &error))?;
         let mut meter = Self {
             child,
             map: RailMap::new(config.rails.as_ref())?,
@@ -56,7 +54,8 @@ impl Tegrastats {
             newest: Instant::now(),
         };
         let Some((at, line)) = meter.child.first_line(FIRST_LINE) else {
-            return Err(meter.unreadable(meter.child.trouble().unwrap_or("it prints nothing")));
+            let why = meter.child.trouble.as_deref();
+            return Err(meter.unreadable(why.unwrap_or("it prints nothing")));
         };
         meter.newest = at;
         let Some(rails) = tegrastats_rails(&line) else {
@@ -65,19 +64,19 @@ impl Tegrastats {
         if rails.is_empty() {
             let remedy = "it prints no power rails for this user; run as root, or let power.tegrastats name a script \
                           that runs `exec sudo -n tegrastats \"$@\"`, allowed in sudoers without a password";
-            return Err(MeterError::forbidden(SOURCE, &meter.program, remedy));
+            return Err(MeterError::forbidden(&meter.program, remedy));
         }
         Ok(meter)
     }
 
     fn unreadable(&self, reason: &str) -> MeterError {
-        MeterError::unreadable(SOURCE, &self.program, reason)
+        MeterError::unreadable(&self.program, reason)
     }
 }
 
 impl Meter for Tegrastats {
     fn source(&self) -> &str {
-        SOURCE
+        "tegrastats"
     }
 
     fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
@@ -95,7 +94,7 @@ impl Meter for Tegrastats {
         }
         let silent = now.saturating_duration_since(self.newest);
         if readings.is_empty() && silent > Duration::from_secs(1) {
-            let why = self.child.trouble().unwrap_or("it stalls");
+            let why = self.child.trouble.as_deref().unwrap_or("it stalls");
             let seconds = silent.as_secs_f64();
             return Err(self.unreadable(&format!("no line for {seconds:.1} s: {why}")));
         }

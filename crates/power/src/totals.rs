@@ -22,22 +22,13 @@ pub(crate) fn longest_gap(interval: Duration) -> Duration {
     interval.mul_f64(2.5).max(Duration::from_secs(1))
 }
 
-/// Energy, and the time that samples cover.
+/// Joules, and the seconds that go with them.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Sum {
-    /// Joules.
+    /// Energy of the node, or a camera's share of it.
     pub joules: f64,
-    /// Seconds.
-    pub covered_s: f64,
-}
-
-/// The totals of one camera.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct CameraTotals {
-    /// Its share of the node's joules.
-    pub joules: f64,
-    /// Detector seconds that its avoided calls would have taken.
-    pub saved_s: f64,
+    /// Time that samples cover; for a camera, detector time that its avoided calls would have taken.
+    pub seconds: f64,
 }
 
 /// All totals since sampling began.
@@ -48,7 +39,7 @@ pub(crate) struct Totals {
     /// The number of samples of the total.
     pub samples: u64,
     /// The cameras' totals, by number.
-    pub cameras: Vec<(u64, CameraTotals)>,
+    pub cameras: Vec<(u64, Sum)>,
 }
 
 impl Totals {
@@ -58,7 +49,7 @@ impl Totals {
     }
 
     /// The totals of one camera.
-    pub(crate) fn camera(&self, number: u64) -> CameraTotals {
+    pub(crate) fn camera(&self, number: u64) -> Sum {
         let found = self.cameras.iter().find(|(camera, _)| *camera == number);
         found.map(|(_, totals)| *totals).unwrap_or_default()
     }
@@ -107,7 +98,7 @@ impl History {
         &mut self,
         at: Instant,
         reading: &Reading,
-        divide: impl FnOnce(f64, f64) -> Vec<(u64, CameraTotals)>,
+        divide: impl FnOnce(f64, f64) -> Vec<(u64, Sum)>,
     ) -> bool {
         let newest = self.newest();
         if newest.is_some_and(|newest| newest >= at) {
@@ -140,20 +131,18 @@ impl History {
         };
         let seconds = (at - then).as_secs_f64();
         let watts = value.mean_watts(Some(before), seconds);
-        let joules = match (before, value) {
-            (Value::Power(then), Value::Power(now)) if seconds <= self.gap_s => {
-                0.5 * (then + now) * seconds
-            }
-            (Value::Counter(then), Value::Counter(now))
-                if seconds <= self.gap_s.max(LONGEST_COUNTED_S) =>
-            {
-                now - then
+        let (joules, longest) = match (before, value) {
+            (Value::Power(then), Value::Power(now)) => (0.5 * (then + now) * seconds, self.gap_s),
+            (Value::Counter(then), Value::Counter(now)) => {
+                (now - then, self.gap_s.max(LONGEST_COUNTED_S))
             }
             _ => return watts,
         };
-        let sum = &mut self.totals.sums[index];
-        sum.joules += joules;
-        sum.covered_s += seconds;
+        if seconds <= longest {
+            let sum = &mut self.totals.sums[index];
+            sum.joules += joules;
+            sum.seconds += seconds;
+        }
         watts
     }
 
@@ -204,7 +193,10 @@ impl History {
 fn between(before: &Sample, after: &Sample, moment: Instant) -> Totals {
     let whole = (after.at - before.at).as_secs_f64();
     let part = (moment - before.at).as_secs_f64() / whole;
-    let mix = |from: f64, to: f64, part: f64| from + part * (to - from);
+    let mix = |from: Sum, to: Sum, energy_part: f64| Sum {
+        joules: from.joules + energy_part * (to.joules - from.joules),
+        seconds: from.seconds + part * (to.seconds - from.seconds),
+    };
     let energy_part = |index: usize| match (before.values[index], after.values[index]) {
         (Some(Value::Power(from)), Some(Value::Power(to))) if from + to > 0.0 => {
             part * (2.0 * from + (to - from) * part) / (from + to)
@@ -213,25 +205,15 @@ fn between(before: &Sample, after: &Sample, moment: Instant) -> Totals {
     };
     let (from, to) = (&before.totals, &after.totals);
     let of_total = energy_part(Domain::Total as usize);
+    let cameras = to.cameras.iter();
     Totals {
         sums: Domain::ALL.map(|domain| {
             let index = domain as usize;
-            let (from, to) = (from.sums[index], to.sums[index]);
-            Sum {
-                joules: mix(from.joules, to.joules, energy_part(index)),
-                covered_s: mix(from.covered_s, to.covered_s, part),
-            }
+            mix(from.sums[index], to.sums[index], energy_part(index))
         }),
         samples: from.samples,
-        cameras: (to.cameras.iter())
-            .map(|(number, to)| {
-                let from = from.camera(*number);
-                let totals = CameraTotals {
-                    joules: mix(from.joules, to.joules, of_total),
-                    saved_s: mix(from.saved_s, to.saved_s, part),
-                };
-                (*number, totals)
-            })
+        cameras: cameras
+            .map(|(number, to)| (*number, mix(from.camera(*number), *to, of_total)))
             .collect(),
     }
 }

@@ -27,10 +27,10 @@ fn pass(
         work(cameras, sample);
         totals.cameras = cameras.divide(1.0, 0.1);
     }
-    let used = |of: fn(CameraTotals) -> f64| {
+    let used = |of: fn(Sum) -> f64| {
         [FRONT, REAR].map(|number| of(totals.camera(number)) - of(before.camera(number)))
     };
-    (used(|totals| totals.joules), used(|totals| totals.saved_s))
+    (used(|totals| totals.joules), used(|totals| totals.seconds))
 }
 
 fn assert_near(found: [f64; 2], expected: [f64; 2], by: f64) {

@@ -70,7 +70,7 @@ fn a_table_that_is_empty_or_counts_a_rail_twice_is_rejected() {
             rails: Some(toml::from_str(text).unwrap()),
             ..PowerConfig::default()
         };
-        assert_contains(config.check().unwrap_err(), &[expected]);
+        assert_contains(crate::open(&config).err().unwrap(), &[expected]);
     }
     assert!(toml::from_str::<RailTable>("summ = []").is_err());
 }

@@ -22,7 +22,7 @@ fn integral(samples: &[(f64, f64)], counted: bool, start: f64, end: f64) -> Sum 
             let middle = before + slope * (0.5 * (from + to) - then);
             let watts = if counted { slope } else { middle };
             sum.joules += watts * (to - from);
-            sum.covered_s += to - from;
+            sum.seconds += to - from;
         }
     }
     sum
@@ -69,8 +69,8 @@ proptest! {
             let total = |at: f64| history.at(moment(at)).total();
             let (from, to) = (total(start), total(end));
             let expected = integral(&samples, counted, start, end);
-            let found = (to.joules - from.joules, to.covered_s - from.covered_s);
-            let right = close(found.0, expected.joules) && close(found.1, expected.covered_s);
+            let found = (to.joules - from.joules, to.seconds - from.seconds);
+            let right = close(found.0, expected.joules) && close(found.1, expected.seconds);
             prop_assert!(right, "{:?}, not {:?}, counted: {}", found, expected, counted);
         }
     }
