@@ -113,10 +113,8 @@ impl Account {
 
     /// Adds a sample.
     pub(crate) fn sampled(&mut self, at: Instant, reading: &Reading) {
-        let cameras = &mut self.cameras;
-        if !(self.history).add(at, reading, |joules, seconds| {
-            cameras.divide(joules, seconds)
-        }) {
+        let divide = |joules, seconds| self.cameras.divide(joules, seconds);
+        if !self.history.add(at, reading, divide) {
             return;
         }
         self.detector.learn(&self.history);

@@ -117,8 +117,7 @@ impl LineChild {
                 Ok(None) if std::time::Instant::now() < until => {
                     std::thread::sleep(Duration::from_millis(2));
                 }
-                Ok(None) => break Some("it has not ended; it will at its next line".to_owned()),
-                Err(error) => break Some(format!("it cannot be waited for: {error}")),
+                _ => break Some("it has not ended; it will at its next line".to_owned()),
             }
         };
     }

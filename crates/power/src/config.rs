@@ -86,9 +86,9 @@ impl Default for PowerConfig {
 
 impl PowerConfig {
     /// Returns all invalid values: the key, and what is wrong and what is allowed.
-    pub fn problems(&self) -> Vec<(String, String)> {
-        let mut found: Vec<(String, String)> = Vec::new();
-        let mut add = |key: &str, reason: String| found.push((key.to_owned(), reason));
+    pub fn problems(&self) -> Vec<(&'static str, String)> {
+        let mut found = Vec::new();
+        let mut add = |key, reason| found.push((key, reason));
         let (interval, idle, busy) = (self.interval_ms, self.idle_watts, self.busy_watts);
         if !(10..=10_000).contains(&interval) {
             let reason = format!("must be from 10 to 10000, not {interval}");

@@ -272,7 +272,7 @@ async fn sample(
             && warned.is_none_or(|warned| warned.elapsed() > WARN_EVERY)
         {
             let source = handle.account().source.clone();
-            tracing::warn!(source, %error, "the power meter cannot be read now");
+            tracing::warn!(%source, %error, "the power meter cannot be read now");
             warned = Some(Instant::now());
         }
     }

@@ -67,23 +67,17 @@ pub fn survey(config: &PowerConfig) -> Vec<SourceSurvey> {
 
 impl SourceSurvey {
     fn watch(&mut self, meter: &mut dyn Meter, config: &PowerConfig) -> Result<(), MeterError> {
-        let interval = Duration::from_millis(config.interval_ms);
-        let began = Instant::now();
+        let (began, before) = (Instant::now(), thread_cpu());
         let mut read: Vec<(Instant, Reading)> = Vec::new();
-        let (mut cpu, mut polls) = (Duration::ZERO, 0_u32);
         while began.elapsed() < WATCH {
-            let (now, before) = (Instant::now(), thread_cpu());
-            let readings = meter.poll(now);
-            cpu += thread_cpu().saturating_sub(before);
-            polls += 1;
+            let now = Instant::now();
             let at = |reading: Reading| (reading.at.unwrap_or(now), reading);
-            read.extend(readings?.into_iter().map(at));
-            std::thread::sleep(interval);
+            read.extend(meter.poll(now)?.into_iter().map(at));
+            std::thread::sleep(Duration::from_millis(config.interval_ms));
         }
-        let cpu = cpu + meter.other_cpu();
+        let cpu = thread_cpu().saturating_sub(before) + meter.other_cpu();
         self.quality = meter.quality();
-        // The cost per interval does not depend on the length of this survey.
-        self.share_of_core = Some(cpu.as_secs_f64() / f64::from(polls) / interval.as_secs_f64());
+        self.share_of_core = Some(cpu.as_secs_f64() / began.elapsed().as_secs_f64());
         let (Some((from, first)), Some((to, last))) = (read.first(), read.last()) else {
             return Ok(());
         };
