@@ -80,8 +80,7 @@ pub struct RefusedReport {
 pub struct ReportAnswer {
     /// Version.
     pub v: u32,
-    /// Id of the hub's database. A database that the node does not know has none of its reports, so the node resends
-    /// all reports that it still has.
+    /// Id of the hub's database.
     #[schema(value_type = String, format = "uuid")]
     pub database: Uuid,
     /// Reports that will never be stored: they are too old or invalid.

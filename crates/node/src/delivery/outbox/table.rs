@@ -18,7 +18,6 @@ CREATE TABLE report (
 ) STRICT;
 CREATE INDEX report_by_state ON report (state, count);
 CREATE TABLE counter (name TEXT PRIMARY KEY, value INTEGER NOT NULL) STRICT, WITHOUT ROWID;
-CREATE TABLE hub_database (id BLOB PRIMARY KEY NOT NULL) STRICT;
 ";
 
 /// No hub has it.
@@ -32,9 +31,6 @@ pub(super) const REFUSED: i64 = 3;
 
 /// The maximum size of reports in memory, bytes: some thousand reports.
 pub(super) const MEMORY_BYTES: u64 = 8 << 20;
-
-/// The number of hub databases remembered.
-const MOST_DATABASES: i64 = 16;
 
 /// The reason a table cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -113,8 +109,6 @@ pub(super) struct Answered {
     pub(super) acknowledged: Vec<Uuid>,
     /// Never to be sent again.
     pub(super) refused: Vec<Uuid>,
-    /// The hub's database, if the answer named it.
-    pub(super) database: Option<Uuid>,
     /// Ranges of running counts whose reports the hub misses.
     pub(super) missing: Vec<(u64, u64)>,
 }
@@ -122,7 +116,7 @@ pub(super) struct Answered {
 /// The open table and its counters, which are written with each change.
 #[derive(Debug)]
 pub(super) struct Table {
-    db: Connection,
+    pub(super) db: Connection,
     most_bytes: u64,
     pub(super) counters: Counters,
 }
@@ -271,9 +265,6 @@ impl Table {
                 again.execute(params![AGAIN, ACKNOWLEDGED, signed(*first), signed(*last)])?;
             }
         }
-        if let Some(database) = answered.database {
-            take_database(&transaction, database, &answered.acknowledged)?;
-        }
         // Examines only the oldest, so the cost is limited by the number of deleted rows.
         transaction.execute(
             "DELETE FROM report WHERE acknowledged_ms < ?1 AND rowid IN \
@@ -294,40 +285,6 @@ impl Table {
             count(AGAIN)?.cast_unsigned(),
         ))
     }
-
-    #[cfg(test)]
-    pub(super) fn connection(&self) -> &Connection {
-        &self.db
-    }
-}
-
-/// Remembers a hub's database. A new one, if others are known, has none of their reports: all except those just
-/// `acknowledged` are sent again.
-fn take_database(
-    transaction: &Transaction<'_>,
-    database: Uuid,
-    acknowledged: &[Uuid],
-) -> rusqlite::Result<()> {
-    let insert = "INSERT OR IGNORE INTO hub_database (id) VALUES (?)";
-    if transaction.execute(insert, [database.as_bytes()])? == 0 {
-        return Ok(());
-    }
-    let known: i64 =
-        transaction.query_row("SELECT count(*) FROM hub_database", [], |row| row.get(0))?;
-    if known > 1 {
-        tracing::warn!(%database, "the hub has another database: sending it all reports that are still kept");
-        let again = "UPDATE report SET state = ? WHERE state = ?";
-        transaction.execute(again, [AGAIN, ACKNOWLEDGED])?;
-        let mut there = transaction.prepare("UPDATE report SET state = ? WHERE id = ?")?;
-        for id in acknowledged {
-            there.execute(params![ACKNOWLEDGED, id.as_bytes()])?;
-        }
-    }
-    transaction.execute(
-        "DELETE FROM hub_database WHERE rowid <= (SELECT max(rowid) FROM hub_database) - ?",
-        [MOST_DATABASES],
-    )?;
-    Ok(())
 }
 
 fn write_counters(transaction: &Transaction<'_>, counters: &Counters) -> rusqlite::Result<()> {

@@ -28,10 +28,11 @@ const _: () = assert!(BATCH_REPORTS <= MOST_REPORTS);
 pub(super) struct Waiting {
     disk: Option<Box<dyn Disk>>,
     most_bytes: u64,
-    /// The open file; `None` while it cannot be read and written.
-    file: Option<Table>,
-    /// Replaces the file while there is none. Its reports move to the file once that can be opened again.
-    memory: Table,
+    /// The file, or a table in memory while the file cannot be used. Reports in memory move to the file once that can be
+    /// opened again.
+    pub(super) table: Table,
+    /// True if the table is the file.
+    is_on_disk: bool,
     /// True if the file must be set aside before it is opened again.
     damaged: bool,
     counts: OutboxCounts,
@@ -51,8 +52,8 @@ impl Waiting {
         Ok(Self {
             disk,
             most_bytes,
-            file: None,
-            memory: Table::in_memory(counters)?,
+            table: Table::in_memory(counters)?,
+            is_on_disk: false,
             damaged: false,
             counts: OutboxCounts::default(),
         })
@@ -84,11 +85,11 @@ impl Waiting {
         }
         let mut file = Table::new(disk.open()?, self.most_bytes)?;
         // The counts since the start continue the earlier ones.
-        file.counters = file.counters.max(self.memory.counters);
-        let lost = file.insert(&self.memory.reports(REFUSED, usize::MAX)?)?;
+        file.counters = file.counters.max(self.table.counters);
+        let lost = file.insert(&self.table.reports(REFUSED, usize::MAX)?)?;
         (self.counts.status.waiting, self.counts.again) = file.waiting()?;
-        self.memory = Table::in_memory(file.counters)?;
-        self.file = Some(file);
+        self.table = file;
+        self.is_on_disk = true;
         self.lose(lost, now);
         if let Some(reason) = self.counts.failing.take() {
             tracing::info!(reason, "the state directory can be used again");
@@ -104,8 +105,7 @@ impl Waiting {
         }
     }
 
-    /// Records that the file cannot be used. The waiting reports that can be read are copied to memory and delivered
-    /// from there.
+    /// Records that the file cannot be used, and continues in memory.
     fn fail(&mut self, error: &TableError) {
         let reason = format!("the state directory cannot be used: {error}");
         if self.counts.failing.as_deref() != Some(reason.as_str()) {
@@ -114,29 +114,34 @@ impl Waiting {
         self.counts.failing = Some(reason);
         self.counts.disk_failures += 1;
         self.damaged |= error.is_corruption();
-        let Some(file) = self.file.take() else {
-            return;
-        };
-        self.memory.counters = file.counters;
-        let kept = (file.due(true, MOST_RESCUED)).and_then(|found| self.memory.insert(&found));
-        // The rest is not lost: it is on the disk, and returns with it.
-        self.memory.counters = file.counters;
-        if let Err(error) = kept {
+        if std::mem::take(&mut self.is_on_disk)
+            && let Err(error) = self.rescue()
+        {
             tracing::warn!(%error, "clip reports on the disk cannot be read now");
         }
+    }
+
+    /// Replaces the file by a table in memory with the waiting reports that can be read.
+    fn rescue(&mut self) -> Result<(), TableError> {
+        let counters = self.table.counters;
+        let file = std::mem::replace(&mut self.table, Table::in_memory(counters)?);
+        let rescued = (file.due(true, MOST_RESCUED)).and_then(|found| self.table.insert(&found));
+        // The rest is not lost: it is on the disk, and returns with it.
+        self.table.counters = counters;
+        rescued.map(drop)
     }
 
     /// Does `work` on the file, or in memory if that fails.
     fn work<T: Default>(&mut self, work: impl Fn(&mut Table) -> Result<T, TableError>) -> T {
         let work = |table: &mut Table| Ok((work(table)?, table.waiting()?));
         let mut done = None;
-        if let Some((file, disk)) = self.file.as_mut().zip(self.disk.as_ref()) {
-            match disk.check().and_then(|()| work(file)) {
+        if let Some(disk) = self.disk.as_ref().filter(|_| self.is_on_disk) {
+            match disk.check().and_then(|()| work(&mut self.table)) {
                 Ok(worked) => done = Some(worked),
                 Err(error) => self.fail(&error),
             }
         }
-        match done.map_or_else(|| work(&mut self.memory), Ok) {
+        match done.map_or_else(|| work(&mut self.table), Ok) {
             Ok((done, waiting)) => {
                 (self.counts.status.waiting, self.counts.again) = waiting;
                 done
@@ -148,17 +153,11 @@ impl Waiting {
         }
     }
 
-    /// The counters of the table in use.
-    fn counters(&mut self) -> &mut Counters {
-        let table = self.file.as_mut().unwrap_or(&mut self.memory);
-        &mut table.counters
-    }
-
     /// Keeps reports in order and sets their running counts.
     pub(super) fn insert(&mut self, reports: &mut [ClipReport], now: Now) {
         let mut rows = Vec::with_capacity(reports.len());
         for report in reports {
-            let made = &mut self.counters().made;
+            let made = &mut self.table.counters.made;
             *made = made.map(|made| made + 1);
             report.count = *made;
             self.counts.kept += 1;
@@ -184,7 +183,7 @@ impl Waiting {
             let (reports, unreadable) = self.work(|table| read(table, node, again));
             let is_end = unreadable.is_empty();
             if !is_end {
-                self.counters().undeliverable += unreadable.len() as u64;
+                self.table.counters.undeliverable += unreadable.len() as u64;
                 let refused = Answered {
                     refused: unreadable,
                     ..Answered::default()
@@ -213,12 +212,11 @@ impl Waiting {
             })
             .collect();
         let stored = (sent.len() - refused.len()) as u64;
-        self.counters().undeliverable += refused.len() as u64;
+        self.table.counters.undeliverable += refused.len() as u64;
         self.counts.acknowledged += stored;
         let answered = Answered {
             acknowledged: sent.difference(&refused).copied().collect(),
             refused: refused.into_iter().collect(),
-            database: Some(answer.database),
             missing: answer.missing.clone(),
         };
         self.conclude(&answered, now);
@@ -230,18 +228,12 @@ impl Waiting {
         self.work(|table| table.answered(answered, now.unix_ms, kept_ms));
     }
 
-    #[cfg(test)]
-    pub(super) fn file(&self) -> &Table {
-        self.file.as_ref().unwrap()
-    }
-
     /// Returns the counts, and the state of the disk.
     pub(super) fn counts(&self) -> OutboxCounts {
-        let counters = self.file.as_ref().unwrap_or(&self.memory).counters;
         let mut counts = self.counts.clone();
-        counts.status.lost = counters.lost;
-        counts.status.undeliverable = counters.undeliverable;
-        counts.status.durable = self.file.is_some();
+        counts.status.lost = self.table.counters.lost;
+        counts.status.undeliverable = self.table.counters.undeliverable;
+        counts.status.durable = self.is_on_disk;
         counts
     }
 }
