@@ -23,8 +23,6 @@ pub(crate) struct Times {
     pub latency: Latency,
     /// The detector run that answered, and this frame's part of it.
     pub detector_run: Option<DetectorRun>,
-    /// True if a grey picture was examined.
-    pub examined: bool,
     /// True if the detector was called because the screen reported "empty" too often in a row.
     pub overruled: bool,
 }
@@ -114,7 +112,6 @@ impl LiveEvidence {
             Need::GreyPicture => self.look(encoded, Stage::Grey).await?,
             Need::SmallGreyPicture { width } => {
                 self.look(encoded, Stage::SmallGrey(width)).await?;
-                self.current.times.examined = true;
             }
             Need::Detections => self.current.detected = self.detect(encoded).await?,
         }

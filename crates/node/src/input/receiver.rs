@@ -151,9 +151,6 @@ impl FrameReceiver {
 
     /// Receives a frame that came as a put.
     pub(crate) fn take(&self, sample: &Sample) {
-        if sample.payload().as_shm().is_some() {
-            self.board.count_shared_frame();
-        }
         self.place(None, |arrival| self.read(sample.into(), arrival));
     }
 

@@ -181,8 +181,7 @@ impl Board {
     /// Keeps a clip's report, counts it for its camera and sends it to subscribers.
     pub fn record_clip(&self, report: ClipReport) {
         if let Some(camera) = self.camera(&report.camera) {
-            let audit_joules = report.audit.as_ref().and_then(|audit| audit.joules);
-            camera.count_clip(report.energy.joules, audit_joules);
+            camera.count_clip(report.energy.joules);
         }
         let report = Arc::new(report);
         let mut clips = self.clips.lock();

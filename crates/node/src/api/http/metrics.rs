@@ -201,25 +201,6 @@ fn outbox(page: &mut MetricsPage, board: &Board) {
         "Clip reports that no hub has acknowledged",
         counts.status.waiting as f64,
     );
-    page.gauge(
-        "albireo_outbox_in_memory",
-        "Waiting clip reports that are not on disk",
-        if counts.status.durable {
-            0.0
-        } else {
-            counts.status.waiting as f64
-        },
-    );
-    page.gauge(
-        "albireo_outbox_again",
-        "Clip reports that a hub lost, to be sent again",
-        counts.again as f64,
-    );
-    page.gauge(
-        "albireo_outbox_durable",
-        "Whether clip reports survive a power loss",
-        flag(counts.status.durable),
-    );
     page.counter(
         "albireo_outbox_kept_total",
         "Clip reports added to the outbox",

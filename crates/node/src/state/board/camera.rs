@@ -73,9 +73,7 @@ pub struct CameraSnapshot {
     pub calls: DetectorCalls,
     /// Unprocessed frames, by kind.
     pub dropped: DroppedFrames,
-    /// Frames for which a small grey picture was examined, to follow boxes by optical flow.
-    pub looks: u64,
-    /// The audit's results, and its joules in the ended clips; `None` without an audit.
+    /// The audit's results; `None` without an audit.
     pub audit: Option<AuditReport>,
     /// Ended clips.
     pub clips: u64,
@@ -93,8 +91,6 @@ pub struct CameraSnapshot {
     pub latest: Option<Arc<DetectionsMessage>>,
     /// The time of the newest frame's answer.
     pub last_frame: Option<Instant>,
-    /// Frames received in memory shared with their sender.
-    pub shared_frames: u64,
     /// Messages about it that were not published.
     pub unpublished: u64,
     /// Suggested value if nothing is skipped although objects are tracked.
@@ -127,7 +123,6 @@ impl CameraSnapshot {
         self.detector_us = (self.detector_us).saturating_add(used.try_into().unwrap_or(u64::MAX));
         self.states.count(detections.state);
         self.degraded_frames += u64::from(detections.degraded);
-        self.looks += u64::from(frame.times.examined);
         self.count_boxes(&detections.boxes);
         if let Some(cause) = detections.cause {
             self.calls.count(cause);
@@ -329,11 +324,6 @@ impl CameraBoard {
         );
     }
 
-    /// Counts a frame received in memory shared with its sender.
-    pub(crate) fn count_shared_frame(&self) {
-        self.counts.lock().shown.shared_frames += 1;
-    }
-
     /// Counts a message about it that was not published.
     pub(crate) fn count_unpublished(&self) {
         self.counts.lock().shown.unpublished += 1;
@@ -347,14 +337,10 @@ impl CameraBoard {
     }
 
     /// Counts an ended clip, and its energy if known.
-    pub(super) fn count_clip(&self, joules: Option<f64>, audit_joules: Option<f64>) {
+    pub(super) fn count_clip(&self, joules: Option<f64>) {
         let shown = &mut self.counts.lock().shown;
-        let known = |joules: Option<f64>| joules.filter(|joules| *joules > 0.0).unwrap_or_default();
         shown.clips += 1;
-        if let Some(audit) = &mut shown.audit {
-            *audit.joules.get_or_insert_default() += known(audit_joules);
-        }
-        shown.clip_joules += known(joules);
+        shown.clip_joules += joules.filter(|joules| *joules > 0.0).unwrap_or_default();
     }
 
     /// The camera's state.

@@ -3,7 +3,7 @@
 use super::flag;
 use crate::state::board::{Board, CameraBoard, CameraSnapshot};
 use crate::state::readiness::CAMERAS;
-use albireo_core::policy::{CallCause, FrameState};
+use albireo_core::policy::FrameState;
 use albireo_service::metrics::MetricsPage;
 use albireo_wire::{AuditRate, AuditReport};
 
@@ -23,12 +23,7 @@ type Camera<'a> = ((&'a str, &'a str), &'a CameraBoard, CameraSnapshot);
 /// A counter of each camera: name, help and value.
 type CameraCounter = (&'static str, &'static str, fn(&CameraSnapshot) -> f64);
 
-const COUNTERS: [CameraCounter; 8] = [
-    (
-        "albireo_screen_overruled_total",
-        "Frames on which the detector ran because the empty-scene screen had reported \"empty\" too often in a row",
-        |camera| camera.calls.get(CallCause::EmptyLimit) as f64,
-    ),
+const COUNTERS: [CameraCounter; 5] = [
     (
         "albireo_frames_skipped_total",
         "Frames that skipped the detector: state E or P and not degraded",
@@ -43,20 +38,10 @@ const COUNTERS: [CameraCounter; 8] = [
         camera.clips as f64
     }),
     (
-        "albireo_camera_shared_memory_frames_total",
-        "Frames read in place from memory shared by their sender on this machine",
-        |camera| camera.shared_frames as f64,
-    ),
-    (
         "albireo_messages_unpublished_total",
         "Messages about a camera (answers, counters, clip reports) that were not published because Zenoh accepted \
          them too slowly or not at all",
         |camera| camera.unpublished as f64,
-    ),
-    (
-        "albireo_looks_total",
-        "Frames for which a small grey picture was decoded to follow boxes by optical flow",
-        |camera| camera.looks as f64,
     ),
     (
         "albireo_camera_energy_joules_total",
@@ -220,16 +205,5 @@ fn audit(page: &mut MetricsPage, cameras: &[Camera<'_>]) {
         "Share of the shown boxes on audited frames that the detector confirms, since the start, with the ends of its \
          interval at 95 %, missed frames included; low where a policy shows objects that the detector misses",
         audited().flat_map(|(camera, audit)| ends(camera, audit.sums.precision())),
-    );
-    page.counters(
-        "albireo_audit_detector_seconds_total",
-        "Time the detector worked for the audit",
-        audited().map(|(camera, audit)| ([camera], audit.detector_us as f64 / 1e6)),
-    );
-    page.counters(
-        "albireo_audit_energy_joules_total",
-        "Estimate of the energy that the audit added to the clips that ended: its detector time multiplied by the watts \
-         that a running detector adds; a part of camera_energy_joules",
-        audited().map(|(camera, audit)| ([camera], audit.joules.unwrap_or_default())),
     );
 }
