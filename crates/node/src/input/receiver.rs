@@ -333,11 +333,10 @@ pub(crate) struct SourceFeed {
 
 impl SourceSink for SourceFeed {
     fn picture(&mut self, picture: Result<EncodedPicture, FrameFault>, reopened: bool) {
+        if reopened && picture.is_ok() {
+            self.part.works();
+        }
         self.receiver.take_picture(picture, reopened);
-    }
-
-    fn works(&mut self) {
-        self.part.works();
     }
 
     fn fails(&mut self, reason: &str, pause: Duration) {

@@ -45,9 +45,6 @@ pub trait SourceSink: Send + 'static {
     /// opened.
     fn picture(&mut self, picture: Result<EncodedPicture, FrameFault>, reopened: bool);
 
-    /// Called when pictures arrive.
-    fn works(&mut self) {}
-
     /// Called when the source ended for this reason; it is reopened after the pause.
     fn fails(&mut self, _reason: &str, _pause: Duration) {}
 }
@@ -63,16 +60,6 @@ pub struct LiveSource {
     motion_jpeg: bool,
     /// True once something that ffmpeg took for motion JPEG was something else.
     not_jpeg: bool,
-}
-
-/// The reason an opened source ended.
-enum End {
-    /// It failed for this reason.
-    Failed(String),
-    /// It failed for this reason before the first picture.
-    Nothing(String),
-    /// It must be read the other way.
-    Switch,
 }
 
 impl LiveSource {
@@ -155,24 +142,23 @@ impl LiveSource {
             let begun = Instant::now();
             let stop = shutdown.clone();
             let reading = tokio::task::spawn_blocking(move || {
-                let end = self.read(&mut sink, stop);
-                (self, sink, end)
+                let failed = self.read(&mut sink, stop);
+                (self, sink, failed)
             });
-            let end;
-            (self, sink, end) = reading.await?;
+            let failed;
+            (self, sink, failed) = reading.await?;
             if shutdown.is_cancelled() {
                 return Ok(());
             }
             if begun.elapsed() > STAYED {
                 pause = FIRST_PAUSE;
             }
-            let reason = match end {
-                End::Failed(reason) => Some(reason),
-                End::Nothing(reason) => tokio::select! {
+            let reason = match failed {
+                Some(reason) => tokio::select! {
                     () = shutdown.cancelled() => return Ok(()),
                     unreachable = self.unreachable() => Some(unreachable.unwrap_or(reason)),
                 },
-                End::Switch => (pause > FIRST_PAUSE)
+                None => (pause > FIRST_PAUSE)
                     .then(|| "it alternates between motion JPEG and another codec".to_owned()),
             };
             if let Some(reason) = reason {
@@ -210,43 +196,42 @@ impl LiveSource {
         Some(format!("{host}:{port} cannot be reached: {reason}"))
     }
 
-    /// Opens the source once and reads to its end.
-    fn read(&mut self, sink: &mut dyn SourceSink, stop: CancellationToken) -> End {
+    /// Opens the source once and reads to its end. Returns the reason it failed; `None` if it must be read the other
+    /// way.
+    fn read(&mut self, sink: &mut dyn SourceSink, stop: CancellationToken) -> Option<String> {
         let program = match self.program() {
             Ok(program) => program,
-            Err(error) => return End::Nothing(error.to_string()),
+            Err(error) => return Some(error.to_string()),
         };
         let (name, ppm) = (program.program, program.ppm);
         let running = match program.start(self.settings.silence, stop) {
             Ok(running) => running,
-            Err(error) => return End::Nothing(format!("`{name}` cannot be started: {error}")),
+            Err(error) => return Some(format!("`{name}` cannot be started: {error}")),
         };
         let mut output = BufReader::with_capacity(BUFFER, running);
         let mut pictures = 0;
         let cut = self.pictures(&mut output, ppm, sink, &mut pictures);
         let running = output.get_mut();
-        let reason = match cut {
-            Ok(Some(switch)) => return switch,
-            Ok(None) => running.end().err().unwrap_or_else(|| "it ended".to_owned()),
-            Err(error) => match running.abort() {
+        let mut reason = match cut {
+            Ok(true) => None,
+            Ok(false) => Some(running.end().err().unwrap_or_else(|| "it ended".to_owned())),
+            Err(error) => Some(match running.abort() {
                 Some(message) => format!("{error}; {name} said: {message}"),
                 None => error,
-            },
+            }),
         };
-        if pictures > 0 {
-            return End::Failed(reason);
+        if pictures == 0 && self.switches(running.codec()) {
+            reason = None;
         }
-        if self.switches(running.codec()) {
-            return self.switch();
-        }
-        if self.settings.address.kind() == SourceKind::Device && self.ffmpeg.is_some() {
-            // A device without motion JPEG cannot be opened for it.
+        // A device without motion JPEG cannot be opened for it.
+        let is_device = self.settings.address.kind() == SourceKind::Device && self.ffmpeg.is_some();
+        if reason.is_none() || (is_device && pictures == 0) {
             self.motion_jpeg = !self.motion_jpeg;
         }
-        End::Nothing(reason)
+        reason
     }
 
-    /// Passes pictures on until there are no more, or until the source turns out to need the other way of reading.
+    /// Passes pictures on until there are no more. Returns true if the source turns out to need the other way of reading.
     ///
     /// # Errors
     /// The reason the output cannot be read further.
@@ -256,7 +241,7 @@ impl LiveSource {
         ppm: bool,
         sink: &mut dyn SourceSink,
         pictures: &mut u64,
-    ) -> Result<Option<End>, String> {
+    ) -> Result<bool, String> {
         let begun = Instant::now();
         let limits = self.settings.limits;
         // ffmpeg applies the limit itself when it decodes.
@@ -272,16 +257,16 @@ impl LiveSource {
                 part.map(|part| picture_of_file(Bytes::from(part), &limits))
             };
             let Some(picture) = picture else {
-                return Ok(None);
+                return Ok(false);
             };
             if *pictures == 0 && self.switches(output.get_ref().codec()) {
-                return Ok(Some(self.switch()));
+                return Ok(true);
             }
             if self.motion_jpeg && *pictures == 0 && picture.is_err() {
                 bad_parts += 1;
                 if bad_parts == FIRST_PARTS {
                     self.not_jpeg = true;
-                    return Ok(Some(self.switch()));
+                    return Ok(true);
                 }
             }
             // The first picture of each time slot: on average exactly the limit, at any rate of the camera.
@@ -297,7 +282,6 @@ impl LiveSource {
                             size = picture.size.to_string(),
                             "the source is open"
                         );
-                        sink.works();
                     }
                     *pictures += 1;
                 }
@@ -314,10 +298,5 @@ impl LiveSource {
             && self.settings.address.kind() != SourceKind::File
             && is_jpeg.is_some_and(|is_jpeg| is_jpeg != self.motion_jpeg)
             && (self.motion_jpeg || !self.not_jpeg)
-    }
-
-    fn switch(&mut self) -> End {
-        self.motion_jpeg = !self.motion_jpeg;
-        End::Switch
     }
 }
