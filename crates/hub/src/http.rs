@@ -37,7 +37,7 @@ use std::time::Instant;
 use tokio::sync::{Semaphore, watch};
 use tokio_util::sync::CancellationToken;
 use utoipa::OpenApi as _;
-use utoipa::openapi::{ContentBuilder, OpenApi, Ref, ResponseBuilder};
+use utoipa::openapi::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
@@ -195,24 +195,7 @@ fn described() -> (Router<HubView>, OpenApi) {
         .routes(routes!(runs::one_trial))
         .routes(routes!(runs::end_trial));
     let (router, mut openapi) = routes.split_for_parts();
-    let problem = ContentBuilder::new().schema(Some(Ref::from_schema_name("Problem")));
-    let problem = ResponseBuilder::new()
-        .content("application/problem+json", problem.build())
-        .build();
-    for path in openapi.paths.paths.values_mut() {
-        let operations = [
-            &mut path.get,
-            &mut path.put,
-            &mut path.post,
-            &mut path.delete,
-        ];
-        for operation in operations.into_iter().flatten() {
-            for status in ["4XX", "5XX"] {
-                let answers = &mut operation.responses.responses;
-                answers.insert(status.to_owned(), problem.clone().into());
-            }
-        }
-    }
+    http::describe_problems(&mut openapi);
     (router, openapi)
 }
 

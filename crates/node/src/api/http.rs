@@ -135,8 +135,8 @@ fn bad_request(detail: String) -> Problem {
 )]
 struct Description;
 
-fn described() -> OpenApiRouter<RouteState> {
-    OpenApiRouter::with_openapi(Description::openapi())
+fn described() -> (Router<RouteState>, OpenApi) {
+    let routes = OpenApiRouter::with_openapi(Description::openapi())
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))
         .routes(routes!(http::caller))
@@ -158,17 +158,20 @@ fn described() -> OpenApiRouter<RouteState> {
         .routes(routes!(events::stream))
         .routes(routes!(log::tail))
         .routes(routes!(diag::archive))
-        .routes(routes!(metrics::text))
+        .routes(routes!(metrics::text));
+    let (router, mut openapi) = routes.split_for_parts();
+    http::describe_problems(&mut openapi);
+    (router, openapi)
 }
 
 /// The node's OpenAPI document, as served at `/openapi.json`.
 pub fn openapi() -> OpenApi {
-    described().split_for_parts().1
+    described().1
 }
 
 /// The router of the node: all routes, their OpenAPI document and the page.
 pub fn router(board: Arc<Board>, config: &NodeConfig, shutdown: CancellationToken) -> Router {
-    let (router, openapi) = described().split_for_parts();
+    let (router, openapi) = described();
     #[cfg(feature = "swagger")]
     let router = router.merge(
         // The document is served below: this only gives its address to the page.

@@ -10,6 +10,7 @@ use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 use std::time::Duration;
 use utoipa::ToSchema;
+use utoipa::openapi::{ContentBuilder, OpenApi, Ref, ResponseBuilder};
 
 /// The media type of a problem document.
 pub(super) const MEDIA_TYPE: &str = "application/problem+json";
@@ -67,6 +68,28 @@ impl Problem {
             InvalidThreshold::OutOfRange { .. } => StatusCode::UNPROCESSABLE_ENTITY,
         };
         Self::new(status, error.to_string()).with_threshold_spec(spec)
+    }
+}
+
+/// Describes problem documents as the answers to requests that fail, in every operation of an OpenAPI document.
+pub fn describe_problems(openapi: &mut OpenApi) {
+    let problem = ContentBuilder::new().schema(Some(Ref::from_schema_name("Problem")));
+    let problem = ResponseBuilder::new()
+        .content(MEDIA_TYPE, problem.build())
+        .build();
+    for path in openapi.paths.paths.values_mut() {
+        let operations = [
+            &mut path.get,
+            &mut path.put,
+            &mut path.post,
+            &mut path.delete,
+        ];
+        for operation in operations.into_iter().flatten() {
+            for status in ["4XX", "5XX"] {
+                let answers = &mut operation.responses.responses;
+                answers.insert(status.to_owned(), problem.clone().into());
+            }
+        }
     }
 }
 

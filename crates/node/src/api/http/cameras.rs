@@ -127,10 +127,7 @@ pub(super) async fn list(State(shared): State<RouteState>) -> Json<Cameras> {
 #[utoipa::path(
     get, path = "/api/v1/cameras/{camera}", tag = "frames",
     params(("camera" = String, Path, description = "The camera's name.")),
-    responses(
-        (status = 200, body = CameraDetail),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-    )
+    responses((status = 200, body = CameraDetail))
 )]
 pub(super) async fn one(
     State(shared): State<RouteState>,
@@ -155,16 +152,12 @@ pub(super) async fn one(
 
 /// The detections of a camera's newest frame
 ///
-/// The message as published on Zenoh.
+/// The message as published on Zenoh; 404 before the first frame.
 /// `curl http://127.0.0.1:8080/api/v1/cameras/front/detections`
 #[utoipa::path(
     get, path = "/api/v1/cameras/{camera}/detections", tag = "frames",
     params(("camera" = String, Path, description = "The camera's name.")),
-    responses(
-        (status = 200, body = DetectionsMessage),
-        (status = 404, body = Problem, content_type = "application/problem+json",
-         description = "There is no such camera, or no frame has arrived from it yet."),
-    )
+    responses((status = 200, body = DetectionsMessage))
 )]
 pub(super) async fn detections(
     State(shared): State<RouteState>,

@@ -48,10 +48,7 @@ pub(super) struct Clips {
 /// `curl 'http://127.0.0.1:8080/api/v1/clips?camera=front&limit=10'`
 #[utoipa::path(
     get, operation_id = "list_clips", path = "/api/v1/clips", tag = "clips", params(Selection),
-    responses(
-        (status = 200, body = Clips),
-        (status = "4XX", body = Problem, content_type = "application/problem+json"),
-    )
+    responses((status = 200, body = Clips))
 )]
 pub(super) async fn list(
     State(shared): State<RouteState>,

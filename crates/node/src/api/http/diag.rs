@@ -25,7 +25,6 @@ fn text(value: &impl Serialize) -> Vec<u8> {
     get, operation_id = "download_diagnosis", path = "/api/v1/diag", tag = "diagnosis",
     responses(
         (status = 200, content_type = "application/x-tar", body = Vec<u8>),
-        (status = "4XX", body = Problem, content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn archive(State(shared): State<RouteState>) -> Result<Response, Problem> {

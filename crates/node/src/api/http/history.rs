@@ -87,10 +87,7 @@ fn columns(frames: &[PastFrame], clock: &Clock) -> PastFrames {
 #[utoipa::path(
     get, operation_id = "camera_history", path = "/api/v1/cameras/{camera}/history", tag = "frames",
     params(("camera" = String, Path, description = "The camera's name."), Selection),
-    responses(
-        (status = 200, body = CameraHistory),
-        (status = "4XX", body = Problem, content_type = "application/problem+json"),
-    )
+    responses((status = 200, body = CameraHistory))
 )]
 pub(super) async fn camera(
     State(shared): State<RouteState>,
@@ -176,17 +173,13 @@ fn thresholds(text: &str) -> Result<Vec<f64>, Problem> {
 
 /// The frames that other thresholds would have skipped over the last minutes
 ///
-/// An estimate from the uncertainties that were recorded frame by frame, for the threshold `u`.
+/// An estimate from the uncertainties that were recorded frame by frame, for the threshold `u`; 409 for another
+/// threshold, and while nothing is recorded.
 /// `curl 'http://127.0.0.1:8080/api/v1/cameras/front/skip-estimate?values=1e-4,3e-4,1e-3'`
 #[utoipa::path(
     get, operation_id = "skip_estimate", path = "/api/v1/cameras/{camera}/skip-estimate", tag = "threshold",
     params(("camera" = String, Path, description = "The camera's name."), Values),
-    responses(
-        (status = 200, body = SkipEstimates),
-        (status = 409, body = Problem, content_type = "application/problem+json",
-         description = "The policy's threshold is not `u`, or nothing is recorded to estimate from yet."),
-        (status = "4XX", body = Problem, content_type = "application/problem+json"),
-    )
+    responses((status = 200, body = SkipEstimates))
 )]
 pub(super) async fn skip_estimate(
     State(shared): State<RouteState>,

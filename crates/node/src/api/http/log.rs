@@ -37,10 +37,7 @@ pub(super) struct Log {
 /// Configured secrets are masked. `curl 'http://127.0.0.1:8080/api/v1/log?limit=20'`
 #[utoipa::path(
     get, operation_id = "log_tail", path = "/api/v1/log", tag = "diagnosis", params(Selection),
-    responses(
-        (status = 200, body = Log),
-        (status = "4XX", body = Problem, content_type = "application/problem+json"),
-    )
+    responses((status = 200, body = Log))
 )]
 pub(super) async fn tail(
     selection: Result<Query<Selection>, QueryRejection>,

@@ -22,7 +22,6 @@ const FRAME: HeaderName = HeaderName::from_static("albireo-frame");
     responses(
         (status = 200, body = Vec<u8>, content_type = "image/jpeg",
          headers(("albireo-frame" = u64, description = "Sequence number of the frame."))),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn jpeg(

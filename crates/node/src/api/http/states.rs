@@ -126,10 +126,7 @@ pub(super) async fn all(State(shared): State<RouteState>) -> Json<NodeStates> {
 #[utoipa::path(
     get, operation_id = "camera_frame_states", path = "/api/v1/cameras/{camera}/frame-states", tag = "frames",
     params(("camera" = String, Path, description = "The camera's name.")),
-    responses(
-        (status = 200, body = CameraStates),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-    )
+    responses((status = 200, body = CameraStates))
 )]
 pub(super) async fn one(
     State(shared): State<RouteState>,

@@ -30,10 +30,7 @@ pub(super) async fn get(State(shared): State<RouteState>) -> Json<TargetReport> 
 /// `curl -X PUT -d '{"target": {"skip_rate": 0.5}}' http://127.0.0.1:8080/api/v1/target`
 #[utoipa::path(
     put, operation_id = "set_target", path = "/api/v1/target", tag = "threshold", request_body = TargetMessage,
-    responses(
-        (status = 200, body = TargetReport),
-        (status = "4XX", body = Problem, content_type = "application/problem+json"),
-    )
+    responses((status = 200, body = TargetReport))
 )]
 pub(super) async fn put(
     State(shared): State<RouteState>,

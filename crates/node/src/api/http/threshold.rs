@@ -152,10 +152,7 @@ pub(super) async fn get_all(State(shared): State<RouteState>) -> Json<Thresholds
 /// `curl -X PUT -d '{"u": 5e-4}' http://127.0.0.1:8080/api/v1/threshold`
 #[utoipa::path(
     put, operation_id = "set_thresholds", path = "/api/v1/threshold", tag = "threshold", request_body = NewThreshold,
-    responses(
-        (status = 200, body = Thresholds),
-        (status = "4XX", body = Problem, content_type = "application/problem+json"),
-    )
+    responses((status = 200, body = Thresholds))
 )]
 pub(super) async fn put_all(
     State(shared): State<RouteState>,
@@ -172,10 +169,7 @@ pub(super) async fn put_all(
 #[utoipa::path(
     get, operation_id = "camera_threshold", path = "/api/v1/cameras/{camera}/threshold", tag = "threshold",
     params(("camera" = String, Path, description = "The camera's name.")),
-    responses(
-        (status = 200, body = CameraThreshold),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-    )
+    responses((status = 200, body = CameraThreshold))
 )]
 pub(super) async fn get_one(
     State(shared): State<RouteState>,
@@ -192,10 +186,7 @@ pub(super) async fn get_one(
 #[utoipa::path(
     put, operation_id = "set_camera_threshold", path = "/api/v1/cameras/{camera}/threshold", tag = "threshold", request_body = NewThreshold,
     params(("camera" = String, Path, description = "The camera's name.")),
-    responses(
-        (status = 200, body = CameraThreshold),
-        (status = "4XX", body = Problem, content_type = "application/problem+json"),
-    )
+    responses((status = 200, body = CameraThreshold))
 )]
 pub(super) async fn put_one(
     State(shared): State<RouteState>,
