@@ -13,41 +13,35 @@ use axum::Json;
 use axum::extract::{Path, State};
 use axum::http::StatusCode;
 use serde::Serialize;
+use serde_with::skip_serializing_none;
 use utoipa::ToSchema;
 
 /// A camera.
+#[skip_serializing_none]
 #[derive(Serialize, ToSchema)]
 pub(super) struct CameraEntry {
     /// Its name.
     camera: String,
     /// Zenoh key of its frames; absent if it has a source.
-    #[serde(skip_serializing_if = "Option::is_none")]
     key: Option<String>,
     /// Address of the source that the node opens for it, without credentials.
-    #[serde(skip_serializing_if = "Option::is_none")]
     source: Option<String>,
     /// Reason why no frames arrive; absent while they do.
-    #[serde(skip_serializing_if = "Option::is_none")]
     fault: Option<String>,
     /// Frames processed since the node started.
     frames: u64,
     /// Clips ended since the node started.
     clips: u64,
     /// Seconds since its newest frame; absent before the first.
-    #[serde(skip_serializing_if = "Option::is_none")]
     last_frame_age_s: Option<f64>,
     /// Columns of its newest frame.
-    #[serde(skip_serializing_if = "Option::is_none")]
     width: Option<u32>,
     /// Rows of its newest frame.
-    #[serde(skip_serializing_if = "Option::is_none")]
     height: Option<u32>,
     /// The equivalent of `u` in the published code, for pictures of this size; absent if it is the same number, before the
     /// first frame, and under other policies.
-    #[serde(skip_serializing_if = "Option::is_none")]
     u_as_published: Option<f64>,
     /// Suggested value if nothing is skipped although objects are tracked.
-    #[serde(skip_serializing_if = "Option::is_none")]
     advice: Option<Advice>,
 }
 
@@ -59,6 +53,7 @@ pub(super) struct Cameras {
 }
 
 /// State of one camera.
+#[skip_serializing_none]
 #[derive(Serialize, ToSchema)]
 pub(super) struct CameraDetail {
     #[serde(flatten)]
@@ -68,13 +63,10 @@ pub(super) struct CameraDetail {
     /// The policy that decides its frames.
     policy: &'static str,
     /// The threshold in force from its next frame on; absent when the policy has none.
-    #[serde(skip_serializing_if = "Option::is_none")]
     threshold: Option<Threshold>,
     /// Who set it.
-    #[serde(skip_serializing_if = "Option::is_none")]
     set_by: Option<SettingSource>,
     /// The name, range and default of the policy's threshold; absent if the policy has none.
-    #[serde(skip_serializing_if = "Option::is_none")]
     threshold_spec: Option<ThresholdSpec>,
     /// Number of frames in each state; they add up to `frames`.
     states: FrameStates,

@@ -10,9 +10,11 @@ use albireo_wire::{
 use axum::Json;
 use axum::extract::{Path, State};
 use serde::Serialize;
+use serde_with::skip_serializing_none;
 use utoipa::ToSchema;
 
 /// Counts of frames since the node started.
+#[skip_serializing_none]
 #[derive(Serialize, ToSchema)]
 pub(super) struct FrameCounts {
     /// Frames processed.
@@ -27,11 +29,11 @@ pub(super) struct FrameCounts {
     #[schema(value_type = std::collections::BTreeMap<String, u64>)]
     calls: DetectorCalls,
     /// Audit results of skipped frames; absent without an audit.
-    #[serde(skip_serializing_if = "Option::is_none")]
     audit: Option<AuditFigures>,
 }
 
 /// Frames of a camera since the node started.
+#[skip_serializing_none]
 #[derive(Serialize, ToSchema)]
 pub(super) struct CameraStates {
     /// Camera.
@@ -41,13 +43,10 @@ pub(super) struct CameraStates {
     /// Frames not processed, by kind.
     dropped: DroppedFrames,
     /// Largest uncertainty of the newest frame; absent without objects.
-    #[serde(skip_serializing_if = "Option::is_none")]
     tau_max: Option<f64>,
     /// Threshold in force; absent when the policy has none.
-    #[serde(skip_serializing_if = "Option::is_none")]
     threshold: Option<Threshold>,
     /// Seconds since the newest frame; absent before the first.
-    #[serde(skip_serializing_if = "Option::is_none")]
     last_frame_age_s: Option<f64>,
 }
 
