@@ -153,12 +153,6 @@ impl Outbox {
         *self.0.counts.lock() = waiting.counts();
         done
     }
-
-    /// Stalls the disk until the result is dropped.
-    #[cfg(test)]
-    pub(crate) fn stall(&self) -> impl Sized {
-        self.0.waiting.lock()
-    }
 }
 
 /// Retries a failed disk, for reports and settings, for as long as it is polled.

@@ -121,12 +121,6 @@ impl<T> Ring<T> {
     pub(crate) fn open(&self) {
         self.state.lock().closed = false;
     }
-
-    /// The number of waiting items.
-    #[cfg(test)]
-    pub(crate) fn waiting(&self) -> usize {
-        self.state.lock().items.len()
-    }
 }
 
 #[cfg(test)]
@@ -143,6 +137,13 @@ mod tests {
         let mut ring = Ring::new(Delivery::Newest, items, 0);
         (ring.most_bytes, ring.newest_wins) = (1000, newest_wins);
         ring
+    }
+
+    impl<T> Ring<T> {
+        /// The number of waiting items.
+        pub(crate) fn waiting(&self) -> usize {
+            self.state.lock().items.len()
+        }
     }
 
     impl Ring<u32> {

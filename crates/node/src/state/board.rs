@@ -11,8 +11,6 @@ pub(crate) use event::provider;
 pub use event::{DetectorEvent, Event, FrameEvent, News, ThresholdEvent};
 pub(crate) use history::{CameraPiece, Clock, FRAMES, PastFrame, PowerPiece, SLOT_S, SkipEstimate};
 pub(crate) use savings::{Savings, Totals};
-#[cfg(test)]
-pub(crate) use threshold::set_by_hand;
 pub(crate) use threshold::{ThresholdError, set_thresholds};
 
 use crate::config::NodeConfig;

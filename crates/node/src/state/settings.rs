@@ -96,12 +96,6 @@ impl Settings {
             self.0.write(&mut state);
         }
     }
-
-    /// Stalls the disk until the result is dropped.
-    #[cfg(test)]
-    pub(crate) fn stall(&self) -> impl Sized {
-        self.0.state.lock()
-    }
 }
 
 impl Shared {
@@ -151,6 +145,13 @@ fn write(directory: &Path, values: &BTreeMap<String, Value>) -> std::io::Result<
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    impl Settings {
+        /// Stalls the disk until the result is dropped.
+        pub(crate) fn stall(&self) -> impl Sized {
+            self.0.state.lock()
+        }
+    }
 
     #[test]
     fn a_setting_survives_a_restart_and_a_broken_file_is_set_aside() {

@@ -13,6 +13,13 @@ use uuid::Uuid;
 
 const HUB: Uuid = Uuid::from_u128(1);
 
+impl Outbox {
+    /// Stalls the disk until the result is dropped.
+    pub(crate) fn stall(&self) -> impl Sized {
+        self.0.waiting.lock()
+    }
+}
+
 pub(in crate::delivery) fn report(clip: u64) -> ClipReport {
     ClipReport {
         v: VERSION,

@@ -82,8 +82,7 @@ impl DesiredKeeper {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::state::board::set_by_hand;
-    use crate::state::board::tests::{board_of, config, thresholds};
+    use crate::state::board::tests::{board_of, config, set_by_hand, thresholds};
     use albireo_wire::{Target, Threshold};
     use std::path::Path;
     use std::sync::Arc;

@@ -139,11 +139,6 @@ impl RunningProgram {
         self.errors.codec.as_deref()
     }
 
-    #[cfg(test)]
-    pub(super) fn process(&self) -> Pid {
-        self.process
-    }
-
     /// Ends it.
     ///
     /// # Errors
@@ -443,7 +438,7 @@ mod tests {
         let mut child = String::new();
         let mut output = BufReader::new(&mut running);
         output.read_line(&mut child).unwrap();
-        let process = running.process().as_raw_pid();
+        let process = running.process.as_raw_pid();
         let processes = [process.to_string(), child.trim().to_owned()];
         let state = |id: &String| std::fs::read_to_string(format!("/proc/{id}/stat")).ok();
         assert!(processes.iter().all(|id| state(id).is_some()));

@@ -3,6 +3,7 @@ use crate::camera::answer;
 use crate::config::CameraConfig;
 use crate::delivery::outbox::OutboxCounts;
 use albireo_core::policy::{ExpectedLoss, FrameState};
+use albireo_wire::Threshold;
 use serde_json::Value;
 use std::path::Path;
 
@@ -23,6 +24,12 @@ pub(crate) fn board_of(config: &NodeConfig) -> Arc<Board> {
 pub(crate) fn thresholds(board: &Board) -> Vec<f64> {
     let cameras = board.cameras.iter();
     cameras.filter_map(|camera| camera.threshold()).collect()
+}
+
+/// Sets the threshold on behalf of somebody at the node.
+pub(crate) fn set_by_hand(cameras: &[Arc<CameraBoard>], value: f64) -> Result<(), ThresholdError> {
+    let name = cameras[0].threshold_spec.unwrap().name;
+    set_thresholds(cameras, Threshold::new(name, value), SettingSource::Local)
 }
 
 fn board(state_dir: Option<&Path>, policy: &str) -> Arc<Board> {

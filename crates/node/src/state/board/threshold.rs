@@ -92,13 +92,6 @@ pub(crate) fn set_thresholds(
     Ok(())
 }
 
-/// Sets it on behalf of somebody at the node, with the threshold's own name.
-#[cfg(test)]
-pub(crate) fn set_by_hand(cameras: &[Arc<CameraBoard>], value: f64) -> Result<(), ThresholdError> {
-    let name = cameras[0].threshold_spec.unwrap().name;
-    set_thresholds(cameras, Threshold::new(name, value), SettingSource::Local)
-}
-
 impl CameraBoard {
     /// The threshold in force from the next frame on; `None` if the policy has none.
     pub fn threshold(&self) -> Option<f64> {

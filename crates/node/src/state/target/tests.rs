@@ -1,6 +1,5 @@
 use super::*;
-use crate::state::board::set_by_hand;
-use crate::state::board::tests::{board_of, config};
+use crate::state::board::tests::{board_of, config, set_by_hand};
 use albireo_core::target::TargetStatus;
 use std::path::Path;
 use std::sync::Arc;

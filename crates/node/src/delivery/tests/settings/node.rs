@@ -3,8 +3,8 @@
 use super::super::node::until_unlocked;
 use crate::delivery::outbox::OutboxConfig;
 use crate::delivery::uplink::{DesiredKeeper, Failure, Schedule, StatusSender, read_reply};
-use crate::state::board::tests::{config, thresholds};
-use crate::state::board::{Board, set_by_hand};
+use crate::state::board::Board;
+use crate::state::board::tests::{config, set_by_hand, thresholds};
 use albireo_service::clock::Now;
 use albireo_wire::{Desired, DesiredSetting, SettingSource};
 use serde_json::{Map, Value};
