@@ -1,14 +1,14 @@
 //! Routes that list the cameras and their states.
 
 use super::RouteState;
+use super::states::{self, CameraStates};
 use crate::state::advice::Advice;
 use crate::state::board::{Board, CameraBoard};
 use crate::state::readiness::CAMERAS;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::ThresholdSpec;
-use albireo_service::clock::{seconds, significant};
 use albireo_service::http::Problem;
-use albireo_wire::{DetectionsMessage, DroppedFrames, FrameStates, SettingSource, Threshold};
+use albireo_wire::{DetectionsMessage, SettingSource};
 use axum::Json;
 use axum::extract::{Path, State};
 use axum::http::StatusCode;
@@ -20,20 +20,16 @@ use utoipa::ToSchema;
 #[skip_serializing_none]
 #[derive(Serialize, ToSchema)]
 pub(super) struct CameraEntry {
-    /// Its name.
-    camera: String,
+    #[serde(flatten)]
+    states: CameraStates,
     /// Zenoh key of its frames; absent if it has a source.
     key: Option<String>,
     /// Address of the source that the node opens for it, without credentials.
     source: Option<String>,
     /// Reason why no frames arrive; absent while they do.
     fault: Option<String>,
-    /// Frames processed since the node started.
-    frames: u64,
     /// Clips ended since the node started.
     clips: u64,
-    /// Seconds since its newest frame; absent before the first.
-    last_frame_age_s: Option<f64>,
     /// Columns of its newest frame.
     width: Option<u32>,
     /// Rows of its newest frame.
@@ -62,20 +58,10 @@ pub(super) struct CameraDetail {
     version: &'static str,
     /// The policy that decides its frames.
     policy: &'static str,
-    /// The threshold in force from its next frame on; absent when the policy has none.
-    threshold: Option<Threshold>,
-    /// Who set it.
+    /// Who set its threshold.
     set_by: Option<SettingSource>,
     /// The name, range and default of the policy's threshold; absent if the policy has none.
     threshold_spec: Option<ThresholdSpec>,
-    /// Number of frames in each state; they add up to `frames`.
-    states: FrameStates,
-    /// Share of frames that skipped the detector: state E or P and not degraded.
-    skip_rate: f64,
-    /// Frames answered from prediction because the detector was not available.
-    degraded_frames: u64,
-    /// Frames not processed, by kind.
-    dropped: DroppedFrames,
 }
 
 fn entry(board: &Board, camera: &CameraBoard) -> CameraEntry {
@@ -88,13 +74,11 @@ fn entry(board: &Board, camera: &CameraBoard) -> CameraEntry {
     let picture =
         (snapshot.latest.as_ref()).map(|latest| PictureSize::new(latest.width, latest.height));
     CameraEntry {
-        camera: camera.name().to_owned(),
+        states: states::of(camera, &snapshot),
         key: (source.is_none()).then(|| camera.key.to_owned()),
         source,
         fault,
-        frames: snapshot.states.frames(),
         clips: snapshot.clips,
-        last_frame_age_s: snapshot.last_frame_age().map(seconds),
         width: picture.map(|picture| picture.width),
         height: picture.map(|picture| picture.height),
         u_as_published: picture.and_then(|picture| camera.published_threshold(picture)),
@@ -126,19 +110,12 @@ pub(super) async fn one(
     Path(camera): Path<String>,
 ) -> Result<Json<CameraDetail>, Problem> {
     let camera = shared.camera(&camera)?;
-    let snapshot = camera.snapshot();
-    let skip_rate = significant(snapshot.skip_rate(), 4);
     Ok(Json(CameraDetail {
         entry: entry(&shared.board, camera),
         version: env!("CARGO_PKG_VERSION"),
         policy: camera.policy,
-        threshold: camera.threshold_in_force(),
         set_by: camera.threshold_spec.map(|_| camera.threshold_source()),
         threshold_spec: camera.threshold_spec,
-        states: snapshot.states,
-        skip_rate,
-        degraded_frames: snapshot.degraded_frames,
-        dropped: snapshot.dropped,
     }))
 }
 

@@ -90,7 +90,7 @@ impl FrameCounts {
     }
 }
 
-fn of(camera: &CameraBoard, snapshot: &CameraSnapshot) -> CameraStates {
+pub(super) fn of(camera: &CameraBoard, snapshot: &CameraSnapshot) -> CameraStates {
     CameraStates {
         camera: camera.name().to_owned(),
         counts: FrameCounts::of([snapshot]),
