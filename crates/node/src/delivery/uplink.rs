@@ -271,12 +271,6 @@ impl Worker {
                 () = outbox.changed() => {}
                 () = found.notified() => {}
                 () = news.notified() => self.schedule.want_pull(),
-                Some((camera, query)) = self.watched.question() => {
-                    let setup = Arc::clone(&setup);
-                    spawn_blocking(move || {
-                        watched::answer(&camera, &query, &setup);
-                    });
-                }
                 () = tokio::time::sleep_until(look.into()) => {}
             }
         }

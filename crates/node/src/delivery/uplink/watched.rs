@@ -6,7 +6,8 @@ use crate::state::board::CameraBoard;
 use albireo_service::clock::unix_nanoseconds;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-use tokio::sync::mpsc::{Receiver, Sender, channel};
+use tokio::runtime::Handle;
+use tokio::sync::Semaphore;
 use zenoh::bytes::Encoding;
 use zenoh::qos::CongestionControl;
 use zenoh::query::{Query, Queryable};
@@ -14,23 +15,19 @@ use zenoh::{Session, Wait};
 
 /// The longest time that one message of the hub can request, seconds.
 const LONGEST: u32 = 3600;
-/// The maximum number of waiting picture queries; further ones are not answered.
-const WAITING: usize = 4;
+/// The maximum number of pictures encoded at once; further queries are not answered.
+const MOST_PICTURES: usize = 4;
 /// The time between two counter messages of a camera, with some tolerance for early ones.
 const PERIOD: Duration = Duration::from_millis(950);
 
 /// The answer if pictures are disabled.
 const REFUSED: &str = "the node sends no pictures: its configuration has uplink.pictures = false";
 
-/// A query for the picture of a camera.
-pub(super) type PictureQuery = (Arc<CameraBoard>, Query);
-
 /// Tracks whether somebody watches, and sends counters and pictures while they do.
 pub(super) struct Watched {
     until: Option<Instant>,
     counted_at: Option<Instant>,
-    queries: Sender<PictureQuery>,
-    waiting_queries: Receiver<PictureQuery>,
+    places: Arc<Semaphore>,
     /// Declared while somebody watches; undeclared when dropped.
     pictures: Vec<Queryable<()>>,
 }
@@ -38,12 +35,10 @@ pub(super) struct Watched {
 impl Watched {
     /// Starts without a watcher.
     pub(super) fn new() -> Self {
-        let (queries, waiting_queries) = channel(WAITING);
         Self {
             until: None,
             counted_at: None,
-            queries,
-            waiting_queries,
+            places: Arc::new(Semaphore::new(MOST_PICTURES)),
             pictures: Vec::new(),
         }
     }
@@ -71,7 +66,7 @@ impl Watched {
     pub(super) async fn serve(
         &mut self,
         session: &Session,
-        setup: &UplinkSetup,
+        setup: &Arc<UplinkSetup>,
     ) -> zenoh::Result<()> {
         let now = Instant::now();
         if !self.is_on(now) {
@@ -85,12 +80,19 @@ impl Watched {
         for camera in &setup.board.cameras {
             let keys = &camera.keys;
             if declares {
-                let (queries, asked) = (self.queries.clone(), Arc::clone(camera));
+                let (places, runtime) = (Arc::clone(&self.places), Handle::current());
+                let (setup, camera) = (Arc::clone(setup), Arc::clone(camera));
                 let queryable = session
                     .declare_queryable(keys.picture())
                     .callback(move |query| {
                         // Zenoh's thread must not encode a picture; excess queries end unanswered.
-                        let _ = queries.try_send((Arc::clone(&asked), query));
+                        if let Ok(place) = Arc::clone(&places).try_acquire_owned() {
+                            let (setup, camera) = (Arc::clone(&setup), Arc::clone(&camera));
+                            runtime.spawn_blocking(move || {
+                                answer(&camera, &query, &setup);
+                                drop(place);
+                            });
+                        }
                     })
                     .await?;
                 self.pictures.push(queryable);
@@ -109,15 +111,10 @@ impl Watched {
         }
         Ok(())
     }
-
-    /// The next picture query.
-    pub(super) async fn question(&mut self) -> Option<PictureQuery> {
-        self.waiting_queries.recv().await
-    }
 }
 
 /// Answers a picture query. Encodes the picture: call it outside async workers.
-pub(super) fn answer(camera: &CameraBoard, query: &Query, setup: &UplinkSetup) {
+fn answer(camera: &CameraBoard, query: &Query, setup: &UplinkSetup) {
     let answered = match camera.latest_frame() {
         _ if !setup.config.uplink.pictures => query.reply_err(REFUSED).wait(),
         None => query.reply_err("no frame has arrived yet").wait(),
