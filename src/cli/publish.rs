@@ -90,7 +90,7 @@ pub(super) fn run(arguments: Arguments) -> anyhow::Result<()> {
 
 async fn publish(arguments: Arguments, shutdown: CancellationToken) -> anyhow::Result<()> {
     let key = arguments.target.frame_key()?;
-    let options = SourceOptions::new(arguments.source_option.clone());
+    let options = SourceOptions(arguments.source_option.clone());
     options
         .check()
         .map_err(|error| anyhow!("--source-option {error}"))?;

@@ -308,7 +308,7 @@ fn check_source(camera: &CameraConfig, key: &dyn Fn(&str) -> String, findings: &
     let rate = camera.max_rate.is_some();
     let transport = camera.rtsp_transport != RtspTransport::default();
     let hardware = camera.hardware.is_some();
-    let options = !camera.source_options.is_empty();
+    let options = !camera.source_options.0.is_empty();
     let every = camera.delivery == Delivery::Every;
     for (name, is_wrong, reason) in [
         ("max_rate", none && rate, NO_SOURCE),

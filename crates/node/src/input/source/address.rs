@@ -318,19 +318,9 @@ fn environment(name: &str) -> Option<String> {
 /// values.
 #[derive(Clone, Default, PartialEq, Eq, Deserialize)]
 #[serde(transparent)]
-pub struct SourceOptions(Vec<String>);
+pub struct SourceOptions(pub Vec<String>);
 
 impl SourceOptions {
-    /// Creates options from these words.
-    pub fn new(words: Vec<String>) -> Self {
-        Self(words)
-    }
-
-    /// True if there are none.
-    pub fn is_empty(&self) -> bool {
-        self.0.is_empty()
-    }
-
     /// Checks that they can be passed to a program.
     ///
     /// # Errors
@@ -484,7 +474,7 @@ mod tests {
     fn options_are_shown_without_secrets() {
         let words = "-headers 'Authorization: Bearer abc' -video_size 1280x720 -re -cenc_decryption_key 0123 \
                      -itsoffset -1.5";
-        let options = SourceOptions::new(shlex::split(words).unwrap());
+        let options = SourceOptions(shlex::split(words).unwrap());
         let shown = serde_json::to_string(&options).unwrap();
         let masked =
             "-headers *** -video_size 1280x720 -re -cenc_decryption_key *** -itsoffset -1.5";
@@ -494,7 +484,7 @@ mod tests {
         let secrets: Vec<_> = options.secrets().collect();
         assert_eq!(secrets, ["Authorization: Bearer abc", "0123"]);
         options.check().unwrap();
-        let broken = SourceOptions::new(vec!["-headers".to_owned(), "A: b\r\nC: d".to_owned()]);
+        let broken = SourceOptions(vec!["-headers".to_owned(), "A: b\r\nC: d".to_owned()]);
         assert_eq!(broken.check().unwrap_err().to_string(), CONTROL);
     }
 }

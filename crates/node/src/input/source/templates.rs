@@ -179,7 +179,7 @@ pub(super) fn ffmpeg(
         }
     }
     let input = if scripted {
-        if !takes_options && !settings.options.is_empty() {
+        if !takes_options && !settings.options.0.is_empty() {
             return Err(SourceError(format!(
                 "{}: ffmpeg before version 5 accepts no options for an address with a password: install a newer version, or \
                  remove source_options",
@@ -320,7 +320,7 @@ mod tests {
     fn settings(address: &str, options: &str) -> SourceSettings {
         let camera = CameraConfig {
             source: Some(SourceAddress::new(address)),
-            source_options: SourceOptions::new(shlex::split(options).unwrap()),
+            source_options: SourceOptions(shlex::split(options).unwrap()),
             max_rate: Some(5.0),
             ..CameraConfig::default()
         };
