@@ -67,13 +67,8 @@ impl KeyValue {
     }
 }
 
-/// A put or a query received over Zenoh.
-struct Request {
-    key: Arc<str>,
-    value: Arc<KeyValue>,
-    payload: Option<Vec<u8>>,
-    query: Option<Query>,
-}
+/// Answers a put or a query; may write a file.
+type Request = Box<dyn FnOnce() + Send>;
 
 /// The node's keys: requests are received until it is dropped, and are answered while [`run`](Self::run) runs, one at a
 /// time, in the order of arrival.
@@ -108,15 +103,13 @@ impl NodeKeyValues {
     ) -> zenoh::Result<()> {
         let (requests, too_many) = (self.requests.clone(), RateLimit::new(LOG_PERIOD));
         let (served, value) = (Arc::<str>::from(&*key), Arc::new(value));
+        let refused = Arc::clone(&self.refused);
         let take = Arc::new(move |payload: Option<Vec<u8>>, query: Option<Query>| {
-            let request = Request {
-                key: Arc::clone(&served),
-                value: Arc::clone(&value),
-                payload,
-                query,
-            };
+            let (key, value) = (Arc::clone(&served), Arc::clone(&value));
+            let refused = Arc::clone(&refused);
+            let request = move || serve(&key, &value, payload.as_deref(), query, &refused);
             // A query without room goes unanswered, as if nobody served the key.
-            if requests.try_send(request).is_err() {
+            if requests.try_send(Box::new(request)).is_err() {
                 too_many.log(|held_back| {
                     tracing::warn!(
                         key = &*served,
@@ -145,24 +138,21 @@ impl NodeKeyValues {
     /// Answers requests until `shutdown`.
     pub(crate) async fn run(mut self, shutdown: CancellationToken) {
         while let Some(Some(request)) = shutdown.run_until_cancelled(self.waiting.recv()).await {
-            let refused = Arc::clone(&self.refused);
-            let served = tokio::task::spawn_blocking(move || serve(request, &refused));
-            if let Err(error) = served.await {
+            if let Err(error) = tokio::task::spawn_blocking(request).await {
                 tracing::error!(%error, "request failed");
             }
         }
     }
 }
 
-fn serve(request: Request, refused: &RateLimit) {
-    let Request {
-        key,
-        value,
-        payload,
-        query,
-    } = request;
-    let key = &*key;
-    let changed = match &payload {
+fn serve(
+    key: &str,
+    value: &KeyValue,
+    payload: Option<&[u8]>,
+    query: Option<Query>,
+    refused: &RateLimit,
+) {
+    let changed = match payload {
         Some(payload) if payload.len() > MAX_MESSAGE_BYTES => Err(format!(
             "a message has at most {MAX_MESSAGE_BYTES} bytes; this one has more"
         )),
