@@ -1,8 +1,9 @@
 //! Keeps settings that are changed at run time in one file, so that they survive a restart.
 
+use albireo_wire::SettingSource;
 use parking_lot::Mutex;
-use serde::Serialize;
 use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -31,6 +32,15 @@ struct State {
     read: bool,
     /// True if something is not in the file yet.
     unwritten: bool,
+}
+
+/// A value set at run time instead of a configured one.
+#[derive(Serialize, Deserialize)]
+struct SetValue<T, C> {
+    value: T,
+    source: SettingSource,
+    /// The configured value at that time.
+    configured: C,
 }
 
 impl Settings {
@@ -75,6 +85,34 @@ impl Settings {
             tracing::warn!(name, "a setting is not kept: it will not survive a restart");
         }
         is_kept
+    }
+
+    /// The value last kept under `name` and its source. If the configured value was edited since, that takes precedence,
+    /// but not over the hub's value, which has a revision.
+    pub(crate) fn kept<T: DeserializeOwned, C: DeserializeOwned + PartialEq>(
+        &self,
+        name: &str,
+        configured: &C,
+    ) -> Option<(T, SettingSource)> {
+        let kept: SetValue<T, C> = self.get(name)?;
+        let is_current = kept.configured == *configured || kept.source == SettingSource::Hub;
+        is_current.then_some((kept.value, kept.source))
+    }
+
+    /// Keeps a value set at run time, as [`set`](Self::set) does.
+    pub(crate) fn keep(
+        &self,
+        name: &str,
+        value: impl Serialize,
+        source: SettingSource,
+        configured: impl Serialize,
+    ) {
+        let kept = SetValue {
+            value,
+            source,
+            configured,
+        };
+        self.set(name, &kept);
     }
 
     /// Retries failed reads and writes. Settings that are read only now apply from the next start, except those set in

@@ -33,16 +33,8 @@ pub struct TargetConfig {
     pub most: Option<f64>,
 }
 
-/// The part kept in the state file.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-struct Kept {
-    target: Option<Target>,
-    source: SettingSource,
-    /// The threshold's value when it was kept, with the policy's name for the threshold.
-    threshold: Option<(String, f64)>,
-    /// The configured target at that time. If that is edited later, it takes precedence, except over the hub's.
-    configured: Option<Target>,
-}
+/// The target, and the threshold when it was kept.
+type Kept = (Option<Target>, Option<Threshold>);
 
 #[derive(Debug)]
 struct State {
@@ -76,20 +68,10 @@ impl NodeTarget {
         begin: Option<f64>,
         settings: Settings,
     ) -> Self {
-        let kept: Option<Kept> = settings.get(SETTING);
-        // An edited configuration takes precedence, except over the hub's target.
-        let kept =
-            kept.filter(|kept| kept.configured == config.hold || kept.source == SettingSource::Hub);
-        let (target, source, place) = match kept {
-            Some(kept) => {
-                let own = spec.map(|spec| spec.name);
-                let place = kept
-                    .threshold
-                    .filter(|(name, _)| Some(name.as_str()) == own);
-                (kept.target, kept.source, place.map(|(_, value)| value))
-            }
-            None => (config.hold, SettingSource::Configuration, None),
-        };
+        let kept = settings.kept::<Kept, _>(SETTING, &config.hold);
+        let ((target, threshold), source) =
+            kept.unwrap_or(((config.hold, None), SettingSource::Configuration));
+        let place = (threshold.zip(spec)).and_then(|(kept, spec)| kept.value_of(&spec).ok());
         let mut opened = Self {
             config,
             policy,
@@ -215,9 +197,7 @@ impl NodeTarget {
             source: state.source,
             off: state.off.clone(),
             range: controller.and_then(|_| self.range().ok()),
-            threshold: (self.spec.as_ref())
-                .zip(controller)
-                .map(|(spec, controller)| Threshold::new(spec.name, controller.threshold())),
+            threshold: self.threshold(&state),
             state: last,
             why: last.map(|last| last.status.as_str().to_owned()),
         }
@@ -234,17 +214,17 @@ impl NodeTarget {
 
     /// Writes the held target; unlocks the state first, because a disk may stall.
     fn keep(&self, state: MutexGuard<'_, State>) {
-        let controller = state.controller.as_ref();
-        let threshold = self.spec.zip(controller);
-        let kept = Kept {
-            target: controller.map(TargetController::target),
-            source: state.source,
-            threshold: threshold
-                .map(|(spec, controller)| (spec.name.to_owned(), controller.threshold())),
-            configured: self.config.hold,
-        };
+        let target = state.controller.as_ref().map(TargetController::target);
+        let kept: Kept = (target, self.threshold(&state));
+        let source = state.source;
         drop(state);
-        self.settings.set(SETTING, &kept);
+        (self.settings).keep(SETTING, kept, source, self.config.hold);
+    }
+
+    /// The threshold that the controller wants.
+    fn threshold(&self, state: &State) -> Option<Threshold> {
+        let (spec, controller) = self.spec.as_ref().zip(state.controller.as_ref())?;
+        Some(Threshold::new(spec.name, controller.threshold()))
     }
 }
 

@@ -6,7 +6,6 @@ use crate::state::settings::Settings;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{InvalidThreshold, ThresholdSpec, published_threshold};
 use albireo_wire::{OtherThreshold, SettingSource, Threshold};
-use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use tokio::sync::watch;
 
@@ -19,20 +18,6 @@ pub(crate) enum ThresholdError {
     /// The policy has no threshold, or does not allow that value.
     #[error(transparent)]
     Value(#[from] InvalidThreshold),
-}
-
-/// One camera's kept threshold.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-struct Kept {
-    /// The threshold's name: a value of `u` is not a value of `lambda`.
-    threshold: String,
-    /// The value.
-    value: f64,
-    /// The configured value at the time of the change. If that is edited later, the configuration takes precedence over
-    /// the value set at the node, but not over the hub's, which has a revision.
-    configured: Option<f64>,
-    /// The source of the change.
-    source: SettingSource,
 }
 
 fn setting(camera: &str) -> String {
@@ -55,15 +40,11 @@ pub(super) fn kept(
     spec: &ThresholdSpec,
     configured: Option<f64>,
 ) -> Option<(f64, SettingSource)> {
-    let kept: Kept = settings.get(&setting(camera))?;
-    let is_current = kept.configured == configured || kept.source == SettingSource::Hub;
-    if kept.threshold != spec.name || !is_current {
-        return None;
-    }
-    let value = spec.check(kept.value).ok()?;
+    let (kept, source): (Threshold, _) = settings.kept(&setting(camera), &configured)?;
+    let value = spec.check(kept.value_of(spec).ok()?).ok()?;
     let name = spec.name;
     tracing::info!(camera, name, value, "threshold restored from the last run");
-    Some((value, kept.source))
+    Some((value, source))
 }
 
 /// Sets the threshold of all these cameras or of none: it is checked for all before the first is changed. It applies
@@ -149,14 +130,9 @@ impl CameraBoard {
         let _changing = self.changing.lock();
         *self.set_by.lock() = source;
         let before = self.turn(spec, value);
-        let kept = Kept {
-            threshold: spec.name.to_owned(),
-            value,
-            configured: self.configured,
-            source,
-        };
         let (camera, name) = (&*self.name, spec.name);
-        self.shared.settings.set(&setting(camera), &kept);
+        let (settings, kept) = (&self.shared.settings, Threshold::new(name, value));
+        settings.keep(&setting(camera), kept, source, self.configured);
         tracing::info!(camera, name, ?before, now = value, "threshold changed");
     }
 
