@@ -49,9 +49,8 @@ pub(super) struct CameraThreshold {
     /// Its name in the policy, its range and its default; absent if the policy has none.
     #[serde(skip_serializing_if = "Option::is_none")]
     threshold_spec: Option<ThresholdSpec>,
-    /// True if a value set at run time survives a restart; absent in a list.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    survives_restart: Option<bool>,
+    /// True if a value set at run time survives a restart: a `state_dir` is set and can be written to.
+    survives_restart: bool,
 }
 
 /// The thresholds of a node.
@@ -61,23 +60,25 @@ pub(super) struct Thresholds {
     #[serde(flatten)]
     #[schema(value_type = BTreeMap<String, f64>)]
     value: NamedValue,
-    /// True if values set at run time survive a restart: a `state_dir` is set and can be written to.
+    /// True if values set at run time survive a restart.
     survives_restart: bool,
     /// The thresholds of each camera.
     cameras: Vec<CameraThreshold>,
 }
 
-fn of(camera: &CameraBoard) -> CameraThreshold {
+fn of(board: &Board, camera: &CameraBoard) -> CameraThreshold {
     CameraThreshold {
         camera: camera.name().to_owned(),
         value: named(camera.threshold_in_force()),
         threshold_spec: camera.threshold_spec,
-        survives_restart: None,
+        survives_restart: board.outbox.counts().status.durable,
     }
 }
 
 fn thresholds(board: &Board) -> Thresholds {
-    let cameras: Vec<_> = board.cameras.iter().map(|camera| of(camera)).collect();
+    let cameras: Vec<_> = (board.cameras.iter())
+        .map(|camera| of(board, camera))
+        .collect();
     let first = cameras.first().map(|camera| camera.value.clone());
     let same = first.filter(|first| cameras.iter().all(|camera| camera.value == *first));
     Thresholds {
@@ -85,13 +86,6 @@ fn thresholds(board: &Board) -> Thresholds {
         survives_restart: board.outbox.counts().status.durable,
         cameras,
     }
-}
-
-fn one_threshold(board: &Board, camera: &CameraBoard) -> Json<CameraThreshold> {
-    Json(CameraThreshold {
-        survives_restart: Some(board.outbox.counts().status.durable),
-        ..of(camera)
-    })
 }
 
 /// Sets the threshold of these cameras to the value in a request.
@@ -176,7 +170,7 @@ pub(super) async fn get_one(
     Path(camera): Path<String>,
 ) -> Result<Json<CameraThreshold>, Problem> {
     let camera = shared.camera(&camera)?;
-    Ok(one_threshold(&shared.board, camera))
+    Ok(Json(of(&shared.board, camera)))
 }
 
 /// Changes a camera's threshold
@@ -196,5 +190,5 @@ pub(super) async fn put_one(
 ) -> Result<Json<CameraThreshold>, Problem> {
     let camera = shared.camera(&camera)?;
     put(vec![Arc::clone(camera)], &headers, body).await?;
-    Ok(one_threshold(&shared.board, camera))
+    Ok(Json(of(&shared.board, camera)))
 }
