@@ -235,11 +235,9 @@ struct ErrorOutput {
     pipe: Option<ChildStderr>,
     secrets: Secrets,
     line: Vec<u8>,
-    /// The codec of the input, as reported by ffmpeg.
+    /// The codec of the input, which ffmpeg reports before that of its output.
     codec: Option<String>,
     complaints: VecDeque<String>,
-    /// True once ffmpeg reports on its output instead of its input.
-    at_output: bool,
 }
 
 impl ErrorOutput {
@@ -267,7 +265,6 @@ impl ErrorOutput {
     }
 
     fn take_line(&mut self, text: &str) {
-        self.at_output |= text.contains("Output #") || text.contains("Stream mapping");
         if let Some(complaint) = complaint(text) {
             let complaint = self.secrets.redact(&complaint);
             tracing::debug!(complaint, "message from the source's program");
@@ -277,7 +274,7 @@ impl ErrorOutput {
             if self.complaints.len() > MAX_COMPLAINTS {
                 self.complaints.pop_front();
             }
-        } else if !self.at_output && self.codec.is_none() {
+        } else if self.codec.is_none() {
             self.codec = codec(text);
         }
     }
