@@ -9,20 +9,17 @@ use crate::presence::News;
 use crate::store::migrate::identity;
 use crate::store::retention::retain;
 use crate::store::row::Row;
-use crate::store::tables::{EventRow, LARGEST_SUM, SUM_KEY, SUMMED};
+use crate::store::tables::EventRow;
 use crate::store::{Access, Database, Store, StoreError};
 use albireo_service::clock::{DAY_MS, Now};
 use albireo_wire::{RefusedReport, ReportAnswer};
 use serde_json::{Value, json};
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeSet, HashMap};
 use std::time::{Duration, Instant};
 use uuid::Uuid;
 
 /// Interval between two searches for old rows, after one that found none.
 const RETENTION: Duration = Duration::from_secs(60);
-
-/// The tables of sums, with the length of their spans in seconds; days are in UTC.
-const SUMS: [(&str, i64); 2] = [("sums_5m", 300), ("sums_day", 86_400)];
 
 /// Most cameras of a node.
 const MOST_CAMERAS: usize = 64;
@@ -264,10 +261,7 @@ impl Recorder {
         }
         database.write_report_counts(nodes.into_values().collect())?;
         database.insert("set_aside", &aside, "")?;
-        for (table, seconds) in SUMS {
-            database.add_sums(table, sums(&clips, seconds))?;
-        }
-        database.insert_rows("clips", clips, "").map(drop)
+        database.insert_clips(clips)
     }
 }
 
@@ -316,14 +310,9 @@ fn clip(accepted: &Accepted, camera: i64, setup: i64, now_ms: i64) -> Row {
     row
 }
 
-/// A column of a clip; null counts as 0.
-fn number(clip: &Row, column: &str) -> i64 {
-    clip.get(column).and_then(Value::as_i64).unwrap_or(0)
-}
-
-/// The additions to the counters for a stored clip.
+/// The additions to the counters for a stored clip; null counts as 0.
 fn counted(clip: &Row) -> IngestCounts {
-    let count = |column: &str| number(clip, column).unsigned_abs();
+    let count = |column: &str| clip.get(column).and_then(Value::as_u64).unwrap_or(0);
     IngestCounts {
         clips: 1,
         frames: count("frames"),
@@ -336,42 +325,4 @@ fn counted(clip: &Row) -> IngestCounts {
         energy_uj: count("energy_uj"),
         ..IngestCounts::default()
     }
-}
-
-/// The sums of clips over spans of `seconds`, in the order of their keys: for each camera, and under camera 0 for the fleet.
-/// A clip without a value adds nothing; a long clip is counted at its first part.
-fn sums(clips: &[Row], seconds: i64) -> Vec<Row> {
-    let mut sums: BTreeMap<[i64; 4], [i64; SUMMED.len()]> = BTreeMap::new();
-    for clip in clips {
-        let added = SUMMED.map(|column| match column {
-            "clips" => i64::from(number(clip, "part") == 0),
-            "unpriced_calls" if clip.get("avoided_uj").is_some_and(Value::is_null) => {
-                number(clip, "avoided_calls")
-            }
-            column => number(clip, column),
-        });
-        let span = number(clip, "at_ms").div_euclid(seconds * 1000) * seconds;
-        for camera in [0, number(clip, "camera_id")] {
-            let key = [
-                camera,
-                span,
-                number(clip, "setup_id"),
-                number(clip, "quality"),
-            ];
-            let sum = sums.entry(key).or_insert([0; SUMMED.len()]);
-            for (sum, added) in sum.iter_mut().zip(added) {
-                *sum = sum.saturating_add(added).min(LARGEST_SUM);
-            }
-        }
-    }
-    let row = |(key, sums): ([i64; 4], [i64; SUMMED.len()])| {
-        let columns = SUM_KEY
-            .into_iter()
-            .zip(key)
-            .chain(SUMMED.into_iter().zip(sums));
-        columns
-            .map(|(column, number)| (column.to_owned(), number.into()))
-            .collect()
-    };
-    sums.into_iter().map(row).collect()
 }

@@ -1,13 +1,28 @@
 //! Defines a connection to a database, and the statements of ingest.
 
 use super::row::{Row, read_all, row};
-use super::tables::{LARGEST_SUM, ReportCountsRow, SUM_KEY, SUMMED, SetupKey};
+use super::tables::{ReportCountsRow, SetupKey};
 use super::{Kind, StoreError};
 use crate::presence::PresenceState;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use std::collections::{BTreeSet, HashMap};
 use uuid::Uuid;
+
+/// The statements that add clips to sums, with the length of their spans in seconds; days are in UTC.
+const ADD_SUMS: [(&str, i64); 2] = [
+    (
+        concat!("INSERT INTO sums_5m", include_str!("sql/add_sums.sql")),
+        300,
+    ),
+    (
+        concat!("INSERT INTO sums_day", include_str!("sql/add_sums.sql")),
+        86_400,
+    ),
+];
+
+/// The largest sum. Sums saturate there, so that none is too large for its column.
+const LARGEST_SUM: i64 = 1 << 62;
 
 /// A connection to a database. Dropping it rolls back an open transaction.
 pub(crate) trait Database: Send {
@@ -75,7 +90,7 @@ impl dyn Database + '_ {
     }
 
     /// Does the same as [`insert`](Self::insert) for rows, which must all have the same columns.
-    pub(crate) fn insert_rows(
+    fn insert_rows(
         &mut self,
         table: &str,
         rows: Vec<Row>,
@@ -208,17 +223,17 @@ impl dyn Database + '_ {
         self.insert("report_counts", &rows, conflict).map(drop)
     }
 
-    /// Adds sums to those of `table`.
-    pub(crate) fn add_sums(&mut self, table: &str, rows: Vec<Row>) -> Result<(), StoreError> {
-        let added = SUMMED.map(|name| {
-            format!(
-                "{name} = CASE WHEN {table}.{name} > {LARGEST_SUM} - excluded.{name} THEN {LARGEST_SUM} \
-                 ELSE {table}.{name} + excluded.{name} END"
-            )
-        });
-        let (key, added) = (SUM_KEY.join(", "), added.join(", "));
-        let conflict = format!("ON CONFLICT ({key}) DO UPDATE SET {added}");
-        self.insert_rows(table, rows, &conflict).map(drop)
+    /// Inserts clips, and adds them to the sums of their cameras and of the fleet.
+    pub(crate) fn insert_clips(&mut self, clips: Vec<Row>) -> Result<(), StoreError> {
+        let ids = self.insert_rows("clips", clips, "RETURNING id")?;
+        let ids = ids.iter().filter_map(|row| row.get("id")?.as_i64());
+        let Some(first) = ids.min() else {
+            return Ok(());
+        };
+        for (text, seconds) in ADD_SUMS {
+            self.query(text, &[first.into(), seconds.into(), LARGEST_SUM.into()])?;
+        }
+        Ok(())
     }
 }
 

@@ -1,49 +1,7 @@
-//! Defines the rows of tables, and the columns that are summed. `docs/fleet.md` lists the tables.
+//! Defines the rows of tables. `docs/fleet.md` lists the tables.
 
 use crate::ingest::Counts;
 use serde::{Deserialize, Serialize};
-
-/// The columns that are summed over clips.
-pub(crate) const SUMMED: [&str; 31] = [
-    "clips",
-    "unpriced_calls",
-    "duration_us",
-    "frames",
-    "frames_e",
-    "frames_p",
-    "frames_ei",
-    "frames_i",
-    "frames_ai",
-    "degraded",
-    "dropped",
-    "latency_us",
-    "detector_calls",
-    "detector_us",
-    "avoided_calls",
-    "avoided_uj",
-    "energy_uj",
-    "audit_frames",
-    "audit_missed",
-    "audit_missed_boxes",
-    "audit_calls",
-    "audit_us",
-    "audit_uj",
-    "audit_detected",
-    "audit_shown",
-    "audit_paired",
-    "audit_detected_sq",
-    "audit_detected_x",
-    "audit_shown_sq",
-    "audit_paired_sq",
-    "audit_shown_x",
-];
-
-/// The key columns of sums: the camera, 0 for the whole fleet; the beginning of the span, seconds since the Unix epoch;
-/// the setup; the quality.
-pub(crate) const SUM_KEY: [&str; 4] = ["camera_id", "bucket_s", "setup_id", "quality"];
-
-/// The largest sum. Sums saturate there, so that none is too large for its column.
-pub(crate) const LARGEST_SUM: i64 = 1 << 62;
 
 /// An event.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
