@@ -22,7 +22,7 @@ pub use runs::{Rollouts, RunView, StageView, Trials};
 use crate::config::HubConfig;
 use crate::desired::Desires;
 use crate::ingest::IngestCounters;
-use crate::presence::{Fleet, ListenCounters};
+use crate::presence::Fleet;
 use crate::store::{EnergyBy, Sort, Store, StoreError, StoredEvent};
 use crate::tuning::Tuner;
 use crate::tuning::run::Command;
@@ -50,10 +50,8 @@ pub struct HubView {
     pub fleet: Arc<Fleet>,
     /// The desired settings of the nodes.
     pub desires: Arc<Desires>,
-    /// Counters of ingest.
+    /// Counters of what is received and stored.
     pub ingest: Arc<IngestCounters>,
-    /// Counters of messages from nodes.
-    pub listen: Arc<ListenCounters>,
     /// Signals that the database has new events.
     pub events: watch::Sender<()>,
     /// Cancelled when the hub stops.
@@ -81,7 +79,6 @@ impl HubView {
             fleet: Arc::new(Fleet::new(&config.presence)),
             desires: Arc::default(),
             ingest: Arc::default(),
-            listen: Arc::default(),
             events: watch::Sender::default(),
             shutdown,
             opened: Arc::default(),

@@ -11,8 +11,8 @@ mod tests;
 mod today;
 
 pub use fleet::{Fleet, FleetTallies, NodeView};
+pub use listen::Notifier;
 pub(crate) use listen::listen;
-pub use listen::{ListenCounters, Notifier};
 pub use news::News;
 pub(crate) use settings::NodeSettings;
 #[cfg(test)]

@@ -4,7 +4,6 @@ use super::HubView;
 use albireo_service::metrics::MetricsPage;
 use albireo_wire::TargetStatus;
 use axum::extract::State;
-use std::sync::atomic::Ordering;
 
 /// Metrics of the hub
 ///
@@ -80,27 +79,6 @@ fn presence(page: &mut MetricsPage, view: &HubView) {
         "albireo_hub_targets",
         "Online or degraded nodes that hold a target, by its status",
         targets.map(|(status, nodes)| ([("status", status.name())], nodes as f64)),
-    );
-    let count = |counter: &std::sync::atomic::AtomicU64| counter.load(Ordering::Relaxed) as f64;
-    page.counter(
-        "albireo_hub_statuses_total",
-        "Status messages received",
-        view.fleet.statuses() as f64,
-    );
-    page.counter(
-        "albireo_hub_statuses_overrun_total",
-        "Status messages and liveliness tokens that were dropped because the queue was full",
-        count(&view.listen.overrun),
-    );
-    page.counter(
-        "albireo_hub_statuses_unreadable_total",
-        "Status messages that cannot be read, or are too large",
-        count(&view.listen.unreadable),
-    );
-    page.counter(
-        "albireo_hub_pulls_total",
-        "Pulls of nodes for their desired setting",
-        count(&view.listen.pulls),
     );
 }
 

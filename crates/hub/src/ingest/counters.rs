@@ -1,4 +1,4 @@
-//! Counts what ingest does.
+//! Counts what the hub receives and stores.
 
 use albireo_wire::RefusalReason;
 use parking_lot::Mutex;
@@ -13,7 +13,7 @@ const KEPT: usize = 4096;
 
 macro_rules! counts {
     ($($name:ident $help:literal $($metric:literal)?;)+) => {
-        /// The counters of ingest.
+        /// The counters of what the hub receives and stores.
         #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
         pub struct IngestCounts {
             $(#[doc = $help] pub $name: u64,)+
@@ -48,6 +48,10 @@ counts! {
     frames_skipped "Frames of the clips written that skipped the detector" "albireo_hub_frames_skipped_total";
     database_errors "Transactions that failed" "albireo_hub_database_errors_total";
     answers_lost "Answers that could not be sent" "albireo_hub_answers_lost_total";
+    statuses "Status messages received" "albireo_hub_statuses_total";
+    statuses_overrun "Status messages and liveliness tokens that were dropped because the queue was full" "albireo_hub_statuses_overrun_total";
+    statuses_unreadable "Status messages that cannot be read, or are too large" "albireo_hub_statuses_unreadable_total";
+    pulls "Pulls of nodes for their desired setting" "albireo_hub_pulls_total";
     audit_frames "Skipped frames that were drawn and compared by the audit, in the clips written";
     audit_missed "Skipped frames that were drawn while the detector was too busy";
     audit_detected "Boxes that the detector found in the compared frames";
@@ -59,7 +63,7 @@ counts! {
     refused_unreadable "Batches refused because they cannot be read";
 }
 
-/// The counters and times of ingest since the hub started.
+/// The counters and times since the hub started.
 #[derive(Debug, Default)]
 pub struct IngestCounters {
     counts: Mutex<IngestCounts>,
@@ -84,8 +88,8 @@ impl IngestCounters {
     }
 
     /// Adds to the counts.
-    pub(crate) fn add(&self, more: IngestCounts) {
-        *self.counts.lock() += more;
+    pub(crate) fn count(&self, add: impl FnOnce(&mut IngestCounts)) {
+        add(&mut self.counts.lock());
     }
 
     pub(crate) fn refuse(&self, reason: RefusalReason) {
@@ -95,10 +99,6 @@ impl IngestCounters {
             RefusalReason::Unavailable => &mut counts.refused_unavailable,
             RefusalReason::Unreadable => &mut counts.refused_unreadable,
         } += 1;
-    }
-
-    pub(crate) fn answer_lost(&self) {
-        self.counts.lock().answers_lost += 1;
     }
 
     /// Notes when the batch being written arrived; `None` once all are written.

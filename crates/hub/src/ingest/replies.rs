@@ -73,21 +73,19 @@ impl Replies {
     }
 
     fn hand_over(&self, query: Query, message: &impl Serialize, error: bool) {
-        let Ok(payload) = serde_json::to_vec(message) else {
-            return self.counters.answer_lost();
+        let queue = || {
+            let payload = serde_json::to_vec(message).ok()?;
+            let node = NodeKeys::node_of(query.key_expr().as_str()).unwrap_or_default();
+            let reply = Reply {
+                _place: self.places.place(node)?,
+                query,
+                payload,
+                error,
+            };
+            self.sender.try_send(reply).ok()
         };
-        let node = NodeKeys::node_of(query.key_expr().as_str()).unwrap_or_default();
-        let Some(place) = self.places.place(node) else {
-            return self.counters.answer_lost();
-        };
-        let reply = Reply {
-            query,
-            payload,
-            error,
-            _place: place,
-        };
-        if self.sender.try_send(reply).is_err() {
-            self.counters.answer_lost();
+        if queue().is_none() {
+            self.counters.count(|counts| counts.answers_lost += 1);
         }
     }
 }
@@ -106,7 +104,7 @@ fn send(replies: &Receiver<Reply>, counters: &IngestCounters) {
             query.reply(query.key_expr().clone(), payload).wait()
         };
         if let Err(error) = sent {
-            counters.answer_lost();
+            counters.count(|counts| counts.answers_lost += 1);
             tracing::debug!(%error, "an answer was not sent");
         }
     }

@@ -1,6 +1,5 @@
 //! Runs the threads of ingest: one parses batches, the other commits them and queues the answers.
 
-use super::counters::IngestCounts;
 use super::decode::{Batch, decode};
 use super::limits::{EventLimits, NodeLimits};
 use super::recorder::{Recorded, Recorder};
@@ -209,17 +208,11 @@ impl Writer {
         let counters = &self.view.ingest;
         match &done {
             Ok(_) => {
-                counters.add(IngestCounts {
-                    commits: 1,
-                    ..IngestCounts::default()
-                });
+                counters.count(|counts| counts.commits += 1);
                 counters.committed_in.add(begun.elapsed());
             }
             Err(error) => {
-                counters.add(IngestCounts {
-                    database_errors: 1,
-                    ..IngestCounts::default()
-                });
+                counters.count(|counts| counts.database_errors += 1);
                 tracing::error!(%error, batches = batches.len(), "nothing was committed");
                 self.view.fleet.give_back(news);
             }
@@ -234,9 +227,9 @@ impl Writer {
             events,
             ..
         } = &self.view;
-        ingest.add(IngestCounts {
-            batches: batches.len() as u64,
-            ..recorded.counts
+        ingest.count(|counts| {
+            *counts += recorded.counts;
+            counts.batches += batches.len() as u64;
         });
         if !recorded.events.is_empty() {
             events.send_replace(());

@@ -14,7 +14,6 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 use utoipa::ToSchema;
 
@@ -70,7 +69,6 @@ pub struct Fleet {
     /// Nodes whose rows wait to be written.
     dirty: Mutex<BTreeSet<Arc<str>>>,
     events: Mutex<Vec<EventRow>>,
-    statuses: AtomicU64,
 }
 
 impl Fleet {
@@ -85,7 +83,6 @@ impl Fleet {
             nodes: RwLock::default(),
             dirty: Mutex::default(),
             events: Mutex::default(),
-            statuses: AtomicU64::new(0),
         }
     }
 
@@ -172,7 +169,6 @@ impl Fleet {
         now_ms: i64,
         take: impl FnOnce(&mut Entry) -> Option<bool>,
     ) -> bool {
-        self.statuses.fetch_add(1, Ordering::Relaxed);
         let mut nodes = self.nodes.write();
         let name: Arc<str> = match nodes.get_key_value(node) {
             Some((name, _)) => Arc::clone(name),
@@ -357,11 +353,6 @@ impl Fleet {
             }
         }
         tallies
-    }
-
-    /// The number of status messages received since the start.
-    pub(crate) fn statuses(&self) -> u64 {
-        self.statuses.load(Ordering::Relaxed)
     }
 
     /// One node.

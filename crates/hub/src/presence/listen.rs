@@ -6,7 +6,7 @@
 use crate::config::HubConfig;
 use crate::error::HubError;
 use crate::http::HubView;
-use crate::ingest::Replies;
+use crate::ingest::{IngestCounters, Replies};
 use crate::per_node::{PerNode, Place};
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::config::ZenohMode;
@@ -16,7 +16,6 @@ use albireo_wire::{
 use bytes::Bytes;
 use std::collections::HashSet;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::time::{Duration, Instant};
 use tokio::sync::mpsc;
@@ -60,7 +59,7 @@ enum What {
 struct Inbox {
     queue: mpsc::Sender<Message>,
     places: Arc<PerNode>,
-    counters: Arc<ListenCounters>,
+    counters: Arc<IngestCounters>,
 }
 
 impl Inbox {
@@ -72,7 +71,7 @@ impl Inbox {
             _place: place,
         });
         if message.is_none_or(|message| self.queue.try_send(message).is_err()) {
-            self.counters.overrun.fetch_add(1, Ordering::Relaxed);
+            self.counters.count(|counts| counts.statuses_overrun += 1);
         }
     }
 }
@@ -104,17 +103,6 @@ impl Notifier {
     }
 }
 
-/// Counters of messages from nodes.
-#[derive(Debug, Default)]
-pub struct ListenCounters {
-    /// Status messages and tokens that were dropped because the queue was full.
-    pub overrun: AtomicU64,
-    /// Status messages that cannot be read, or are too large.
-    pub unreadable: AtomicU64,
-    /// Pulls answered.
-    pub pulls: AtomicU64,
-}
-
 /// Declares the subscribers and the queryable. Also returns the task that handles the messages until the shutdown.
 pub(crate) async fn listen(
     config: &HubConfig,
@@ -139,7 +127,7 @@ pub(crate) async fn listen(
     let inbox = Inbox {
         queue: sender,
         places: Arc::new(PerNode::new(MOST_OF_A_NODE)),
-        counters: Arc::clone(&view.listen),
+        counters: Arc::clone(&view.ingest),
     };
     let statuses = inbox.clone();
     let status = session
@@ -149,9 +137,7 @@ pub(crate) async fn listen(
                 return;
             };
             if sample.payload().len() > LARGEST_STATUS {
-                let unreadable = &statuses.counters.unreadable;
-                unreadable.fetch_add(1, Ordering::Relaxed);
-                return;
+                return (statuses.counters).count(|counts| counts.statuses_unreadable += 1);
             }
             // A copy, so that a waiting status holds no network buffers.
             let payload = Bytes::copy_from_slice(&sample.payload().to_bytes());
@@ -181,7 +167,7 @@ pub(crate) async fn listen(
         .declare_queryable(keys.pull())
         .complete(true)
         .callback(move |query| {
-            asked.listen.pulls.fetch_add(1, Ordering::Relaxed);
+            asked.ingest.count(|counts| counts.pulls += 1);
             let payload = query.payload().map(ZBytes::to_bytes).unwrap_or_default();
             match albireo_wire::read::<PullRequest>(&payload) {
                 Ok(_) => {
@@ -328,6 +314,7 @@ impl Receiver {
             What::Token(false) => drop(self.tokens_gone.insert(node)),
             What::Status(payload) => {
                 self.tokens_gone.remove(&node);
+                let counters = &self.view.ingest;
                 let ask_for_full = if Heartbeat::is_one(&payload) {
                     Heartbeat::read(&payload).map(|beat| fleet.alive(&node, beat, now, now_ms))
                 } else {
@@ -335,10 +322,14 @@ impl Receiver {
                         .map(|message| fleet.apply_status(&node, &message, now, now_ms))
                 };
                 match ask_for_full {
-                    Ok(true) => self.notifier.notify(&node, 0),
-                    Ok(false) => {}
+                    Ok(is_due) => {
+                        counters.count(|counts| counts.statuses += 1);
+                        if is_due {
+                            self.notifier.notify(&node, 0);
+                        }
+                    }
                     Err(error) => {
-                        self.view.listen.unreadable.fetch_add(1, Ordering::Relaxed);
+                        counters.count(|counts| counts.statuses_unreadable += 1);
                         tracing::debug!(node, %error, "a status cannot be read");
                     }
                 }
