@@ -17,9 +17,10 @@ mod tuning;
 
 pub(crate) use database::{Database, ReportKey};
 pub use error::StoreError;
+pub(crate) use read::audit_figures;
 pub use read::{
-    AuditCounts, ClipQuery, EnergyBy, EnergyGroup, EnergyQuery, ReportCounts, Resolution, Sort,
-    StoredClip, StoredEvent, StoredSetAside,
+    ClipQuery, EnergyBy, EnergyGroup, EnergyQuery, ReportCounts, Resolution, Sort, StoredClip,
+    StoredEvent, StoredSetAside,
 };
 pub(crate) use tuning::DesiredRow;
 pub use tuning::{ChangeNode, ChangeRow};

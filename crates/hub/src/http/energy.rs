@@ -1,10 +1,10 @@
 //! Serves the energy of the fleet's clips.
 
 use super::HubView;
-use crate::store::{AuditCounts, EnergyGroup, EnergyQuery, Resolution};
+use crate::store::{EnergyGroup, EnergyQuery, Resolution, audit_figures};
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::http::Problem;
-use albireo_wire::AuditFigures;
+use albireo_wire::{AuditFigures, AuditReport};
 use axum::Json;
 use axum::extract::{Query, State};
 use serde::{Deserialize, Serialize};
@@ -54,12 +54,12 @@ pub(super) async fn sums(
     wanted.limit = Some(wanted.limit.unwrap_or(1000).clamp(1, 10_000));
     let sums = (view.store()?).energy(&wanted, resolution, since_s..until_s);
     let groups = sums.await?;
-    let mut audit = AuditCounts::default();
+    let mut audit = AuditReport::default();
     for group in &groups {
         audit.merge(&group.audit_counts);
     }
     Ok(Json(Energy {
-        audit: audit.figures(),
+        audit: audit_figures(&audit),
         resolution,
         since_ms: since_s.saturating_mul(1000),
         until_ms: until_s.saturating_mul(1000),

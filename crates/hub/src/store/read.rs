@@ -4,7 +4,7 @@ mod audit;
 mod energy;
 mod history;
 
-pub use audit::AuditCounts;
+pub(crate) use audit::audit_figures;
 pub use energy::{EnergyBy, EnergyGroup, EnergyQuery, Resolution, Sort};
 pub use history::{ClipQuery, ReportCounts, StoredClip, StoredEvent, StoredSetAside};
 

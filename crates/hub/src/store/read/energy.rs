@@ -1,9 +1,9 @@
 //! Reads sums over time and fleet. Measured, partial and estimated energy are never added.
 
-use super::audit::AuditCounts;
+use super::audit::{audit, audit_figures};
 use crate::store::row::{read, whole};
 use crate::store::{Store, StoreError};
-use albireo_wire::{AuditFigures, EnergyQuality};
+use albireo_wire::{AuditFigures, AuditReport, EnergyQuality};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::ops::Range;
@@ -110,7 +110,7 @@ pub struct EnergyGroup {
     pub audit_joules: f64,
     /// The counts of the audit, for sums over groups.
     #[serde(skip)]
-    pub audit_counts: AuditCounts,
+    pub audit_counts: AuditReport,
 }
 
 const DAYS: &str = "(SELECT d.*, '' AS clip FROM sums_day d)";
@@ -162,9 +162,9 @@ impl Store {
         ];
         let rows = self.query(text, values).await?.into_iter();
         let group = |row| {
-            let audit_counts = AuditCounts::of(&row);
+            let audit_counts = audit(&row);
             Ok(EnergyGroup {
-                audit: audit_counts.figures(),
+                audit: audit_figures(&audit_counts),
                 audit_counts,
                 ..read(row)?
             })

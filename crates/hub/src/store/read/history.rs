@@ -1,6 +1,6 @@
 //! Reads clips, events, report counts and invalid reports.
 
-use super::audit::AuditCounts;
+use super::audit::{audit, audit_figures};
 use crate::ingest::Counts;
 use crate::store::row::{json_text, read, read_all};
 use crate::store::{Store, StoreError};
@@ -194,7 +194,7 @@ impl Store {
         let rows = self.query(text, values).await?.into_iter();
         let clip = |row| {
             Ok(StoredClip {
-                audit: AuditCounts::of(&row).figures(),
+                audit: audit_figures(&audit(&row)),
                 ..read(row)?
             })
         };
