@@ -13,8 +13,8 @@ use albireo_service::config::{
     Configuration, Finding, Findings, HttpConfig, LogConfig, NamedToken, ZenohConfig, ZenohMode,
 };
 use albireo_wire::NodeKeys;
-use serde::de::{DeserializeOwned, Deserializer, Error as _};
 use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
 use std::net::{Ipv4Addr, SocketAddr};
 
 /// Largest payload accepted from the network, bytes.
@@ -27,10 +27,8 @@ pub struct HubConfig {
     /// The fleet.
     pub hub: HubSection,
     /// The connection to Zenoh.
-    #[serde(deserialize_with = "zenoh_section")]
     pub zenoh: ZenohConfig,
     /// The HTTP interface.
-    #[serde(deserialize_with = "http_section")]
     pub http: HttpConfig,
     /// The database that holds the history.
     pub database: DatabaseConfig,
@@ -53,8 +51,16 @@ impl Default for HubConfig {
     fn default() -> Self {
         Self {
             hub: HubSection::default(),
-            zenoh: default_zenoh(),
-            http: default_http(),
+            // The ports differ from a node's, so that a node and a hub can run on one machine.
+            zenoh: ZenohConfig {
+                mode: ZenohMode::Router,
+                listen: vec!["tcp/127.0.0.1:7448".to_owned()],
+                ..ZenohConfig::default()
+            },
+            http: HttpConfig {
+                listen: SocketAddr::from((Ipv4Addr::LOCALHOST, 8090)),
+                ..HttpConfig::default()
+            },
             database: DatabaseConfig::default(),
             ingest: IngestConfig::default(),
             presence: PresenceConfig::default(),
@@ -64,46 +70,6 @@ impl Default for HubConfig {
             tokens: Vec::new(),
         }
     }
-}
-
-/// The port differs from a node's default, so that a node and a hub can run on one machine.
-fn default_zenoh() -> ZenohConfig {
-    ZenohConfig {
-        mode: ZenohMode::Router,
-        listen: vec!["tcp/127.0.0.1:7448".to_owned()],
-        // The nodes are on other machines.
-        shared_memory: false,
-        ..ZenohConfig::default()
-    }
-}
-
-fn default_http() -> HttpConfig {
-    HttpConfig {
-        listen: SocketAddr::from((Ipv4Addr::LOCALHOST, 8090)),
-        ..HttpConfig::default()
-    }
-}
-
-fn zenoh_section<'de, D: Deserializer<'de>>(deserializer: D) -> Result<ZenohConfig, D::Error> {
-    over(&default_zenoh(), deserializer)
-}
-
-fn http_section<'de, D: Deserializer<'de>>(deserializer: D) -> Result<HttpConfig, D::Error> {
-    over(&default_http(), deserializer)
-}
-
-/// Reads a section in which absent keys get the hub's `defaults` instead of the section type's.
-fn over<'de, T, D>(defaults: &T, deserializer: D) -> Result<T, D::Error>
-where
-    T: Serialize + DeserializeOwned,
-    D: Deserializer<'de>,
-{
-    let given = serde_json::Map::deserialize(deserializer)?;
-    let mut section = serde_json::to_value(defaults).map_err(D::Error::custom)?;
-    if let Some(section) = section.as_object_mut() {
-        section.extend(given);
-    }
-    serde_json::from_value(section).map_err(D::Error::custom)
 }
 
 impl HubConfig {
@@ -122,14 +88,13 @@ impl Configuration for HubConfig {
         "TOKEN",
     ];
 
-    const REMOVED: &'static str = "\
-http.timeout_ms: a request may take 10 s
-http.idle_timeout_ms: a connection that is silent for 30 s is closed
-http.max_connections: 256 connections may be open at a time
-tuning.set_back_times: a node is set back at most three times
-database.readers: four connections are open for reading
-ingest.busy_after_ms: a batch that would wait longer than 3 s is answered \"busy\"
-ingest.busy_retry_ms: a node that is answered \"busy\" retries after 2 s";
+    fn defaults() -> Value {
+        let Self { zenoh, http, .. } = Self::default();
+        json!({
+            "zenoh": { "mode": zenoh.mode, "listen": zenoh.listen },
+            "http": { "listen": http.listen },
+        })
+    }
 
     fn findings(&self) -> Vec<Finding> {
         let mut findings = Findings::default();

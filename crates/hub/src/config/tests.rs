@@ -22,8 +22,8 @@ fn an_impossible_value_is_rejected_with_its_key() {
     // With the key of the finding, if it is not the one that is set.
     for case in [
         r#"hub.prefix = "a//b""#,
-        r#"zenoh.mode = "boss" -> zenoh"#,
-        "zenoh.listn = [] -> zenoh",
+        r#"zenoh.mode = "boss""#,
+        "zenoh.listn = []",
         r#"http.listen = "0.0.0.0:8090""#,
         r#"database.url = "mysql://x""#,
         r#"database.url = "sqlite::memory:""#,

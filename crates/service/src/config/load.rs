@@ -5,7 +5,7 @@ use figment::Figment;
 use figment::error::{Kind, OneOf};
 use figment::providers::{Env, Format, Serialized, Toml};
 use serde::de::DeserializeOwned;
-use serde_json::Value;
+use serde_json::{Value, json};
 use std::path::Path;
 
 /// The prefix of environment variables. `ALBIREO_HTTP__LISTEN` overrides `listen` in `[http]`.
@@ -18,6 +18,11 @@ const MOST_FINDINGS: usize = 100;
 pub trait Configuration: DeserializeOwned {
     /// Its sections in capitals, as in the names of environment variables.
     const SECTIONS: &'static [&'static str];
+
+    /// Values of keys, by section, that differ from the defaults of the section's type.
+    fn defaults() -> Value {
+        json!({})
+    }
 
     /// Removed keys and values (`section.key = value`), one per line: the key, `: `, and what replaced it.
     const REMOVED: &'static str = "";
@@ -51,7 +56,7 @@ pub fn examine<C: Configuration>(file: Option<&Path>) -> (Option<C>, Vec<Finding
 
 /// Like [`examine`], with the file's text.
 pub fn examine_text<C: Configuration>(text: &str) -> (Option<C>, Vec<Finding>) {
-    let figment = Figment::from(Toml::string(text));
+    let figment = Figment::from(Serialized::defaults(C::defaults())).merge(Toml::string(text));
     let mut findings = misspelt_variables(C::SECTIONS);
     let figment = figment.merge(
         Env::prefixed(PREFIX)
