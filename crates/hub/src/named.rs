@@ -37,26 +37,7 @@ macro_rules! named {
     };
 }
 
-/// Converts a type that implements `FromStr` and `Display` from and to a string, for `serde`.
-macro_rules! as_text {
-    ($type:ty) => {
-        impl TryFrom<String> for $type {
-            type Error = <$type as std::str::FromStr>::Err;
-
-            fn try_from(text: String) -> Result<Self, Self::Error> {
-                text.parse()
-            }
-        }
-
-        impl From<$type> for String {
-            fn from(value: $type) -> Self {
-                value.to_string()
-            }
-        }
-    };
-}
-
-pub(crate) use {as_text, named};
+pub(crate) use named;
 
 #[cfg(test)]
 mod tests {

@@ -6,15 +6,15 @@
 
 use super::effect::{Comparison, Effect, Interval, Scale};
 use super::metric::{BeforeAfter, Figure, Metric};
-use crate::named::{as_text, named};
+use crate::named::named;
 use serde::{Deserialize, Serialize};
+use serde_with::{DeserializeFromStr, SerializeDisplay};
 use std::fmt;
 use std::str::FromStr;
 use utoipa::ToSchema;
 
 /// A bound on the change of one metric.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "String", into = "String")]
+#[derive(Clone, Copy, Debug, PartialEq, DeserializeFromStr, SerializeDisplay)]
 pub struct Gate {
     /// The metric.
     pub metric: Metric,
@@ -106,8 +106,6 @@ impl fmt::Display for Gate {
         write!(f, "{metric}{sign}{number:+}{percent}{where_measured}")
     }
 }
-
-as_text!(Gate);
 
 named! {
     /// The verdict of a gate or a stage.

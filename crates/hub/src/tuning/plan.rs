@@ -2,10 +2,10 @@
 
 use super::gate::Gate;
 use super::selector::Selector;
-use crate::named::as_text;
 use albireo_service::config::DAY_S;
 use albireo_wire::Threshold;
 use serde::{Deserialize, Serialize};
+use serde_with::{DeserializeFromStr, SerializeDisplay};
 use std::fmt;
 use std::ops::RangeInclusive;
 use std::str::FromStr;
@@ -19,8 +19,7 @@ const MOST: usize = 20;
 const LONGEST_WHY: usize = 500;
 
 /// The number of nodes that have the new value once a stage has begun: a number, or a share of all, rounded up.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "String", into = "String")]
+#[derive(Clone, Copy, Debug, PartialEq, DeserializeFromStr, SerializeDisplay)]
 pub enum StageSize {
     /// A number of nodes.
     Nodes(usize),
@@ -74,8 +73,6 @@ impl fmt::Display for StageSize {
         }
     }
 }
-
-as_text!(StageSize);
 
 /// The reaction of a rollout to a failed gate.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]

@@ -14,7 +14,7 @@ const MOST_TERMS: usize = 1_000;
 
 /// Selects nodes. In JSON it is a list of terms.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(try_from = "Vec<String>", into = "Vec<String>")]
+#[serde(try_from = "Vec<String>")]
 pub struct Selector(Vec<String>);
 
 impl Default for Selector {
@@ -146,12 +146,6 @@ impl TryFrom<Vec<String>> for Selector {
 
     fn try_from(terms: Vec<String>) -> Result<Self, String> {
         Self::new(&terms)
-    }
-}
-
-impl From<Selector> for Vec<String> {
-    fn from(selector: Selector) -> Self {
-        selector.0
     }
 }
 
