@@ -17,5 +17,5 @@ pub use news::News;
 pub(crate) use settings::NodeSettings;
 #[cfg(test)]
 pub(crate) use settings::tests::reported;
-pub use state::{Limits, PresenceInput, PresenceState, judge};
+pub use state::PresenceState;
 pub use today::TodaysEnergy;

@@ -3,7 +3,7 @@
 use super::entry::{Entry, Run};
 use super::news::News;
 use super::settings::NodeSettings;
-use super::state::{Limits, PresenceInput, PresenceState, judge};
+use super::state::{Limits, PresenceState, judge};
 use super::today::TodaysEnergy;
 use crate::config::PresenceConfig;
 use crate::store::tables::{EventRow, NodeRow};
@@ -264,14 +264,7 @@ impl Fleet {
                 Some(ago.max(self.limits.silent))
             }
         };
-        let facts = PresenceInput {
-            heard_ago,
-            token_gone: entry.token_gone,
-            health: entry.health,
-            reasons: &entry.reasons,
-            identity: entry.identity.as_ref().map(|(why, _)| why.as_str()),
-        };
-        let (state, why) = judge(&facts, self.limits);
+        let (state, why) = judge(entry, heard_ago, self.limits);
         if state != entry.state {
             entry.since_ms = now_ms;
         }

@@ -1,5 +1,6 @@
 //! Judges the state of a node. docs/fleet.md describes the rules.
 
+use super::entry::Entry;
 use crate::named::named;
 use albireo_wire::HealthState;
 use std::time::Duration;
@@ -25,37 +26,26 @@ impl PresenceState {
     }
 }
 
-/// The facts by which the state of a node is judged.
-#[derive(Clone, Copy, Debug)]
-pub struct PresenceInput<'a> {
-    /// Time since the last status; `None` if none was received.
-    pub heard_ago: Option<Duration>,
-    /// True if its liveliness token disappeared, and no status was received since.
-    pub token_gone: bool,
-    /// The health in the last status.
-    pub health: HealthState,
-    /// The reasons for that health; may be empty until the full status arrives.
-    pub reasons: &'a str,
-    /// The reason to assume that several nodes use the name.
-    pub identity: Option<&'a str>,
-}
-
 /// The times without a status after which a node is silent or offline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Limits {
+pub(super) struct Limits {
     /// The time after which it is silent.
-    pub silent: Duration,
+    pub(super) silent: Duration,
     /// The time after which it is offline.
-    pub offline: Duration,
+    pub(super) offline: Duration,
 }
 
-/// Returns the state of a node, and the reason.
-pub fn judge(facts: &PresenceInput<'_>, limits: Limits) -> (PresenceState, String) {
-    let Some(ago) = facts.heard_ago else {
+/// Returns the state of a node whose last status is that old, and the reason. Without a status the time is `None`.
+pub(super) fn judge(
+    node: &Entry,
+    heard_ago: Option<Duration>,
+    limits: Limits,
+) -> (PresenceState, String) {
+    let Some(ago) = heard_ago else {
         let why = "no status was received yet";
         return (PresenceState::Silent, why.to_owned());
     };
-    if facts.token_gone {
+    if node.token_gone {
         let why = "its liveliness token disappeared: it stopped, or its connection broke";
         return (PresenceState::Offline, why.to_owned());
     }
@@ -66,10 +56,10 @@ pub fn judge(facts: &PresenceInput<'_>, limits: Limits) -> (PresenceState, Strin
     if ago >= limits.silent {
         return (PresenceState::Silent, quiet(limits.silent));
     }
-    if let Some(identity) = facts.identity {
-        return (PresenceState::Degraded, identity.to_owned());
+    if let Some((why, _)) = &node.identity {
+        return (PresenceState::Degraded, why.clone());
     }
-    let why = match (facts.health, facts.reasons) {
+    let why = match (node.health, node.reasons.as_str()) {
         (HealthState::Ready, _) => return (PresenceState::Online, String::new()),
         (HealthState::Degraded, "") => "a part does not work",
         (HealthState::NotReady, "") => "it does not answer frames",

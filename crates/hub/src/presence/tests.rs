@@ -1,4 +1,6 @@
+use super::entry::Entry;
 use super::settings::tests::STATUS;
+use super::state::{Limits, judge};
 use super::*;
 use crate::config::PresenceConfig;
 use albireo_wire::{HealthState, Heartbeat, StatusMessage, VERSION};
@@ -14,26 +16,21 @@ const LIMITS: Limits = Limits {
 fn the_state_follows_the_table_in_the_documentation() {
     use HealthState::{Degraded as Bad, NotReady, Ready};
     use PresenceState::{Degraded, Offline, Online, Silent};
-    let heard = |seconds, health, reasons, identity| PresenceInput {
-        heard_ago: Some(Duration::from_secs(seconds)),
-        token_gone: false,
-        health,
-        reasons,
-        identity,
+    let heard = |seconds, health, reasons: &str, identity: Option<&str>| {
+        let mut node = Entry::new(0);
+        node.health = health;
+        node.reasons = reasons.to_owned();
+        node.identity = identity.map(|why| (why.to_owned(), Instant::now()));
+        (Some(Duration::from_secs(seconds)), node)
     };
     let well = |seconds| heard(seconds, Ready, "", None);
     let ill = |health, reasons| heard(1, health, reasons, None);
     let twin = |seconds, health, reasons| heard(seconds, health, reasons, Some("twins"));
-    let unheard = PresenceInput {
-        heard_ago: None,
-        ..well(0)
-    };
-    let token_gone = PresenceInput {
-        token_gone: true,
-        ..well(1)
-    };
+    let unheard = (None, well(0).1);
+    let mut token_gone = well(1);
+    token_gone.1.token_gone = true;
     let gone = "its liveliness token disappeared: it stopped, or its connection broke";
-    for (input, state, why) in [
+    for ((ago, node), state, why) in [
         (unheard, Silent, "no status was received yet"),
         (well(0), Online, ""),
         (well(94), Online, ""),
@@ -48,7 +45,8 @@ fn the_state_follows_the_table_in_the_documentation() {
         (twin(1, Bad, "a: b"), Degraded, "twins"),
         (twin(95, Ready, ""), Silent, "no status for 95 s"),
     ] {
-        assert_eq!(judge(&input, LIMITS), (state, why.to_owned()), "{input:?}");
+        let expected = (state, why.to_owned());
+        assert_eq!(judge(&node, ago, LIMITS), expected, "{ago:?} {node:?}");
     }
 }
 
