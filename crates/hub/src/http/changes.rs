@@ -153,7 +153,7 @@ async fn carry_out(
     let mut change = tuner
         .change(setting, request, &caller.name, unix_milliseconds())
         .await?;
-    if change.lines.is_empty() && change.awaited.is_empty() {
+    if change.lines.is_empty() {
         return Err(Problem::new(
             StatusCode::NOT_FOUND,
             "no node is selected; GET /api/v1/nodes lists all",

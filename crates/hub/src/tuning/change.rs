@@ -34,10 +34,8 @@ pub struct NewChange {
 pub struct Change {
     /// Its revision; absent in a dry run, and if no node would change.
     pub(crate) revision: Option<u64>,
-    /// Outcomes that were not reported to the caller yet.
+    /// Outcomes that were not reported to the caller yet; those of nodes whose answers are awaited are pending.
     pub(crate) lines: Vec<OutcomeLine>,
-    /// The pending outcomes of nodes whose answers are awaited.
-    pub(crate) awaited: Vec<OutcomeLine>,
 }
 
 impl Tuner {
@@ -81,11 +79,7 @@ impl Tuner {
                     "out of reach: it would change when it returns",
                 ),
             };
-            let lines = match outcome {
-                Outcome::Pending => &mut change.awaited,
-                _ => &mut change.lines,
-            };
-            lines.push(line(&node.name, outcome, node.setting(), detail));
+            (change.lines).push(line(&node.name, outcome, node.setting(), detail));
         }
         for name in request.select.named() {
             if known.insert(name.to_owned()) {
@@ -93,7 +87,9 @@ impl Tuner {
                 (change.lines).push(line(name, Outcome::Refused, None, detail));
             }
         }
-        if !change.awaited.is_empty() {
+        let awaited = (change.lines.iter()).filter(|line| line.outcome == Outcome::Pending);
+        let awaited: Vec<_> = awaited.map(|line| line.node.clone()).collect();
+        if !awaited.is_empty() {
             let row = ChangeRow {
                 revision: 0,
                 at_ms: now,
@@ -103,8 +99,7 @@ impl Tuner {
                 selector: request.select.to_string(),
                 setting,
             };
-            let nodes = change.awaited.iter().map(|line| line.node.clone());
-            change.revision = Some(self.order(row, nodes.collect()).await?);
+            change.revision = Some(self.order(row, awaited).await?);
         }
         Ok(change)
     }
@@ -115,20 +110,18 @@ impl Tuner {
         loop {
             let looked = self.looked.notified();
             let is_over = Instant::now() >= until;
-            for mut line in std::mem::take(&mut change.awaited) {
-                let revision = change.revision.unwrap_or(0);
-                (line.outcome, line.detail) = self.outcome(&line.node, revision);
-                if line.outcome == Outcome::Pending && !is_over {
-                    change.awaited.push(line);
-                    continue;
-                }
+            for line in &mut change.lines {
                 if line.outcome == Outcome::Pending {
+                    let revision = change.revision.unwrap_or(0);
+                    (line.outcome, line.detail) = self.outcome(&line.node, revision);
+                }
+                if line.outcome == Outcome::Pending && is_over {
                     line.detail = "not answered yet".to_owned();
                 }
-                change.lines.push(line);
             }
-            let mut lines = std::mem::take(&mut change.lines);
-            if !lines.is_empty() || change.awaited.is_empty() {
+            let is_known = |line: &mut OutcomeLine| is_over || line.outcome != Outcome::Pending;
+            let mut lines: Vec<_> = change.lines.extract_if(.., is_known).collect();
+            if !lines.is_empty() || change.lines.is_empty() {
                 lines.sort_by(|a, b| a.node.cmp(&b.node));
                 return lines;
             }
