@@ -1,6 +1,6 @@
 //! Measures processor time and memory of processes, as the kernel reports them.
 
-use procfs::{ProcResult, page_size, ticks_per_second};
+use procfs::{ProcResult, ticks_per_second};
 use serde::Serialize;
 use std::fmt;
 use std::time::Instant;
@@ -11,8 +11,6 @@ pub(crate) struct Process {
     name: String,
     pid: u32,
     first: Option<Sample>,
-    last: Option<Sample>,
-    largest: u64,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -20,6 +18,7 @@ struct Sample {
     at: Instant,
     cpu_s: f64,
     resident: u64,
+    largest: u64,
 }
 
 /// The cost of a process.
@@ -31,42 +30,32 @@ pub struct ProcessCost {
     pub cores: Option<f64>,
     /// Present resident memory, bytes.
     pub resident: Option<u64>,
-    /// Largest resident memory seen, bytes.
+    /// Largest resident memory since the process started, bytes.
     pub largest: Option<u64>,
 }
 
 impl Process {
     /// Starts counting now, so that the start-up is not counted.
     pub(crate) fn begin(name: impl Into<String>, pid: u32) -> Self {
-        let first = read(pid).ok();
         Self {
             name: name.into(),
             pid,
-            first,
-            last: first,
-            largest: first.map_or(0, |first| first.resident),
+            first: read(pid).ok(),
         }
     }
 
-    /// Takes a sample.
-    pub(crate) fn sample(&mut self) {
-        if let Ok(sample) = read(self.pid) {
-            self.largest = self.largest.max(sample.resident);
-            self.first.get_or_insert(sample);
-            self.last = Some(sample);
-        }
-    }
-
+    /// The cost until now.
     pub(crate) fn cost(&self) -> ProcessCost {
+        let last = read(self.pid).ok();
         let share = |(first, last): (Sample, Sample)| {
             let seconds = (last.at - first.at).as_secs_f64();
             (seconds > 0.0).then(|| (last.cpu_s - first.cpu_s) / seconds)
         };
         ProcessCost {
             name: self.name.clone(),
-            cores: self.first.zip(self.last).and_then(share),
-            resident: self.last.map(|s| s.resident),
-            largest: self.last.map(|_| self.largest),
+            cores: self.first.zip(last).and_then(share),
+            resident: last.map(|s| s.resident),
+            largest: last.map(|s| s.largest),
         }
     }
 }
@@ -85,11 +74,14 @@ impl fmt::Display for ProcessCost {
 }
 
 fn read(pid: u32) -> ProcResult<Sample> {
-    let stat = procfs::process::Process::new(pid.cast_signed())?.stat()?;
+    let process = procfs::process::Process::new(pid.cast_signed())?;
+    let (stat, status) = (process.stat()?, process.status()?);
+    let bytes = |kib: Option<u64>| kib.unwrap_or(0) * 1024;
     Ok(Sample {
         at: Instant::now(),
         cpu_s: (stat.utime + stat.stime) as f64 / ticks_per_second() as f64,
-        resident: stat.rss * page_size(),
+        resident: bytes(status.vmrss),
+        largest: bytes(status.vmhwm),
     })
 }
 
@@ -99,15 +91,13 @@ mod tests {
 
     #[test]
     fn cost_is_measured_for_this_process_and_absent_for_a_missing_one() {
-        let mut own = Process::begin("own", std::process::id());
+        let own = Process::begin("own", std::process::id());
         let until = Instant::now() + std::time::Duration::from_millis(60);
         while Instant::now() < until {}
-        own.sample();
         let cost = own.cost();
         assert!(cost.cores.unwrap() > 0.05, "{cost:?}");
         assert!(cost.resident.unwrap() > 1 << 20 && cost.largest >= cost.resident);
-        let mut none = Process::begin("none", u32::MAX);
-        none.sample();
+        let none = Process::begin("none", u32::MAX);
         assert_eq!((none.cost().cores, none.cost().resident), (None, None));
     }
 }

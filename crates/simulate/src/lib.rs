@@ -80,14 +80,11 @@ pub async fn run(
         tokio::select! {
             () = tokio::time::sleep_until(until) => break,
             () = shutdown.cancelled() => break,
-            _ = every.tick() => progress(line(began, &totals, &mut processes)),
+            _ = every.tick() => progress(line(began, &totals, &processes)),
         }
     }
     let played_s = began.elapsed().as_secs_f64();
     // Before the drain, whose cost is not part of the load.
-    for process in &mut processes {
-        process.sample();
-    }
     let costs = processes.iter().map(Process::cost).collect();
     end.cancel();
     let draining = Instant::now();
@@ -138,7 +135,7 @@ async fn open_all(options: &Arc<Options>) -> Result<Vec<Session>, SimulateError>
     Ok(sessions)
 }
 
-fn line(began: Instant, totals: &Totals, processes: &mut [Process]) -> String {
+fn line(began: Instant, totals: &Totals, processes: &[Process]) -> String {
     let (counts, answers) = (*totals.counts.lock(), totals.answers.summary());
     let mut text = format!(
         "{:>5.0} s  {} status, {} made, {} acknowledged, {} busy, {} unanswered, p99 {:.0} ms",
@@ -151,7 +148,6 @@ fn line(began: Instant, totals: &Totals, processes: &mut [Process]) -> String {
         answers.p99_ms,
     );
     for process in processes {
-        process.sample();
         text += &format!("; {}", process.cost());
     }
     text

@@ -40,7 +40,8 @@ pub(crate) struct SimNode {
     /// Reports made, and reports that a hub has acknowledged.
     pub(crate) made: u64,
     pub(crate) acknowledged: u64,
-    revision: u64,
+    /// The revision in force.
+    pub(crate) revision: u64,
     /// The values with the first report that used each, in order.
     values: Vec<(u64, f64)>,
     source: SettingSource,
@@ -91,11 +92,6 @@ impl SimNode {
         self.started_ns = self.started_ns.saturating_sub(clips_ns);
     }
 
-    /// The revision in force.
-    pub(crate) const fn revision(&self) -> u64 {
-        self.revision
-    }
-
     /// The number of waiting reports.
     pub(crate) const fn waiting(&self) -> u64 {
         self.made - self.acknowledged
@@ -126,63 +122,58 @@ impl SimNode {
         if desired.revision <= self.revision.max(refused_revision) {
             return desired.send_full_status;
         }
-        let threshold = match desired.setting {
-            Some(DesiredSetting::Threshold(threshold)) => threshold,
-            Some(DesiredSetting::Target(target)) => {
-                self.hold(target, desired.revision);
-                return true;
-            }
+        let refusal = match desired.setting {
             None => return desired.send_full_status,
+            Some(DesiredSetting::Target(target)) => {
+                self.target = target.map(|target| self.hold(target));
+                None
+            }
+            Some(DesiredSetting::Threshold(wanted)) => match wanted.name.as_str() {
+                "u" if RANGE.contains(&wanted.value) => {
+                    self.source = SettingSource::Hub;
+                    self.target = None;
+                    self.values.push((self.made, wanted.value));
+                    None
+                }
+                "u" => Some("`u` must be a number from 1e-9 to 1"),
+                _ => Some("the threshold of the policy in use is `u`"),
+            },
         };
         self.full_due = true;
-        let reason = match threshold.name.as_str() {
-            "u" if RANGE.contains(&threshold.value) => {
-                self.refused = None;
-                self.revision = desired.revision;
-                self.source = SettingSource::Hub;
-                self.target = None;
-                self.values.push((self.made, threshold.value));
-                return true;
-            }
-            "u" => "`u` must be a number from 1e-9 to 1",
-            _ => "the threshold of the policy in use is `u`",
-        };
-        self.refused = Some(RefusedDesired {
+        self.refused = refusal.map(|reason| RefusedDesired {
             revision: desired.revision,
             reason: reason.to_owned(),
         });
+        if refusal.is_none() {
+            self.revision = desired.revision;
+        }
         true
     }
 
-    /// Holds a target, or none. The simulated street has a skip rate for each `u`, so the target is reached
+    /// Holds a target. The simulated street has a skip rate for each `u`, so the target is reached
     /// immediately, as if a controller had settled; there are no figures for power and recall.
-    fn hold(&mut self, target: Option<Target>, revision: u64) {
-        self.full_due = true;
-        self.refused = None;
-        self.revision = revision;
-        self.target = target.map(|target| {
-            let (status, actual) = match target {
-                Target::SkipRate(wanted) => {
-                    let u = FIRST_U * 10_f64.powf((wanted - SKIP.0) / SKIP.1);
-                    let held = u.clamp(HELD_WITHIN.0, HELD_WITHIN.1);
-                    self.values.push((self.made, held));
-                    let status = match u - held {
-                        0.0 => TargetStatus::Held,
-                        over if over > 0.0 => TargetStatus::CannotBeMet,
-                        _ => TargetStatus::MoreThanKept,
-                    };
-                    (status, Some(SKIP.0 + SKIP.1 * (held / FIRST_U).log10()))
-                }
-                Target::Recall(_) => (TargetStatus::NoAudit, None),
-                _ => (TargetStatus::NoPower, None),
-            };
-            NodeTarget {
-                target,
-                source: SettingSource::Hub,
-                status: Some(status),
-                actual,
+    fn hold(&mut self, target: Target) -> NodeTarget {
+        let (status, actual) = match target {
+            Target::SkipRate(wanted) => {
+                let u = FIRST_U * 10_f64.powf((wanted - SKIP.0) / SKIP.1);
+                let held = u.clamp(HELD_WITHIN.0, HELD_WITHIN.1);
+                self.values.push((self.made, held));
+                let status = match u - held {
+                    0.0 => TargetStatus::Held,
+                    over if over > 0.0 => TargetStatus::CannotBeMet,
+                    _ => TargetStatus::MoreThanKept,
+                };
+                (status, Some(SKIP.0 + SKIP.1 * (held / FIRST_U).log10()))
             }
-        });
+            Target::Recall(_) => (TargetStatus::NoAudit, None),
+            _ => (TargetStatus::NoPower, None),
+        };
+        NodeTarget {
+            target,
+            source: SettingSource::Hub,
+            status: Some(status),
+            actual,
+        }
     }
 
     /// The value in force.
@@ -351,9 +342,7 @@ impl SimNode {
             audit: None,
         }
     }
-}
 
-impl SimNode {
     /// The id of the report of a clip that began at `started_ns`, drawn from the node's seed and the clip's time.
     fn report_id(&self, number: u64, started_ns: u64) -> Uuid {
         let drawn = mix(self.seed, 2_000_000 + number).to_le_bytes();

@@ -301,7 +301,7 @@ impl Player {
     fn pull(&mut self) {
         let request = PullRequest {
             v: VERSION,
-            revision: self.node.revision(),
+            revision: self.node.revision,
         };
         if let Ok(payload) = serde_json::to_vec(&request) {
             self.count(|counts| counts.pulls += 1);
