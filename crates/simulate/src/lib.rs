@@ -16,11 +16,11 @@ pub use summary::Summary;
 pub use totals::{Counts, DelaySummary};
 
 use cost::Process;
+use futures_util::stream::{self, StreamExt, TryStreamExt};
 use node::SimNode;
 use play::Player;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::sync::Semaphore;
 use tokio::task::JoinSet;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
@@ -45,8 +45,12 @@ pub async fn run(
     let options = Arc::new(options);
     let totals = Arc::new(Totals::default());
     let opening = Instant::now();
+    let opened = stream::iter(0..options.sessions)
+        .map(|index| play::open(&options, index))
+        .buffer_unordered(OPEN_AT_ONCE)
+        .try_collect::<Vec<Session>>();
     let sessions = tokio::select! {
-        sessions = open_all(&options) => sessions?,
+        sessions = opened => sessions?,
         () = shutdown.cancelled() => {
             let reason = "stopped before all sessions were open".to_owned();
             return Err(SimulateError::Other(reason));
@@ -114,25 +118,6 @@ pub async fn run(
         settled: totals.settled.summary(),
         costs,
     })
-}
-
-/// Opens all sessions, a few at a time.
-async fn open_all(options: &Arc<Options>) -> Result<Vec<Session>, SimulateError> {
-    let places = Arc::new(Semaphore::new(OPEN_AT_ONCE));
-    let mut opening = JoinSet::new();
-    for index in 0..options.sessions {
-        let (options, places) = (Arc::clone(options), Arc::clone(&places));
-        opening.spawn(async move {
-            // The semaphore is never closed, so acquiring cannot fail.
-            let _place = places.acquire_owned().await;
-            play::open(&options, index).await
-        });
-    }
-    let mut sessions = Vec::with_capacity(options.sessions);
-    while let Some(opened) = opening.join_next().await {
-        sessions.push(opened??);
-    }
-    Ok(sessions)
 }
 
 fn line(began: Instant, totals: &Totals, processes: &[Process]) -> String {
