@@ -57,6 +57,7 @@ fn rules(good: &[&Entry], prefix: &str, pictures: bool) -> Result<Value, RouterE
         format!("{prefix}/**"),
     ];
     let (mut rules, mut subjects, mut policies) = (Vec::new(), Vec::new(), Vec::new());
+    let mut named = HashSet::new();
     let mut rule = |id: &str, flow: &str, messages: &[&str], keys: &[String]| {
         rules.push(json!({
             "id": id, "permission": "allow", "flows": [flow], "messages": messages, "key_exprs": keys,
@@ -146,16 +147,12 @@ fn rules(good: &[&Entry], prefix: &str, pictures: bool) -> Result<Value, RouterE
         };
         subjects.push(json!({ "id": subject, "cert_common_names": [subject] }));
         policies.push(json!({ "rules": own, "subjects": [subject] }));
+        named.extend(own);
     }
     if subjects.is_empty() {
         return other("there is no valid certificate: nobody would have access");
     }
     // Zenoh warns about rules that no policy names.
-    let named: HashSet<&str> = (policies.iter())
-        .filter_map(|policy: &Value| policy["rules"].as_array())
-        .flatten()
-        .filter_map(Value::as_str)
-        .collect();
     rules.retain(|rule: &Value| rule["id"].as_str().is_some_and(|id| named.contains(id)));
     Ok(json!({
         "enabled": true,

@@ -35,11 +35,6 @@ impl Role {
             Self::Router => "router",
         }
     }
-
-    /// The common name of a certificate: `node/car-7/1`. Names contain no slash, so common names are unique.
-    pub fn common_name(self, name: &str, issue: u32) -> String {
-        format!("{self}/{name}/{issue}")
-    }
 }
 
 impl fmt::Display for Role {
@@ -68,9 +63,9 @@ pub struct Entry {
 }
 
 impl Entry {
-    /// Its common name.
+    /// Its common name: `node/car-7/1`. Names contain no slash, so common names are unique.
     pub fn common_name(&self) -> String {
-        self.role.common_name(&self.name, self.issue)
+        format!("{}/{}/{}", self.role, self.name, self.issue)
     }
 
     /// The path of the newest certificate in the authority's folder.
