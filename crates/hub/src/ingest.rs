@@ -23,6 +23,7 @@ pub use recorder::{Recorded, Recorder};
 pub(crate) use replies::Replies;
 pub(crate) use writer::start;
 
+use crate::http::HubView;
 use crate::per_node::Place;
 use albireo_wire::{NodeKeys, RefusalReason};
 use bytes::Bytes;
@@ -61,41 +62,62 @@ pub(crate) struct Waiting {
     _places: (Place, Queued),
 }
 
+/// What the queue and the threads of ingest share.
+#[derive(Clone)]
+struct Shared {
+    limits: Arc<NodeLimits>,
+    replies: Replies,
+    view: HubView,
+}
+
+impl Shared {
+    /// Refuses a batch; the node may retry after `wait`.
+    fn refuse(
+        &self,
+        query: Query,
+        reason: RefusalReason,
+        why: impl Into<String>,
+        wait: Option<Duration>,
+    ) {
+        self.view.ingest.refuse(reason);
+        self.replies.refuse(query, reason, why, wait);
+    }
+}
+
 /// The queue into which Zenoh's threads put batches.
 pub(crate) struct ReportQueue {
     queue: SyncSender<Waiting>,
-    limits: Arc<NodeLimits>,
-    replies: Replies,
-    counters: Arc<IngestCounters>,
+    shared: Shared,
 }
 
 impl ReportQueue {
     /// Queues a batch, or refuses it. Never waits.
     pub(crate) fn take(&self, mut query: Query) {
-        let now = Instant::now();
+        let (now, shared) = (Instant::now(), &self.shared);
+        let counters = &shared.view.ingest;
         let node = NodeKeys::node_of(query.key_expr().as_str()).map(str::to_owned);
         let payload = query.payload_mut().map(std::mem::take);
         let (Some(node), Some(payload)) = (node, payload) else {
             // The sender is not a node, and gets no answer.
-            return self.counters.refuse(RefusalReason::Unreadable);
+            return counters.refuse(RefusalReason::Unreadable);
         };
         if payload.len() > LARGEST_PAYLOAD {
             let detail = format!("the batch has more than {LARGEST_PAYLOAD} bytes");
-            return self.refuse(query, RefusalReason::Unreadable, &detail, None);
+            return shared.refuse(query, RefusalReason::Unreadable, detail, None);
         }
-        let place = match self.limits.admit(&node, now) {
+        let place = match shared.limits.admit(&node, now) {
             Ok(place) => place,
-            Err((wait, why)) => return self.refuse(query, RefusalReason::Busy, why, Some(wait)),
+            Err((wait, why)) => return shared.refuse(query, RefusalReason::Busy, why, Some(wait)),
         };
-        let full = |query| self.refuse(query, RefusalReason::Busy, FULL, Some(BUSY_RETRY));
-        let bytes = self.counters.queued_bytes() + payload.len() as u64;
-        if bytes > MOST_BYTES || self.counters.waited() > BUSY_AFTER {
+        let full = |query| shared.refuse(query, RefusalReason::Busy, FULL, Some(BUSY_RETRY));
+        let bytes = counters.queued_bytes() + payload.len() as u64;
+        if bytes > MOST_BYTES || counters.waited() > BUSY_AFTER {
             return full(query);
         }
         // A copy, so that a waiting batch holds no network buffers.
         let payload = Bytes::copy_from_slice(&payload.to_bytes());
         let waiting = Waiting {
-            _places: (place, self.counters.queue(payload.len())),
+            _places: (place, counters.queue(payload.len())),
             payload,
             query,
             since: now,
@@ -106,10 +128,5 @@ impl ReportQueue {
         {
             full(waiting.query);
         }
-    }
-
-    fn refuse(&self, query: Query, reason: RefusalReason, why: &str, wait: Option<Duration>) {
-        self.counters.refuse(reason);
-        self.replies.refuse(query, reason, why, wait);
     }
 }

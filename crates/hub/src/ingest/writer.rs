@@ -3,7 +3,7 @@
 use super::decode::{Batch, decode};
 use super::limits::{EventLimits, NodeLimits};
 use super::recorder::{Recorded, Recorder};
-use super::{MOST_BATCHES, Replies, ReportQueue, Waiting};
+use super::{MOST_BATCHES, Replies, ReportQueue, Shared, Waiting};
 use crate::config::HubConfig;
 use crate::http::HubView;
 use crate::store::{Store, StoreError};
@@ -48,26 +48,20 @@ pub(crate) fn start(
 ) -> std::io::Result<(ReportQueue, impl Future<Output = ()> + use<>)> {
     let (queue, waiting) = sync_channel(MOST_BATCHES);
     let (sender, ready) = sync_channel(READY);
-    let queue = ReportQueue {
-        queue,
+    let shared = Shared {
         limits: Arc::new(NodeLimits::new(config.ingest.camera_bytes_per_day)),
         replies: replies.clone(),
-        counters: Arc::clone(&view.ingest),
-    };
-    let limits = Arc::clone(&queue.limits);
-    let reader = Reader {
-        limits: Arc::clone(&limits),
-        replies: replies.clone(),
         view: view.clone(),
+    };
+    let reader = Reader {
+        shared: shared.clone(),
         event_limits: EventLimits::default(),
         ready: sender,
     };
     let writer = Writer {
         recorder: Recorder::new(store, &config.history, Now::system()),
         pause: Duration::from_millis(config.ingest.commit_ms),
-        limits,
-        replies: replies.clone(),
-        view: view.clone(),
+        shared: shared.clone(),
     };
     let reading = thread("reports", move || reader.run(&waiting))?;
     let writing = thread("writer", move || writer.run(&ready))?;
@@ -75,7 +69,7 @@ pub(crate) fn start(
         let _ = reading.await;
         let _ = writing.await;
     };
-    Ok((queue, ended))
+    Ok((ReportQueue { queue, shared }, ended))
 }
 
 /// Starts a thread whose end can be awaited.
@@ -94,9 +88,7 @@ fn thread(
 
 /// Parses batches.
 struct Reader {
-    limits: Arc<NodeLimits>,
-    replies: Replies,
-    view: HubView,
+    shared: Shared,
     event_limits: EventLimits,
     ready: SyncSender<(Waiting, Batch)>,
 }
@@ -104,23 +96,22 @@ struct Reader {
 impl Reader {
     fn run(mut self, queue: &Receiver<Waiting>) {
         while let Ok(waiting) = queue.recv() {
-            let (node, now_ms) = (&waiting.node, unix_milliseconds());
+            let (shared, node) = (&self.shared, &waiting.node);
+            let now_ms = unix_milliseconds();
             match decode(node, &waiting.payload, now_ms) {
                 Ok(batch) => {
-                    self.limits.charge(node, batch.bytes);
+                    shared.limits.charge(node, batch.bytes);
                     if self.ready.send((waiting, batch)).is_err() {
                         return;
                     }
                 }
                 Err(error) => {
-                    self.limits.charge(node, UNREADABLE_COST);
-                    let reason = RefusalReason::Unreadable;
-                    self.view.ingest.refuse(reason);
+                    shared.limits.charge(node, UNREADABLE_COST);
                     if self.event_limits.is_first(node, "refused", now_ms) {
                         tracing::warn!(node, error, "a batch cannot be read");
-                        self.view.fleet.unreadable(node, &error, now_ms);
+                        shared.view.fleet.unreadable(node, &error, now_ms);
                     }
-                    self.replies.refuse(waiting.query, reason, error, None);
+                    shared.refuse(waiting.query, RefusalReason::Unreadable, error, None);
                 }
             }
         }
@@ -132,9 +123,7 @@ struct Writer {
     recorder: Recorder,
     /// Shortest time between two commits.
     pause: Duration,
-    limits: Arc<NodeLimits>,
-    replies: Replies,
-    view: HubView,
+    shared: Shared,
 }
 
 impl Writer {
@@ -148,7 +137,7 @@ impl Writer {
             let (mut reports, mut bytes) = (0, 0);
             let mut next = first.ok();
             while let Some((one, batch)) = next {
-                self.view.ingest.writing(Some(one.since));
+                self.shared.view.ingest.writing(Some(one.since));
                 reports += batch.reports.len();
                 bytes += batch.bytes;
                 waiting.push(one);
@@ -157,7 +146,7 @@ impl Writer {
                 next = if full { None } else { ready.try_recv().ok() };
             }
             self.commit(waiting, &batches);
-            self.view.ingest.writing(None);
+            self.shared.view.ingest.writing(None);
             if ended {
                 return;
             }
@@ -172,13 +161,13 @@ impl Writer {
         if self.recorder.is_proven()
             && batches.is_empty()
             && !retention
-            && !self.view.fleet.has_news()
+            && !self.shared.view.fleet.has_news()
         {
             return;
         }
         match self.transaction(batches, retention) {
             Ok(committed) => {
-                self.view.readiness.part("database").works();
+                self.shared.view.readiness.part("database").works();
                 self.acknowledge(waiting, batches, committed);
             }
             Err(error) if !error.passes() && batches.len() > 1 => {
@@ -194,7 +183,7 @@ impl Writer {
             Err(error) => {
                 self.refuse(waiting, &error);
                 if error.passes() {
-                    (self.view.readiness.part("database")).not_ready(error.to_string());
+                    (self.shared.view.readiness.part("database")).not_ready(error.to_string());
                     std::thread::sleep(DATABASE_PAUSE);
                 }
             }
@@ -203,9 +192,9 @@ impl Writer {
 
     fn transaction(&mut self, batches: &[Batch], retention: bool) -> Result<Recorded, StoreError> {
         let begun = Instant::now();
-        let news = self.view.fleet.take_news();
+        let news = self.shared.view.fleet.take_news();
         let done = (self.recorder).record(batches, &news, retention, Now::system());
-        let counters = &self.view.ingest;
+        let counters = &self.shared.view.ingest;
         match &done {
             Ok(_) => {
                 counters.count(|counts| counts.commits += 1);
@@ -214,7 +203,7 @@ impl Writer {
             Err(error) => {
                 counters.count(|counts| counts.database_errors += 1);
                 tracing::error!(%error, batches = batches.len(), "nothing was committed");
-                self.view.fleet.give_back(news);
+                self.shared.view.fleet.give_back(news);
             }
         }
         done
@@ -226,7 +215,7 @@ impl Writer {
             ingest,
             events,
             ..
-        } = &self.view;
+        } = &self.shared.view;
         ingest.count(|counts| {
             *counts += recorded.counts;
             counts.batches += batches.len() as u64;
@@ -238,19 +227,17 @@ impl Writer {
         for (waiting, (mut answer, cameras)) in waiting.into_iter().zip(answers) {
             let node = &waiting.node;
             fleet.reported(node, unix_milliseconds());
-            self.limits.has_cameras(node, cameras);
+            self.shared.limits.has_cameras(node, cameras);
             ingest.acknowledged_after.add(waiting.since.elapsed());
-            answer.desired = Some(self.view.desired(node));
-            self.replies.answer(waiting.query, &answer);
+            answer.desired = Some(self.shared.view.desired(node));
+            self.shared.replies.answer(waiting.query, &answer);
         }
     }
 
     fn refuse(&self, waiting: Vec<Waiting>, error: &StoreError) {
-        let reason = RefusalReason::Unavailable;
+        let (reason, retry) = (RefusalReason::Unavailable, Some(UNAVAILABLE_RETRY));
         for waiting in waiting {
-            self.view.ingest.refuse(reason);
-            let (why, retry) = (error.to_string(), Some(UNAVAILABLE_RETRY));
-            self.replies.refuse(waiting.query, reason, why, retry);
+            (self.shared).refuse(waiting.query, reason, error.to_string(), retry);
         }
     }
 }
