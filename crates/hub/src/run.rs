@@ -192,11 +192,9 @@ async fn parts(config: &HubConfig, view: &HubView) -> Result<(), HubError> {
         tasks.essential("tuning", tuning::follow(tuner, shutdown.clone()));
     }
     // Known nodes report their state now instead of at their next interval.
-    for node in view.fleet.names() {
-        listening
-            .notifier
-            .notify(&node, view.desires.of(&node).revision);
-    }
+    view.fleet.each(|node, _| {
+        (listening.notifier).notify(node, view.desires.of(node).revision);
+    });
     zenoh.works();
     let locators: Vec<String> = session
         .info()

@@ -376,9 +376,4 @@ impl Fleet {
             each(name, entry);
         }
     }
-
-    /// All names, in order.
-    pub fn names(&self) -> Vec<Arc<str>> {
-        self.nodes.read().keys().cloned().collect()
-    }
 }

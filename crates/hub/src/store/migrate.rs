@@ -1,6 +1,6 @@
 //! Creates the tables. A database of another program or of another version is refused and not changed.
 
-use super::row::{read, read_all};
+use super::row::{Row, read};
 use super::{Database, Kind, StoreError};
 use serde::Deserialize;
 use uuid::Uuid;
@@ -83,10 +83,6 @@ pub(crate) fn identity(database: &mut dyn Database) -> Result<Uuid, StoreError> 
 }
 
 fn tables(database: &mut dyn Database) -> Result<Vec<String>, StoreError> {
-    #[derive(Deserialize)]
-    struct Table {
-        name: String,
-    }
     let text = match database.kind() {
         Kind::Sqlite => {
             "SELECT name FROM sqlite_master WHERE type = 'table' AND name NOT LIKE 'sqlite_%'"
@@ -95,6 +91,7 @@ fn tables(database: &mut dyn Database) -> Result<Vec<String>, StoreError> {
             "SELECT CAST(tablename AS TEXT) AS name FROM pg_tables WHERE schemaname = current_schema()"
         }
     };
-    let tables: Vec<Table> = read_all(database.query(text, &[])?)?;
-    Ok(tables.into_iter().map(|table| table.name).collect())
+    let tables = database.query(text, &[])?;
+    let name = |table: &Row| Some(table.get("name")?.as_str()?.to_owned());
+    Ok(tables.iter().filter_map(name).collect())
 }

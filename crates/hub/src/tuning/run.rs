@@ -387,7 +387,7 @@ impl Run {
             Kind::Rollout { .. } => Phase::Soaking,
             Kind::Trial { .. } => Phase::Running,
         };
-        self.enter(phase, now);
+        self.enter(phase, String::new(), now);
     }
 
     /// The duration of the phase, or the time from its beginning to the next measurement.
@@ -528,7 +528,7 @@ impl Run {
             Command::Resume => {}
             Command::Next => self.advance(now),
             Command::Return => self.go_back(format!("by hand: {who}"), now),
-            Command::Stop => self.enter(Phase::Stopped, now),
+            Command::Stop => self.enter(Phase::Stopped, String::new(), now),
         }
         Ok(())
     }
@@ -548,13 +548,13 @@ impl Run {
         if self.stage < self.stages() {
             self.enter_stage(self.stage + 1, now);
         } else {
-            self.enter(Phase::Finishing, now);
+            self.enter(Phase::Finishing, String::new(), now);
         }
     }
 
     fn enter_stage(&mut self, stage: usize, now: Millis) {
         (self.stage, self.soaks) = (stage, 0);
-        self.enter(Phase::Applying, now);
+        self.enter(Phase::Applying, String::new(), now);
         let mut count = 0;
         for member in &mut self.members {
             member.was_reachable = member.reachable;
@@ -579,16 +579,14 @@ impl Run {
     }
 
     fn hold(&mut self, reason: String, now: Millis) {
-        self.enter(Phase::Held, now);
-        self.noted(now, What::Held).text.clone_from(&reason);
-        self.reason = reason;
+        self.enter(Phase::Held, reason.clone(), now);
+        self.noted(now, What::Held).text = reason;
     }
 
     fn go_back(&mut self, reason: String, now: Millis) {
         self.members.iter_mut().for_each(Member::give_back);
-        self.enter(Phase::Returning, now);
-        self.noted(now, What::Returning).text.clone_from(&reason);
-        self.reason = reason;
+        self.enter(Phase::Returning, reason.clone(), now);
+        self.noted(now, What::Returning).text = reason;
     }
 
     fn end(&mut self, phase: Phase, now: Millis) {
@@ -596,9 +594,7 @@ impl Run {
         let names: Vec<String> = (self.members.iter().filter(without))
             .map(|m| format!("{} {}", m.node, m.ask.outcome))
             .collect();
-        let reason = std::mem::take(&mut self.reason);
-        self.enter(phase, now);
-        self.reason = reason;
+        self.enter(phase, self.reason.clone(), now);
         let what = match phase {
             Phase::Returned => What::Returned,
             _ => What::Done,
@@ -609,9 +605,9 @@ impl Run {
         };
     }
 
-    fn enter(&mut self, phase: Phase, now: Millis) {
+    fn enter(&mut self, phase: Phase, reason: String, now: Millis) {
         (self.phase, self.since_ms, self.looks) = (phase, now, 0);
-        self.reason.clear();
+        self.reason = reason;
         self.unsaved = true;
     }
 
