@@ -3,7 +3,7 @@
 use super::entry::{Entry, Run};
 use super::news::News;
 use super::settings::NodeSettings;
-use super::state::{Limits, PresenceState, judge};
+use super::state::{PresenceState, judge, seconds};
 use super::today::TodaysEnergy;
 use crate::config::PresenceConfig;
 use crate::store::tables::{EventRow, NodeRow};
@@ -64,7 +64,7 @@ pub struct FleetTallies {
 /// All nodes.
 #[derive(Debug)]
 pub struct Fleet {
-    limits: Limits,
+    config: PresenceConfig,
     nodes: RwLock<BTreeMap<Arc<str>, Entry>>,
     /// Nodes whose rows wait to be written.
     dirty: Mutex<BTreeSet<Arc<str>>>,
@@ -74,12 +74,8 @@ pub struct Fleet {
 impl Fleet {
     /// A fleet without nodes.
     pub fn new(config: &PresenceConfig) -> Self {
-        let seconds = |s: f64| Duration::try_from_secs_f64(s).unwrap_or(Duration::MAX);
         Self {
-            limits: Limits {
-                silent: seconds(config.silent_after_s),
-                offline: seconds(config.offline_after_s),
-            },
+            config: config.clone(),
             nodes: RwLock::default(),
             dirty: Mutex::default(),
             events: Mutex::default(),
@@ -123,7 +119,7 @@ impl Fleet {
             }
             let follows = same && entry.seq.checked_add(1) == Some(seq);
             if !same {
-                entry.another_run(run, now, self.limits.silent);
+                entry.another_run(run, now, seconds(self.config.silent_after_s));
             }
             entry.needs_full = match &message.full {
                 Some(_) => false,
@@ -261,10 +257,10 @@ impl Fleet {
             (None, Some(_)) if entry.state == PresenceState::Offline => return,
             (None, Some(heard_ms)) => {
                 let ago = Duration::from_millis(u64::try_from(now_ms - heard_ms).unwrap_or(0));
-                Some(ago.max(self.limits.silent))
+                Some(ago.max(seconds(self.config.silent_after_s)))
             }
         };
-        let (state, why) = judge(entry, heard_ago, self.limits);
+        let (state, why) = judge(entry, heard_ago, &self.config);
         if state != entry.state {
             entry.since_ms = now_ms;
         }

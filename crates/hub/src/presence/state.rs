@@ -1,6 +1,7 @@
 //! Judges the state of a node. docs/fleet.md describes the rules.
 
 use super::entry::Entry;
+use crate::config::PresenceConfig;
 use crate::named::named;
 use albireo_wire::HealthState;
 use std::time::Duration;
@@ -26,20 +27,16 @@ impl PresenceState {
     }
 }
 
-/// The times without a status after which a node is silent or offline.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Limits {
-    /// The time after which it is silent.
-    pub(super) silent: Duration,
-    /// The time after which it is offline.
-    pub(super) offline: Duration,
+/// A time limit, from its seconds.
+pub(super) fn seconds(limit_s: f64) -> Duration {
+    Duration::try_from_secs_f64(limit_s).unwrap_or(Duration::MAX)
 }
 
 /// Returns the state of a node whose last status is that old, and the reason. Without a status the time is `None`.
 pub(super) fn judge(
     node: &Entry,
     heard_ago: Option<Duration>,
-    limits: Limits,
+    config: &PresenceConfig,
 ) -> (PresenceState, String) {
     let Some(ago) = heard_ago else {
         let why = "no status was received yet";
@@ -49,12 +46,13 @@ pub(super) fn judge(
         let why = "its liveliness token disappeared: it stopped, or its connection broke";
         return (PresenceState::Offline, why.to_owned());
     }
-    let quiet = |limit: Duration| format!("no status for {} s", limit.as_secs_f64());
-    if ago >= limits.offline {
-        return (PresenceState::Offline, quiet(limits.offline));
-    }
-    if ago >= limits.silent {
-        return (PresenceState::Silent, quiet(limits.silent));
+    for (state, limit_s) in [
+        (PresenceState::Offline, config.offline_after_s),
+        (PresenceState::Silent, config.silent_after_s),
+    ] {
+        if ago >= seconds(limit_s) {
+            return (state, format!("no status for {limit_s} s"));
+        }
     }
     if let Some((why, _)) = &node.identity {
         return (PresenceState::Degraded, why.clone());

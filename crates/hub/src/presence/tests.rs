@@ -1,16 +1,11 @@
 use super::entry::Entry;
 use super::settings::tests::STATUS;
-use super::state::{Limits, judge};
+use super::state::judge;
 use super::*;
 use crate::config::PresenceConfig;
 use albireo_wire::{HealthState, Heartbeat, StatusMessage, VERSION};
 use serde_json::json;
 use std::time::{Duration, Instant};
-
-const LIMITS: Limits = Limits {
-    silent: Duration::from_secs(95),
-    offline: Duration::from_secs(600),
-};
 
 #[test]
 fn the_state_follows_the_table_in_the_documentation() {
@@ -29,6 +24,7 @@ fn the_state_follows_the_table_in_the_documentation() {
     let unheard = (None, well(0).1);
     let mut token_gone = well(1);
     token_gone.1.token_gone = true;
+    let config = PresenceConfig::default();
     let gone = "its liveliness token disappeared: it stopped, or its connection broke";
     for ((ago, node), state, why) in [
         (unheard, Silent, "no status was received yet"),
@@ -46,7 +42,7 @@ fn the_state_follows_the_table_in_the_documentation() {
         (twin(95, Ready, ""), Silent, "no status for 95 s"),
     ] {
         let expected = (state, why.to_owned());
-        assert_eq!(judge(&node, ago, LIMITS), expected, "{ago:?} {node:?}");
+        assert_eq!(judge(&node, ago, &config), expected, "{ago:?} {node:?}");
     }
 }
 
