@@ -6,7 +6,7 @@ use crate::store::row::{Row, text};
 use crate::store::tables::SetupKey;
 use albireo_service::clock::DAY_MS;
 use albireo_wire::{AuditReport, ClipReport};
-use serde_json::{Value, json};
+use serde_json::json;
 
 /// Largest energy of a clip, joules: about 3 kWh.
 const MOST_JOULES: f64 = 1e7;
@@ -36,45 +36,11 @@ pub(crate) struct ClipRecord {
     pub(crate) clock: bool,
 }
 
-/// A figure of a report; the columns hold whole numbers.
-enum Figure {
-    Count(u64),
-    /// A sum of an audit: in millionths, or squared.
-    Audited(Option<u64>),
-    /// Stored as microseconds.
-    Ms(f64),
-    /// Stored as microjoules.
-    Joules(Option<f64>),
-}
-
-impl Figure {
-    /// The number to store.
-    ///
-    /// # Errors
-    /// The reason that it cannot be stored.
-    fn whole(self, column: &str) -> Result<Value, String> {
-        let (value, most, unit) = match self {
-            Self::Count(count) => (Some(count as f64), MOST_COUNT, 1.0),
-            Self::Audited(count) => (count.map(|count| count as f64), MOST_AUDITED, 1.0),
-            Self::Ms(ms) => (Some(ms), MOST_MS, 1e3),
-            Self::Joules(joules) => (joules, MOST_JOULES, 1e6),
-        };
-        let Some(value) = value else {
-            return Ok(Value::Null);
-        };
-        if !(0.0..=most).contains(&value) {
-            return Err(format!("{column}: {value} is not from 0 to {most}"));
-        }
-        Ok(json!((value * unit).round() as i64))
-    }
-}
-
 /// Reads the figures of a report.
 ///
 /// # Errors
 /// The figure that cannot be stored, and the reason: the report is then set aside.
 pub(crate) fn record(report: &ClipReport, present: Present) -> Result<ClipRecord, String> {
-    use Figure::{Audited, Count, Joules, Ms};
     let (at_ms, clock) = filed_under(report.started_ns, present);
     let (states, energy) = (&report.states, &report.energy);
     let (total, detector) = (&report.total_latency_ms, &report.detector_latency_ms);
@@ -84,36 +50,43 @@ pub(crate) fn record(report: &ClipReport, present: Present) -> Result<ClipRecord
     let none_avoided = (avoided_calls == 0).then_some(0.0);
     let dropped = report.dropped.by_kind();
     let dropped = (dropped.iter()).fold(0_u64, |sum, (_, frames)| sum.saturating_add(*frames));
-    let audit = |count: fn(&AuditReport) -> u64| Audited(report.audit.as_ref().map(count));
+    let count = |count: u64| (Some(count as f64), MOST_COUNT, 1.0);
+    let ms = |ms: f64| (Some(ms), MOST_MS, 1e3);
+    let joules = |joules: Option<f64>| (joules, MOST_JOULES, 1e6);
+    let audit = |count: fn(&AuditReport) -> u64| {
+        let count = report.audit.as_ref().map(count);
+        (count.map(|count| count as f64), MOST_AUDITED, 1.0)
+    };
+    // Each figure with its largest value, and the factor to the whole numbers of its column.
     let figures = [
-        ("duration_us", Ms(report.duration_s * 1e3)),
-        ("frames", Count(report.frames)),
-        ("frames_e", Count(states.e)),
-        ("frames_p", Count(states.p)),
-        ("frames_ei", Count(states.ei)),
-        ("frames_i", Count(states.i)),
-        ("frames_ai", Count(states.ai)),
-        ("degraded", Count(report.degraded_frames)),
-        ("dropped", Count(dropped)),
-        ("latency_mean_us", Ms(total.mean)),
-        ("latency_p50_us", Ms(total.p50)),
-        ("latency_p95_us", Ms(total.p95)),
-        ("latency_p99_us", Ms(total.p99)),
-        ("latency_us", Ms(total.mean * total.count as f64)),
-        ("detector_calls", Count(detector.count)),
-        ("detector_mean_us", Ms(detector.mean)),
-        ("detector_p50_us", Ms(detector.p50)),
-        ("detector_p95_us", Ms(detector.p95)),
-        ("detector_p99_us", Ms(detector.p99)),
-        ("detector_us", Ms(detector.mean * detector.count as f64)),
-        ("avoided_calls", Count(avoided_calls)),
+        ("duration_us", ms(report.duration_s * 1e3)),
+        ("frames", count(report.frames)),
+        ("frames_e", count(states.e)),
+        ("frames_p", count(states.p)),
+        ("frames_ei", count(states.ei)),
+        ("frames_i", count(states.i)),
+        ("frames_ai", count(states.ai)),
+        ("degraded", count(report.degraded_frames)),
+        ("dropped", count(dropped)),
+        ("latency_mean_us", ms(total.mean)),
+        ("latency_p50_us", ms(total.p50)),
+        ("latency_p95_us", ms(total.p95)),
+        ("latency_p99_us", ms(total.p99)),
+        ("latency_us", ms(total.mean * total.count as f64)),
+        ("detector_calls", count(detector.count)),
+        ("detector_mean_us", ms(detector.mean)),
+        ("detector_p50_us", ms(detector.p50)),
+        ("detector_p95_us", ms(detector.p95)),
+        ("detector_p99_us", ms(detector.p99)),
+        ("detector_us", ms(detector.mean * detector.count as f64)),
+        ("avoided_calls", count(avoided_calls)),
         (
             "avoided_uj",
-            Joules(energy.saved_joules_estimated.or(none_avoided)),
+            joules(energy.saved_joules_estimated.or(none_avoided)),
         ),
-        ("energy_uj", Joules(energy.joules)),
-        ("node_uj", Joules(energy.node_joules)),
-        ("samples", Count(energy.samples)),
+        ("energy_uj", joules(energy.joules)),
+        ("node_uj", joules(energy.node_joules)),
+        ("samples", count(energy.samples)),
         ("audit_frames", audit(|a| a.sums.frames)),
         ("audit_missed", audit(|a| a.sums.missed)),
         ("audit_missed_boxes", audit(|a| a.sums.missed_boxes)),
@@ -121,7 +94,7 @@ pub(crate) fn record(report: &ClipReport, present: Present) -> Result<ClipRecord
         ("audit_us", audit(|a| a.detector_us)),
         (
             "audit_uj",
-            Joules(report.audit.as_ref().and_then(|audit| audit.joules)),
+            joules(report.audit.as_ref().and_then(|audit| audit.joules)),
         ),
         ("audit_detected", audit(|a| a.sums.detected)),
         ("audit_shown", audit(|a| a.sums.shown)),
@@ -136,8 +109,12 @@ pub(crate) fn record(report: &ClipReport, present: Present) -> Result<ClipRecord
         ("audit_shown_x", audit(|a| a.sums.squares.shown_paired)),
     ];
     let mut row = Row::new();
-    for (column, figure) in figures {
-        row.insert(column.to_owned(), figure.whole(column)?);
+    for (column, (value, most, unit)) in figures {
+        if let Some(value) = value.filter(|value| !(0.0..=most).contains(value)) {
+            return Err(format!("{column}: {value} is not from 0 to {most}"));
+        }
+        let whole = value.map(|value| (value * unit).round() as i64);
+        row.insert(column.to_owned(), json!(whole));
     }
     if states.frames() != report.frames {
         let (frames, added) = (report.frames, states.frames());

@@ -28,7 +28,7 @@ impl Run {
 }
 
 /// One node.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct Entry {
     pub(crate) state: PresenceState,
     pub(crate) since_ms: i64,
@@ -58,24 +58,10 @@ impl Entry {
     /// Creates the entry of a node that has sent no status yet.
     pub(super) fn new(now_ms: i64) -> Self {
         Self {
-            state: PresenceState::Silent,
             since_ms: now_ms,
             why: "no status was received yet".to_owned(),
-            heard: None,
-            heard_ms: None,
-            token_gone: false,
-            run: None,
-            other: None,
-            identity: None,
-            seq: 0,
-            health: HealthState::Ready,
-            reasons: String::new(),
-            waiting: 0,
-            revision: 0,
-            today: TodaysEnergy::default(),
-            status: None,
             needs_full: true,
-            notified: None,
+            ..Self::default()
         }
     }
 

@@ -8,12 +8,14 @@ use std::time::Duration;
 
 named! {
     /// The state of a node.
+    #[derive(Default)]
     pub enum PresenceState {
         /// It sends status messages, and every part works.
         Online = "online",
         /// It sends status messages, and a part does not work.
         Degraded = "degraded",
         /// It sent no status for a while.
+        #[default]
         Silent = "silent",
         /// It sent no status for long, or its liveliness token disappeared.
         Offline = "offline",
