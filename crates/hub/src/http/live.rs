@@ -15,12 +15,14 @@ use futures_util::{Stream, stream};
 use std::convert::Infallible;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::sync::{OwnedSemaphorePermit, mpsc};
+use tokio::sync::OwnedSemaphorePermit;
 use tokio::time::{Interval, MissedTickBehavior};
 use zenoh::Session;
+use zenoh::handlers::{RingChannel, RingChannelHandler};
 use zenoh::pubsub::Subscriber;
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::{Reply, ReplyError};
+use zenoh::sample::Sample;
 
 /// Most readers of live counters at a time.
 pub(super) const MOST_LIVE: usize = 64;
@@ -30,7 +32,7 @@ const LEASE: Duration = Duration::from_secs(30);
 const RENEW: Duration = Duration::from_secs(10);
 /// Time limit of a picture: a node on a mobile link first has to learn of its lease.
 const PICTURE_WITHIN: Duration = Duration::from_secs(8);
-/// Messages that wait for a slow reader. Further ones are dropped: counters are cumulative.
+/// Messages that wait for a slow reader. Older ones are dropped: counters are cumulative.
 const WAITING: usize = 64;
 /// The header with the sequence number of a picture's frame.
 const FRAME: HeaderName = HeaderName::from_static("albireo-frame");
@@ -63,8 +65,7 @@ struct Watching {
     reach: Reach,
     node: String,
     renew: Interval,
-    counters: mpsc::Receiver<CountersMessage>,
-    _subscriber: Subscriber<()>,
+    counters: Subscriber<RingChannelHandler<Sample>>,
     _place: OwnedSemaphorePermit,
 }
 
@@ -74,9 +75,12 @@ impl Watching {
             tokio::select! {
                 () = self.view.shutdown.cancelled() => return None,
                 _ = self.renew.tick() => self.view.watch(&self.reach, &self.node),
-                message = self.counters.recv() => {
+                sample = self.counters.recv_async() => {
+                    let payload = sample.ok()?.payload().to_bytes().into_owned();
                     let event = sse::Event::default().event("counters");
-                    if let Ok(event) = event.json_data(message?) {
+                    if let Ok(message) = albireo_wire::read::<CountersMessage>(&payload)
+                        && let Ok(event) = event.json_data(message)
+                    {
                         return Some(event);
                     }
                 }
@@ -103,15 +107,10 @@ pub(super) async fn live(
         let detail = format!("{MOST_LIVE} nodes are being watched; close one and try again");
         Problem::new(StatusCode::SERVICE_UNAVAILABLE, detail)
     })?;
-    let (sender, counters) = mpsc::channel(WAITING);
-    let subscriber = reach
+    let counters = reach
         .session
         .declare_subscriber(keys.all_counters())
-        .callback(move |sample| {
-            if let Ok(message) = albireo_wire::read(&sample.payload().to_bytes()) {
-                let _ = sender.try_send(message);
-            }
-        })
+        .with(RingChannel::new(WAITING))
         .await
         .map_err(unavailable)?;
     let mut renew = tokio::time::interval(RENEW);
@@ -122,7 +121,6 @@ pub(super) async fn live(
         node,
         renew,
         counters,
-        _subscriber: subscriber,
         _place: place,
     };
     let events = stream::unfold(watching, |mut watching| async move {

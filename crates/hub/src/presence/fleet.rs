@@ -62,7 +62,7 @@ pub struct FleetTallies {
 }
 
 /// All nodes.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Fleet {
     config: PresenceConfig,
     nodes: RwLock<BTreeMap<Arc<str>, Entry>>,
@@ -76,9 +76,7 @@ impl Fleet {
     pub fn new(config: &PresenceConfig) -> Self {
         Self {
             config: config.clone(),
-            nodes: RwLock::default(),
-            dirty: Mutex::default(),
-            events: Mutex::default(),
+            ..Self::default()
         }
     }
 
