@@ -15,7 +15,7 @@ pub(crate) mod tables;
 pub mod transfer;
 mod tuning;
 
-pub(crate) use database::{Database, ReportKey};
+pub(crate) use database::{Database, MOST_CAMERAS, ReportKey};
 pub use error::StoreError;
 pub(crate) use read::audit_figures;
 pub use read::{

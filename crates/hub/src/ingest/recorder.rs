@@ -10,7 +10,7 @@ use crate::store::migrate::identity;
 use crate::store::retention::retain;
 use crate::store::row::Row;
 use crate::store::tables::EventRow;
-use crate::store::{Access, Database, Store, StoreError};
+use crate::store::{Access, Database, MOST_CAMERAS, Store, StoreError};
 use albireo_service::clock::{DAY_MS, Now};
 use albireo_wire::{RefusedReport, ReportAnswer};
 use serde_json::{Value, json};
@@ -20,9 +20,6 @@ use uuid::Uuid;
 
 /// Interval between two searches for old rows, after one that found none.
 const RETENTION: Duration = Duration::from_secs(60);
-
-/// Most cameras of a node.
-const MOST_CAMERAS: usize = 64;
 
 /// Stores batches in a database.
 pub struct Recorder {
@@ -162,7 +159,7 @@ impl Recorder {
             Ok((node.node_id, accepted.record.camera.as_str()))
         });
         let wanted = wanted.collect::<Result<BTreeSet<_>, StoreError>>()?;
-        let cameras = cameras(database, &names, wanted)?;
+        let cameras = database.cameras(&names, wanted)?;
 
         let too_many = Rejected::Invalid {
             cause: format!("the node has {MOST_CAMERAS} cameras already"),
@@ -267,34 +264,6 @@ impl Recorder {
 
 fn lost(what: &str) -> StoreError {
     StoreError::Statement(format!("{what} has no id after it was written"))
-}
-
-/// Returns the ids of the cameras of these nodes, by node and name. Adds new cameras of `wanted`, up to the limit per
-/// node.
-fn cameras(
-    database: &mut dyn Database,
-    nodes: &[&str],
-    wanted: BTreeSet<(i64, &str)>,
-) -> Result<HashMap<i64, HashMap<String, i64>>, StoreError> {
-    let mut cameras: HashMap<i64, HashMap<String, i64>> = HashMap::new();
-    for camera in database.cameras_of(nodes)? {
-        let known = cameras.entry(camera.node_id).or_default();
-        known.insert(camera.name, camera.id);
-    }
-    let mut new = Vec::new();
-    for (node, name) in wanted {
-        let known = cameras.entry(node).or_default();
-        if known.len() < MOST_CAMERAS && !known.contains_key(name) {
-            // A placeholder: the database assigns the id below.
-            known.insert(name.to_owned(), 0);
-            new.push((node, name));
-        }
-    }
-    for camera in database.add_cameras(&new)? {
-        let known = cameras.entry(camera.node_id).or_default();
-        known.insert(camera.name, camera.id);
-    }
-    Ok(cameras)
 }
 
 /// The row of a clip.

@@ -68,13 +68,8 @@ pub(crate) struct ReportKey {
     pub(crate) own_day: i64,
 }
 
-/// A camera of a node.
-#[derive(Clone, Debug, Deserialize)]
-pub(crate) struct CameraRow {
-    pub(crate) id: i64,
-    pub(crate) node_id: i64,
-    pub(crate) name: String,
-}
+/// Most cameras of a node.
+pub(crate) const MOST_CAMERAS: usize = 64;
 
 impl dyn Database + '_ {
     /// Inserts rows into a table, in order. `rest` ends the statement: an `ON CONFLICT` clause, a `RETURNING` clause, both, or
@@ -152,20 +147,40 @@ impl dyn Database + '_ {
         Ok(nodes.collect())
     }
 
-    /// The cameras of these nodes.
-    pub(crate) fn cameras_of(&mut self, nodes: &[&str]) -> Result<Vec<CameraRow>, StoreError> {
-        let text = "SELECT c.id, c.node_id, c.name FROM cameras c JOIN nodes n ON n.id = c.node_id WHERE n.name IN";
-        read_all(self.among(text, nodes)?)
-    }
-
-    /// Adds cameras, each given by node id and name.
-    pub(crate) fn add_cameras(
+    /// Returns the ids of the cameras of these nodes, by node and name. Adds new cameras of `wanted`, each given by node id and
+    /// name, up to the limit per node.
+    pub(crate) fn cameras(
         &mut self,
-        cameras: &[(i64, &str)],
-    ) -> Result<Vec<CameraRow>, StoreError> {
-        let new = |(node, name): &(i64, &str)| json!({ "node_id": node, "name": name });
-        let new: Vec<Value> = cameras.iter().map(new).collect();
-        read_all(self.insert("cameras", &new, "RETURNING id, node_id, name")?)
+        nodes: &[&str],
+        wanted: BTreeSet<(i64, &str)>,
+    ) -> Result<HashMap<i64, HashMap<String, i64>>, StoreError> {
+        #[derive(Deserialize)]
+        struct Camera {
+            id: i64,
+            node_id: i64,
+            name: String,
+        }
+        let mut cameras: HashMap<i64, HashMap<String, i64>> = HashMap::new();
+        let text = "SELECT c.id, c.node_id, c.name FROM cameras c JOIN nodes n ON n.id = c.node_id WHERE n.name IN";
+        for camera in read_all::<Camera>(self.among(text, nodes)?)? {
+            let known = cameras.entry(camera.node_id).or_default();
+            known.insert(camera.name, camera.id);
+        }
+        let mut new = Vec::new();
+        for (node, name) in wanted {
+            let known = cameras.entry(node).or_default();
+            if known.len() < MOST_CAMERAS && !known.contains_key(name) {
+                // A placeholder: the database assigns the id below.
+                known.insert(name.to_owned(), 0);
+                new.push(json!({ "node_id": node, "name": name }));
+            }
+        }
+        let added = self.insert("cameras", &new, "RETURNING id, node_id, name")?;
+        for camera in read_all::<Camera>(added)? {
+            let known = cameras.entry(camera.node_id).or_default();
+            known.insert(camera.name, camera.id);
+        }
+        Ok(cameras)
     }
 
     /// Returns the ids of setups. Adds new setups.
