@@ -149,6 +149,45 @@ impl Command {
             _ => &[],
         }
     }
+
+    fn run(self) -> anyhow::Result<ExitCode> {
+        match self {
+            Self::Node(arguments) => node::run(&arguments)?,
+            #[cfg(feature = "hub")]
+            Self::Hub(arguments) => hub::run(&arguments)?,
+            #[cfg(feature = "hub")]
+            Self::Fleet(arguments) => return block_on(fleet::run(*arguments)),
+            #[cfg(feature = "hub")]
+            Self::Diag(arguments) => block_on(diag::run(arguments))?,
+            #[cfg(feature = "hub")]
+            Self::Router(arguments) => router::run(arguments)?,
+            #[cfg(feature = "hub")]
+            Self::Cert(arguments) => cert::run(&arguments)?,
+            #[cfg(feature = "hub")]
+            Self::Acl(arguments) => acl::run(&arguments)?,
+            Self::Check(arguments) => check::run(&arguments)?,
+            Self::Detect(arguments) => detect::run(&arguments)?,
+            Self::Power(arguments) => power::run(&arguments)?,
+            Self::Publish(arguments) => block_on(publish::run(arguments))?,
+            #[cfg(feature = "eval")]
+            Self::Compare(arguments) => block_on(compare::run(arguments))?,
+            #[cfg(feature = "eval")]
+            Self::Replay(arguments) => block_on(async {
+                let shutdown = albireo_service::signals::shutdown()
+                    .context(albireo_service::signals::CONTEXT)?;
+                replay::run(arguments, shutdown).await.map(drop)
+            })?,
+            #[cfg(feature = "eval")]
+            Self::Eval(arguments) => eval::run(&arguments)?,
+            #[cfg(feature = "simulate")]
+            Self::Simulate(arguments) => block_on(simulate::run(*arguments))?,
+            #[cfg(feature = "eval")]
+            Self::Demo(arguments) => block_on(demo::run(arguments))?,
+            Self::Man(arguments) => man::run(&arguments)?,
+            Self::Completions(arguments) => completions::run(&arguments)?,
+        }
+        Ok(ExitCode::SUCCESS)
+    }
 }
 
 impl Arguments {
@@ -161,48 +200,10 @@ impl Arguments {
     /// Runs the subcommand, and prints its error to standard error.
     pub fn run(self) -> ExitCode {
         variables::start_with(self.command.variables());
-        let ended = match self.command {
-            Command::Node(arguments) => node::run(&arguments),
-            #[cfg(feature = "hub")]
-            Command::Hub(arguments) => hub::run(&arguments),
-            #[cfg(feature = "hub")]
-            Command::Fleet(arguments) => return fleet::run(*arguments),
-            #[cfg(feature = "hub")]
-            Command::Diag(arguments) => diag::run(&arguments),
-            #[cfg(feature = "hub")]
-            Command::Router(arguments) => router::run(arguments),
-            #[cfg(feature = "hub")]
-            Command::Cert(arguments) => cert::run(&arguments),
-            #[cfg(feature = "hub")]
-            Command::Acl(arguments) => acl::run(&arguments),
-            Command::Check(arguments) => check::run(&arguments),
-            Command::Detect(arguments) => detect::run(&arguments),
-            Command::Power(arguments) => power::run(&arguments),
-            Command::Publish(arguments) => publish::run(arguments),
-            #[cfg(feature = "eval")]
-            Command::Compare(arguments) => block_on(compare::run(arguments)),
-            #[cfg(feature = "eval")]
-            Command::Replay(arguments) => block_on(async {
-                let shutdown = albireo_service::signals::shutdown()
-                    .context(albireo_service::signals::CONTEXT)?;
-                replay::run(arguments, shutdown).await.map(drop)
-            }),
-            #[cfg(feature = "eval")]
-            Command::Eval(arguments) => eval::run(&arguments),
-            #[cfg(feature = "simulate")]
-            Command::Simulate(arguments) => block_on(simulate::run(*arguments)),
-            #[cfg(feature = "eval")]
-            Command::Demo(arguments) => block_on(demo::run(arguments)),
-            Command::Man(arguments) => man::run(&arguments),
-            Command::Completions(arguments) => completions::run(&arguments),
-        };
-        match ended {
-            Ok(()) => ExitCode::SUCCESS,
-            Err(error) => {
-                eprintln!("albireo: {}", in_words(&error));
-                ExitCode::FAILURE
-            }
-        }
+        self.command.run().unwrap_or_else(|error| {
+            eprintln!("albireo: {}", in_words(&error));
+            ExitCode::FAILURE
+        })
     }
 }
 
@@ -221,7 +222,7 @@ fn in_words(error: &anyhow::Error) -> String {
 }
 
 /// Runs an asynchronous subcommand.
-fn block_on(work: impl Future<Output = anyhow::Result<()>>) -> anyhow::Result<()> {
+fn block_on<T>(work: impl Future<Output = anyhow::Result<T>>) -> anyhow::Result<T> {
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         .build()

@@ -3,10 +3,9 @@
 use crate::support::{
     PATIENCE, assert_contains, free_port, grey_jpeg, listening_peer, script, test_video,
 };
-use albireo::cli::replay::{
-    self, Ffmpeg, FrameSource, ReplayArguments, Sent, Video, VideoEncoding,
-};
+use albireo::cli::replay::{self, ReplayArguments, Sent};
 use albireo_core::geometry::PictureSize;
+use albireo_eval::footage::{Ffmpeg, FrameSource, Video, VideoEncoding};
 use albireo_node::input::{Frame, PayloadFormat, RawSample, read_frame};
 use albireo_vision::picture::FrameLimits;
 use albireo_wire::{FrameAnswer, VERSION};

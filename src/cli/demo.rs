@@ -4,16 +4,16 @@
 mod hub;
 mod show;
 
-use super::replay::{
-    FrameSender, Pacing, PublishOptions, Rate, SourceName, VideoEncoding, close, open_session,
-    publish,
-};
+use super::frames::{FrameSender, Pacing, close, open_session};
+use super::replay::{PublishOptions, Rate, publish};
+use albireo_eval::footage::{SourceName, VideoEncoding};
 use albireo_node::config::{CameraConfig, NodeConfig};
 use albireo_node::{PreparedNode, run_prepared};
 use albireo_service::config::{Configuration, LogConfig};
 use albireo_service::{logging, signals};
 use anyhow::{Context, bail};
 use show::Show;
+use std::net::{Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 use std::time::Duration;
 use tokio::net::TcpListener;
@@ -84,7 +84,6 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     })?;
     let shutdown = signals::shutdown().context(signals::CONTEXT)?;
     let listener = listen(arguments.port).await?;
-    let address = listener.local_addr()?;
     let endpoint = format!("tcp/127.0.0.1:{}", listen(7447).await?.local_addr()?.port());
     let config = configuration(&arguments, &endpoint)?;
     let prepared = PreparedNode::new(&config)?;
@@ -94,8 +93,8 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         &endpoint,
         shutdown.clone(),
     )?;
-    let show = Show::new(prepared.board(), &config, address);
-    show.banner();
+    let show = Show::new(prepared.board());
+    show.banner(&config, listener.local_addr()?);
     #[cfg(feature = "hub")]
     show::hub_lines(hub.address());
     show::frame_states();
@@ -135,11 +134,8 @@ async fn ending<T>(shutdown: CancellationToken, work: impl Future<Output = T>) -
 
 /// Opens a listener on this port of the loopback interface, or on any free one if it is taken.
 async fn listen(port: u16) -> anyhow::Result<TcpListener> {
-    if let Ok(listener) = TcpListener::bind(("127.0.0.1", port)).await {
-        return Ok(listener);
-    }
-    TcpListener::bind(("127.0.0.1", 0))
-        .await
+    let either = [port, 0].map(|port| SocketAddr::from((Ipv4Addr::LOCALHOST, port)));
+    (TcpListener::bind(&either[..]).await)
         .context("no port of the loopback interface can be listened on")
 }
 
@@ -195,11 +191,16 @@ async fn camera(
                 shutdown.cancel();
             });
         }
-        publish(source, &sender, &options, |_| {}, &shutdown).await?;
+        publish(
+            source,
+            |frame| sender.send(frame),
+            &options,
+            |_| {},
+            &shutdown,
+        )
+        .await?;
         close(session).await
     };
-    tokio::select! {
-        played = playing => played.context("camera"),
-        () = shutdown.cancelled() => Ok(()),
-    }
+    let played = shutdown.run_until_cancelled(playing).await;
+    played.unwrap_or(Ok(())).context("camera")
 }

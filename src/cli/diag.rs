@@ -1,13 +1,12 @@
 //! `albireo diag`: collects the diagnostics of a node or a hub into one archive.
 
-use super::block_on;
 use super::fleet::client::Client;
 use anyhow::{Context, bail};
 use reqwest::Response;
 use reqwest::header::{CONTENT_DISPOSITION, CONTENT_TYPE};
-use std::fs::OpenOptions;
+use std::fs::File;
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -33,12 +32,8 @@ pub(super) struct Arguments {
     output: Option<PathBuf>,
 }
 
-pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    block_on(fetch(arguments))
-}
-
-async fn fetch(arguments: &Arguments) -> anyhow::Result<()> {
-    let client = Client::new(&arguments.url, arguments.token.clone())?;
+pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
+    let client = Client::new(&arguments.url, arguments.token)?;
     let response = client.file("/api/v1/diag").await?;
     let is_archive = response.headers().get(CONTENT_TYPE);
     if is_archive.is_none_or(|kind| kind != "application/x-tar") {
@@ -47,26 +42,18 @@ async fn fetch(arguments: &Arguments) -> anyhow::Result<()> {
             arguments.url
         );
     }
-    let file = arguments.output.clone().or_else(|| named(&response));
+    let file = arguments.output.or_else(|| named(&response));
     let file = file.unwrap_or_else(|| "albireo-diag.tar".into());
     let archive = response
         .bytes()
         .await
         .context("the connection ended before the archive was complete")?;
-    save(&file, &archive)?;
     let shown = file.display();
+    File::create_new(&file)
+        .and_then(|mut opened| opened.write_all(&archive))
+        .with_context(|| format!("{shown} cannot be written"))?;
     println!("{shown}: {} bytes; tar xf {shown}", archive.len());
     Ok(())
-}
-
-/// Writes an archive into a new file; an existing file is not overwritten.
-fn save(file: &Path, archive: &[u8]) -> anyhow::Result<()> {
-    OpenOptions::new()
-        .write(true)
-        .create_new(true)
-        .open(file)
-        .and_then(|mut opened| opened.write_all(archive))
-        .with_context(|| format!("{} cannot be written", file.display()))
 }
 
 /// Returns the file name that the service gives the archive, without any path in it.

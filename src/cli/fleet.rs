@@ -7,10 +7,8 @@ mod set;
 mod table;
 mod units;
 
-use super::in_words;
 use clap::Subcommand;
 use client::Client;
-use std::io::IsTerminal;
 use std::process::ExitCode;
 
 const EXAMPLES: &str = "\
@@ -71,7 +69,10 @@ enum Command {
     /// List all nodes with their states.
     Ls(nodes::ListArguments),
     /// Show one node.
-    Show(nodes::ShowArguments),
+    Show {
+        /// The node's name.
+        node: String,
+    },
     /// Forget nodes that are gone; their clips and history stay.
     Forget {
         /// The names of the nodes.
@@ -95,35 +96,28 @@ enum Command {
     /// Show energy over time.
     Energy(nodes::EnergyArguments),
     /// Show the fleet, refreshed every two seconds.
-    Watch(nodes::WatchArguments),
+    Watch {
+        /// Stop after this many updates.
+        #[arg(long, value_name = "N")]
+        looks: Option<u64>,
+    },
 }
 
-/// The end of a command without an error.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// The end of a command without an error, with its exit code.
+#[derive(Clone, Copy)]
 enum Ended {
     /// Everything was done.
-    Well,
+    Well = 0,
     /// Some nodes refused or did not answer, or a rollout was rolled back.
-    Failed,
+    Failed = 3,
     /// Some nodes or stages are still pending.
-    Open,
-}
-
-impl From<Ended> for ExitCode {
-    fn from(ended: Ended) -> Self {
-        match ended {
-            Ended::Well => Self::SUCCESS,
-            Ended::Failed => Self::from(3),
-            Ended::Open => Self::from(4),
-        }
-    }
+    Open = 4,
 }
 
 /// The context of every command.
 struct Context {
     client: Client,
     json: bool,
-    terminal: bool,
 }
 
 impl Context {
@@ -132,39 +126,24 @@ impl Context {
         &self,
         answer: &T,
         text: impl FnOnce(&T) -> String,
-    ) -> anyhow::Result<()> {
+    ) -> anyhow::Result<Ended> {
         if self.json {
             println!("{}", serde_json::to_string_pretty(answer)?);
         } else {
             print!("{}", text(answer));
         }
-        Ok(())
+        Ok(Ended::Well)
     }
 }
 
-pub(super) fn run(arguments: Arguments) -> ExitCode {
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build();
-    let ended = runtime.map_err(anyhow::Error::from);
-    match ended.and_then(|runtime| runtime.block_on(follow(arguments))) {
-        Ok(ended) => ended.into(),
-        Err(error) => {
-            eprintln!("albireo: {}", in_words(&error));
-            ExitCode::FAILURE
-        }
-    }
-}
-
-async fn follow(arguments: Arguments) -> anyhow::Result<Ended> {
+pub(super) async fn run(arguments: Arguments) -> anyhow::Result<ExitCode> {
     let context = Context {
         client: Client::new(&arguments.hub, arguments.token)?,
         json: arguments.json,
-        terminal: std::io::stdout().is_terminal(),
     };
-    match arguments.command {
+    let ended = match arguments.command {
         Command::Ls(arguments) => nodes::list(&context, arguments).await,
-        Command::Show(arguments) => nodes::show(&context, arguments).await,
+        Command::Show { node } => nodes::show(&context, &node).await,
         Command::Forget { nodes } => nodes::forget(&context, &nodes).await,
         Command::SetU(arguments) => set::set(&context, arguments).await,
         Command::SetTarget(arguments) => set::set_target(&context, arguments).await,
@@ -173,6 +152,7 @@ async fn follow(arguments: Arguments) -> anyhow::Result<Ended> {
         Command::Rollout(command) => runs::rollout(&context, command).await,
         Command::Trial(command) => runs::trial(&context, command).await,
         Command::Energy(arguments) => nodes::energy(&context, arguments).await,
-        Command::Watch(arguments) => nodes::watch(&context, arguments).await,
-    }
+        Command::Watch { looks } => nodes::watch(&context, looks).await,
+    }?;
+    Ok(ExitCode::from(ended as u8))
 }

@@ -5,9 +5,7 @@ mod session;
 
 pub use sender::{FrameSender, OutgoingFrame, Pacing};
 pub(crate) use session::close;
-#[cfg(feature = "eval")]
-pub use session::flush;
-pub use session::{DEFAULT_ENDPOINT, open_session};
+pub use session::open_session;
 
 use albireo_wire::NodeKeys;
 

@@ -1,6 +1,5 @@
 //! `albireo publish`: sends a live camera's frames to a node on another machine.
 
-use super::block_on;
 use super::frames::{FrameSender, FrameTarget, NOBODY, OutgoingFrame, Pacing, close, open_session};
 use albireo_node::input::source::{
     Handover, LiveSource, RtspTransport, SourceAddress, SourceOptions, SourceSettings, SourceSink,
@@ -15,10 +14,18 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 use tokio::sync::watch;
-use tokio_util::sync::CancellationToken;
 use zenoh::session::Session;
 
-const EXAMPLES: &str = "\
+/// JPEG quality of sources that are not motion JPEG already (`-q:v`, 2 is the best).
+const QUALITY: u8 = 3;
+
+/// Pauses between two attempts to reach the node for the first time; later Zenoh reconnects by itself.
+const FIRST_PAUSE: Duration = Duration::from_millis(500);
+const LONGEST_PAUSE: Duration = Duration::from_secs(10);
+
+/// Arguments of `albireo publish`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
 Examples:
   albireo publish rtsp://192.168.0.20/stream --node car-7 \\
       --connect tcp/192.168.0.5:7447
@@ -33,18 +40,7 @@ Examples:
 
 A camera on the node's own machine needs no publisher: [[camera]] source in its
 configuration. Runs until stopped, and reconnects to a camera or node that
-comes back.";
-
-/// JPEG quality of sources that are not motion JPEG already (`-q:v`, 2 is the best).
-const QUALITY: u8 = 3;
-
-/// Pauses between two attempts to reach the node for the first time; later Zenoh reconnects by itself.
-const FIRST_PAUSE: Duration = Duration::from_millis(500);
-const LONGEST_PAUSE: Duration = Duration::from_secs(10);
-
-/// Arguments of `albireo publish`.
-#[derive(Debug, clap::Args)]
-#[command(after_help = EXAMPLES)]
+comes back.")]
 pub(super) struct Arguments {
     /// A camera (rtsp://, http://), a device, a video file, or a GStreamer pipeline; ${NAME} is an environment
     /// variable
@@ -70,7 +66,7 @@ pub(super) struct Arguments {
     source_timeout: u64,
 }
 
-pub(super) fn run(arguments: Arguments) -> anyhow::Result<()> {
+pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     logging::start(&LogConfig {
         // An unreachable node is reported here, once.
         level: "info,zenoh=error".to_owned(),
@@ -82,23 +78,15 @@ pub(super) fn run(arguments: Arguments) -> anyhow::Result<()> {
              set that environment variable"
         );
     }
-    block_on(async {
-        let shutdown = signals::shutdown().context(signals::CONTEXT)?;
-        publish(arguments, shutdown).await
-    })
-}
-
-async fn publish(arguments: Arguments, shutdown: CancellationToken) -> anyhow::Result<()> {
+    let shutdown = signals::shutdown().context(signals::CONTEXT)?;
     let key = arguments.target.frame_key()?;
-    let options = SourceOptions(arguments.source_option.clone());
-    options
-        .check()
-        .map_err(|error| anyhow!("--source-option {error}"))?;
+    let options = SourceOptions(arguments.source_option);
+    (options.check()).map_err(|error| anyhow!("--source-option {error}"))?;
     let settings = SourceSettings {
-        address: arguments.source.clone(),
+        address: arguments.source,
         max_rate: arguments.rate,
         transport: arguments.rtsp_transport,
-        hardware: arguments.hardware.clone(),
+        hardware: arguments.hardware,
         options,
         silence: Duration::from_secs(arguments.source_timeout.max(1)),
         // JPEG saves more on the network than encoding costs.
@@ -106,7 +94,8 @@ async fn publish(arguments: Arguments, shutdown: CancellationToken) -> anyhow::R
         limits: FrameLimits::default(),
     };
     let source = tokio::task::spawn_blocking(move || LiveSource::find(settings)).await??;
-    let Some(session) = connected(&arguments.target, &shutdown).await else {
+    let connecting = connected(&arguments.target);
+    let Some(session) = shutdown.run_until_cancelled(connecting).await else {
         return Ok(());
     };
     let sender = FrameSender::declare(&session, &key, Pacing::Drop).await?;
@@ -131,22 +120,15 @@ async fn publish(arguments: Arguments, shutdown: CancellationToken) -> anyhow::R
     Ok(())
 }
 
-/// Waits for a session with the node. Returns `None` if stopped first.
-async fn connected(target: &FrameTarget, shutdown: &CancellationToken) -> Option<Session> {
+/// Waits for a session with the node.
+async fn connected(target: &FrameTarget) -> Session {
     let mut pause = FIRST_PAUSE;
     loop {
-        let opened = tokio::select! {
-            opened = open_session(&target.connect, &target.listen, Duration::ZERO) => opened,
-            () = shutdown.cancelled() => return None,
-        };
-        match opened {
-            Ok(session) => return Some(session),
+        match open_session(&target.connect, &target.listen, Duration::ZERO).await {
+            Ok(session) => return session,
             Err(error) => tracing::warn!(retry_in_s = pause.as_secs_f64(), "{error:#}"),
         }
-        tokio::select! {
-            () = tokio::time::sleep(pause) => {}
-            () = shutdown.cancelled() => return None,
-        }
+        tokio::time::sleep(pause).await;
         pause = (pause * 2).min(LONGEST_PAUSE);
     }
 }
@@ -178,13 +160,18 @@ struct Outlet {
 }
 
 impl Outlet {
-    fn send(&mut self, picture: Result<EncodedPicture, FrameFault>) -> anyhow::Result<()> {
+    fn send(
+        &mut self,
+        picture: Result<EncodedPicture, FrameFault>,
+        reopened: bool,
+    ) -> anyhow::Result<()> {
+        if reopened {
+            self.seq = 0;
+            self.sender.begin_stream()?;
+        }
         let seq = self.seq;
         self.seq += 1;
-        let picture = match picture {
-            Ok(picture) => picture,
-            Err(fault) => bail!("a picture cannot be sent: {fault}"),
-        };
+        let picture = picture.map_err(|fault| anyhow!("a picture cannot be sent: {fault}"))?;
         self.sender.put(&OutgoingFrame {
             picture,
             attachment: FrameAttachment {
@@ -204,13 +191,7 @@ impl SourceSink for Outlet {
     }
 
     fn picture(&mut self, picture: Result<EncodedPicture, FrameFault>, reopened: bool) {
-        let begun = if reopened {
-            self.seq = 0;
-            self.sender.begin_stream()
-        } else {
-            Ok(())
-        };
-        match begun.and_then(|()| self.send(picture)) {
+        match self.send(picture, reopened) {
             Ok(()) => {
                 self.sent.fetch_add(1, Ordering::Relaxed);
                 self.failed = false;

@@ -2,17 +2,11 @@
 
 mod publish;
 
-pub(crate) use super::frames::close;
-pub use super::frames::{
-    DEFAULT_ENDPOINT, FrameSender, OutgoingFrame, Pacing, flush, open_session,
-};
-pub use albireo_eval::footage::{
-    Ffmpeg, FrameSource, Pictures, SourceName, Stopper, Video, VideoEncoding,
-};
 pub use publish::{PublishOptions, Rate, Sent, publish};
 
-use super::frames::{FrameTarget, NOBODY};
+use super::frames::{FrameSender, FrameTarget, NOBODY, Pacing, close, open_session};
 use super::progress;
+use albireo_eval::footage::{FrameSource, SourceName, VideoEncoding};
 use anyhow::bail;
 use clap::Args;
 use indicatif::HumanBytes;
@@ -75,10 +69,11 @@ pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> any
         _ => None,
     };
     let source = arguments.source.open(rate, arguments.encoding)?;
-    let (session, sender) = tokio::select! {
-        connected = connect(&arguments, &key) => connected?,
-        () = shutdown.cancelled() => return Ok(Sent::default()),
+    let connecting = connect(&arguments, &key);
+    let Some(connected) = shutdown.run_until_cancelled(connecting).await else {
+        return Ok(Sent::default());
     };
+    let (session, sender) = connected?;
     let receivers = sender.receivers();
     let total = match (options.frames, source.frames()) {
         (Some(frames), Some(own)) if !options.repeat => Some(frames.min(own)),
@@ -86,14 +81,15 @@ pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> any
         (None, own) => own.filter(|_| !options.repeat),
     };
     let bar = progress::bar(total, "frames  {msg}");
+    let progress = |sent: &Sent| {
+        bar.set_position(sent.frames);
+        bar.set_message(HumanBytes(sent.bytes).to_string());
+    };
     let sent = publish(
         source,
-        &sender,
+        |frame| sender.send(frame),
         options,
-        |sent| {
-            bar.set_position(sent.frames);
-            bar.set_message(HumanBytes(sent.bytes).to_string());
-        },
+        progress,
         &shutdown,
     )
     .await;

@@ -2,7 +2,7 @@
 
 use super::{PATIENCE, next, subscribe, until_connected};
 use crate::node_frames::attachment;
-use albireo::cli::replay::open_session;
+use albireo::cli::frames::open_session;
 use albireo_core::geometry::PictureSize;
 use albireo_scene::BoxScene;
 use albireo_wire::{ClipReport, read};

@@ -13,7 +13,7 @@ pub(crate) mod postgres;
 pub(crate) use assertions::assert_has;
 pub(crate) use ports::free_port;
 
-use albireo::cli::replay::{FrameSender, Pacing, open_session};
+use albireo::cli::frames::{FrameSender, Pacing, open_session};
 use albireo_wire::{ClipReport, ReportBatch};
 use serde_json::Value;
 use std::path::{Path, PathBuf};

@@ -1,9 +1,8 @@
 //! Plays one run: starts a node with one policy, sends it the clip as a camera does, and collects its answers.
 
 use super::PATIENCE;
-use crate::cli::replay::{
-    FrameSender, Pacing, PublishOptions, Rate, Sent, close, flush, open_session, publish,
-};
+use crate::cli::frames::{FrameSender, Pacing, close, open_session};
+use crate::cli::replay::{PublishOptions, Rate, Sent, publish};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{PolicyConfig, ThresholdSpec};
 use albireo_eval::compare::{Boxes, ClassNumbers, Suggestion};
@@ -13,17 +12,16 @@ use albireo_node::camera::{AnswerTime, SettleConfig};
 use albireo_node::config::{CameraConfig, NodeConfig};
 use albireo_node::input::Delivery;
 use albireo_node::state::advice::SkipWatch;
-use albireo_node::state::board::{Board, CameraBoard};
+use albireo_node::state::board::{Board, CameraBoard, Event, News};
 use albireo_node::state::target::TargetConfig;
 use albireo_service::config::{Configuration, UplinkConfig, ZenohConfig};
-use albireo_wire::{ClipReport, DetectionsMessage, read};
+use albireo_wire::{ClipReport, DetectionsMessage};
 use anyhow::{Context, anyhow, bail};
-use parking_lot::Mutex;
 use std::sync::Arc;
 use std::time::Duration;
+use tokio::sync::broadcast::Receiver;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
-use zenoh::Session;
 
 /// The names of the node, its camera, and the clips of warm-up and measurement.
 const NODE: &str = "compare";
@@ -57,25 +55,16 @@ pub(super) struct Played {
     pub meter_share_of_core: f64,
     /// Sequence number of the clip's first frame.
     first: u64,
-    /// The messages that the node published, not yet parsed.
-    answers: Vec<Vec<u8>>,
+    /// The answers to the clip's frames.
+    answers: Vec<Arc<DetectionsMessage>>,
 }
 
 impl Played {
-    /// Parses the messages for the clip's frames.
-    fn messages(&self) -> impl Iterator<Item = DetectionsMessage> {
-        let messages = self
-            .answers
-            .iter()
-            .filter_map(|answer| read::<DetectionsMessage>(answer).ok());
-        messages.filter(|message| message.clip == MEASURED)
-    }
-
     /// Suggests a threshold, if no frame was skipped although objects were tracked.
     pub(super) fn advice(&self, spec: Option<ThresholdSpec>) -> Option<Suggestion> {
         let mut watch = SkipWatch::default();
-        for message in self.messages() {
-            watch.count(&message);
+        for answer in &self.answers {
+            watch.count(answer);
         }
         let advice = watch.advice_so_far(&spec?)?;
         Some(Suggestion {
@@ -86,10 +75,10 @@ impl Played {
 
     /// Returns the boxes of the clip's frames.
     pub(super) fn boxes(&self, classes: &mut ClassNumbers) -> Boxes {
-        self.messages()
-            .filter_map(|message| {
-                let frame = message.seq.checked_sub(self.first)?;
-                Some((frame, classes.boxes(&message)))
+        (self.answers.iter())
+            .filter_map(|answer| {
+                let frame = answer.seq.checked_sub(self.first)?;
+                Some((frame, classes.boxes(answer)))
             })
             .collect()
     }
@@ -129,6 +118,7 @@ impl Player {
         progress(0, "loading the model");
         let prepared = PreparedNode::new(&config)?;
         let board = Arc::clone(prepared.board());
+        let collecting = tokio::spawn(collect(board.subscribe()));
         let stop = shutdown.child_token();
         let node = prepared.start(&config, stop.clone()).await?;
         let node = node.context("stopped")?;
@@ -138,17 +128,14 @@ impl Player {
             played = self.play_to(&config, &board, &endpoints, &progress, shutdown) => played,
             () = shutdown.cancelled() => Err(anyhow!("stopped")),
         };
-        // The clip ends with the node; its report is on the board once the node has stopped.
+        // The clip ends with the node.
         stop.cancel();
         stopped.await.context("the node")??;
-        let (cpu, answers) = played?;
-        let report = board
-            .recent_clips(Some(CAMERA), None, None, usize::MAX)
-            .into_iter()
-            .find(|report| report.clip == MEASURED)
-            .context("the node reported no clip")?;
+        let cpu = played?;
+        let collected = tokio::time::timeout(PATIENCE, collecting).await;
+        let (report, answers) = collected.context("the node reported no clip")???;
         Ok(Played {
-            report: ClipReport::clone(&report),
+            report,
             cpu,
             meter_share_of_core: board.power().meter_share_of_core(),
             first: self.warm_up_frames(),
@@ -156,7 +143,7 @@ impl Player {
         })
     }
 
-    /// Plays warm-up and clip to a running node; returns the CPU time of the clip and the published messages.
+    /// Plays warm-up and clip to a running node; returns the CPU time of the clip.
     async fn play_to(
         &self,
         config: &NodeConfig,
@@ -164,18 +151,17 @@ impl Player {
         endpoints: &[String],
         progress: &impl Fn(u64, &str),
         shutdown: &CancellationToken,
-    ) -> anyhow::Result<(Duration, Vec<Vec<u8>>)> {
-        let keys = config.keys()?.camera(CAMERA)?;
+    ) -> anyhow::Result<Duration> {
+        let key = config.keys()?.camera(CAMERA)?.frame();
         let camera = board
             .camera(CAMERA)
             .context("the camera is not on the board")?;
         let session = open_session(endpoints, &[], PATIENCE).await?;
-        let answers = subscribe(&session, keys.detections()).await?;
         let pacing = match self.rate {
             Some(_) => Pacing::WaitForNetwork,
             None => Pacing::WaitForNode,
         };
-        let sender = FrameSender::declare(&session, &keys.frame(), pacing).await?;
+        let sender = FrameSender::declare(&session, &key, pacing).await?;
         sender.wait_for_receiver(PATIENCE).await?;
 
         let warm_up = self.warm_up_frames();
@@ -204,11 +190,8 @@ impl Player {
         }
         self.answered(camera, self.frames_of_a_run()).await?;
         let cpu = process_cpu().saturating_sub(before);
-        // The node's messages arrive before the answer to this query.
-        flush(&session, &keys.frame(), PATIENCE).await?;
         close(session).await?;
-        let answers = std::mem::take(&mut *answers.lock());
-        Ok((cpu, answers))
+        Ok(cpu)
     }
 
     /// Sends the clip at the comparison's rate.
@@ -225,7 +208,14 @@ impl Player {
         };
         let clip = Box::new(self.clip.clone());
         let progress = |sent: &Sent| report(sent.frames);
-        publish(clip, sender, &options, progress, shutdown).await?;
+        publish(
+            clip,
+            |frame| sender.send(frame),
+            &options,
+            progress,
+            shutdown,
+        )
+        .await?;
         Ok(())
     }
 
@@ -281,20 +271,23 @@ fn configuration(
     }
 }
 
-/// Keeps the messages on `key`, which are parsed after the run.
-async fn subscribe(session: &Session, key: String) -> anyhow::Result<Arc<Mutex<Vec<Vec<u8>>>>> {
-    let answers = Arc::new(Mutex::new(Vec::new()));
-    let kept = Arc::clone(&answers);
-    session
-        .declare_subscriber(key)
-        .callback(move |sample| {
-            let answer = sample.payload().to_bytes().into_owned();
-            kept.lock().push(answer);
-        })
-        .background()
-        .await
-        .map_err(|error| anyhow!("detections cannot be received: {error}"))?;
-    Ok(answers)
+/// Collects the answers to the clip's frames until its report.
+async fn collect(
+    mut events: Receiver<Arc<Event>>,
+) -> anyhow::Result<(ClipReport, Vec<Arc<DetectionsMessage>>)> {
+    let mut answers = Vec::new();
+    loop {
+        let event = events.recv().await.context("the node's answers")?;
+        match &event.news {
+            News::Frame(frame) if frame.detections.clip == MEASURED => {
+                answers.push(Arc::clone(&frame.detections));
+            }
+            News::Clip(report) if report.clip == MEASURED => {
+                return Ok((ClipReport::clone(report), answers));
+            }
+            _ => {}
+        }
+    }
 }
 
 /// The CPU time of all threads of this process so far.

@@ -19,30 +19,20 @@ const LAST_REPORT: Duration = Duration::from_secs(3);
 pub(super) struct Show {
     board: Arc<Board>,
     events: Receiver<Arc<Event>>,
-    address: SocketAddr,
-    model: String,
     started: Instant,
     has_heading: bool,
     bar: ProgressBar,
 }
 
-/// The totals of all clips.
+/// The reports of all clips.
 #[derive(Debug, Default)]
 pub(super) struct Summary {
     seconds: f64,
-    clips: u64,
-    states: FrameStates,
-    degraded: u64,
-    dropped: u64,
-    joules: f64,
-    /// True if the energy does not cover the whole time.
-    has_gaps: bool,
-    quality: Option<EnergyQuality>,
-    source: String,
+    reports: Vec<Arc<ClipReport>>,
 }
 
 impl Show {
-    pub(super) fn new(board: &Arc<Board>, config: &NodeConfig, address: SocketAddr) -> Self {
+    pub(super) fn new(board: &Arc<Board>) -> Self {
         let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::stdout());
         if let Ok(style) = ProgressStyle::with_template("{spinner} {msg}") {
             bar.set_style(style);
@@ -50,29 +40,24 @@ impl Show {
         Self {
             board: Arc::clone(board),
             events: board.subscribe(),
-            address,
-            model: config.detector.model.display().to_string(),
             started: Instant::now(),
             has_heading: false,
             bar,
         }
     }
 
-    pub(super) fn banner(&self) {
-        println!("albireo demo: a recorded road -> Zenoh -> {}", self.model);
-        println!("  page     http://{}/", self.address);
-        println!(
-            "  counters curl http://{}/api/v1/frame-states",
-            self.address
-        );
+    pub(super) fn banner(&self, config: &NodeConfig, address: SocketAddr) {
+        let model = config.detector.model.display();
+        println!("albireo demo: a recorded road -> Zenoh -> {model}");
+        println!("  page     http://{address}/");
+        println!("  counters curl http://{address}/api/v1/frame-states");
         let camera = self.board.cameras.first();
         if let Some(spec) = camera.and_then(|camera| camera.threshold_spec) {
             // Twice the default, so that the difference is visible.
             let value = (2.0 * spec.default).min(spec.maximum);
             let value = serde_json::json!({ spec.name: value });
             println!(
-                "  tune it  curl -X PUT http://{}/api/v1/threshold \\\n             -H 'content-type: application/json' -d '{value}'",
-                self.address
+                "  tune it  curl -X PUT http://{address}/api/v1/threshold \\\n             -H 'content-type: application/json' -d '{value}'"
             );
         }
     }
@@ -106,7 +91,7 @@ impl Show {
                 Ok(News::Clip(report)) => {
                     self.heading();
                     self.say(&clip_line(report));
-                    summary.add(report);
+                    summary.reports.push(Arc::clone(report));
                     if shutdown.is_cancelled() {
                         break;
                     }
@@ -210,41 +195,34 @@ fn mark(energy: &ClipEnergy) -> &'static str {
 }
 
 impl Summary {
-    fn add(&mut self, report: &ClipReport) {
-        self.clips += 1;
-        self.states += report.states;
-        self.degraded += report.degraded_frames;
-        self.dropped += report.dropped.total();
-        self.joules += report.energy.joules.unwrap_or_default();
-        self.has_gaps |= !report.energy.is_whole();
-        self.source.clone_from(&report.energy.source);
-        // The sum has the quality of its worst part.
-        self.quality = self.quality.max(Some(report.energy.quality));
-    }
-
     pub(super) fn print(&self) {
-        let frames = self.states.frames();
+        let reports = || self.reports.iter();
+        let count = |of: fn(&ClipReport) -> u64| reports().map(|report| of(report)).sum::<u64>();
+        let mut states = FrameStates::default();
+        reports().for_each(|report| states += report.states);
+        let degraded = count(|report| report.degraded_frames);
+        let frames = states.frames();
         println!(
             "\n{frames} frames in {} clips, {:.0} s; detector skipped on {:.1} % ({} of {frames}), dropped {}",
-            self.clips,
+            self.reports.len(),
             self.seconds,
-            self.states.skip_rate(self.degraded) * 100.0,
-            self.states.skipped(self.degraded),
-            self.dropped,
+            states.skip_rate(degraded) * 100.0,
+            states.skipped(degraded),
+            count(|report| report.dropped.total()),
         );
-        let gaps = if self.has_gaps {
-            ", without the time that no sample covers (+)"
-        } else {
-            ""
+        let joules: f64 = reports().filter_map(|report| report.energy.joules).sum();
+        let source = reports().last().map_or("", |last| &last.energy.source);
+        let gaps = match reports().all(|report| report.energy.is_whole()) {
+            true => "",
+            false => ", without the time that no sample covers (+)",
         };
-        match self.quality {
-            Some(EnergyQuality::Measured | EnergyQuality::Partial) => println!(
-                "energy {:.1} J, measured by {}{gaps}",
-                self.joules, self.source
-            ),
+        // The sum has the quality of its worst part.
+        match reports().map(|report| report.energy.quality).max() {
+            Some(EnergyQuality::Measured | EnergyQuality::Partial) => {
+                println!("energy {joules:.1} J, measured by {source}{gaps}");
+            }
             Some(EnergyQuality::Estimated) => println!(
-                "energy {:.1} J: estimated from utilisation (*), without a power meter{gaps}",
-                self.joules
+                "energy {joules:.1} J: estimated from utilisation (*), without a power meter{gaps}"
             ),
             Some(EnergyQuality::Unavailable) | None => println!("energy not known: no source"),
         }

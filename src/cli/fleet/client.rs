@@ -1,7 +1,7 @@
 //! Talks to a hub or a node over HTTP.
 
 use anyhow::{Context, bail};
-use reqwest::header::{ACCEPT, AUTHORIZATION};
+use reqwest::header::ACCEPT;
 use reqwest::{Method, RequestBuilder, Response, Url};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -10,8 +10,6 @@ use std::time::Duration;
 
 /// Time limit of a plain answer.
 const ANSWER_WITHIN: Duration = Duration::from_secs(30);
-/// The longest line of a stream, bytes.
-const MAX_LINE_BYTES: usize = 1 << 20;
 
 /// A hub, or a node.
 pub(in crate::cli) struct Client {
@@ -44,7 +42,7 @@ impl Client {
         }
         let request = self.http.request(method, url);
         Ok(match &self.token {
-            Some(token) => request.header(AUTHORIZATION, format!("Bearer {token}")),
+            Some(token) => request.bearer_auth(token),
             None => request,
         })
     }
@@ -58,12 +56,8 @@ impl Client {
         if status.is_success() {
             return Ok(response);
         }
-        let body = response.text().await.unwrap_or_default();
-        let problem: Option<Value> = serde_json::from_str(&body).ok();
-        let detail = problem
-            .as_ref()
-            .and_then(|problem| problem["detail"].as_str());
-        match detail {
+        let problem: Value = response.json().await.unwrap_or_default();
+        match problem["detail"].as_str() {
             Some(detail) => bail!("{detail}"),
             None => bail!("{} answers {status}; is it a hub or a node?", self.base),
         }
@@ -71,13 +65,9 @@ impl Client {
 
     async fn json<T: DeserializeOwned>(&self, request: RequestBuilder) -> anyhow::Result<T> {
         let response = self.send(request.timeout(ANSWER_WITHIN)).await?;
-        let text = response.text().await?;
-        serde_json::from_str(&text).with_context(|| {
-            format!(
-                "{} does not answer as a hub of this version does",
-                self.base
-            )
-        })
+        let (text, base) = (response.text().await?, &self.base);
+        serde_json::from_str(&text)
+            .with_context(|| format!("{base} does not answer as a hub of this version does"))
     }
 
     /// Sends a GET request.
@@ -101,8 +91,8 @@ impl Client {
         path: &str,
         body: &impl Serialize,
     ) -> anyhow::Result<T> {
-        self.json(self.request(Method::POST, path, &[])?.json(body))
-            .await
+        let request = self.request(Method::POST, path, &[])?;
+        self.json(request.json(body)).await
     }
 
     /// Sends a DELETE request.
@@ -125,21 +115,12 @@ impl Client {
             .json(body);
         let mut answer = self.send(request).await?;
         let mut unread = Vec::new();
-        while let Some(bytes) = answer
-            .chunk()
-            .await
-            .context("the connection to the hub broke")?
-        {
+        while let Some(bytes) = (answer.chunk().await).context("the connection to the hub broke")? {
             unread.extend_from_slice(&bytes);
             while let Some(end) = unread.iter().position(|byte| *byte == b'\n') {
-                let rest = unread.split_off(end + 1);
-                let text = std::mem::replace(&mut unread, rest);
-                line(
-                    serde_json::from_slice(&text).context("a line of the answer cannot be read")?,
-                )?;
-            }
-            if unread.len() > MAX_LINE_BYTES {
-                bail!("a line of the answer is longer than {MAX_LINE_BYTES} bytes");
+                let text: Vec<u8> = unread.drain(..=end).collect();
+                let read = serde_json::from_slice(&text);
+                line(read.context("a line of the answer cannot be read")?)?;
             }
         }
         Ok(())

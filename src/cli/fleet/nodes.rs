@@ -1,7 +1,7 @@
 //! Runs the commands `ls`, `show`, `forget`, `energy` and `watch`.
 
 use super::table::{WIDTH, cut, table};
-use super::units::{self, ago, figure, name_of, seconds, threshold};
+use super::units::{self, ago, figure, joined, name_of, seconds, threshold, when};
 use super::{Context, Ended};
 use albireo_hub::http::{Energy, NodeDetail, NodeList};
 use albireo_hub::presence::{NodeView, PresenceState};
@@ -9,12 +9,11 @@ use albireo_service::clock::{DAY_MS, unix_milliseconds};
 use albireo_wire::{CameraStatus, EnergyQuality, NodeStatus, NodeTarget};
 use serde::Deserialize;
 use serde_json::json;
+use std::io::IsTerminal;
 use std::time::Duration;
 
 /// The number of nodes per page.
 const PAGE: usize = 500;
-/// The most nodes that are listed.
-const MAX_NODES: usize = 200_000;
 /// From this many seconds on, a period of `energy` begins with a day (UTC).
 const WHOLE_DAYS_FROM: f64 = 2.0 * 86_400.0;
 /// The number of nodes that `watch` shows.
@@ -34,13 +33,6 @@ pub(super) struct ListArguments {
     /// The most nodes to list.
     #[arg(long, default_value_t = 1_000)]
     limit: usize,
-}
-
-/// Arguments of `albireo fleet show`.
-#[derive(Debug, clap::Args)]
-pub(super) struct ShowArguments {
-    /// The node's name.
-    node: String,
 }
 
 pub(super) async fn forget(context: &Context, nodes: &[String]) -> anyhow::Result<Ended> {
@@ -71,29 +63,19 @@ pub(super) struct EnergyArguments {
     sort: String,
 }
 
-/// Arguments of `albireo fleet watch`.
-#[derive(Debug, clap::Args)]
-pub(super) struct WatchArguments {
-    /// Stop after this many updates.
-    #[arg(long, value_name = "N")]
-    looks: Option<u64>,
-}
-
-/// Fetches all nodes, page by page.
-async fn nodes(
-    context: &Context,
-    state: Option<&str>,
-    sort: &str,
-    limit: usize,
-) -> anyhow::Result<Vec<NodeView>> {
+/// Fetches the nodes page by page.
+pub(super) async fn list(context: &Context, arguments: ListArguments) -> anyhow::Result<Ended> {
+    let ListArguments { state, sort, limit } = arguments;
     let mut found: Vec<NodeView> = Vec::new();
-    while found.len() < limit.min(MAX_NODES) {
-        let mut query = vec![("limit", PAGE.min(limit - found.len()).to_string())];
-        query.push(("sort", sort.to_owned()));
-        // The worst state, the most recent status and the most waiting reports come first.
-        query.push(("down", (sort != "name").to_string()));
-        query.push(("offset", found.len().to_string()));
-        query.extend(state.map(|state| ("state", state.to_owned())));
+    while found.len() < limit {
+        let mut query = vec![
+            ("limit", PAGE.min(limit - found.len()).to_string()),
+            ("offset", found.len().to_string()),
+            // The worst state, the most recent status and the most waiting reports come first.
+            ("down", (sort != "name").to_string()),
+            ("sort", sort.clone()),
+        ];
+        query.extend(state.clone().map(|state| ("state", state)));
         let page: NodeList = context.client.get("/api/v1/nodes", &query).await?;
         let empty = page.nodes.is_empty();
         found.extend(page.nodes);
@@ -101,19 +83,7 @@ async fn nodes(
             break;
         }
     }
-    Ok(found)
-}
-
-pub(super) async fn list(context: &Context, arguments: ListArguments) -> anyhow::Result<Ended> {
-    let found = nodes(
-        context,
-        arguments.state.as_deref(),
-        &arguments.sort,
-        arguments.limit,
-    )
-    .await?;
-    context.print(&json!({ "nodes": found }), |_| list_of(&found))?;
-    Ok(Ended::Well)
+    context.print(&json!({ "nodes": found }), |_| list_of(&found))
 }
 
 /// Returns the node's last full status; `None` without one, or if a node of another version sent it and it cannot be read.
@@ -141,112 +111,91 @@ fn camera_value(camera: &CameraStatus) -> String {
 /// Formats the labels of a node in one line.
 fn labels(status: &NodeStatus) -> String {
     let labels = status.labels.iter();
-    let labels: Vec<String> = labels
-        .map(|(key, value)| format!("{key}={value}"))
-        .collect();
-    labels.join(" ")
+    let labels = labels.map(|(key, value)| format!("{key}={value}"));
+    labels.collect::<Vec<_>>().join(" ")
 }
 
 fn list_of(nodes: &[NodeView]) -> String {
+    let dash = || "-".to_owned();
     let rows = nodes.iter().map(|node| {
         let status = status(node);
-        let shown = |text: fn(&NodeStatus) -> String| status.as_ref().map(text);
+        let status = status.as_ref();
         [
             node.node.clone(),
             node.state.to_string(),
             ago(node.since_ms),
-            shown(value).unwrap_or_else(|| "-".to_owned()),
-            shown(|status| status.policy.clone()).unwrap_or_else(|| "-".to_owned()),
+            status.map_or_else(dash, value),
+            status.map_or_else(dash, |status| status.policy.clone()),
             node.waiting.to_string(),
             node.revision.to_string(),
-            cut(&shown(labels).unwrap_or_default(), 30),
+            cut(&status.map(labels).unwrap_or_default(), 30),
             node.why.clone(),
         ]
     });
-    table(
-        "node|state|since|>value|policy|>waiting|>change|labels|why",
-        rows,
-    )
+    let headings = "node|state|since|>value|policy|>waiting|>change|labels|why";
+    table(headings, rows)
 }
 
-pub(super) async fn show(context: &Context, arguments: ShowArguments) -> anyhow::Result<Ended> {
-    let path = format!("/api/v1/nodes/{}", arguments.node);
+pub(super) async fn show(context: &Context, node: &str) -> anyhow::Result<Ended> {
+    let path = format!("/api/v1/nodes/{node}");
     let node: NodeDetail = context.client.get(&path, &[]).await?;
-    context.print(&node, |NodeDetail { node, .. }| {
-        let since = ago(node.since_ms);
-        let mut lines = vec![("node", node.node.clone())];
-        lines.push(match node.why.as_str() {
-            "" => ("state", format!("{} for {since}", node.state)),
-            why => ("state", format!("{} for {since}: {why}", node.state)),
-        });
-        lines.extend(
-            node.heard_ms
-                .map(|at| ("heard", format!("{} ago", ago(at)))),
-        );
-        let status = status(node);
-        if let Some(status) = &status {
-            let provider = status.provider.as_deref().unwrap_or("no provider yet");
-            lines.extend([
-                ("labels", labels(status)),
-                ("version", status.version.clone()),
-                ("policy", status.policy.clone()),
-                ("model", format!("{} on {provider}", status.model)),
-                (
-                    "power",
-                    format!(
-                        "{}, {}",
-                        status.power_source,
-                        name_of(&status.power_quality)
-                    ),
-                ),
-            ]);
+    context.print(&node, |detail| facts(&detail.node))
+}
+
+/// Formats what is known of a node, a line for each fact.
+fn facts(node: &NodeView) -> String {
+    let since = ago(node.since_ms);
+    let state = match node.why.as_str() {
+        "" => format!("{} for {since}", node.state),
+        why => format!("{} for {since}: {why}", node.state),
+    };
+    let mut lines = vec![("node", node.node.clone()), ("state", state)];
+    lines.extend(node.heard_ms.map(|at| ("heard", when(at))));
+    let status = status(node);
+    if let Some(status) = &status {
+        let provider = status.provider.as_deref().unwrap_or("no provider yet");
+        let quality = name_of(&status.power_quality);
+        lines.extend([
+            ("labels", labels(status)),
+            ("version", status.version.clone()),
+            ("policy", status.policy.clone()),
+            ("model", format!("{} on {provider}", status.model)),
+            ("power", format!("{}, {quality}", status.power_source)),
+        ]);
+    }
+    lines.push(("revision", node.revision.to_string()));
+    lines.push(("waiting", format!("{} reports", node.waiting)));
+    if let Some(status) = &status {
+        if let Some(refused) = &status.refused {
+            let text = format!("revision {}: {}", refused.revision, refused.reason);
+            lines.push(("refused", text));
         }
-        lines.push(("revision", node.revision.to_string()));
-        lines.push(("waiting", format!("{} reports", node.waiting)));
-        if let Some(status) = &status {
-            if let Some(refused) = &status.refused {
-                let text = format!("revision {}: {}", refused.revision, refused.reason);
-                lines.push(("refused", text));
-            }
-            match (&status.target, &status.target_off) {
-                (Some(report), _) => lines.push(("target", target_words(report))),
-                (None, Some(off)) => lines.push(("target", format!("none: {off}"))),
-                (None, None) => (),
-            }
-            for camera in &status.cameras {
-                let source = match status.target {
-                    Some(_) => "moved by the target".to_owned(),
-                    None => format!("from {}", name_of(&camera.threshold_source)),
-                };
-                let (state, value) = (name_of(&camera.state), camera_value(camera));
-                lines.push((
-                    "camera",
-                    format!("{}: {state}, {value} ({source})", camera.name),
-                ));
-            }
+        match (&status.target, &status.target_off) {
+            (Some(report), _) => lines.push(("target", target_words(report))),
+            (None, Some(off)) => lines.push(("target", format!("none: {off}"))),
+            (None, None) => (),
         }
-        let shown = lines.iter().filter(|(_, value)| !value.is_empty());
-        shown
-            .map(|(name, value)| cut(&format!("{name:<12} {value}"), WIDTH) + "\n")
-            .collect()
-    })?;
-    Ok(Ended::Well)
+        for camera in &status.cameras {
+            let source = match status.target {
+                Some(_) => "moved by the target".to_owned(),
+                None => format!("from {}", name_of(&camera.threshold_source)),
+            };
+            let (name, state, value) = (&camera.name, name_of(&camera.state), camera_value(camera));
+            lines.push(("camera", format!("{name}: {state}, {value} ({source})")));
+        }
+    }
+    let shown = lines.iter().filter(|(_, value)| !value.is_empty());
+    shown
+        .map(|(name, value)| cut(&format!("{name:<12} {value}"), WIDTH) + "\n")
+        .collect()
 }
 
 /// Formats the target of a node with its last reported state.
 fn target_words(report: &NodeTarget) -> String {
-    let actual = report
-        .actual
-        .map(|actual| format!(", now {}", figure(actual)));
-    format!(
-        "{}{}, {} (from {})",
-        report.target,
-        actual.unwrap_or_default(),
-        report
-            .status
-            .map_or("begins".to_owned(), |status| name_of(&status)),
-        name_of(&report.source),
-    )
+    let actual = (report.actual).map_or_else(String::new, |now| format!(", now {}", figure(now)));
+    let status = (report.status).map_or_else(|| "begins".to_owned(), |status| name_of(&status));
+    let source = name_of(&report.source);
+    format!("{}{actual}, {status} (from {source})", report.target)
 }
 
 pub(super) async fn energy(context: &Context, arguments: EnergyArguments) -> anyhow::Result<Ended> {
@@ -260,8 +209,7 @@ pub(super) async fn energy(context: &Context, arguments: EnergyArguments) -> any
     query.extend(arguments.by.map(|by| ("by", by)));
     query.extend(arguments.node.map(|node| ("node", node)));
     let energy: Energy = context.client.get("/api/v1/energy", &query).await?;
-    context.print(&energy, sums)?;
-    Ok(Ended::Well)
+    context.print(&energy, sums)
 }
 
 /// Formats one line for each group and quality; different qualities are never added.
@@ -291,13 +239,12 @@ fn sums(energy: &Energy) -> String {
             joules(group.saved_joules_estimated),
         ]
     });
-    table(
-        "group|energy|>clips|>joules|>J/clip|>skip rate|>avoided|>recall|>saved J (est.)",
-        rows,
-    )
+    let headings =
+        "group|energy|>clips|>joules|>J/clip|>skip rate|>avoided|>recall|>saved J (est.)";
+    table(headings, rows)
 }
 
-pub(super) async fn watch(context: &Context, arguments: WatchArguments) -> anyhow::Result<Ended> {
+pub(super) async fn watch(context: &Context, most: Option<u64>) -> anyhow::Result<Ended> {
     let mut looks = 0;
     loop {
         // The hub counts the nodes and lists those with problems first, so one page is enough for any fleet.
@@ -310,14 +257,14 @@ pub(super) async fn watch(context: &Context, arguments: WatchArguments) -> anyho
         if context.json {
             println!("{}", serde_json::to_string(&page)?);
         } else {
-            if context.terminal {
+            if std::io::stdout().is_terminal() {
                 // Clear and go to the upper left corner.
                 print!("\x1b[2J\x1b[H");
             }
             print!("{}", overview(&page));
         }
         looks += 1;
-        if arguments.looks.is_some_and(|most| looks >= most) {
+        if most.is_some_and(|most| looks >= most) {
             return Ok(Ended::Well);
         }
         tokio::time::sleep(LOOK).await;
@@ -330,14 +277,11 @@ fn overview(page: &NodeList) -> String {
     let line = format!(
         "{}: {}; {} reports wait",
         units::nodes(page.counts.values().sum()),
-        counts.collect::<Vec<_>>().join(", "),
+        joined(counts),
         page.waiting
     );
     let text = cut(&line, WIDTH) + "\n\n";
     let shown = &page.nodes;
-    let unwell = shown
-        .iter()
-        .take_while(|node| node.state != PresenceState::Online);
-    let unwell = unwell.count();
+    let unwell = shown.partition_point(|node| node.state != PresenceState::Online);
     text + &list_of(if unwell > 0 { &shown[..unwell] } else { shown })
 }

@@ -1,8 +1,8 @@
 //! Runs the commands `rollout` and `trial`: changes in stages, and values compared on random groups of nodes.
 
-use super::table::{WIDTH, cut, table, wrapped};
+use super::table::{WIDTH, cut, table};
 use super::units::{
-    counts, figure, finite, interval, name_of, nodes, seconds, span, threshold, when,
+    counts, figure, finite, interval, joined, name_of, nodes, seconds, span, threshold, when,
 };
 use super::{Context, Ended};
 use albireo_hub::http::{Rollouts, RunView, Trials};
@@ -183,8 +183,7 @@ pub(super) async fn rollout(context: &Context, command: RolloutCommand) -> anyho
         Start(arguments) => return start(context, *arguments).await,
         Ls => {
             let rollouts: Rollouts = client.get("/api/v1/rollouts", &[]).await?;
-            context.print(&rollouts, |found| list(&found.rollouts))?;
-            return Ok(Ended::Well);
+            return context.print(&rollouts, |found| list(&found.rollouts));
         }
         Show { id, follow } => {
             let id = number(context, "rollouts", id).await?;
@@ -203,8 +202,7 @@ pub(super) async fn rollout(context: &Context, command: RolloutCommand) -> anyho
     };
     let path = format!("/api/v1/rollouts/{id}/{order}");
     let rollout: RunView = client.post(&path, &json!({})).await?;
-    context.print(&rollout, |rollout| headline(rollout) + "\n")?;
-    Ok(Ended::Well)
+    context.print(&rollout, |rollout| headline(rollout) + "\n")
 }
 
 pub(super) async fn trial(context: &Context, command: TrialCommand) -> anyhow::Result<Ended> {
@@ -217,21 +215,18 @@ pub(super) async fn trial(context: &Context, command: TrialCommand) -> anyhow::R
         }
         TrialCommand::Ls => {
             let trials: Trials = client.get("/api/v1/trials", &[]).await?;
-            context.print(&trials, |found| list(&found.trials))?;
-            return Ok(Ended::Well);
+            return context.print(&trials, |found| list(&found.trials));
         }
         TrialCommand::Show { id } => {
             let id = number(context, "trials", id).await?;
             client.get(&format!("/api/v1/trials/{id}"), &[]).await?
         }
         TrialCommand::End(Number { id }) => {
-            client
-                .post(&format!("/api/v1/trials/{id}/end"), &json!({}))
-                .await?
+            let path = format!("/api/v1/trials/{id}/end");
+            client.post(&path, &json!({})).await?
         }
     };
-    context.print(&trial, whole)?;
-    Ok(Ended::Well)
+    context.print(&trial, whole)
 }
 
 /// Returns the number that was given, or that of the newest.
@@ -259,8 +254,7 @@ async fn start(context: &Context, arguments: RolloutArguments) -> anyhow::Result
             text += &(cut(&line, WIDTH) + "\n");
         }
         text + &format!("albireo fleet rollout show {id} --follow\n")
-    })?;
-    Ok(Ended::Well)
+    })
 }
 
 async fn follow(context: &Context, id: i64) -> anyhow::Result<Ended> {
@@ -270,10 +264,8 @@ async fn follow(context: &Context, id: i64) -> anyhow::Result<Ended> {
         let rollout: RunView = context.client.get(&path, &[]).await?;
         let run = &rollout.kept.run;
         // The hub keeps only the newest entries, so their positions change.
-        let printed = last.as_ref().and_then(|last| {
-            let mut entries = run.record.iter();
-            entries.rposition(|entry| entry == last)
-        });
+        let is_last = |entry: &Entry| Some(entry) == last.as_ref();
+        let printed = run.record.iter().rposition(is_last);
         for entry in run.record.iter().skip(printed.map_or(0, |place| place + 1)) {
             if context.json {
                 println!("{}", serde_json::to_string(entry)?);
@@ -312,30 +304,23 @@ fn state(run: &RunView) -> String {
 fn values(kind: &Kind) -> String {
     match kind {
         Kind::Rollout { to, .. } => threshold(to),
-        Kind::Trial { plan } => joined(&plan.values, threshold),
+        Kind::Trial { plan } => joined(plan.values.iter().map(threshold)),
     }
 }
 
 fn headline(view: &RunView) -> String {
     let run = &view.kept.run;
     let (id, values, state) = (view.kept.id, values(&run.kind), state(view));
-    let text = match &run.kind {
-        Kind::Trial { .. } => {
-            let (counts, seed) = (counts(&view.counts), run.seed);
-            return format!("trial {id} of {values}: {state}; {counts}; seed {seed}");
-        }
-        Kind::Rollout { .. } => {
-            let of = view.stages.len();
-            format!(
-                "rollout {id} to {values}: {state}, stage {} of {of}",
-                run.stage
-            )
-        }
-    };
-    match run.phase {
-        Phase::Held | Phase::Returning => format!("{text} ({})", run.reason),
-        _ => text,
+    if let Kind::Trial { .. } = run.kind {
+        let (counts, seed) = (counts(&view.counts), run.seed);
+        return format!("trial {id} of {values}: {state}; {counts}; seed {seed}");
     }
+    let reason = match run.phase {
+        Phase::Held | Phase::Returning => format!(" ({})", run.reason),
+        _ => String::new(),
+    };
+    let (stage, of) = (run.stage, view.stages.len());
+    format!("rollout {id} to {values}: {state}, stage {stage} of {of}{reason}")
 }
 
 fn list(found: &[RunView]) -> String {
@@ -366,9 +351,9 @@ fn whole(view: &RunView) -> String {
         text,
         "  nodes {}; stages {}; soak {}\n  gates {}; on failure {}",
         plan.basics.select,
-        joined(&plan.stages, ToString::to_string),
+        joined(plan.stages.iter().map(ToString::to_string)),
         span(plan.soak_s as i64),
-        joined(&plan.gates, ToString::to_string),
+        joined(plan.gates.iter().map(ToString::to_string)),
         name_of(&plan.on_failure)
     );
     for (number, stage) in (1..).zip(&view.stages) {
@@ -385,10 +370,6 @@ fn whole(view: &RunView) -> String {
     text
 }
 
-fn joined<T>(list: &[T], text: impl Fn(&T) -> String) -> String {
-    list.iter().map(text).collect::<Vec<_>>().join(", ")
-}
-
 /// Formats an entry of a rollout's record, with its time since the rollout began.
 fn entry_text(entry: &Entry, begun_ms: i64) -> String {
     let who = entry.who.as_ref().map(|who| format!(" by {who}"));
@@ -396,15 +377,14 @@ fn entry_text(entry: &Entry, begun_ms: i64) -> String {
         "" => String::new(),
         text => format!(": {text}"),
     };
-    let line = format!(
-        "{:>10}  stage {}  {}{}{text}",
+    // The reason a stage failed is never cut short.
+    let mut text = format!(
+        "{:>10}  stage {}  {}{}{text}\n",
         format!("+{}", span((entry.at_ms - begun_ms) / 1000)),
         entry.stage,
         name_of(&entry.what),
         who.unwrap_or_default(),
     );
-    // The reason a stage failed is never cut short.
-    let mut text = wrapped(&line, 15);
     if entry.gates.is_empty() {
         return text;
     }

@@ -142,11 +142,9 @@ pub(super) async fn changes(
     arguments: ChangesArguments,
 ) -> anyhow::Result<Ended> {
     if let Some(revision) = arguments.revision {
-        let change: ChangeView = context
-            .client
-            .get(&format!("/api/v1/changes/{revision}"), &[])
-            .await?;
-        context.print(&change, |change| {
+        let path = format!("/api/v1/changes/{revision}");
+        let change: ChangeView = context.client.get(&path, &[]).await?;
+        return context.print(&change, |change| {
             let rows = change.nodes.iter().map(|node| {
                 [
                     node.node.clone(),
@@ -158,14 +156,12 @@ pub(super) async fn changes(
             });
             let nodes = table("node|outcome|>from|when|detail", rows);
             format!("{}\n{nodes}", list(std::slice::from_ref(change)))
-        })?;
-        return Ok(Ended::Well);
+        });
     }
     let mut query = vec![("limit", arguments.limit.to_string())];
     query.extend(arguments.node.map(|node| ("node", node)));
     let changes: Changes = context.client.get("/api/v1/changes", &query).await?;
-    context.print(&changes, |changes| list(&changes.changes))?;
-    Ok(Ended::Well)
+    context.print(&changes, |changes| list(&changes.changes))
 }
 
 fn list(changes: &[ChangeView]) -> String {
@@ -200,6 +196,5 @@ pub(super) async fn drift(context: &Context) -> anyhow::Result<Ended> {
             ]
         });
         table("node|since|>desired|>in force|>set back|why", rows)
-    })?;
-    Ok(Ended::Well)
+    })
 }

@@ -44,44 +44,9 @@ pub(super) fn cut(text: &str, width: usize) -> String {
     text
 }
 
-/// Breaks the text between words into lines of at most [`WIDTH`] characters; all but the first begin with `indent`.
-pub(super) fn wrapped(text: &str, indent: usize) -> String {
-    let first = text.len() - text.trim_start().len();
-    let mut lines = vec![text[..first].to_owned()];
-    let mut empty = true;
-    for word in text.split_whitespace() {
-        let line = lines.last().map_or(0, |line| line.chars().count());
-        if !empty && line + 1 + word.chars().count() > WIDTH {
-            lines.push(" ".repeat(indent));
-            empty = true;
-        }
-        if let Some(line) = lines.last_mut() {
-            if !empty {
-                line.push(' ');
-            }
-            line.push_str(word);
-        }
-        empty = false;
-    }
-    lines.iter().map(|line| cut(line, WIDTH) + "\n").collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_long_line_is_broken_between_words_and_loses_none() {
-        let text = format!("   3 s ago {}", "seven letters ".repeat(20));
-        let broken = wrapped(&text, 11);
-        assert!(broken.lines().count() > 2);
-        assert!(broken.lines().all(|line| line.chars().count() <= WIDTH));
-        assert!(broken.starts_with("   3 s ago seven"));
-        let indented = ["           s", "           l"];
-        let is_indented = |line: &str| indented.iter().any(|begin| line.starts_with(begin));
-        assert!(broken.lines().skip(1).all(is_indented));
-        assert!(broken.split_whitespace().eq(text.split_whitespace()));
-    }
 
     #[test]
     fn a_table_is_aligned_and_never_wider_than_a_hundred_columns() {

@@ -10,13 +10,10 @@ use std::collections::BTreeMap;
 
 /// Reads `90`, `90s`, `30m`, `2h`, `7d` as seconds.
 pub(super) fn seconds(text: &str) -> Result<f64, String> {
-    let (number, unit) = match text.char_indices().last() {
-        Some((at, 's')) => (&text[..at], 1.0),
-        Some((at, 'm')) => (&text[..at], 60.0),
-        Some((at, 'h')) => (&text[..at], 3_600.0),
-        Some((at, 'd')) => (&text[..at], 86_400.0),
-        _ => (text, 1.0),
-    };
+    let units = [('s', 1.0), ('m', 60.0), ('h', 3_600.0), ('d', 86_400.0)];
+    let mut units = units.into_iter();
+    let found = units.find_map(|(letter, unit)| Some((text.strip_suffix(letter)?, unit)));
+    let (number, unit) = found.unwrap_or((text, 1.0));
     match number.trim().parse::<f64>() {
         Ok(number) if number >= 0.0 && number.is_finite() => Ok(number * unit),
         _ => Err(format!("`{text}` is not a time such as 90s, 30m, 2h or 7d")),
@@ -47,10 +44,12 @@ pub(super) fn name_of(value: &impl Serialize) -> String {
 
 /// Formats the number of nodes by outcome: `3 applied, 1 timed out`.
 pub(super) fn counts(counts: &BTreeMap<Outcome, usize>) -> String {
-    let counts = counts
-        .iter()
-        .map(|(outcome, n)| format!("{n} {}", name_of(outcome)));
-    counts.collect::<Vec<_>>().join(", ")
+    joined((counts.iter()).map(|(outcome, n)| format!("{n} {}", name_of(outcome))))
+}
+
+/// Joins the texts of a list with commas.
+pub(super) fn joined(texts: impl Iterator<Item = String>) -> String {
+    texts.collect::<Vec<_>>().join(", ")
 }
 
 /// Formats a change with its interval: `+1.2% [-0.3%, +2.7%]`, or as numbers if it is not `relative`.
@@ -96,14 +95,11 @@ pub(super) fn figure(value: f64) -> String {
     }
 }
 
-/// Rounds to six digits, because the values of a controller have more than anybody reads.
-fn rounded(number: f64) -> f64 {
-    format!("{number:.5e}").parse().unwrap_or(number)
-}
-
-/// Formats a threshold: `5e-4`, with its name unless it is `u`.
+/// Formats a threshold: `5e-4`, with its name unless it is `u`. Rounds it to six digits, because the values of a
+/// controller have more than anybody reads.
 pub(super) fn threshold(threshold: &Threshold) -> String {
-    let number = short(rounded(threshold.value));
+    let rounded = format!("{:.5e}", threshold.value).parse();
+    let number = short(rounded.unwrap_or(threshold.value));
     match threshold.name.as_str() {
         "u" => number,
         name => format!("{name} {number}"),

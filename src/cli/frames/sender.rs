@@ -68,14 +68,6 @@ impl FrameSender {
     pub async fn declare(session: &Session, key: &str, pacing: Pacing) -> anyhow::Result<Self> {
         let refused = |error| anyhow!("cannot publish on `{key}`: {error}");
         let (changed, receivers) = watch::channel(None);
-        let first = changed.clone();
-        // The first report of "no subscriber" is unreliable; it counts only after a subscriber was there.
-        let note = move |status: MatchingStatus| {
-            changed.send_if_modified(|known| {
-                let now = (status.matching() || known.is_some()).then_some(status.matching());
-                std::mem::replace(known, now) != now
-            });
-        };
         let mode = if pacing == Pacing::WaitForNode {
             let querier = session
                 .declare_querier(key.to_owned())
@@ -91,26 +83,16 @@ impl FrameSender {
             let publisher = publisher.congestion_control(congestion).await;
             SendMode::Put(Arc::new(publisher.map_err(refused)?))
         };
-        // The subscription comes before the query, so that no token is missed in between. What the query finds is older than
-        // what the subscription has received by then.
         let listener = match &mode {
             SendMode::Put(publisher) => publisher.matching_listener(),
             SendMode::Ask(querier) => querier.matching_listener(),
         };
+        // Zenoh says nothing before there is a subscriber.
+        let note = move |status: MatchingStatus| {
+            changed.send_replace(Some(status.matching()));
+        };
         let listening = listener.callback(note).background();
         listening.await.map_err(refused)?;
-        let matching = match &mode {
-            SendMode::Put(publisher) => publisher.matching_status().await,
-            SendMode::Ask(querier) => querier.matching_status().await,
-        };
-        let matching = matching.map_err(refused)?;
-        first.send_if_modified(|known| {
-            let found = known.is_none() && matching.matching();
-            if found {
-                *known = Some(true);
-            }
-            found
-        });
         let (stream, token) = new_stream(session, key)?;
         Ok(Self {
             session: session.clone(),
@@ -144,21 +126,24 @@ impl FrameSender {
     pub async fn wait_for_receiver(&self, patience: Duration) -> anyhow::Result<()> {
         let mut receivers = self.receivers();
         let taken = receivers.wait_for(|taken| *taken == Some(true));
+        tokio::time::timeout(patience, taken)
+            .await
+            .with_context(|| self.nobody(patience))?
+            .context("the Zenoh session is closed")?;
+        Ok(())
+    }
+
+    /// The error if no node has taken frames for that time.
+    fn nobody(&self, waited: Duration) -> String {
         let question = match &self.mode {
             SendMode::Put(_) => "is it configured for this camera",
             SendMode::Ask(_) => "has its camera delivery = \"every\"",
         };
-        tokio::time::timeout(patience, taken)
-            .await
-            .with_context(|| {
-                format!(
-                    "no node took frames on `{}` within {} s: is the node running, and {question}?",
-                    self.key,
-                    patience.as_secs()
-                )
-            })?
-            .context("the Zenoh session is closed")?;
-        Ok(())
+        format!(
+            "no node took frames on `{}` within {} s: is the node running, and {question}?",
+            self.key,
+            waited.as_secs()
+        )
     }
 
     /// Puts one frame; blocks while the network has no room.
@@ -228,12 +213,7 @@ impl FrameSender {
                 }
             }
             if Instant::now() >= until {
-                bail!(
-                    "no node took a frame on `{}` within {} s: is the node running, and has its camera delivery = \
-                     \"every\"?",
-                    self.key,
-                    TURN.as_secs()
-                );
+                bail!(self.nobody(TURN));
             }
             tokio::time::sleep(RETRY).await;
         }

@@ -2,15 +2,13 @@
 
 use albireo_service::session;
 use anyhow::anyhow;
-#[cfg(feature = "eval")]
-use anyhow::{Context, bail};
 use serde_json::json;
 use std::time::Duration;
 use zenoh::Config;
 use zenoh::session::Session;
 
 /// The endpoint on which a node listens by default.
-pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
+const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 
 /// The time that a put may wait for room before Zenoh closes the connection, microseconds. Zenoh's default of 5 s is
 /// too short for a receiver that slows its sender down.
@@ -53,36 +51,6 @@ pub async fn open_session(
         let error = session::plain(&error);
         anyhow!("no Zenoh session with {endpoints}: {error}; is the node running, and does it listen there?")
     })
-}
-
-/// Waits until all earlier puts have left this session and, if it is a client, have reached its node or router: a query
-/// is queued behind the frames, so it ends only then. Closing a session drops what a slow receiver has not received
-/// after 10 s.
-///
-/// # Errors
-/// When that takes longer than `patience`.
-#[cfg(feature = "eval")]
-pub async fn flush(session: &Session, key: &str, patience: Duration) -> anyhow::Result<()> {
-    // Nothing answers on this key; only the end of the query matters.
-    let replies = session
-        .get(format!("{key}/@flush"))
-        .timeout(patience)
-        .await
-        .map_err(|error| anyhow!("waiting for the last frames to be sent: {error}"))?;
-    let waited = tokio::time::timeout(patience, async {
-        while let Ok(reply) = replies.recv_async().await {
-            if let Err(error) = reply.result() {
-                bail!("the last frames may be lost: {error}");
-            }
-        }
-        Ok(())
-    });
-    waited.await.with_context(|| {
-        format!(
-            "the last frames were not sent within {} s",
-            patience.as_secs()
-        )
-    })?
 }
 
 /// Closes a session.

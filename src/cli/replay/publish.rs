@@ -1,13 +1,14 @@
 //! Plays a source on a frame key: decides when each frame is due, and its number, time and clip.
 
-use crate::cli::frames::{FrameSender, OutgoingFrame};
+use crate::cli::frames::OutgoingFrame;
 use crate::cli::values;
 use albireo_eval::footage::{FrameSource, Stopper};
+use albireo_service::clock::unix_nanoseconds;
 use albireo_vision::picture::{EncodedPicture, PictureFormat};
 use albireo_wire::{FrameAttachment, VERSION};
-use anyhow::{Context, anyhow};
+use anyhow::{Context, bail};
 use clap::Args;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 use tokio::sync::mpsc;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
@@ -82,27 +83,6 @@ pub struct Sent {
     pub elapsed: Duration,
 }
 
-/// Publishes `source` until it ends, the requested frames are sent, or `shutdown`. Calls `progress` after each frame.
-///
-/// # Errors
-/// When the source fails or Zenoh refuses a frame.
-pub async fn publish(
-    source: Box<dyn FrameSource>,
-    sender: &FrameSender,
-    options: &PublishOptions,
-    progress: impl FnMut(&Sent),
-    shutdown: &CancellationToken,
-) -> anyhow::Result<Sent> {
-    play(
-        source,
-        options,
-        |frame| sender.send(frame),
-        progress,
-        shutdown,
-    )
-    .await
-}
-
 /// Stops the source when it is dropped, so that the source stops with the player for any reason.
 struct StopOnDrop(Option<Stopper>);
 
@@ -125,50 +105,45 @@ struct Prepared {
 const AHEAD: usize = 4;
 
 /// Runs the source on its own thread.
-fn prepare(
-    mut source: Box<dyn FrameSource>,
-    repeat: bool,
-) -> mpsc::Receiver<anyhow::Result<Prepared>> {
+fn prepare(source: Box<dyn FrameSource>, repeat: bool) -> mpsc::Receiver<anyhow::Result<Prepared>> {
     let (sender, receiver) = mpsc::channel(AHEAD);
     std::thread::spawn(move || {
-        for pass in 0_u64.. {
-            let mut frames = 0_u64;
-            loop {
-                match source.next() {
-                    Ok(Some(picture)) => {
-                        frames += 1;
-                        let clip = source.clip().map(str::to_owned);
-                        let prepared = Prepared {
-                            pass,
-                            clip,
-                            picture,
-                        };
-                        if sender.blocking_send(Ok(prepared)).is_err() {
-                            return;
-                        }
-                    }
-                    Ok(None) => break,
-                    Err(error) => {
-                        let _ = sender.blocking_send(Err(error.into()));
-                        return;
-                    }
-                }
-            }
-            if !repeat {
-                return;
-            }
-            let again = if frames == 0 {
-                Err(anyhow!("{}: it has no frames", source.name()))
-            } else {
-                source.rewind().map_err(anyhow::Error::from)
-            };
-            if let Err(error) = again {
-                let _ = sender.blocking_send(Err(error));
-                return;
-            }
+        if let Err(error) = read_ahead(source, repeat, &sender) {
+            let _ = sender.blocking_send(Err(error));
         }
     });
     receiver
+}
+
+/// Reads the source until it ends, fails, or nobody takes its pictures.
+fn read_ahead(
+    mut source: Box<dyn FrameSource>,
+    repeat: bool,
+    sender: &mpsc::Sender<anyhow::Result<Prepared>>,
+) -> anyhow::Result<()> {
+    for pass in 0_u64.. {
+        let mut is_empty = true;
+        while let Some(picture) = source.next()? {
+            is_empty = false;
+            let clip = source.clip().map(str::to_owned);
+            let prepared = Prepared {
+                pass,
+                clip,
+                picture,
+            };
+            if sender.blocking_send(Ok(prepared)).is_err() {
+                return Ok(());
+            }
+        }
+        if !repeat {
+            break;
+        }
+        if is_empty {
+            bail!("{}: it has no frames", source.name());
+        }
+        source.rewind()?;
+    }
+    Ok(())
 }
 
 /// Names clips.
@@ -221,11 +196,15 @@ impl Clips<'_> {
     }
 }
 
-/// Plays `source` into `send`, as [`publish`] does.
-async fn play<F: Future<Output = anyhow::Result<Option<String>>>>(
+/// Passes the frames of `source` to `send`, which returns the reason if the node does not process one, until the source
+/// ends, the requested frames are sent, or `shutdown`. Calls `progress` after each frame.
+///
+/// # Errors
+/// When the source or `send` fails.
+pub async fn publish<F: Future<Output = anyhow::Result<Option<String>>>>(
     source: Box<dyn FrameSource>,
-    options: &PublishOptions,
     mut send: impl FnMut(OutgoingFrame) -> F,
+    options: &PublishOptions,
     mut progress: impl FnMut(&Sent),
     shutdown: &CancellationToken,
 ) -> anyhow::Result<Sent> {
@@ -262,7 +241,7 @@ async fn play<F: Future<Output = anyhow::Result<Option<String>>>>(
         } = next?;
         let (began, clock) = *begun.get_or_insert_with(|| {
             due = Instant::now();
-            (due, SystemTime::now())
+            (due, unix_nanoseconds())
         });
         if options.rate != Some(Rate::Unpaced) {
             tokio::select! {
@@ -279,13 +258,17 @@ async fn play<F: Future<Output = anyhow::Result<Option<String>>>>(
         }
         let seconds = sent.frames as f64 / rate;
         let bytes = picture.bytes.len() as u64;
+        let is_raw = !matches!(picture.format, PictureFormat::Jpeg | PictureFormat::Png);
         let frame = OutgoingFrame {
             attachment: FrameAttachment {
                 v: VERSION,
                 seq: Some(options.first_sequence + sent.frames),
-                t_ns: Some(nanoseconds(clock, seconds)),
+                t_ns: Some(clock.saturating_add((seconds * 1e9) as u64)),
                 clip: clips.next(pass, clip, seconds),
-                ..raw_size(&picture)
+                // Other pictures contain their size.
+                width: is_raw.then_some(picture.size.width),
+                height: is_raw.then_some(picture.size.height),
+                ..FrameAttachment::default()
             },
             picture,
         };
@@ -305,26 +288,6 @@ async fn play<F: Future<Output = anyhow::Result<Option<String>>>>(
         progress(&sent);
     }
     Ok(sent)
-}
-
-/// Returns the nanoseconds since the Unix epoch at `seconds` after `clock`.
-fn nanoseconds(clock: SystemTime, seconds: f64) -> u64 {
-    clock
-        .duration_since(UNIX_EPOCH)
-        .ok()
-        .and_then(|since| since.checked_add(Duration::try_from_secs_f64(seconds).ok()?))
-        .and_then(|since| u64::try_from(since.as_nanos()).ok())
-        .unwrap_or(0)
-}
-
-/// Returns an attachment with the size of the picture, which only raw pictures need.
-fn raw_size(picture: &EncodedPicture) -> FrameAttachment {
-    let raw = !matches!(picture.format, PictureFormat::Jpeg | PictureFormat::Png);
-    FrameAttachment {
-        width: raw.then_some(picture.size.width),
-        height: raw.then_some(picture.size.height),
-        ..FrameAttachment::default()
-    }
 }
 
 #[cfg(test)]

@@ -29,9 +29,8 @@ async fn played(
 ) -> (Vec<(Duration, OutgoingFrame)>, Sent) {
     let frames = Mutex::new(Vec::new());
     let start = Instant::now();
-    let sent = play(
+    let sent = publish(
         source,
-        &options,
         |frame: OutgoingFrame| {
             let (frames, wait) = (&frames, slow(frame.attachment.seq.unwrap()));
             async move {
@@ -40,6 +39,7 @@ async fn played(
                 Ok(None)
             }
         },
+        &options,
         |_| {},
         &CancellationToken::new(),
     )
@@ -128,9 +128,9 @@ async fn a_loop_ends_at_the_shutdown_and_if_it_has_no_frames() {
             shutdown.cancel();
         }
     };
-    let sent = play(numbers(3), &endless, nobody, stop, &shutdown).await;
+    let sent = publish(numbers(3), nobody, &endless, stop, &shutdown).await;
     assert_eq!(sent.unwrap().frames, 20);
     let never = CancellationToken::new();
-    let nothing = play(numbers(0), &endless, nobody, |_| {}, &never).await;
+    let nothing = publish(numbers(0), nobody, &endless, |_| {}, &never).await;
     assert!(nothing.unwrap_err().to_string().contains("no frames"));
 }
