@@ -25,7 +25,6 @@ mod hub;
 mod man;
 mod node;
 mod power;
-#[cfg(feature = "eval")]
 mod progress;
 mod publish;
 #[cfg(feature = "eval")]
@@ -40,8 +39,10 @@ mod variables;
 use albireo_vision::detector::end_all_sessions;
 use anyhow::Context;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+use std::net::SocketAddr;
 use std::process::ExitCode;
 use std::time::Duration;
+use tokio::net::TcpListener;
 
 /// Time limit for threads that still run after everything else has ended.
 const STRAGGLERS: Duration = Duration::from_millis(500);
@@ -235,6 +236,12 @@ fn block_on<T>(work: impl Future<Output = anyhow::Result<T>>) -> anyhow::Result<
         tracing::warn!("a model that is being loaded or run could not be interrupted");
     }
     ended
+}
+
+/// Listens on the address of the setting `key`.
+async fn listen(key: &str, address: SocketAddr) -> anyhow::Result<TcpListener> {
+    let listening = TcpListener::bind(address).await;
+    listening.with_context(|| format!("{key}: {address} cannot be listened on"))
 }
 
 #[cfg(test)]

@@ -1,18 +1,14 @@
 //! `albireo check`: lists the mistakes in the configuration file of a node or a hub.
 
 use super::block_on;
+use super::progress::spinner;
 use albireo_node::config::NodeConfig;
 use albireo_node::online::try_all;
 use albireo_service::config::{ConfigError, examine};
 use anyhow::bail;
-use indicatif::ProgressBar;
 use std::path::PathBuf;
-use std::time::Duration;
 #[cfg(feature = "hub")]
-use {
-    albireo_hub::config::HubConfig,
-    albireo_service::config::{Configuration, load},
-};
+use {albireo_hub::config::HubConfig, albireo_service::config::load};
 
 const EXAMPLES: &str = "\
 A file with the section [hub] or [database] configures a hub, any other a node.
@@ -82,22 +78,15 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Returns true if a file has a section that only a hub's configuration has, and none that only a node's has.
+/// Returns true if a file has a section that only a hub's configuration has.
 #[cfg(feature = "hub")]
 fn is_for_a_hub(file: &std::path::Path) -> bool {
     let text = std::fs::read_to_string(file).unwrap_or_default();
-    let sections: Vec<String> = (text.lines())
-        .filter_map(|line| line.trim().strip_prefix('['))
-        .filter_map(|rest| rest.trim_start_matches('[').split([']', '.']).next())
-        .map(|name| name.trim().to_uppercase())
-        .collect();
-    let only = |mine: &[&str], others: &[&str]| {
-        (sections.iter())
-            .any(|name| mine.contains(&name.as_str()) && !others.contains(&name.as_str()))
-    };
-    only(HubConfig::SECTIONS, NodeConfig::SECTIONS)
-        && !only(NodeConfig::SECTIONS, HubConfig::SECTIONS)
-        && !sections.iter().any(|name| name == "CAMERA")
+    let sections = text
+        .lines()
+        .filter_map(|line| line.trim().strip_prefix('['));
+    let mut names = sections.filter_map(|rest| rest.split(']').next());
+    names.any(|name| matches!(name.trim(), "hub" | "database"))
 }
 
 #[cfg(feature = "hub")]
@@ -118,8 +107,7 @@ fn check_hub(arguments: &Arguments) -> anyhow::Result<()> {
 /// Prints a line for each resource that was tried.
 async fn online(config: &NodeConfig) -> anyhow::Result<()> {
     // This takes seconds for a large model or an unreachable camera, and minutes for TensorRT's first engine.
-    let waiting = ProgressBar::new_spinner().with_message("trying models, cameras and router");
-    waiting.enable_steady_tick(Duration::from_millis(100));
+    let waiting = spinner("trying models, cameras and router".to_owned());
     let mut failed = 0;
     try_all(config, |key, outcome| {
         let line = match outcome {

@@ -125,7 +125,8 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let source = (arguments.clip)
         .open(arguments.rate, VideoEncoding::default())
         .context("--clip")?;
-    let (clip, size) = clip::load(source, arguments.seconds).await?;
+    let loading = tokio::task::spawn_blocking(move || clip::load(source, arguments.seconds));
+    let (clip, size) = loading.await.context("reading the clip")??;
     let frames = clip.frames().unwrap_or_default();
     let rate = (!arguments.unpaced).then(|| clip.rate() * arguments.speed);
     let scheduled = schedule(variants.len(), arguments.repeat as usize);

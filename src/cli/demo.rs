@@ -96,8 +96,8 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let show = Show::new(prepared.board());
     show.banner(&config, listener.local_addr()?);
     #[cfg(feature = "hub")]
-    show::hub_lines(hub.address());
-    show::frame_states();
+    hub.banner();
+    println!("E empty, P predicted, E+I screen then detector, I detector, AI with rescue");
 
     // Each part is a task: opening a Zenoh session blocks its thread, and no part may wait for another.
     // The part that ends first ends the others.

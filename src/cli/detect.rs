@@ -1,8 +1,9 @@
 //! `albireo detect`: describes a detector, and runs it on pictures.
 
+use super::progress::spinner;
 use super::values::parse_size;
 use albireo_core::detection::Detection;
-use albireo_core::geometry::PictureSize;
+use albireo_core::geometry::{Corners, PictureSize};
 use albireo_vision::detector::{
     ClassNames, DetectorConfig, DetectorNetwork, ExecutionProvider, Found, HeadName,
 };
@@ -12,11 +13,9 @@ use albireo_vision::picture::{
 };
 use albireo_vision::screen::decoding_target;
 use anyhow::{Context, ensure};
-use indicatif::ProgressBar;
 use serde_json::json;
-use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -74,9 +73,7 @@ pub(super) struct Arguments {
 
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     // Loading takes seconds for a large model, and minutes for TensorRT.
-    let loading =
-        ProgressBar::new_spinner().with_message(format!("loading {}", arguments.model.display()));
-    loading.enable_steady_tick(Duration::from_millis(100));
+    let loading = spinner(format!("loading {}", arguments.model.display()));
     let network = DetectorNetwork::open(&configuration(arguments));
     loading.finish_and_clear();
     let mut network = network?;
@@ -153,40 +150,14 @@ fn look(
     let decoding = started.elapsed();
     let prepared = network.preparation().prepare(&picture)?;
     let found = network.detect(&prepared)?;
-    let times = [decoding, found.letterbox, found.model, found.head].map(|t| t.as_secs_f64() * 1e3);
-    print_detections(
-        arguments.json,
-        file,
-        picture.source_size,
-        times,
-        &found.detections,
-        names,
-    )?;
-    if let Some(folder) = &arguments.out {
-        write_drawn(folder, file, encoded, &found)?;
-    }
-    if let Some(folder) = &arguments.write_input {
-        write_input(folder, file, prepared.values())?;
-    }
-    Ok(())
-}
-
-/// Prints the detections of a picture. `times` are the milliseconds of decoding, letterbox, model and head.
-fn print_detections(
-    json: bool,
-    file: &Path,
-    size: PictureSize,
-    times: [f64; 4],
-    found: &[Detection],
-    names: &[String],
-) -> anyhow::Result<()> {
-    let [decode, letterbox, model, head] = times;
+    let [decode, letterbox, model, head] =
+        [decoding, found.letterbox, found.model, found.head].map(|time| time.as_secs_f64() * 1e3);
+    let size = picture.source_size;
     let name = |found: &Detection| {
         let name = names.get(usize::from(found.class.0));
         name.map_or("", String::as_str)
     };
-    let mut out = std::io::stdout().lock();
-    if json {
+    if arguments.json {
         let detection = |found: &Detection| {
             let corners = found.bounding_box.pixel_corners(size);
             json!({
@@ -194,34 +165,45 @@ fn print_detections(
                 "x1": corners.x1, "y1": corners.y1, "x2": corners.x2, "y2": corners.y2,
             })
         };
-        let detections: Vec<_> = found.iter().map(detection).collect();
+        let detections: Vec<_> = found.detections.iter().map(detection).collect();
         let facts = json!({
             "picture": file, "width": size.width, "height": size.height, "decode_ms": decode,
             "letterbox_ms": letterbox, "model_ms": model, "head_ms": head, "detections": detections,
         });
-        writeln!(out, "{facts}")?;
-        return Ok(());
+        println!("{facts}");
+    } else {
+        println!(
+            "{} {size}: {} detections (decode {decode:.1} ms, letterbox {letterbox:.1} ms, model {model:.1} ms, head {head:.1} ms)",
+            file.display(),
+            found.detections.len(),
+        );
+        for found in &found.detections {
+            let Corners { x1, y1, x2, y2 } = found.bounding_box.pixel_corners(size);
+            let (name, confidence) = (name(found), found.confidence);
+            println!("  {name:<14} {confidence:.3}  [{x1:.1}, {y1:.1}, {x2:.1}, {y2:.1}]");
+        }
     }
-    writeln!(
-        out,
-        "{} {size}: {} detections (decode {decode:.1} ms, letterbox {letterbox:.1} ms, model {model:.1} ms, head {head:.1} ms)",
-        file.display(),
-        found.len(),
-    )?;
-    for found in found {
-        let corners = found.bounding_box.pixel_corners(size);
-        writeln!(
-            out,
-            "  {:<14} {:.3}  [{:.1}, {:.1}, {:.1}, {:.1}]",
-            name(found),
-            found.confidence,
-            corners.x1,
-            corners.y1,
-            corners.x2,
-            corners.y2
-        )?;
+    if let Some(folder) = &arguments.out {
+        write_drawn(folder, file, encoded, &found)?;
+    }
+    if let Some(folder) = &arguments.write_input {
+        let mut name = file.file_name().unwrap_or_default().to_owned();
+        name.push(".f32");
+        let values = prepared.values().iter();
+        let bytes: Vec<u8> = values.flat_map(|value| value.to_le_bytes()).collect();
+        write(&in_folder(folder, name.as_ref())?, &bytes)?;
     }
     Ok(())
+}
+
+/// Returns the place of a file in a folder, which is created if needed.
+fn in_folder(folder: &Path, name: &Path) -> anyhow::Result<PathBuf> {
+    std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+    Ok(folder.join(name))
+}
+
+fn write(file: &Path, bytes: &[u8]) -> anyhow::Result<()> {
+    std::fs::write(file, bytes).with_context(|| file.display().to_string())
 }
 
 /// Colours of boxes, by class.
@@ -246,26 +228,21 @@ fn write_drawn(
     let mut picture = Picture::default();
     decode(encoded, &limits, PixelLayout::Rgb8, None, &mut picture)?;
     for detection in &found.detections {
-        let corners = detection.bounding_box.pixel_corners(picture.size);
+        let Corners { x1, y1, x2, y2 } = detection.bounding_box.pixel_corners(picture.size);
         let colour = COLOURS[usize::from(detection.class.0) % COLOURS.len()];
-        outline(
-            &mut picture,
-            [corners.x1, corners.y1, corners.x2, corners.y2],
-            colour,
-        );
+        outline(&mut picture, [x1, y1, x2, y2], colour);
     }
     let drawn = EncodedPicture {
         bytes: picture.pixels.into(),
         format: PictureFormat::Rgb8,
         size: picture.size,
     };
-    std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
     let name = Path::new(file.file_name().unwrap_or_default()).with_extension("jpg");
-    let target = folder.join(name);
+    let target = in_folder(folder, &name)?;
     if let (Ok(source), Ok(target)) = (file.canonicalize(), target.canonicalize()) {
         ensure!(source != target, "--out would overwrite the picture itself");
     }
-    std::fs::write(&target, to_jpeg(&drawn, &limits)?).with_context(|| target.display().to_string())
+    write(&target, &to_jpeg(&drawn, &limits)?)
 }
 
 /// Draws the outline of a box, `[x1, y1, x2, y2]` in pixels, into an RGB picture; parts outside the picture are cut off.
@@ -288,18 +265,6 @@ fn outline(picture: &mut Picture, corners: [f64; 4], colour: [u8; 3]) {
             }
         }
     }
-}
-
-fn write_input(folder: &Path, picture: &Path, values: &[f32]) -> anyhow::Result<()> {
-    std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
-    let mut name = picture.file_name().unwrap_or_default().to_owned();
-    name.push(".f32");
-    let file = folder.join(name);
-    let bytes: Vec<u8> = values
-        .iter()
-        .flat_map(|value| value.to_le_bytes())
-        .collect();
-    std::fs::write(&file, bytes).with_context(|| file.display().to_string())
 }
 
 #[cfg(test)]

@@ -1,13 +1,11 @@
 //! `albireo hub`: runs a hub until a signal stops it, or moves its database.
 
-use super::block_on;
+use super::{block_on, listen, progress};
 use albireo_hub::config::{DatabaseConfig, HubConfig};
 use albireo_hub::store::transfer;
 use albireo_service::{config, logging, signals};
 use anyhow::Context;
-use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
-use tokio::net::TcpListener;
 
 const EXAMPLES: &str = "\
 Without --config the built-in defaults apply; config/hub.toml lists them all. An
@@ -61,7 +59,11 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let config: HubConfig = config::load(arguments.config.as_deref())?;
     logging::start(&config.log)?;
-    block_on(serve(config))
+    block_on(async {
+        let shutdown = signals::shutdown().context(signals::CONTEXT)?;
+        let listener = listen("http.listen", config.http.listen).await?;
+        Ok(albireo_hub::run(&config, listener, shutdown).await?)
+    })
 }
 
 async fn move_database(from: &str, to: &str) -> anyhow::Result<()> {
@@ -69,9 +71,7 @@ async fn move_database(from: &str, to: &str) -> anyhow::Result<()> {
         url: to.to_owned(),
         ..DatabaseConfig::default()
     };
-    let style = ProgressStyle::with_template("{bar:40} {pos}/{len} rows, {msg}, {eta} left")
-        .context("the progress bar's template")?;
-    let bar = ProgressBar::new(0).with_style(style);
+    let bar = progress::bar(Some(0), "rows, {msg}");
     let shown = bar.clone();
     let rows = transfer::to_postgres(from, &to, move |progress| {
         shown.set_length(progress.of);
@@ -82,12 +82,4 @@ async fn move_database(from: &str, to: &str) -> anyhow::Result<()> {
     bar.finish_and_clear();
     println!("{rows} rows of {from} are now in {}", to.shown());
     Ok(())
-}
-
-async fn serve(config: HubConfig) -> anyhow::Result<()> {
-    let shutdown = signals::shutdown().context(signals::CONTEXT)?;
-    let listener = TcpListener::bind(config.http.listen)
-        .await
-        .with_context(|| format!("http.listen: {} cannot be listened on", config.http.listen))?;
-    Ok(albireo_hub::run(&config, listener, shutdown).await?)
 }

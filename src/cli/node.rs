@@ -1,13 +1,14 @@
 //! `albireo node`: runs a node until it is stopped.
 
-use super::block_on;
+use super::{block_on, listen};
 use albireo_node::config::NodeConfig;
 use albireo_service::{logging, signals};
 use anyhow::Context;
 use std::path::{Path, PathBuf};
-use tokio::net::TcpListener;
 
-const EXAMPLES: &str = "\
+/// Arguments of `albireo node`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
 Without --config the built-in defaults apply; config/node.toml lists them all.
 An environment variable overrides a single key: ALBIREO_SECTION__KEY, with two
 underscores between section and key. RUST_LOG overrides log.level. Ctrl-C or
@@ -17,11 +18,7 @@ reported.
 Examples:
   albireo node --config /etc/albireo/node.toml
   ALBIREO_POLICY__U=5e-4 ALBIREO_LOG__FORMAT=json albireo node \\
-      --config node.toml";
-
-/// Arguments of `albireo node`.
-#[derive(Debug, clap::Args)]
-#[command(after_help = EXAMPLES)]
+      --config node.toml")]
 pub(super) struct Arguments {
     /// The node's configuration file.
     #[arg(long, short, env = "ALBIREO_CONFIG", value_name = "FILE")]
@@ -40,7 +37,12 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         ),
         "starting"
     );
-    block_on(serve(config))
+    block_on(async {
+        let limit = config.node.stop_timeout;
+        let shutdown = signals::shutdown_within(Some(limit)).context(signals::CONTEXT)?;
+        let listener = listen("http.listen", config.http.listen).await?;
+        Ok(albireo_node::run(&config, listener, shutdown).await?)
+    })
 }
 
 /// Returns the configuration of `file`, or the defaults, with the overrides of the environment.
@@ -50,13 +52,4 @@ pub(super) fn configuration(file: Option<&Path>) -> anyhow::Result<NodeConfig> {
     #[cfg(feature = "development")]
     super::development::apply(&mut config)?;
     Ok(config)
-}
-
-async fn serve(config: NodeConfig) -> anyhow::Result<()> {
-    let shutdown =
-        signals::shutdown_within(Some(config.node.stop_timeout)).context(signals::CONTEXT)?;
-    let listener = TcpListener::bind(config.http.listen)
-        .await
-        .with_context(|| format!("http.listen: {} cannot be listened on", config.http.listen))?;
-    Ok(albireo_node::run(&config, listener, shutdown).await?)
 }

@@ -1,11 +1,10 @@
 //! `albireo router`: runs the router of a fleet until it is stopped.
 
-use super::block_on;
+use super::{block_on, listen};
 use albireo_router::RouterOptions;
 use albireo_service::config::{Findings, LogConfig, LogFormat};
 use albireo_service::{logging, signals};
 use anyhow::{Context, bail};
-use tokio::net::TcpListener;
 
 const EXAMPLES: &str = "\
 A Zenoh router with health and metrics. Its configuration is Zenoh's own
@@ -59,10 +58,7 @@ pub(super) fn run(arguments: Arguments) -> anyhow::Result<()> {
     logging::start(&log)?;
     block_on(async {
         let shutdown = signals::shutdown().context(signals::CONTEXT)?;
-        let listen = http.listen;
-        let listener = TcpListener::bind(listen)
-            .await
-            .with_context(|| format!("--http: {listen} cannot be listened on"))?;
+        let listener = listen("--http", http.listen).await?;
         Ok(albireo_router::run(&options, listener, shutdown).await?)
     })
 }

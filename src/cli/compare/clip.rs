@@ -12,16 +12,7 @@ const MAX_BYTES: usize = 1 << 30;
 ///
 /// # Errors
 /// When the source fails, is empty, or is too large for the memory.
-pub(super) async fn load(
-    source: Box<dyn FrameSource>,
-    seconds: f64,
-) -> anyhow::Result<(Pictures, PictureSize)> {
-    tokio::task::spawn_blocking(move || load_now(source, seconds))
-        .await
-        .context("reading the clip")?
-}
-
-fn load_now(
+pub(super) fn load(
     mut source: Box<dyn FrameSource>,
     seconds: f64,
 ) -> anyhow::Result<(Pictures, PictureSize)> {
@@ -55,10 +46,10 @@ mod tests {
     use super::*;
     use std::path::Path;
 
-    #[tokio::test]
-    async fn a_clip_is_as_long_as_asked_for() {
+    #[test]
+    fn a_clip_is_as_long_as_asked_for() {
         let source = Pictures::of_archive(Path::new("demo/road.tar"), 10.0).unwrap();
-        let (clip, _) = load(Box::new(source), 0.3).await.unwrap();
+        let (clip, _) = load(Box::new(source), 0.3).unwrap();
         assert_eq!(clip.frames(), Some(3));
     }
 }

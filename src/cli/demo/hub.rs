@@ -56,9 +56,11 @@ impl DemoHub {
         })
     }
 
-    /// The address of its HTTP interface.
-    pub(super) const fn address(&self) -> SocketAddr {
-        self.address
+    /// Prints its address, and how to query it.
+    pub(super) fn banner(&self) {
+        let address = self.address;
+        println!("  hub      curl http://{address}/api/v1/clips");
+        println!("  fleet    albireo fleet --hub http://{address} ls");
     }
 
     /// Stops the hub after it has committed all reports.

@@ -116,18 +116,6 @@ impl Show {
     }
 }
 
-/// Prints the hub's address, and how to query it.
-#[cfg(feature = "hub")]
-pub(super) fn hub_lines(address: SocketAddr) {
-    println!("  hub      curl http://{address}/api/v1/clips");
-    println!("  fleet    albireo fleet --hub http://{address} ls");
-}
-
-/// Prints what the letters of the table mean.
-pub(super) fn frame_states() {
-    println!("E empty, P predicted, E+I screen then detector, I detector, AI with rescue");
-}
-
 const HEADING: &str =
     "clip                 frames    E    P  E+I    I   AI   skip   energy        EDP";
 
@@ -211,7 +199,8 @@ impl Summary {
             count(|report| report.dropped.total()),
         );
         let joules: f64 = reports().filter_map(|report| report.energy.joules).sum();
-        let source = reports().last().map_or("", |last| &last.energy.source);
+        let last = self.reports.last();
+        let source = last.map_or("", |last| last.energy.source.as_str());
         let gaps = match reports().all(|report| report.energy.is_whole()) {
             true => "",
             false => ", without the time that no sample covers (+)",

@@ -23,6 +23,8 @@ use albireo_vision::picture::ColorOrder;
 use albireo_vision::screen::ScreenConfig;
 use anyhow::{bail, ensure};
 use clap::Args;
+use clap::builder::RangedU64ValueParser;
+use std::collections::HashSet;
 use std::path::PathBuf;
 
 /// Time limit of a detector run, milliseconds. No camera waits for it, so the limit is high.
@@ -44,17 +46,6 @@ pub(super) struct VideoArguments {
     /// How a video's frames are encoded on the way from ffmpeg to the detector.
     #[arg(long, value_enum, default_value_t)]
     encoding: VideoEncoding,
-    #[command(flatten)]
-    truth: TruthArguments,
-    #[command(flatten)]
-    pass: PassArguments,
-    #[command(flatten)]
-    run: RunArguments,
-}
-
-/// Where ground truth comes from.
-#[derive(Debug, Args)]
-struct TruthArguments {
     /// Ground truth; may be repeated. Clips that it does not name are left out. Without any, clips are judged
     /// against Vanilla's own output.
     #[arg(long, value_name = "PATH", requires = "truth_format")]
@@ -62,6 +53,10 @@ struct TruthArguments {
     /// Layout of the ground truth.
     #[arg(long, value_enum, requires = "ground_truth")]
     truth_format: Option<TruthFormat>,
+    #[command(flatten)]
+    pass: PassArguments,
+    #[command(flatten)]
+    run: RunArguments,
 }
 
 /// The models of the pass, and what is kept of it.
@@ -92,8 +87,8 @@ pub(super) struct PassArguments {
     #[arg(long, help_heading = LOOKED, value_name = "DIR")]
     save_detections: Option<PathBuf>,
     /// Process at most this many frames of each clip.
-    #[arg(long, help_heading = LOOKED, value_name = "COUNT", value_parser = clap::value_parser!(u64).range(1..))]
-    frames: Option<u64>,
+    #[arg(long, help_heading = LOOKED, value_name = "COUNT", value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
+    frames: Option<usize>,
 }
 
 /// Runs `albireo eval video`.
@@ -103,8 +98,7 @@ pub(super) fn run(arguments: &VideoArguments) -> anyhow::Result<()> {
         names.extend(clip.clip_names()?);
     }
     let title = title(&names);
-    let mut evaluation =
-        Evaluation::start(&arguments.pass, &arguments.run, &arguments.truth, names)?;
+    let mut evaluation = Evaluation::start(arguments, &names)?;
     for clips in &arguments.clips {
         for mut clip in clips.open_clips(Some(arguments.rate), arguments.encoding)? {
             match arguments.fps {
@@ -150,13 +144,9 @@ struct Evaluation<'a> {
 type StepTime = fn(&StepTimes) -> f64;
 
 impl<'a> Evaluation<'a> {
-    fn start(
-        pass: &'a PassArguments,
-        run: &RunArguments,
-        truth: &TruthArguments,
-        names: Vec<String>,
-    ) -> anyhow::Result<Self> {
-        let mut arguments = run.clone();
+    fn start(video: &'a VideoArguments, names: &[String]) -> anyhow::Result<Self> {
+        let pass = &video.pass;
+        let mut arguments = video.run.clone();
         ensure!(
             (LOWEST_CONFIDENCE..=1.0).contains(&arguments.confidence),
             "--confidence {} is not between {LOWEST_CONFIDENCE} and 1",
@@ -167,24 +157,22 @@ impl<'a> Evaluation<'a> {
         } else if arguments.screen == ScreenRule::Recorded {
             bail!("--screen recorded needs the verdicts of a screen: name one with --screen-model");
         }
-        let mut sorted = names.clone();
-        sorted.sort();
-        if let Some(pair) = sorted.windows(2).find(|pair| pair[0] == pair[1]) {
-            bail!("two clips are named `{}`: rename one of the files", pair[0]);
+        let mut seen = HashSet::new();
+        if let Some(name) = names.iter().find(|name| !seen.insert(*name)) {
+            bail!("two clips are named `{name}`: rename one of the files");
         }
         let policies = policies(&arguments, true)?;
         let settings = settings(&arguments)?;
-        let truth = truth
-            .truth_format
-            .map(|format| GroundTruth::new(truth.ground_truth.clone(), format));
+        let truth =
+            (video.truth_format).map(|format| GroundTruth::new(video.ground_truth.clone(), format));
         if let Some(truth) = &truth {
-            truth.check(&names)?;
+            truth.check(names)?;
         }
         let models = start_models(pass)?;
         Ok(Self {
             pass,
             pass_settings: PassSettings {
-                max_frames: max_frames(pass),
+                max_frames: pass.frames,
                 ..PassSettings::for_policies(&policies)?
             },
             arguments,
@@ -246,13 +234,7 @@ impl<'a> Evaluation<'a> {
 
     /// Saves the detections, and prints and writes the report.
     fn finish(mut self, title: String) -> anyhow::Result<()> {
-        for line in self.report.lines() {
-            eprintln!("{line}");
-        }
-        if let Some(folder) = &self.pass.save_detections {
-            recorded::write(folder, &self.kept)?;
-            eprintln!("Detections written to {}", folder.display());
-        }
+        end_pass(self.pass, &self.report, &self.kept)?;
         let basis = if self.truth.is_some() {
             "by ground truth".to_owned()
         } else {
@@ -307,28 +289,19 @@ impl<'a> Evaluation<'a> {
         if let Some(screen) = &self.pass.screen_model {
             rows.push(("Screen model".to_owned(), screen.display().to_string()));
         }
-        let steps: [(&str, bool, StepTime); 5] = [
-            ("Time of the detector", true, |times| times.detector),
-            ("Time of the screen", self.models.has_screen(), |times| {
-                times.screen
-            }),
-            ("Time of decoding", true, |times| times.decode),
-            (
-                "Time of decoding to grey",
-                self.pass_settings.keep_grey,
-                |times| times.grey,
-            ),
-            (
-                "Time of decoding to a small grey picture",
-                self.pass_settings.keep_small.is_some(),
-                |times| times.small,
-            ),
+        let steps: [(&str, StepTime); 5] = [
+            ("the detector", |times| times.detector),
+            ("the screen", |times| times.screen),
+            ("decoding", |times| times.decode),
+            ("decoding to grey", |times| times.grey),
+            ("decoding to a small grey picture", |times| times.small),
         ];
-        for (name, present, time) in steps {
+        for (step, time) in steps {
             let spread = Spread::of(self.times.iter().map(time).collect());
-            if let Some(spread) = spread.filter(|_| present) {
+            // The time of a step that was not taken is 0.
+            if let Some(spread) = spread.filter(|spread| spread.mean > 0.0) {
                 rows.push((
-                    name.to_owned(),
+                    format!("Time of {step}"),
                     format!(
                         "mean {:.2} ms, p50 {:.2}, p95 {:.2}, p99 {:.2} (measured on this machine, {} frames)",
                         spread.mean,
@@ -368,8 +341,16 @@ fn start_models(pass: &PassArguments) -> anyhow::Result<ModelRunner> {
     )?)
 }
 
-fn max_frames(pass: &PassArguments) -> Option<usize> {
-    (pass.frames).map(|most| usize::try_from(most).unwrap_or(usize::MAX))
+/// Prints what was noticed on the way, and saves the detections if asked to.
+fn end_pass(pass: &PassArguments, report: &LoadReport, clips: &[Clip]) -> anyhow::Result<()> {
+    for line in report.lines() {
+        eprintln!("{line}");
+    }
+    if let Some(folder) = &pass.save_detections {
+        recorded::write(folder, clips)?;
+        eprintln!("Detections written to {}", folder.display());
+    }
+    Ok(())
 }
 
 /// Passes over a clip, with a progress bar on a terminal and a line otherwise.
@@ -405,7 +386,7 @@ pub(super) fn look_at(
 ) -> anyhow::Result<Vec<Clip>> {
     let mut models = start_models(pass)?;
     let settings = PassSettings {
-        max_frames: max_frames(pass),
+        max_frames: pass.frames,
         ..PassSettings::default()
     };
     let mut report = LoadReport::default();
@@ -420,13 +401,7 @@ pub(super) fn look_at(
             )?);
         }
     }
-    for line in report.lines() {
-        eprintln!("{line}");
-    }
-    if let Some(folder) = &pass.save_detections {
-        recorded::write(folder, &pictured)?;
-        eprintln!("Detections written to {}", folder.display());
-    }
+    end_pass(pass, &report, &pictured)?;
     Ok(pictured)
 }
 
