@@ -227,15 +227,9 @@ async fn play_all(
     let bar = progress::bar(Some(frames * scheduled.len() as u64), "frames  {msg}");
     let mut done = Vec::new();
     for (number, run) in scheduled.iter().enumerate() {
-        let Some(variant) = variants.get(run.variant) else {
-            bail!("there is no variant {}", run.variant);
-        };
-        let name = format!(
-            "run {} of {}, {}",
-            number + 1,
-            scheduled.len(),
-            variant.label
-        );
+        let variant = &variants[run.variant];
+        let (of, label) = (scheduled.len(), &variant.label);
+        let name = format!("run {} of {of}, {label}", number + 1);
         let before = frames * number as u64;
         // Without a terminal for the bar, a line per run shows the progress.
         if bar.is_hidden() {
@@ -249,8 +243,7 @@ async fn play_all(
         if shutdown.is_cancelled() {
             break;
         }
-        let played =
-            played.with_context(|| format!("{}, round {}", variant.label, run.round + 1))?;
+        let played = played.with_context(|| format!("{label}, round {}", run.round + 1))?;
         done.push((*run, played));
     }
     bar.finish_and_clear();
@@ -303,9 +296,9 @@ fn judge(
     };
     let mut runs = Vec::new();
     for ((scheduled, played), boxes) in done.into_iter().zip(&boxes) {
-        let variant = variants.get(scheduled.variant).context("a variant")?;
+        let policy = &variants[scheduled.variant].config;
         runs.push(Run {
-            advice: played.advice(variant.config.build()?.threshold_spec()),
+            advice: played.advice(policy.build()?.threshold_spec()),
             round: scheduled.round,
             variant: scheduled.variant,
             cpu_s: played.cpu.as_secs_f64(),

@@ -3,7 +3,6 @@
 use super::{LOOKED, RunArguments, conclude, listed, policies, settings, streams_asked};
 use crate::cli::progress;
 use crate::cli::values::parse_rate;
-use albireo_core::policy::FrameState;
 use albireo_eval::data::{Clip, LoadReport, recorded};
 use albireo_eval::footage::{Downsampled, FrameSource, Pictures, SourceName, VideoEncoding};
 use albireo_eval::pictures::{
@@ -193,12 +192,8 @@ impl<'a> Evaluation<'a> {
     /// if there is none, against Vanilla. The pictures of the frames that lost most are read from `source` again,
     /// because keeping all pictures until these frames are known would take too much memory.
     fn look(&mut self, source: &mut dyn FrameSource) -> anyhow::Result<()> {
-        let mut clip = pass_over(
-            source,
-            &mut self.models,
-            &self.pass_settings,
-            &mut self.report,
-        )?;
+        let (models, report) = (&mut self.models, &mut self.report);
+        let mut clip = pass_over(source, models, &self.pass_settings, report)?;
         let pass = clip.pass.take();
         self.times.extend(pass.iter().flat_map(|pass| &pass.times));
         if let Some(truth) = &mut self.truth {
@@ -235,24 +230,19 @@ impl<'a> Evaluation<'a> {
     /// Saves the detections, and prints and writes the report.
     fn finish(mut self, title: String) -> anyhow::Result<()> {
         end_pass(self.pass, &self.report, &self.kept)?;
-        let basis = if self.truth.is_some() {
-            "by ground truth".to_owned()
-        } else {
-            let confidence = self.settings.confidence;
-            format!(
+        let confidence = self.settings.confidence;
+        let basis = match self.truth {
+            Some(_) => "by ground truth".to_owned(),
+            None => format!(
                 "against vanilla: its own output at confidence {confidence} is used as ground truth"
-            )
+            ),
         };
         let mut settings = vec![("Judged".to_owned(), basis.clone())];
         settings.extend(listed(&self.arguments));
         settings.extend(self.models());
-        let policies = &self.policies;
-        let place = |result: &ClipResult| {
-            policies
-                .iter()
-                .position(|policy| policy.label == result.policy)
-        };
-        self.results.sort_by_key(place);
+        let labels: Vec<_> = self.policies.iter().map(|policy| &policy.label).collect();
+        (self.results)
+            .sort_by_key(|result| labels.iter().position(|label| **label == result.policy));
         let report = Report {
             title,
             settings,
@@ -262,30 +252,21 @@ impl<'a> Evaluation<'a> {
         };
         println!("Judged {basis}");
         conclude(&report, &self.streams, &self.arguments)?;
-        for line in screen_lines(&report.clips) {
-            println!("{line}");
-        }
-        let times = report
-            .settings
-            .iter()
-            .filter(|(name, _)| name.starts_with("Time of"));
-        for (name, value) in times {
-            println!("{name}: {value}");
+        print_screens(&report.clips);
+        for (name, value) in &report.settings {
+            if name.starts_with("Time of") {
+                println!("{name}: {value}");
+            }
         }
         Ok(())
     }
 
     /// Lists the models, and the time of each step.
     fn models(&self) -> Vec<(String, String)> {
+        let (detector, head) = (self.pass.detector.display(), self.pass.head.as_str());
         let provider = self.models.provider().as_str();
-        let mut rows = vec![(
-            "Detector".to_owned(),
-            format!(
-                "{} (head {}), run by {provider}",
-                self.pass.detector.display(),
-                self.pass.head.as_str()
-            ),
-        )];
+        let detector = format!("{detector} (head {head}), run by {provider}");
+        let mut rows = vec![("Detector".to_owned(), detector)];
         if let Some(screen) = &self.pass.screen_model {
             rows.push(("Screen model".to_owned(), screen.display().to_string()));
         }
@@ -300,15 +281,17 @@ impl<'a> Evaluation<'a> {
             let spread = Spread::of(self.times.iter().map(time).collect());
             // The time of a step that was not taken is 0.
             if let Some(spread) = spread.filter(|spread| spread.mean > 0.0) {
+                let Spread {
+                    mean,
+                    p50,
+                    p95,
+                    p99,
+                } = spread;
+                let frames = self.times.len();
                 rows.push((
                     format!("Time of {step}"),
                     format!(
-                        "mean {:.2} ms, p50 {:.2}, p95 {:.2}, p99 {:.2} (measured on this machine, {} frames)",
-                        spread.mean,
-                        spread.p50,
-                        spread.p95,
-                        spread.p99,
-                        self.times.len()
+                        "mean {mean:.2} ms, p50 {p50:.2}, p95 {p95:.2}, p99 {p99:.2} (measured on this machine, {frames} frames)"
                     ),
                 ));
             }
@@ -405,26 +388,23 @@ pub(super) fn look_at(
     Ok(pictured)
 }
 
-/// Reports how many frames the screen called empty, and how many of these wrongly, in a line per policy that used it.
-fn screen_lines(results: &[ClipResult]) -> Vec<String> {
-    let asked = results.iter().filter(|result| result.screen_frames > 0);
-    let mut policies: Vec<&str> = asked.map(|result| result.policy.as_str()).collect();
-    // Results are in order of policies.
-    policies.dedup();
-    let line = |policy: &str| {
-        let of = || results.iter().filter(|result| result.policy == policy);
-        let frames: usize = of().map(|result| result.frames).sum();
-        let empty: usize = of()
-            .flat_map(|result| &result.states_by_frame)
-            .filter(|state| **state == FrameState::E)
-            .count();
-        let occupied: usize = of().map(|result| result.occupied_frames).sum();
-        let missed: usize = of().map(|result| result.false_empty_frames).sum();
+/// Prints how many frames the screen called empty, and how many of these wrongly, in a line per policy that used it. The
+/// results are in the order of the policies.
+fn print_screens(results: &[ClipResult]) {
+    for of in results.chunk_by(|a, b| a.policy == b.policy) {
+        let sum = |count: fn(&ClipResult) -> usize| of.iter().map(count).sum::<usize>();
+        if sum(|result| result.screen_frames) == 0 {
+            continue;
+        }
+        let frames = sum(|result| result.frames);
+        let empty: u64 = of.iter().map(|result| result.states.e).sum();
+        let occupied = sum(|result| result.occupied_frames);
+        let missed = sum(|result| result.false_empty_frames);
         let share = 100.0 * missed as f64 / occupied.max(1) as f64;
-        format!(
-            "Screen under {policy}: {empty} of {frames} frames called empty; false-empty rate {share:.1} % \
-             ({missed} of the {occupied} frames in which the detector finds something)"
-        )
-    };
-    policies.into_iter().map(line).collect()
+        println!(
+            "Screen under {}: {empty} of {frames} frames called empty; false-empty rate {share:.1} % \
+             ({missed} of the {occupied} frames in which the detector finds something)",
+            of[0].policy
+        );
+    }
 }
