@@ -2,8 +2,8 @@
 
 use super::fleet::client::Client;
 use anyhow::{Context, bail};
-use reqwest::Response;
 use reqwest::header::{CONTENT_DISPOSITION, CONTENT_TYPE};
+use reqwest::{Method, Response};
 use std::fs::File;
 use std::io::Write;
 use std::path::PathBuf;
@@ -34,7 +34,7 @@ pub(super) struct Arguments {
 
 pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let client = Client::new(&arguments.url, arguments.token)?;
-    let response = client.file("/api/v1/diag").await?;
+    let response = client.plain(Method::GET, "/api/v1/diag").await?;
     let is_archive = response.headers().get(CONTENT_TYPE);
     if is_archive.is_none_or(|kind| kind != "application/x-tar") {
         bail!(

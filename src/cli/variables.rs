@@ -20,11 +20,8 @@ pub(super) const FEW_HEAPS: Variable = ("MALLOC_ARENA_MAX", "2");
 /// Replaces this process with one that has these variables. Returns if all of them have a value already, or after an
 /// error.
 pub(super) fn start_with(wanted: &[Variable]) {
-    let missing: Vec<_> = wanted
-        .iter()
-        .filter(|(name, _)| std::env::var_os(name).is_none())
-        .copied()
-        .collect();
+    let is_missing = |(name, _): &&Variable| std::env::var_os(name).is_none();
+    let missing: Vec<Variable> = wanted.iter().filter(is_missing).copied().collect();
     if missing.is_empty() {
         return;
     }
@@ -34,16 +31,9 @@ pub(super) fn start_with(wanted: &[Variable]) {
         Ok(program) => Command::new(program)
             .arg0(name)
             .args(arguments)
-            .envs(missing.iter().copied())
+            .envs(missing.clone())
             .exec(),
         Err(error) => error,
     };
-    let set: Vec<_> = missing
-        .iter()
-        .map(|(name, value)| format!("{name}={value}"))
-        .collect();
-    eprintln!(
-        "albireo: continuing without {} ({error})",
-        set.join(" and ")
-    );
+    eprintln!("albireo: continuing without {missing:?} ({error})");
 }

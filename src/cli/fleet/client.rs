@@ -79,12 +79,6 @@ impl Client {
         self.json(self.request(Method::GET, path, query)?).await
     }
 
-    /// Fetches a file.
-    pub(in crate::cli) async fn file(&self, path: &str) -> anyhow::Result<Response> {
-        let request = self.request(Method::GET, path, &[])?;
-        self.send(request.timeout(ANSWER_WITHIN)).await
-    }
-
     /// Sends a request with a JSON body.
     pub(super) async fn post<T: DeserializeOwned>(
         &self,
@@ -95,11 +89,14 @@ impl Client {
         self.json(request.json(body)).await
     }
 
-    /// Sends a DELETE request.
-    pub(super) async fn delete(&self, path: &str) -> anyhow::Result<()> {
-        let request = self.request(Method::DELETE, path, &[])?;
-        self.send(request.timeout(ANSWER_WITHIN)).await?;
-        Ok(())
+    /// Sends a request without a body; the answer need not be JSON.
+    pub(in crate::cli) async fn plain(
+        &self,
+        method: Method,
+        path: &str,
+    ) -> anyhow::Result<Response> {
+        let request = self.request(method, path, &[])?;
+        self.send(request.timeout(ANSWER_WITHIN)).await
     }
 
     /// Sends `body` by PUT and passes each line of the answer to `line` as it arrives.

@@ -7,6 +7,7 @@ use albireo_hub::http::{Energy, NodeDetail, NodeList};
 use albireo_hub::presence::{NodeView, PresenceState};
 use albireo_service::clock::{DAY_MS, unix_milliseconds};
 use albireo_wire::{CameraStatus, EnergyQuality, NodeStatus, NodeTarget};
+use reqwest::Method;
 use serde::Deserialize;
 use serde_json::json;
 use std::io::IsTerminal;
@@ -37,10 +38,8 @@ pub(super) struct ListArguments {
 
 pub(super) async fn forget(context: &Context, nodes: &[String]) -> anyhow::Result<Ended> {
     for node in nodes {
-        context
-            .client
-            .delete(&format!("/api/v1/nodes/{node}"))
-            .await?;
+        let path = format!("/api/v1/nodes/{node}");
+        context.client.plain(Method::DELETE, &path).await?;
         println!("{node} is forgotten");
     }
     Ok(Ended::Well)

@@ -5,9 +5,8 @@ use albireo_vision::picture::{EncodedPicture, PictureFormat};
 use albireo_wire::{FrameAnswer, FrameAttachment, read, stream_token};
 use anyhow::{Context, anyhow, bail};
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::sync::watch;
-use tokio::time::Instant;
 use zenoh::Wait;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::matching::MatchingStatus;
@@ -168,55 +167,36 @@ impl FrameSender {
     /// When Zenoh refuses it, or no node accepts it.
     #[cfg_attr(not(feature = "eval"), allow(dead_code))]
     pub(crate) async fn send(&self, frame: OutgoingFrame) -> anyhow::Result<Option<String>> {
-        match &self.mode {
-            SendMode::Put(_) => {
-                let sender = self.clone();
-                // A put that waits for room blocks its thread.
-                tokio::task::spawn_blocking(move || sender.put(&frame))
-                    .await
-                    .context("publishing a frame")??;
-                Ok(None)
-            }
-            SendMode::Ask(querier) => self.ask(querier, &frame).await,
-        }
+        let sender = self.clone();
+        // Zenoh blocks the thread while the network has no room.
+        let sent = tokio::task::spawn_blocking(move || match &sender.mode {
+            SendMode::Put(_) => sender.put(&frame).map(|()| None),
+            SendMode::Ask(querier) => sender.ask(querier, &frame),
+        });
+        sent.await.context("sending a frame")?
     }
 
     /// Sends a frame again and again until the node has accepted it.
-    async fn ask(
-        &self,
-        querier: &Arc<Querier<'static>>,
-        frame: &OutgoingFrame,
-    ) -> anyhow::Result<Option<String>> {
+    fn ask(&self, querier: &Querier, frame: &OutgoingFrame) -> anyhow::Result<Option<String>> {
         let until = Instant::now() + TURN;
-        let attachment = self.attachment(frame)?;
-        loop {
-            let (querier, attachment) = (Arc::clone(querier), attachment.clone());
-            let (bytes, format) = (frame.picture.bytes.clone(), frame.picture.format);
-            // A query that waits for room in the network blocks its thread.
-            let requested = tokio::task::spawn_blocking(move || {
-                querier
-                    .get()
-                    .payload(bytes.as_ref())
-                    .encoding(encoding(format))
-                    .attachment(attachment)
-                    .wait()
-            });
-            let replies = requested
-                .await
-                .context("sending a frame")?
+        while Instant::now() < until {
+            let replies = querier
+                .get()
+                .payload(frame.picture.bytes.as_ref())
+                .encoding(encoding(frame.picture.format))
+                .attachment(self.attachment(frame)?)
+                .wait()
                 .map_err(|error| anyhow!("a frame cannot be sent: {error}"))?;
-            while let Ok(reply) = replies.recv_async().await {
+            while let Ok(reply) = replies.recv() {
                 if let Ok(sample) = reply.result() {
                     let answer: FrameAnswer = read(&sample.payload().to_bytes())
                         .context("the node's answer to a frame")?;
                     return Ok(answer.refused);
                 }
             }
-            if Instant::now() >= until {
-                bail!(self.nobody(TURN));
-            }
-            tokio::time::sleep(RETRY).await;
+            std::thread::sleep(RETRY);
         }
+        bail!(self.nobody(TURN));
     }
 
     fn attachment(&self, frame: &OutgoingFrame) -> serde_json::Result<Vec<u8>> {

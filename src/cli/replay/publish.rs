@@ -151,13 +151,9 @@ struct Clips<'a> {
     options: &'a PublishOptions,
     source: String,
     begun: u64,
-    present: Option<Present>,
-}
-
-/// The clip that is being sent, and where it began.
-struct Present {
-    pass: u64,
-    of_source: Option<String>,
+    /// The pass and the source's clip of the last frame.
+    last: Option<(u64, Option<String>)>,
+    /// When the clip that is being sent began, seconds after the first frame.
     since: f64,
 }
 
@@ -175,18 +171,11 @@ impl Clips<'_> {
             None => (of_source.as_ref().unwrap_or(&self.source), several),
         };
         let name = name.clone();
-        let same = self.present.as_ref().is_some_and(|present| {
-            // Frame times have rounding errors, which are below half a millisecond.
-            let is_over = |most| seconds - present.since >= most - 0.0005;
-            (present.pass, &present.of_source) == (pass, &of_source)
-                && !options.clip_seconds.is_some_and(is_over)
-        });
-        if !same {
-            self.present = Some(Present {
-                pass,
-                of_source,
-                since: seconds,
-            });
+        // Frame times have rounding errors, which are below half a millisecond.
+        let is_over = |most: f64| seconds - self.since >= most - 0.0005;
+        let part = Some((pass, of_source));
+        if self.last != part || options.clip_seconds.is_some_and(is_over) {
+            (self.last, self.since) = (part, seconds);
             self.begun += 1;
         }
         Some(match numbered {
@@ -221,7 +210,8 @@ pub async fn publish<F: Future<Output = anyhow::Result<Option<String>>>>(
         options,
         source: source.name().to_owned(),
         begun: 0,
-        present: None,
+        last: None,
+        since: 0.0,
     };
     let mut prepared = prepare(source, options.repeat);
     let mut sent = Sent::default();
