@@ -1,19 +1,20 @@
 //! `albireo demo`: runs a camera, a node and a hub in one process over real Zenoh sessions, with live output.
 
-#[cfg(feature = "hub")]
-mod hub;
 mod show;
 
 use super::frames::{FrameSender, Pacing, close, open_session};
 use super::replay::{PublishOptions, Rate, publish};
 use albireo_eval::footage::{SourceName, VideoEncoding};
+use albireo_hub::config::HubConfig;
 use albireo_node::config::{CameraConfig, NodeConfig};
 use albireo_node::{PreparedNode, run_prepared};
-use albireo_service::config::{Configuration, LogConfig};
+use albireo_service::config::{Configuration, LogConfig, ZenohMode};
 use albireo_service::{logging, signals};
 use anyhow::{Context, bail};
 use show::Show;
+use std::fs::Permissions;
 use std::net::{Ipv4Addr, SocketAddr};
+use std::os::unix::fs::PermissionsExt;
 use std::path::PathBuf;
 use std::time::Duration;
 use tokio::net::TcpListener;
@@ -66,7 +67,6 @@ pub(super) struct Arguments {
     #[arg(long, default_value_t = 8080)]
     port: u16,
     /// Port of the hub's HTTP interface; if it is in use, another free one
-    #[cfg(feature = "hub")]
     #[arg(long, default_value_t = 8090)]
     hub_port: u16,
 }
@@ -87,20 +87,16 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let endpoint = format!("tcp/127.0.0.1:{}", listen(7447).await?.local_addr()?.port());
     let config = configuration(&arguments, &endpoint)?;
     let prepared = PreparedNode::new(&config)?;
-    #[cfg(feature = "hub")]
-    let hub = hub::DemoHub::start(
-        listen(arguments.hub_port).await?,
-        &endpoint,
-        shutdown.clone(),
-    )?;
+    let hub_listener = listen(arguments.hub_port).await?;
     let show = Show::new(prepared.board());
-    show.banner(&config, listener.local_addr()?);
-    #[cfg(feature = "hub")]
-    hub.banner();
-    println!("E empty, P predicted, E+I screen then detector, I detector, AI with rescue");
+    let addresses = [listener.local_addr()?, hub_listener.local_addr()?];
+    show.banner(&config, addresses);
 
     // Each part is a task: opening a Zenoh session blocks its thread, and no part may wait for another.
     // The part that ends first ends the others.
+    let stop_hub = CancellationToken::new();
+    let hub = hub(hub_listener, endpoint.clone(), stop_hub.clone());
+    let hub = tokio::spawn(ending(shutdown.clone(), hub));
     let node = tokio::spawn(ending(shutdown.clone(), {
         let (config, shutdown) = (config.clone(), shutdown.clone());
         async move { run_prepared(&config, prepared, listener, shutdown).await }
@@ -116,11 +112,10 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         show.await.context("output")?,
     );
     // The hub ends last, so that the last clip has arrived.
-    #[cfg(feature = "hub")]
-    let hub = hub.stop().await;
+    stop_hub.cancel();
+    let hub = hub.await.context("hub")?;
     camera?;
     node?;
-    #[cfg(feature = "hub")]
     hub?;
     summary.print();
     Ok(())
@@ -162,6 +157,31 @@ fn configuration(arguments: &Arguments, endpoint: &str) -> anyhow::Result<NodeCo
         bail!("{problem}");
     }
     Ok(config)
+}
+
+/// Runs a hub that connects to the node at `endpoint`, with its history in a temporary folder, until `stop`. It has
+/// committed all reports then.
+async fn hub(
+    listener: TcpListener,
+    endpoint: String,
+    stop: CancellationToken,
+) -> anyhow::Result<()> {
+    let folder = tempfile::Builder::new()
+        .prefix("albireo-demo-")
+        .permissions(Permissions::from_mode(0o700))
+        .tempdir()
+        .context("the folder of the hub's database cannot be created")?;
+    let mut config = HubConfig::default();
+    config.zenoh.mode = ZenohMode::Peer;
+    config.zenoh.connect = vec![endpoint];
+    config.zenoh.listen = Vec::new();
+    config.database.url = format!("sqlite:{}", folder.path().join("hub.db").display());
+    if let Some(problem) = config.findings().into_iter().next() {
+        bail!("{problem}");
+    }
+    albireo_hub::run(&config, listener, stop)
+        .await
+        .context("hub")
 }
 
 /// Plays the camera until `shutdown`.

@@ -1,13 +1,13 @@
 //! Shows progress on a terminal.
 
 use indicatif::ProgressBar;
-#[cfg(any(feature = "eval", feature = "hub"))]
+#[cfg(feature = "hub")]
 use indicatif::ProgressStyle;
 use std::time::Duration;
 
 /// Makes a bar of `total` steps, or a spinner if their number is unknown; `unit` follows the count. It is hidden if
 /// standard error is not a terminal.
-#[cfg(any(feature = "eval", feature = "hub"))]
+#[cfg(feature = "hub")]
 pub(super) fn bar(total: Option<u64>, unit: &str) -> ProgressBar {
     let (bar, style) = match total {
         Some(total) => (

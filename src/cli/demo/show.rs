@@ -46,20 +46,24 @@ impl Show {
         }
     }
 
-    pub(super) fn banner(&self, config: &NodeConfig, address: SocketAddr) {
+    /// Prints the addresses of node and hub, how to query them, and what the letters of the table mean.
+    pub(super) fn banner(&self, config: &NodeConfig, [node, hub]: [SocketAddr; 2]) {
         let model = config.detector.model.display();
         println!("albireo demo: a recorded road -> Zenoh -> {model}");
-        println!("  page     http://{address}/");
-        println!("  counters curl http://{address}/api/v1/frame-states");
+        println!("  page     http://{node}/");
+        println!("  counters curl http://{node}/api/v1/frame-states");
         let camera = self.board.cameras.first();
         if let Some(spec) = camera.and_then(|camera| camera.threshold_spec) {
             // Twice the default, so that the difference is visible.
             let value = (2.0 * spec.default).min(spec.maximum);
             let value = serde_json::json!({ spec.name: value });
             println!(
-                "  tune it  curl -X PUT http://{address}/api/v1/threshold \\\n             -H 'content-type: application/json' -d '{value}'"
+                "  tune it  curl -X PUT http://{node}/api/v1/threshold \\\n             -H 'content-type: application/json' -d '{value}'"
             );
         }
+        println!("  hub      curl http://{hub}/api/v1/clips");
+        println!("  fleet    albireo fleet --hub http://{hub} ls");
+        println!("E empty, P predicted, E+I screen then detector, I detector, AI with rescue");
     }
 
     /// Prints until `shutdown` and the last clip's report.
