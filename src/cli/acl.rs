@@ -5,7 +5,9 @@ use albireo_router::authority::{Authority, write_public};
 use anyhow::Context;
 use std::path::PathBuf;
 
-const EXAMPLES: &str = "\
+/// Arguments of `albireo acl`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
 Zenoh's rules have no templates, so each node gets rules of its own, selected by
 the common name of its certificate. Everything else is denied. Generate the
 rules again after each `albireo cert node` and `albireo cert revoke`, and
@@ -13,11 +15,7 @@ restart the router: its sessions reconnect by themselves.
 
 Examples:
   albireo acl --folder /etc/albireo/authority --output /etc/albireo/access.json
-  zenohd --config router.json5 --cfg \"access_control:$(albireo acl)\"";
-
-/// Arguments of `albireo acl`.
-#[derive(Debug, clap::Args)]
-#[command(after_help = EXAMPLES)]
+  zenohd --config router.json5 --cfg \"access_control:$(albireo acl)\"")]
 pub(super) struct Arguments {
     /// The authority's folder, as for `albireo cert`.
     #[arg(

@@ -6,7 +6,9 @@ use anyhow::{Context, bail};
 use clap::Subcommand;
 use std::path::PathBuf;
 
-const EXAMPLES: &str = "\
+/// Arguments of `albireo cert`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
 The folder holds the authority's private key. Anyone who can read it can admit
 any node, so keep it on a separate machine, and give each member only
 authority.pem, its own certificate and its own key.
@@ -18,11 +20,7 @@ Examples:
   albireo cert node car-7 car-8 car-9
   albireo cert list
   albireo cert renew --within 30                  all that expire within 30 days
-  albireo cert revoke node car-7 && albireo acl --output access.json";
-
-/// Arguments of `albireo cert`.
-#[derive(Debug, clap::Args)]
-#[command(after_help = EXAMPLES)]
+  albireo cert revoke node car-7 && albireo acl --output access.json")]
 pub(super) struct Arguments {
     /// The authority's folder.
     #[arg(

@@ -10,7 +10,9 @@ use std::path::PathBuf;
 #[cfg(feature = "hub")]
 use {albireo_hub::config::HubConfig, albireo_service::config::load};
 
-const EXAMPLES: &str = "\
+/// Arguments of `albireo check`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
 A file with the section [hub] or [database] configures a hub, any other a node.
 The command checks every key and value, including those from environment
 variables (ALBIREO_SECTION__KEY). For a node it also checks what the node needs
@@ -28,11 +30,7 @@ Examples:
   albireo check config/hub.toml
   albireo check --online /etc/albireo/node.toml
   albireo check --file-only config/node.toml
-  ALBIREO_HTTP__LISTEN=0.0.0.0:8080 albireo check config/node.toml";
-
-/// Arguments of `albireo check`.
-#[derive(Debug, clap::Args)]
-#[command(after_help = EXAMPLES)]
+  ALBIREO_HTTP__LISTEN=0.0.0.0:8080 albireo check config/node.toml")]
 pub(super) struct Arguments {
     /// Configuration file of a node or a hub.
     file: PathBuf,

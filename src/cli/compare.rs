@@ -23,7 +23,16 @@ use std::path::PathBuf;
 use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 
-const EXAMPLES: &str = "\
+/// Headings of the help.
+const PLAYING: &str = "How it is played";
+const NODE: &str = "The node";
+
+/// The longest time for the node to load its model, and for the camera to find the node.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+/// Arguments of `albireo compare`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
 Each run starts a node as `albireo node` does (same code, same configuration),
 and a camera that plays the clip to it over a separate Zenoh session. The clip's
 pictures are read and encoded once, before the first run. Each round plays every
@@ -51,18 +60,7 @@ Examples:
   albireo compare --config /etc/albireo/node.toml --clip drive.mp4 --out results
       with this board's detector and meter; every run as JSON and CSV
   albireo compare --detector yolo26n.onnx --u 5e-4 --clip drive.mp4
-      another model without a configuration file";
-
-/// Headings of the help.
-const PLAYING: &str = "How it is played";
-const NODE: &str = "The node";
-
-/// The longest time for the node to load its model, and for the camera to find the node.
-const PATIENCE: Duration = Duration::from_secs(120);
-
-/// Arguments of `albireo compare`.
-#[derive(Debug, clap::Args)]
-#[command(after_help = EXAMPLES)]
+      another model without a configuration file")]
 pub(super) struct Arguments {
     /// A policy, as NAME or NAME:SETTING; may be repeated. The others are compared with the first
     #[arg(long, value_name = "NAME[:SETTING]", default_values = [BASELINE, "albireo", "expected-loss"])]

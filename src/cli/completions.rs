@@ -5,15 +5,13 @@ use clap::CommandFactory;
 use clap_complete::Shell;
 use std::io::Write;
 
-const EXAMPLES: &str = "\
+/// Arguments of `albireo completions`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
 Examples:
   albireo completions bash > /usr/share/bash-completion/completions/albireo
   albireo completions zsh > ~/.zfunc/_albireo
-  albireo completions fish > ~/.config/fish/completions/albireo.fish";
-
-/// Arguments of `albireo completions`.
-#[derive(Debug, clap::Args)]
-#[command(after_help = EXAMPLES)]
+  albireo completions fish > ~/.config/fish/completions/albireo.fish")]
 pub(super) struct Arguments {
     /// The shell.
     shell: Shell,

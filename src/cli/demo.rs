@@ -20,7 +20,15 @@ use std::time::Duration;
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
-const EXAMPLES: &str = "\
+/// The camera of the demonstration.
+const CAMERA: &str = "dashcam";
+
+/// Longest wait of the camera for the node, whose model is loaded and warmed up first.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Arguments of `albireo demo`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
 Examples:
   albireo demo                      until Ctrl-C
   albireo demo --seconds 60         one minute, then a summary
@@ -33,17 +41,7 @@ While it runs, in another terminal:
   curl localhost:8080/api/v1/frame-states
   albireo fleet ls
       the hub's view; also: show demo, energy, set-u 5e-4 --select all
-  curl -X PUT localhost:8080/api/v1/threshold -d '{\"u\":7e-4}'";
-
-/// The camera of the demonstration.
-const CAMERA: &str = "dashcam";
-
-/// Longest wait of the camera for the node, whose model is loaded and warmed up first.
-const PATIENCE: Duration = Duration::from_secs(60);
-
-/// Arguments of `albireo demo`.
-#[derive(Debug, clap::Args)]
-#[command(after_help = EXAMPLES)]
+  curl -X PUT localhost:8080/api/v1/threshold -d '{\"u\":7e-4}'")]
 pub(super) struct Arguments {
     /// Stop this many seconds after the camera starts [default: run until Ctrl-C]
     #[arg(long, value_name = "SECONDS")]

@@ -14,19 +14,18 @@ use albireo_vision::picture::{
 use albireo_vision::screen::decoding_target;
 use anyhow::{Context, ensure};
 use serde_json::json;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-const EXAMPLES: &str = "\
+/// Arguments of `albireo detect`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
 Examples:
   albireo detect yolo26n.onnx                       print how the model is read
   albireo detect yolo26n.onnx frame.jpg             and what it finds
   albireo detect yolo26n.onnx frame.jpg --out seen   and draw the boxes
-  albireo detect yolo26n.onnx pictures/ --json      one JSON object per picture";
-
-/// Arguments of `albireo detect`.
-#[derive(Debug, clap::Args)]
-#[command(after_help = EXAMPLES)]
+  albireo detect yolo26n.onnx pictures/ --json      one JSON object per picture")]
 pub(super) struct Arguments {
     /// The ONNX file.
     model: PathBuf,
@@ -157,6 +156,7 @@ fn look(
         let name = names.get(usize::from(found.class.0));
         name.map_or("", String::as_str)
     };
+    let mut out = std::io::stdout().lock();
     if arguments.json {
         let detection = |found: &Detection| {
             let corners = found.bounding_box.pixel_corners(size);
@@ -170,17 +170,21 @@ fn look(
             "picture": file, "width": size.width, "height": size.height, "decode_ms": decode,
             "letterbox_ms": letterbox, "model_ms": model, "head_ms": head, "detections": detections,
         });
-        println!("{facts}");
+        writeln!(out, "{facts}")?;
     } else {
-        println!(
+        writeln!(
+            out,
             "{} {size}: {} detections (decode {decode:.1} ms, letterbox {letterbox:.1} ms, model {model:.1} ms, head {head:.1} ms)",
             file.display(),
             found.detections.len(),
-        );
+        )?;
         for found in &found.detections {
             let Corners { x1, y1, x2, y2 } = found.bounding_box.pixel_corners(size);
             let (name, confidence) = (name(found), found.confidence);
-            println!("  {name:<14} {confidence:.3}  [{x1:.1}, {y1:.1}, {x2:.1}, {y2:.1}]");
+            writeln!(
+                out,
+                "  {name:<14} {confidence:.3}  [{x1:.1}, {y1:.1}, {x2:.1}, {y2:.1}]"
+            )?;
         }
     }
     if let Some(folder) = &arguments.out {

@@ -7,10 +7,8 @@ use std::time::Duration;
 
 /// Sets the constants in the variable in `config`.
 pub(super) fn apply(config: &mut NodeConfig) -> anyhow::Result<()> {
-    for pair in std::env::var("ALBIREO_DEVELOPMENT")
-        .unwrap_or_default()
-        .split_whitespace()
-    {
+    let constants = std::env::var("ALBIREO_DEVELOPMENT").unwrap_or_default();
+    for pair in constants.split_whitespace() {
         set(config, pair).with_context(|| format!("ALBIREO_DEVELOPMENT: {pair}"))?;
     }
     Ok(())
@@ -30,10 +28,7 @@ fn set(config: &mut NodeConfig, pair: &str) -> anyhow::Result<()> {
         "reconnect_max_ms" => config.uplink.retry_max_ms = Some(value.parse()?),
         "ring" => {
             let ring = value.parse()?;
-            config
-                .cameras
-                .iter_mut()
-                .for_each(|camera| camera.ring = ring);
+            (config.cameras.iter_mut()).for_each(|camera| camera.ring = ring);
         }
         "source_timeout_s" => {
             let seconds = value.parse()?;

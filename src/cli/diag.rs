@@ -8,17 +8,15 @@ use std::fs::File;
 use std::io::Write;
 use std::path::PathBuf;
 
-const EXAMPLES: &str = "\
+/// Arguments of `albireo diag`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
 Examples:
   albireo diag                                  the node of this machine
   albireo diag http://127.0.0.1:8090            a hub
   ALBIREO_HTTP__TOKEN=… albireo diag http://car-7.example:8080 -o car-7.tar
   ALBIREO_HTTP__TOKEN=$ALBIREO_HUB_TOKEN albireo diag $ALBIREO_HUB
-      the hub of `albireo fleet`";
-
-/// Arguments of `albireo diag`.
-#[derive(Debug, clap::Args)]
-#[command(after_help = EXAMPLES)]
+      the hub of `albireo fleet`")]
 pub(super) struct Arguments {
     /// HTTP interface of the node or the hub.
     #[arg(default_value = "http://127.0.0.1:8080", value_name = "URL")]

@@ -23,7 +23,9 @@ use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Args, Subcommand};
 use std::path::{Path, PathBuf};
 
-const EXAMPLES: &str = "\
+/// Compare policies side by side: accuracy, skip rate, frame time, energy.
+#[derive(Debug, Args)]
+#[command(after_help = "\
 Examples:
   albireo eval recorded DIR --policy albireo --sweep u=3e-4,5e-4,7e-4,1e-3
       what each threshold costs in accuracy and saves in detector calls
@@ -31,11 +33,7 @@ Examples:
       which value of a threshold your road and your detector allow
   albireo eval recorded DIR --profile reference --screen detections \\
       --traces traces
-      the published code's decisions, frame by frame";
-
-/// Compare policies side by side: accuracy, skip rate, frame time, energy.
-#[derive(Debug, Args)]
-#[command(after_help = EXAMPLES)]
+      the published code's decisions, frame by frame")]
 pub struct EvalArguments {
     #[command(subcommand)]
     what: What,

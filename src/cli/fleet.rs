@@ -11,7 +11,9 @@ use clap::Subcommand;
 use client::Client;
 use std::process::ExitCode;
 
-const EXAMPLES: &str = "\
+/// Arguments of `albireo fleet`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
 Nodes are selected by name (cam-7), glob ('cam-*'), label (region=north) or
 `all`; parts joined by & must all match ('cam-* & region=north'), a part after !
 must not match ('all & !cam-3'). Several --select add up.
@@ -39,11 +41,7 @@ Examples:
   albireo fleet energy --since 7d --by node
   albireo fleet changes --node cam-7
       who set what, when and why, and the outcome
-  ALBIREO_HUB=http://hub.example:8090 ALBIREO_HUB_TOKEN=… albireo fleet watch";
-
-/// Arguments of `albireo fleet`.
-#[derive(Debug, clap::Args)]
-#[command(after_help = EXAMPLES)]
+  ALBIREO_HUB=http://hub.example:8090 ALBIREO_HUB_TOKEN=… albireo fleet watch")]
 pub(super) struct Arguments {
     /// The hub
     #[arg(

@@ -7,7 +7,11 @@ use albireo_service::{config, logging, signals};
 use anyhow::Context;
 use std::path::PathBuf;
 
-const EXAMPLES: &str = "\
+/// Arguments of `albireo hub`.
+#[derive(Debug, clap::Args)]
+#[command(
+    args_conflicts_with_subcommands = true,
+    after_help = "\
 Without --config the built-in defaults apply; config/hub.toml lists them all. An
 environment variable overrides a single key: ALBIREO_SECTION__KEY, with two
 underscores between section and key. Ctrl-C or SIGTERM stops it: received
@@ -17,22 +21,8 @@ Examples:
   albireo hub --config /etc/albireo/hub.toml
   albireo check config/hub.toml
   ALBIREO_DATABASE__URL=postgres://hub@db.example/fleet albireo hub
-  albireo hub move albireo-hub.db postgres://hub@db.example/fleet";
-
-const MOVE_EXAMPLES: &str = "\
-Stop the hub first, and start it with the new database.url afterwards: anything
-it stores in the file in between is not moved. Nodes keep their reports until a
-hub acknowledges them, so none is lost or counted twice. The file is not
-changed.
-PGPASSWORD keeps the password out of the command line.
-
-Example:
-  PGPASSWORD=secret albireo hub move /var/lib/albireo/hub.db \\
-      postgres://hub@db.example/fleet";
-
-/// Arguments of `albireo hub`.
-#[derive(Debug, clap::Args)]
-#[command(after_help = EXAMPLES, args_conflicts_with_subcommands = true)]
+  albireo hub move albireo-hub.db postgres://hub@db.example/fleet"
+)]
 pub(super) struct Arguments {
     #[command(subcommand)]
     command: Option<Command>,
@@ -44,7 +34,16 @@ pub(super) struct Arguments {
 #[derive(Debug, clap::Subcommand)]
 enum Command {
     /// Copy a hub's SQLite file into an empty PostgreSQL database.
-    #[command(after_help = MOVE_EXAMPLES)]
+    #[command(after_help = "\
+Stop the hub first, and start it with the new database.url afterwards: anything
+it stores in the file in between is not moved. Nodes keep their reports until a
+hub acknowledges them, so none is lost or counted twice. The file is not
+changed.
+PGPASSWORD keeps the password out of the command line.
+
+Example:
+  PGPASSWORD=secret albireo hub move /var/lib/albireo/hub.db \\
+      postgres://hub@db.example/fleet")]
     Move {
         /// The file, as a path or as sqlite:FILE.
         from: String,

@@ -4,17 +4,15 @@ use anyhow::Context;
 use clap::CommandFactory;
 use std::path::PathBuf;
 
-const EXAMPLES: &str = "\
+/// Arguments of `albireo man`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
 Writes albireo.1 and one page per subcommand, such as albireo-node.1. The
 packages include them.
 
 Examples:
   albireo man /usr/local/share/man/man1
-  albireo man /tmp/man && man -l /tmp/man/albireo-node.1";
-
-/// Arguments of `albireo man`.
-#[derive(Debug, clap::Args)]
-#[command(after_help = EXAMPLES)]
+  albireo man /tmp/man && man -l /tmp/man/albireo-node.1")]
 pub(super) struct Arguments {
     /// Folder for the pages, which is created if needed.
     folder: PathBuf,

@@ -4,7 +4,9 @@ use albireo_power::{SourceSurvey, survey};
 use std::fmt::Write;
 use std::path::PathBuf;
 
-const EXAMPLES: &str = "\
+/// Arguments of `albireo power`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
 Opens every source in turn and reads it for a second. The source marked * is
 the one that `source = \"auto\"` selects. The watts of `estimate` come from a
 model; all others are measured.
@@ -12,11 +14,7 @@ model; all others are measured.
 Examples:
   albireo power
   albireo power --config /etc/albireo/node.toml
-  albireo power --json | jq '.[] | select(.automatic)'";
-
-/// Arguments of `albireo power`.
-#[derive(Debug, clap::Args)]
-#[command(after_help = EXAMPLES)]
+  albireo power --json | jq '.[] | select(.automatic)'")]
 pub(super) struct Arguments {
     /// The node's configuration file
     #[arg(long, short, env = "ALBIREO_CONFIG", value_name = "FILE")]

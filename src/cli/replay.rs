@@ -6,7 +6,7 @@ pub use publish::{PublishOptions, Rate, Sent, publish};
 
 use super::frames::{FrameSender, FrameTarget, NOBODY, Pacing, close, open_session};
 use super::progress;
-use albireo_eval::footage::{FrameSource, SourceName, VideoEncoding};
+use albireo_eval::footage::{SourceName, VideoEncoding};
 use anyhow::bail;
 use clap::Args;
 use indicatif::HumanBytes;

@@ -6,7 +6,9 @@ use albireo_service::config::{Findings, LogConfig, LogFormat};
 use albireo_service::{logging, signals};
 use anyhow::{Context, bail};
 
-const EXAMPLES: &str = "\
+/// Arguments of `albireo router`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
 A Zenoh router with health and metrics. Its configuration is Zenoh's own
 (JSON5), as for zenohd; config/zenoh-router.json5 shows what a fleet needs.
 
@@ -14,11 +16,7 @@ Examples:
   albireo router --config config/zenoh-router.json5
   albireo router --config /etc/albireo/router.json5 \\
       --access /etc/albireo/access.json
-  curl http://127.0.0.1:8095/metrics";
-
-/// Arguments of `albireo router`.
-#[derive(Debug, clap::Args)]
-#[command(after_help = EXAMPLES)]
+  curl http://127.0.0.1:8095/metrics")]
 pub(super) struct Arguments {
     #[command(flatten)]
     options: RouterOptions,

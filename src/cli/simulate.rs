@@ -4,7 +4,9 @@ use albireo_service::signals;
 use albireo_simulate::Options;
 use anyhow::{Context, bail};
 
-const EXAMPLES: &str = "\
+/// Arguments of `albireo simulate`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
 To a hub the nodes are real: statuses, reports, pulls and notices go over real
 Zenoh sessions. Their pictures, energy and latencies are invented and marked
 `simulated`. Connects only to endpoints on this machine. The exit code is 1 if
@@ -20,11 +22,7 @@ Examples:
       --seconds 600 --worse-above 4e-4
       a small fast fleet that values above 4e-4 harm, for trying a rollout
   albireo simulate --nodes 10000 --sessions 50 --backlog 90 --seconds 60
-      after an hour's outage: every node has 90 reports to deliver";
-
-/// Arguments of `albireo simulate`.
-#[derive(Debug, clap::Args)]
-#[command(after_help = EXAMPLES)]
+      after an hour's outage: every node has 90 reports to deliver")]
 pub(super) struct Arguments {
     #[command(flatten)]
     options: Options,

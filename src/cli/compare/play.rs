@@ -118,7 +118,8 @@ impl Player {
         progress(0, "loading the model");
         let prepared = PreparedNode::new(&config)?;
         let board = Arc::clone(prepared.board());
-        let collecting = tokio::spawn(collect(board.subscribe()));
+        let ended = CancellationToken::new();
+        let collecting = tokio::spawn(collect(board.subscribe(), ended.clone()));
         let stop = shutdown.child_token();
         let node = prepared.start(&config, stop.clone()).await?;
         let node = node.context("stopped")?;
@@ -128,14 +129,19 @@ impl Player {
             played = self.play_to(&config, &board, &endpoints, &progress, shutdown) => played,
             () = shutdown.cancelled() => Err(anyhow!("stopped")),
         };
-        // The clip ends with the node.
+        // The clip ends with the node; its report is on the board once the node has stopped.
         stop.cancel();
         stopped.await.context("the node")??;
+        ended.cancel();
         let cpu = played?;
-        let collected = tokio::time::timeout(PATIENCE, collecting).await;
-        let (report, answers) = collected.context("the node reported no clip")???;
+        let answers = collecting.await.context("the node's answers")??;
+        let report = board
+            .recent_clips(Some(CAMERA), None, None, usize::MAX)
+            .into_iter()
+            .find(|report| report.clip == MEASURED)
+            .context("the node reported no clip")?;
         Ok(Played {
-            report,
+            report: ClipReport::clone(&report),
             cpu,
             meter_share_of_core: board.power().meter_share_of_core(),
             first: self.warm_up_frames(),
@@ -271,21 +277,22 @@ fn configuration(
     }
 }
 
-/// Collects the answers to the clip's frames until its report.
+/// Collects the answers to the clip's frames until the node has `ended`.
 async fn collect(
     mut events: Receiver<Arc<Event>>,
-) -> anyhow::Result<(ClipReport, Vec<Arc<DetectionsMessage>>)> {
+    ended: CancellationToken,
+) -> anyhow::Result<Vec<Arc<DetectionsMessage>>> {
     let mut answers = Vec::new();
     loop {
-        let event = events.recv().await.context("the node's answers")?;
-        match &event.news {
-            News::Frame(frame) if frame.detections.clip == MEASURED => {
-                answers.push(Arc::clone(&frame.detections));
-            }
-            News::Clip(report) if report.clip == MEASURED => {
-                return Ok((ClipReport::clone(report), answers));
-            }
-            _ => {}
+        let event = tokio::select! {
+            biased;
+            event = events.recv() => event.context("the node's answers")?,
+            () = ended.cancelled() => return Ok(answers),
+        };
+        if let News::Frame(frame) = &event.news
+            && frame.detections.clip == MEASURED
+        {
+            answers.push(Arc::clone(&frame.detections));
         }
     }
 }

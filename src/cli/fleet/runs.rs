@@ -51,7 +51,9 @@ pub(super) enum RolloutCommand {
     Stop(Number),
 }
 
-const START_EXAMPLES: &str = "\
+/// Arguments of `albireo fleet rollout start`. What is serialised is the plan of the request.
+#[derive(Debug, clap::Args, Serialize)]
+#[command(after_help = "\
 Gates bound what the change may cost: skip_rate>=-0.05 (may fall by 0.05),
 joules<=+5% (of a clip), edp, latency_p99, degraded, recall, precision. The
 change of the stage's nodes is compared with that of the nodes not asked yet,
@@ -64,11 +66,7 @@ Examples:
   albireo fleet rollout start 5e-4 --select 'cam-*' --stages 8,25%,50% \\
       --soak 8h \\
       --gate 'joules<=+5%' --gate 'latency_p99<=+10%' --on-failure hold --why
-      'quieter streets'";
-
-/// Arguments of `albireo fleet rollout start`. What is serialised is the plan of the request.
-#[derive(Debug, clap::Args, Serialize)]
-#[command(after_help = START_EXAMPLES)]
+      'quieter streets'")]
 pub(super) struct RolloutArguments {
     /// The new value.
     #[arg(value_parser = finite)]
