@@ -121,7 +121,26 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
             name,
             within,
             days,
-        } => renew(&mut open()?, *role, name.as_deref(), *within, *days)?,
+        } => {
+            let mut authority = open()?;
+            let who: Vec<(Role, String)> = match (role, name) {
+                (Some(role), Some(name)) => vec![(*role, name.clone())],
+                _ => {
+                    let within_s = i64::from(within.unwrap_or(0)) * 86_400;
+                    let until_s = unix_milliseconds() / 1000 + within_s;
+                    (authority.entries().iter())
+                        .filter(|entry| entry.revoked_s.is_none() && entry.ends_s <= until_s)
+                        .map(|entry| (entry.role, entry.name.clone()))
+                        .collect()
+                }
+            };
+            if who.is_empty() {
+                println!("no certificate expires that soon");
+            }
+            for (role, name) in who {
+                print_issued(&authority.renew(role, &name, DAY * *days)?);
+            }
+        }
         Command::Revoke { role, name } => {
             let revoked = open()?.revoke(*role, name)?;
             println!(
@@ -141,32 +160,6 @@ fn issue(authority: &mut Authority, role: Role, members: &Members) -> anyhow::Re
     for name in &members.names {
         let lasts = DAY * members.days;
         print_issued(&authority.issue(role, name, &members.hosts, lasts)?);
-    }
-    Ok(())
-}
-
-fn renew(
-    authority: &mut Authority,
-    role: Option<Role>,
-    name: Option<&str>,
-    within: Option<u32>,
-    days: u32,
-) -> anyhow::Result<()> {
-    let who: Vec<(Role, String)> = match (role, name, within) {
-        (Some(role), Some(name), _) => vec![(role, name.to_owned())],
-        (.., within) => {
-            let until = unix_milliseconds() / 1000 + i64::from(within.unwrap_or(0)) * 86_400;
-            (authority.entries().iter())
-                .filter(|entry| entry.revoked_s.is_none() && entry.ends_s <= until)
-                .map(|entry| (entry.role, entry.name.clone()))
-                .collect()
-        }
-    };
-    if who.is_empty() {
-        println!("no certificate expires that soon");
-    }
-    for (role, name) in who {
-        print_issued(&authority.renew(role, &name, DAY * days)?);
     }
     Ok(())
 }

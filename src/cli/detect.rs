@@ -262,10 +262,8 @@ fn outline(picture: &mut Picture, corners: [f64; 4], colour: [u8; 3]) {
         let edge = y - y1 < thick || y2 - y <= thick;
         for x in x1.max(0)..x2.min(width) {
             if edge || x - x1 < thick || x2 - x <= thick {
-                let at = usize::try_from(3 * (y * width + x)).unwrap_or(usize::MAX);
-                if let Some(pixel) = picture.pixels.get_mut(at..at.saturating_add(3)) {
-                    pixel.copy_from_slice(&colour);
-                }
+                let at = 3 * (y * width + x) as usize;
+                picture.pixels[at..at + 3].copy_from_slice(&colour);
             }
         }
     }

@@ -58,12 +58,8 @@ pub(super) fn interval(change: &Interval, relative: bool) -> String {
         true => format!("{:+.1}%", value * 100.0),
         false => format!("{value:+.4}"),
     };
-    let Interval {
-        estimate,
-        lower,
-        upper,
-    } = *change;
-    format!("{} [{}, {}]", shown(estimate), shown(lower), shown(upper))
+    let (lower, upper) = (shown(change.lower), shown(change.upper));
+    format!("{} [{lower}, {upper}]", shown(change.estimate))
 }
 
 /// Formats a number of nodes: `1 node`, `20 nodes`.

@@ -15,7 +15,7 @@ const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 const BLOCKED_MICROSECONDS: u64 = 120_000_000;
 const BLOCKED: &str = "transport/link/tx/queue/congestion_control/block/wait_before_close";
 
-/// Opens a session that connects only to the given endpoints: as a client of `connect` (of [`DEFAULT_ENDPOINT`] if both
+/// Opens a session that connects only to the given endpoints: as a client of `connect` (of `tcp/127.0.0.1:7447` if both
 /// are empty), or as a peer if there is an endpoint to listen on. Tries to connect for `patience`.
 ///
 /// # Errors
