@@ -13,7 +13,8 @@ fn main() {
     println!("cargo:rerun-if-changed=../../web/dist");
     let deliberate = std::env::var_os("ALBIREO_WITHOUT_PAGES").is_some();
     let is_built = |page: &str| Path::new("../../web/dist").join(page).exists();
-    if !deliberate && !(is_built("node.html") && is_built("hub.html")) {
+    let built = is_built("node.html") && is_built("hub.html");
+    if !deliberate && !built {
         eprintln!(
             "the pages are not built, and a release without them would show people nothing: run `make web` first \
              (it needs Node.js 20.19 or later with npm), or set ALBIREO_WITHOUT_PAGES=1 to build one deliberately \

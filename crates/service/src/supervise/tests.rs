@@ -88,7 +88,7 @@ async fn a_task_that_panics_or_ends_too_early_is_counted_reported_and_restarted(
     tokio::task::yield_now().await;
     assert_eq!(bench.readiness.health().state(), HealthState::Ready);
     bench.shutdown.cancel();
-    assert_eq!(bench.watching.await.unwrap(), Ok(()));
+    assert_eq!((&mut bench.watching).await.unwrap(), Ok(()));
     assert_eq!(bench.failures(), 2);
 }
 
