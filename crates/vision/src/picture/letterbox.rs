@@ -1,11 +1,11 @@
 //! Turns a decoded picture into the input tensor of a network, and maps the network's boxes back.
 
-use super::{Picture, PixelLayout};
+use super::Picture;
 use albireo_core::geometry::{BoundingBox, Corners, PictureSize};
 use fast_image_resize::images::{TypedImage, TypedImageRef};
-use fast_image_resize::pixels::{U8, U8x3};
+use fast_image_resize::pixels::U8x3;
 use fast_image_resize::{
-    FilterType, ImageBufferError, PixelTrait, ResizeAlg, ResizeError, ResizeOptions, Resizer,
+    FilterType, ImageBufferError, ResizeAlg, ResizeError, ResizeOptions, Resizer,
 };
 use serde::{Deserialize, Serialize};
 
@@ -138,8 +138,8 @@ pub enum LetterboxError {
     /// The picture has no pixels.
     #[error("the picture is empty ({0})")]
     Empty(PictureSize),
-    /// The length of the buffer does not match its size and layout.
-    #[error("a {size} picture needs {expected} bytes and has {actual}")]
+    /// The buffer has another length than that of a picture of this size in red, green, blue.
+    #[error("an RGB picture of {size} needs {expected} bytes and has {actual}")]
     WrongLength {
         /// The size of the picture.
         size: PictureSize,
@@ -193,11 +193,11 @@ impl Letterbox {
         &self.tensor
     }
 
-    /// Turns `picture` into the input and returns the mapping back. Bilinear without antialiasing, as in the training
+    /// Turns `picture`, which is RGB, into the input and returns the mapping back. Bilinear without antialiasing, as in the training
     /// of the networks (OpenCV's `INTER_LINEAR`).
     ///
     /// # Errors
-    /// If the picture is empty or its buffer does not fit its size.
+    /// If the picture is empty, or is not RGB of its size.
     pub fn fill(&mut self, picture: &Picture) -> Result<InputMapping, LetterboxError> {
         check(picture)?;
         // Uses the size before the decoder scaled it, so that scaling moves nothing.
@@ -213,11 +213,9 @@ impl Letterbox {
             self.resize(picture, placement)?;
             &self.resized
         };
-        let convert = match (picture.layout, self.format.layout) {
-            (PixelLayout::Rgb8, TensorLayout::Nchw) => convert::<3, 1>,
-            (PixelLayout::Gray8, TensorLayout::Nchw) => convert::<1, 1>,
-            (PixelLayout::Rgb8, TensorLayout::Nhwc) => convert::<3, 3>,
-            (PixelLayout::Gray8, TensorLayout::Nhwc) => convert::<1, 3>,
+        let convert = match self.format.layout {
+            TensorLayout::Nchw => convert::<1>,
+            TensorLayout::Nhwc => convert::<3>,
         };
         convert(&self.format, placement, pixels, &mut self.tensor);
         Ok(mapping)
@@ -249,33 +247,22 @@ impl Letterbox {
     }
 
     fn resize(&mut self, picture: &Picture, placement: Placement) -> Result<(), LetterboxError> {
-        let resize = match picture.layout {
-            PixelLayout::Rgb8 => resize::<U8x3>,
-            PixelLayout::Gray8 => resize::<U8>,
-        };
         let pixels = placement.width as usize * placement.height as usize;
-        self.resized.resize(pixels * picture.layout.channels(), 0);
-        resize(&mut self.resizer, picture, placement, &mut self.resized)
+        self.resized.resize(pixels * 3, 0);
+        let PictureSize { width, height } = picture.size;
+        // The type of a pixel is known here, so that only its code is compiled.
+        let source = TypedImageRef::<U8x3>::from_buffer(width, height, &picture.pixels)?;
+        let (width, height) = (placement.width, placement.height);
+        let mut target = TypedImage::<U8x3>::from_buffer(width, height, &mut self.resized)?;
+        // A kernel of fixed size: a convolution would widen it when shrinking, which is antialiasing.
+        let options =
+            ResizeOptions::new().resize_alg(ResizeAlg::Interpolation(FilterType::Bilinear));
+        Ok(self.resizer.resize_typed(&source, &mut target, &options)?)
     }
 }
 
-/// Resizes `picture` to the size of `placement`. The type of a pixel is known here, so that only its code is compiled.
-fn resize<P: PixelTrait>(
-    resizer: &mut Resizer,
-    picture: &Picture,
-    placement: Placement,
-    resized: &mut [u8],
-) -> Result<(), LetterboxError> {
-    let PictureSize { width, height } = picture.size;
-    let source = TypedImageRef::<P>::from_buffer(width, height, &picture.pixels)?;
-    let mut target = TypedImage::<P>::from_buffer(placement.width, placement.height, resized)?;
-    // A kernel of fixed size: a convolution would widen it when shrinking, which is antialiasing.
-    let options = ResizeOptions::new().resize_alg(ResizeAlg::Interpolation(FilterType::Bilinear));
-    Ok(resizer.resize_typed(&source, &mut target, &options)?)
-}
-
 /// Converts interleaved bytes to float32: to planes if values of a colour are `STEP` = 1 apart, else interleaved.
-fn convert<const CHANNELS: usize, const STEP: usize>(
+fn convert<const STEP: usize>(
     format: &InputFormat,
     placement: Placement,
     pixels: &[u8],
@@ -288,13 +275,12 @@ fn convert<const CHANNELS: usize, const STEP: usize>(
         _ => 1,
     };
     let factors = format.factors();
-    for (row, pixels) in pixels.chunks_exact(width * CHANNELS).enumerate() {
+    for (row, pixels) in pixels.chunks_exact(width * 3).enumerate() {
         let start = ((placement.top as usize + row) * columns + left) * STEP;
         for (place, (color, factor, offset)) in factors.into_iter().enumerate() {
-            let source = color * (CHANNELS - 1) / 2;
             let targets = tensor[place * from_color_to_color + start..].chunks_mut(STEP);
-            for (target, pixel) in targets.zip(pixels.chunks_exact(CHANNELS)) {
-                target[0] = f32::from(pixel[source]) * factor + offset;
+            for (target, pixel) in targets.zip(pixels.chunks_exact(3)) {
+                target[0] = f32::from(pixel[color]) * factor + offset;
             }
         }
     }
@@ -306,10 +292,7 @@ fn check(picture: &Picture) -> Result<(), LetterboxError> {
             return Err(LetterboxError::Empty(size));
         }
     }
-    let expected = picture
-        .size
-        .pixels()
-        .saturating_mul(picture.layout.channels() as u64);
+    let expected = picture.size.pixels().saturating_mul(3);
     if expected != picture.pixels.len() as u64 {
         return Err(LetterboxError::WrongLength {
             size: picture.size,
