@@ -29,6 +29,22 @@ export interface paths {
                         "application/json": components["schemas"]["Index"];
                     };
                 };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
             };
         };
         put?: never;
@@ -68,6 +84,22 @@ export interface paths {
                         "application/json": components["schemas"]["WhoAsks"];
                     };
                 };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
             };
         };
         put?: never;
@@ -104,6 +136,22 @@ export interface paths {
                     };
                     content: {
                         "application/json": components["schemas"]["Cameras"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
             };
@@ -147,7 +195,15 @@ export interface paths {
                         "application/json": components["schemas"]["CameraDetail"];
                     };
                 };
-                404: {
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -174,7 +230,7 @@ export interface paths {
         };
         /**
          * The detections of a camera's newest frame
-         * @description The message as published on Zenoh.
+         * @description The message as published on Zenoh; 404 before the first frame.
          *     `curl http://127.0.0.1:8080/api/v1/cameras/front/detections`
          */
         get: {
@@ -197,8 +253,15 @@ export interface paths {
                         "application/json": components["schemas"]["DetectionsMessage"];
                     };
                 };
-                /** @description There is no such camera, or no frame has arrived from it yet. */
-                404: {
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -247,7 +310,15 @@ export interface paths {
                         "application/json": components["schemas"]["CameraStates"];
                     };
                 };
-                404: {
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -299,7 +370,15 @@ export interface paths {
                         "image/jpeg": number[];
                     };
                 };
-                404: {
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -360,6 +439,14 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
             };
         };
         put?: never;
@@ -379,7 +466,8 @@ export interface paths {
         };
         /**
          * The frames that other thresholds would have skipped over the last minutes
-         * @description An estimate from the uncertainties that were recorded frame by frame, for the threshold `u`.
+         * @description An estimate from the uncertainties that were recorded frame by frame, for the threshold `u`; 409 for another
+         *     threshold, and while nothing is recorded.
          *     `curl 'http://127.0.0.1:8080/api/v1/cameras/front/skip-estimate?values=1e-4,3e-4,1e-3'`
          */
         get: {
@@ -408,8 +496,7 @@ export interface paths {
                         "application/json": components["schemas"]["SkipEstimates"];
                     };
                 };
-                /** @description The policy's threshold is not `u`, or nothing is recorded to estimate from yet. */
-                409: {
+                "4XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -417,7 +504,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                "4XX": {
+                "5XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -466,7 +553,15 @@ export interface paths {
                         "application/json": components["schemas"]["CameraThreshold"];
                     };
                 };
-                404: {
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -506,6 +601,14 @@ export interface paths {
                     };
                 };
                 "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -568,6 +671,14 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
             };
         };
         put?: never;
@@ -615,6 +726,14 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
             };
         };
         put?: never;
@@ -635,7 +754,7 @@ export interface paths {
         /**
          * The node's events, as server-sent events
          * @description First the present state (counters, thresholds, detector), then each change. A reader that is too slow
-         *     loses events; the event `lagged` reports how many.
+         *     loses events; the event `lagged` reports how many. 503 while 64 streams are open.
          *     `curl -N 'http://127.0.0.1:8080/api/v1/events?types=counters,clip'`
          */
         get: {
@@ -664,8 +783,7 @@ export interface paths {
                         "text/event-stream": string;
                     };
                 };
-                /** @description Too many streams. */
-                503: {
+                "4XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -673,7 +791,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                "4XX": {
+                "5XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -717,6 +835,22 @@ export interface paths {
                     };
                     content: {
                         "application/json": components["schemas"]["NodeStates"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
             };
@@ -771,6 +905,14 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
             };
         };
         put?: never;
@@ -808,6 +950,22 @@ export interface paths {
                     };
                     content: {
                         "application/json": components["schemas"]["NodeOverview"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
             };
@@ -848,6 +1006,22 @@ export interface paths {
                         "application/json": components["schemas"]["PowerHistory"];
                     };
                 };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
             };
         };
         put?: never;
@@ -886,6 +1060,22 @@ export interface paths {
                         "application/json": components["schemas"]["TargetReport"];
                     };
                 };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
             };
         };
         /**
@@ -917,6 +1107,14 @@ export interface paths {
                     };
                 };
                 "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -961,6 +1159,22 @@ export interface paths {
                         "application/json": components["schemas"]["Thresholds"];
                     };
                 };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
             };
         };
         /**
@@ -991,6 +1205,14 @@ export interface paths {
                     };
                 };
                 "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -1035,6 +1257,22 @@ export interface paths {
                         "application/json": components["schemas"]["Health"];
                     };
                 };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
             };
         };
         put?: never;
@@ -1071,6 +1309,22 @@ export interface paths {
                     };
                     content: {
                         "text/plain": string;
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
             };
@@ -1118,6 +1372,22 @@ export interface paths {
                     };
                     content: {
                         "application/problem+json": components["schemas"]["NotReady"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
             };
@@ -1414,33 +1684,16 @@ export interface components {
         CallCause: "uncertain" | "new_object" | "expected_loss" | "object_cap" | "periodic_cap" | "screen" | "audit" | "empty_limit" | "no_objects" | "start" | "retry" | "changed" | "schedule" | "every_frame";
         /** @description State of one camera. */
         CameraDetail: components["schemas"]["CameraEntry"] & {
-            /**
-             * Format: int64
-             * @description Frames answered from prediction because the detector was not available.
-             */
-            degraded_frames: number;
-            /** @description Frames not processed, by kind. */
-            dropped: components["schemas"]["DroppedFrames"];
             /** @description The policy that decides its frames. */
             policy: string;
             set_by?: components["schemas"]["SettingSource"] | null;
-            /**
-             * Format: double
-             * @description Share of frames that skipped the detector: state E or P and not degraded.
-             */
-            skip_rate: number;
-            /** @description Number of frames in each state; they add up to `frames`. */
-            states: components["schemas"]["FrameStates"];
-            threshold?: components["schemas"]["Threshold"] | null;
             threshold_spec?: components["schemas"]["ThresholdSpec"] | null;
             /** @description The program's version. */
             version: string;
         };
         /** @description A camera. */
-        CameraEntry: {
+        CameraEntry: components["schemas"]["CameraStates"] & {
             advice?: components["schemas"]["Advice"] | null;
-            /** @description Its name. */
-            camera: string;
             /**
              * Format: int64
              * @description Clips ended since the node started.
@@ -1449,22 +1702,12 @@ export interface components {
             /** @description Reason why no frames arrive; absent while they do. */
             fault?: string | null;
             /**
-             * Format: int64
-             * @description Frames processed since the node started.
-             */
-            frames: number;
-            /**
              * Format: int32
              * @description Rows of its newest frame.
              */
             height?: number | null;
             /** @description Zenoh key of its frames; absent if it has a source. */
             key?: string | null;
-            /**
-             * Format: double
-             * @description Seconds since its newest frame; absent before the first.
-             */
-            last_frame_age_s?: number | null;
             /** @description Address of the source that the node opens for it, without credentials. */
             source?: string | null;
             /**
@@ -1573,8 +1816,8 @@ export interface components {
         CameraThreshold: {
             /** @description Camera. */
             camera: string;
-            /** @description True if a value set at run time survives a restart; absent in a list. */
-            survives_restart?: boolean | null;
+            /** @description True if a value set at run time survives a restart: a `state_dir` is set and can be written to. */
+            survives_restart: boolean;
             threshold_spec?: components["schemas"]["ThresholdSpec"] | null;
         };
         /** @description The cameras of a node. */
@@ -2491,8 +2734,7 @@ export interface components {
         ReportAnswer: {
             /**
              * Format: uuid
-             * @description Id of the hub's database. A database that the node does not know has none of its reports, so the node resends
-             *     all reports that it still has.
+             * @description Id of the hub's database.
              */
             database: string;
             desired?: components["schemas"]["Desired"] | null;
@@ -2856,7 +3098,7 @@ export interface components {
         Thresholds: {
             /** @description The thresholds of each camera. */
             cameras: components["schemas"]["CameraThreshold"][];
-            /** @description True if values set at run time survive a restart: a `state_dir` is set and can be written to. */
+            /** @description True if values set at run time survive a restart. */
             survives_restart: boolean;
         };
         /** @description The estimate for one value. */
