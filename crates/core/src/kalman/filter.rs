@@ -9,18 +9,6 @@
 
 use super::FilterModel;
 use crate::geometry::{BoundingBox, Corners};
-use nalgebra::SVector;
-
-/// Covariance of one axis of the centre over position (0), velocity (1) and acceleration (2).
-///
-/// Both triangles are kept: P ← (I − K H) P rounds them differently, and with both every number equals, to the last
-/// bit, the one from full matrices. Average precision ranks boxes by confidences, which may differ only in such bits.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct CenterCovariance([[f64; 3]; 3]);
-
-/// Covariance of one axis of the size over side (0) and velocity (1), both triangles.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct SizeCovariance([[f64; 2]; 2]);
 
 /// State estimate of one object: mean and covariance over
 /// `[cx, cy, w, h, vx, vy, vw, vh, ax, ay]`, normalised, one frame as the unit of time.
@@ -31,8 +19,14 @@ pub struct Filter {
     velocity: [f64; 2],
     size_velocity: [f64; 2],
     acceleration: [f64; 2],
-    center_covariance: CenterCovariance,
-    size_covariance: SizeCovariance,
+    /// Covariance of one axis of the centre over position (0), velocity (1) and acceleration (2).
+    ///
+    /// Both triangles are kept: P ← (I − K H) P rounds them differently, and with both every number equals, to the last
+    /// bit, the one from full matrices. Average precision ranks boxes by confidences, which may differ only in such
+    /// bits.
+    center_covariance: [[f64; 3]; 3],
+    /// Covariance of one axis of the size over side (0) and velocity (1), both triangles.
+    size_covariance: [[f64; 2]; 2],
 }
 
 impl Filter {
@@ -45,12 +39,12 @@ impl Filter {
             velocity: [0.0; 2],
             size_velocity: [0.0; 2],
             acceleration: [0.0; 2],
-            center_covariance: CenterCovariance([
+            center_covariance: [
                 [initial.center, 0.0, 0.0],
                 [0.0, initial.center_velocity, 0.0],
                 [0.0, 0.0, initial.acceleration],
-            ]),
-            size_covariance: SizeCovariance([[initial.size, 0.0], [0.0, initial.size_velocity]]),
+            ],
+            size_covariance: [[initial.size, 0.0], [0.0, initial.size_velocity]],
         }
     }
 
@@ -65,7 +59,7 @@ impl Filter {
         }
         let process = &model.process;
         // F P, then (F P) Fᵀ, with F = [1 1 ½; 0 1 1; 0 0 1]; sums in column order.
-        let p = &mut self.center_covariance.0;
+        let p = &mut self.center_covariance;
         let [position, velocity, acceleration] = &mut *p;
         for ((x, v), a) in position.iter_mut().zip(velocity).zip(acceleration) {
             *x = *x + *v + 0.5 * *a;
@@ -78,7 +72,7 @@ impl Filter {
         p[0][0] += process.center;
         p[1][1] += process.center_velocity;
         p[2][2] += process.acceleration;
-        let p = &mut self.size_covariance.0;
+        let p = &mut self.size_covariance;
         let [size, velocity] = &mut *p;
         for (x, v) in size.iter_mut().zip(velocity) {
             *x += *v;
@@ -93,7 +87,7 @@ impl Filter {
     /// Applies a measured box: the usual update with gain K = P Hᵀ (H P Hᵀ + R)⁻¹ and P ← (I − K H) P.
     #[inline]
     pub fn update(&mut self, model: &FilterModel, measured: BoundingBox) {
-        let p = &mut self.center_covariance.0;
+        let p = &mut self.center_covariance;
         let inverse = 1.0 / (p[0][0] + model.measurement);
         let gain = [p[0][0] * inverse, p[1][0] * inverse, p[2][0] * inverse];
         for (axis, measured) in [measured.center_x, measured.center_y]
@@ -111,7 +105,7 @@ impl Filter {
             p[1][column] -= gain[1] * first[column];
             p[2][column] -= gain[2] * first[column];
         }
-        let p = &mut self.size_covariance.0;
+        let p = &mut self.size_covariance;
         let inverse = 1.0 / (p[0][0] + model.measurement);
         let gain = [p[0][0] * inverse, p[1][0] * inverse];
         for (axis, measured) in [measured.width, measured.height].into_iter().enumerate() {
@@ -147,7 +141,7 @@ impl Filter {
     /// Returns the uncertainty τ = trace(H P Hᵀ) (paper): the summed variances of cx, cy, w and h.
     #[inline]
     pub fn tau(&self) -> f64 {
-        let (center, size) = (self.center_covariance.0[0][0], self.size_covariance.0[0][0]);
+        let (center, size) = (self.center_covariance[0][0], self.size_covariance[0][0]);
         center + center + size + size
     }
 
@@ -156,47 +150,9 @@ impl Filter {
     pub fn gauge(&self, model: &FilterModel) -> Gauge {
         Gauge {
             expected: self.bounding_box(),
-            center: 1.0 / (self.center_covariance.0[0][0] + model.measurement),
-            size: 1.0 / (self.size_covariance.0[0][0] + model.measurement),
+            center: 1.0 / (self.center_covariance[0][0] + model.measurement),
+            size: 1.0 / (self.size_covariance[0][0] + model.measurement),
         }
-    }
-
-    /// Returns the squared Mahalanobis distance of `measured`, with S = H P Hᵀ + R.
-    pub(crate) fn squared_distance(&self, model: &FilterModel, measured: BoundingBox) -> f64 {
-        self.gauge(model).squared_distance(measured)
-    }
-
-    /// Returns the mean as a vector, in state order.
-    pub fn mean(&self) -> SVector<f64, 10> {
-        let mut mean = SVector::zeros();
-        for axis in 0..2 {
-            mean[axis] = self.position[axis];
-            mean[2 + axis] = self.size[axis];
-            mean[4 + axis] = self.velocity[axis];
-            mean[6 + axis] = self.size_velocity[axis];
-            mean[8 + axis] = self.acceleration[axis];
-        }
-        mean
-    }
-
-    /// Returns the full 10x10 covariance, in state order.
-    #[cfg(test)]
-    pub(crate) fn covariance(&self) -> nalgebra::SMatrix<f64, 10, 10> {
-        let (center, size) = (&self.center_covariance.0, &self.size_covariance.0);
-        let mut full = nalgebra::SMatrix::zeros();
-        for axis in 0..2 {
-            for (row, values) in center.iter().enumerate() {
-                for (column, &value) in values.iter().enumerate() {
-                    full[(4 * row + axis, 4 * column + axis)] = value;
-                }
-            }
-            for (row, values) in size.iter().enumerate() {
-                for (column, &value) in values.iter().enumerate() {
-                    full[(2 + 4 * row + axis, 2 + 4 * column + axis)] = value;
-                }
-            }
-        }
-        full
     }
 }
 
@@ -212,7 +168,8 @@ pub struct Gauge {
 }
 
 impl Gauge {
-    /// Returns the squared Mahalanobis distance of `measured`. S is diagonal, as H selects one component per block.
+    /// Returns the squared Mahalanobis distance of `measured`, with S = H P Hᵀ + R. S is diagonal, as H selects one
+    /// component per block.
     #[inline]
     pub(crate) fn squared_distance(&self, measured: BoundingBox) -> f64 {
         let (dx, dy) = (
@@ -234,5 +191,45 @@ impl Gauge {
             center_x, center_y, ..
         } = self.expected;
         BoundingBox::new(center_x, center_y, side, side).corners()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Filter;
+    use nalgebra::{SMatrix, SVector};
+
+    impl Filter {
+        /// Returns the mean as a vector, in state order.
+        pub(crate) fn mean(&self) -> SVector<f64, 10> {
+            let mut mean = SVector::zeros();
+            for axis in 0..2 {
+                mean[axis] = self.position[axis];
+                mean[2 + axis] = self.size[axis];
+                mean[4 + axis] = self.velocity[axis];
+                mean[6 + axis] = self.size_velocity[axis];
+                mean[8 + axis] = self.acceleration[axis];
+            }
+            mean
+        }
+
+        /// Returns the full 10x10 covariance, in state order.
+        pub(crate) fn covariance(&self) -> SMatrix<f64, 10, 10> {
+            let (center, size) = (&self.center_covariance, &self.size_covariance);
+            let mut full = SMatrix::zeros();
+            for axis in 0..2 {
+                for (row, values) in center.iter().enumerate() {
+                    for (column, &value) in values.iter().enumerate() {
+                        full[(4 * row + axis, 4 * column + axis)] = value;
+                    }
+                }
+                for (row, values) in size.iter().enumerate() {
+                    for (column, &value) in values.iter().enumerate() {
+                        full[(2 + 4 * row + axis, 2 + 4 * column + axis)] = value;
+                    }
+                }
+            }
+            full
+        }
     }
 }

@@ -1,6 +1,8 @@
-use super::dense::DenseFilter;
+mod dense;
+
 use super::{Filter, FilterModel, FilterParameters, MeasurementUnit, MotionModel};
 use crate::geometry::{BoundingBox, PictureSize};
+use dense::DenseFilter;
 use proptest::prelude::*;
 
 fn boxes() -> impl Strategy<Value = BoundingBox> {
@@ -51,7 +53,7 @@ fn compare<const N: usize>(
         dense.predict();
         if let Some(measured) = *measured {
             let expected = dense.squared_distance(measured).unwrap();
-            let found = filter.squared_distance(model, measured);
+            let found = filter.gauge(model).squared_distance(measured);
             let off = (found - expected).abs();
             prop_assert!(off <= 1e-9 * expected.max(1.0), "{found} {expected}");
             filter.update(model, measured);

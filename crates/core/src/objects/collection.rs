@@ -161,12 +161,6 @@ impl ObjectStates {
         &self.sightings
     }
 
-    /// Returns the settings.
-    #[cfg(test)]
-    pub(crate) fn settings(&self) -> &ObjectSettings {
-        &self.settings
-    }
-
     /// Returns the filter model for the current picture size.
     pub(crate) fn model(&self) -> &FilterModel {
         &self.model

@@ -8,7 +8,7 @@ fn seen(x: f64) -> Detection {
 
 fn frame(objects: &mut ObjectStates, detections: &[Detection]) {
     objects.predict(PICTURE, 1);
-    let life_cycle = objects.settings().life_cycle;
+    let life_cycle = objects.settings.life_cycle;
     objects.observe(detections, |state| life_cycle.missed(state));
 }
 

@@ -97,10 +97,8 @@ impl Ctd {
     fn call(&self) -> Option<CallCause> {
         let objects = &self.tracker.objects;
         let strayed = |state: &ObjectState| {
-            let distance = state
-                .filter
-                .squared_distance(objects.model(), state.detected);
-            distance > self.largest_distance
+            let gauge = state.filter.gauge(objects.model());
+            gauge.squared_distance(state.detected) > self.largest_distance
         };
         if objects.states().is_empty() {
             Some(CallCause::NoObjects)

@@ -1,5 +1,5 @@
-//! The filter in textbook form: full matrices without structure. Not for the live path: [`Filter`](super::Filter) is
-//! tested against it, and it is the one to read first.
+//! The filter in textbook form: full matrices without structure. [`Filter`](crate::kalman::Filter) is tested against it, and it
+//! is the one to read first.
 //!
 //! State `x`, covariance `P`; one frame is the unit of time.
 //!
@@ -8,13 +8,13 @@
 //!   `P ← (I − K H) P`
 //! - uncertainty: `τ = trace(H P Hᵀ)`
 
-use super::{Deviations, FilterModel};
 use crate::geometry::BoundingBox;
+use crate::kalman::{Deviations, FilterModel};
 use nalgebra::{SMatrix, SVector};
 
 /// A filter of `N` dimensions: 10 over `[cx, cy, w, h, vx, vy, vw, vh, ax, ay]`, or 8 without `vw` and `vh`.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct DenseFilter<const N: usize> {
+pub(super) struct DenseFilter<const N: usize> {
     /// x.
     pub mean: SVector<f64, N>,
     /// P.
@@ -31,7 +31,7 @@ pub(crate) struct DenseFilter<const N: usize> {
 
 impl DenseFilter<10> {
     /// Creates the paper's filter: constant acceleration of the centre, constant velocity of the size.
-    pub(crate) fn constant_acceleration(model: &FilterModel, bounding_box: BoundingBox) -> Self {
+    pub(super) fn constant_acceleration(model: &FilterModel, bounding_box: BoundingBox) -> Self {
         let mut filter = Self::with_acceleration(model, bounding_box);
         for axis in 0..2 {
             filter.transition[(2 + axis, 6 + axis)] = 1.0;
@@ -44,7 +44,7 @@ impl DenseFilter<10> {
 
 impl DenseFilter<8> {
     /// Creates the ablation's filter: constant acceleration of the centre, a size without velocity.
-    pub(crate) fn constant_size(model: &FilterModel, bounding_box: BoundingBox) -> Self {
+    pub(super) fn constant_size(model: &FilterModel, bounding_box: BoundingBox) -> Self {
         Self::with_acceleration(model, bounding_box)
     }
 }
@@ -87,7 +87,7 @@ impl<const N: usize> DenseFilter<N> {
     }
 
     /// Advances by one frame.
-    pub(crate) fn predict(&mut self) {
+    pub(super) fn predict(&mut self) {
         self.mean = self.transition * self.mean;
         self.covariance =
             self.transition * self.covariance * self.transition.transpose() + self.process_noise;
@@ -95,7 +95,7 @@ impl<const N: usize> DenseFilter<N> {
 
     /// Applies a measured box. `None`, with nothing changed, if S cannot be inverted, which happens only without
     /// measurement noise.
-    pub(crate) fn update(&mut self, measured: BoundingBox) -> Option<()> {
+    pub(super) fn update(&mut self, measured: BoundingBox) -> Option<()> {
         let inverse = self.innovation_covariance().try_inverse()?;
         let gain = self.covariance * self.observation.transpose() * inverse;
         self.mean += gain * (measurement(measured) - self.observation * self.mean);
@@ -105,12 +105,12 @@ impl<const N: usize> DenseFilter<N> {
     }
 
     /// Returns τ.
-    pub(crate) fn tau(&self) -> f64 {
+    pub(super) fn tau(&self) -> f64 {
         (self.observation * self.covariance * self.observation.transpose()).trace()
     }
 
     /// Returns the squared Mahalanobis distance of a measured box; `None` if S cannot be inverted.
-    pub(crate) fn squared_distance(&self, measured: BoundingBox) -> Option<f64> {
+    pub(super) fn squared_distance(&self, measured: BoundingBox) -> Option<f64> {
         let innovation = measurement(measured) - self.observation * self.mean;
         let inverse = self.innovation_covariance().try_inverse()?;
         Some((innovation.transpose() * inverse * innovation)[0])
