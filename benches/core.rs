@@ -53,7 +53,7 @@ fn frames(criterion: &mut Criterion) {
         // Only the threshold calls the detector, and no object leaves the picture.
         settings.t_max = u32::MAX;
         settings.periodic_cap = u32::MAX;
-        settings.life_cycle.boundary_margin = 10.0;
+        settings.objects.life_cycle.boundary_margin = 10.0;
         predicted_frames(criterion, name, &new(settings), 1.0);
     }
     let trigger = Trigger::ExpectedLoss { lambda: 0.0 };

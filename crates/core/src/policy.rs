@@ -43,10 +43,10 @@ mod detector_boxes;
 mod expected_loss;
 mod fixed_skip;
 mod late;
+mod progress;
 mod published;
 mod published_threshold;
 mod record;
-mod reporting;
 mod settled;
 #[cfg(test)]
 pub(crate) mod tests;
@@ -83,9 +83,10 @@ pub struct FrameHead {
 }
 
 /// The evidence that a policy needs next.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Need {
     /// Nothing more: call [`Policy::finish`].
+    #[default]
     Nothing,
     /// The verdict of the empty-scene screen.
     Screen,
@@ -130,11 +131,14 @@ pub enum Evidence<'a> {
 
 /// The state of a frame; every frame has exactly one (paper, table of frame states).
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize,
+)]
 pub enum FrameState {
     /// The screen reported "empty"; the detector was skipped.
     E,
     /// The boxes are predicted or repeated from an earlier frame; the detector was skipped.
+    #[default]
     P,
     /// The screen reported "not empty"; the detector ran.
     #[serde(rename = "E+I")]
@@ -206,7 +210,7 @@ pub struct OutputBox {
 }
 
 /// The result of a frame. It is passed in again for each frame to reuse its buffer.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Outcome {
     /// The frame's state.
     pub state: FrameState,
@@ -220,31 +224,6 @@ pub struct Outcome {
     pub cause: Option<CallCause>,
     /// The boxes to report.
     pub boxes: Vec<OutputBox>,
-}
-
-impl Default for Outcome {
-    fn default() -> Self {
-        Self {
-            state: FrameState::P,
-            tau_max: None,
-            active: 0,
-            degraded: false,
-            cause: None,
-            boxes: Vec::new(),
-        }
-    }
-}
-
-impl Outcome {
-    /// Resets to `state`, without objects or boxes. Keeps the buffer of boxes.
-    fn clear(&mut self, state: FrameState, degraded: bool) {
-        self.state = state;
-        self.tau_max = None;
-        self.active = 0;
-        self.degraded = degraded;
-        self.cause = None;
-        self.boxes.clear();
-    }
 }
 
 /// The threshold of a policy, which a user may change while it runs: its name, range and default.

@@ -173,24 +173,14 @@ impl ObjectStates {
 
     /// Copies the objects of `other`, which has the same settings. Allocates only while buffers grow.
     pub(crate) fn copy_from(&mut self, other: &Self) {
-        let Self {
-            settings: _,
-            picture,
-            model,
-            minimum_size,
-            states,
-            next_id,
-            matcher: _,
-            sightings,
-            rejected,
-        } = other;
-        self.picture = *picture;
-        self.model = *model;
-        self.minimum_size = *minimum_size;
-        self.states.clone_from(states);
-        self.next_id = *next_id;
-        self.sightings.clone_from(sightings);
-        self.rejected = *rejected;
+        self.states.clone_from(&other.states);
+        self.sightings.clone_from(&other.sightings);
+        *self = Self {
+            states: std::mem::take(&mut self.states),
+            sightings: std::mem::take(&mut self.sightings),
+            matcher: std::mem::take(&mut self.matcher),
+            ..*other
+        };
     }
 
     /// Forgets all objects; numbers restart from 0. Keeps the count of rejected detections.

@@ -6,45 +6,28 @@
 
 use super::Ablation;
 use super::albireo_settings::{AlbireoSettings, PeriodicCap};
+use super::progress::Progress;
+use super::tracker::{Tracker, check_setting};
 use super::{
-    CallCause, Evidence, FrameHead, FrameState, InvalidThreshold, Need, ObjectRecord, Outcome,
-    OutputBox, Policy, PolicyConfig, PolicyConfigError, ThresholdSpec,
+    CallCause, Evidence, FrameHead, InvalidThreshold, Need, ObjectRecord, Outcome, Policy,
+    PolicyConfig, PolicyConfigError, ThresholdSpec,
 };
 use crate::detection::Detection;
-use crate::objects::{Missed, ObjectStates};
-
-/// Progress of the current frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum AlbireoPhase {
-    /// The screen was asked.
-    AwaitsScreen,
-    /// Detections were requested, after the screen's "not empty" or without its verdict.
-    AwaitsDetections { screened: bool },
-    /// Decided.
-    Decided(FrameState),
-}
+use crate::objects::Missed;
 
 /// The Albireo policy.
 #[derive(Clone, Debug)]
 pub struct Albireo {
     name: &'static str,
-    settings: AlbireoSettings,
-    objects: ObjectStates,
+    tracker: Tracker,
     u: f64,
-    /// `u` at the start of the frame.
-    u_in_force: f64,
-    frame: Option<FrameHead>,
-    progress: AlbireoPhase,
-    /// The reason for the detector call on the current frame.
-    cause: Option<CallCause>,
-    tau_max: Option<f64>,
-    active: usize,
+    progress: Progress,
+    /// Index of the current frame.
+    index: u64,
     /// Frames since the last detector answer.
     since_detector: u32,
     /// Index of the last frame that finished with all requested evidence.
     last_complete: Option<u64>,
-    /// Boxes of a detector frame.
-    boxes: Vec<OutputBox>,
     /// The state that [`Policy::rewind`] restores: a copy of this policy, kept for its buffers.
     saved: Option<Box<Self>>,
 }
@@ -72,21 +55,15 @@ impl Albireo {
     /// # Errors
     /// [`PolicyConfigError`] if the threshold is invalid.
     pub fn new(settings: AlbireoSettings, u: f64) -> Result<Self, PolicyConfigError> {
-        let u = Self::THRESHOLD.check(u)?;
+        let u = check_setting(Self::THRESHOLD.name, Self::THRESHOLD, u)?;
         Ok(Self {
             name: Self::NAME,
-            settings,
-            objects: ObjectStates::new(settings.objects()),
+            tracker: Tracker::new(settings, u),
             u,
-            u_in_force: u,
-            frame: None,
-            progress: AlbireoPhase::Decided(FrameState::P),
-            cause: None,
-            tau_max: None,
-            active: 0,
+            progress: Progress::default(),
+            index: 0,
             since_detector: 0,
             last_complete: None,
-            boxes: Vec::new(),
             saved: None,
         })
     }
@@ -110,91 +87,19 @@ impl Albireo {
         Ok(Box::new(policy))
     }
 
-    /// The settings in use.
-    pub fn settings(&self) -> &AlbireoSettings {
-        &self.settings
-    }
-
-    /// Summarises the active objects and returns the reason why one of them calls the detector. Tentative objects are
-    /// active, as in the published code; the paper does not say otherwise.
-    fn survey(&mut self) -> Option<CallCause> {
-        let (u, settings) = (self.u_in_force, &self.settings);
-        let mut cause = None;
-        let mut tau_max = f64::NEG_INFINITY;
-        self.active = self.objects.states().len();
-        for state in self.objects.states() {
-            let tau = state.filter.tau();
-            let uncertain = !settings.is_certain(tau, u);
-            cause = match (cause, uncertain, state.confirmed) {
-                (_, true, true) | (Some(CallCause::Uncertain), ..) => Some(CallCause::Uncertain),
-                (_, true, false) => Some(CallCause::NewObject),
-                (None, ..) if state.since_infer >= settings.t_max => Some(CallCause::ObjectCap),
-                _ => cause,
-            };
-            tau_max = tau_max.max(tau);
-        }
-        self.tau_max = (self.active > 0).then_some(tau_max);
-        cause
-    }
-
     /// Copies the state of `other`, a copy of this policy, but not its settings and threshold.
-    pub(super) fn copy_from(&mut self, other: &Self) {
-        let Self {
-            name: _,
-            settings: _,
-            objects,
-            u: _,
-            u_in_force,
-            frame,
-            progress,
-            cause,
-            tau_max,
-            active,
-            since_detector,
-            last_complete,
-            boxes,
-            saved: _,
-        } = other;
-        self.objects.copy_from(objects);
-        self.u_in_force = *u_in_force;
-        self.frame = *frame;
-        self.progress = *progress;
-        self.cause = *cause;
-        self.tau_max = *tau_max;
-        self.active = *active;
-        self.since_detector = *since_detector;
-        self.last_complete = *last_complete;
-        self.boxes.clone_from(boxes);
+    fn copy_from(&mut self, other: &Self) {
+        self.tracker.copy_from(&other.tracker);
+        self.progress = other.progress;
+        self.index = other.index;
+        self.since_detector = other.since_detector;
+        self.last_complete = other.last_complete;
     }
 
-    /// Returns what frame `index` needs, given the state of the objects.
-    fn choose(&mut self, index: u64) -> Need {
-        let called = self.survey();
-        self.cause = if self.active == 0 {
-            Some(CallCause::NoObjects)
-        } else {
-            called.or_else(|| {
-                let due = self.periodic_cap_is_due(index);
-                due.then_some(CallCause::PeriodicCap)
-            })
-        };
-        let (progress, need) = if self.active == 0 && self.settings.asks_screen {
-            (AlbireoPhase::AwaitsScreen, Need::Screen)
-        } else if self.cause.is_some() {
-            (
-                AlbireoPhase::AwaitsDetections { screened: false },
-                Need::Detections,
-            )
-        } else {
-            (AlbireoPhase::Decided(FrameState::P), Need::Nothing)
-        };
-        self.progress = progress;
-        need
-    }
-
-    fn periodic_cap_is_due(&self, index: u64) -> bool {
-        let cap = self.settings.periodic_cap;
-        match self.settings.periodic_cap_counts {
+    fn periodic_cap_is_due(&self) -> bool {
+        let index = self.index;
+        let cap = self.tracker.settings.periodic_cap;
+        match self.tracker.settings.periodic_cap_counts {
             PeriodicCap::SinceDetector => self.since_detector >= cap,
             PeriodicCap::FrameIndex => {
                 let cap = u64::from(cap);
@@ -207,25 +112,16 @@ impl Albireo {
         }
     }
 
-    fn take_detections(&mut self, detections: &[Detection], screened: bool) -> FrameState {
+    fn take_detections(&mut self, detections: &[Detection]) -> Need {
         self.since_detector = 0;
-        let life_cycle = self.settings.life_cycle;
+        let life_cycle = self.tracker.settings.objects.life_cycle;
         let mut rescued = false;
-        self.objects.observe(detections, |state| {
+        self.tracker.observe(detections, |state| {
             let fate = life_cycle.missed(state);
             rescued |= fate == Missed::Rescued;
             fate
         });
-        self.boxes.clear();
-        self.settings
-            .detector_frame(detections, &self.objects, self.u_in_force, &mut self.boxes);
-        if screened {
-            FrameState::EI
-        } else if rescued {
-            FrameState::AI
-        } else {
-            FrameState::I
-        }
+        self.progress.detected(rescued)
     }
 }
 
@@ -247,69 +143,60 @@ impl Policy for Albireo {
         Ok(())
     }
 
+    /// Tentative objects are active, as in the published code; the paper does not say otherwise.
     fn begin(&mut self, frame: FrameHead) -> Need {
-        self.frame = Some(frame);
-        self.u_in_force = self.u;
-        let frames = frame.step.max(1);
-        self.since_detector = self.since_detector.saturating_add(frames);
-        self.objects.predict(frame.picture, frames);
-        self.choose(frame.index)
+        let AlbireoSettings {
+            skip_at_equality,
+            t_max,
+            asks_screen,
+            ..
+        } = self.tracker.settings;
+        let u = self.u;
+        self.index = frame.index;
+        self.since_detector = self.since_detector.saturating_add(frame.step.max(1));
+        self.tracker.u = u;
+        let mut cause = None;
+        self.progress = self.tracker.begin(frame, |state, tau| {
+            let uncertain = !(tau < u || (skip_at_equality && tau == u));
+            cause = match (cause, uncertain, state.confirmed) {
+                (_, true, true) | (Some(CallCause::Uncertain), ..) => Some(CallCause::Uncertain),
+                (_, true, false) => Some(CallCause::NewObject),
+                (None, ..) if state.since_infer >= t_max => Some(CallCause::ObjectCap),
+                _ => cause,
+            };
+        });
+        if self.progress.active == 0 {
+            cause = Some(CallCause::NoObjects);
+        } else if cause.is_none() && self.periodic_cap_is_due() {
+            cause = Some(CallCause::PeriodicCap);
+        }
+        let need = self.progress.call(cause);
+        if self.progress.active == 0 && asks_screen {
+            return self.progress.ask(Need::Screen);
+        }
+        need
     }
 
     /// If the screen is unavailable, the detector is requested, and the frame is `I`, not `E+I`. Evidence that was not
     /// requested counts as unavailable.
     fn answer(&mut self, evidence: Evidence<'_>) -> Need {
-        match (self.progress, evidence) {
-            (AlbireoPhase::AwaitsScreen, Evidence::Screen { empty: true }) => {
-                self.progress = AlbireoPhase::Decided(FrameState::E);
-                self.cause = None;
-                Need::Nothing
-            }
-            (AlbireoPhase::AwaitsScreen, evidence) => {
-                let screened = matches!(evidence, Evidence::Screen { .. });
-                if screened {
-                    self.cause = Some(CallCause::Screen);
-                }
-                self.progress = AlbireoPhase::AwaitsDetections { screened };
-                Need::Detections
-            }
-            (AlbireoPhase::AwaitsDetections { screened }, Evidence::Detections(detections)) => {
-                let state = self.take_detections(detections, screened);
-                self.progress = AlbireoPhase::Decided(state);
-                Need::Nothing
-            }
+        match (self.progress.need, evidence) {
+            (Need::Screen, evidence) => self.progress.take_verdict(evidence, Need::Detections),
+            (Need::Detections, Evidence::Detections(found)) => self.take_detections(found),
             // Unchanged, so that `finish` detects the missing detections.
-            (AlbireoPhase::AwaitsDetections { .. } | AlbireoPhase::Decided(_), _) => Need::Nothing,
+            _ => Need::Nothing,
         }
     }
 
     fn longest_pause(&self) -> Option<u32> {
-        Some(self.settings.t_max.min(self.settings.periodic_cap))
+        let settings = &self.tracker.settings;
+        Some(settings.t_max.min(settings.periodic_cap))
     }
 
     fn finish(&mut self, outcome: &mut Outcome) {
-        let (state, degraded) = match self.progress {
-            AlbireoPhase::Decided(state) => (state, false),
-            AlbireoPhase::AwaitsScreen | AlbireoPhase::AwaitsDetections { .. } => {
-                (FrameState::P, true)
-            }
-        };
-        if let (Some(frame), false) = (self.frame, degraded) {
-            self.last_complete = Some(frame.index);
-        }
-        outcome.clear(state, degraded);
-        outcome.cause = self.cause;
-        outcome.tau_max = self.tau_max;
-        outcome.active = self.active;
-        match state {
-            FrameState::E => {}
-            FrameState::P => {
-                self.settings
-                    .predicted(&self.objects, self.u_in_force, &mut outcome.boxes);
-            }
-            FrameState::EI | FrameState::I | FrameState::AI => {
-                outcome.boxes.extend_from_slice(&self.boxes);
-            }
+        self.tracker.finish(&self.progress, outcome);
+        if !outcome.degraded {
+            self.last_complete = Some(self.index);
         }
     }
 
@@ -331,24 +218,18 @@ impl Policy for Albireo {
     }
 
     fn reset(&mut self) {
-        self.objects.clear();
-        self.frame = None;
-        self.progress = AlbireoPhase::Decided(FrameState::P);
-        self.cause = None;
-        self.tau_max = None;
-        self.active = 0;
+        self.tracker.objects.clear();
+        self.progress = Progress::default();
         self.since_detector = 0;
         self.last_complete = None;
     }
 
     fn objects(&self, visit: &mut dyn FnMut(&ObjectRecord)) {
-        for state in self.objects.states() {
-            visit(&ObjectRecord::from(state));
-        }
+        self.tracker.visit(visit);
     }
 
     fn rejected_detections(&self) -> u64 {
-        self.objects.rejected_detections()
+        self.tracker.objects.rejected_detections()
     }
 }
 

@@ -64,12 +64,8 @@ pub struct AlbireoSettings {
     pub detector_frame_boxes: DetectorFrameBoxes,
     /// The confidence of filters' boxes. Published code: decayed; paper: last.
     pub confidence: ReportedConfidence,
-    /// The parameters of the filter.
-    pub filter: FilterParameters,
-    /// The rules of matching.
-    pub association: Association,
-    /// The rules of birth and death.
-    pub life_cycle: LifeCycle,
+    /// The filter, and the rules of matching, birth and death.
+    pub objects: ObjectSettings,
 }
 
 impl AlbireoSettings {
@@ -79,11 +75,6 @@ impl AlbireoSettings {
             Profile::Paper => Self::paper(),
             Profile::Reference => Self::reference(),
         }
-    }
-
-    /// True if an object with uncertainty `tau` needs no detector under the threshold `u`.
-    pub(super) fn is_certain(&self, tau: f64, u: f64) -> bool {
-        tau < u || (self.skip_at_equality && tau == u)
     }
 
     /// The paper's text, and the published code where the paper is silent. The paper calls the representation
@@ -96,15 +87,17 @@ impl AlbireoSettings {
             periodic_cap_counts: PeriodicCap::SinceDetector,
             detector_frame_boxes: DetectorFrameBoxes::Detector,
             confidence: ReportedConfidence::Last,
-            filter: sizeless(reference.filter),
-            association: Association {
-                gate: GateOrder::BeforeAssignment,
-                ..reference.association
-            },
-            life_cycle: LifeCycle {
-                rescue_resets_age: false,
-                boundary_margin: 0.0,
-                ..reference.life_cycle
+            objects: ObjectSettings {
+                filter: sizeless(reference.objects.filter),
+                association: Association {
+                    gate: GateOrder::BeforeAssignment,
+                    ..reference.objects.association
+                },
+                life_cycle: LifeCycle {
+                    rescue_resets_age: false,
+                    boundary_margin: 0.0,
+                    ..reference.objects.life_cycle
+                },
             },
             ..reference
         }
@@ -120,29 +113,22 @@ impl AlbireoSettings {
             periodic_cap_counts: PeriodicCap::FrameIndex,
             detector_frame_boxes: DetectorFrameBoxes::Filter,
             confidence: ReportedConfidence::Decayed,
-            filter: FilterParameters::default(),
-            association: Association {
-                iou_gate: 0.25,
-                iou_frames: 2,
-                mahalanobis_gate: 9.4877,
-                gate: GateOrder::AfterAssignment,
+            objects: ObjectSettings {
+                filter: FilterParameters::default(),
+                association: Association {
+                    iou_gate: 0.25,
+                    iou_frames: 2,
+                    mahalanobis_gate: 9.4877,
+                    gate: GateOrder::AfterAssignment,
+                },
+                life_cycle: LifeCycle {
+                    hits_to_confirm: 3,
+                    c_rescue: 0.5,
+                    r_max: 2,
+                    rescue_resets_age: true,
+                    boundary_margin: 0.05,
+                },
             },
-            life_cycle: LifeCycle {
-                hits_to_confirm: 3,
-                c_rescue: 0.5,
-                r_max: 2,
-                rescue_resets_age: true,
-                boundary_margin: 0.05,
-            },
-        }
-    }
-
-    /// Returns the settings of the object states.
-    pub fn objects(&self) -> ObjectSettings {
-        ObjectSettings {
-            filter: self.filter,
-            association: self.association,
-            life_cycle: self.life_cycle,
         }
     }
 }

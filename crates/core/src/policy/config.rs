@@ -62,9 +62,6 @@ pub enum PolicyConfigError {
         /// The name found.
         name: String,
     },
-    /// The threshold is out of range.
-    #[error("policy.u: {0}")]
-    Threshold(#[from] super::InvalidThreshold),
     /// The argument after the policy's name is invalid.
     #[error("`{policy}:{argument}`: {reason}")]
     Argument {

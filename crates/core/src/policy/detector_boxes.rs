@@ -1,6 +1,7 @@
 //! The boxes of the detector's last answer, as reported by policies that keep no objects.
 
-use super::{BoxSource, OutputBox};
+use super::progress::Progress;
+use super::{BoxSource, Outcome, OutputBox};
 use crate::detection::Detection;
 use crate::objects::is_usable;
 
@@ -31,17 +32,16 @@ impl DetectorBoxes {
         }
     }
 
-    /// Appends the boxes as found in the current frame.
-    pub(crate) fn report(&self, boxes: &mut Vec<OutputBox>) {
-        boxes.extend_from_slice(&self.boxes);
-    }
-
-    /// Appends the boxes of an earlier frame, unchanged except for their source.
-    pub(crate) fn report_again(&self, boxes: &mut Vec<OutputBox>) {
-        boxes.extend(self.boxes.iter().map(|found| OutputBox {
-            source: BoxSource::Predicted,
-            ..*found
-        }));
+    /// Overwrites `outcome` with the end of a frame. Without an answer of the detector in this frame, the boxes are those
+    /// of an earlier one.
+    pub(crate) fn finish(&self, progress: &Progress, outcome: &mut Outcome) {
+        progress.finish(outcome);
+        outcome.boxes.extend_from_slice(&self.boxes);
+        if progress.state.is_skipped() {
+            for repeated in &mut outcome.boxes {
+                repeated.source = BoxSource::Predicted;
+            }
+        }
     }
 
     /// Forgets the boxes; keeps the count of rejected detections.

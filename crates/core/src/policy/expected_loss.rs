@@ -49,6 +49,7 @@ mod settings;
 mod trigger;
 mod velocity;
 
+use super::progress::Progress;
 use super::{
     CallCause, Evidence, FrameHead, FrameState, GreyPicture, InvalidThreshold, Need, ObjectRecord,
     Outcome, Policy, PolicyConfigError, ThresholdSpec, tracker::check_setting,
@@ -57,28 +58,13 @@ use crate::detection::Detection;
 use birth::BirthRate;
 use follow::Follower;
 use objects::Objects;
-use settings::FLOW_WIDTH;
-use settings::{CROWD_MEMORY, CROWD_PRIOR, FLOW_BIRTH_PRIOR, LEAST_CROWD};
+use settings::{CROWD_MEMORY, CROWD_PRIOR, FLOW_BIRTH_PRIOR, FLOW_WIDTH, LEAST_CROWD};
 pub use settings::{ExpectedLossSettings, InTracker, Pixels};
 use trigger::Pause;
 pub use trigger::Trigger;
 
-/// Progress of the current frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum ExpectedLossPhase {
-    /// The screen was asked.
-    AwaitsScreen,
-    /// A grey picture was requested. Without it the detector is called if `due`.
-    AwaitsPicture { due: bool, screened: bool },
-    /// Detections were requested, after the screen's "not empty" or without its verdict.
-    AwaitsDetections { screened: bool },
-    /// The screen answered "empty".
-    Empty,
-    /// The detector is not needed.
-    Skipped,
-    /// The detector answered.
-    Detected { screened: bool },
-}
+/// The picture in which boxes are followed.
+const PICTURE: Need = Need::SmallGreyPicture { width: FLOW_WIDTH };
 
 /// The expected-loss policy, and the schedules that share its objects: see [`Trigger`].
 #[derive(Clone, Debug)]
@@ -94,15 +80,11 @@ pub struct ExpectedLoss {
     follower: Option<Box<Follower>>,
     /// True if the detector has answered since the stream began.
     started: bool,
-    progress: ExpectedLossPhase,
-    /// The reason for the detector call on the current frame.
-    cause: Option<CallCause>,
     /// L of the current frame.
     loss: f64,
     /// g of the current frame.
     weight: f64,
-    tau_max: Option<f64>,
-    active: usize,
+    progress: Progress,
     /// The state that [`Policy::rewind`] restores: a copy of this policy, kept for its buffers.
     saved: Option<Box<Self>>,
 }
@@ -140,18 +122,15 @@ impl ExpectedLoss {
         Ok(Self {
             settings,
             trigger,
-            objects: Objects::new(),
-            births: BirthRate::new(),
+            objects: Objects::default(),
+            births: BirthRate::default(),
             crowd: CROWD_PRIOR,
-            pause: Pause::START,
-            follower: (settings.pixels == Pixels::Flow).then(|| Box::new(Follower::new())),
+            pause: Pause::default(),
+            follower: (settings.pixels == Pixels::Flow).then(Box::default),
             started: false,
-            progress: ExpectedLossPhase::Skipped,
-            cause: None,
             loss: 0.0,
             weight: 0.0,
-            tau_max: None,
-            active: 0,
+            progress: Progress::default(),
             saved: None,
         })
     }
@@ -168,16 +147,6 @@ impl ExpectedLoss {
         Ok(Box::new(Self::new(settings, trigger)?))
     }
 
-    /// The settings in use.
-    pub fn settings(&self) -> &ExpectedLossSettings {
-        &self.settings
-    }
-
-    /// g of the current frame, which is compared with λ.
-    pub fn weight(&self) -> f64 {
-        self.weight
-    }
-
     /// Sums the expected losses of this frame without the detector.
     fn survey(&mut self) {
         self.objects.judge();
@@ -190,8 +159,8 @@ impl ExpectedLoss {
         }
         self.loss = loss;
         self.weight = self.pause.weigh(loss, self.crowd.max(LEAST_CROWD));
-        self.active = self.objects.len();
-        self.tau_max = (self.active > 0).then_some(tau_max);
+        self.progress.active = self.objects.len();
+        self.progress.tau_max = (self.progress.active > 0).then_some(tau_max);
     }
 
     /// Returns the reason for a detector call at this weight of the losses.
@@ -202,26 +171,8 @@ impl ExpectedLoss {
         }
     }
 
-    /// Requests the picture if pictures are used, otherwise the detector.
-    fn call(&mut self, screened: bool) -> Need {
-        if self.follower.is_some() {
-            return self.ask_for_picture(true, screened);
-        }
-        self.progress = ExpectedLossPhase::AwaitsDetections { screened };
-        Need::Detections
-    }
-
-    fn ask_for_picture(&mut self, due: bool, screened: bool) -> Need {
-        self.progress = ExpectedLossPhase::AwaitsPicture { due, screened };
-        self.picture_need()
-    }
-
-    fn picture_need(&self) -> Need {
-        Need::SmallGreyPicture { width: FLOW_WIDTH }
-    }
-
     /// Follows the boxes into the picture and decides again. A call demanded by the screen is not revoked.
-    fn look(&mut self, picture: GreyPicture<'_>, screened: bool) -> Need {
+    fn look(&mut self, picture: GreyPicture<'_>) -> Need {
         let aspect = self.objects.aspect();
         if let Some(follower) = &mut self.follower {
             if !follower.has_looked() {
@@ -231,58 +182,35 @@ impl ExpectedLoss {
             follower.look(objects, aspect, picture);
         }
         self.survey();
-        if !screened {
-            self.cause = self.call_at(self.weight);
-        }
-        if self.cause.is_some() {
-            self.progress = ExpectedLossPhase::AwaitsDetections { screened };
-            Need::Detections
-        } else {
-            self.progress = ExpectedLossPhase::Skipped;
-            Need::Nothing
-        }
+        let cause = match self.progress.screened {
+            true => self.progress.cause,
+            false => self.call_at(self.weight),
+        };
+        self.progress.call(cause)
     }
 
     /// Copies the state of `other`, a copy of this policy, but not its settings and threshold.
     fn copy_from(&mut self, other: &Self) {
-        let Self {
-            settings: _,
-            trigger: _,
-            objects,
-            births,
-            crowd,
-            pause,
-            follower,
-            started,
-            progress,
-            cause,
-            loss,
-            weight,
-            tau_max,
-            active,
-            saved: _,
-        } = other;
-        self.objects.copy_from(objects);
-        self.births = *births;
-        self.crowd = *crowd;
-        self.pause = *pause;
-        if let (Some(own), Some(follower)) = (&mut self.follower, follower) {
+        self.objects.copy_from(&other.objects);
+        if let (Some(own), Some(follower)) = (&mut self.follower, &other.follower) {
             own.copy_from(follower);
         }
-        self.started = *started;
-        self.progress = *progress;
-        self.cause = *cause;
-        self.loss = *loss;
-        self.weight = *weight;
-        self.tau_max = *tau_max;
-        self.active = *active;
+        *self = Self {
+            settings: self.settings,
+            trigger: self.trigger,
+            objects: std::mem::take(&mut self.objects),
+            follower: self.follower.take(),
+            saved: self.saved.take(),
+            ..*other
+        };
     }
 
-    fn take_detections(&mut self, detections: &[Detection]) {
+    fn take_detections(&mut self, detections: &[Detection]) -> Need {
         let born = self.objects.observe(self.settings.pixels, detections);
         self.births.count(born);
         self.pause.end();
         self.started = true;
+        self.progress.detected(false)
     }
 }
 
@@ -325,81 +253,52 @@ impl Policy for ExpectedLoss {
                 self.objects.predict();
             }
         }
+        self.progress = Progress::default();
         self.survey();
         if let Some(follower) = &mut self.follower {
             follower.advance(step);
         }
-        self.cause = self.call_at(self.weight);
-        if self.cause.is_some() {
-            if self.active == 0 {
-                self.progress = ExpectedLossPhase::AwaitsScreen;
-                return Need::Screen;
+        let need = self.progress.call(self.call_at(self.weight));
+        let is_due = need == Need::Detections;
+        if is_due && self.progress.active == 0 {
+            return self.progress.ask(Need::Screen);
+        }
+        match &self.follower {
+            Some(follower) if is_due || (self.progress.active > 0 && follower.can_follow()) => {
+                self.progress.ask(PICTURE)
             }
-            return self.call(false);
+            _ => need,
         }
-        let follower = self.follower.as_deref();
-        if self.active > 0 && follower.is_some_and(Follower::can_follow) {
-            return self.ask_for_picture(false, false);
-        }
-        self.progress = ExpectedLossPhase::Skipped;
-        Need::Nothing
     }
 
     fn pictures(&self) -> Option<Need> {
-        self.follower.as_ref().map(|_| self.picture_need())
+        self.follower.as_ref().map(|_| PICTURE)
     }
 
     /// The screen can only save a call that is due: a screen that never reports "empty" changes no decision. If it is
     /// unavailable, the detector is requested, and the frame is `I`, not `E+I`. Evidence that was not requested counts
     /// as unavailable.
     fn answer(&mut self, evidence: Evidence<'_>) -> Need {
-        match (self.progress, evidence) {
-            (ExpectedLossPhase::AwaitsScreen, Evidence::Screen { empty: true }) => {
-                self.progress = ExpectedLossPhase::Empty;
-                self.cause = None;
-                Need::Nothing
+        match (self.progress.need, evidence) {
+            (Need::Screen, evidence) => {
+                let next = self.pictures().unwrap_or(Need::Detections);
+                self.progress.take_verdict(evidence, next)
             }
-            (ExpectedLossPhase::AwaitsScreen, evidence) => {
-                let screened = matches!(evidence, Evidence::Screen { .. });
-                if screened {
-                    self.cause = Some(CallCause::Screen);
-                }
-                self.call(screened)
-            }
-            (ExpectedLossPhase::AwaitsPicture { screened, .. }, Evidence::GreyPicture(picture)) => {
-                self.look(picture, screened)
-            }
-            (
-                ExpectedLossPhase::AwaitsPicture {
-                    due: true,
-                    screened,
-                },
-                _,
-            ) => {
-                self.progress = ExpectedLossPhase::AwaitsDetections { screened };
-                Need::Detections
-            }
-            (ExpectedLossPhase::AwaitsPicture { .. }, _) => {
-                self.progress = ExpectedLossPhase::Skipped;
-                Need::Nothing
-            }
-            (
-                ExpectedLossPhase::AwaitsDetections { screened },
-                Evidence::Detections(detections),
-            ) => {
-                self.take_detections(detections);
-                self.progress = ExpectedLossPhase::Detected { screened };
-                Need::Nothing
-            }
+            (PICTURE, Evidence::GreyPicture(picture)) => self.look(picture),
+            (PICTURE, _) => self.progress.call(self.progress.cause),
+            (Need::Detections, Evidence::Detections(found)) => self.take_detections(found),
             // Unchanged, so that `finish` detects the missing detections.
             _ => Need::Nothing,
         }
     }
 
     fn finish(&mut self, outcome: &mut Outcome) {
-        let detected = matches!(self.progress, ExpectedLossPhase::Detected { .. });
-        outcome.boxes.clear();
+        self.progress.finish(outcome);
+        let detected = !outcome.state.is_skipped();
         let report = (self.objects).report(detected, &mut outcome.boxes);
+        if outcome.state == FrameState::I && report.rescued {
+            outcome.state = FrameState::AI;
+        }
         self.crowd += (report.confidence - self.crowd) / CROWD_MEMORY;
         if !detected {
             self.pause.skip(self.loss);
@@ -407,22 +306,6 @@ impl Policy for ExpectedLoss {
         if let Some(follower) = &mut self.follower {
             follower.remember(self.objects.as_mut_slice());
         }
-        outcome.state = match self.progress {
-            ExpectedLossPhase::Empty => FrameState::E,
-            ExpectedLossPhase::Detected { screened: true } => FrameState::EI,
-            ExpectedLossPhase::Detected { .. } if report.rescued => FrameState::AI,
-            ExpectedLossPhase::Detected { .. } => FrameState::I,
-            _ => FrameState::P,
-        };
-        outcome.degraded = matches!(
-            self.progress,
-            ExpectedLossPhase::AwaitsScreen
-                | ExpectedLossPhase::AwaitsPicture { due: true, .. }
-                | ExpectedLossPhase::AwaitsDetections { .. }
-        );
-        outcome.cause = self.cause;
-        outcome.tau_max = self.tau_max;
-        outcome.active = self.active;
     }
 
     fn can_rewind(&self) -> bool {
@@ -444,17 +327,14 @@ impl Policy for ExpectedLoss {
 
     fn reset(&mut self) {
         self.objects.clear();
-        self.births = BirthRate::new();
-        self.crowd = CROWD_PRIOR;
-        self.pause = Pause::START;
         if let Some(follower) = &mut self.follower {
             follower.clear();
         }
+        self.births = BirthRate::default();
+        self.crowd = CROWD_PRIOR;
+        self.pause = Pause::default();
         self.started = false;
-        self.progress = ExpectedLossPhase::Skipped;
-        self.cause = None;
-        self.tau_max = None;
-        self.active = 0;
+        self.progress = Progress::default();
     }
 
     fn objects(&self, visit: &mut dyn FnMut(&ObjectRecord)) {

@@ -5,10 +5,11 @@
 //! detector frame misses is removed at once.
 
 use super::detector_boxes::DetectorBoxes;
+use super::progress::Progress;
 use super::tracker::{Tracker, check_setting};
 use super::{
-    CallCause, Evidence, FrameHead, FrameState, InvalidThreshold, Need, ObjectRecord, Outcome,
-    Policy, PolicyConfig, PolicyConfigError, Profile, ThresholdSpec,
+    CallCause, Evidence, FrameHead, InvalidThreshold, Need, ObjectRecord, Outcome, Policy,
+    PolicyConfig, PolicyConfigError, Profile, ThresholdSpec,
 };
 use crate::objects::Missed;
 use serde::{Deserialize, Serialize};
@@ -58,20 +59,13 @@ enum Memory {
     Objects(Box<Tracker>),
 }
 
-/// Progress of the current frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum FixedSkipPhase {
-    AwaitsDetections,
-    Decided(FrameState),
-}
-
 /// The fixed-skip policy.
 #[derive(Clone, Debug)]
 pub struct FixedSkip {
     n: f64,
     memory: Memory,
     index: u64,
-    progress: FixedSkipPhase,
+    progress: Progress,
     /// Index of the last frame for which the detector answered.
     last_answered: Option<u64>,
 }
@@ -105,7 +99,7 @@ impl FixedSkip {
                 SkippedBoxes::Predict => Memory::Objects(Box::new(Tracker::from_config(config))),
             },
             index: 0,
-            progress: FixedSkipPhase::Decided(FrameState::P),
+            progress: Progress::default(),
             last_answered: None,
         }))
     }
@@ -142,53 +136,40 @@ impl Policy for FixedSkip {
 
     fn begin(&mut self, frame: FrameHead) -> Need {
         self.index = frame.index;
-        if let Memory::Objects(tracker) = &mut self.memory {
-            tracker.begin(frame);
-        }
-        if self.is_due(frame.index) {
-            self.progress = FixedSkipPhase::AwaitsDetections;
-            Need::Detections
-        } else {
-            self.progress = FixedSkipPhase::Decided(FrameState::P);
-            Need::Nothing
-        }
+        self.progress = match &mut self.memory {
+            Memory::Boxes(_) => Progress::default(),
+            Memory::Objects(tracker) => tracker.begin(frame, |_, _| {}),
+        };
+        let is_due = self.is_due(frame.index);
+        self.progress.call(is_due.then_some(CallCause::Schedule))
     }
 
     fn answer(&mut self, evidence: Evidence<'_>) -> Need {
-        if let (FixedSkipPhase::AwaitsDetections, Evidence::Detections(detections)) =
-            (self.progress, evidence)
+        if let (Need::Detections, Evidence::Detections(detections)) = (self.progress.need, evidence)
         {
             match &mut self.memory {
                 Memory::Boxes(boxes) => boxes.take(detections),
                 Memory::Objects(tracker) => tracker.observe(detections, |_| Missed::Removed),
             }
             self.last_answered = Some(self.index);
-            self.progress = FixedSkipPhase::Decided(FrameState::I);
+            self.progress.detected(false);
         }
         Need::Nothing
     }
 
     fn finish(&mut self, outcome: &mut Outcome) {
-        let (state, degraded) = match self.progress {
-            FixedSkipPhase::Decided(state) => (state, false),
-            FixedSkipPhase::AwaitsDetections => (FrameState::P, true),
-        };
-        outcome.clear(state, degraded);
-        let called = degraded || !state.is_skipped();
-        outcome.cause = called.then_some(CallCause::Schedule);
         match &self.memory {
-            Memory::Objects(tracker) => tracker.finish(state, outcome),
-            Memory::Boxes(boxes) if state.is_skipped() => boxes.report_again(&mut outcome.boxes),
-            Memory::Boxes(boxes) => boxes.report(&mut outcome.boxes),
+            Memory::Objects(tracker) => tracker.finish(&self.progress, outcome),
+            Memory::Boxes(boxes) => boxes.finish(&self.progress, outcome),
         }
     }
 
     fn reset(&mut self) {
         match &mut self.memory {
             Memory::Boxes(boxes) => boxes.clear(),
-            Memory::Objects(tracker) => tracker.clear(),
+            Memory::Objects(tracker) => tracker.objects.clear(),
         }
-        self.progress = FixedSkipPhase::Decided(FrameState::P);
+        self.progress = Progress::default();
         self.last_answered = None;
     }
 

@@ -20,8 +20,8 @@ const SETTLED: usize = 200;
 /// Returns the threshold with which the published code, in pictures of size `picture`, predicts a steadily seen object
 /// for as many frames as the profile `paper` at `u` in pictures of any size. At 1280x720 it is `u`.
 pub fn published_threshold(u: f64, picture: PictureSize) -> f64 {
-    let published = FilterModel::new(&AlbireoSettings::reference().filter, picture);
-    let paper = FilterModel::new(&AlbireoSettings::paper().filter, picture);
+    let published = FilterModel::new(&AlbireoSettings::reference().objects.filter, picture);
+    let paper = FilterModel::new(&AlbireoSettings::paper().objects.filter, picture);
     if published == paper {
         return u;
     }
@@ -81,8 +81,8 @@ mod tests {
 
     #[test]
     fn at_the_papers_size_both_filters_are_identical_to_the_last_bit() {
-        let published = FilterModel::new(&AlbireoSettings::reference().filter, PICTURE);
-        let paper = FilterModel::new(&AlbireoSettings::paper().filter, PICTURE);
+        let published = FilterModel::new(&AlbireoSettings::reference().objects.filter, PICTURE);
+        let paper = FilterModel::new(&AlbireoSettings::paper().objects.filter, PICTURE);
         assert_eq!(published, paper);
         for u in [1e-9, 3e-4, 1e-3, 1.0] {
             assert_eq!(published_threshold(u, PICTURE).to_bits(), u.to_bits());
@@ -96,8 +96,8 @@ mod tests {
             taus[1..].iter().take_while(|tau| **tau < u).count()
         };
         for size in SIZES {
-            let published = FilterModel::new(&AlbireoSettings::reference().filter, size);
-            let paper = FilterModel::new(&AlbireoSettings::paper().filter, size);
+            let published = FilterModel::new(&AlbireoSettings::reference().objects.filter, size);
+            let paper = FilterModel::new(&AlbireoSettings::paper().objects.filter, size);
             for u in [1e-5, 1e-4, 3e-4, 5e-4, 7e-4, 1e-3, 3e-3, 1e-2] {
                 let equivalent = frames(&published, published_threshold(u, size));
                 assert_eq!(equivalent, frames(&paper, u), "u = {u} at {size}");
@@ -110,7 +110,7 @@ mod tests {
 
     #[test]
     fn the_range_of_u_covers_every_useful_value() {
-        let model = FilterModel::new(&AlbireoSettings::paper().filter, PICTURE);
+        let model = FilterModel::new(&AlbireoSettings::paper().objects.filter, PICTURE);
         let taus = curve(&model);
         let spec = Albireo::THRESHOLD;
         // Below the first a seen object calls the detector on every frame.

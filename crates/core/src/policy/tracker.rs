@@ -1,49 +1,75 @@
-//! The common part of the baselines with objects: Albireo's filter, matching and reporting. Each has its own trigger
-//! and removal rules.
+//! The objects of a policy with Albireo's filter, and the boxes and confidences that it reports. Policies that share
+//! them have their own triggers and removal rules.
 
+use super::progress::Progress;
 use super::{
-    AlbireoSettings, FrameHead, FrameState, ObjectRecord, Outcome, OutputBox, PolicyConfig,
-    PolicyConfigError, ThresholdSpec,
+    AlbireoSettings, BoxSource, DetectorFrameBoxes, FrameHead, ObjectRecord, Outcome, OutputBox,
+    PolicyConfig, PolicyConfigError, ReportedConfidence, ThresholdSpec,
 };
 use crate::detection::Detection;
 use crate::objects::{Missed, ObjectState, ObjectStates};
 
-/// The threshold for decaying confidences under a policy without one: the published code has this default for all its
+/// The threshold for decaying confidences under a policy without `u`: the published code has this default for all its
 /// baselines.
-pub(super) const DECAY_U: f64 = 3e-4;
+const DECAY_U: f64 = 3e-4;
+
+/// Smallest factor of a decayed confidence (published code).
+const DECAY_FLOOR: f64 = 0.1;
 
 /// The objects, and the boxes of the current frame.
 #[derive(Clone, Debug)]
 pub(super) struct Tracker {
     pub objects: ObjectStates,
-    settings: AlbireoSettings,
-    tau_max: Option<f64>,
-    active: usize,
+    pub settings: AlbireoSettings,
+    /// The threshold to which decayed confidences are relative.
+    pub u: f64,
+    /// Boxes of a detector frame.
     boxes: Vec<OutputBox>,
 }
 
 impl Tracker {
-    /// Creates a tracker without objects. It has the settings of Albireo under the profile of `config`, so that policies
-    /// differ only in their named feature.
-    pub(crate) fn from_config(config: &PolicyConfig) -> Self {
-        let settings = AlbireoSettings::of(config.profile);
+    /// Creates a tracker without objects.
+    pub(crate) fn new(settings: AlbireoSettings, u: f64) -> Self {
         Self {
-            objects: ObjectStates::new(settings.objects()),
+            objects: ObjectStates::new(settings.objects),
             settings,
-            tau_max: None,
-            active: 0,
+            u,
             boxes: Vec::new(),
         }
     }
 
-    /// Advances the objects to `frame`.
-    pub(crate) fn begin(&mut self, frame: FrameHead) {
+    /// Creates the tracker of a baseline. It has the settings of Albireo under the profile of `config`, so that policies
+    /// differ only in their named feature.
+    pub(crate) fn from_config(config: &PolicyConfig) -> Self {
+        Self::new(AlbireoSettings::of(config.profile), DECAY_U)
+    }
+
+    /// Copies the state of `other`, which has the same settings. Allocates only while buffers grow.
+    pub(crate) fn copy_from(&mut self, other: &Self) {
+        self.objects.copy_from(&other.objects);
+        self.u = other.u;
+        self.boxes.clone_from(&other.boxes);
+    }
+
+    /// Advances the objects to `frame`, and calls `visit` with each and its uncertainty. Returns the frame's progress.
+    #[inline]
+    pub(crate) fn begin(
+        &mut self,
+        frame: FrameHead,
+        mut visit: impl FnMut(&ObjectState, f64),
+    ) -> Progress {
         self.objects.predict(frame.picture, frame.step.max(1));
         let states = self.objects.states();
-        self.tau_max = (states.iter())
-            .map(|state| state.filter.tau())
-            .reduce(f64::max);
-        self.active = states.len();
+        let taus = states.iter().map(|state| {
+            let tau = state.filter.tau();
+            visit(state, tau);
+            tau
+        });
+        Progress {
+            tau_max: taus.reduce(f64::max),
+            active: states.len(),
+            ..Progress::default()
+        }
     }
 
     /// Processes the detections; every detection that matches no object creates one.
@@ -53,28 +79,50 @@ impl Tracker {
         missed: impl FnMut(&mut ObjectState) -> Missed,
     ) {
         self.objects.observe(detections, missed);
-        self.boxes.clear();
-        self.settings
-            .detector_frame(detections, &self.objects, DECAY_U, &mut self.boxes);
+        self.draw(detections);
     }
 
-    /// Writes the boxes and uncertainty of a frame in `state` to `outcome`.
-    pub(crate) fn finish(&self, state: FrameState, outcome: &mut Outcome) {
-        outcome.tau_max = self.tau_max;
-        outcome.active = self.active;
-        if state.is_skipped() {
-            self.settings
-                .predicted(&self.objects, DECAY_U, &mut outcome.boxes);
-        } else {
-            outcome.boxes.extend_from_slice(&self.boxes);
+    /// Replaces the boxes by those of a frame with `detections`, which the objects have observed.
+    fn draw(&mut self, detections: &[Detection]) {
+        self.boxes.clear();
+        let own_boxes = self.settings.detector_frame_boxes == DetectorFrameBoxes::Detector;
+        if own_boxes {
+            for (detection, sighting) in detections.iter().zip(self.objects.sightings()) {
+                if sighting.usable {
+                    self.boxes.push(OutputBox {
+                        bounding_box: detection.bounding_box,
+                        class: detection.class,
+                        confidence: detection.confidence,
+                        source: BoxSource::Detected,
+                        object: sighting.object,
+                        confirmed: sighting.confirmed,
+                    });
+                }
+            }
+        }
+        for state in self.objects.states() {
+            let source = match state.since_update {
+                0 => BoxSource::Detected,
+                _ => BoxSource::Rescued,
+            };
+            if source == BoxSource::Rescued || !own_boxes {
+                self.boxes
+                    .push(filter_box(&self.settings, self.u, state, source));
+            }
         }
     }
 
-    /// Forgets all objects.
-    pub(crate) fn clear(&mut self) {
-        self.objects.clear();
-        self.tau_max = None;
-        self.active = 0;
+    /// Overwrites `outcome` with the end of a frame.
+    pub(crate) fn finish(&self, progress: &Progress, outcome: &mut Outcome) {
+        progress.finish(outcome);
+        if progress.state.is_skipped() {
+            let states = self.objects.states().iter();
+            let predicted =
+                states.map(|it| filter_box(&self.settings, self.u, it, BoxSource::Predicted));
+            outcome.boxes.extend(predicted);
+        } else {
+            outcome.boxes.extend_from_slice(&self.boxes);
+        }
     }
 
     /// Calls `visit` with the record of every object.
@@ -82,6 +130,26 @@ impl Tracker {
         for state in self.objects.states() {
             visit(&ObjectRecord::from(state));
         }
+    }
+}
+
+fn filter_box(
+    settings: &AlbireoSettings,
+    u: f64,
+    state: &ObjectState,
+    source: BoxSource,
+) -> OutputBox {
+    let kept = match settings.confidence {
+        ReportedConfidence::Last => 1.0,
+        ReportedConfidence::Decayed => (1.0 - state.filter.tau() / u).max(DECAY_FLOOR),
+    };
+    OutputBox {
+        bounding_box: state.filter.bounding_box(),
+        class: state.class,
+        confidence: state.confidence * kept,
+        source,
+        object: Some(state.id),
+        confirmed: state.confirmed,
     }
 }
 

@@ -1,16 +1,16 @@
 //! The vanilla policy: the detector on every frame, the reference for all other policies.
 
 use super::detector_boxes::DetectorBoxes;
+use super::progress::Progress;
 use super::{
-    CallCause, Evidence, FrameHead, FrameState, Need, Outcome, Policy, PolicyConfig,
-    PolicyConfigError,
+    CallCause, Evidence, FrameHead, Need, Outcome, Policy, PolicyConfig, PolicyConfigError,
 };
 
 /// The vanilla policy. It keeps no objects and has no threshold.
 #[derive(Clone, Debug, Default)]
 pub struct Vanilla {
     boxes: DetectorBoxes,
-    answered: bool,
+    progress: Progress,
 }
 
 impl Vanilla {
@@ -28,32 +28,25 @@ impl Policy for Vanilla {
     }
 
     fn begin(&mut self, _: FrameHead) -> Need {
-        self.boxes.clear();
-        self.answered = false;
-        Need::Detections
+        self.reset();
+        self.progress.call(Some(CallCause::EveryFrame))
     }
 
     fn answer(&mut self, evidence: Evidence<'_>) -> Need {
         if let Evidence::Detections(detections) = evidence {
-            self.answered = true;
             self.boxes.take(detections);
+            self.progress.detected(false);
         }
         Need::Nothing
     }
 
     fn finish(&mut self, outcome: &mut Outcome) {
-        let state = match self.answered {
-            true => FrameState::I,
-            false => FrameState::P,
-        };
-        outcome.clear(state, !self.answered);
-        outcome.cause = Some(CallCause::EveryFrame);
-        self.boxes.report(&mut outcome.boxes);
+        self.boxes.finish(&self.progress, outcome);
     }
 
     fn reset(&mut self) {
         self.boxes.clear();
-        self.answered = false;
+        self.progress = Progress::default();
     }
 
     fn rejected_detections(&self) -> u64 {

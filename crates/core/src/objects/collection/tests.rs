@@ -13,7 +13,7 @@ fn frame(objects: &mut ObjectStates, detections: &[Detection]) {
 }
 
 fn objects() -> ObjectStates {
-    ObjectStates::new(AlbireoSettings::paper().objects())
+    ObjectStates::new(AlbireoSettings::paper().objects)
 }
 
 fn confirmed(mut objects: ObjectStates) -> ObjectStates {
@@ -71,7 +71,7 @@ fn three_detections_confirm_an_object_which_is_then_rescued_twice() {
 #[test]
 fn a_rescue_resets_the_age_only_if_configured() {
     for resets in [false, true] {
-        let mut settings = AlbireoSettings::paper().objects();
+        let mut settings = AlbireoSettings::paper().objects;
         settings.life_cycle.rescue_resets_age = resets;
         let mut objects = confirmed(ObjectStates::new(settings));
         frame(&mut objects, &[]);

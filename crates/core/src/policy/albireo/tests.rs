@@ -1,7 +1,7 @@
 use super::*;
 use crate::geometry::{BoundingBox, PictureSize};
 use crate::policy::tests::{Run, random, seen};
-use crate::policy::{BoxSource, FrameEvidence};
+use crate::policy::{BoxSource, FrameEvidence, FrameState, OutputBox};
 
 fn start(settings: AlbireoSettings, u: f64) -> Run<Albireo> {
     Run::with(Box::new(Albireo::new(settings, u).unwrap()))
@@ -84,7 +84,7 @@ fn tau_equal_to_u_runs_the_detector_in_the_paper_and_skips_in_the_reference() {
         let mut probe = start(settings, 1e-9);
         probe.see(&[seen(0.5, 0.9)]);
         probe.begin(1);
-        let tau = probe.policy.tau_max.unwrap();
+        let tau = probe.policy.progress.tau_max.unwrap();
         let mut run = start(settings, tau);
         run.see(&[seen(0.5, 0.9)]);
         assert_eq!(run.begin(1), need);

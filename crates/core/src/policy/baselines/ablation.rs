@@ -38,9 +38,9 @@ impl Ablation {
 
     /// Removes the parts from `settings`. Done last: no single setting restores one.
     pub(crate) fn apply(self, settings: &mut AlbireoSettings) {
-        settings.life_cycle.r_max = 0;
+        settings.objects.life_cycle.r_max = 0;
         settings.asks_screen = self != Self::KillOnly;
-        settings.filter.motion = match self {
+        settings.objects.filter.motion = match self {
             Self::KillOnly | Self::KillErd => MotionModel::ConstantSize,
             Self::KillErd10d => MotionModel::ConstantAcceleration,
         };
@@ -88,7 +88,7 @@ mod tests {
         let motions = ABLATIONS.map(|ablation| {
             let mut settings = AlbireoSettings::paper();
             ablation.apply(&mut settings);
-            settings.filter.motion
+            settings.objects.filter.motion
         });
         let eight = MotionModel::ConstantSize;
         assert_eq!(motions, [eight, eight, MotionModel::ConstantAcceleration]);

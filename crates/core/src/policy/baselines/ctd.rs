@@ -11,10 +11,11 @@
 //! because the policy did not decide on a rescue.
 
 use crate::objects::{Missed, ObjectState};
+use crate::policy::progress::Progress;
 use crate::policy::tracker::{Tracker, check_setting};
 use crate::policy::{
-    CallCause, Evidence, FrameHead, FrameState, InvalidThreshold, Need, ObjectRecord, Outcome,
-    Policy, PolicyConfig, PolicyConfigError, ThresholdSpec,
+    CallCause, Evidence, FrameHead, InvalidThreshold, Need, ObjectRecord, Outcome, Policy,
+    PolicyConfig, PolicyConfigError, ThresholdSpec,
 };
 use serde::{Deserialize, Serialize};
 
@@ -41,13 +42,6 @@ impl Default for CtdSettings {
     }
 }
 
-/// Progress of the current frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum CtdPhase {
-    AwaitsDetections,
-    Decided(FrameState),
-}
-
 /// The policy of confidence-triggered detection.
 #[derive(Clone, Debug)]
 pub struct Ctd {
@@ -55,9 +49,7 @@ pub struct Ctd {
     /// Largest squared distance of a trusted prediction.
     largest_distance: f64,
     tracker: Tracker,
-    progress: CtdPhase,
-    /// The reason for the detector call on the current frame.
-    cause: Option<CallCause>,
+    progress: Progress,
     /// Frames since the last detector answer.
     since_detector: u32,
 }
@@ -87,8 +79,7 @@ impl Ctd {
             settings,
             largest_distance: distance_with_confidence(threshold),
             tracker: Tracker::from_config(config),
-            progress: CtdPhase::Decided(FrameState::P),
-            cause: None,
+            progress: Progress::default(),
             since_detector: 0,
         }))
     }
@@ -150,20 +141,13 @@ impl Policy for Ctd {
 
     fn begin(&mut self, frame: FrameHead) -> Need {
         self.since_detector = self.since_detector.saturating_add(frame.step.max(1));
-        self.tracker.begin(frame);
-        self.cause = self.call();
-        if self.cause.is_some() {
-            self.progress = CtdPhase::AwaitsDetections;
-            Need::Detections
-        } else {
-            self.progress = CtdPhase::Decided(FrameState::P);
-            Need::Nothing
-        }
+        self.progress = self.tracker.begin(frame, |_, _| {});
+        let cause = self.call();
+        self.progress.call(cause)
     }
 
     fn answer(&mut self, evidence: Evidence<'_>) -> Need {
-        if let (CtdPhase::AwaitsDetections, Evidence::Detections(detections)) =
-            (self.progress, evidence)
+        if let (Need::Detections, Evidence::Detections(detections)) = (self.progress.need, evidence)
         {
             let lost_frames = self.settings.lost_frames;
             self.tracker.observe(detections, |state| {
@@ -175,25 +159,18 @@ impl Policy for Ctd {
                 }
             });
             self.since_detector = 0;
-            self.progress = CtdPhase::Decided(FrameState::I);
+            self.progress.detected(false);
         }
         Need::Nothing
     }
 
     fn finish(&mut self, outcome: &mut Outcome) {
-        let (state, degraded) = match self.progress {
-            CtdPhase::Decided(state) => (state, false),
-            CtdPhase::AwaitsDetections => (FrameState::P, true),
-        };
-        outcome.clear(state, degraded);
-        outcome.cause = self.cause;
-        self.tracker.finish(state, outcome);
+        self.tracker.finish(&self.progress, outcome);
     }
 
     fn reset(&mut self) {
-        self.tracker.clear();
-        self.progress = CtdPhase::Decided(FrameState::P);
-        self.cause = None;
+        self.tracker.objects.clear();
+        self.progress = Progress::default();
         self.since_detector = 0;
     }
 

@@ -2,29 +2,16 @@
 //! that it does not report as empty.
 
 use crate::policy::detector_boxes::DetectorBoxes;
+use crate::policy::progress::Progress;
 use crate::policy::{
-    CallCause, Evidence, FrameHead, FrameState, Need, Outcome, Policy, PolicyConfig,
-    PolicyConfigError,
+    CallCause, Evidence, FrameHead, Need, Outcome, Policy, PolicyConfig, PolicyConfigError,
 };
-
-/// Progress of the current frame.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-enum ErdOnlyPhase {
-    #[default]
-    AwaitsScreen,
-    AwaitsDetections {
-        screened: bool,
-    },
-    Decided(FrameState),
-}
 
 /// The screen-only policy. It keeps no objects and has no threshold.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ErdOnly {
     boxes: DetectorBoxes,
-    progress: ErdOnlyPhase,
-    /// The reason for the detector call on the current frame.
-    cause: Option<CallCause>,
+    progress: Progress,
 }
 
 impl ErdOnly {
@@ -44,56 +31,31 @@ impl Policy for ErdOnly {
     }
 
     fn begin(&mut self, _: FrameHead) -> Need {
-        self.boxes.clear();
-        self.progress = ErdOnlyPhase::AwaitsScreen;
-        self.cause = Some(CallCause::NoObjects);
-        Need::Screen
+        self.reset();
+        self.progress.call(Some(CallCause::NoObjects));
+        self.progress.ask(Need::Screen)
     }
 
     /// Without the screen's verdict the detector runs, and the frame is `I`, not `E+I`.
     fn answer(&mut self, evidence: Evidence<'_>) -> Need {
-        match (self.progress, evidence) {
-            (ErdOnlyPhase::AwaitsScreen, Evidence::Screen { empty: true }) => {
-                self.progress = ErdOnlyPhase::Decided(FrameState::E);
-                self.cause = None;
-                Need::Nothing
-            }
-            (ErdOnlyPhase::AwaitsScreen, evidence) => {
-                let screened = matches!(evidence, Evidence::Screen { .. });
-                if screened {
-                    self.cause = Some(CallCause::Screen);
-                }
-                self.progress = ErdOnlyPhase::AwaitsDetections { screened };
-                Need::Detections
-            }
-            (ErdOnlyPhase::AwaitsDetections { screened }, Evidence::Detections(detections)) => {
+        match (self.progress.need, evidence) {
+            (Need::Screen, evidence) => self.progress.take_verdict(evidence, Need::Detections),
+            (Need::Detections, Evidence::Detections(detections)) => {
                 self.boxes.take(detections);
-                self.progress = ErdOnlyPhase::Decided(match screened {
-                    true => FrameState::EI,
-                    false => FrameState::I,
-                });
-                Need::Nothing
+                self.progress.detected(false)
             }
             // Unchanged, so that `finish` detects the missing detections.
-            (ErdOnlyPhase::AwaitsDetections { .. } | ErdOnlyPhase::Decided(_), _) => Need::Nothing,
+            _ => Need::Nothing,
         }
     }
 
     fn finish(&mut self, outcome: &mut Outcome) {
-        let (state, degraded) = match self.progress {
-            ErdOnlyPhase::Decided(state) => (state, false),
-            ErdOnlyPhase::AwaitsScreen | ErdOnlyPhase::AwaitsDetections { .. } => {
-                (FrameState::P, true)
-            }
-        };
-        outcome.clear(state, degraded);
-        outcome.cause = self.cause;
-        self.boxes.report(&mut outcome.boxes);
+        self.boxes.finish(&self.progress, outcome);
     }
 
     fn reset(&mut self) {
         self.boxes.clear();
-        self.progress = ErdOnlyPhase::AwaitsScreen;
+        self.progress = Progress::default();
     }
 
     fn rejected_detections(&self) -> u64 {

@@ -12,10 +12,11 @@
 use super::changed_region::ChangedRegion;
 use crate::geometry::PictureSize;
 use crate::policy::detector_boxes::DetectorBoxes;
+use crate::policy::progress::Progress;
 use crate::policy::tracker::check_setting;
 use crate::policy::{
-    CallCause, Evidence, FrameHead, FrameState, GreyPicture, InvalidThreshold, Need, Outcome,
-    Policy, PolicyConfig, PolicyConfigError, ThresholdSpec,
+    CallCause, Evidence, FrameHead, GreyPicture, InvalidThreshold, Need, Outcome, Policy,
+    PolicyConfig, PolicyConfigError, ThresholdSpec,
 };
 use serde::{Deserialize, Serialize};
 
@@ -38,14 +39,6 @@ impl Default for StatuesSettings {
     }
 }
 
-/// Progress of the current frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum StatuesPhase {
-    AwaitsPicture,
-    AwaitsDetections,
-    Decided(FrameState),
-}
-
 /// The Statues policy. It keeps no objects.
 #[derive(Clone, Debug)]
 pub struct Statues {
@@ -55,9 +48,7 @@ pub struct Statues {
     pixels: Vec<u8>,
     size: Option<PictureSize>,
     boxes: DetectorBoxes,
-    progress: StatuesPhase,
-    /// The reason for the detector call on the current frame.
-    cause: Option<CallCause>,
+    progress: Progress,
     /// True if the detector has not answered since the last call.
     detector_owed: bool,
 }
@@ -96,8 +87,7 @@ impl Statues {
             pixels: Vec::new(),
             size: None,
             boxes: DetectorBoxes::default(),
-            progress: StatuesPhase::Decided(FrameState::P),
-            cause: None,
+            progress: Progress::default(),
             detector_owed: true,
         }))
     }
@@ -122,10 +112,8 @@ impl Statues {
     }
 
     fn call_detector(&mut self, cause: CallCause) -> Need {
-        self.progress = StatuesPhase::AwaitsDetections;
-        self.cause = Some(cause);
         self.detector_owed = true;
-        Need::Detections
+        self.progress.call(Some(cause))
     }
 }
 
@@ -152,55 +140,41 @@ impl Policy for Statues {
     }
 
     fn begin(&mut self, _: FrameHead) -> Need {
-        self.progress = StatuesPhase::AwaitsPicture;
-        self.cause = None;
-        Need::GreyPicture
+        self.progress = Progress::default();
+        self.progress.ask(Need::GreyPicture)
     }
 
     /// Without the picture a change cannot be excluded, so the detector runs. A failed detector call is repeated on the
     /// next frame, changed or not.
     fn answer(&mut self, evidence: Evidence<'_>) -> Need {
-        match (self.progress, evidence) {
-            (StatuesPhase::AwaitsPicture, Evidence::GreyPicture(picture)) => {
+        match (self.progress.need, evidence) {
+            (Need::GreyPicture, Evidence::GreyPicture(picture)) => {
                 if self.has_changed(picture) {
                     self.call_detector(CallCause::Changed)
                 } else if self.detector_owed {
                     self.call_detector(CallCause::Retry)
                 } else {
-                    self.progress = StatuesPhase::Decided(FrameState::P);
-                    Need::Nothing
+                    self.progress.ask(Need::Nothing)
                 }
             }
-            (StatuesPhase::AwaitsPicture, _) => self.call_detector(CallCause::Changed),
-            (StatuesPhase::AwaitsDetections, Evidence::Detections(detections)) => {
+            (Need::GreyPicture, _) => self.call_detector(CallCause::Changed),
+            (Need::Detections, Evidence::Detections(detections)) => {
                 self.boxes.take(detections);
                 self.detector_owed = false;
-                self.progress = StatuesPhase::Decided(FrameState::I);
-                Need::Nothing
+                self.progress.detected(false)
             }
-            (StatuesPhase::AwaitsDetections | StatuesPhase::Decided(_), _) => Need::Nothing,
+            _ => Need::Nothing,
         }
     }
 
     fn finish(&mut self, outcome: &mut Outcome) {
-        let (state, degraded) = match self.progress {
-            StatuesPhase::Decided(state) => (state, false),
-            StatuesPhase::AwaitsPicture | StatuesPhase::AwaitsDetections => (FrameState::P, true),
-        };
-        outcome.clear(state, degraded);
-        outcome.cause = self.cause;
-        if state.is_skipped() {
-            self.boxes.report_again(&mut outcome.boxes);
-        } else {
-            self.boxes.report(&mut outcome.boxes);
-        }
+        self.boxes.finish(&self.progress, outcome);
     }
 
     fn reset(&mut self) {
         self.size = None;
         self.boxes.clear();
-        self.progress = StatuesPhase::Decided(FrameState::P);
-        self.cause = None;
+        self.progress = Progress::default();
         self.detector_owed = true;
     }
 

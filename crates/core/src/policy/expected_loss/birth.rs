@@ -9,14 +9,16 @@ pub(super) struct BirthRate {
     sum: f64,
 }
 
-impl BirthRate {
-    /// Creates the prior rate, before any observation.
-    pub(crate) fn new() -> Self {
+impl Default for BirthRate {
+    /// The prior rate, before any observation.
+    fn default() -> Self {
         Self {
             sum: BIRTH_PRIOR * BIRTH_MEMORY,
         }
     }
+}
 
+impl BirthRate {
     /// Replaces [`BIRTH_PRIOR`] by `prior`.
     pub(crate) fn expect(&mut self, prior: f64) {
         self.sum = (self.sum + (prior - BIRTH_PRIOR) * BIRTH_MEMORY).max(0.0);
@@ -46,7 +48,7 @@ mod tests {
     #[test]
     fn another_prior_keeps_the_counts() {
         let rate = |prior: Option<f64>| {
-            let mut births = BirthRate::new();
+            let mut births = BirthRate::default();
             births.fade(1);
             births.count(2.0);
             prior.into_iter().for_each(|prior| births.expect(prior));
@@ -55,7 +57,7 @@ mod tests {
         assert_eq!(rate(Some(BIRTH_PRIOR)), rate(None));
         let more = (rate(Some(0.2)) - rate(None)) / BIRTH_WEIGHT;
         assert!((more - (0.2 - BIRTH_PRIOR)).abs() < 1e-12);
-        let mut births = BirthRate::new();
+        let mut births = BirthRate::default();
         births.fade(1000);
         births.expect(0.0);
         assert_eq!(births.expected_loss(1), 0.0);

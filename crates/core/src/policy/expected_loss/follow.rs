@@ -49,8 +49,8 @@ pub(super) struct Follower {
 /// Largest distance of a followed box from the filter's, picture heights and natural logarithms.
 const LARGEST_OFFSET: f64 = 1.0;
 
-impl Follower {
-    pub(crate) fn new() -> Self {
+impl Default for Follower {
+    fn default() -> Self {
         Self {
             flow: BoxFlow::new(BoxFlowSettings::of(FLOW_GRID, FLOW_LEVELS)),
             before: Pyramid::default(),
@@ -59,20 +59,15 @@ impl Follower {
             examined: false,
         }
     }
+}
 
+impl Follower {
     /// Copies the pictures of `other`. Allocates only while buffers grow.
     pub(crate) fn copy_from(&mut self, other: &Self) {
-        let Self {
-            flow: _,
-            before,
-            now,
-            age,
-            examined,
-        } = other;
-        self.before.copy_from(before);
-        self.now.copy_from(now);
-        self.age = *age;
-        self.examined = *examined;
+        self.before.copy_from(&other.before);
+        self.now.copy_from(&other.now);
+        self.age = other.age;
+        self.examined = other.examined;
     }
 
     /// Resets to the state without pictures.

@@ -28,8 +28,8 @@ pub(super) struct Objects {
     rejected: u64,
 }
 
-impl Objects {
-    pub(crate) fn new() -> Self {
+impl Default for Objects {
+    fn default() -> Self {
         Self {
             objects: Vec::new(),
             next_id: 0,
@@ -41,26 +41,17 @@ impl Objects {
             rejected: 0,
         }
     }
+}
 
+impl Objects {
     /// Copies the objects of `other`. Allocates only while buffers grow.
     pub(crate) fn copy_from(&mut self, other: &Self) {
-        let Self {
-            objects,
-            next_id,
-            picture,
-            aspect,
-            camera_alpha,
-            velocity,
-            pairing: _,
-            rejected,
-        } = other;
-        self.objects.clone_from(objects);
-        self.next_id = *next_id;
-        self.picture = *picture;
-        self.aspect = *aspect;
-        self.camera_alpha = *camera_alpha;
-        self.velocity.clone_from(velocity);
-        self.rejected = *rejected;
+        self.objects.clone_from(&other.objects);
+        *self = Self {
+            objects: std::mem::take(&mut self.objects),
+            pairing: std::mem::take(&mut self.pairing),
+            ..*other
+        };
     }
 
     /// Forgets the objects, but keeps the learnt parameters.

@@ -224,7 +224,7 @@ proptest! {
         for (step, detections) in &stream {
             let known = FrameEvidence { empty: Some(false), grey: None, detections: detections.as_deref() };
             run.frame(*step, known);
-            prop_assert!(run.policy.weight().is_finite());
+            prop_assert!(run.policy.weight.is_finite());
             prop_assert!(run.policy.crowd.is_finite() && run.policy.crowd >= 0.0);
             prop_assert!(run.outcome.tau_max.is_none_or(f64::is_finite));
             for output in &run.outcome.boxes {

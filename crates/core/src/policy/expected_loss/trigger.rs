@@ -86,7 +86,7 @@ impl Trigger {
 }
 
 /// The pause since the last call.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Pause {
     /// Frames since the last call, including lost ones and the current one.
     pub frames: u32,
@@ -99,14 +99,6 @@ pub(super) struct Pause {
 }
 
 impl Pause {
-    /// The state before the first call.
-    pub(crate) const START: Self = Self {
-        frames: 0,
-        skipped: 0,
-        lost: 0.0,
-        owed: 0.0,
-    };
-
     /// Advances by `step` frames.
     pub(crate) fn advance(&mut self, trigger: &Trigger, step: u32) {
         self.frames = self.frames.saturating_add(step);
@@ -158,7 +150,7 @@ impl Pause {
     pub(crate) fn end(&mut self) {
         *self = Self {
             owed: (self.owed - 1.0).max(0.0),
-            ..Self::START
+            ..Self::default()
         };
     }
 }

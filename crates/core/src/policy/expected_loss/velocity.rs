@@ -30,7 +30,7 @@ pub(super) fn features(center_x: f64, center_y: f64, log_size: f64) -> Features 
 }
 
 /// The running regression.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct VelocityRegression {
     a: Matrix4<f64>,
     b: Matrix4x3<f64>,

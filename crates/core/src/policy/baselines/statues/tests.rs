@@ -3,7 +3,7 @@ use crate::detection::Detection;
 use crate::policy::BoxSource::{Detected, Predicted};
 use crate::policy::FrameState::{I, P};
 use crate::policy::tests::{Run, seen};
-use crate::policy::{FrameEvidence, Profile};
+use crate::policy::{FrameEvidence, FrameState, Profile};
 
 const SIZE: PictureSize = PictureSize::new(64, 36);
 
