@@ -20,9 +20,9 @@ mod pyramid;
 mod tracker;
 mod window;
 
-pub use box_flow::{BoxFlow, BoxFlowSettings, BoxMotion, Followed};
-pub use pyramid::{GreyView, Pyramid};
-pub use tracker::{Tracker, TrackerSettings};
+pub use box_flow::{BoxFlow, BoxMotion, Followed};
+pub use pyramid::{GreyPicture, Pyramid};
+pub use tracker::Tracker;
 
 #[cfg(test)]
 mod tests;

@@ -53,6 +53,7 @@ pub(crate) mod tests;
 mod tracker;
 mod vanilla;
 
+pub use crate::flow::GreyPicture;
 pub use albireo::Albireo;
 pub use albireo_settings::{
     AlbireoSettings, DetectorFrameBoxes, PeriodicCap, Profile, ReportedConfidence,
@@ -100,15 +101,6 @@ pub enum Need {
     },
     /// The detector's detections.
     Detections,
-}
-
-/// A grey picture, row by row, without padding.
-#[derive(Clone, Copy, Debug)]
-pub struct GreyPicture<'a> {
-    /// Size in pixels.
-    pub size: PictureSize,
-    /// `width * height` luma values.
-    pub pixels: &'a [u8],
 }
 
 /// The answer to a [`Need`].

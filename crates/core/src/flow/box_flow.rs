@@ -1,6 +1,6 @@
 //! The motion of a box, from a grid of points followed forward and back.
 //!
-//! With p a point, d its shift and c the centre of the box, over the points that return to within `largest_return` of
+//! With p a point, d its shift and c the centre of the box, over the points that return to within [`LARGEST_RETURN`] of
 //! their start:
 //!
 //! ```text
@@ -15,53 +15,17 @@
 
 use super::median::median;
 use super::pyramid::Pyramid;
-use super::tracker::{Tracker, TrackerSettings};
+use super::tracker::Tracker;
 use crate::geometry::Corners;
 
-/// The settings of the grid and of its acceptance tests.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct BoxFlowSettings {
-    /// Points along each side of the grid, at most 16.
-    pub grid: usize,
-    /// Share of the box's sides that the grid spans.
-    pub inner: f32,
-    /// Largest distance between a kept point's start and its return, pixels.
-    pub largest_return: f32,
-    /// Smallest number of kept points.
-    pub least_points: usize,
-    /// Settings of the search for each point.
-    pub tracker: TrackerSettings,
-}
+/// Share of the box's sides that the grid spans.
+const INNER: f32 = 0.7;
 
-impl Default for BoxFlowSettings {
-    fn default() -> Self {
-        Self {
-            grid: 6,
-            inner: 0.7,
-            largest_return: 1.0,
-            least_points: 8,
-            tracker: TrackerSettings::default(),
-        }
-    }
-}
+/// Largest distance between a kept point's start and its return, pixels.
+const LARGEST_RETURN: f32 = 1.0;
 
-impl BoxFlowSettings {
-    /// Returns the default settings with this many points along each side of the grid and this many pyramid levels.
-    pub fn of(grid: u32, levels: u32) -> Self {
-        let standard = Self::default();
-        Self {
-            grid: grid as usize,
-            tracker: TrackerSettings {
-                levels: levels as usize,
-                ..standard.tracker
-            },
-            ..standard
-        }
-    }
-}
-
-/// Largest number of points along a side of the grid.
-const LARGEST_GRID: usize = 16;
+/// Smallest number of kept points.
+const LEAST_POINTS: usize = 8;
 
 /// The motion of a box.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -70,8 +34,6 @@ pub struct BoxMotion {
     pub shift: [f64; 2],
     /// Scale factor of the sides.
     pub scale: f64,
-    /// Median distance between the points' starts and returns, pixels.
-    pub forward_backward: f64,
     /// Median distance of the points from their positions by shift and scale, relative to the smaller side of the box.
     pub spread: f64,
 }
@@ -108,30 +70,22 @@ struct Pair {
 /// Follows boxes between pictures.
 #[derive(Clone, Debug)]
 pub struct BoxFlow {
-    settings: BoxFlowSettings,
+    grid: usize,
     tracker: Tracker,
     pairs: Vec<Pair>,
-    returns: Vec<f32>,
     values: Vec<f32>,
 }
 
 impl BoxFlow {
-    /// Creates a follower with these settings; a grid of more than 16 points per side is reduced to 16.
-    pub fn new(settings: BoxFlowSettings) -> Self {
-        let grid = settings.grid.min(LARGEST_GRID);
+    /// Creates a follower with `grid` points along each side of a box.
+    pub fn new(grid: usize) -> Self {
         let points = grid * grid;
         Self {
-            settings: BoxFlowSettings { grid, ..settings },
-            tracker: Tracker::new(settings.tracker),
+            grid,
+            tracker: Tracker::default(),
             pairs: Vec::with_capacity(points),
-            returns: Vec::with_capacity(points),
-            values: Vec::with_capacity(points * points.saturating_sub(1) / 2),
+            values: Vec::with_capacity(points * points / 2),
         }
-    }
-
-    /// The settings in force.
-    pub fn settings(&self) -> &BoxFlowSettings {
-        &self.settings
     }
 
     /// Follows the box `area` of the picture `before`, in its pixels, into the picture `after`. The search begins at
@@ -145,15 +99,14 @@ impl BoxFlow {
     ) -> Followed {
         let points = self.track_points(before, after, area, guess);
         let kept = self.pairs.len();
-        let enough = kept >= self.settings.least_points.max(2);
         Followed {
             points,
             kept,
-            motion: enough.then(|| self.motion(area)).flatten(),
+            motion: (kept >= LEAST_POINTS).then(|| self.motion(area)).flatten(),
         }
     }
 
-    /// Fills `pairs` and `returns`; returns the number of points to follow.
+    /// Fills `pairs`; returns the number of points to follow.
     fn track_points(
         &mut self,
         before: &Pyramid,
@@ -162,18 +115,15 @@ impl BoxFlow {
         guess: [f64; 2],
     ) -> usize {
         self.pairs.clear();
-        self.returns.clear();
         let (width, height) = before.size();
-        let rows = Grid::along(area.y1, area.y2, height, &self.settings);
-        let columns = Grid::along(area.x1, area.x2, width, &self.settings);
+        let rows = Grid::along(area.y1, area.y2, height, self.grid);
+        let columns = Grid::along(area.x1, area.x2, width, self.grid);
         let (Some(rows), Some(columns)) = (rows, columns) else {
             return 0;
         };
         let guess = guess.map(|shift| shift as f32);
-        let limit = self.settings.largest_return * self.settings.largest_return;
-        let grid = self.settings.grid;
-        for row in 0..grid {
-            for column in 0..grid {
+        for row in 0..self.grid {
+            for column in 0..self.grid {
                 let start = [columns.place(column), rows.place(row)];
                 let Some(shift) = self.tracker.track(before, after, start, guess) else {
                     continue;
@@ -183,14 +133,12 @@ impl BoxFlow {
                 let Some(back) = self.tracker.track(after, before, end, back) else {
                     continue;
                 };
-                let distance = squared(shift, [-back[0], -back[1]]);
-                if distance <= limit {
+                if squared(shift, [-back[0], -back[1]]) <= LARGEST_RETURN * LARGEST_RETURN {
                     self.pairs.push(Pair { start, end });
-                    self.returns.push(distance.sqrt());
                 }
             }
         }
-        grid * grid
+        self.grid * self.grid
     }
 
     fn motion(&mut self, area: Corners) -> Option<BoxMotion> {
@@ -219,7 +167,6 @@ impl BoxFlow {
         let motion = BoxMotion {
             shift: shift.map(f64::from),
             scale: f64::from(scale),
-            forward_backward: f64::from(median(&mut self.returns)),
             spread: f64::from(median(&mut self.values)) / side,
         };
         let finite = motion.shift[0].is_finite()
@@ -252,27 +199,19 @@ struct Grid {
 }
 
 impl Grid {
-    /// Returns the grid in the part of a side from `low` to `high` inside a picture of `length` pixels; `None` if that
-    /// part is empty.
-    fn along(low: f64, high: f64, length: usize, settings: &BoxFlowSettings) -> Option<Self> {
+    /// Returns the grid of `points` in the part of a side from `low` to `high` inside a picture of `length` pixels; `None`
+    /// if that part is empty.
+    fn along(low: f64, high: f64, length: usize, points: usize) -> Option<Self> {
         let low = low.max(0.0);
         let high = high.min(length as f64 - 1.0);
-        if low >= high || settings.grid == 0 {
+        if low >= high {
             return None;
         }
-        let span = (high - low) as f32 * settings.inner;
+        let span = (high - low) as f32 * INNER;
         let middle = ((low + high) / 2.0) as f32;
-        let steps = settings.grid - 1;
-        Some(if steps == 0 {
-            Self {
-                first: middle,
-                distance: 0.0,
-            }
-        } else {
-            Self {
-                first: middle - span / 2.0,
-                distance: span / steps as f32,
-            }
+        Some(Self {
+            first: middle - span / 2.0,
+            distance: span / points.saturating_sub(1).max(1) as f32,
         })
     }
 

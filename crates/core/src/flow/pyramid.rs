@@ -1,48 +1,28 @@
 //! Grey pictures at full size, half, a quarter and so on, each with a mirrored border.
 
-/// A borrowed grey picture.
+use crate::geometry::PictureSize;
+
+/// A grey picture, row by row, without padding.
 #[derive(Clone, Copy, Debug)]
-pub struct GreyView<'a> {
-    width: usize,
-    height: usize,
-    stride: usize,
-    bytes: &'a [u8],
+pub struct GreyPicture<'a> {
+    /// Size in pixels.
+    pub size: PictureSize,
+    /// `width * height` luma values.
+    pub pixels: &'a [u8],
 }
 
-impl<'a> GreyView<'a> {
-    /// Creates a view of `width` columns and `height` rows that begin every `stride` bytes. `None` if a side is 0 or
-    /// above 65,535, the stride is less than the width, or there are too few bytes.
-    pub fn new(width: usize, height: usize, stride: usize, bytes: &'a [u8]) -> Option<Self> {
-        let sides = 1..=usize::from(u16::MAX);
-        let needed = (height.checked_sub(1)?)
-            .checked_mul(stride)?
-            .checked_add(width)?;
-        let usable = sides.contains(&width)
-            && sides.contains(&height)
-            && stride >= width
-            && bytes.len() >= needed;
-        usable.then_some(Self {
-            width,
-            height,
-            stride,
-            bytes,
-        })
-    }
-
-    /// Returns the width in pixels.
-    pub fn width(&self) -> usize {
-        self.width
-    }
-
-    /// Returns the height in pixels.
-    pub fn height(&self) -> usize {
-        self.height
-    }
-
-    fn row(&self, y: usize) -> &'a [u8] {
-        &self.bytes[y * self.stride..][..self.width]
+impl GreyPicture<'_> {
+    /// True if the number of pixels matches the size.
+    pub fn is_whole(&self) -> bool {
+        self.pixels.len() as u64 == self.size.pixels()
     }
 }
+
+/// Maximum number of levels: points are searched in so many, coarse to fine.
+const LEVELS: usize = 3;
+
+/// Largest side of a picture.
+const LARGEST_SIDE: u32 = 65_535;
 
 /// Border around each level, pixels. A window centred in the picture never leaves it.
 pub(super) const BORDER: usize = 16;
@@ -126,54 +106,48 @@ fn reflect(at: isize, length: usize) -> usize {
 /// A picture at several sizes. Reuses its buffers when filled again.
 #[derive(Clone, Debug, Default)]
 pub struct Pyramid {
-    levels: Vec<Level>,
+    levels: [Level; LEVELS],
     used: usize,
     /// Weighted sums of five rows, including border pixels at both ends.
     sums: Vec<u16>,
 }
 
 impl Pyramid {
-    /// Fills the pyramid from `picture` with at most `levels` levels; the coarser ones are larger than a window. Each
-    /// is the previous level after the Gaussian (1 4 6 4 1)/16 in both directions, every second pixel, rounded: the
-    /// same numbers as from OpenCV's `pyrDown`.
-    pub fn fill(&mut self, picture: GreyView<'_>, levels: usize) {
-        if self.levels.is_empty() {
-            self.levels.push(Level::default());
+    /// Fills the pyramid from `picture` with at most three levels; the coarser ones are larger than a window. Each is the
+    /// previous level after the Gaussian (1 4 6 4 1)/16 in both directions, every second pixel, rounded: the same numbers
+    /// as from OpenCV's `pyrDown`. Returns false, without a change, if a side is 0 or above 65,535, or the number of pixels
+    /// does not match the size.
+    pub fn fill(&mut self, picture: GreyPicture<'_>) -> bool {
+        let PictureSize { width, height } = picture.size;
+        let sides = 1..=LARGEST_SIDE;
+        if !(sides.contains(&width) && sides.contains(&height) && picture.is_whole()) {
+            return false;
         }
-        let Some(finest) = self.levels.first_mut() else {
-            return;
-        };
-        finest.resize(picture.width, picture.height);
-        for y in 0..picture.height {
-            finest.row_mut(y).copy_from_slice(picture.row(y));
+        let [finest, ..] = &mut self.levels;
+        let (width, height) = (width as usize, height as usize);
+        finest.resize(width, height);
+        for (y, row) in picture.pixels.chunks_exact(width).enumerate() {
+            finest.row_mut(y).copy_from_slice(row);
         }
         finest.mirror();
         self.used = 1;
-        while self.used < levels {
-            if self.levels.len() == self.used {
-                self.levels.push(Level::default());
-            }
-            let Some(([.., larger], [smaller, ..])) = self.levels.split_at_mut_checked(self.used)
-            else {
-                return;
-            };
+        while let Some(([.., larger], [smaller, ..])) = self.levels.split_at_mut_checked(self.used)
+        {
             let (width, height) = (larger.width.div_ceil(2), larger.height.div_ceil(2));
             if width.min(height) <= super::window::SIDE {
-                return;
+                break;
             }
             smaller.resize(width, height);
             halve(larger, smaller, &mut self.sums);
             smaller.mirror();
             self.used += 1;
         }
+        true
     }
 
     /// Copies the picture of `other`; keeps the buffers.
     pub(crate) fn copy_from(&mut self, other: &Self) {
         self.used = other.used;
-        if self.levels.len() < other.used {
-            self.levels.resize_with(other.used, Level::default);
-        }
         for (level, from) in self.levels.iter_mut().zip(other.levels()) {
             level.width = from.width;
             level.height = from.height;
@@ -239,6 +213,11 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    fn picture(width: usize, height: usize, pixels: &[u8]) -> GreyPicture<'_> {
+        let size = PictureSize::new(width as u32, height as u32);
+        GreyPicture { size, pixels }
+    }
+
     proptest! {
         /// Against the definition: the weighted mean of 25 pixels, mirrored at the edges.
         #[test]
@@ -247,14 +226,13 @@ mod tests {
             height in 23usize..60,
             bytes in prop::collection::vec(any::<u8>(), 63 * 60),
         ) {
-            let picture = GreyView::new(width, height, width + 3, &bytes).unwrap();
             let mut pyramid = Pyramid::default();
-            pyramid.fill(picture, 2);
+            prop_assert!(pyramid.fill(picture(width, height, &bytes[..width * height])));
             let levels = pyramid.levels();
-            prop_assert_eq!(levels.len(), 2);
+            prop_assert!(levels.len() >= 2);
             let weights = [1u32, 4, 6, 4, 1];
             let at = |x: isize, y: isize| {
-                u32::from(picture.row(reflect(y, height))[reflect(x, width)])
+                u32::from(bytes[reflect(y, height) * width + reflect(x, width)])
             };
             for y in 0..levels[1].height {
                 for x in 0..levels[1].width {
@@ -276,28 +254,30 @@ mod tests {
     }
 
     #[test]
-    fn a_view_that_is_no_picture_is_rejected() {
+    fn numbers_that_are_no_picture_are_rejected() {
         let bytes = [0; 100];
-        assert!(GreyView::new(10, 10, 10, &bytes).is_some());
-        assert!(GreyView::new(8, 10, 10, &bytes[..98]).is_some());
-        for (width, height, stride, length) in [
-            (10, 10, 9, 100),
-            (10, 10, 10, 99),
-            (0, 10, 10, 100),
-            (10, 0, 10, 100),
-            (1, usize::MAX, usize::MAX, 100),
+        let mut pyramid = Pyramid::default();
+        assert!(pyramid.fill(picture(10, 10, &bytes)));
+        for (width, height, length) in [
+            (10, 9, 100),
+            (10, 10, 99),
+            (0, 10, 0),
+            (10, 0, 0),
+            (0, 0, 0),
+            (1, u32::MAX as usize, 100),
         ] {
-            assert!(GreyView::new(width, height, stride, &bytes[..length]).is_none());
+            assert!(!pyramid.fill(picture(width, height, &bytes[..length])));
+            assert_eq!(pyramid.size(), (10, 10));
         }
+        assert!(!pyramid.fill(picture(65_536, 1, &[0; 65_536])));
     }
 
     #[test]
     fn no_level_is_smaller_than_a_window() {
-        let bytes = [0; 64 * 40];
         let mut pyramid = Pyramid::default();
-        pyramid.fill(GreyView::new(64, 40, 64, &bytes).unwrap(), 9);
+        pyramid.fill(picture(64, 40, &[0; 64 * 40]));
         assert_eq!(pyramid.levels().len(), 2);
-        pyramid.fill(GreyView::new(8, 8, 8, &bytes).unwrap(), 9);
+        pyramid.fill(picture(8, 8, &[0; 64]));
         assert_eq!(pyramid.levels().len(), 1);
     }
 }

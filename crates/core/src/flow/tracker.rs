@@ -7,49 +7,23 @@
 use super::pyramid::Pyramid;
 use super::window::{Template, inside};
 
-/// The settings of the search.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TrackerSettings {
-    /// Pyramid levels to search, including the finest.
-    pub levels: usize,
-    /// Maximum Gauss-Newton steps per level.
-    pub steps: u32,
-    /// A step of at most this length, pixels of its level, is the last.
-    pub precision: f32,
-    /// Smallest texture of a window to search for: the smaller eigenvalue of the mean of `∇I ∇Iᵀ`, in squared grey
-    /// values per pixel.
-    pub least_texture: f32,
-}
+/// Maximum number of Gauss-Newton steps per level.
+const STEPS: u32 = 30;
 
-impl Default for TrackerSettings {
-    fn default() -> Self {
-        Self {
-            levels: 3,
-            steps: 30,
-            precision: 0.01,
-            // OpenCV's default of 1e-4, in its units of 32².
-            least_texture: 0.1024,
-        }
-    }
-}
+/// A step of at most this length, pixels of its level, is the last.
+const PRECISION: f32 = 0.01;
+
+/// Smallest texture of a window to search for: the smaller eigenvalue of the mean of `∇I ∇Iᵀ`, in squared grey values per
+/// pixel. OpenCV's default of 1e-4, in its units of 32².
+const LEAST_TEXTURE: f32 = 0.1024;
 
 /// Follows points between pictures.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Tracker {
-    /// The settings of the search.
-    pub settings: TrackerSettings,
     template: Template,
 }
 
 impl Tracker {
-    /// Creates a tracker with these settings.
-    pub const fn new(settings: TrackerSettings) -> Self {
-        Self {
-            settings,
-            template: Template::empty(),
-        }
-    }
-
     /// Returns the shift of `point` from the picture `before` to the picture `after`, searched for around the shift
     /// `guess`. `None` if the point lies outside the pictures or leaves them, has no texture, or the pictures differ in
     /// size.
@@ -75,12 +49,12 @@ impl Tracker {
                 continue;
             }
             let taken = self.template.take(from, x, y);
-            if taken.is_none() || self.template.texture() < self.settings.least_texture {
+            if taken.is_none() || self.template.texture() < LEAST_TEXTURE {
                 continue;
             }
             textured = true;
             let mut last = [0.0; 2];
-            for step in 0..self.settings.steps {
+            for step in 0..STEPS {
                 let (x, y) = (x + shift[0], y + shift[1]);
                 if !inside(to, x, y) {
                     break;
@@ -89,7 +63,7 @@ impl Tracker {
                     break;
                 };
                 shift = [shift[0] + dx, shift[1] + dy];
-                if dx * dx + dy * dy <= self.settings.precision * self.settings.precision {
+                if dx * dx + dy * dy <= PRECISION * PRECISION {
                     break;
                 }
                 // The steps oscillate around the same position: take its middle.

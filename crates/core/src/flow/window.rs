@@ -32,7 +32,7 @@ pub(super) fn inside(level: &Level, x: f32, y: f32) -> bool {
 /// The sum that a Gauss-Newton step needs, `Σ (J(x + d) − I(x))·∇I`, is linear in the weights of the four pixels around
 /// a position in J: one pass over the window gives the sums for all positions between the same pixels, and further
 /// steps among these cost nothing.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Template {
     dx: [Row; SIDE],
     dy: [Row; SIDE],
@@ -47,18 +47,6 @@ pub(super) struct Template {
 }
 
 impl Template {
-    /// Creates a template without a window.
-    pub(super) const fn empty() -> Self {
-        Self {
-            dx: [[i16x8::ZERO; 2]; SIDE],
-            dy: [[i16x8::ZERO; 2]; SIDE],
-            squares: [0.0; 3],
-            own: [0; 2],
-            differences: [[0.0; 2]; 4],
-            at: None,
-        }
-    }
-
     /// Takes the window around (x, y); `None` if that point is outside the picture. The gradients are Scharr's, and
     /// zero outside the picture.
     pub(super) fn take(&mut self, level: &Level, x: f32, y: f32) -> Option<()> {

@@ -96,7 +96,7 @@ impl Statues {
     /// number of pixels does not match its size.
     fn has_changed(&mut self, picture: GreyPicture<'_>) -> bool {
         let pixels = picture.pixels;
-        if pixels.len() as u64 != picture.size.pixels() {
+        if !picture.is_whole() {
             return true;
         }
         let changed = self.size != Some(picture.size) || {

@@ -27,12 +27,11 @@
 use super::motion::{LOG_HEIGHT, LOG_WIDTH, Measured, X, Y};
 use super::object::Object;
 use super::settings::{
-    BORDER, CENTER_NOISE, DOUBT, FLOW_GRID, FLOW_LEVELS, LONGEST_GAP, LOST_HEALTH, PIXEL_NOISE,
-    SIZE_NOISE, SPREAD_WEIGHT,
+    BORDER, CENTER_NOISE, DOUBT, FLOW_GRID, LONGEST_GAP, LOST_HEALTH, PIXEL_NOISE, SIZE_NOISE,
+    SPREAD_WEIGHT,
 };
-use crate::flow::{BoxFlow, BoxFlowSettings, BoxMotion, GreyView, Pyramid};
-use crate::geometry::{Corners, PictureSize};
-use crate::policy::GreyPicture;
+use crate::flow::{BoxFlow, BoxMotion, GreyPicture, Pyramid};
+use crate::geometry::Corners;
 
 /// The last picture used, and the optical flow from it.
 #[derive(Clone, Debug)]
@@ -52,7 +51,7 @@ const LARGEST_OFFSET: f64 = 1.0;
 impl Default for Follower {
     fn default() -> Self {
         Self {
-            flow: BoxFlow::new(BoxFlowSettings::of(FLOW_GRID, FLOW_LEVELS)),
+            flow: BoxFlow::new(FLOW_GRID),
             before: Pyramid::default(),
             now: Pyramid::default(),
             age: 0,
@@ -100,17 +99,16 @@ impl Follower {
     /// Receives the picture of the current frame and follows the boxes into it. Ignores a picture whose number of
     /// pixels does not match its size.
     pub(crate) fn look(&mut self, objects: &mut [Object], aspect: f64, picture: GreyPicture<'_>) {
-        let Some(view) = grey_view(picture) else {
+        if !self.now.fill(picture) {
             return;
-        };
+        }
         self.examined = true;
-        let (width, height) = (view.width(), view.height());
-        self.now.fill(view, self.flow.settings().tracker.levels);
         if self.before.size() != self.now.size() {
             self.before.clear();
             return;
         }
         // Picture heights to pixels.
+        let (width, height) = self.now.size();
         let scale = [width as f64 / aspect, height as f64];
         for object in objects {
             self.follow(object, aspect, scale);
@@ -182,14 +180,6 @@ impl Follower {
             object.filter.remember();
         }
     }
-}
-
-/// Returns the picture, unless its number of pixels does not match its size.
-pub(in crate::policy) fn grey_view(picture: GreyPicture<'_>) -> Option<GreyView<'_>> {
-    let PictureSize { width, height } = picture.size;
-    let whole = picture.pixels.len() as u64 == picture.size.pixels();
-    let (width, height) = (width as usize, height as usize);
-    GreyView::new(width, height, width, picture.pixels).filter(|_| whole)
 }
 
 /// Along the axis `center` of a picture of this `length`, extends the box `end` to the sides of the box `then` that

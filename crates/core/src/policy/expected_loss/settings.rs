@@ -128,9 +128,7 @@ pub(in crate::policy) const LEAST_CROWD: f64 = 0.5;
 /// Width of the requested grey picture, pixels.
 pub(in crate::policy) const FLOW_WIDTH: u32 = 320;
 /// Points along each side of the grid in a box.
-pub(in crate::policy) const FLOW_GRID: u32 = 4;
-/// Pyramid levels in which points are searched, coarse to fine.
-pub(in crate::policy) const FLOW_LEVELS: u32 = 3;
+pub(in crate::policy) const FLOW_GRID: usize = 4;
 /// Maximum number of frames from the last picture used over which boxes are followed.
 pub(in crate::policy) const LONGEST_GAP: u32 = 5;
 /// Start of the followed box: the weight of the detector's box against the filter's.
