@@ -49,20 +49,9 @@ impl ChangedRegion {
         difference: u8,
         size: u64,
     ) -> bool {
-        self.search(width, before, after, difference, size) > size
-    }
-
-    /// Returns the pixels of the largest region, or of the first one found with more than `enough`.
-    fn search(
-        &mut self,
-        width: usize,
-        before: &[u8],
-        after: &[u8],
-        difference: u8,
-        enough: u64,
-    ) -> u64 {
-        self.prepare(width);
-        let mut largest = 0;
+        self.above.clear();
+        self.regions.clear();
+        self.changed.resize(width, 0);
         // A width of 0 means no pixels, but chunks of 0 would panic.
         let rows = before
             .chunks_exact(width.max(1))
@@ -74,32 +63,12 @@ impl ChangedRegion {
                 self.regions.clear();
                 continue;
             }
-            largest = largest.max(self.join());
-            if largest > enough {
-                break;
+            if self.join() > size {
+                return true;
             }
             self.keep_row();
         }
-        largest
-    }
-
-    fn prepare(&mut self, width: usize) {
-        self.above.clear();
-        self.regions.clear();
-        if self.changed.len() != width {
-            self.changed.clear();
-            self.changed.resize(width, 0);
-            // At most every other pixel of a row is a run.
-            let most = width.div_ceil(2);
-            self.above.reserve(most);
-            self.row.clear();
-            self.row.reserve(most);
-            self.kept.clear();
-            self.kept.reserve(2 * most);
-            self.regions.reserve(2 * most);
-            self.renumbered.clear();
-            self.renumbered.reserve(2 * most);
-        }
+        false
     }
 
     fn find_runs(&mut self, before: &[u8], after: &[u8], difference: u8) {
