@@ -179,10 +179,6 @@ impl ThresholdRange {
             })
         }
     }
-
-    fn logarithms(self) -> (f64, f64) {
-        (self.least.ln(), self.most.ln())
-    }
 }
 
 /// Measurements since the previous step.
@@ -288,10 +284,6 @@ pub struct TargetState {
 /// The state of the threshold in a controller.
 #[derive(Clone, Copy, Debug)]
 struct Lever {
-    /// Logarithm of the value.
-    x: f64,
-    least: f64,
-    most: f64,
     /// The value: exactly the given one before the first move, and exact at the ends of the range.
     value: f64,
     range: ThresholdRange,
@@ -300,41 +292,39 @@ struct Lever {
 impl Lever {
     /// Creates a lever at `threshold`, clamped to the range.
     fn new(range: ThresholdRange, threshold: f64) -> Self {
-        let (least, most) = range.logarithms();
         // NaN and non-positive values have no logarithm; the accurate end is the safe one.
         let value = if threshold > 0.0 {
-            threshold
+            threshold.clamp(range.least, range.most)
         } else {
             range.least
         };
-        let value = value.clamp(range.least, range.most);
-        Self {
-            x: value.ln().clamp(least, most),
-            least,
-            most,
-            value,
-            range,
-        }
+        Self { value, range }
     }
 
-    /// Moves by `by`, clamped to the range.
+    /// Returns the logarithm of the value.
+    fn logarithm(&self) -> f64 {
+        self.value.ln()
+    }
+
+    /// Moves the logarithm by `by`, clamped to the range.
     fn push(&mut self, by: f64) {
-        self.x = (self.x + by).clamp(self.least, self.most);
-        self.value = if self.is_at_least() {
-            self.range.least
-        } else if self.is_at_most() {
-            self.range.most
+        let ThresholdRange { least, most } = self.range;
+        let moved = self.logarithm() + by;
+        self.value = if moved <= least.ln() {
+            least
+        } else if moved >= most.ln() {
+            most
         } else {
-            self.x.exp()
+            moved.exp()
         };
     }
 
     fn is_at_least(&self) -> bool {
-        self.x <= self.least
+        self.value <= self.range.least
     }
 
     fn is_at_most(&self) -> bool {
-        self.x >= self.most
+        self.value >= self.range.most
     }
 }
 

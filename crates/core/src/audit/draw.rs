@@ -7,30 +7,23 @@
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct AuditDraw {
     seed: u64,
-    /// Hashes below this value are drawn.
-    below: u64,
-    all: bool,
+    /// Hashes below this value are drawn: all of them at 2⁶⁴.
+    below: u128,
 }
 
 impl AuditDraw {
     /// Draws `share` of all frames, 0 to 1. A share outside that range counts as its nearest end, NaN as 0.
     pub fn new(share: f64, seed: u64) -> Self {
-        let share = if share.is_nan() {
-            0.0
-        } else {
-            share.clamp(0.0, 1.0)
-        };
         Self {
             seed,
-            // The conversion from a float saturates.
-            below: (share * 2f64.powi(64)) as u64,
-            all: share >= 1.0,
+            // NaN becomes 0.
+            below: (share.clamp(0.0, 1.0) * 2f64.powi(64)) as u128,
         }
     }
 
     /// True if the frame with this number is drawn.
     pub const fn draw(&self, frame: u64) -> bool {
-        self.all || mix(mix(self.seed) ^ frame) < self.below
+        (mix(mix(self.seed) ^ frame) as u128) < self.below
     }
 
     /// True if no frame is ever drawn.

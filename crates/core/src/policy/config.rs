@@ -1,9 +1,10 @@
 //! The `[policy]` section of the configuration and the list of its policies.
 
+use super::Ablation::{KillErd, KillErd10d, KillOnly};
 use super::Pixels::{Flow, Off};
 use super::{
-    Ablation, Albireo, Ctd, CtdSettings, ErdOnly, ExpectedLoss, FixedSkip, FixedSkipSettings,
-    InTracker, Policy, Profile, Statues, StatuesSettings, Trigger, Vanilla,
+    Albireo, Ctd, CtdSettings, ErdOnly, ExpectedLoss, FixedSkip, FixedSkipSettings, InTracker,
+    Policy, Profile, Statues, StatuesSettings, Trigger, Vanilla,
 };
 use serde::{Deserialize, Serialize};
 
@@ -82,29 +83,13 @@ pub enum PolicyConfigError {
     },
 }
 
-/// A policy that the configuration can name.
-struct Entry {
-    name: &'static str,
-    build: fn(&PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError>,
-    /// The field with the value of the policy's threshold; `None` without a threshold.
-    threshold: Option<fn(&mut PolicyConfig) -> &mut f64>,
-}
-
-const fn entry(
-    name: &'static str,
-    build: fn(&PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError>,
-    threshold: Option<fn(&mut PolicyConfig) -> &mut f64>,
-) -> Entry {
-    Entry {
-        name,
-        build,
-        threshold,
-    }
-}
-
-const KILL_ONLY: Ablation = Ablation::KillOnly;
-const KILL_ERD: Ablation = Ablation::KillErd;
-const KILL_ERD_10D: Ablation = Ablation::KillErd10d;
+/// A policy that the configuration can name: its name, its construction, and the field with the value of its threshold, if
+/// it has one.
+struct Entry(
+    &'static str,
+    fn(&PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError>,
+    Option<fn(&mut PolicyConfig) -> &mut f64>,
+);
 
 const PRICED: fn(&PolicyConfig) -> Trigger = |c| Trigger::ExpectedLoss { lambda: c.lambda };
 const FIXED: fn(&PolicyConfig) -> Trigger = |c| Trigger::FixedSkip { n: c.in_tracker.n };
@@ -115,26 +100,26 @@ const EVEN: fn(&PolicyConfig) -> Trigger = |c| Trigger::Even {
 /// All policies, one line each.
 #[rustfmt::skip]
 const POLICIES: &[Entry] = &[
-    entry(Albireo::NAME, Albireo::from_config, Some(|c| &mut c.u)),
-    entry(Vanilla::NAME, Vanilla::from_config, None),
-    entry(FixedSkip::NAME, FixedSkip::from_config, Some(|c| &mut c.fixed_skip.n)),
-    entry(Ctd::NAME, Ctd::from_config, Some(|c| &mut c.ctd.threshold)),
-    entry(Statues::NAME, Statues::from_config, Some(|c| &mut c.statues.component_size)),
-    entry(ErdOnly::NAME, ErdOnly::from_config, None),
-    entry(KILL_ONLY.name(), |c| Albireo::ablated(KILL_ONLY, c), Some(|c| &mut c.u)),
-    entry(KILL_ERD.name(), |c| Albireo::ablated(KILL_ERD, c), Some(|c| &mut c.u)),
-    entry(KILL_ERD_10D.name(), |c| Albireo::ablated(KILL_ERD_10D, c), Some(|c| &mut c.u)),
-    entry(ExpectedLoss::NAME, |c| ExpectedLoss::boxed(PRICED(c), Off), Some(|c| &mut c.lambda)),
-    entry(ExpectedLoss::FIXED_SKIP_NAME, |c| ExpectedLoss::boxed(FIXED(c), Off), Some(|c| &mut c.in_tracker.n)),
-    entry(ExpectedLoss::EVEN_SKIP_NAME, |c| ExpectedLoss::boxed(EVEN(c), Off), Some(|c| &mut c.in_tracker.skip_rate)),
-    entry(ExpectedLoss::FLOW_NAMES[0], |c| ExpectedLoss::boxed(PRICED(c), Flow), Some(|c| &mut c.lambda)),
-    entry(ExpectedLoss::FLOW_NAMES[1], |c| ExpectedLoss::boxed(FIXED(c), Flow), Some(|c| &mut c.in_tracker.n)),
-    entry(ExpectedLoss::FLOW_NAMES[2], |c| ExpectedLoss::boxed(EVEN(c), Flow), Some(|c| &mut c.in_tracker.skip_rate)),
+    Entry(Albireo::NAME, Albireo::from_config, Some(|c| &mut c.u)),
+    Entry(Vanilla::NAME, Vanilla::from_config, None),
+    Entry(FixedSkip::NAME, FixedSkip::from_config, Some(|c| &mut c.fixed_skip.n)),
+    Entry(Ctd::NAME, Ctd::from_config, Some(|c| &mut c.ctd.threshold)),
+    Entry(Statues::NAME, Statues::from_config, Some(|c| &mut c.statues.component_size)),
+    Entry(ErdOnly::NAME, ErdOnly::from_config, None),
+    Entry(KillOnly.name(), |c| Albireo::ablated(KillOnly, c), Some(|c| &mut c.u)),
+    Entry(KillErd.name(), |c| Albireo::ablated(KillErd, c), Some(|c| &mut c.u)),
+    Entry(KillErd10d.name(), |c| Albireo::ablated(KillErd10d, c), Some(|c| &mut c.u)),
+    Entry(ExpectedLoss::NAME, |c| ExpectedLoss::boxed(PRICED(c), Off), Some(|c| &mut c.lambda)),
+    Entry(ExpectedLoss::FIXED_SKIP_NAME, |c| ExpectedLoss::boxed(FIXED(c), Off), Some(|c| &mut c.in_tracker.n)),
+    Entry(ExpectedLoss::EVEN_SKIP_NAME, |c| ExpectedLoss::boxed(EVEN(c), Off), Some(|c| &mut c.in_tracker.skip_rate)),
+    Entry(ExpectedLoss::FLOW_NAMES[0], |c| ExpectedLoss::boxed(PRICED(c), Flow), Some(|c| &mut c.lambda)),
+    Entry(ExpectedLoss::FLOW_NAMES[1], |c| ExpectedLoss::boxed(FIXED(c), Flow), Some(|c| &mut c.in_tracker.n)),
+    Entry(ExpectedLoss::FLOW_NAMES[2], |c| ExpectedLoss::boxed(EVEN(c), Flow), Some(|c| &mut c.in_tracker.skip_rate)),
 ];
 
 /// The valid values of [`PolicyConfig::name`].
 pub(crate) fn known_policies() -> impl Iterator<Item = &'static str> {
-    POLICIES.iter().map(|entry| entry.name)
+    POLICIES.iter().map(|Entry(name, ..)| *name)
 }
 
 /// Suggests a replacement for an unknown name: a policy within two typing errors, otherwise the list of all.
@@ -155,7 +140,8 @@ impl PolicyConfig {
     /// # Errors
     /// [`PolicyConfigError`] if the name is unknown or a setting is invalid.
     pub fn build(&self) -> Result<Box<dyn Policy>, PolicyConfigError> {
-        (self.entry()?.build)(self)
+        let Entry(_, build, _) = self.entry()?;
+        build(self)
     }
 
     /// Parses `NAME[:ARGUMENT]` from a command line: the policy and the value of its threshold. Without an argument
@@ -185,15 +171,13 @@ impl PolicyConfig {
     /// # Errors
     /// [`PolicyConfigError`] if the name is unknown, the policy has no threshold, or `argument` is not a number.
     pub fn set_argument(&mut self, argument: &str) -> Result<(), PolicyConfigError> {
-        let entry = self.entry()?;
+        let &Entry(policy, _, threshold) = self.entry()?;
         let wrong = |reason: &str| PolicyConfigError::Argument {
-            policy: entry.name,
+            policy,
             argument: argument.to_owned(),
             reason: reason.to_owned(),
         };
-        let place = entry
-            .threshold
-            .ok_or_else(|| wrong("this policy takes no argument"))?;
+        let place = threshold.ok_or_else(|| wrong("this policy takes no argument"))?;
         *place(self) = argument
             .trim()
             .parse()
@@ -204,7 +188,7 @@ impl PolicyConfig {
     fn entry(&self) -> Result<&'static Entry, PolicyConfigError> {
         POLICIES
             .iter()
-            .find(|entry| entry.name == self.name)
+            .find(|Entry(name, ..)| *name == self.name)
             .ok_or_else(|| PolicyConfigError::UnknownPolicy {
                 name: self.name.clone(),
             })

@@ -90,11 +90,12 @@ impl RecallControl {
             self.verdict.status = TargetStatus::Measuring;
             return;
         }
-        self.lots.push_back((lever.x, lot));
+        self.lots.push_back((lever.logarithm(), lot));
         while self.lots.len() > MOST_LOTS {
             self.lots.pop_front();
         }
-        self.lots.retain(|(x, _)| (x - lever.x).abs() <= NEAR);
+        self.lots
+            .retain(|(x, _)| (x - lever.logarithm()).abs() <= NEAR);
         let mut all = AuditSums::default();
         for (_, lot) in &self.lots {
             all.merge(lot);

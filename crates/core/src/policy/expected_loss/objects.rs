@@ -4,8 +4,8 @@ use super::association::associate;
 use super::motion::{LOG_HEIGHT, LOG_WIDTH, X, Y};
 use super::object::{Object, scale};
 use super::settings::{
-    BIRTH_CONFIDENCE, CAMERA_ALPHA_RATE, HITS_TO_CONFIRM, LARGEST_VELOCITY, LEAST_CONFIDENCE,
-    LEAST_SIDE, LEAST_VISIBLE, Pixels, VELOCITY_MEMORY, VELOCITY_RIDGE,
+    BIRTH_CONFIDENCE, CAMERA_ALPHA_RATE, HITS_TO_CONFIRM, LEAST_CONFIDENCE, LEAST_SIDE,
+    LEAST_VISIBLE, Pixels,
 };
 use super::velocity::{VelocityRegression, features};
 use crate::detection::Detection;
@@ -132,7 +132,7 @@ impl Objects {
             usable
         });
         associate(pairing, &self.objects, detections, usable, aspect);
-        self.velocity.fade(VELOCITY_MEMORY);
+        self.velocity.fade();
         let (velocity, camera_alpha) = (&mut self.velocity, &mut self.camera_alpha);
         let mut detection_of = self.pairing.detection_of().iter();
         self.objects.retain_mut(|object| {
@@ -159,11 +159,8 @@ impl Objects {
             scores += detection.confidence;
             let b = detection.bounding_box;
             let log_size = (b.width * self.aspect * b.height).ln() / 2.0;
-            let velocity = self.velocity.expect(
-                &features(b.center_x, b.center_y, log_size),
-                VELOCITY_RIDGE,
-                LARGEST_VELOCITY,
-            );
+            let place = features(b.center_x, b.center_y, log_size);
+            let velocity = self.velocity.expect(&place);
             let id = ObjectId(self.next_id);
             self.next_id += 1;
             let alpha = self.camera_alpha;

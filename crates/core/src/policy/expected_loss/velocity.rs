@@ -11,6 +11,7 @@
 //! and the velocities `y = v/U`, each detector frame multiplies the sums `A = Σ φφᵀ` and `B = Σ φyᵀ` by
 //! the memory and adds its own; a newcomer at φ gets `yᵀ = φᵀ (A + ridge·I)⁻¹ B`, clamped.
 
+use super::settings::{LARGEST_VELOCITY, VELOCITY_MEMORY, VELOCITY_RIDGE};
 use nalgebra::{Matrix4, Matrix4x3, Vector4};
 
 const FEATURES: usize = 4;
@@ -40,9 +41,9 @@ pub(super) struct VelocityRegression {
 
 impl VelocityRegression {
     /// Fades the learnt sums, once per detector frame.
-    pub(crate) fn fade(&mut self, memory: f64) {
-        self.a *= memory;
-        self.b *= memory;
+    pub(crate) fn fade(&mut self) {
+        self.a *= VELOCITY_MEMORY;
+        self.b *= VELOCITY_MEMORY;
         self.solved = false;
     }
 
@@ -54,27 +55,24 @@ impl VelocityRegression {
         self.solved = false;
     }
 
-    /// Returns the expected velocity at `features`, each component within ±`largest`.
-    pub(crate) fn expect(
-        &mut self,
-        features: &Features,
-        ridge: f64,
-        largest: f64,
-    ) -> [f64; VELOCITIES] {
+    /// Returns the expected velocity at `features`, each component within ±[`LARGEST_VELOCITY`].
+    pub(crate) fn expect(&mut self, features: &Features) -> [f64; VELOCITIES] {
         if !self.solved {
-            self.weights = solve(self.a, &self.b, ridge);
+            self.weights = solve(self.a, &self.b);
             self.solved = true;
         }
         let expected = self.weights.tr_mul(&Vector4::from(*features));
-        std::array::from_fn(|velocity| expected[velocity].clamp(-largest, largest))
+        expected
+            .map(|velocity| velocity.clamp(-LARGEST_VELOCITY, LARGEST_VELOCITY))
+            .into()
     }
 }
 
 /// Solves `(a + ridge·I) w = b` by Cholesky's decomposition. `a` is a sum of squares, so with the ridge it is positive
 /// definite; a pivot that rounding makes zero or less counts as the ridge.
-fn solve(a: Matrix4<f64>, b: &Matrix4x3<f64>, ridge: f64) -> Matrix4x3<f64> {
-    let regularised = a + Matrix4::from_diagonal_element(ridge);
-    nalgebra::Cholesky::new_with_substitute(regularised, ridge)
+fn solve(a: Matrix4<f64>, b: &Matrix4x3<f64>) -> Matrix4x3<f64> {
+    let regularised = a + Matrix4::from_diagonal_element(VELOCITY_RIDGE);
+    nalgebra::Cholesky::new_with_substitute(regularised, VELOCITY_RIDGE)
         .map(|decomposed| decomposed.solve(b))
         .unwrap_or_default()
 }
@@ -88,7 +86,7 @@ mod tests {
     fn the_weights_solve_the_ridge_regression_and_without_data_there_is_no_velocity() {
         let mut regression = VelocityRegression::default();
         let phi = features(0.3, 0.8, -1.5);
-        assert_eq!(regression.expect(&phi, 5.0, 0.3), [0.0; VELOCITIES]);
+        assert_eq!(regression.expect(&phi), [0.0; VELOCITIES]);
         let mut a = SMatrix::<f64, FEATURES, FEATURES>::zeros();
         let mut b = SMatrix::<f64, FEATURES, VELOCITIES>::zeros();
         for round in 0..30u32 {
@@ -96,21 +94,25 @@ mod tests {
             let (x, y) = (0.5 + 0.4 * t.sin(), 0.5 + 0.3 * (1.7 * t).cos());
             let phi = features(x, y, -2.0 - 0.05 * t);
             let velocity = [0.1 * (2.1 * t).sin(), 0.02 * t.cos(), 0.03];
-            regression.fade(0.98);
+            regression.fade();
             regression.learn(&phi, &velocity);
             let column = SVector::from(phi);
-            a = a * 0.98 + column * column.transpose();
-            b = b * 0.98 + column * SVector::from(velocity).transpose();
+            a = a * VELOCITY_MEMORY + column * column.transpose();
+            b = b * VELOCITY_MEMORY + column * SVector::from(velocity).transpose();
         }
-        let ridge = a + SMatrix::<f64, FEATURES, FEATURES>::identity() * 5.0;
+        let ridge = a + SMatrix::<f64, FEATURES, FEATURES>::identity() * VELOCITY_RIDGE;
         let weights = ridge.lu().solve(&b).unwrap();
         let expected = weights.transpose() * SVector::from(phi);
-        let found = regression.expect(&phi, 5.0, 10.0);
+        let found = regression.expect(&phi);
         for velocity in 0..VELOCITIES {
             assert!((expected[velocity] - found[velocity]).abs() < 1e-12);
         }
-        // Asked for less, it gives no more.
-        let least = regression.expect(&phi, 5.0, 1e-3);
-        assert!(least.iter().all(|v| v.abs() <= 1e-3), "{least:?}");
+        // It gives no more than the largest velocity.
+        for _ in 0..100 {
+            regression.learn(&phi, &[9.0, -9.0, 0.1]);
+        }
+        let [x, y, growth] = regression.expect(&phi);
+        assert_eq!([x, y], [LARGEST_VELOCITY, -LARGEST_VELOCITY]);
+        assert!((0.05..0.15).contains(&growth), "{growth}");
     }
 }
