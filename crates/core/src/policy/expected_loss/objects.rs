@@ -1,7 +1,7 @@
 //! The objects in view and their tracking, independent of the trigger.
 
 use super::association::associate;
-use super::motion::{LOG_HEIGHT, LOG_WIDTH, X, Y};
+use super::motion::{LARGEST_LOG, LOG_HEIGHT, LOG_WIDTH, X, Y};
 use super::object::{Object, scale};
 use super::settings::{
     BIRTH_CONFIDENCE, CAMERA_ALPHA_RATE, HITS_TO_CONFIRM, LEAST_CONFIDENCE, LEAST_SIDE,
@@ -158,7 +158,9 @@ impl Objects {
             }
             scores += detection.confidence;
             let b = detection.bounding_box;
+            // The area of a thin box may round to 0.
             let log_size = (b.width * self.aspect * b.height).ln() / 2.0;
+            let log_size = log_size.max(-LARGEST_LOG);
             let place = features(b.center_x, b.center_y, log_size);
             let velocity = self.velocity.expect(&place);
             let id = ObjectId(self.next_id);

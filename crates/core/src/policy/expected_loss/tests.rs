@@ -188,6 +188,22 @@ fn a_fixed_schedule_calls_on_one_frame_in_n_and_is_back_in_step_after_a_gap() {
     assert_eq!(frames.collect::<Vec<_>>(), [0, 4, 14, 16, 22]);
 }
 
+#[test]
+fn a_box_without_area_gives_a_new_object_a_finite_velocity() {
+    let mut run = policy(0.0);
+    for index in 0..5 {
+        run.see(&[detection(0.3 + 0.02 * f64::from(index), 0.5, 0.1, 0.9)]);
+    }
+    let mut thin = detection(0.8, 0.5, 0.1, 0.9);
+    thin.bounding_box.height = 5e-324;
+    run.see(&[thin]);
+    run.blind();
+    let records = run.records();
+    assert_eq!(records.len(), 2);
+    let mut boxes = records.iter().map(|record| record.bounding_box);
+    assert!(boxes.all(BoundingBox::is_finite), "{records:?}");
+}
+
 /// Valid numbers, and some that a broken detector may return.
 fn numbers() -> impl Strategy<Value = f64> {
     prop_oneof![
