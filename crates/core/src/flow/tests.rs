@@ -26,20 +26,29 @@ impl Texture {
         }))
     }
 
-    fn at(&self, x: f64, y: f64) -> u8 {
-        let wave = |[kx, ky, phase, weight]: &[f64; 4]| weight * (kx * x + ky * y + phase).cos();
-        let value: f64 = self.0.iter().map(wave).sum();
-        (128.0 + 7.0 * value).clamp(0.0, 255.0) as u8
-    }
-
     /// The picture in which the point p has moved to `middle + scale·(p − middle) + shift`.
     fn picture(&self, middle: [f64; 2], shift: [f64; 2], scale: f64) -> Vec<u8> {
         let place = |at: usize, axis: usize| {
             (at as f64 - middle[axis] - shift[axis]) / scale + middle[axis]
         };
-        (0..WIDTH * HEIGHT)
-            .map(|index| self.at(place(index % WIDTH, 0), place(index / WIDTH, 1)))
-            .collect()
+        // Sine and cosine of each wave's share of its angle, so that pixels need only products of them.
+        let along = |axis: usize, length: usize| {
+            let angle = |wave: [f64; 4], at| wave[axis] * place(at, axis) + wave[2] / 2.0;
+            let waves = (0..length).map(|at| self.0.map(|wave| angle(wave, at).sin_cos()));
+            waves.collect::<Vec<_>>()
+        };
+        let (columns, rows) = (along(0, WIDTH), along(1, HEIGHT));
+        let value = |index: usize| {
+            let angles = columns[index % WIDTH].iter().zip(&rows[index / WIDTH]);
+            let waves =
+                angles.map(|((sin_x, cos_x), (sin_y, cos_y))| cos_x * cos_y - sin_x * sin_y);
+            let sum: f64 = waves
+                .zip(&self.0)
+                .map(|(wave, [.., weight])| weight * wave)
+                .sum();
+            (128.0 + 7.0 * sum).clamp(0.0, 255.0) as u8
+        };
+        (0..WIDTH * HEIGHT).map(value).collect()
     }
 }
 
