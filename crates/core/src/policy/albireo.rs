@@ -68,23 +68,20 @@ impl Albireo {
         })
     }
 
-    pub(super) fn from_config(config: &PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError> {
-        Ok(Box::new(Self::new(
-            AlbireoSettings::of(config.profile),
-            config.u,
-        )?))
+    pub(super) fn from_config(config: &PolicyConfig) -> Result<Self, PolicyConfigError> {
+        Self::new(AlbireoSettings::of(config.profile), config.u)
     }
 
     /// Creates a policy without some of its parts, under the name of the ablation.
     pub(super) fn ablated(
         ablation: Ablation,
         config: &PolicyConfig,
-    ) -> Result<Box<dyn Policy>, PolicyConfigError> {
+    ) -> Result<Self, PolicyConfigError> {
         let mut settings = AlbireoSettings::of(config.profile);
         ablation.apply(&mut settings);
         let mut policy = Self::new(settings, config.u)?;
         policy.name = ablation.name();
-        Ok(Box::new(policy))
+        Ok(policy)
     }
 
     /// Copies the state of `other`, a copy of this policy, but not its settings and threshold.

@@ -91,30 +91,37 @@ struct Entry(
     Option<fn(&mut PolicyConfig) -> &mut f64>,
 );
 
-const PRICED: fn(&PolicyConfig) -> Trigger = |c| Trigger::ExpectedLoss { lambda: c.lambda };
-const FIXED: fn(&PolicyConfig) -> Trigger = |c| Trigger::FixedSkip { n: c.in_tracker.n };
-const EVEN: fn(&PolicyConfig) -> Trigger = |c| Trigger::Even {
+pub(super) const PRICED: fn(&PolicyConfig) -> Trigger =
+    |c| Trigger::ExpectedLoss { lambda: c.lambda };
+pub(super) const FIXED: fn(&PolicyConfig) -> Trigger = |c| Trigger::FixedSkip { n: c.in_tracker.n };
+pub(super) const EVEN: fn(&PolicyConfig) -> Trigger = |c| Trigger::Even {
     skip_rate: c.in_tracker.skip_rate,
 };
+
+fn boxed<P: Policy + 'static>(
+    policy: Result<P, PolicyConfigError>,
+) -> Result<Box<dyn Policy>, PolicyConfigError> {
+    Ok(Box::new(policy?))
+}
 
 /// All policies, one line each.
 #[rustfmt::skip]
 const POLICIES: &[Entry] = &[
-    Entry(Albireo::NAME, Albireo::from_config, Some(|c| &mut c.u)),
-    Entry(Vanilla::NAME, Vanilla::from_config, None),
-    Entry(FixedSkip::NAME, FixedSkip::from_config, Some(|c| &mut c.fixed_skip.n)),
-    Entry(Ctd::NAME, Ctd::from_config, Some(|c| &mut c.ctd.threshold)),
-    Entry(Statues::NAME, Statues::from_config, Some(|c| &mut c.statues.component_size)),
-    Entry(ErdOnly::NAME, ErdOnly::from_config, None),
-    Entry(KillOnly.name(), |c| Albireo::ablated(KillOnly, c), Some(|c| &mut c.u)),
-    Entry(KillErd.name(), |c| Albireo::ablated(KillErd, c), Some(|c| &mut c.u)),
-    Entry(KillErd10d.name(), |c| Albireo::ablated(KillErd10d, c), Some(|c| &mut c.u)),
-    Entry(ExpectedLoss::NAME, |c| ExpectedLoss::boxed(PRICED(c), Off), Some(|c| &mut c.lambda)),
-    Entry(ExpectedLoss::FIXED_SKIP_NAME, |c| ExpectedLoss::boxed(FIXED(c), Off), Some(|c| &mut c.in_tracker.n)),
-    Entry(ExpectedLoss::EVEN_SKIP_NAME, |c| ExpectedLoss::boxed(EVEN(c), Off), Some(|c| &mut c.in_tracker.skip_rate)),
-    Entry(ExpectedLoss::FLOW_NAMES[0], |c| ExpectedLoss::boxed(PRICED(c), Flow), Some(|c| &mut c.lambda)),
-    Entry(ExpectedLoss::FLOW_NAMES[1], |c| ExpectedLoss::boxed(FIXED(c), Flow), Some(|c| &mut c.in_tracker.n)),
-    Entry(ExpectedLoss::FLOW_NAMES[2], |c| ExpectedLoss::boxed(EVEN(c), Flow), Some(|c| &mut c.in_tracker.skip_rate)),
+    Entry(Albireo::NAME, |c| boxed(Albireo::from_config(c)), Some(|c| &mut c.u)),
+    Entry(Vanilla::NAME, |_| boxed(Ok(Vanilla::default())), None),
+    Entry(FixedSkip::NAME, |c| boxed(FixedSkip::from_config(c)), Some(|c| &mut c.fixed_skip.n)),
+    Entry(Ctd::NAME, |c| boxed(Ctd::from_config(c)), Some(|c| &mut c.ctd.threshold)),
+    Entry(Statues::NAME, |c| boxed(Statues::from_config(c)), Some(|c| &mut c.statues.component_size)),
+    Entry(ErdOnly::NAME, |_| boxed(Ok(ErdOnly::default())), None),
+    Entry(KillOnly.name(), |c| boxed(Albireo::ablated(KillOnly, c)), Some(|c| &mut c.u)),
+    Entry(KillErd.name(), |c| boxed(Albireo::ablated(KillErd, c)), Some(|c| &mut c.u)),
+    Entry(KillErd10d.name(), |c| boxed(Albireo::ablated(KillErd10d, c)), Some(|c| &mut c.u)),
+    Entry(ExpectedLoss::NAME, |c| boxed(ExpectedLoss::with(PRICED(c), Off)), Some(|c| &mut c.lambda)),
+    Entry(ExpectedLoss::FIXED_SKIP_NAME, |c| boxed(ExpectedLoss::with(FIXED(c), Off)), Some(|c| &mut c.in_tracker.n)),
+    Entry(ExpectedLoss::EVEN_SKIP_NAME, |c| boxed(ExpectedLoss::with(EVEN(c), Off)), Some(|c| &mut c.in_tracker.skip_rate)),
+    Entry(ExpectedLoss::FLOW_NAMES[0], |c| boxed(ExpectedLoss::with(PRICED(c), Flow)), Some(|c| &mut c.lambda)),
+    Entry(ExpectedLoss::FLOW_NAMES[1], |c| boxed(ExpectedLoss::with(FIXED(c), Flow)), Some(|c| &mut c.in_tracker.n)),
+    Entry(ExpectedLoss::FLOW_NAMES[2], |c| boxed(ExpectedLoss::with(EVEN(c), Flow)), Some(|c| &mut c.in_tracker.skip_rate)),
 ];
 
 /// The valid values of [`PolicyConfig::name`].

@@ -136,15 +136,12 @@ impl ExpectedLoss {
     }
 
     /// Creates a policy with this trigger and this use of pixels.
-    pub(super) fn boxed(
-        trigger: Trigger,
-        pixels: Pixels,
-    ) -> Result<Box<dyn Policy>, PolicyConfigError> {
+    pub(super) fn with(trigger: Trigger, pixels: Pixels) -> Result<Self, PolicyConfigError> {
         let settings = ExpectedLossSettings {
             pixels,
             ..ExpectedLossSettings::default()
         };
-        Ok(Box::new(Self::new(settings, trigger)?))
+        Self::new(settings, trigger)
     }
 
     /// Sums the expected losses of this frame without the detector.

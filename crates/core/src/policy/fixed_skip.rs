@@ -87,12 +87,12 @@ impl FixedSkip {
         useful_maximum: 30.0,
     };
 
-    pub(super) fn from_config(config: &PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError> {
+    pub(super) fn from_config(config: &PolicyConfig) -> Result<Self, PolicyConfigError> {
         let settings = &config.fixed_skip;
         let skipped = settings
             .skipped_boxes
             .unwrap_or(SkippedBoxes::of(config.profile));
-        Ok(Box::new(Self {
+        Ok(Self {
             n: check_setting("fixed_skip", Self::THRESHOLD, settings.n)?,
             memory: match skipped {
                 SkippedBoxes::Reuse => Memory::Boxes(DetectorBoxes::default()),
@@ -101,7 +101,7 @@ impl FixedSkip {
             index: 0,
             progress: Progress::default(),
             last_answered: None,
-        }))
+        })
     }
 
     /// True if a multiple of N lies between the last frame that the detector answered and frame `index`, inclusive. So

@@ -2,9 +2,7 @@
 
 use super::detector_boxes::DetectorBoxes;
 use super::progress::Progress;
-use super::{
-    CallCause, Evidence, FrameHead, Need, Outcome, Policy, PolicyConfig, PolicyConfigError,
-};
+use super::{CallCause, Evidence, FrameHead, Need, Outcome, Policy};
 
 /// The vanilla policy. It keeps no objects and has no threshold.
 #[derive(Clone, Debug, Default)]
@@ -16,10 +14,6 @@ pub struct Vanilla {
 impl Vanilla {
     /// The name in configuration and reports.
     pub const NAME: &'static str = "vanilla";
-
-    pub(super) fn from_config(_: &PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError> {
-        Ok(Box::new(Self::default()))
-    }
 }
 
 impl Policy for Vanilla {

@@ -70,18 +70,16 @@ impl Ctd {
         useful_maximum: 0.99,
     };
 
-    pub(in crate::policy) fn from_config(
-        config: &PolicyConfig,
-    ) -> Result<Box<dyn Policy>, PolicyConfigError> {
+    pub(in crate::policy) fn from_config(config: &PolicyConfig) -> Result<Self, PolicyConfigError> {
         let settings = config.ctd;
         let threshold = check_setting(Self::NAME, Self::THRESHOLD, settings.threshold)?;
-        Ok(Box::new(Self {
+        Ok(Self {
             settings,
             largest_distance: distance_with_confidence(threshold),
             tracker: Tracker::from_config(config),
             progress: Progress::default(),
             since_detector: 0,
-        }))
+        })
     }
 
     /// Returns the reason for a detector call, if there is one.

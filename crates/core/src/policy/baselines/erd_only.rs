@@ -3,9 +3,7 @@
 
 use crate::policy::detector_boxes::DetectorBoxes;
 use crate::policy::progress::Progress;
-use crate::policy::{
-    CallCause, Evidence, FrameHead, Need, Outcome, Policy, PolicyConfig, PolicyConfigError,
-};
+use crate::policy::{CallCause, Evidence, FrameHead, Need, Outcome, Policy};
 
 /// The screen-only policy. It keeps no objects and has no threshold.
 #[derive(Clone, Debug, Default)]
@@ -17,12 +15,6 @@ pub(crate) struct ErdOnly {
 impl ErdOnly {
     /// The name in configuration and reports.
     pub(crate) const NAME: &'static str = "erd-only";
-
-    pub(in crate::policy) fn from_config(
-        _: &PolicyConfig,
-    ) -> Result<Box<dyn Policy>, PolicyConfigError> {
-        Ok(Box::new(Self::default()))
-    }
 }
 
 impl Policy for ErdOnly {

@@ -69,9 +69,7 @@ impl Statues {
         useful_maximum: 10_000.0,
     };
 
-    pub(in crate::policy) fn from_config(
-        config: &PolicyConfig,
-    ) -> Result<Box<dyn Policy>, PolicyConfigError> {
+    pub(in crate::policy) fn from_config(config: &PolicyConfig) -> Result<Self, PolicyConfigError> {
         let settings = config.statues;
         check_setting(Self::NAME, Self::THRESHOLD, settings.component_size)?;
         if settings.pixel_difference == 0 {
@@ -81,7 +79,7 @@ impl Statues {
                     .to_owned(),
             });
         }
-        Ok(Box::new(Self {
+        Ok(Self {
             settings,
             region: ChangedRegion::default(),
             pixels: Vec::new(),
@@ -89,7 +87,7 @@ impl Statues {
             boxes: DetectorBoxes::default(),
             progress: Progress::default(),
             detector_owed: true,
-        }))
+        })
     }
 
     /// True if `picture` differs enough from the last one or cannot be compared. Keeps it as the last one, unless its

@@ -1,9 +1,12 @@
 use super::*;
 use crate::detection::Detection;
 use crate::geometry::PictureSize;
-use crate::policy::config::known_policies;
+use crate::policy::config::{EVEN, FIXED, PRICED, known_policies};
 use crate::policy::tests::{built, detection, head, records, seen, textured, useful};
-use crate::policy::{EvidenceAtHand, FrameEvidence, FrameState, GreyPicture, Profile};
+use crate::policy::{
+    Ablation, Albireo, EvidenceAtHand, ExpectedLoss, FrameEvidence, FrameState, GreyPicture,
+    Pixels, PolicyConfig, Profile,
+};
 use proptest::prelude::*;
 use std::sync::LazyLock;
 
@@ -75,9 +78,9 @@ fn build(name: &str) -> Box<dyn Policy> {
     built(name, Profile::Paper)
 }
 
-/// The definition: `policy` from the start of the stream through all frames, where frame i is given its first
-/// `given[i]` pieces of evidence and no more. Returns the outcome of every frame.
-fn from_the_start(policy: &mut dyn Policy, script: &[Event], given: &[usize]) -> Vec<Outcome> {
+/// The definition: `policy` through all frames of the script, where frame i is given its first `given[i]` pieces of
+/// evidence and no more. Returns the outcome of every frame.
+fn play(policy: &mut dyn Policy, script: &[Event], given: &[usize]) -> Vec<Outcome> {
     let mut outcomes = Vec::new();
     for (event, &given) in script.iter().zip(given) {
         if let Some(value) = event.threshold(policy) {
@@ -180,38 +183,73 @@ proptest! {
         script in prop_oneof![events(0), events(6)],
         profile in prop::sample::select(vec![Profile::Paper, Profile::Reference]),
     ) {
-        for name in known_policies().filter(|name| build(name).can_rewind()) {
-            let mut camera = Camera {
-                late: LatePolicy::new(built(name, profile)).unwrap(),
-                script: &script,
-                next: 0,
-                waits: None,
-                given: vec![0; script.len()],
-                live: Outcome::default(),
-                settled: Vec::new(),
-            };
-            while camera.frame() {
-                let so_far = &script[..camera.next];
-                let mut policy = built(name, profile);
-                let mut before = from_the_start(&mut *policy, so_far, &camera.given).pop().unwrap();
-                (before.degraded, before.cause) = (false, None);
-                prop_assert_eq!(&camera.live, &before, "{}", name);
-                prop_assert_eq!(records(camera.late.policy()), records(&*policy), "{}", name);
-                let came = camera.arrivals();
-                prop_assert_eq!(camera.late.pending().is_some(), camera.waits.is_some(), "{}", name);
-                if !came {
-                    continue;
-                }
-                let mut policy = built(name, profile);
-                let after = from_the_start(&mut *policy, so_far, &camera.given);
-                prop_assert_eq!(records(camera.late.policy()), records(&*policy), "{}", name);
-                prop_assert_eq!(camera.late.policy().threshold(), policy.threshold());
-                for (frame, outcome) in &camera.settled {
-                    prop_assert_eq!(outcome, &after[*frame], "{}, frame {}", name, frame);
-                }
+        let config = PolicyConfig { profile, ..PolicyConfig::default() };
+        let mut names = vec![compare(&Albireo::from_config(&config).unwrap(), &script)?];
+        for ablation in [Ablation::KillOnly, Ablation::KillErd, Ablation::KillErd10d] {
+            names.push(compare(&Albireo::ablated(ablation, &config).unwrap(), &script)?);
+        }
+        for pixels in [Pixels::Off, Pixels::Flow] {
+            for trigger in [PRICED, FIXED, EVEN] {
+                let policy = ExpectedLoss::with(trigger(&config), pixels).unwrap();
+                names.push(compare(&policy, &script)?);
             }
         }
+        let all = known_policies().filter(|name| build(name).can_rewind());
+        prop_assert_eq!(names, all.collect::<Vec<_>>());
     }
+}
+
+/// Plays the script with a camera that answers at once, and compares each of its answers and states with what `new`
+/// decides early, given the same evidence. Returns the policy's name.
+fn compare<P: Policy + Clone + 'static>(
+    new: &P,
+    script: &[Event],
+) -> Result<&'static str, TestCaseError> {
+    let name = new.name();
+    let mut camera = Camera {
+        late: LatePolicy::new(Box::new(new.clone())).unwrap(),
+        script,
+        next: 0,
+        waits: None,
+        given: vec![0; script.len()],
+        live: Outcome::default(),
+        settled: Vec::new(),
+    };
+    // The policy before the first frame that may still get evidence, and the index of that frame. What came before it is
+    // final, so to play on from here is to play from the start.
+    let (mut before, mut first) = (new.clone(), 0);
+    while camera.frame() {
+        let script = &script[first..camera.next];
+        let mut policy = before.clone();
+        let mut live = play(&mut policy, script, &camera.given[first..])
+            .pop()
+            .unwrap();
+        (live.degraded, live.cause) = (false, None);
+        prop_assert_eq!(&camera.live, &live, "{}", name);
+        prop_assert_eq!(records(camera.late.policy()), records(&policy), "{}", name);
+        let came = camera.arrivals();
+        prop_assert_eq!(camera.late.pending().is_some(), camera.waits.is_some());
+        if came {
+            policy = before.clone();
+            let after = play(&mut policy, script, &camera.given[first..]);
+            prop_assert_eq!(records(camera.late.policy()), records(&policy), "{}", name);
+            prop_assert_eq!(camera.late.policy().threshold(), policy.threshold());
+            let settled = camera.settled.iter().filter(|(frame, _)| *frame >= first);
+            for (frame, outcome) in settled {
+                prop_assert_eq!(outcome, &after[frame - first], "{}, frame {}", name, frame);
+            }
+        }
+        if camera.waits.is_none() {
+            (before, first) = (policy, camera.next);
+        }
+    }
+    let mut policy = new.clone();
+    let outcomes = play(&mut policy, script, &camera.given);
+    prop_assert_eq!(records(camera.late.policy()), records(&policy), "{}", name);
+    for (frame, outcome) in &camera.settled {
+        prop_assert_eq!(outcome, &outcomes[*frame], "{}, frame {}", name, frame);
+    }
+    Ok(name)
 }
 
 /// A policy with one object and a pending frame, and the index of that frame.
