@@ -13,7 +13,7 @@ pub struct GreyPicture<'a> {
 
 impl GreyPicture<'_> {
     /// True if the number of pixels matches the size.
-    pub fn is_whole(&self) -> bool {
+    pub(crate) fn is_whole(&self) -> bool {
         self.pixels.len() as u64 == self.size.pixels()
     }
 }
