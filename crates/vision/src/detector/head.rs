@@ -13,9 +13,10 @@ pub use recognise::{Unrecognised, recognise};
 pub use suppression::{Suppression, keep_best, suppress};
 
 use super::{HeadName, PictureInput, Signature};
-use crate::picture::InputFormat;
+use crate::picture::{ColorOrder, Fit, InputFormat, ValueRange};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::Corners;
+use reading::Rows;
 
 /// An output tensor as borrowed float32 values.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -36,15 +37,6 @@ pub struct Candidate {
     pub class: ClassId,
     /// Confidence, 0 to 1.
     pub confidence: f32,
-}
-
-/// The reason why a model does not fit a head.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Misfit {
-    /// The model that the head expects.
-    pub expected: String,
-    /// The first difference.
-    pub reason: String,
 }
 
 /// A head bound to a model that fits it.
@@ -73,37 +65,61 @@ impl Head {
         confidence: f64,
         candidates: &mut Vec<Candidate>,
     ) -> Result<u64, String> {
-        self.reader.read(outputs, confidence, candidates)
+        let mut rows = Rows {
+            confidence,
+            candidates,
+            rejected: 0,
+        };
+        self.reader.read(outputs, &mut rows)?;
+        Ok(rows.rejected)
     }
 }
 
 /// [`Head::read`] for one kind of outputs.
 trait ReadOutputs: std::fmt::Debug {
-    fn read(
-        &self,
-        outputs: &[TensorView<'_>],
-        confidence: f64,
-        candidates: &mut Vec<Candidate>,
-    ) -> Result<u64, String>;
+    fn read(&self, outputs: &[TensorView<'_>], rows: &mut Rows<'_>) -> Result<(), String>;
 }
+
+/// The number of classes, if the outputs show it, and what reads them; or the first difference to what the head expects.
+type Bound = Result<(Option<usize>, Box<dyn ReadOutputs>), String>;
 
 /// Binds the head `name` to a model with `signature` whose picture input is `input`. [`HeadName::Auto`] never fits:
 /// [`recognise`] finds the name.
 ///
 /// # Errors
-/// If this head cannot read the model.
-pub fn bind(name: HeadName, signature: &Signature, input: PictureInput) -> Result<Head, Misfit> {
-    match name {
-        HeadName::Auto => Err(Misfit {
-            expected: "a head".to_owned(),
-            reason: "the model was not recognised before".to_owned(),
-        }),
-        HeadName::Yolo => yolo::bind(signature, input),
-        HeadName::EndToEnd => end_to_end::bind(signature, input),
-        HeadName::Detr => detr::bind(signature, input),
-        HeadName::Yolox => yolox::bind(signature, input),
-        HeadName::FastestDet => fastestdet::bind(signature, input),
-    }
+/// If this head cannot read the model: the first difference.
+pub fn bind(name: HeadName, signature: &Signature, input: PictureInput) -> Result<Head, String> {
+    use ColorOrder::{Bgr, Rgb};
+    use Fit::{Centre, Stretch, TopLeft};
+    use ValueRange::{ImageNet, To255, ToOne};
+    let size = input.size;
+    let (bound, fit, color_order, value_range, overlaps) = match name {
+        HeadName::Auto => return Err("the model was not recognised before".to_owned()),
+        HeadName::Yolo => (yolo::bind(signature), Centre(114), Rgb, ToOne, true),
+        HeadName::EndToEnd => (end_to_end::bind(signature), Centre(114), Rgb, ToOne, false),
+        HeadName::Detr => (detr::bind(signature, size), Stretch, Rgb, ImageNet, false),
+        HeadName::Yolox => (yolox::bind(signature, size), TopLeft(114), Bgr, To255, true),
+        HeadName::FastestDet => (fastestdet::bind(signature, size), Stretch, Bgr, ToOne, true),
+    };
+    let (classes, reader) = bound?;
+    Ok(Head {
+        name,
+        classes,
+        input_format: InputFormat {
+            size,
+            fit,
+            color_order,
+            // A model that takes bytes normalises them itself.
+            value_range: if input.takes_bytes {
+                To255
+            } else {
+                value_range
+            },
+            layout: input.layout,
+        },
+        overlaps,
+        reader,
+    })
 }
 
 #[cfg(test)]

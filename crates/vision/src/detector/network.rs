@@ -193,7 +193,7 @@ fn head_for(config: &DetectorConfig, signature: &Signature) -> Result<Head, Star
             name => name,
         };
     head::bind(name, signature, input)
-        .map_err(|misfit| does_not_fit(name, misfit.expected, misfit.reason))
+        .map_err(|reason| does_not_fit(name, name.looks_for().to_owned(), reason))
 }
 
 impl Model for DetectorNetwork {

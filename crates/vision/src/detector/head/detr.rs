@@ -3,11 +3,10 @@
 //! kept, as many as there are queries, so one query may give boxes of several classes; nothing is suppressed. The
 //! picture is stretched to the input and normalised as for ImageNet.
 
-use super::reading::{around, candidate, count, elements, format, misfit};
+use super::reading::{Rows, around, candidate, count, elements};
 use super::suppression::keep_best;
-use super::{Candidate, Head, Misfit, ReadOutputs, TensorView};
-use crate::detector::{HeadName, PictureInput, Signature, TensorSpec};
-use crate::picture::{ColorOrder, Fit, ValueRange};
+use super::{Bound, ReadOutputs, TensorView};
+use crate::detector::{Signature, TensorSpec};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::PictureSize;
 
@@ -26,8 +25,7 @@ struct Detr {
     classes: usize,
 }
 
-pub(super) fn bind(signature: &Signature, input: PictureInput) -> Result<Head, Misfit> {
-    let misfit = misfit(HeadName::Detr);
+pub(super) fn bind(signature: &Signature, size: PictureSize) -> Bound {
     let ((boxes, dets), (logits, labels)) = NAMES
         .iter()
         .find_map(|[boxes, logits]| {
@@ -36,7 +34,7 @@ pub(super) fn bind(signature: &Signature, input: PictureInput) -> Result<Head, M
                 signature.output(logits).ok()?,
             ))
         })
-        .ok_or_else(|| misfit("it has no such outputs".to_owned()))?;
+        .ok_or("it has no such outputs")?;
     let sides = |output: &TensorSpec| match *output.shape.as_slice() {
         [1 | -1, queries, last] if queries == -1 || queries > 0 => Some((queries, count(last))),
         _ => None,
@@ -45,22 +43,16 @@ pub(super) fn bind(signature: &Signature, input: PictureInput) -> Result<Head, M
         (Some((queries, 4)), Some((same, classes)))
             if queries == same && (1..=usize::from(u16::MAX)).contains(&classes) =>
         {
-            let (fit, range) = (Fit::Stretch, ValueRange::ImageNet);
-            Ok(Head {
-                name: HeadName::Detr,
-                classes: Some(classes),
-                input_format: format(input, fit, ColorOrder::Rgb, range),
-                overlaps: false,
-                reader: Box::new(Detr {
-                    size: input.size,
-                    boxes,
-                    logits,
-                    queries,
-                    classes,
-                }),
-            })
+            let reader = Detr {
+                size,
+                boxes,
+                logits,
+                queries,
+                classes,
+            };
+            Ok((Some(classes), Box::new(reader)))
         }
-        _ => Err(misfit("its outputs have other shapes".to_owned())),
+        _ => Err("its outputs have other shapes".to_owned()),
     }
 }
 
@@ -71,12 +63,7 @@ pub(super) fn is_named(signature: &Signature) -> bool {
 }
 
 impl ReadOutputs for Detr {
-    fn read(
-        &self,
-        outputs: &[TensorView<'_>],
-        confidence: f64,
-        candidates: &mut Vec<Candidate>,
-    ) -> Result<u64, String> {
+    fn read(&self, outputs: &[TensorView<'_>], rows: &mut Rows<'_>) -> Result<(), String> {
         let (Some(boxes), Some(logits)) = (outputs.get(self.boxes), outputs.get(self.logits))
         else {
             return Err(format!(
@@ -88,17 +75,16 @@ impl ReadOutputs for Detr {
         let queries = boxes.len() / 4;
         let logits = elements(logits, &[1, queries as i64, self.classes as i64])?;
         let (width, height) = (f64::from(self.size.width), f64::from(self.size.height));
-        let least = logit(confidence);
-        let mut rejected = 0;
+        let least = logit(rows.confidence);
         let mut found = Vec::new();
         for (sides, logits) in boxes.chunks_exact(4).zip(logits.chunks_exact(self.classes)) {
             let before = found.len();
-            let corners = around(
+            let corners = around([
                 f64::from(sides[0]) * width,
                 f64::from(sides[1]) * height,
                 f64::from(sides[2]) * width,
                 f64::from(sides[3]) * height,
-            );
+            ]);
             let sound = logits.iter().enumerate().all(|(class, &logit)| {
                 if f64::from(logit) >= least {
                     match candidate(corners, ClassId(class as u16), sigmoid(logit)) {
@@ -110,12 +96,12 @@ impl ReadOutputs for Detr {
             });
             if !sound {
                 found.truncate(before);
-                rejected += 1;
+                rows.rejected += 1;
             }
         }
         keep_best(&mut found, queries);
-        candidates.append(&mut found);
-        Ok(rejected)
+        rows.candidates.append(&mut found);
+        Ok(())
     }
 }
 

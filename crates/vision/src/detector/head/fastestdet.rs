@@ -1,10 +1,9 @@
 //! The head of FastestDet (dog-qiuqiu, 2022): one output `[1, 5 + classes, rows, columns]` with one cell per 16x16
 //! pixels; the channels are objectness, four numbers of the box, and class scores. Overlaps remain to be suppressed.
 
-use super::reading::{around, best_class, candidate, count, format, is_score, misfit, only};
-use super::{Candidate, Head, Misfit, ReadOutputs, TensorView};
-use crate::detector::{HeadName, PictureInput, Signature};
-use crate::picture::{ColorOrder, Fit, ValueRange};
+use super::reading::{Rows, around, best_class, candidate, count, is_score, only};
+use super::{Bound, ReadOutputs, TensorView};
+use crate::detector::Signature;
 use albireo_core::geometry::PictureSize;
 
 /// Objectness and box, before the class scores.
@@ -18,11 +17,9 @@ struct FastestDet {
     classes: usize,
 }
 
-pub(super) fn bind(signature: &Signature, input: PictureInput) -> Result<Head, Misfit> {
-    let misfit = misfit(HeadName::FastestDet);
-    let (width, height) = (input.size.width / STRIDE, input.size.height / STRIDE);
-    let output = signature.only_output().map_err(&misfit)?;
-    match *output.shape.as_slice() {
+pub(super) fn bind(signature: &Signature, size: PictureSize) -> Bound {
+    let (width, height) = (size.width / STRIDE, size.height / STRIDE);
+    match *signature.only_output()?.shape.as_slice() {
         [1 | -1, channels, rows, columns]
             if count(channels) > BEFORE_CLASSES
                 && count(channels) - BEFORE_CLASSES <= usize::from(u16::MAX)
@@ -30,74 +27,49 @@ pub(super) fn bind(signature: &Signature, input: PictureInput) -> Result<Head, M
                 && rows * columns > 0 =>
         {
             let classes = count(channels) - BEFORE_CLASSES;
-            let (fit, range) = (Fit::Stretch, ValueRange::ToOne);
-            Ok(Head {
-                name: HeadName::FastestDet,
-                classes: Some(classes),
-                input_format: format(input, fit, ColorOrder::Bgr, range),
-                overlaps: true,
-                reader: Box::new(FastestDet {
-                    size: input.size,
-                    classes,
-                }),
-            })
+            Ok((Some(classes), Box::new(FastestDet { size, classes })))
         }
-        _ => Err(misfit(format!(
+        _ => Err(format!(
             "its output has another shape than [1, 5 + classes, {height}, {width}]"
-        ))),
+        )),
     }
 }
 
 impl ReadOutputs for FastestDet {
-    fn read(
-        &self,
-        outputs: &[TensorView<'_>],
-        confidence: f64,
-        candidates: &mut Vec<Candidate>,
-    ) -> Result<u64, String> {
+    fn read(&self, outputs: &[TensorView<'_>], rows: &mut Rows<'_>) -> Result<(), String> {
         let size = self.size;
-        let (columns, rows) = (
-            (size.width / STRIDE) as usize,
-            (size.height / STRIDE) as usize,
-        );
+        let [columns, lines] = [size.width, size.height].map(|side| (side / STRIDE) as usize);
         let channels = BEFORE_CLASSES + self.classes;
-        let values = only(outputs, &[1, channels as i64, rows as i64, columns as i64])?;
-        let cells = rows * columns;
+        let values = only(outputs, &[1, channels as i64, lines as i64, columns as i64])?;
+        let cells = lines * columns;
         let channel = |number: usize, cell: usize| values[number * cells + cell];
-        let mut rejected = 0;
         let mut scores = Vec::with_capacity(self.classes);
         for cell in 0..cells {
             let objectness = channel(0, cell);
             // The score is at most objectness^0.6. NaN is not skipped, so that it is counted.
-            if is_score(objectness) && f64::from(objectness.max(0.0)).powf(0.6) < confidence {
+            if is_score(objectness) && f64::from(objectness.max(0.0)).powf(0.6) < rows.confidence {
                 continue;
             }
             scores.clear();
             scores.extend((0..self.classes).map(|class| channel(BEFORE_CLASSES + class, cell)));
-            let found = best_class(&scores)
+            let read = best_class(&scores)
                 .filter(|_| is_score(objectness))
                 .and_then(|(class, score)| {
                     let score = objectness.max(0.0).powf(0.6) * score.powf(0.4);
                     let offset = |number: usize| f64::from(channel(number, cell));
-                    let corners = around(
+                    let corners = around([
                         (offset(1).tanh() + (cell % columns) as f64) / columns as f64
                             * f64::from(size.width),
-                        (offset(2).tanh() + (cell / columns) as f64) / rows as f64
+                        (offset(2).tanh() + (cell / columns) as f64) / lines as f64
                             * f64::from(size.height),
                         sigmoid(offset(3)) * f64::from(size.width),
                         sigmoid(offset(4)) * f64::from(size.height),
-                    );
+                    ]);
                     candidate(corners, class, score)
                 });
-            match found {
-                Some(candidate) if f64::from(candidate.confidence) >= confidence => {
-                    candidates.push(candidate);
-                }
-                Some(_) => {}
-                None => rejected += 1,
-            }
+            rows.add(read);
         }
-        Ok(rejected)
+        Ok(())
     }
 }
 

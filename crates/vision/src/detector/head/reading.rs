@@ -1,8 +1,7 @@
 //! Functions that the heads share: finding outputs, checking shapes, making boxes from numbers.
 
-use super::{Candidate, Misfit, TensorView};
-use crate::detector::{HeadName, PictureInput, shape_text};
-use crate::picture::{ColorOrder, Fit, InputFormat, ValueRange};
+use super::{Candidate, TensorView};
+use crate::detector::shape_text;
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
 
@@ -27,32 +26,25 @@ pub(super) fn count(dimension: i64) -> usize {
     usize::try_from(dimension).unwrap_or(0)
 }
 
-/// Makes misfits for the head `name` from their reasons.
-pub(super) fn misfit(name: HeadName) -> impl Fn(String) -> Misfit {
-    move |reason| Misfit {
-        expected: name.looks_for().to_owned(),
-        reason,
-    }
+/// What a head reads from the rows of its outputs.
+pub(super) struct Rows<'a> {
+    /// The least confidence of a candidate.
+    pub(super) confidence: f64,
+    pub(super) candidates: &'a mut Vec<Candidate>,
+    /// Rows with a number that is not finite or not possible.
+    pub(super) rejected: u64,
 }
 
-/// The input format for a model with this input.
-pub(super) fn format(
-    input: PictureInput,
-    fit: Fit,
-    color_order: ColorOrder,
-    value_range: ValueRange,
-) -> InputFormat {
-    InputFormat {
-        size: input.size,
-        fit,
-        color_order,
-        // A model that takes bytes normalises them itself.
-        value_range: if input.takes_bytes {
-            ValueRange::To255
-        } else {
-            value_range
-        },
-        layout: input.layout,
+impl Rows<'_> {
+    /// Adds the candidate of a row if it is confident enough; `None` is a row to reject.
+    pub(super) fn add(&mut self, row: Option<Candidate>) {
+        match row {
+            Some(candidate) if f64::from(candidate.confidence) >= self.confidence => {
+                self.candidates.push(candidate);
+            }
+            Some(_) => {}
+            None => self.rejected += 1,
+        }
     }
 }
 
@@ -110,18 +102,8 @@ pub(super) fn best_class(scores: &[f32]) -> Option<(ClassId, f32)> {
     (!scores.is_empty()).then_some((ClassId(class), best.1.clamp(0.0, 1.0)))
 }
 
-/// The corners at the start of a row: x1, y1, x2, y2.
-pub(super) fn corners(row: &[f32]) -> Corners {
-    Corners {
-        x1: f64::from(row[0]),
-        y1: f64::from(row[1]),
-        x2: f64::from(row[2]),
-        y2: f64::from(row[3]),
-    }
-}
-
-/// The corners of a box with this centre and these sides.
-pub(super) fn around(center_x: f64, center_y: f64, width: f64, height: f64) -> Corners {
+/// The corners of a box, given its centre x, centre y, width and height.
+pub(super) fn around([center_x, center_y, width, height]: [f64; 4]) -> Corners {
     Corners {
         x1: center_x - width / 2.0,
         y1: center_y - height / 2.0,

@@ -1,8 +1,7 @@
 //! Finds the head that a model needs: from the exporter's metadata if present, otherwise from names and shapes.
 
-use super::detr;
 use super::reading::{STRIDES, can_be, cells};
-use super::{Misfit, bind};
+use super::{bind, detr};
 use crate::detector::{HeadName, PictureInput, Signature};
 
 /// The sets of strides of YOLO models: three feature maps, or four with a finer or a coarser one.
@@ -41,8 +40,8 @@ pub fn recognise(signature: &Signature, input: PictureInput) -> Result<HeadName,
         } else {
             HeadName::Yolo
         };
-        return match fit(head, signature, input) {
-            Ok(()) => Ok(head),
+        return match bind(head, signature, input) {
+            Ok(_) => Ok(head),
             Err(reason) => Err(refused(format!(
                 "its metadata are those of an Ultralytics export for the head `{}`, and {reason}",
                 head.as_str()
@@ -79,16 +78,10 @@ fn looked_for(signature: &Signature, input: PictureInput) -> Vec<String> {
         .collect()
 }
 
-fn fit(head: HeadName, signature: &Signature, input: PictureInput) -> Result<(), String> {
-    bind(head, signature, input)
-        .map(drop)
-        .map_err(|Misfit { reason, .. }| reason)
-}
-
 /// Checks that a model without metadata looks like one for `head`. Stricter than binding, which is for a user who knows
 /// the head.
 fn looks_like(head: HeadName, signature: &Signature, input: PictureInput) -> Result<(), String> {
-    fit(head, signature, input)?;
+    bind(head, signature, input)?;
     let all_cells = || YOLO_STRIDES.map(|strides| cells(input.size, strides));
     let dimension = |place: usize| {
         signature
