@@ -123,11 +123,8 @@ impl<I: Send + 'static, T: Send + 'static> Worker<I, T> {
         settings: WorkerSettings,
         build: impl Fn() -> Result<M, StartError> + Send + 'static,
     ) -> Result<(Self, M::Facts), StartError> {
-        let thread =
-            ModelThread::spawn(settings.name, build).map_err(|error| StartError::Thread {
-                task: settings.name,
-                reason: error.to_string(),
-            })?;
+        let thread = ModelThread::spawn(settings.name, build)
+            .map_err(|error| StartError::thread(settings.name, error))?;
         let (requests, received) = mpsc::unbounded_channel();
         let (status, watched) = watch::channel(DetectorStatus::Starting);
         let (idle, is_idle) = watch::channel(false);
@@ -156,13 +153,11 @@ impl<I: Send + 'static, T: Send + 'static> Worker<I, T> {
             stop: Arc::new((stop, guard)),
         };
         let built = task.build().await.unwrap_or_else(|end| {
-            Err(StartError::Thread {
-                task: settings.name,
-                reason: match end {
-                    End::Stuck(reason) => reason,
-                    End::Stopped | End::StoppedLate => "it was stopped".to_owned(),
-                },
-            })
+            let reason = match end {
+                End::Stuck(reason) => reason,
+                End::Stopped | End::StoppedLate => "it was stopped".to_owned(),
+            };
+            Err(StartError::thread(settings.name, reason))
         });
         let facts = built?;
         tokio::spawn(async move {

@@ -32,10 +32,7 @@ pub(super) fn read(
     head: HeadName,
     classes: Option<usize>,
 ) -> Result<Vec<String>, StartError> {
-    let wrong = |reason: String| StartError::Configuration {
-        key: "detector.class_names".to_owned(),
-        reason,
-    };
+    let wrong = |reason: String| StartError::configuration("detector.class_names", reason);
     let (names, source) = match configured {
         Some(ClassNames::List(names)) => (Some(names.clone()), "the list".to_owned()),
         Some(ClassNames::File(path)) => {

@@ -27,15 +27,13 @@ impl Classes {
     /// # Errors
     /// If the configuration contains a name that the model does not have.
     pub(super) fn new(names: &[String], config: &DetectorConfig) -> Result<Self, StartError> {
-        let wrong = |key: &str, name: &str| StartError::Configuration {
-            key: format!("detector.{key}"),
-            reason: format!(
-                "the model has no class `{name}`; it has {}",
-                names.join(", ")
-            ),
+        let wrong = |key: &str, name: &str| {
+            let names = names.join(", ");
+            let reason = format!("the model has no class `{name}`; it has {names}");
+            StartError::configuration(key, reason)
         };
         if let Some(unknown) = config.class_map.keys().find(|&name| !names.contains(name)) {
-            return Err(wrong("class_map", unknown));
+            return Err(wrong("detector.class_map", unknown));
         }
         let renamed: Vec<&str> = names
             .iter()
@@ -49,7 +47,7 @@ impl Classes {
                 let unknown = (0..wanted.len())
                     .find(|&place| !classes.by_model.contains(&Some(number(place))));
                 match unknown {
-                    Some(place) => return Err(wrong("report_classes", wanted[place])),
+                    Some(place) => return Err(wrong("detector.report_classes", wanted[place])),
                     None => classes,
                 }
             }

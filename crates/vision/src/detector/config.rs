@@ -168,10 +168,10 @@ impl DetectorConfig {
     pub fn check(&self) -> Result<(), StartError> {
         match self.problems().into_iter().next() {
             None => Ok(()),
-            Some((key, reason)) => Err(StartError::Configuration {
-                key: format!("detector.{key}"),
+            Some((key, reason)) => Err(StartError::configuration(
+                format_args!("detector.{key}"),
                 reason,
-            }),
+            )),
         }
     }
 }

@@ -4,8 +4,8 @@ use super::classes::Classes;
 use super::head::{self, Head, TensorView, Unrecognised};
 use super::reader::{HeadCounters, HeadCounts, Parts, Reader};
 use super::{
-    DetectorConfig, ExecutionProvider, HeadName, InferenceError, OnnxSession, PictureInput,
-    Preparation, PreparedPicture, Signature, StartError, TensorSpec, class_names,
+    DetectorConfig, ExecutionProvider, HeadName, InferenceError, OnnxSession, Preparation,
+    PreparedPicture, Signature, StartError, TensorSpec, class_names,
 };
 use crate::picture::{InputFormat, Picture};
 use crate::worker::Model;
@@ -71,10 +71,7 @@ impl DetectorNetwork {
         };
         network
             .warm_up(config.batch_size)
-            .map_err(|reason| StartError::WarmUp {
-                path: config.model.clone(),
-                reason,
-            })?;
+            .map_err(|reason| StartError::first_run(&config.model, reason))?;
         // Counting begins with the first picture.
         network.reader.counters = counters;
         network.impossible_runs = 0;
@@ -153,47 +150,39 @@ fn check_batch(config: &DetectorConfig, signature: &Signature) -> Result<(), Sta
     if config.batch_size == 1 || signature.inputs.iter().all(is_open) {
         return Ok(());
     }
-    Err(StartError::Configuration {
-        key: "detector.batch_size".to_owned(),
-        reason: format!(
-            "is {}, and {} takes one picture at a time ({signature}); export it with an open batch (Ultralytics: \
-             dynamic=True), or leave batch_size at 1",
-            config.batch_size,
-            config.model.display()
-        ),
-    })
+    Err(StartError(format!(
+        "detector.batch_size: is {}, and {} takes one picture at a time ({signature}); export it with an open batch \
+         (Ultralytics: dynamic=True), or leave batch_size at 1",
+        config.batch_size,
+        config.model.display()
+    )))
 }
 
 /// The head for a model: the configured one, or the recognised one.
 fn head_for(config: &DetectorConfig, signature: &Signature) -> Result<Head, StartError> {
-    let does_not_fit =
-        |name: HeadName, expected: String, reason: String| StartError::ModelDoesNotFit {
-            path: config.model.clone(),
-            head: name.as_str(),
-            model: signature.to_string(),
-            expected,
-            reason,
-        };
-    let input: PictureInput = signature
-        .picture_input(config.input_size())
-        .map_err(|reason| {
-            let expected = "one picture input [1, 3, rows, columns] or [1, rows, columns, 3]";
-            does_not_fit(config.head, expected.to_owned(), reason)
-        })?;
-    let name =
-        match config.head {
-            HeadName::Auto => head::recognise(signature, input).map_err(
-                |Unrecognised { reason, looked_for }| StartError::ModelNotRecognised {
-                    path: config.model.clone(),
-                    reason,
-                    model: signature.to_string(),
-                    looked_for,
-                },
-            )?,
-            name => name,
-        };
+    let does_not_fit = |name: HeadName, expected: &str, reason: String| {
+        let head = (name.as_str(), expected);
+        StartError::does_not_fit(&config.model, signature, head, reason)
+    };
+    let input = signature.picture_input(config.input_size());
+    let input = input.map_err(|reason| {
+        let expected = "one picture input [1, 3, rows, columns] or [1, rows, columns, 3]";
+        does_not_fit(config.head, expected, reason)
+    })?;
+    let not_recognised = |Unrecognised { reason, looked_for }| {
+        StartError(format!(
+            "the model {} is not recognised: {reason}. The model has {signature}. Looked for {}. If you know how to \
+             read it, set detector.head",
+            config.model.display(),
+            looked_for.join("; ")
+        ))
+    };
+    let name = match config.head {
+        HeadName::Auto => head::recognise(signature, input).map_err(not_recognised)?,
+        name => name,
+    };
     head::bind(name, signature, input)
-        .map_err(|reason| does_not_fit(name, name.looks_for().to_owned(), reason))
+        .map_err(|reason| does_not_fit(name, name.looks_for(), reason))
 }
 
 impl Model for DetectorNetwork {

@@ -4,6 +4,7 @@ use super::StartError;
 use ort::environment::Environment;
 use ort::logging::LogLevel;
 use parking_lot::Mutex;
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use tracing::{debug, error, info, warn};
@@ -24,17 +25,19 @@ pub(super) fn environment(configured: Option<&Path>) -> Result<Environment, Star
         return Ok(environment.clone());
     }
     let path = Search::here(configured).find()?;
-    let unusable = |reason: String| StartError::LibraryUnusable {
-        path: path.clone(),
-        reason,
+    let unusable = |reason: &dyn Display| {
+        StartError(format!(
+            "the ONNX Runtime library {} cannot be used: {reason}; version 1.22 or newer is needed",
+            path.display()
+        ))
     };
     let environment = ort::init_from(&path)
-        .map_err(|error| unusable(error.to_string()))?
+        .map_err(|error| unusable(&error))?
         .with_name("albireo")
         .with_telemetry(false)
         .with_logger(Arc::new(log))
         .build()
-        .map_err(|error| unusable(error.to_string()))?;
+        .map_err(|error| unusable(&error))?;
     environment.set_log_level(LogLevel::Warning);
     info!(library = %path.display(), "ONNX Runtime loaded");
     *kept = Some(environment.clone());
@@ -105,26 +108,29 @@ impl Search {
     }
 
     fn find(&self) -> Result<PathBuf, StartError> {
-        if let Some((what, path)) = &self.named {
-            let found = if path.is_dir() {
-                library_in(path)
-            } else {
-                path.is_file().then(|| path.clone())
-            };
-            return found.ok_or_else(|| StartError::LibraryNotFound {
-                looked_at: vec![format!("{} (named by {what})", path.display())],
-            });
-        }
-        self.folders
-            .iter()
-            .find_map(|folder| library_in(folder))
-            .ok_or_else(|| StartError::LibraryNotFound {
-                looked_at: self
-                    .folders
-                    .iter()
-                    .map(|folder| folder.display().to_string())
-                    .collect(),
-            })
+        let (found, looked_at) = match &self.named {
+            Some((what, path)) => {
+                let file = path.is_file().then(|| path.clone());
+                let looked_at = format!("{} (named by {what})", path.display());
+                (file.or_else(|| library_in(path)), vec![looked_at])
+            }
+            None => {
+                let folders = self.folders.iter();
+                let looked_at = folders.clone().map(|folder| folder.display().to_string());
+                let looked_at = looked_at.collect();
+                (
+                    folders.map(PathBuf::as_path).find_map(library_in),
+                    looked_at,
+                )
+            }
+        };
+        found.ok_or_else(|| {
+            StartError(format!(
+                "no ONNX Runtime library was found; looked at {}. Run `make onnxruntime`, or name the library in \
+                 detector.onnxruntime or ORT_DYLIB_PATH",
+                looked_at.join(", ")
+            ))
+        })
     }
 }
 

@@ -61,10 +61,10 @@ pub(super) fn first_that_works<T>(
     providers: &[ExecutionProvider],
     mut attempt: impl FnMut(ExecutionProvider) -> Result<T, StartError>,
 ) -> Result<T, StartError> {
-    let mut outcome = Err(StartError::Configuration {
-        key: "detector.providers".to_owned(),
-        reason: "the list is empty; [\"cpu\"] works everywhere".to_owned(),
-    });
+    let mut outcome = Err(StartError::configuration(
+        "detector.providers",
+        "the list is empty; [\"cpu\"] works everywhere",
+    ));
     for (index, &provider) in providers.iter().enumerate() {
         outcome = attempt(provider);
         match &outcome {
@@ -98,10 +98,7 @@ mod tests {
             let found = first_that_works(providers, |provider| {
                 tried.push(provider);
                 match provider {
-                    TensorRt => Err(StartError::ProviderUnavailable {
-                        provider: provider.as_str(),
-                        reason: "not here".to_owned(),
-                    }),
+                    TensorRt => Err(StartError("`tensorrt` is not here".to_owned())),
                     works => Ok(works),
                 }
             });

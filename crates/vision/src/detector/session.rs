@@ -40,17 +40,15 @@ impl OnnxSession {
     pub fn open(settings: &DetectorConfig) -> Result<Self, StartError> {
         // Distinguishes an unreadable file from a model that ONNX Runtime finds damaged.
         if let Err(error) = std::fs::File::open(&settings.model) {
-            return Err(StartError::ModelUnreadable {
-                path: settings.model.clone(),
-                reason: error.to_string(),
-            });
+            return Err(StartError::unreadable(&settings.model, error));
         }
         if let Some(folder) = &settings.gpu.engine_cache
             && settings.providers.contains(&ExecutionProvider::TensorRt)
         {
-            std::fs::create_dir_all(folder).map_err(|error| StartError::Configuration {
-                key: "detector.gpu.engine_cache".to_owned(),
-                reason: format!("{} cannot be created: {error}", folder.display()),
+            std::fs::create_dir_all(folder).map_err(|error| {
+                let folder = folder.display();
+                let reason = format!("{folder} cannot be created: {error}");
+                StartError::configuration("detector.gpu.engine_cache", reason)
             })?;
         }
         let environment = onnxruntime::environment(settings.onnxruntime.as_deref())?;
@@ -234,14 +232,12 @@ fn build(
 /// it can only be the model.
 fn refusal(model: &Path, provider: ExecutionProvider, reason: String) -> StartError {
     match provider {
-        ExecutionProvider::Cpu => StartError::ModelUnreadable {
-            path: model.to_owned(),
-            reason,
-        },
-        ExecutionProvider::Cuda | ExecutionProvider::TensorRt => StartError::ProviderUnavailable {
-            provider: provider.as_str(),
-            reason,
-        },
+        ExecutionProvider::Cpu => StartError::unreadable(model, reason),
+        ExecutionProvider::Cuda | ExecutionProvider::TensorRt => StartError(format!(
+            "the execution provider `{}` does not work here: {reason}. Install what it needs, or list another in \
+             detector.providers",
+            provider.as_str()
+        )),
     }
 }
 

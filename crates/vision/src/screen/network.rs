@@ -35,12 +35,8 @@ impl ScreenNetwork {
             ..DetectorConfig::default()
         })?;
         let signature = session.signature();
-        let input = picture_input(signature).map_err(|reason| StartError::ModelDoesNotFit {
-            path: model.to_owned(),
-            head: "screen",
-            model: signature.to_string(),
-            expected: EXPECTED.to_owned(),
-            reason,
+        let input = picture_input(signature).map_err(|reason| {
+            StartError::does_not_fit(model, signature, ("screen", EXPECTED), reason)
         })?;
         let format = InputFormat {
             size: input.size,
@@ -54,15 +50,10 @@ impl ScreenNetwork {
             layout: input.layout,
         };
         let mut network = Self { session, format };
-        let warm_up = |reason: String| StartError::WarmUp {
-            path: model.to_owned(),
-            reason,
-        };
         let black = Preparation::new(format).prepare(&Picture::black(format.size));
-        let black = black.map_err(|error| warm_up(error.to_string()))?;
-        network
-            .infer(&black)
-            .map_err(|error| warm_up(error.to_string()))?;
+        let black = black.map_err(|error| StartError::first_run(model, error))?;
+        let first = network.infer(&black);
+        first.map_err(|error| StartError::first_run(model, error))?;
         Ok(network)
     }
 

@@ -119,10 +119,7 @@ async fn stage(settings: WorkerSettings) -> Stage {
     });
     let followed = script.clone();
     let factory = move || match followed.next.lock().failures.pop_front() {
-        Some(reason) => Err(StartError::WarmUp {
-            path: "scripted.onnx".into(),
-            reason: reason.to_owned(),
-        }),
+        Some(reason) => Err(StartError::first_run("scripted.onnx".as_ref(), reason)),
         None => Ok(Scripted(followed.clone())),
     };
     Stage {

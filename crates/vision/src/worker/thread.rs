@@ -54,16 +54,15 @@ fn work<M: Model>(
     while let Ok(command) = commands.recv() {
         let outcome = match command {
             Command::Build => {
-                let built = catch_unwind(AssertUnwindSafe(build)).unwrap_or_else(|panic| {
-                    Err(StartError::Thread {
-                        task: name,
-                        reason: message(&*panic),
-                    })
-                });
+                let built = catch_unwind(AssertUnwindSafe(build))
+                    .unwrap_or_else(|panic| Err(StartError::thread(name, message(&*panic))));
                 Outcome::Built(built.and_then(|built| {
                     let facts = built.facts();
                     if first_facts.get_or_insert_with(|| facts.clone()) != &facts {
-                        return Err(StartError::ModelChanged { task: name });
+                        return Err(StartError(format!(
+                            "the model of the {name} has other classes or another input than when the program \
+                             started; restart the program to use the new file"
+                        )));
                     }
                     let provider = built.provider();
                     model = Some(built);

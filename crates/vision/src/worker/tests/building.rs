@@ -17,10 +17,10 @@ async fn a_slow_build_is_logged_periodically_and_waited_for_and_its_failure_is_a
     let starting = tokio::spawn(Worker::start(settings(), move || -> Result<Scripted, _> {
         building.send(()).unwrap();
         may_go_on.lock().recv().unwrap();
-        Err(StartError::WarmUp {
-            path: "scripted.onnx".into(),
-            reason: "scripted end".to_owned(),
-        })
+        Err(StartError::first_run(
+            "scripted.onnx".as_ref(),
+            "scripted end",
+        ))
     }));
     is_building.recv().await.unwrap();
     settle().await;
