@@ -20,10 +20,10 @@ pub use files::{PictureFileError, is_picture_file, picture_files, read_picture_f
 pub use format::{EncodedPicture, Picture, PictureFormat, PixelLayout};
 pub use header::{format_of, picture_of_file, picture_of_kind};
 pub use letterbox::{
-    ColorOrder, Fit, InputFormat, InputMapping, Letterbox, LetterboxError, TensorLayout, ValueRange,
+    ColorOrder, Fit, InputFormat, InputMapping, Letterbox, TensorLayout, ValueRange,
 };
 pub use limits::{FrameLimits, check_payload, check_picture, check_raw_length};
-pub use stream::{CutError, read_part, read_png, read_ppm};
+pub use stream::{read_part, read_png, read_ppm};
 
 /// The maximum number of scans of a progressive JPEG file; encoders use about ten. Each costs a pass over the picture,
 /// and a small file can hold many.

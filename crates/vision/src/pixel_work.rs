@@ -5,7 +5,7 @@ mod picture_buffers;
 
 use crate::detector::{Preparation, PreparedPicture};
 use crate::picture::{
-    EncodedPicture, FrameFault, FrameLimits, LetterboxError, PixelLayout, decode, decode_grey_half,
+    EncodedPicture, FrameFault, FrameLimits, PixelLayout, decode, decode_grey_half,
     decode_small_grey,
 };
 use albireo_core::geometry::PictureSize;
@@ -123,9 +123,7 @@ impl PreparedFrame {
                 let Some(picture) = &self.picture else {
                     return Ok(());
                 };
-                let prepared = preparation.prepare(picture);
-                let broken = |error: LetterboxError| FrameFault::undecodable(error.to_string());
-                self.prepared = Some(prepared.map_err(broken)?);
+                self.prepared = Some(preparation.prepare(picture)?);
                 self.picture = None;
             }
         }

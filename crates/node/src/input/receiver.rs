@@ -103,9 +103,9 @@ pub(crate) type DropKind = fn(&mut DroppedFrames) -> &mut u64;
 /// Returns the counter for frames with that fault.
 pub(crate) fn kind_of(fault: &FrameFault) -> DropKind {
     match fault {
-        FrameFault::Undecodable { .. } => |dropped| &mut dropped.undecodable,
-        FrameFault::Oversized { .. } => |dropped| &mut dropped.oversized,
-        FrameFault::UnknownFormat { .. } => |dropped| &mut dropped.unknown_format,
+        FrameFault::Undecodable(_) => |dropped| &mut dropped.undecodable,
+        FrameFault::Oversized(_) => |dropped| &mut dropped.oversized,
+        FrameFault::UnknownFormat(_) => |dropped| &mut dropped.unknown_format,
     }
 }
 

@@ -2,7 +2,7 @@
 //! model. Buffers are reused.
 
 use super::InferenceError;
-use crate::picture::{InputFormat, InputMapping, Letterbox, LetterboxError, Picture};
+use crate::picture::{FrameFault, InputFormat, InputMapping, Letterbox, Picture};
 use parking_lot::Mutex;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -44,7 +44,7 @@ impl Preparation {
     ///
     /// # Errors
     /// If the picture is empty or its buffer does not fit its size.
-    pub fn prepare(&self, picture: &Picture) -> Result<PreparedPicture, LetterboxError> {
+    pub fn prepare(&self, picture: &Picture) -> Result<PreparedPicture, FrameFault> {
         let start = Instant::now();
         let idle = self.0.idle.lock().pop();
         let mut letterbox = idle.unwrap_or_else(|| Letterbox::new(self.0.format));

@@ -1,13 +1,12 @@
 //! Turns a decoded picture into the input tensor of a network, and maps the network's boxes back.
 
-use super::Picture;
+use super::{FrameFault, Picture};
 use albireo_core::geometry::{BoundingBox, Corners, PictureSize};
 use fast_image_resize::images::{TypedImage, TypedImageRef};
 use fast_image_resize::pixels::U8x3;
-use fast_image_resize::{
-    FilterType, ImageBufferError, ResizeAlg, ResizeError, ResizeOptions, Resizer,
-};
+use fast_image_resize::{FilterType, ResizeAlg, ResizeOptions, Resizer};
 use serde::{Deserialize, Serialize};
+use std::error::Error;
 
 /// The order of the colour planes that a network expects.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -132,30 +131,6 @@ impl InputMapping {
     }
 }
 
-/// The reason why a picture cannot become an input tensor.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum LetterboxError {
-    /// The picture has no pixels.
-    #[error("the picture is empty ({0})")]
-    Empty(PictureSize),
-    /// The buffer has another length than that of a picture of this size in red, green, blue.
-    #[error("an RGB picture of {size} needs {expected} bytes and has {actual}")]
-    WrongLength {
-        /// The size of the picture.
-        size: PictureSize,
-        /// The number of bytes it should have.
-        expected: u64,
-        /// The number of bytes it has.
-        actual: usize,
-    },
-    /// The resizer got a buffer that does not fit its size.
-    #[error("the picture could not be resized: {0}")]
-    Buffer(#[from] ImageBufferError),
-    /// The resizer failed.
-    #[error("the picture could not be resized: {0}")]
-    Resize(#[from] ResizeError),
-}
-
 /// The position of the resized picture in the input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Placement {
@@ -198,7 +173,7 @@ impl Letterbox {
     ///
     /// # Errors
     /// If the picture is empty, or is not RGB of its size.
-    pub fn fill(&mut self, picture: &Picture) -> Result<InputMapping, LetterboxError> {
+    pub fn fill(&mut self, picture: &Picture) -> Result<InputMapping, FrameFault> {
         check(picture)?;
         // Uses the size before the decoder scaled it, so that scaling moves nothing.
         let (placement, mapping) = place(picture.source_size, self.format);
@@ -210,7 +185,10 @@ impl Letterbox {
         let pixels = if fits {
             &picture.pixels
         } else {
-            self.resize(picture, placement)?;
+            let resized = self.resize(picture, placement);
+            resized.map_err(|error| {
+                FrameFault::undecodable(format!("the picture could not be resized: {error}"))
+            })?;
             &self.resized
         };
         let convert = match self.format.layout {
@@ -246,7 +224,7 @@ impl Letterbox {
         }
     }
 
-    fn resize(&mut self, picture: &Picture, placement: Placement) -> Result<(), LetterboxError> {
+    fn resize(&mut self, picture: &Picture, placement: Placement) -> Result<(), Box<dyn Error>> {
         let pixels = placement.width as usize * placement.height as usize;
         self.resized.resize(pixels * 3, 0);
         let PictureSize { width, height } = picture.size;
@@ -286,19 +264,20 @@ fn convert<const STEP: usize>(
     }
 }
 
-fn check(picture: &Picture) -> Result<(), LetterboxError> {
+fn check(picture: &Picture) -> Result<(), FrameFault> {
     for size in [picture.size, picture.source_size] {
         if size.pixels() == 0 {
-            return Err(LetterboxError::Empty(size));
+            return Err(FrameFault::undecodable(format!(
+                "the picture is empty ({size})"
+            )));
         }
     }
     let expected = picture.size.pixels().saturating_mul(3);
     if expected != picture.pixels.len() as u64 {
-        return Err(LetterboxError::WrongLength {
-            size: picture.size,
-            expected,
-            actual: picture.pixels.len(),
-        });
+        let (size, actual) = (picture.size, picture.pixels.len());
+        return Err(FrameFault::undecodable(format!(
+            "an RGB picture of {size} needs {expected} bytes and has {actual}"
+        )));
     }
     Ok(())
 }

@@ -3,33 +3,14 @@
 use super::{EncodedPicture, FrameFault, FrameLimits, PictureFormat, check_picture};
 use albireo_core::geometry::PictureSize;
 use bytes::Bytes;
-use std::io::{BufRead, Read};
-
-/// The reason why a stream cannot be cut any further.
-#[derive(Debug, thiserror::Error)]
-pub enum CutError {
-    /// It cannot be read, or is cut short.
-    #[error("{0}")]
-    Io(#[from] std::io::Error),
-    /// It does not have the expected format.
-    #[error("{0}")]
-    Malformed(String),
-    /// A picture is larger than the maximum.
-    #[error("a picture has {bytes} bytes; at most {most} are accepted")]
-    TooLarge {
-        /// Its length in bytes.
-        bytes: u64,
-        /// The maximum in bytes.
-        most: u64,
-    },
-}
+use std::io::{self, BufRead, Read};
 
 /// Returns the next part of a multipart stream with a `Content-length` in the head of every part, as ffmpeg's `mpjpeg`
 /// and GStreamer's `multipartmux` write it; `None` at its end.
 ///
 /// # Errors
 /// If it is cut short, has no length, or has more than `most` bytes.
-pub fn read_part(stream: &mut impl BufRead, most: u64) -> Result<Option<Vec<u8>>, CutError> {
+pub fn read_part(stream: &mut impl BufRead, most: u64) -> io::Result<Option<Vec<u8>>> {
     let mut length = None;
     let mut line = Vec::new();
     loop {
@@ -38,7 +19,7 @@ pub fn read_part(stream: &mut impl BufRead, most: u64) -> Result<Option<Vec<u8>>
             return if length.is_none() {
                 Ok(None)
             } else {
-                Err(CutError::Malformed("it ends inside a head".to_owned()))
+                Err(io::Error::other("it ends inside a head"))
             };
         }
         let text = String::from_utf8_lossy(&line);
@@ -47,12 +28,13 @@ pub fn read_part(stream: &mut impl BufRead, most: u64) -> Result<Option<Vec<u8>>
             let value = value.trim();
             if name.eq_ignore_ascii_case("content-length") {
                 let bytes = value.parse::<u64>();
-                length = Some(bytes.map_err(|_| {
-                    CutError::Malformed(format!("`{value}` is not a Content-length"))
-                })?);
+                length =
+                    Some(bytes.map_err(|_| {
+                        io::Error::other(format!("`{value}` is not a Content-length"))
+                    })?);
             }
             if name.eq_ignore_ascii_case("content-type") && value != "image/jpeg" {
-                return Err(CutError::Malformed(format!(
+                return Err(io::Error::other(format!(
                     "its pictures are {value} and not image/jpeg: end the pipeline with an encoder, `! jpegenc`"
                 )));
             }
@@ -69,7 +51,7 @@ pub fn read_part(stream: &mut impl BufRead, most: u64) -> Result<Option<Vec<u8>>
 ///
 /// # Errors
 /// If it is cut short, or has more than `most` bytes.
-pub fn read_png(stream: &mut impl BufRead, most: u64) -> Result<Option<Vec<u8>>, CutError> {
+pub fn read_png(stream: &mut impl BufRead, most: u64) -> io::Result<Option<Vec<u8>>> {
     if stream.fill_buf()?.is_empty() {
         return Ok(None);
     }
@@ -77,7 +59,7 @@ pub fn read_png(stream: &mut impl BufRead, most: u64) -> Result<Option<Vec<u8>>,
     loop {
         let head = read_exactly(stream, 8, most)?;
         let [a, b, c, d, kind @ ..] = head.as_slice() else {
-            return Err(CutError::Malformed("a PNG chunk has no head".to_owned()));
+            return Err(io::Error::other("a PNG chunk has no head"));
         };
         let length = u64::from(u32::from_be_bytes([*a, *b, *c, *d]));
         let last = kind == b"IEND";
@@ -98,23 +80,21 @@ pub fn read_png(stream: &mut impl BufRead, most: u64) -> Result<Option<Vec<u8>>,
 pub fn read_ppm(
     stream: &mut impl BufRead,
     limits: &FrameLimits,
-) -> Result<Option<Result<EncodedPicture, FrameFault>>, CutError> {
+) -> io::Result<Option<Result<EncodedPicture, FrameFault>>> {
     if stream.fill_buf()?.is_empty() {
         return Ok(None);
     }
     let mut numbers = [0_u32; 3];
     let magic = read_exactly(stream, 3, 3)?;
     if magic != b"P6\n" {
-        return Err(CutError::Malformed(
-            "a picture is not a PPM file".to_owned(),
-        ));
+        return Err(io::Error::other("a picture is not a PPM file"));
     }
     for number in &mut numbers {
         *number = read_number(stream)?;
     }
     let [width, height, 255] = numbers else {
         let most = numbers[2];
-        return Err(CutError::Malformed(format!(
+        return Err(io::Error::other(format!(
             "a PPM file has {most} levels per colour, not 255"
         )));
     };
@@ -137,7 +117,7 @@ pub fn read_ppm(
 }
 
 /// Reads a number and the one blank after it.
-fn read_number(stream: &mut impl BufRead) -> Result<u32, CutError> {
+fn read_number(stream: &mut impl BufRead) -> io::Result<u32> {
     let mut text = String::new();
     for _ in 0..11 {
         match read_exactly(stream, 1, 1)?.first() {
@@ -146,19 +126,18 @@ fn read_number(stream: &mut impl BufRead) -> Result<u32, CutError> {
         }
     }
     let number = text.parse();
-    number.map_err(|_| CutError::Malformed("a PPM file has no size".to_owned()))
+    number.map_err(|_| io::Error::other("a PPM file has no size"))
 }
 
-fn early(missing: u64) -> CutError {
-    CutError::Malformed(format!("it ends {missing} bytes early"))
+fn early(missing: u64) -> io::Error {
+    io::Error::other(format!("it ends {missing} bytes early"))
 }
 
-fn read_exactly(stream: &mut impl BufRead, length: u64, most: u64) -> Result<Vec<u8>, CutError> {
+fn read_exactly(stream: &mut impl BufRead, length: u64, most: u64) -> io::Result<Vec<u8>> {
     if length > most {
-        return Err(CutError::TooLarge {
-            bytes: length,
-            most,
-        });
+        return Err(io::Error::other(format!(
+            "a picture has {length} bytes; at most {most} are accepted"
+        )));
     }
     // Reserves room for all bytes at once; for bytes that never arrive, at most up to the limit.
     let mut bytes = Vec::with_capacity(usize::try_from(length).unwrap_or_default());
@@ -183,8 +162,8 @@ mod tests {
         assert!(read_part(&mut reader, 9).unwrap().is_none());
         assert!(read_part(&mut &stream[..60], 9).is_err());
         let refused = read_part(&mut &stream[..], 4);
-        let is_too_large = matches!(refused, Err(CutError::TooLarge { bytes: 5, most: 4 }));
-        assert!(is_too_large);
+        let error = refused.unwrap_err().to_string();
+        assert_eq!(error, "a picture has 5 bytes; at most 4 are accepted");
         let mut raw = &b"--b\r\nContent-Type: video/x-raw\r\nContent-Length: 1\r\n\r\nd\r\n"[..];
         let error = read_part(&mut raw, 9).unwrap_err().to_string();
         assert!(error.contains("! jpegenc"), "{error}");

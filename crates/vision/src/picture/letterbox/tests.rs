@@ -169,8 +169,8 @@ fn a_picture_of_any_shape_is_taken_unless_it_is_empty_too_short_or_grey() {
             let picture = picture(width, height);
             letterbox.fill(&picture).unwrap();
         }
-        let empty = LetterboxError::Empty(PictureSize::new(0, 0));
-        assert_eq!(letterbox.fill(&Picture::default()), Err(empty));
+        let error = letterbox.fill(&Picture::default()).unwrap_err().to_string();
+        assert!(error.contains("the picture is empty (0x0)"), "{error}");
         let mut short = picture(8, 8);
         short.pixels.pop();
         let error = letterbox.fill(&short).unwrap_err().to_string();
