@@ -37,6 +37,12 @@ pub(super) struct CameraEntry {
     /// The equivalent of `u` in the published code, for pictures of this size; absent if it is the same number, before the
     /// first frame, and under other policies.
     u_as_published: Option<f64>,
+    /// The policy that decides its frames.
+    policy: &'static str,
+    /// Who set its threshold.
+    set_by: Option<SettingSource>,
+    /// The name, range and default of the policy's threshold; absent if the policy has none.
+    threshold_spec: Option<ThresholdSpec>,
     /// Suggested value if nothing is skipped although objects are tracked.
     advice: Option<Advice>,
 }
@@ -46,22 +52,6 @@ pub(super) struct CameraEntry {
 pub(super) struct Cameras {
     /// In the order of the configuration.
     cameras: Vec<CameraEntry>,
-}
-
-/// State of one camera.
-#[skip_serializing_none]
-#[derive(Serialize, ToSchema)]
-pub(super) struct CameraDetail {
-    #[serde(flatten)]
-    entry: CameraEntry,
-    /// The program's version.
-    version: &'static str,
-    /// The policy that decides its frames.
-    policy: &'static str,
-    /// Who set its threshold.
-    set_by: Option<SettingSource>,
-    /// The name, range and default of the policy's threshold; absent if the policy has none.
-    threshold_spec: Option<ThresholdSpec>,
 }
 
 fn entry(board: &Board, camera: &CameraBoard) -> CameraEntry {
@@ -82,6 +72,9 @@ fn entry(board: &Board, camera: &CameraBoard) -> CameraEntry {
         width: picture.map(|picture| picture.width),
         height: picture.map(|picture| picture.height),
         u_as_published: picture.and_then(|picture| camera.published_threshold(picture)),
+        policy: camera.policy,
+        set_by: camera.threshold_spec.map(|_| camera.threshold_source()),
+        threshold_spec: camera.threshold_spec,
         advice: snapshot.advice,
     }
 }
@@ -103,20 +96,14 @@ pub(super) async fn list(State(shared): State<RouteState>) -> Json<Cameras> {
 #[utoipa::path(
     get, path = "/api/v1/cameras/{camera}", tag = "frames",
     params(("camera" = String, Path, description = "The camera's name.")),
-    responses((status = 200, body = CameraDetail))
+    responses((status = 200, body = CameraEntry))
 )]
 pub(super) async fn one(
     State(shared): State<RouteState>,
     Path(camera): Path<String>,
-) -> Result<Json<CameraDetail>, Problem> {
+) -> Result<Json<CameraEntry>, Problem> {
     let camera = shared.camera(&camera)?;
-    Ok(Json(CameraDetail {
-        entry: entry(&shared.board, camera),
-        version: env!("CARGO_PKG_VERSION"),
-        policy: camera.policy,
-        set_by: camera.threshold_spec.map(|_| camera.threshold_source()),
-        threshold_spec: camera.threshold_spec,
-    }))
+    Ok(Json(entry(&shared.board, camera)))
 }
 
 /// The detections of a camera's newest frame
