@@ -192,7 +192,7 @@ export interface paths {
                         [name: string]: unknown;
                     };
                     content: {
-                        "application/json": components["schemas"]["CameraDetail"];
+                        "application/json": components["schemas"]["CameraEntry"];
                     };
                 };
                 "4XX": {
@@ -1682,15 +1682,6 @@ export interface components {
          * @enum {string}
          */
         CallCause: "uncertain" | "new_object" | "expected_loss" | "object_cap" | "periodic_cap" | "screen" | "audit" | "empty_limit" | "no_objects" | "start" | "retry" | "changed" | "schedule" | "every_frame";
-        /** @description State of one camera. */
-        CameraDetail: components["schemas"]["CameraEntry"] & {
-            /** @description The policy that decides its frames. */
-            policy: string;
-            set_by?: components["schemas"]["SettingSource"] | null;
-            threshold_spec?: components["schemas"]["ThresholdSpec"] | null;
-            /** @description The program's version. */
-            version: string;
-        };
         /** @description A camera. */
         CameraEntry: components["schemas"]["CameraStates"] & {
             advice?: components["schemas"]["Advice"] | null;
@@ -1708,8 +1699,12 @@ export interface components {
             height?: number | null;
             /** @description Zenoh key of its frames; absent if it has a source. */
             key?: string | null;
+            /** @description The policy that decides its frames. */
+            policy: string;
+            set_by?: components["schemas"]["SettingSource"] | null;
             /** @description Address of the source that the node opens for it, without credentials. */
             source?: string | null;
+            threshold_spec?: components["schemas"]["ThresholdSpec"] | null;
             /**
              * Format: double
              * @description The equivalent of `u` in the published code, for pictures of this size; absent if it is the same number, before the
@@ -2212,21 +2207,6 @@ export interface components {
          * @enum {string}
          */
         EnergyQuality: "measured" | "partial" | "estimated" | "unavailable";
-        /** @description Energy of the whole node since it started. */
-        EnergySinceStart: {
-            /** @description That time, seconds. */
-            covered_s: {
-                [key: string]: number;
-            };
-            /** @description Joules by domain, over the time that samples cover. */
-            joules: {
-                [key: string]: number;
-            };
-            /** @description Their quality. */
-            quality: components["schemas"]["EnergyQuality"];
-            /** @description The source of the figures: `rapl`, `estimate`, …; `none` without one. */
-            source: string;
-        };
         /** @description Energy of the whole node over a time. */
         EnergyUsed: {
             /**
@@ -2477,10 +2457,10 @@ export interface components {
         };
         /** @description A node: its readiness, run time, energy and savings. */
         NodeOverview: components["schemas"]["Readiness"] & {
-            /** @description Energy since the start. */
-            energy: components["schemas"]["EnergySinceStart"];
             /** @description Reports that wait for a hub. */
             outbox: components["schemas"]["OutboxStatus"];
+            /** @description The source of its figures of power: `rapl`, `estimate`, …; `none` without one. */
+            power_source: string;
             /** @description Savings since the start. */
             since_start: components["schemas"]["Savings"];
             /** @description Savings of today: since midnight UTC, or since the start if that is later. */

@@ -36,7 +36,7 @@ export function Health() {
           {now.provider ?? "nothing yet"} (requested: {now.requested_providers.join(", ")})
         </dd>
         <dt>power figures</dt>
-        <dd>{now.energy.source}</dd>
+        <dd>{now.power_source}</dd>
         <dt>reports for a hub</dt>
         <dd>
           {count(now.outbox.waiting)} waiting, {count(now.outbox.lost)} lost;{" "}

@@ -31,17 +31,12 @@ pub(super) async fn archive(State(shared): State<RouteState>) -> Result<Response
     let now_s = u64::try_from(unix_milliseconds().div_euclid(1000)).unwrap_or(0);
     let board = &shared.board;
     let name = board.node.clone();
-    let (detector, screen) = board.worker_counts();
     let about = json!({
         "program": "albireo node",
         "node": name,
         "version": env!("CARGO_PKG_VERSION"),
         "system": format!("{} {}", std::env::consts::OS, std::env::consts::ARCH),
         "at_s": now_s,
-        "running_s": board.uptime().as_secs_f64(),
-        "policy": board.policy,
-        "screen": format!("{screen:?}"),
-        "detector": format!("{detector:?}"),
     });
     let clips = board.recent_clips(None, None, None, MOST_CLIPS);
     let Json(overview) = node::overview(State(shared.clone())).await;

@@ -112,11 +112,6 @@ fn detector(page: &mut MetricsPage, board: &Board) {
         "Pictures that wait for the detector",
         worker.waiting as f64,
     );
-    page.counter(
-        "albireo_detector_audit_runs_total",
-        "Pictures that the detector ran on for the audit, after their frames were answered; not among detector_runs",
-        worker.spare as f64,
-    );
     let dropped = [
         ("impossible", head.rejected),
         ("outside", head.outside),
@@ -215,11 +210,6 @@ fn outbox(page: &mut MetricsPage, board: &Board) {
         "albireo_outbox_lost_total",
         "Clip reports lost because the outbox was full or its disk was broken",
         counts.status.lost as f64,
-    );
-    page.counter(
-        "albireo_outbox_undeliverable_total",
-        "Clip reports that a hub rejected permanently or that could not be read",
-        counts.status.undeliverable as f64,
     );
     page.counter(
         "albireo_outbox_disk_failures_total",

@@ -4,11 +4,10 @@ use super::RouteState;
 use super::health::{Readiness, readiness};
 use crate::state::board::Savings;
 use albireo_service::clock::seconds;
-use albireo_wire::{EnergyQuality, OutboxStatus};
+use albireo_wire::OutboxStatus;
 use axum::Json;
 use axum::extract::State;
 use serde::Serialize;
-use std::collections::BTreeMap;
 use utoipa::ToSchema;
 
 /// A node: its readiness, run time, energy and savings.
@@ -22,25 +21,12 @@ pub(super) struct NodeOverview {
     readiness: Readiness,
     /// Reports that wait for a hub.
     outbox: OutboxStatus,
-    /// Energy since the start.
-    energy: EnergySinceStart,
+    /// The source of its figures of power: `rapl`, `estimate`, …; `none` without one.
+    power_source: String,
     /// Savings since the start.
     since_start: Savings,
     /// Savings of today: since midnight UTC, or since the start if that is later.
     today: Savings,
-}
-
-/// Energy of the whole node since it started.
-#[derive(Serialize, ToSchema)]
-pub(super) struct EnergySinceStart {
-    /// The source of the figures: `rapl`, `estimate`, …; `none` without one.
-    source: String,
-    /// Their quality.
-    quality: EnergyQuality,
-    /// Joules by domain, over the time that samples cover.
-    joules: BTreeMap<String, f64>,
-    /// That time, seconds.
-    covered_s: BTreeMap<String, f64>,
 }
 
 /// The node in one answer
@@ -50,19 +36,13 @@ pub(super) struct EnergySinceStart {
 #[utoipa::path(get, operation_id = "node_overview", path = "/api/v1/node", tag = "health", responses((status = 200, body = NodeOverview)))]
 pub(super) async fn overview(State(shared): State<RouteState>) -> Json<NodeOverview> {
     let board = &shared.board;
-    let power = board.power();
     let (since_start, today) = board.savings();
     Json(NodeOverview {
         version: env!("CARGO_PKG_VERSION"),
         uptime_s: seconds(board.uptime()),
         readiness: readiness(board),
         outbox: board.outbox.counts().status,
-        energy: EnergySinceStart {
-            source: power.source,
-            quality: power.quality,
-            joules: power.joules,
-            covered_s: power.covered_s,
-        },
+        power_source: board.power().source,
         since_start,
         today,
     })
