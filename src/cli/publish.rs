@@ -93,7 +93,8 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         decoded: Handover::Jpeg(QUALITY),
         limits: FrameLimits::default(),
     };
-    let source = tokio::task::spawn_blocking(move || LiveSource::find(settings)).await??;
+    let found = tokio::task::spawn_blocking(move || LiveSource::find(settings)).await?;
+    let source = found.map_err(anyhow::Error::msg)?;
     let connecting = connected(&arguments.target);
     let Some(session) = shutdown.run_until_cancelled(connecting).await else {
         return Ok(());

@@ -16,8 +16,3 @@ mod templates;
 pub use address::{SourceAddress, SourceKind, SourceOptions};
 pub use live::{LiveSource, SourceSink};
 pub use templates::{Handover, RtspTransport, SourceSettings};
-
-/// The reason a source cannot be opened, without credentials.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0}")]
-pub struct SourceError(String);

@@ -1,7 +1,6 @@
 //! The address of a source, and its options. Both may contain a password, or the name of an environment variable with
 //! one: they are shown without it, and it is removed from the messages of programs.
 
-use super::SourceError;
 use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, percent_decode_str, utf8_percent_encode};
 use serde::{Deserialize, Serialize, Serializer};
 use std::fmt;
@@ -145,16 +144,15 @@ impl SourceAddress {
     /// Checks the address and that its variables are set.
     ///
     /// # Errors
-    /// [`SourceError`] with the fault.
-    pub fn check(&self) -> Result<(), SourceError> {
-        let resolved = self.resolve(&environment);
-        resolved.map(drop).map_err(SourceError)
+    /// The fault.
+    pub fn check(&self) -> Result<(), String> {
+        self.resolve(&environment).map(drop)
     }
 
     /// Substitutes the variables: percent-encoded in user and password, unchanged elsewhere. An error does not show the
     /// address.
-    pub(super) fn resolved(&self) -> Result<Resolved, SourceError> {
-        (self.resolve(&environment)).map_err(|reason| SourceError(format!("the source {reason}")))
+    pub(super) fn resolved(&self) -> Result<Resolved, String> {
+        (self.resolve(&environment)).map_err(|reason| format!("the source {reason}"))
     }
 
     fn resolve(&self, variable: &dyn Fn(&str) -> Option<String>) -> Result<Resolved, String> {
@@ -324,10 +322,9 @@ impl SourceOptions {
     /// Checks that they can be passed to a program.
     ///
     /// # Errors
-    /// [`SourceError`] with the fault.
-    pub fn check(&self) -> Result<(), SourceError> {
-        let checked = self.0.iter().try_for_each(|word| no_control(word));
-        checked.map_err(SourceError)
+    /// The fault.
+    pub fn check(&self) -> Result<(), String> {
+        self.0.iter().try_for_each(|word| no_control(word))
     }
 
     /// Name, without its `-`, and value. An option without a value is a flag.

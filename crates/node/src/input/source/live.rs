@@ -1,6 +1,5 @@
 //! A source that is reopened whenever it ends, fails or falls silent, with growing pauses, until it is stopped.
 
-use super::SourceError;
 use super::address::{SourceAddress, SourceKind};
 use super::program::{PictureProgram, RunningProgram, output_of};
 use super::templates::{FFMPEG, GSTREAMER, SourceSettings, Version, ffmpeg, gstreamer, version};
@@ -66,8 +65,8 @@ impl LiveSource {
     /// Creates a source and checks that its program exists and its address is complete.
     ///
     /// # Errors
-    /// [`SourceError`] with what is missing.
-    pub fn find(mut settings: SourceSettings) -> Result<Self, SourceError> {
+    /// What is missing.
+    pub fn find(mut settings: SourceSettings) -> Result<Self, String> {
         // Time for several frames at least.
         let frames = settings.max_rate.map_or(0.0, |rate| 3.0 / rate);
         let frames = Duration::try_from_secs_f64(frames).unwrap_or(LONGEST_SILENCE);
@@ -76,7 +75,7 @@ impl LiveSource {
         let resolved = settings.address.resolved()?;
         let path = resolved.text().trim_start_matches("file://");
         if resolved.kind == SourceKind::File && !Path::new(path).exists() {
-            return Err(SourceError(format!("{name}: no such file")));
+            return Err(format!("{name}: no such file"));
         }
         let is_pipeline = resolved.kind == SourceKind::Pipeline;
         let found = match is_pipeline {
@@ -88,8 +87,7 @@ impl LiveSource {
                 true => ("no `gst-launch-1.0`", INSTALL_GSTREAMER),
                 false => ("neither `ffmpeg` nor `gst-launch-1.0`", INSTALL_FFMPEG),
             };
-            let missing = format!("{name}: {programs} was found. {remedy}");
-            return Err(SourceError(missing));
+            return Err(format!("{name}: {programs} was found. {remedy}"));
         }
         let motion_jpeg = match &resolved.kind {
             SourceKind::Network(scheme) if scheme.starts_with("http") => {
@@ -121,7 +119,7 @@ impl LiveSource {
         self.settings.address.to_string()
     }
 
-    fn program(&self) -> Result<PictureProgram, SourceError> {
+    fn program(&self) -> Result<PictureProgram, String> {
         match self.ffmpeg {
             Some(version) => ffmpeg(&self.settings, self.motion_jpeg, version),
             None => gstreamer(&self.settings),
@@ -201,7 +199,7 @@ impl LiveSource {
     fn read(&mut self, sink: &mut dyn SourceSink, stop: CancellationToken) -> Option<String> {
         let program = match self.program() {
             Ok(program) => program,
-            Err(error) => return Some(error.to_string()),
+            Err(error) => return Some(error),
         };
         let (name, ppm) = (program.program, program.ppm);
         let running = match program.start(self.settings.silence, stop) {

@@ -1,7 +1,6 @@
 //! Opens a source with a program that writes pictures to its output. The program gets a clean environment and limited
 //! memory, its output is read with a deadline, and it is killed with everything it started.
 
-use super::SourceError;
 use super::address::Secrets;
 use rustix::process::{Pid, Resource, Rlimit, Signal, kill_process_group, prlimit};
 use std::collections::VecDeque;
@@ -336,17 +335,12 @@ fn codec(line: &str) -> Option<String> {
 ///
 /// # Errors
 /// An I/O error if it exists but cannot be started.
-pub(super) fn output_of(
-    program: &'static str,
-    argument: &str,
-) -> Result<Option<String>, SourceError> {
+pub(super) fn output_of(program: &'static str, argument: &str) -> Result<Option<String>, String> {
     let mut command = std::process::Command::new(program);
     match command.arg(argument).stdin(Stdio::null()).output() {
         Ok(output) => Ok(Some(String::from_utf8_lossy(&output.stdout).into_owned())),
         Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
-        Err(error) => Err(SourceError(format!(
-            "`{program}` cannot be started: {error}"
-        ))),
+        Err(error) => Err(format!("`{program}` cannot be started: {error}")),
     }
 }
 

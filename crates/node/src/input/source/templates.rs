@@ -1,6 +1,5 @@
 //! The command lines with which ffmpeg and GStreamer extract pictures from a source.
 
-use super::SourceError;
 use super::address::{Resolved, SourceAddress, SourceKind, SourceOptions};
 use super::program::PictureProgram;
 use albireo_vision::picture::FrameLimits;
@@ -102,12 +101,12 @@ pub(super) fn version(banner: &str) -> Version {
 /// option is passed in a script on its input, not on its command line, which every user of the machine can see.
 ///
 /// # Errors
-/// [`SourceError`] if the address is invalid.
+/// If the address is invalid.
 pub(super) fn ffmpeg(
     settings: &SourceSettings,
     untouched: bool,
     version: Version,
-) -> Result<PictureProgram, SourceError> {
+) -> Result<PictureProgram, String> {
     let mut resolved = settings.address.resolved()?;
     let hidden_address = !resolved.secrets.is_empty();
     let takes_options = version >= SCRIPT_OPTIONS;
@@ -180,11 +179,11 @@ pub(super) fn ffmpeg(
     }
     let input = if scripted {
         if !takes_options && !settings.options.0.is_empty() {
-            return Err(SourceError(format!(
+            return Err(format!(
                 "{}: ffmpeg before version 5 accepts no options for an address with a password: install a newer version, or \
                  remove source_options",
                 settings.address
-            )));
+            ));
         }
         arguments.add(&["-f", "concat", "-safe", "0"]);
         arguments.add(&["-protocol_whitelist", PROTOCOLS, "-i", "pipe:0"]);
@@ -247,8 +246,8 @@ pub(super) fn ffmpeg(
 /// are JPEG files.
 ///
 /// # Errors
-/// [`SourceError`] if the address is invalid, or would show a password that the user has not put on a command line.
-pub(super) fn gstreamer(settings: &SourceSettings) -> Result<PictureProgram, SourceError> {
+/// If the address is invalid, or would show a password that the user has not put on a command line.
+pub(super) fn gstreamer(settings: &SourceSettings) -> Result<PictureProgram, String> {
     let resolved = settings.address.resolved()?;
     let Resolved {
         kind,
@@ -257,11 +256,11 @@ pub(super) fn gstreamer(settings: &SourceSettings) -> Result<PictureProgram, Sou
     } = &resolved;
     // GStreamer accepts an address only on its command line.
     if *kind != SourceKind::Pipeline && !secrets.is_empty() {
-        return Err(SourceError(format!(
+        return Err(format!(
             "{}: without ffmpeg its password would show in the list of processes: install ffmpeg, or give your own \
              GStreamer pipeline",
             settings.address
-        )));
+        ));
     }
     let text = resolved.text();
     let mut arguments = Arguments::default();
