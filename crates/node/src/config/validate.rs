@@ -201,7 +201,12 @@ impl NodeConfig {
         for (index, camera) in self.cameras.iter().enumerate() {
             let key = |name: &str| format!("camera[{index}].{name}");
             check_camera(camera, &key, findings);
-            self.check_threshold(camera, spec, &key, findings);
+            if let (Some(threshold), Some(spec)) = (camera.threshold, spec) {
+                let none = || format!("policy `{}` has no threshold", self.policy.name);
+                if let Some(spec) = findings.check(key("threshold"), spec.ok_or_else(none)) {
+                    findings.check(key("threshold"), spec.check(threshold));
+                }
+            }
             if !names.insert(camera.name.as_str()) {
                 findings.add(
                     key("name"),
@@ -246,22 +251,6 @@ impl NodeConfig {
                     ),
                 );
             }
-        }
-    }
-
-    fn check_threshold(
-        &self,
-        camera: &CameraConfig,
-        spec: Option<Option<ThresholdSpec>>,
-        key: &dyn Fn(&str) -> String,
-        findings: &mut Findings,
-    ) {
-        let (Some(threshold), Some(spec)) = (camera.threshold, spec) else {
-            return;
-        };
-        let none = || format!("policy `{}` has no threshold", self.policy.name);
-        if let Some(spec) = findings.check(key("threshold"), spec.ok_or_else(none)) {
-            findings.check(key("threshold"), spec.check(threshold));
         }
     }
 }

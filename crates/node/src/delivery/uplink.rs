@@ -244,7 +244,12 @@ impl Worker {
             }
             match last_try {
                 None => {
-                    self.send_status(&status).await?;
+                    let due = self
+                        .status_sender
+                        .due(Now::system(), &setup.board, &setup.desired);
+                    if let Some(payload) = due {
+                        status.put(payload).await?;
+                    }
                     self.watched.serve(session, &setup).await?;
                     if pulls.matching_status().await?.matching() && self.schedule.next_pull(now) {
                         asked.push(pull(&setup, &pulls).boxed());
@@ -294,14 +299,6 @@ impl Worker {
         let taken = spawn_blocking(move || (setup.desired).take(&desired, &setup.board));
         if taken.await.unwrap_or(false) {
             self.status_sender.full_is_due();
-        }
-    }
-
-    async fn send_status(&mut self, status: &zenoh::pubsub::Publisher<'_>) -> zenoh::Result<()> {
-        let setup = &self.setup;
-        match (self.status_sender).due(Now::system(), &setup.board, &setup.desired) {
-            Some(payload) => status.put(payload).await,
-            None => Ok(()),
         }
     }
 }
