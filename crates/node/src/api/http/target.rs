@@ -3,7 +3,7 @@
 use super::RouteState;
 use super::change::{message, off_the_runtime};
 use albireo_service::http::Problem;
-use albireo_wire::{SettingSource, Target, TargetMessage, TargetReport, VERSION};
+use albireo_wire::{SettingSource, Target, TargetMessage, TargetReport, check_version};
 use axum::Json;
 use axum::body::Bytes;
 use axum::extract::State;
@@ -37,15 +37,13 @@ pub(super) async fn put(
     headers: HeaderMap,
     body: Result<Bytes, BytesRejection>,
 ) -> Result<Json<TargetReport>, Problem> {
-    let refused = |status, what: String| Problem::new(status, what).allowing(Target::NAMES);
+    let refused =
+        |what: String| Problem::new(StatusCode::UNPROCESSABLE_ENTITY, what).allowing(Target::NAMES);
     let message: TargetMessage = message(&headers, body, EXPECTED)?;
-    if message.v != VERSION {
-        let what = format!("version {} is not known here, only {VERSION}", message.v);
-        return Err(refused(StatusCode::UNPROCESSABLE_ENTITY, what));
-    }
+    check_version(message.v).map_err(|error| refused(error.to_string()))?;
     let board = Arc::clone(&shared.board);
     off_the_runtime(move || board.set_target(message.target, SettingSource::Local))
         .await?
-        .map_err(|error| refused(StatusCode::UNPROCESSABLE_ENTITY, error.to_string()))?;
+        .map_err(|error| refused(error.to_string()))?;
     Ok(Json(shared.board.target.report()))
 }

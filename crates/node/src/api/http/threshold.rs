@@ -5,7 +5,7 @@ use super::change::{message, off_the_runtime};
 use crate::state::board::{Board, CameraBoard, ThresholdError, set_thresholds};
 use albireo_core::policy::{ThresholdSpec, short};
 use albireo_service::http::Problem;
-use albireo_wire::{SettingSource, Threshold, VERSION};
+use albireo_wire::{SettingSource, Threshold, VERSION, check_version};
 use axum::Json;
 use axum::body::Bytes;
 use axum::extract::rejection::BytesRejection;
@@ -102,10 +102,7 @@ async fn put(
     };
     let sent: NewThreshold =
         message(headers, body, &expected).map_err(|problem| problem.with_threshold_spec(spec))?;
-    if let Some(v) = sent.v.filter(|v| *v != VERSION) {
-        let what = format!("version {v} is not known here, only {VERSION}");
-        return Err(fault(&what));
-    }
+    check_version(sent.v.unwrap_or(VERSION)).map_err(|error| fault(&error))?;
     let mut values = sent.value.into_iter();
     let (Some((name, value)), None) = (values.next(), values.next()) else {
         return Err(fault(&"it must have exactly one value"));

@@ -186,6 +186,9 @@ impl LiveSource {
             "rtmp" => Some(1935),
             _ => None,
         })?;
+        if ["srt", "udp", "rtp"].contains(&scheme.as_str()) {
+            return None; // These do not connect by TCP.
+        }
         let reason = match timeout(CONNECT_LIMIT, TcpStream::connect((host, port))).await {
             Ok(Ok(_)) => return None,
             Ok(Err(error)) => error.to_string(),
