@@ -71,7 +71,7 @@ mod tests {
     /// A candidate whose box has this centre, width and height.
     fn candidate((x, y, width, height): (f64, f64, f64, f64), class: u16, score: f32) -> Candidate {
         Candidate {
-            corners: around(x, y, width, height),
+            corners: around([x, y, width, height]),
             class: ClassId(class),
             confidence: score,
         }
