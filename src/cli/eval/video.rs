@@ -11,9 +11,8 @@ use albireo_eval::pictures::{
 };
 use albireo_eval::report::Report;
 use albireo_eval::result::{ClipResult, Spread};
-use albireo_eval::run::{self, Settings};
+use albireo_eval::run;
 use albireo_eval::source::ScreenRule;
-use albireo_eval::spec::PolicySpec;
 use albireo_eval::streams::{self, StreamResults};
 use albireo_eval::summary;
 use albireo_eval::worst::attach_pictures;
@@ -90,23 +89,127 @@ pub(super) struct PassArguments {
     frames: Option<usize>,
 }
 
-/// Runs `albireo eval video`.
-pub(super) fn run(arguments: &VideoArguments) -> anyhow::Result<()> {
+/// Runs `albireo eval video`. Clips are processed one after the other, and dropped when every policy is done.
+pub(super) fn run(video: &VideoArguments) -> anyhow::Result<()> {
+    let pass = &video.pass;
+    let mut arguments = video.run.clone();
+    ensure!(
+        (LOWEST_CONFIDENCE..=1.0).contains(&arguments.confidence),
+        "--confidence {} is not between {LOWEST_CONFIDENCE} and 1",
+        arguments.confidence
+    );
+    if pass.screen_model.is_some() {
+        arguments.screen = ScreenRule::Recorded;
+    } else if arguments.screen == ScreenRule::Recorded {
+        bail!("--screen recorded needs the verdicts of a screen: name one with --screen-model");
+    }
     let mut names = Vec::new();
-    for clip in &arguments.clips {
+    for clip in &video.clips {
         names.extend(clip.clip_names()?);
     }
-    let title = title(&names);
-    let mut evaluation = Evaluation::start(arguments, &names)?;
-    for clips in &arguments.clips {
-        for mut clip in clips.open_clips(Some(arguments.rate), arguments.encoding)? {
-            match arguments.fps {
-                Some(rate) => evaluation.look(&mut Downsampled::new(clip.as_mut(), rate))?,
-                None => evaluation.look(clip.as_mut())?,
+    let mut seen = HashSet::new();
+    if let Some(name) = names.iter().find(|name| !seen.insert(*name)) {
+        bail!("two clips are named `{name}`: rename one of the files");
+    }
+    let policies = policies(&arguments, true)?;
+    let settings = settings(&arguments)?;
+    let mut truth =
+        (video.truth_format).map(|format| GroundTruth::new(video.ground_truth.clone(), format));
+    if let Some(truth) = &truth {
+        truth.check(&names)?;
+    }
+    let mut models = start_models(pass)?;
+    let pass_settings = PassSettings {
+        max_frames: pass.frames,
+        ..PassSettings::for_policies(&policies)?
+    };
+    let mut report = LoadReport::default();
+    let (mut results, mut times) = (Vec::new(), Vec::new());
+    let mut streams: Vec<StreamResults> = Vec::new();
+    // The clips without their pictures, for `--save-detections`.
+    let mut kept = Vec::new();
+    for clips in &video.clips {
+        for mut source in clips.open_clips(Some(video.rate), video.encoding)? {
+            let mut slower;
+            let source: &mut dyn FrameSource = match video.fps {
+                None => source.as_mut(),
+                Some(rate) => {
+                    slower = Downsampled::new(source.as_mut(), rate);
+                    &mut slower
+                }
+            };
+            let mut clip = pass_over(source, &mut models, &pass_settings, &mut report)?;
+            let looked = clip.pass.take();
+            times.extend(looked.iter().flat_map(|pass| &pass.times).copied());
+            if let Some(truth) = &mut truth {
+                truth.attach_to(&mut clip, names.len() == 1, &mut report)?;
+            }
+            if pass.save_detections.is_some() {
+                kept.push(clip.clone());
+            }
+            clip.pass = looked;
+            if truth.is_none() {
+                clip.truth = Some(vanilla_as_truth(&clip, settings.confidence));
+            } else if clip.truth.is_none() {
+                let note = format!("{}: not in the ground truth, left out", clip.name);
+                report.notes.push(note);
+                continue;
+            }
+            let mut of_clip = run::run([&clip], &policies, &settings, &|| ())?;
+            // The pictures of the frames that lost most are read again: keeping all pictures until these frames are known
+            // would take too much memory.
+            if let Err(error) = attach_pictures(source, &mut of_clip) {
+                let name = &clip.name;
+                let note = format!("{name}: no pictures of the frames that lost most: {error}");
+                report.notes.push(note);
+            }
+            results.extend(of_clip);
+            for (at, stream) in streams_asked(&arguments).into_iter().enumerate() {
+                let of_clip = streams::run([&clip], &policies, &settings, stream)?;
+                match streams.get_mut(at) {
+                    Some(clips_before) => clips_before.extend(of_clip),
+                    None => streams.push(of_clip),
+                }
             }
         }
     }
-    evaluation.finish(title)
+    end_pass(pass, &report, &kept)?;
+    let basis = match truth {
+        Some(_) => "by ground truth".to_owned(),
+        None => format!(
+            "against vanilla: its own output at confidence {} is used as ground truth",
+            settings.confidence
+        ),
+    };
+    let times = times_of_steps(&times);
+    let provider = models.provider().as_str();
+    let (detector, head) = (pass.detector.display(), pass.head.as_str());
+    let detector = format!("{detector} (head {head}), run by {provider}");
+    let mut listed_settings = vec![("Judged".to_owned(), basis.clone())];
+    listed_settings.extend(listed(&arguments));
+    listed_settings.push(("Detector".to_owned(), detector));
+    if let Some(screen) = &pass.screen_model {
+        listed_settings.push(("Screen model".to_owned(), screen.display().to_string()));
+    }
+    listed_settings.extend(times.iter().cloned());
+    results.sort_by_key(|result| {
+        let mut policies = policies.iter();
+        policies.position(|policy| policy.label == result.policy)
+    });
+    let report = Report {
+        title: title(&names),
+        settings: listed_settings,
+        data: report,
+        policies: summary::summarise(&results),
+        clips: results,
+    };
+    println!("Judged {basis}");
+    conclude(&report, &streams, &arguments)?;
+    print_screens(&report.clips);
+    for (name, value) in times {
+        println!("{name}: {value}");
+    }
+    Ok(())
 }
 
 /// Returns the report's heading: the clips' names, or the first of many.
@@ -119,185 +222,32 @@ fn title(names: &[String]) -> String {
     }
 }
 
-/// A run in progress. Clips are processed one after the other, and dropped when every policy is done.
-struct Evaluation<'a> {
-    pass: &'a PassArguments,
-    arguments: RunArguments,
-    settings: Settings,
-    policies: Vec<PolicySpec>,
-    truth: Option<GroundTruth>,
-    /// The number of clips of the run.
-    clips: usize,
-    models: ModelRunner,
-    pass_settings: PassSettings,
-    report: LoadReport,
-    results: Vec<ClipResult>,
-    /// The results of all clips, for each stream that was asked for.
-    streams: Vec<StreamResults>,
-    times: Vec<StepTimes>,
-    /// The clips without their pictures, for `--save-detections`.
-    kept: Vec<Clip>,
-}
-
 /// Selects the time of one step.
 type StepTime = fn(&StepTimes) -> f64;
 
-impl<'a> Evaluation<'a> {
-    fn start(video: &'a VideoArguments, names: &[String]) -> anyhow::Result<Self> {
-        let pass = &video.pass;
-        let mut arguments = video.run.clone();
-        ensure!(
-            (LOWEST_CONFIDENCE..=1.0).contains(&arguments.confidence),
-            "--confidence {} is not between {LOWEST_CONFIDENCE} and 1",
-            arguments.confidence
+/// Lists the time of each step that was taken.
+fn times_of_steps(times: &[StepTimes]) -> Vec<(String, String)> {
+    let steps: [(&str, StepTime); 5] = [
+        ("the detector", |times| times.detector),
+        ("the screen", |times| times.screen),
+        ("decoding", |times| times.decode),
+        ("decoding to grey", |times| times.grey),
+        ("decoding to a small grey picture", |times| times.small),
+    ];
+    let row = |(step, time): (&str, StepTime)| {
+        let spread = Spread::of(times.iter().map(time).collect())?;
+        let value = format!(
+            "mean {:.2} ms, p50 {:.2}, p95 {:.2}, p99 {:.2} (measured on this machine, {} frames)",
+            spread.mean,
+            spread.p50,
+            spread.p95,
+            spread.p99,
+            times.len()
         );
-        if pass.screen_model.is_some() {
-            arguments.screen = ScreenRule::Recorded;
-        } else if arguments.screen == ScreenRule::Recorded {
-            bail!("--screen recorded needs the verdicts of a screen: name one with --screen-model");
-        }
-        let mut seen = HashSet::new();
-        if let Some(name) = names.iter().find(|name| !seen.insert(*name)) {
-            bail!("two clips are named `{name}`: rename one of the files");
-        }
-        let policies = policies(&arguments, true)?;
-        let settings = settings(&arguments)?;
-        let truth =
-            (video.truth_format).map(|format| GroundTruth::new(video.ground_truth.clone(), format));
-        if let Some(truth) = &truth {
-            truth.check(names)?;
-        }
-        let models = start_models(pass)?;
-        Ok(Self {
-            pass,
-            pass_settings: PassSettings {
-                max_frames: pass.frames,
-                ..PassSettings::for_policies(&policies)?
-            },
-            arguments,
-            settings,
-            policies,
-            truth,
-            clips: names.len(),
-            models,
-            report: LoadReport::default(),
-            results: Vec::new(),
-            streams: Vec::new(),
-            times: Vec::new(),
-            kept: Vec::new(),
-        })
-    }
-
-    /// Runs the detector over a clip and every policy on its detections, and judges them by the clip's ground truth or,
-    /// if there is none, against Vanilla. The pictures of the frames that lost most are read from `source` again,
-    /// because keeping all pictures until these frames are known would take too much memory.
-    fn look(&mut self, source: &mut dyn FrameSource) -> anyhow::Result<()> {
-        let (models, report) = (&mut self.models, &mut self.report);
-        let mut clip = pass_over(source, models, &self.pass_settings, report)?;
-        let pass = clip.pass.take();
-        self.times.extend(pass.iter().flat_map(|pass| &pass.times));
-        if let Some(truth) = &mut self.truth {
-            truth.attach_to(&mut clip, self.clips == 1, &mut self.report)?;
-        }
-        if self.pass.save_detections.is_some() {
-            self.kept.push(clip.clone());
-        }
-        clip.pass = pass;
-        if self.truth.is_none() {
-            clip.truth = Some(vanilla_as_truth(&clip, self.settings.confidence));
-        } else if clip.truth.is_none() {
-            let note = format!("{}: not in the ground truth, left out", clip.name);
-            self.report.notes.push(note);
-            return Ok(());
-        }
-        let mut results = run::run([&clip], &self.policies, &self.settings, &|| ())?;
-        if let Err(error) = attach_pictures(source, &mut results) {
-            let name = &clip.name;
-            let note = format!("{name}: no pictures of the frames that lost most: {error}");
-            self.report.notes.push(note);
-        }
-        self.results.extend(results);
-        for (at, stream) in streams_asked(&self.arguments).into_iter().enumerate() {
-            let results = streams::run([&clip], &self.policies, &self.settings, stream)?;
-            match self.streams.get_mut(at) {
-                Some(clips_before) => clips_before.extend(results),
-                None => self.streams.push(results),
-            }
-        }
-        Ok(())
-    }
-
-    /// Saves the detections, and prints and writes the report.
-    fn finish(mut self, title: String) -> anyhow::Result<()> {
-        end_pass(self.pass, &self.report, &self.kept)?;
-        let confidence = self.settings.confidence;
-        let basis = match self.truth {
-            Some(_) => "by ground truth".to_owned(),
-            None => format!(
-                "against vanilla: its own output at confidence {confidence} is used as ground truth"
-            ),
-        };
-        let mut settings = vec![("Judged".to_owned(), basis.clone())];
-        settings.extend(listed(&self.arguments));
-        settings.extend(self.models());
-        let labels: Vec<_> = self.policies.iter().map(|policy| &policy.label).collect();
-        (self.results)
-            .sort_by_key(|result| labels.iter().position(|label| **label == result.policy));
-        let report = Report {
-            title,
-            settings,
-            data: self.report,
-            policies: summary::summarise(&self.results),
-            clips: self.results,
-        };
-        println!("Judged {basis}");
-        conclude(&report, &self.streams, &self.arguments)?;
-        print_screens(&report.clips);
-        for (name, value) in &report.settings {
-            if name.starts_with("Time of") {
-                println!("{name}: {value}");
-            }
-        }
-        Ok(())
-    }
-
-    /// Lists the models, and the time of each step.
-    fn models(&self) -> Vec<(String, String)> {
-        let (detector, head) = (self.pass.detector.display(), self.pass.head.as_str());
-        let provider = self.models.provider().as_str();
-        let detector = format!("{detector} (head {head}), run by {provider}");
-        let mut rows = vec![("Detector".to_owned(), detector)];
-        if let Some(screen) = &self.pass.screen_model {
-            rows.push(("Screen model".to_owned(), screen.display().to_string()));
-        }
-        let steps: [(&str, StepTime); 5] = [
-            ("the detector", |times| times.detector),
-            ("the screen", |times| times.screen),
-            ("decoding", |times| times.decode),
-            ("decoding to grey", |times| times.grey),
-            ("decoding to a small grey picture", |times| times.small),
-        ];
-        for (step, time) in steps {
-            let spread = Spread::of(self.times.iter().map(time).collect());
-            // The time of a step that was not taken is 0.
-            if let Some(spread) = spread.filter(|spread| spread.mean > 0.0) {
-                let Spread {
-                    mean,
-                    p50,
-                    p95,
-                    p99,
-                } = spread;
-                let frames = self.times.len();
-                rows.push((
-                    format!("Time of {step}"),
-                    format!(
-                        "mean {mean:.2} ms, p50 {p50:.2}, p95 {p95:.2}, p99 {p99:.2} (measured on this machine, {frames} frames)"
-                    ),
-                ));
-            }
-        }
-        rows
-    }
+        // The time of a step that was not taken is 0.
+        (spread.mean > 0.0).then(|| (format!("Time of {step}"), value))
+    };
+    steps.into_iter().filter_map(row).collect()
 }
 
 /// Loads the models of the pass.
