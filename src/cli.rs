@@ -174,8 +174,7 @@ impl Command {
             Self::Compare(arguments) => block_on(compare::run(arguments))?,
             #[cfg(feature = "eval")]
             Self::Replay(arguments) => block_on(async {
-                let shutdown = albireo_service::signals::shutdown()
-                    .context(albireo_service::signals::CONTEXT)?;
+                let shutdown = albireo_service::signals::shutdown()?;
                 replay::run(arguments, shutdown).await.map(drop)
             })?,
             #[cfg(feature = "eval")]

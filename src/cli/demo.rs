@@ -80,7 +80,7 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
             .to_owned(),
         ..LogConfig::default()
     })?;
-    let shutdown = signals::shutdown().context(signals::CONTEXT)?;
+    let shutdown = signals::shutdown()?;
     let listener = listen(arguments.port).await?;
     let endpoint = format!("tcp/127.0.0.1:{}", listen(7447).await?.local_addr()?.port());
     let config = configuration(&arguments, &endpoint)?;

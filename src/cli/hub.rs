@@ -4,7 +4,6 @@ use super::{block_on, listen, progress};
 use albireo_hub::config::{DatabaseConfig, HubConfig};
 use albireo_hub::store::transfer;
 use albireo_service::{config, logging, signals};
-use anyhow::Context;
 use std::path::PathBuf;
 
 /// Arguments of `albireo hub`.
@@ -59,7 +58,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let config: HubConfig = config::load(arguments.config.as_deref())?;
     logging::start(&config.log)?;
     block_on(async {
-        let shutdown = signals::shutdown().context(signals::CONTEXT)?;
+        let shutdown = signals::shutdown()?;
         let listener = listen("http.listen", config.http.listen).await?;
         Ok(albireo_hub::run(&config, listener, shutdown).await?)
     })

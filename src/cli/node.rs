@@ -3,7 +3,6 @@
 use super::{block_on, listen};
 use albireo_node::config::NodeConfig;
 use albireo_service::{logging, signals};
-use anyhow::Context;
 use std::path::{Path, PathBuf};
 
 /// Arguments of `albireo node`.
@@ -39,7 +38,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     );
     block_on(async {
         let limit = config.node.stop_timeout;
-        let shutdown = signals::shutdown_within(Some(limit)).context(signals::CONTEXT)?;
+        let shutdown = signals::shutdown_within(Some(limit))?;
         let listener = listen("http.listen", config.http.listen).await?;
         Ok(albireo_node::run(&config, listener, shutdown).await?)
     })

@@ -9,7 +9,7 @@ use albireo_service::config::LogConfig;
 use albireo_service::{logging, signals};
 use albireo_vision::picture::{EncodedPicture, FrameFault, FrameLimits};
 use albireo_wire::{FrameAttachment, VERSION};
-use anyhow::{Context, anyhow, bail};
+use anyhow::{anyhow, bail};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
@@ -78,7 +78,7 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
              set that environment variable"
         );
     }
-    let shutdown = signals::shutdown().context(signals::CONTEXT)?;
+    let shutdown = signals::shutdown()?;
     let key = arguments.target.frame_key()?;
     let options = SourceOptions(arguments.source_option);
     (options.check()).map_err(|error| anyhow!("--source-option {error}"))?;

@@ -4,7 +4,7 @@ use super::{block_on, listen};
 use albireo_router::RouterOptions;
 use albireo_service::config::{Findings, LogConfig, LogFormat};
 use albireo_service::{logging, signals};
-use anyhow::{Context, bail};
+use anyhow::bail;
 
 /// Arguments of `albireo router`.
 #[derive(Debug, clap::Args)]
@@ -55,7 +55,7 @@ pub(super) fn run(arguments: Arguments) -> anyhow::Result<()> {
     }
     logging::start(&log)?;
     block_on(async {
-        let shutdown = signals::shutdown().context(signals::CONTEXT)?;
+        let shutdown = signals::shutdown()?;
         let listener = listen("--http", http.listen).await?;
         Ok(albireo_router::run(&options, listener, shutdown).await?)
     })

@@ -2,7 +2,7 @@
 
 use albireo_service::signals;
 use albireo_simulate::Options;
-use anyhow::{Context, bail};
+use anyhow::bail;
 
 /// Arguments of `albireo simulate`.
 #[derive(Debug, clap::Args)]
@@ -32,7 +32,7 @@ pub(super) struct Arguments {
 }
 
 pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
-    let shutdown = signals::shutdown().context(signals::CONTEXT)?;
+    let shutdown = signals::shutdown()?;
     let progress = |line| eprintln!("{line}");
     let summary = albireo_simulate::run(arguments.options, shutdown, progress).await?;
     if arguments.json {

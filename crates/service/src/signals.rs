@@ -7,9 +7,6 @@ use std::time::{Duration, Instant};
 use std::{io, process, thread};
 use tokio_util::sync::CancellationToken;
 
-/// The error context if the signal handlers cannot be installed.
-pub const CONTEXT: &str = "the signal handlers cannot be installed";
-
 /// Signals this soon after the first are the same request: `timeout` signals its child, then the whole group.
 const ONE_REQUEST: Duration = Duration::from_secs(1);
 
@@ -29,7 +26,10 @@ pub fn shutdown() -> io::Result<CancellationToken> {
 pub fn shutdown_within(limit: Option<Duration>) -> io::Result<CancellationToken> {
     let token = CancellationToken::new();
     let cancelled = token.clone();
-    let mut signals = Signals::new([SIGTERM, SIGINT])?;
+    let failed = |error: io::Error| {
+        io::Error::other(format!("the signal handlers cannot be installed: {error}"))
+    };
+    let mut signals = Signals::new([SIGTERM, SIGINT]).map_err(failed)?;
     // In a separate thread: a signal is handled even if all workers of the program are blocked.
     thread::Builder::new()
         .name("signals".to_owned())
@@ -57,6 +57,7 @@ pub fn shutdown_within(limit: Option<Duration>) -> io::Result<CancellationToken>
                     Some(_) => {}
                 }
             }
-        })?;
+        })
+        .map_err(failed)?;
     Ok(token)
 }
