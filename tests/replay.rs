@@ -210,7 +210,7 @@ fn ffmpeg_is_killed_with_the_program_even_while_it_is_silent() {
         if stopped {
             let stop = video.stopper().unwrap();
             let reading = std::thread::spawn(move || video.next().unwrap());
-            stop();
+            drop(stop);
             assert_eq!(reading.join().unwrap(), None);
         } else {
             drop(video);

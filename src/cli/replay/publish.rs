@@ -2,7 +2,7 @@
 
 use crate::cli::frames::OutgoingFrame;
 use crate::cli::values;
-use albireo_eval::footage::{FrameSource, Stopper};
+use albireo_eval::footage::FrameSource;
 use albireo_service::clock::unix_nanoseconds;
 use albireo_vision::picture::{EncodedPicture, PictureFormat};
 use albireo_wire::{FrameAttachment, VERSION};
@@ -83,55 +83,24 @@ pub struct Sent {
     pub elapsed: Duration,
 }
 
-/// Stops the source when it is dropped, so that the source stops with the player for any reason.
-struct StopOnDrop(Option<Stopper>);
-
-impl Drop for StopOnDrop {
-    fn drop(&mut self) {
-        if let Some(stop) = self.0.take() {
-            stop();
-        }
-    }
-}
-
-/// A picture with the pass and the source's clip that it belongs to.
-struct Prepared {
-    pass: u64,
-    clip: Option<String>,
-    picture: EncodedPicture,
-}
+/// The part of a source that a picture belongs to: the pass, and the source's clip.
+type Part = (u64, Option<String>);
 
 /// The number of frames that are read ahead, so that a slow frame does not delay the next.
 const AHEAD: usize = 4;
-
-/// Runs the source on its own thread.
-fn prepare(source: Box<dyn FrameSource>, repeat: bool) -> mpsc::Receiver<anyhow::Result<Prepared>> {
-    let (sender, receiver) = mpsc::channel(AHEAD);
-    std::thread::spawn(move || {
-        if let Err(error) = read_ahead(source, repeat, &sender) {
-            let _ = sender.blocking_send(Err(error));
-        }
-    });
-    receiver
-}
 
 /// Reads the source until it ends, fails, or nobody takes its pictures.
 fn read_ahead(
     mut source: Box<dyn FrameSource>,
     repeat: bool,
-    sender: &mpsc::Sender<anyhow::Result<Prepared>>,
+    sender: &mpsc::Sender<anyhow::Result<(Part, EncodedPicture)>>,
 ) -> anyhow::Result<()> {
     for pass in 0_u64.. {
         let mut is_empty = true;
         while let Some(picture) = source.next()? {
             is_empty = false;
-            let clip = source.clip().map(str::to_owned);
-            let prepared = Prepared {
-                pass,
-                clip,
-                picture,
-            };
-            if sender.blocking_send(Ok(prepared)).is_err() {
+            let part = (pass, source.clip().map(str::to_owned));
+            if sender.blocking_send(Ok((part, picture))).is_err() {
                 return Ok(());
             }
         }
@@ -151,29 +120,28 @@ struct Clips<'a> {
     options: &'a PublishOptions,
     source: String,
     begun: u64,
-    /// The pass and the source's clip of the last frame.
-    last: Option<(u64, Option<String>)>,
+    /// The part that the last frame belongs to.
+    last: Option<Part>,
     /// When the clip that is being sent began, seconds after the first frame.
     since: f64,
 }
 
 impl Clips<'_> {
-    /// Returns the clip of the next frame, which is in pass `pass` and the source's clip `of_source`, `seconds` after the
-    /// first frame.
-    fn next(&mut self, pass: u64, of_source: Option<String>, seconds: f64) -> Option<String> {
-        let options = self.options;
+    /// Returns the clip of the next frame, which belongs to `part`, `seconds` after the first frame.
+    fn next(&mut self, part: Part, seconds: f64) -> Option<String> {
+        let (options, of_source) = (self.options, part.1.as_ref());
         if options.no_clip {
             return None;
         }
         let several = options.repeat || options.clip_seconds.is_some();
         let (name, numbered) = match &options.clip {
             Some(name) => (name, several || of_source.is_some()),
-            None => (of_source.as_ref().unwrap_or(&self.source), several),
+            None => (of_source.unwrap_or(&self.source), several),
         };
         let name = name.clone();
         // Frame times have rounding errors, which are below half a millisecond.
         let is_over = |most: f64| seconds - self.since >= most - 0.0005;
-        let part = Some((pass, of_source));
+        let part = Some(part);
         if self.last != part || options.clip_seconds.is_some_and(is_over) {
             (self.last, self.since) = (part, seconds);
             self.begun += 1;
@@ -205,7 +173,8 @@ pub async fn publish<F: Future<Output = anyhow::Result<Option<String>>>>(
     let period = (Duration::try_from_secs_f64(1.0 / rate).ok())
         .filter(|period| *period <= MAX_PERIOD)
         .with_context(|| format!("{rate} frames per second is not a rate: give one with --rate"))?;
-    let _stop = StopOnDrop(source.stopper());
+    // Dropped with the player for any reason, so that the source stops too.
+    let _stopper = source.stopper();
     let mut clips = Clips {
         options,
         source: source.name().to_owned(),
@@ -213,7 +182,14 @@ pub async fn publish<F: Future<Output = anyhow::Result<Option<String>>>>(
         last: None,
         since: 0.0,
     };
-    let mut prepared = prepare(source, options.repeat);
+    let (sender, mut prepared) = mpsc::channel(AHEAD);
+    let repeat = options.repeat;
+    // The source has a thread of its own, because reading it blocks.
+    std::thread::spawn(move || {
+        if let Err(error) = read_ahead(source, repeat, &sender) {
+            let _ = sender.blocking_send(Err(error));
+        }
+    });
     let mut sent = Sent::default();
     let mut begun = None;
     let mut due = Instant::now();
@@ -224,11 +200,7 @@ pub async fn publish<F: Future<Output = anyhow::Result<Option<String>>>>(
             next = prepared.recv() => next,
         };
         let Some(next) = next else { break };
-        let Prepared {
-            pass,
-            clip,
-            picture,
-        } = next?;
+        let (part, picture) = next?;
         let (began, clock) = *begun.get_or_insert_with(|| {
             due = Instant::now();
             (due, unix_nanoseconds())
@@ -254,7 +226,7 @@ pub async fn publish<F: Future<Output = anyhow::Result<Option<String>>>>(
                 v: VERSION,
                 seq: Some(options.first_sequence + sent.frames),
                 t_ns: Some(clock.saturating_add((seconds * 1e9) as u64)),
-                clip: clips.next(pass, clip, seconds),
+                clip: clips.next(part, seconds),
                 // Other pictures contain their size.
                 width: is_raw.then_some(picture.size.width),
                 height: is_raw.then_some(picture.size.height),

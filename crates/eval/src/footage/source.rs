@@ -4,8 +4,14 @@ use crate::error::EvalError;
 use albireo_vision::picture::EncodedPicture;
 use std::path::Path;
 
-/// Ends a source from another thread: its pending and later [`FrameSource::next`] calls return soon.
-pub type Stopper = Box<dyn FnOnce() + Send>;
+/// Ends a source, from any thread, when it is dropped: its pending and later [`FrameSource::next`] calls return soon.
+pub struct Stopper(pub(super) Box<dyn Fn() + Send>);
+
+impl Drop for Stopper {
+    fn drop(&mut self) {
+        (self.0)();
+    }
+}
 
 /// A sequence of encoded pictures. It is driven on a thread of its own, so its calls may block.
 pub trait FrameSource: Send {

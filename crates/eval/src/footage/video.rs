@@ -318,11 +318,11 @@ impl FrameSource for Video {
 
     fn stopper(&self) -> Option<Stopper> {
         let process = Arc::clone(&self.process);
-        Some(Box::new(move || {
+        Some(Stopper(Box::new(move || {
             let mut process = process.lock();
             process.stopped = true;
             process.end();
-        }))
+        })))
     }
 }
 
