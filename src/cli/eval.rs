@@ -12,14 +12,12 @@ use albireo_eval::data::{DataSet, bdd100k, coco, kitti, mot_challenge, recorded}
 use albireo_eval::energy_model::EnergyModel;
 use albireo_eval::files;
 use albireo_eval::report::Report;
-use albireo_eval::run::{Settings, run as run_policies};
-use albireo_eval::source::ScreenRule;
+use albireo_eval::run::{JUDGED, Settings, run as run_policies};
 use albireo_eval::spec::{PolicySpec, Sweep, resolve};
 use albireo_eval::streams::{self, RunTimes, Stream, StreamResults};
 use albireo_eval::text::wrapped;
 use albireo_eval::{summary, table};
-use anyhow::Context;
-use clap::builder::{PossibleValuesParser, TypedValueParser};
+use anyhow::{Context, ensure};
 use clap::{Args, Subcommand};
 use std::path::{Path, PathBuf};
 
@@ -91,24 +89,14 @@ struct FolderArguments {
 }
 
 /// Headings of the help.
-const JUDGED: &str = "How it is judged";
 const WRITTEN: &str = "What is written";
 const LOOKED: &str = "What looks at the pictures";
-
-/// Parses the name of a profile.
-fn profile_parser() -> impl TypedValueParser<Value = Profile> {
-    PossibleValuesParser::new(["reference", "paper"]).map(|name| match name.as_str() {
-        "reference" => Profile::Reference,
-        _ => Profile::Paper,
-    })
-}
 
 /// Arguments of every comparison of policies.
 #[derive(Clone, Debug, Args)]
 struct RunArguments {
-    /// The definitions that apply where the published code and the paper's text differ.
-    #[arg(long, default_value = "paper", value_parser = profile_parser())]
-    profile: Profile,
+    #[command(flatten)]
+    settings: Settings,
     /// A policy, as NAME or NAME:SETTING, or `all` for every one with the paper's settings; may be given
     /// several times. Vanilla always runs as well.
     #[arg(long, value_name = "NAME[:SETTING]", default_value = "albireo")]
@@ -119,25 +107,6 @@ struct RunArguments {
     /// Values of a setting to try one after the other, for instance u=3e-4,5e-4,7e-4,1e-3.
     #[arg(long, value_name = "NAME=VALUE,…")]
     sweep: Vec<Sweep>,
-    /// The source of the empty-scene screen's verdicts.
-    #[arg(long, help_heading = JUDGED, value_enum, default_value_t = ScreenRule::Nonempty)]
-    screen: ScreenRule,
-    /// Frames in a row that the screen may call empty before the detector runs anyway; 0 for any number.
-    #[arg(long, help_heading = JUDGED, value_name = "COUNT", default_value_t = 100)]
-    longest_empty_run: u32,
-    /// Detections below this confidence are not used.
-    #[arg(long, help_heading = JUDGED, default_value_t = 0.5, allow_negative_numbers = true)]
-    confidence: f64,
-    /// Boxes below this confidence are not judged, as a node with this `report.confidence` does not publish them
-    /// [default: --confidence for detected boxes, half of it for predicted ones].
-    #[arg(long, help_heading = JUDGED)]
-    report_confidence: Option<f64>,
-    /// Judge every class by itself instead of all as one.
-    #[arg(long, help_heading = JUDGED)]
-    per_class: bool,
-    /// Area under the precision-recall curve at COCO's 101 recall levels instead of all points.
-    #[arg(long, help_heading = JUDGED)]
-    coco_interpolation: bool,
     /// Also judge boxes when frames arrive, with a detector that takes this many milliseconds, or the times in FILE in
     /// turn, one measured run per line; at-arrival.txt in --out.
     #[arg(long, help_heading = JUDGED, value_name = "MILLISECONDS|FILE", value_parser = RunTimes::read)]
@@ -150,15 +119,9 @@ struct RunArguments {
     /// energy is not reported.
     #[arg(long, help_heading = WRITTEN, value_name = "FILE")]
     energy_model: Option<PathBuf>,
-    /// Write what each policy did, frame by frame, to DIR/POLICY/SEQUENCE.jsonl.gz.
-    #[arg(long, help_heading = WRITTEN, value_name = "DIR")]
-    traces: Option<PathBuf>,
     /// Write summary.csv, report.json, plots and report.html here.
     #[arg(long, help_heading = WRITTEN, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// The number of threads; 0 for as many as the machine has.
-    #[arg(long, default_value_t = 0)]
-    threads: usize,
 }
 
 /// Runs the command; tables go to standard output, everything else to standard error.
@@ -197,10 +160,10 @@ pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
 
 /// Runs all selected policies over the clips of `data`, and reports the results.
 fn compare(data: DataSet, path: &Path, arguments: &RunArguments) -> anyhow::Result<()> {
-    anyhow::ensure!(
-        (0.0..=1.0).contains(&arguments.confidence),
-        "--confidence {} is not between 0 and 1",
-        arguments.confidence
+    let confidence = arguments.settings.confidence;
+    ensure!(
+        (0.0..=1.0).contains(&confidence),
+        "--confidence {confidence} is not between 0 and 1"
     );
     let data = data.only_with_detections(path)?;
     let policies = policies(arguments, false)?;
@@ -257,53 +220,39 @@ fn streams_asked(arguments: &RunArguments) -> Vec<Stream> {
 
 fn policies(arguments: &RunArguments, pixels: bool) -> anyhow::Result<Vec<PolicySpec>> {
     let base = PolicyConfig {
-        profile: arguments.profile,
+        profile: arguments.settings.profile,
         u: arguments.u,
         ..PolicyConfig::default()
     };
-    let (asked, sweeps, screen) = (&arguments.policy, &arguments.sweep, arguments.screen);
+    let (asked, sweeps) = (&arguments.policy, &arguments.sweep);
+    let screen = arguments.settings.screen;
     Ok(resolve(asked, sweeps, &base, screen, pixels)?)
 }
 
 /// Returns the settings of the run. Creates the folders to write to, so that an error of a folder comes before the work
 /// and not after it.
 fn settings(arguments: &RunArguments) -> anyhow::Result<Settings> {
-    for folder in [&arguments.out, &arguments.traces].into_iter().flatten() {
+    let mut settings = arguments.settings.clone();
+    for folder in [&arguments.out, &settings.traces].into_iter().flatten() {
         std::fs::create_dir_all(folder)
             .with_context(|| format!("cannot write to {}", folder.display()))?;
     }
-    let energy_model = (arguments.energy_model.as_deref())
-        .map(EnergyModel::load)
-        .transpose()?;
-    Ok(Settings {
-        profile: arguments.profile,
-        confidence: arguments.confidence,
-        report_confidence: arguments.report_confidence,
-        screen: arguments.screen,
-        longest_empty_run: arguments.longest_empty_run,
-        classes: match arguments.per_class {
-            true => Classes::Separate,
-            false => Classes::Pooled,
-        },
-        interpolation: match arguments.coco_interpolation {
-            true => Interpolation::Coco101,
-            false => Interpolation::AllPoints,
-        },
-        traces: arguments.traces.clone(),
-        keep_worst: arguments.out.is_some(),
-        energy_model,
-        threads: arguments.threads,
-    })
+    settings.keep_worst = arguments.out.is_some();
+    if let Some(model) = &arguments.energy_model {
+        settings.energy_model = Some(EnergyModel::load(model)?);
+    }
+    Ok(settings)
 }
 
 /// Lists the settings that decide what the figures mean.
 fn listed(arguments: &RunArguments) -> Vec<(String, String)> {
-    let confidence = arguments.confidence;
-    let profile = match arguments.profile {
+    let settings = &arguments.settings;
+    let confidence = settings.confidence;
+    let profile = match settings.profile {
         Profile::Reference => "reference (the published code)",
         Profile::Paper => "paper (the paper's text)",
     };
-    let judged = match (arguments.profile, arguments.report_confidence) {
+    let judged = match (settings.profile, settings.report_confidence) {
         (Profile::Reference, _) => "all".to_owned(),
         (Profile::Paper, Some(least)) => format!("of confidence {least} and above"),
         (Profile::Paper, None) => format!(
@@ -311,13 +260,13 @@ fn listed(arguments: &RunArguments) -> Vec<(String, String)> {
             confidence / 2.0
         ),
     };
-    let classes = match arguments.per_class {
-        true => "each by itself, then their mean",
-        false => "pooled, as the published evaluator",
+    let classes = match settings.classes {
+        Classes::Separate => "each by itself, then their mean",
+        Classes::Pooled => "pooled, as the published evaluator",
     };
-    let area = match arguments.coco_interpolation {
-        true => "at COCO's 101 recall levels",
-        false => "at all points",
+    let area = match settings.interpolation {
+        Interpolation::Coco101 => "at COCO's 101 recall levels",
+        Interpolation::AllPoints => "at all points",
     };
     let energy = match &arguments.energy_model {
         Some(model) => format!("projected with {}", model.display()),
@@ -327,7 +276,7 @@ fn listed(arguments: &RunArguments) -> Vec<(String, String)> {
         ("Profile", profile.to_owned()),
         ("Detector confidence", format!("at least {confidence}")),
         ("Boxes judged", judged),
-        ("Empty-scene screen", arguments.screen.as_str().to_owned()),
+        ("Empty-scene screen", settings.screen.as_str().to_owned()),
         ("Classes", classes.to_owned()),
         ("Average precision", area.to_owned()),
         ("Energy", energy),

@@ -14,35 +14,64 @@ use crate::trace;
 use crate::tracking::tracking;
 use crate::worst::worst_frames;
 use albireo_core::policy::{ExpectedLoss, FrameState, MinConfidence, Policy, Profile};
-use albireo_vision::screen::ScreenConfig;
+use clap::builder::{BoolValueParser, PossibleValuesParser, TypedValueParser};
+use clap::{ArgAction, Args};
 use rayon::iter::{ParallelBridge, ParallelIterator};
 use std::path::PathBuf;
 
-/// The settings of a run.
-#[derive(Clone, Debug)]
+/// The heading in the help of arguments that decide how boxes are judged.
+pub const JUDGED: &str = "How it is judged";
+
+/// The settings of a run, which are arguments of `albireo eval`.
+#[derive(Clone, Debug, Args)]
 pub struct Settings {
-    /// The definitions that apply where the published code and the paper's text differ, such as the boxes that count.
+    /// The definitions that apply where the published code and the paper's text differ.
+    #[arg(long, default_value = "paper", value_parser = profile_parser())]
     pub profile: Profile,
-    /// Policies do not get detections below this confidence.
-    pub confidence: f64,
-    /// The node's `report.confidence`: boxes below it are not judged. `None` for the node's default.
-    pub report_confidence: Option<f64>,
-    /// The source of the screen's verdicts.
+    /// The source of the empty-scene screen's verdicts.
+    #[arg(long, help_heading = JUDGED, value_enum, default_value_t = ScreenRule::Nonempty)]
     pub screen: ScreenRule,
-    /// Frames in a row that a real screen may call empty before the detector runs anyway; 0 for any number.
+    /// Frames in a row that the screen may call empty before the detector runs anyway; 0 for any number.
+    #[arg(long, help_heading = JUDGED, value_name = "COUNT", default_value_t = 100)]
     pub longest_empty_run: u32,
-    /// The treatment of classes.
+    /// Detections below this confidence are not used.
+    #[arg(long, help_heading = JUDGED, default_value_t = 0.5, allow_negative_numbers = true)]
+    pub confidence: f64,
+    /// Boxes below this confidence are not judged, as a node with this `report.confidence` does not publish them
+    /// [default: --confidence for detected boxes, half of it for predicted ones].
+    #[arg(long, help_heading = JUDGED)]
+    pub report_confidence: Option<f64>,
+    /// Judge every class by itself instead of all as one.
+    #[arg(long = "per-class", help_heading = JUDGED, action = ArgAction::SetTrue, value_parser = flag(Classes::Separate, Classes::Pooled))]
     pub classes: Classes,
-    /// The method that computes the area under the precision-recall curve.
+    /// Area under the precision-recall curve at COCO's 101 recall levels instead of all points.
+    #[arg(long = "coco-interpolation", help_heading = JUDGED, action = ArgAction::SetTrue, value_parser = flag(Interpolation::Coco101, Interpolation::AllPoints))]
     pub interpolation: Interpolation,
-    /// The folder to write traces to.
+    /// Write what each policy did, frame by frame, to DIR/POLICY/SEQUENCE.jsonl.gz.
+    #[arg(long, help_heading = "What is written", value_name = "DIR")]
     pub traces: Option<PathBuf>,
+    /// The number of threads; 0 for as many as the machine has.
+    #[arg(long, default_value_t = 0)]
+    pub threads: usize,
     /// True to keep the frames with the most lost objects, with their boxes.
+    #[arg(skip)]
     pub keep_worst: bool,
     /// The model that projects energy and frame time, if any.
+    #[arg(skip)]
     pub energy_model: Option<EnergyModel>,
-    /// The number of threads; 0 for as many as the machine has.
-    pub threads: usize,
+}
+
+/// Parses the name of a profile.
+fn profile_parser() -> impl TypedValueParser<Value = Profile> {
+    PossibleValuesParser::new(["reference", "paper"]).map(|name| match name.as_str() {
+        "reference" => Profile::Reference,
+        _ => Profile::Paper,
+    })
+}
+
+/// Gives the value of a flag that is `set`, or `unset`.
+fn flag<T: Copy + Send + Sync + 'static>(set: T, unset: T) -> impl TypedValueParser<Value = T> {
+    BoolValueParser::new().map(move |is_set| if is_set { set } else { unset })
 }
 
 impl Default for Settings {
@@ -53,7 +82,7 @@ impl Default for Settings {
             confidence: 0.5,
             report_confidence: None,
             screen: ScreenRule::Nonempty,
-            longest_empty_run: ScreenConfig::default().longest_empty_run,
+            longest_empty_run: 100,
             classes: Classes::Pooled,
             interpolation: Interpolation::AllPoints,
             traces: None,

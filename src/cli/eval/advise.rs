@@ -1,12 +1,12 @@
 //! `albireo eval advise`: finds the value of a policy's threshold that meets a target on a recording.
 
+use super::WRITTEN;
 use super::video::{PassArguments, look_at};
-use super::{JUDGED, WRITTEN};
 use crate::cli::values::parse_rate;
 use albireo_eval::advise::{Target, advise, render};
 use albireo_eval::data::{Clip, recorded};
 use albireo_eval::footage::SourceName;
-use albireo_eval::run::Settings;
+use albireo_eval::run::{JUDGED, Settings};
 use anyhow::{bail, ensure};
 use clap::Args;
 use std::path::PathBuf;
@@ -52,13 +52,13 @@ pub(super) struct AdviseArguments {
 /// # Errors
 /// When a recording cannot be read, or no value meets the target.
 pub(super) fn run(arguments: &AdviseArguments) -> anyhow::Result<()> {
+    let confidence = arguments.confidence;
     ensure!(
-        (0.0..=1.0).contains(&arguments.confidence),
-        "--confidence {} is not between 0 and 1",
-        arguments.confidence
+        (0.0..=1.0).contains(&confidence),
+        "--confidence {confidence} is not between 0 and 1"
     );
     let settings = Settings {
-        confidence: arguments.confidence,
+        confidence,
         longest_empty_run: arguments.longest_empty_run,
         ..Settings::default()
     };

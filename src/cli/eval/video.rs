@@ -93,14 +93,14 @@ pub(super) struct PassArguments {
 pub(super) fn run(video: &VideoArguments) -> anyhow::Result<()> {
     let pass = &video.pass;
     let mut arguments = video.run.clone();
+    let confidence = arguments.settings.confidence;
     ensure!(
-        (LOWEST_CONFIDENCE..=1.0).contains(&arguments.confidence),
-        "--confidence {} is not between {LOWEST_CONFIDENCE} and 1",
-        arguments.confidence
+        (LOWEST_CONFIDENCE..=1.0).contains(&confidence),
+        "--confidence {confidence} is not between {LOWEST_CONFIDENCE} and 1"
     );
     if pass.screen_model.is_some() {
-        arguments.screen = ScreenRule::Recorded;
-    } else if arguments.screen == ScreenRule::Recorded {
+        arguments.settings.screen = ScreenRule::Recorded;
+    } else if arguments.settings.screen == ScreenRule::Recorded {
         bail!("--screen recorded needs the verdicts of a screen: name one with --screen-model");
     }
     let mut names = Vec::new();
@@ -149,7 +149,7 @@ pub(super) fn run(video: &VideoArguments) -> anyhow::Result<()> {
             }
             clip.pass = looked;
             if truth.is_none() {
-                clip.truth = Some(vanilla_as_truth(&clip, settings.confidence));
+                clip.truth = Some(vanilla_as_truth(&clip, confidence));
             } else if clip.truth.is_none() {
                 let note = format!("{}: not in the ground truth, left out", clip.name);
                 report.notes.push(note);
@@ -177,8 +177,7 @@ pub(super) fn run(video: &VideoArguments) -> anyhow::Result<()> {
     let basis = match truth {
         Some(_) => "by ground truth".to_owned(),
         None => format!(
-            "against vanilla: its own output at confidence {} is used as ground truth",
-            settings.confidence
+            "against vanilla: its own output at confidence {confidence} is used as ground truth"
         ),
     };
     let times = times_of_steps(&times);

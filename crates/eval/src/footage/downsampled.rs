@@ -15,13 +15,10 @@ impl FrameSelection {
     /// Lowers `rate` frames per second to `wanted`; keeps all frames if `rate` is not higher.
     fn new(rate: f64, wanted: f64) -> Self {
         let share = wanted / rate;
+        // Written so that NaN keeps all frames.
+        let is_lower = share > 0.0 && share < 1.0;
         Self {
-            // Written so that NaN keeps all frames.
-            share: if share > 0.0 && share < 1.0 {
-                share
-            } else {
-                1.0
-            },
+            share: if is_lower { share } else { 1.0 },
         }
     }
 
@@ -65,11 +62,8 @@ impl FrameSource for Downsampled<'_> {
 
     fn frames(&self) -> Option<u64> {
         let frames = self.source.frames()?;
-        Some(
-            (0..frames)
-                .filter(|index| self.selection.takes(*index))
-                .count() as u64,
-        )
+        let taken = (0..frames).filter(|index| self.selection.takes(*index));
+        Some(taken.count() as u64)
     }
 
     fn clip(&self) -> Option<&str> {
@@ -77,16 +71,14 @@ impl FrameSource for Downsampled<'_> {
     }
 
     fn next(&mut self) -> Result<Option<EncodedPicture>, EvalError> {
-        loop {
-            let Some(picture) = self.source.next()? else {
-                return Ok(None);
-            };
+        while let Some(picture) = self.source.next()? {
             let index = self.passed;
             self.passed += 1;
             if self.selection.takes(index) {
                 return Ok(Some(picture));
             }
         }
+        Ok(None)
     }
 
     fn rewind(&mut self) -> Result<(), EvalError> {

@@ -59,20 +59,10 @@ pub(crate) fn clip_name(path: &Path) -> String {
 
 /// Converts `text` to a name that is valid as a clip id.
 pub(super) fn plain_name(text: &str) -> String {
-    let name: String = text
-        .chars()
-        .take(100)
-        .map(|c| {
-            if c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.') {
-                c
-            } else {
-                '_'
-            }
-        })
-        .collect();
-    if name.is_empty() {
-        "clip".to_owned()
-    } else {
-        name
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
+    let name: String = text.chars().take(100).collect();
+    match name.replace(|c: char| !is_plain(c), "_") {
+        empty if empty.is_empty() => "clip".to_owned(),
+        plain => plain,
     }
 }
