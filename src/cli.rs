@@ -38,7 +38,7 @@ mod variables;
 
 use albireo_vision::detector::end_all_sessions;
 use anyhow::Context;
-use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+use clap::{Parser, Subcommand};
 use std::net::SocketAddr;
 use std::process::ExitCode;
 use std::time::Duration;
@@ -48,7 +48,7 @@ use tokio::net::TcpListener;
 const STRAGGLERS: Duration = Duration::from_millis(500);
 
 #[cfg(feature = "eval")]
-const EXAMPLES: &str = "\
+const CLOSING: &str = "\
 Examples:
   albireo demo                             run everything at once
   albireo check config/node.toml           list the mistakes in a configuration
@@ -63,15 +63,7 @@ Examples:
   albireo diag                             collect diagnostics into one archive";
 
 #[cfg(not(feature = "eval"))]
-const EXAMPLES: &str = "\
-Examples:
-  albireo check config/node.toml           list the mistakes in a configuration
-  albireo detect model.onnx frame.jpg      run a detector on a picture
-  albireo power                            list the power meters of this machine
-  albireo publish /dev/video0              send a camera to a node elsewhere
-  albireo node --config config/node.toml   run a node
-  ALBIREO_NODE__NAME=car-7 albireo node    run one with defaults and a name
-
+const CLOSING: &str = "\
 This program was built for a board, without the feature `eval`. A program built
 with it has demo, replay, compare and eval, and can play a camera to this node
 from another machine.";
@@ -79,7 +71,7 @@ from another machine.";
 /// Run a video object detector only on the frames that need it, and track the objects on the others.
 #[derive(Debug, Parser)]
 #[command(
-    version, about, after_help = EXAMPLES, subcommand_required = true, arg_required_else_help = true,
+    version, about, after_help = CLOSING, subcommand_required = true, arg_required_else_help = true,
     max_term_width = 80
 )]
 pub struct Arguments {
@@ -190,21 +182,15 @@ impl Command {
     }
 }
 
-impl Arguments {
-    /// Parses the arguments of this process. Invalid ones end it with a message.
-    pub fn from_process() -> Self {
-        let matches = Self::command().get_matches();
-        Self::from_arg_matches(&matches).unwrap_or_else(|error| error.exit())
-    }
-
-    /// Runs the subcommand, and prints its error to standard error.
-    pub fn run(self) -> ExitCode {
-        variables::start_with(self.command.variables());
-        self.command.run().unwrap_or_else(|error| {
-            eprintln!("albireo: {}", in_words(&error));
-            ExitCode::FAILURE
-        })
-    }
+/// Runs the subcommand that the arguments of this process name, and prints its error to standard error. Invalid
+/// arguments end the process with a message.
+pub fn run() -> ExitCode {
+    let command = Arguments::parse().command;
+    variables::start_with(command.variables());
+    command.run().unwrap_or_else(|error| {
+        eprintln!("albireo: {}", in_words(&error));
+        ExitCode::FAILURE
+    })
 }
 
 /// Formats an error and its causes in one line, without the locations in Zenoh's sources. Skips a cause that the text
@@ -246,6 +232,7 @@ async fn listen(key: &str, address: SocketAddr) -> anyhow::Result<TcpListener> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use clap::CommandFactory;
 
     #[test]
     fn no_help_is_wider_than_80_columns() {

@@ -3,5 +3,5 @@
 #![forbid(unsafe_code)]
 
 fn main() -> std::process::ExitCode {
-    albireo::cli::Arguments::from_process().run()
+    albireo::cli::run()
 }

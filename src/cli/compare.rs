@@ -34,13 +34,10 @@ const PATIENCE: Duration = Duration::from_secs(120);
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Each run starts a node as `albireo node` does (same code, same configuration),
-and a camera that plays the clip to it over a separate Zenoh session. The clip's
-pictures are read and encoded once, before the first run. Each round plays every
-policy once, every second round in reverse order, so that slow changes of the
-machine affect all policies alike. A run is a rest (--cool-down), the start of
-the node, the beginning of the clip as an uncounted warm-up, then the clip. A
-round is one sample; intervals are Student's t over the rounds. Ctrl-C ends the
-comparison with the rounds that are complete.
+and a camera that plays the clip to it over a separate Zenoh session. Every
+second round is played in reverse order, so that slow changes of the machine
+affect all policies alike. A round is one sample; intervals are Student's t over
+the rounds. Ctrl-C ends the comparison with the rounds that are complete.
 
 Frames arrive at the clip's own rate, as on a board: energy is then the cost of
 a camera over that time, and EDP differs as energy does. With --unpaced each
@@ -169,19 +166,13 @@ fn prepare(arguments: &Arguments) -> anyhow::Result<(NodeConfig, Vec<PolicySpec>
     if let Some(model) = &arguments.detector {
         config.detector.model.clone_from(model);
         config.screen.model = None;
-        ensure!(
-            model.is_file(),
-            "--detector {}: no such file; name the ONNX file of a detector",
-            model.display()
-        );
-    } else if arguments.config.is_none() {
-        let model = &config.detector.model;
-        ensure!(
-            model.is_file(),
-            "{} does not exist: run it in the project's folder, or name a detector with --detector or --config",
-            model.display()
-        );
     }
+    let model = &config.detector.model;
+    ensure!(
+        model.is_file(),
+        "{} does not exist: run it in the project's folder, or name a detector with --detector or --config",
+        model.display()
+    );
     if let Some(head) = arguments.head {
         config.detector.head = head;
     }
@@ -267,8 +258,9 @@ fn judge(
         .position(|variant| variant.config.name == BASELINE);
     let boxes_of = vanilla.unwrap_or(0);
     let mut classes = ClassNumbers::default();
+    let first = player.warm_up_frames();
     let boxes: Vec<Boxes> = (done.iter())
-        .map(|(_, played)| played.boxes(&mut classes))
+        .map(|(_, played)| played.boxes(first, &mut classes))
         .collect();
     // A detector finds the same objects in the same picture, so another round supplies a frame that one round dropped.
     let mut reference = Boxes::new();

@@ -3,7 +3,7 @@
 mod show;
 
 use super::frames::{FrameSender, Pacing, close, open_session};
-use super::replay::{PublishOptions, Rate, publish};
+use super::replay::{PublishOptions, publish};
 use albireo_eval::footage::{SourceName, VideoEncoding};
 use albireo_hub::config::HubConfig;
 use albireo_node::config::{CameraConfig, NodeConfig};
@@ -37,11 +37,8 @@ Examples:
   albireo demo --policy expected-loss:0.5
                                     our own policy, a detector call priced at
                                     0.5
-While it runs, in another terminal:
-  curl localhost:8080/api/v1/frame-states
-  albireo fleet ls
-      the hub's view; also: show demo, energy, set-u 5e-4 --select all
-  curl -X PUT localhost:8080/api/v1/threshold -d '{\"u\":7e-4}'")]
+
+It prints the addresses of its pages, and commands to try in another terminal.")]
 pub(super) struct Arguments {
     /// Stop this many seconds after the camera starts [default: run until Ctrl-C]
     #[arg(long, value_name = "SECONDS")]
@@ -174,9 +171,6 @@ async fn hub(
     config.zenoh.connect = vec![endpoint];
     config.zenoh.listen = Vec::new();
     config.database.url = format!("sqlite:{}", folder.path().join("hub.db").display());
-    if let Some(problem) = config.findings().into_iter().next() {
-        bail!("{problem}");
-    }
     albireo_hub::run(&config, listener, stop)
         .await
         .context("hub")
@@ -193,7 +187,7 @@ async fn camera(
         .clip
         .open(Some(arguments.rate), VideoEncoding::default())?;
     let options = PublishOptions {
-        rate: Some(Rate::PerSecond(arguments.rate)),
+        rate: Some(arguments.rate),
         repeat: true,
         ..PublishOptions::default()
     };

@@ -42,12 +42,11 @@ impl FrameTarget {
     /// # Errors
     /// When a name is not valid in a key.
     pub fn frame_key(&self) -> anyhow::Result<String> {
-        match &self.key {
-            Some(key) => Ok(key.clone()),
-            None => Ok(NodeKeys::new(&self.prefix, &self.node)?
-                .camera(&self.camera)?
-                .frame()),
+        if let Some(key) = &self.key {
+            return Ok(key.clone());
         }
+        let node = NodeKeys::new(&self.prefix, &self.node)?;
+        Ok(node.camera(&self.camera)?.frame())
     }
 }
 

@@ -19,9 +19,8 @@ use zenoh::session::Session;
 /// JPEG quality of sources that are not motion JPEG already (`-q:v`, 2 is the best).
 const QUALITY: u8 = 3;
 
-/// Pauses between two attempts to reach the node for the first time; later Zenoh reconnects by itself.
-const FIRST_PAUSE: Duration = Duration::from_millis(500);
-const LONGEST_PAUSE: Duration = Duration::from_secs(10);
+/// Pause between two attempts to reach the node for the first time; later Zenoh reconnects by itself.
+const RETRY: Duration = Duration::from_secs(2);
 
 /// Arguments of `albireo publish`.
 #[derive(Debug, clap::Args)]
@@ -123,14 +122,12 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
 
 /// Waits for a session with the node.
 async fn connected(target: &FrameTarget) -> Session {
-    let mut pause = FIRST_PAUSE;
     loop {
         match open_session(&target.connect, &target.listen, Duration::ZERO).await {
             Ok(session) => return session,
-            Err(error) => tracing::warn!(retry_in_s = pause.as_secs_f64(), "{error:#}"),
+            Err(error) => tracing::warn!("{error:#}; next attempt in {RETRY:?}"),
         }
-        tokio::time::sleep(pause).await;
-        pause = (pause * 2).min(LONGEST_PAUSE);
+        tokio::time::sleep(RETRY).await;
     }
 }
 

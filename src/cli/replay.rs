@@ -2,7 +2,8 @@
 
 mod publish;
 
-pub use publish::{PublishOptions, Rate, Sent, publish};
+pub(super) use publish::UNPACED;
+pub use publish::{PublishOptions, Sent, publish};
 
 use super::frames::{FrameSender, FrameTarget, NOBODY, Pacing, close, open_session};
 use super::progress;
@@ -64,11 +65,7 @@ const LISTENERS: Duration = Duration::from_secs(2);
 pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> anyhow::Result<Sent> {
     let key = arguments.target.frame_key()?;
     let options = &arguments.options;
-    let rate = match options.rate {
-        Some(Rate::PerSecond(rate)) => Some(rate),
-        _ => None,
-    };
-    let source = arguments.source.open(rate, arguments.encoding)?;
+    let source = (arguments.source).open(options.paced_rate(), arguments.encoding)?;
     let connecting = connect(&arguments, &key);
     let Some(connected) = shutdown.run_until_cancelled(connecting).await else {
         return Ok(Sent::default());

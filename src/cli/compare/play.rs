@@ -2,7 +2,7 @@
 
 use super::PATIENCE;
 use crate::cli::frames::{FrameSender, Pacing, close, open_session};
-use crate::cli::replay::{PublishOptions, Rate, Sent, publish};
+use crate::cli::replay::{PublishOptions, Sent, UNPACED, publish};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{PolicyConfig, ThresholdSpec};
 use albireo_eval::compare::{Boxes, ClassNumbers, Suggestion};
@@ -53,8 +53,6 @@ pub(super) struct Played {
     pub cpu: Duration,
     /// CPU time of reading the power meter, as a share of one core.
     pub meter_share_of_core: f64,
-    /// Sequence number of the clip's first frame.
-    first: u64,
     /// The answers to the clip's frames.
     answers: Vec<Arc<DetectionsMessage>>,
 }
@@ -73,11 +71,11 @@ impl Played {
         })
     }
 
-    /// Returns the boxes of the clip's frames.
-    pub(super) fn boxes(&self, classes: &mut ClassNumbers) -> Boxes {
+    /// Returns the boxes of the clip's frames, of which the first has the sequence number `first`.
+    pub(super) fn boxes(&self, first: u64, classes: &mut ClassNumbers) -> Boxes {
         (self.answers.iter())
             .filter_map(|answer| {
-                let frame = answer.seq.checked_sub(self.first)?;
+                let frame = answer.seq.checked_sub(first)?;
                 Some((frame, classes.boxes(answer)))
             })
             .collect()
@@ -90,7 +88,8 @@ impl Player {
         self.warm_up_frames() + self.clip.frames().unwrap_or_default()
     }
 
-    fn warm_up_frames(&self) -> u64 {
+    /// The number of frames of the warm-up, after which the clip begins.
+    pub(super) fn warm_up_frames(&self) -> u64 {
         (self.warm_up_s * self.clip.rate()).round() as u64
     }
 
@@ -144,7 +143,6 @@ impl Player {
             report: ClipReport::clone(&report),
             cpu,
             meter_share_of_core: board.power().meter_share_of_core(),
-            first: self.warm_up_frames(),
             answers,
         })
     }
@@ -209,7 +207,7 @@ impl Player {
         shutdown: &CancellationToken,
     ) -> anyhow::Result<()> {
         let options = PublishOptions {
-            rate: Some(self.rate.map_or(Rate::Unpaced, Rate::PerSecond)),
+            rate: Some(self.rate.unwrap_or(UNPACED)),
             ..options
         };
         let clip = Box::new(self.clip.clone());

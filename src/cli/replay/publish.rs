@@ -16,14 +16,9 @@ use tokio_util::sync::CancellationToken;
 /// The longest time between two frames, at the lowest rate that can be requested.
 const MAX_PERIOD: Duration = Duration::from_secs(1000);
 
-/// The rate at which frames are sent.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Rate {
-    /// This many frames per second.
-    PerSecond(f64),
-    /// As fast as they are read and accepted. Their capture times follow the source's own rate.
-    Unpaced,
-}
+/// The rate of frames that are sent as fast as they are read and accepted. Their capture times follow the source's own
+/// rate.
+pub(crate) const UNPACED: f64 = f64::INFINITY;
 
 /// Heading of the help.
 const CLIPS: &str = "Clips";
@@ -33,7 +28,7 @@ const CLIPS: &str = "Clips";
 pub struct PublishOptions {
     /// Frames per second, or `max` for as fast as possible [default: the source's own]
     #[arg(long, value_name = "FPS", value_parser = parse_rate)]
-    pub rate: Option<Rate>,
+    pub rate: Option<f64>,
     /// Begin again at the end, until stopped
     #[arg(long = "loop")]
     pub repeat: bool,
@@ -54,11 +49,18 @@ pub struct PublishOptions {
     pub first_sequence: u64,
 }
 
-fn parse_rate(text: &str) -> Result<Rate, String> {
-    if text == "max" {
-        return Ok(Rate::Unpaced);
+impl PublishOptions {
+    /// The rate that was asked for, unless frames are unpaced.
+    pub(crate) fn paced_rate(&self) -> Option<f64> {
+        self.rate.filter(|rate| *rate != UNPACED)
     }
-    values::parse_rate(text).map(Rate::PerSecond).map_err(|_| {
+}
+
+fn parse_rate(text: &str) -> Result<f64, String> {
+    if text == "max" {
+        return Ok(UNPACED);
+    }
+    values::parse_rate(text).map_err(|_| {
         let (least, most) = (values::MIN_RATE, values::MAX_RATE);
         format!("must be `max` or a number from {least} to {most}")
     })
@@ -165,10 +167,7 @@ pub async fn publish<F: Future<Output = anyhow::Result<Option<String>>>>(
     mut progress: impl FnMut(&Sent),
     shutdown: &CancellationToken,
 ) -> anyhow::Result<Sent> {
-    let rate = match options.rate {
-        Some(Rate::PerSecond(rate)) => rate,
-        Some(Rate::Unpaced) | None => source.rate(),
-    };
+    let rate = options.paced_rate().unwrap_or_else(|| source.rate());
     // A rate that the source reports itself is not checked yet.
     let period = (Duration::try_from_secs_f64(1.0 / rate).ok())
         .filter(|period| *period <= MAX_PERIOD)
@@ -205,7 +204,7 @@ pub async fn publish<F: Future<Output = anyhow::Result<Option<String>>>>(
             due = Instant::now();
             (due, unix_nanoseconds())
         });
-        if options.rate != Some(Rate::Unpaced) {
+        if options.rate != Some(UNPACED) {
             tokio::select! {
                 biased;
                 () = shutdown.cancelled() => break,
