@@ -18,9 +18,7 @@ The command checks every key and value, including those from environment
 variables (ALBIREO_SECTION__KEY). For a node it also checks what the node needs
 on this machine: models, class names, token, certificates, ONNX Runtime and its
 providers, the state directory. A port in use is a note, not an error, because
-the node may be running. --file-only skips the checks of this machine. --online
-also runs the model on its provider, opens each source until a picture arrives,
-connects to the router and looks for a hub behind it.
+the node may be running.
 
 The exit code is 0 if the configuration can be used (and everything tried
 works), else 1.
@@ -37,7 +35,8 @@ pub(super) struct Arguments {
     /// Check keys and values only: for a file that is meant for another machine.
     #[arg(long)]
     file_only: bool,
-    /// Also try the resources in a node's file: model and provider, camera sources, router, hub.
+    /// Also try what a node's file names: run the model on its provider, open each source until a picture arrives, connect
+    /// to the router and look for a hub behind it.
     #[arg(long, conflicts_with = "file_only")]
     online: bool,
 }

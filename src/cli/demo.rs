@@ -203,14 +203,8 @@ async fn camera(
                 shutdown.cancel();
             });
         }
-        publish(
-            source,
-            |frame| sender.send(frame),
-            &options,
-            |_| {},
-            &shutdown,
-        )
-        .await?;
+        let send = |frame| sender.send(frame);
+        publish(source, send, &options, |_| {}, &shutdown).await?;
         close(session).await
     };
     let played = shutdown.run_until_cancelled(playing).await;

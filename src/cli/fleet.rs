@@ -9,6 +9,7 @@ mod units;
 
 use clap::Subcommand;
 use client::Client;
+use serde_json::{Value, json};
 use std::process::ExitCode;
 
 /// Arguments of `albireo fleet`.
@@ -78,9 +79,23 @@ enum Command {
         nodes: Vec<String>,
     },
     /// Set the threshold (u, or lambda under expected-loss) of selected nodes.
-    SetU(set::Arguments),
+    SetU {
+        /// The new value.
+        value: f64,
+        /// The threshold's name, for nodes under another policy.
+        #[arg(long, default_value = "u")]
+        threshold: String,
+        #[command(flatten)]
+        order: set::Order,
+    },
     /// Let selected nodes hold a target instead of a threshold.
-    SetTarget(set::TargetArguments),
+    SetTarget {
+        /// The target to hold: skip_rate=0.5, recall=0.9 or watts=6, also as JSON ('{"skip_rate": 0.5}'); or off.
+        #[arg(value_parser = units::target)]
+        target: Value,
+        #[command(flatten)]
+        order: set::Order,
+    },
     /// Show the history of changes.
     Changes(set::ChangesArguments),
     /// List nodes that were changed locally after they applied the desired value or target.
@@ -143,8 +158,17 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<ExitCode> {
         Command::Ls(arguments) => nodes::list(&context, arguments).await,
         Command::Show { node } => nodes::show(&context, &node).await,
         Command::Forget { nodes } => nodes::forget(&context, &nodes).await,
-        Command::SetU(arguments) => set::set(&context, arguments).await,
-        Command::SetTarget(arguments) => set::set_target(&context, arguments).await,
+        Command::SetU {
+            value,
+            threshold,
+            order,
+        } => {
+            let threshold = (threshold.as_str(), json!(value));
+            set::order(&context, "/api/v1/threshold", threshold, order).await
+        }
+        Command::SetTarget { target, order } => {
+            set::order(&context, "/api/v1/target", ("target", target), order).await
+        }
         Command::Changes(arguments) => set::changes(&context, arguments).await,
         Command::Drift => set::drift(&context).await,
         Command::Rollout(command) => runs::rollout(&context, command).await,

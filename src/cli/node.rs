@@ -27,15 +27,9 @@ pub(super) struct Arguments {
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let config = configuration(arguments.config.as_deref())?;
     logging::start(&config.log)?;
-    let file = arguments.config.as_ref();
-    tracing::info!(
-        version = env!("CARGO_PKG_VERSION"),
-        configuration = file.map_or_else(
-            || "built-in defaults".to_owned(),
-            |file| file.display().to_string()
-        ),
-        "starting"
-    );
+    let defaults = Path::new("built-in defaults");
+    let file = arguments.config.as_deref().unwrap_or(defaults).display();
+    tracing::info!(version = env!("CARGO_PKG_VERSION"), configuration = %file, "starting");
     block_on(async {
         let limit = config.node.stop_timeout;
         let shutdown = signals::shutdown_within(Some(limit))?;

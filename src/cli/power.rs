@@ -46,11 +46,8 @@ fn table(found: &[SourceSurvey]) -> String {
     };
     line(["source", "usable", "watts", "rails, or why not"]);
     for source in found {
-        let name = format!(
-            "{}{}",
-            source.source,
-            if source.automatic { " *" } else { "" }
-        );
+        let mark = if source.automatic { " *" } else { "" };
+        let name = format!("{}{mark}", source.source);
         if let Some(why_not) = &source.why_not {
             let prefix = format!("{}: ", source.source);
             let why_not = why_not.strip_prefix(&prefix).unwrap_or(why_not);

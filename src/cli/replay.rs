@@ -82,14 +82,8 @@ pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> any
         bar.set_position(sent.frames);
         bar.set_message(HumanBytes(sent.bytes).to_string());
     };
-    let sent = publish(
-        source,
-        |frame| sender.send(frame),
-        options,
-        progress,
-        &shutdown,
-    )
-    .await;
+    let send = |frame| sender.send(frame);
+    let sent = publish(source, send, options, progress, &shutdown).await;
     bar.finish_and_clear();
     close(session).await?;
     let sent = sent?;

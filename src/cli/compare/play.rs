@@ -211,15 +211,9 @@ impl Player {
             ..options
         };
         let clip = Box::new(self.clip.clone());
+        let send = |frame| sender.send(frame);
         let progress = |sent: &Sent| report(sent.frames);
-        publish(
-            clip,
-            |frame| sender.send(frame),
-            &options,
-            progress,
-            shutdown,
-        )
-        .await?;
+        publish(clip, send, &options, progress, shutdown).await?;
         Ok(())
     }
 

@@ -90,8 +90,7 @@ fn read(arguments: &AdviseArguments) -> anyhow::Result<Vec<Clip>> {
         }
     }
     if !footage.is_empty() {
-        let pictured = look_at(&footage, arguments.rate, &arguments.pass)?;
-        recordings.extend(pictured);
+        recordings.extend(look_at(&footage, arguments.rate, &arguments.pass)?);
     }
     Ok(recordings)
 }

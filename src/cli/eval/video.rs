@@ -325,12 +325,8 @@ pub(super) fn look_at(
     let mut pictured = Vec::new();
     for clip in clips {
         for mut source in clip.open_clips(rate, VideoEncoding::default())? {
-            pictured.push(pass_over(
-                source.as_mut(),
-                &mut models,
-                &settings,
-                &mut report,
-            )?);
+            let clip = pass_over(source.as_mut(), &mut models, &settings, &mut report)?;
+            pictured.push(clip);
         }
     }
     end_pass(pass, &report, &pictured)?;

@@ -59,14 +59,7 @@ joules<=+5% (of a clip), edp, latency_p99, degraded, recall, precision. The
 change of the stage's nodes is compared with that of the nodes not asked yet,
 over the same hours; with fewer than eight on either side a gate is not
 measured. A gate that ends with ? applies only where the metric is reported.
-Measured and estimated energy are separate figures.
-
-Examples:
-  albireo fleet rollout start 5e-4 --select all
-  albireo fleet rollout start 5e-4 --select 'cam-*' --stages 8,25%,50% \\
-      --soak 8h \\
-      --gate 'joules<=+5%' --gate 'latency_p99<=+10%' --on-failure hold --why
-      'quieter streets'")]
+Measured and estimated energy are separate figures.")]
 pub(super) struct RolloutArguments {
     /// The new value.
     #[arg(value_parser = finite)]

@@ -1,40 +1,18 @@
 //! Runs the commands `set-u`, `set-target`, `changes` and `drift`.
 
 use super::table::{WIDTH, cut, table};
-use super::units::{counts, name_of, seconds, setting, target, when};
+use super::units::{counts, name_of, seconds, setting, when};
 use super::{Context, Ended};
 use albireo_hub::http::{ChangeView, Changes, LastLine, OrderLine};
 use albireo_hub::tuning::member::Outcome;
 use albireo_hub::tuning::tuner::{Drift, OutcomeLine};
 use albireo_wire::DesiredSetting;
 use serde::Serialize;
-use serde_json::{Value, json};
-
-/// Arguments of `albireo fleet set-u`.
-#[derive(Debug, clap::Args)]
-pub(super) struct Arguments {
-    /// The new value.
-    value: f64,
-    /// The threshold's name, for nodes under another policy.
-    #[arg(long, default_value = "u")]
-    threshold: String,
-    #[command(flatten)]
-    order: Order,
-}
-
-/// Arguments of `albireo fleet set-target`.
-#[derive(Debug, clap::Args)]
-pub(super) struct TargetArguments {
-    /// The target to hold: skip_rate=0.5, recall=0.9 or watts=6, also as JSON ('{"skip_rate": 0.5}'); or off.
-    #[arg(value_parser = target)]
-    target: Value,
-    #[command(flatten)]
-    order: Order,
-}
+use serde_json::Value;
 
 /// The nodes of an order, and how it is followed: the request without its setting.
 #[derive(Debug, clap::Args, Serialize)]
-struct Order {
+pub(super) struct Order {
     /// The nodes to set; may be given several times.
     #[arg(long, required = true, value_name = "SELECTOR")]
     select: Vec<String>,
@@ -49,21 +27,8 @@ struct Order {
     wait_s: f64,
 }
 
-pub(super) async fn set(context: &Context, arguments: Arguments) -> anyhow::Result<Ended> {
-    let what = (arguments.threshold.as_str(), json!(arguments.value));
-    order(context, "/api/v1/threshold", what, arguments.order).await
-}
-
-pub(super) async fn set_target(
-    context: &Context,
-    arguments: TargetArguments,
-) -> anyhow::Result<Ended> {
-    let what = ("target", arguments.target);
-    order(context, "/api/v1/target", what, arguments.order).await
-}
-
-/// Sends the order, and prints each node's outcome as it arrives.
-async fn order(
+/// Sends the order to set `name` to `value`, and prints each node's outcome as it arrives.
+pub(super) async fn order(
     context: &Context,
     path: &str,
     (name, value): (&str, Value),
@@ -73,21 +38,20 @@ async fn order(
     body[name] = value;
     let mut last = None;
     let lines = context.client.put_lines(path, &body, |line: OrderLine| {
-        if context.json {
-            println!("{}", serde_json::to_string(&line)?);
+        match &line {
+            _ if context.json => println!("{}", serde_json::to_string(&line)?),
+            OrderLine::Outcome(line) => println!("{}", outcome(line)),
+            OrderLine::Last(LastLine { revision, counts }) => {
+                let revision = revision.map(|n| format!("revision {n}: "));
+                println!("{}{}", revision.unwrap_or_default(), self::counts(counts));
+            }
         }
-        match line {
-            OrderLine::Last(line) => last = Some(line),
-            OrderLine::Outcome(line) if !context.json => println!("{}", outcome(&line)),
-            OrderLine::Outcome(_) => (),
+        if let OrderLine::Last(line) = line {
+            last = Some(line);
         }
         Ok(())
     });
     lines.await?;
-    if let Some(LastLine { revision, counts }) = last.as_ref().filter(|_| !context.json) {
-        let revision = revision.map(|n| format!("revision {n}: "));
-        println!("{}{}", revision.unwrap_or_default(), self::counts(counts));
-    }
     Ok(judge(last.as_ref()))
 }
 
