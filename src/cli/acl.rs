@@ -1,7 +1,8 @@
 //! `albireo acl`: generates the router's access control from the certificates.
 
+use super::cert::AuthorityPlace;
 use albireo_router::access::access_control;
-use albireo_router::authority::{Authority, write_public};
+use albireo_router::authority::write_public;
 use anyhow::Context;
 use std::path::PathBuf;
 
@@ -17,14 +18,8 @@ Examples:
   albireo acl --folder /etc/albireo/authority --output /etc/albireo/access.json
   zenohd --config router.json5 --cfg \"access_control:$(albireo acl)\"")]
 pub(super) struct Arguments {
-    /// The authority's folder, as for `albireo cert`.
-    #[arg(
-        long,
-        env = "ALBIREO_AUTHORITY",
-        value_name = "FOLDER",
-        default_value = "authority"
-    )]
-    folder: PathBuf,
+    #[command(flatten)]
+    place: AuthorityPlace,
     /// First part of all keys of the fleet: hub.prefix and node.prefix.
     #[arg(long, value_name = "PREFIX", default_value = "albireo")]
     prefix: String,
@@ -37,9 +32,9 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let authority = Authority::open(&arguments.folder)?;
+    let authority = arguments.place.open()?;
     let access = access_control(
-        &arguments.folder,
+        &arguments.place.folder,
         authority.entries(),
         &arguments.prefix,
         arguments.pictures,

@@ -22,6 +22,15 @@ Examples:
   albireo cert renew --within 30                  all that expire within 30 days
   albireo cert revoke node car-7 && albireo acl --output access.json")]
 pub(super) struct Arguments {
+    #[command(flatten)]
+    place: AuthorityPlace,
+    #[command(subcommand)]
+    command: Command,
+}
+
+/// Where a fleet's authority is.
+#[derive(Debug, clap::Args)]
+pub(super) struct AuthorityPlace {
     /// The authority's folder.
     #[arg(
         long,
@@ -30,9 +39,16 @@ pub(super) struct Arguments {
         value_name = "FOLDER",
         default_value = "authority"
     )]
-    folder: PathBuf,
-    #[command(subcommand)]
-    command: Command,
+    pub(super) folder: PathBuf,
+}
+
+impl AuthorityPlace {
+    pub(super) fn open(&self) -> anyhow::Result<Authority> {
+        let shown = self.folder.display();
+        let missing =
+            || format!("no authority in {shown}; create one with `albireo cert authority`");
+        Authority::open(&self.folder).with_context(missing)
+    }
 }
 
 #[derive(Debug, Subcommand)]
@@ -96,25 +112,19 @@ struct Members {
 }
 
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let folder = &arguments.folder;
-    let shown = folder.display();
-    let open = || {
-        let missing =
-            || format!("no authority in {shown}; create one with `albireo cert authority`");
-        Authority::open(folder).with_context(missing)
-    };
+    let place = &arguments.place;
     match &arguments.command {
         Command::Authority { name, days } => {
-            Authority::create(folder, name, DAY * *days)?;
-            println!("the authority `{name}` is in {shown}");
+            Authority::create(&place.folder, name, DAY * *days)?;
+            println!("the authority `{name}` is in {}", place.folder.display());
         }
-        Command::Node(members) => issue(&mut open()?, Role::Node, members)?,
-        Command::Hub(members) => issue(&mut open()?, Role::Hub, members)?,
+        Command::Node(members) => issue(&mut place.open()?, Role::Node, members)?,
+        Command::Hub(members) => issue(&mut place.open()?, Role::Hub, members)?,
         Command::Router(members) => {
             if members.hosts.is_empty() {
                 bail!("--host is missing: nodes check that the router's certificate names it");
             }
-            issue(&mut open()?, Role::Router, members)?;
+            issue(&mut place.open()?, Role::Router, members)?;
         }
         Command::Renew {
             role,
@@ -122,7 +132,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
             within,
             days,
         } => {
-            let mut authority = open()?;
+            let mut authority = place.open()?;
             let who: Vec<(Role, String)> = match (role, name) {
                 (Some(role), Some(name)) => vec![(*role, name.clone())],
                 _ => {
@@ -142,16 +152,16 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
             }
         }
         Command::Revoke { role, name } => {
-            let revoked = open()?.revoke(*role, name)?;
+            let revoked = place.open()?.revoke(*role, name)?;
             println!(
                 "`{}` is revoked; generate the router's rules again with `albireo acl`, and restart it",
                 revoked.common_name()
             );
         }
         Command::List { json: true } => {
-            println!("{}", serde_json::to_string_pretty(open()?.entries())?);
+            println!("{}", serde_json::to_string_pretty(place.open()?.entries())?);
         }
-        Command::List { json: false } => list(&open()?),
+        Command::List { json: false } => list(&place.open()?),
     }
     Ok(())
 }
