@@ -273,3 +273,25 @@ pub(super) fn judge(
     let boxes = outside_ignored(boxes, truth, &clip.ignored);
     accuracy(&boxes, truth, settings.classes, settings.interpolation)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Command {
+        #[command(flatten)]
+        settings: Settings,
+    }
+
+    #[test]
+    fn without_arguments_the_settings_are_the_defaults() {
+        let parsed = |arguments: &[&str]| Command::parse_from(arguments).settings;
+        let none = parsed(&["eval"]);
+        assert_eq!(format!("{none:?}"), format!("{:?}", Settings::default()));
+        let set = parsed(&["eval", "--per-class", "--coco-interpolation"]);
+        assert_eq!(set.classes, Classes::Separate);
+        assert_eq!(set.interpolation, Interpolation::Coco101);
+    }
+}
