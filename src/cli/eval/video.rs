@@ -103,7 +103,7 @@ pub(super) fn run(video: &VideoArguments) -> anyhow::Result<()> {
     } else if arguments.settings.screen == ScreenRule::Recorded {
         bail!("--screen recorded needs the verdicts of a screen: name one with --screen-model");
     }
-    let mut names = Vec::new();
+    let mut names: Vec<String> = Vec::new();
     for clip in &video.clips {
         names.extend(clip.clip_names()?);
     }
@@ -124,7 +124,7 @@ pub(super) fn run(video: &VideoArguments) -> anyhow::Result<()> {
         ..PassSettings::for_policies(&policies)?
     };
     let mut report = LoadReport::default();
-    let (mut results, mut times) = (Vec::new(), Vec::new());
+    let (mut results, mut times) = (Vec::<ClipResult>::new(), Vec::new());
     let mut streams: Vec<StreamResults> = Vec::new();
     // The clips without their pictures, for `--save-detections`.
     let mut kept = Vec::new();
