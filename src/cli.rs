@@ -124,7 +124,7 @@ enum Command {
     Simulate(Box<simulate::Arguments>),
     #[cfg(feature = "eval")]
     /// Replay recordings through any policy, and compare accuracy and detector calls.
-    Eval(eval::EvalArguments),
+    Eval(Box<eval::EvalArguments>),
     /// Write the manual pages of all subcommands into a folder.
     Man(man::Arguments),
     /// Print the completions of a shell.

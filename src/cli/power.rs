@@ -62,11 +62,10 @@ fn table(found: &[SourceSurvey]) -> String {
         line([&name, "yes", &watts(total.map(|(_, w)| *w)), &summary]);
         for rail in &source.rails {
             let mut what = rail.name.clone();
-            match (rail.in_total, rail.domain) {
-                (true, Some(domain)) => what.push_str(&format!(" (in total, {domain})")),
-                (true, None) => what.push_str(" (in total)"),
-                (false, Some(domain)) => what.push_str(&format!(" ({domain})")),
-                (false, None) => {}
+            let in_total = rail.in_total.then_some("in total");
+            let notes: Vec<_> = in_total.into_iter().chain(rail.domain).collect();
+            if !notes.is_empty() {
+                what.push_str(&format!(" ({})", notes.join(", ")));
             }
             line(["", "", &watts(rail.watts), &what]);
         }
