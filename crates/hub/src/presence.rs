@@ -4,18 +4,18 @@ mod entry;
 mod fleet;
 mod listen;
 mod news;
-mod settings;
+mod node;
 mod state;
 #[cfg(test)]
 mod tests;
 mod today;
 
-pub use fleet::{Fleet, FleetTallies, NodeView};
+pub use fleet::{Fleet, FleetTallies};
 pub use listen::Notifier;
 pub(crate) use listen::listen;
 pub use news::News;
-pub(crate) use settings::NodeSettings;
+pub use node::NodeView;
 #[cfg(test)]
-pub(crate) use settings::tests::reported;
+pub(crate) use node::tests::reported;
 pub use state::PresenceState;
 pub use today::TodaysEnergy;

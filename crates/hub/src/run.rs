@@ -4,7 +4,7 @@ use crate::config::{HubConfig, MAX_PAYLOAD_BYTES};
 use crate::error::HubError;
 use crate::http::{self, HubView, Reach};
 use crate::ingest::{self, Replies};
-use crate::presence::listen;
+use crate::presence::{NodeView, listen};
 use crate::store::{Store, StoreError};
 use crate::tuning::{self, Tuner};
 use albireo_service::clock::unix_milliseconds;
@@ -192,7 +192,7 @@ async fn parts(config: &HubConfig, view: &HubView) -> Result<(), HubError> {
         tasks.essential("tuning", tuning::follow(tuner, shutdown.clone()));
     }
     // Known nodes report their state now instead of at their next interval.
-    view.fleet.each(|node, _| {
+    view.fleet.each(|NodeView { node, .. }| {
         (listening.notifier).notify(node, view.desires.of(node).revision);
     });
     zenoh.works();

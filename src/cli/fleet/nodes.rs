@@ -8,7 +8,6 @@ use albireo_hub::presence::{NodeView, PresenceState};
 use albireo_service::clock::{DAY_MS, unix_milliseconds};
 use albireo_wire::{CameraStatus, EnergyQuality, NodeStatus, NodeTarget};
 use reqwest::Method;
-use serde::Deserialize;
 use serde_json::json;
 use std::io::IsTerminal;
 use std::time::Duration;
@@ -85,11 +84,6 @@ pub(super) async fn list(context: &Context, arguments: ListArguments) -> anyhow:
     context.print(&json!({ "nodes": found }), |_| list_of(&found))
 }
 
-/// Returns the node's last full status; `None` without one, or if a node of another version sent it and it cannot be read.
-fn status(node: &NodeView) -> Option<NodeStatus> {
-    NodeStatus::deserialize(node.status.as_ref()?).ok()
-}
-
 /// Returns the node's target or, without one, the value in force if all cameras have the same.
 fn value(status: &NodeStatus) -> String {
     if let Some(target) = &status.target {
@@ -117,8 +111,7 @@ fn labels(status: &NodeStatus) -> String {
 fn list_of(nodes: &[NodeView]) -> String {
     let dash = || "-".to_owned();
     let rows = nodes.iter().map(|node| {
-        let status = status(node);
-        let status = status.as_ref();
+        let status = node.status.as_deref();
         [
             node.node.clone(),
             node.state.to_string(),
@@ -150,8 +143,8 @@ fn facts(node: &NodeView) -> String {
     };
     let mut lines = vec![("node", node.node.clone()), ("state", state)];
     lines.extend(node.heard_ms.map(|at| ("heard", when(at))));
-    let status = status(node);
-    if let Some(status) = &status {
+    let status = node.status.as_deref();
+    if let Some(status) = status {
         let provider = status.provider.as_deref().unwrap_or("no provider yet");
         let quality = name_of(&status.power_quality);
         lines.extend([
@@ -164,7 +157,7 @@ fn facts(node: &NodeView) -> String {
     }
     lines.push(("revision", node.revision.to_string()));
     lines.push(("waiting", format!("{} reports", node.waiting)));
-    if let Some(status) = &status {
+    if let Some(status) = status {
         if let Some(refused) = &status.refused {
             let text = format!("revision {}: {}", refused.revision, refused.reason);
             lines.push(("refused", text));

@@ -12,7 +12,6 @@ use axum::response::Response;
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::cmp::Reverse;
-use std::sync::Arc;
 
 /// Most nodes that are not online, most events and most changes in the archive.
 const MOST_NODES: usize = 1000;
@@ -45,17 +44,10 @@ pub(super) async fn archive(State(view): State<HubView>) -> Response {
         ),
         Err(_) => (away(), away()),
     };
-    let mut unwell = Vec::new();
-    view.fleet.each(|name, node| {
-        if node.state != PresenceState::Online {
-            unwell.push((Reverse(node.state), Arc::clone(name)));
-        }
-    });
+    let mut unwell = (view.fleet).views(|node| node.state != PresenceState::Online);
     // The worst states come first.
-    unwell.sort_by_key(|(state, _)| *state);
-    let unwell: Vec<_> = (unwell.iter().take(MOST_NODES))
-        .filter_map(|(_, name)| view.fleet.view(name))
-        .collect();
+    unwell.sort_by_key(|node| Reverse(node.state));
+    unwell.truncate(MOST_NODES);
     let about = json!({
         "program": "albireo hub",
         "version": env!("CARGO_PKG_VERSION"),

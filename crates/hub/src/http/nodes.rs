@@ -14,7 +14,6 @@ use axum::http::StatusCode;
 use serde::{Deserialize, Serialize};
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
-use std::sync::Arc;
 use utoipa::{IntoParams, ToSchema};
 
 /// Most nodes per answer.
@@ -108,11 +107,11 @@ pub(super) async fn list(
     let search = selection.search.unwrap_or_default();
 
     let (mut waiting, mut found) = (0, Vec::new());
-    view.fleet.each(|name, node| {
+    view.fleet.each(|node| {
         waiting += node.waiting;
         let is_wanted = (wanted.is_empty() || wanted.contains(&node.state))
-            && name.contains(&search)
-            && (select.as_ref()).is_none_or(|it| it.selects(name, node.labels()));
+            && node.node.contains(&search)
+            && (select.as_ref()).is_none_or(|it| it.selects(&node.node, node.labels()));
         if is_wanted {
             let key = match selection.sort {
                 Order::Name => 0,
@@ -122,7 +121,7 @@ pub(super) async fn list(
                 Order::Joules => node.today.largest_uj(),
                 Order::Waiting => i64::try_from(node.waiting).unwrap_or(i64::MAX),
             };
-            found.push((key, Arc::clone(name)));
+            found.push((key, node.node.clone()));
         }
     });
     // The nodes are in the order of their names, which the sort keeps among equal ones.
@@ -201,7 +200,7 @@ pub(super) async fn forget(
         );
         Problem::new(StatusCode::CONFLICT, detail)
     };
-    if known.state.is_heard() {
+    if known.is_reachable() {
         return Err(still_online());
     }
     (view.tuner()?)

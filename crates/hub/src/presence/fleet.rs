@@ -1,52 +1,24 @@
 //! Keeps the states of all nodes in memory.
 
-use super::entry::{Entry, Run};
+use super::entry::Entry;
 use super::news::News;
-use super::settings::NodeSettings;
+use super::node::NodeView;
 use super::state::{PresenceState, judge, seconds};
 use super::today::TodaysEnergy;
 use crate::config::PresenceConfig;
-use crate::store::tables::{EventRow, NodeRow};
+use crate::store::tables::EventRow;
 use crate::store::{Store, StoreError};
 use albireo_wire::{Heartbeat, NodeStatus, StatusMessage, TargetStatus};
 use parking_lot::{Mutex, RwLock};
-use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-use utoipa::ToSchema;
 
 /// Most nodes written in one transaction.
 const MOST_NEWS: usize = 2000;
 /// Most events that wait for the database; further ones are dropped.
 const MOST_EVENTS: usize = 1000;
-
-/// A node, as the HTTP interface shows it.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct NodeView {
-    /// Its name.
-    pub node: String,
-    /// Its state.
-    pub state: PresenceState,
-    /// When that state began, milliseconds since the Unix epoch.
-    pub since_ms: i64,
-    /// The reason for the state; empty when online.
-    pub why: String,
-    /// When the last status was received, milliseconds since the Unix epoch.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub heard_ms: Option<i64>,
-    /// Reports that wait in its outbox.
-    pub waiting: u64,
-    /// The revision in force at the node.
-    pub revision: u64,
-    /// The energy and skip rate of its clips of today (UTC).
-    pub today: TodaysEnergy,
-    /// The last full status.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<NodeStatus>)]
-    pub status: Option<serde_json::Value>,
-}
 
 /// Counts over all nodes, except those by state.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -65,9 +37,9 @@ pub struct FleetTallies {
 #[derive(Debug, Default)]
 pub struct Fleet {
     config: PresenceConfig,
-    nodes: RwLock<BTreeMap<Arc<str>, Entry>>,
+    nodes: RwLock<BTreeMap<String, Entry>>,
     /// Nodes whose rows wait to be written.
-    dirty: Mutex<BTreeSet<Arc<str>>>,
+    dirty: Mutex<BTreeSet<String>>,
     events: Mutex<Vec<EventRow>>,
 }
 
@@ -92,12 +64,11 @@ impl Fleet {
         Ok(many)
     }
 
-    pub(super) fn remember(&self, nodes: Vec<NodeRow>, now: Instant) {
-        let mut map = self.nodes.write();
-        for node in nodes {
-            let name: Arc<str> = node.name.as_str().into();
-            map.insert(name, Entry::remembered(node, now));
-        }
+    pub(super) fn remember(&self, nodes: Vec<NodeView>, now: Instant) {
+        let entries = nodes
+            .into_iter()
+            .map(|node| (node.node.clone(), Entry::remembered(node, now)));
+        self.nodes.write().extend(entries);
     }
 
     /// Applies a status. Returns true if the node should be asked for a full status.
@@ -108,9 +79,9 @@ impl Fleet {
         now: Instant,
         now_ms: i64,
     ) -> bool {
-        let (run, seq) = (Run::of(message), message.seq);
+        let (run, seq) = (message.run, message.seq);
         self.heard(node, now, now_ms, |entry| {
-            let same = entry.run.as_ref() == Some(&run);
+            let same = entry.run == Some(run);
             if same && message.full.is_none() && !entry.needs_full && seq <= entry.seq {
                 // Overtaken by a later one.
                 return None;
@@ -123,14 +94,17 @@ impl Fleet {
                 Some(_) => false,
                 None => entry.needs_full || !follows,
             };
-            let mut changed = entry.revision != message.revision;
-            if let Some(full) = &message.full {
-                changed |= entry.take_status(full);
+            let mut changed = entry.node.revision != message.revision;
+            if let Some(full) = &message.full
+                && entry.node.status.as_deref() != Some(&**full)
+            {
+                changed = true;
+                entry.node.status = Some(Arc::new(NodeStatus::clone(full)));
             }
             entry.health = message.health;
-            entry.revision = message.revision;
+            entry.node.revision = message.revision;
             entry.seq = seq;
-            entry.waiting = message.waiting;
+            entry.node.waiting = message.waiting;
             Some(changed)
         })
     }
@@ -139,7 +113,7 @@ impl Fleet {
     /// should be asked for a full status.
     pub fn alive(&self, node: &str, heartbeat: Heartbeat, now: Instant, now_ms: i64) -> bool {
         self.heard(node, now, now_ms, |entry| {
-            if entry.run.is_none_or(|run| run.number != heartbeat.run) {
+            if entry.run != Some(heartbeat.run) {
                 // The hub has just started, or messages were lost: the heartbeat is not of the known run.
                 entry.needs_full = true;
                 return None;
@@ -149,7 +123,7 @@ impl Fleet {
             }
             entry.needs_full |= entry.seq.checked_add(1) != Some(heartbeat.seq);
             entry.seq = heartbeat.seq;
-            entry.waiting = heartbeat.waiting;
+            entry.node.waiting = heartbeat.waiting;
             Some(false)
         })
     }
@@ -164,34 +138,24 @@ impl Fleet {
         take: impl FnOnce(&mut Entry) -> Option<bool>,
     ) -> bool {
         let mut nodes = self.nodes.write();
-        let name: Arc<str> = match nodes.get_key_value(node) {
-            Some((name, _)) => Arc::clone(name),
-            None => node.into(),
-        };
-        let entry = nodes
-            .entry(Arc::clone(&name))
-            .or_insert_with(|| Entry::new(now_ms));
+        let entry = (nodes.entry(node.to_owned())).or_insert_with(|| Entry::new(node, now_ms));
         if let Some(changed) = take(entry) {
             entry.heard = Some(now);
-            entry.heard_ms = Some(now_ms);
+            entry.node.heard_ms = Some(now_ms);
             entry.token_gone = false;
             if changed {
-                self.mark(&name);
+                self.dirty.lock().insert(node.to_owned());
             }
-            self.settle(&name, entry, now, now_ms);
+            self.settle(entry, now, now_ms);
         }
         entry.ask_for_all(now)
     }
 
     /// Notes that a liveliness token appeared or disappeared.
     pub(crate) fn token(&self, node: &str, present: bool, now: Instant, now_ms: i64) {
-        let mut nodes = self.nodes.write();
-        let Some(name) = nodes.get_key_value(node).map(|(name, _)| Arc::clone(name)) else {
-            return;
-        };
-        if let Some(entry) = nodes.get_mut(&name) {
+        if let Some(entry) = self.nodes.write().get_mut(node) {
             entry.token_gone = !present;
-            self.settle(&name, entry, now, now_ms);
+            self.settle(entry, now, now_ms);
         }
     }
 
@@ -199,7 +163,7 @@ impl Fleet {
     /// removed.
     pub(crate) fn forget(&self, node: &str) -> bool {
         let mut nodes = self.nodes.write();
-        if nodes.get(node).is_some_and(|entry| entry.state.is_heard()) {
+        if (nodes.get(node)).is_some_and(|entry| entry.node.is_reachable()) {
             return false;
         }
         nodes.remove(node);
@@ -213,21 +177,21 @@ impl Fleet {
         }
         let mut nodes = self.nodes.write();
         nodes
-            .entry(node.into())
-            .or_insert_with(|| Entry::new(now_ms));
+            .entry(node.to_owned())
+            .or_insert_with(|| Entry::new(node, now_ms));
     }
 
     /// Sets the energy of the nodes' clips of today; a node that is absent used none.
     pub(super) fn set_today(&self, mut today: HashMap<String, TodaysEnergy>) {
         for (name, entry) in self.nodes.write().iter_mut() {
-            entry.today = today.remove(&**name).unwrap_or_default();
+            entry.node.today = today.remove(name).unwrap_or_default();
         }
     }
 
     /// Finds the nodes that have become silent or offline.
     pub fn sweep(&self, now: Instant, now_ms: i64) {
-        for (name, entry) in self.nodes.write().iter_mut() {
-            self.settle(name, entry, now, now_ms);
+        for entry in self.nodes.write().values_mut() {
+            self.settle(entry, now, now_ms);
         }
     }
 
@@ -239,7 +203,7 @@ impl Fleet {
     }
 
     /// Judges a node's state, and notes a change.
-    fn settle(&self, name: &Arc<str>, entry: &mut Entry, now: Instant, now_ms: i64) {
+    fn settle(&self, entry: &mut Entry, now: Instant, now_ms: i64) {
         if entry
             .identity
             .as_ref()
@@ -247,31 +211,26 @@ impl Fleet {
         {
             entry.identity = None;
         }
-        let heard_ago = match (entry.heard, entry.heard_ms) {
+        let heard_ago = match (entry.heard, entry.node.heard_ms) {
             (Some(heard), _) => Some(now.saturating_duration_since(heard)),
             (None, None) => None,
             // It was silent or offline when the hub started, and has sent nothing since: a silent node can become
             // offline.
-            (None, Some(_)) if entry.state == PresenceState::Offline => return,
+            (None, Some(_)) if entry.node.state == PresenceState::Offline => return,
             (None, Some(heard_ms)) => {
                 let ago = Duration::from_millis(u64::try_from(now_ms - heard_ms).unwrap_or(0));
                 Some(ago.max(seconds(self.config.silent_after_s)))
             }
         };
         let (state, why) = judge(entry, heard_ago, &self.config);
-        if state != entry.state {
-            entry.since_ms = now_ms;
+        let node = &mut entry.node;
+        if state != node.state {
+            node.since_ms = now_ms;
         }
-        if (state, why.as_str()) != (entry.state, entry.why.as_str()) {
-            entry.state = state;
-            entry.why = why;
-            self.mark(name);
+        if (state, why.as_str()) != (node.state, node.why.as_str()) {
+            (node.state, node.why) = (state, why);
+            self.dirty.lock().insert(node.node.clone());
         }
-    }
-
-    /// Notes that a node's row has to be written.
-    fn mark(&self, name: &Arc<str>) {
-        self.dirty.lock().insert(Arc::clone(name));
     }
 
     /// True if the node's full status is missing.
@@ -299,16 +258,16 @@ impl Fleet {
         let nodes = self.nodes.read();
         let mut dirty = self.dirty.lock();
         let names = std::iter::from_fn(|| dirty.pop_first()).take(MOST_NEWS);
-        let row = |name: Arc<str>| Some(nodes.get(&name)?.row(&name));
+        let node = |name| Some(nodes.get(&name)?.node.clone());
         News {
-            nodes: names.filter_map(row).collect(),
+            nodes: names.filter_map(node).collect(),
             events: std::mem::take(&mut *self.events.lock()),
         }
     }
 
     /// Queues rows again that were not written.
     pub fn give_back(&self, news: News) {
-        let names = news.nodes.into_iter().map(|node| node.name.into());
+        let names = news.nodes.into_iter().map(|node| node.node);
         self.dirty.lock().extend(names);
         self.events.lock().extend(news.events);
     }
@@ -317,7 +276,7 @@ impl Fleet {
     pub(crate) fn by_state(&self) -> BTreeMap<PresenceState, u64> {
         let mut counts = BTreeMap::from(PresenceState::ALL.map(|state| (state, 0)));
         for entry in self.nodes.read().values() {
-            *counts.entry(entry.state).or_default() += 1;
+            *counts.entry(entry.node.state).or_default() += 1;
         }
         counts
     }
@@ -326,12 +285,12 @@ impl Fleet {
     pub(crate) fn tallies(&self, desired: impl Fn(&str) -> u64) -> FleetTallies {
         let (now, mut tallies) = (Instant::now(), FleetTallies::default());
         for (name, entry) in self.nodes.read().iter() {
-            let heard = entry.state.is_heard();
+            let (node, heard) = (&entry.node, entry.node.is_reachable());
             let two = (entry.identity.as_ref()).is_some_and(|(_, until)| *until > now);
             tallies.twins += u64::from(two);
-            tallies.behind += u64::from(heard && entry.revision < desired(name));
-            tallies.waiting += entry.waiting;
-            let target = (entry.status.as_ref()).and_then(|status| status.target);
+            tallies.behind += u64::from(heard && node.revision < desired(name));
+            tallies.waiting += node.waiting;
+            let target = (node.status.as_ref()).and_then(|status| status.target);
             let status = target.map(|target| target.status.unwrap_or(TargetStatus::Measuring));
             let place = (status.filter(|_| heard))
                 .and_then(|at| TargetStatus::ALL.iter().position(|one| *one == at));
@@ -345,29 +304,19 @@ impl Fleet {
     /// One node.
     pub(crate) fn view(&self, node: &str) -> Option<NodeView> {
         let nodes = self.nodes.read();
-        nodes.get(node).map(|entry| entry.view(node))
+        nodes.get(node).map(|entry| entry.node.clone())
     }
 
-    /// The settings of a node.
-    pub(crate) fn settings(&self, node: &str) -> Option<NodeSettings> {
+    /// The nodes for which `is_wanted` is true, in the order of their names.
+    pub(crate) fn views(&self, is_wanted: impl Fn(&NodeView) -> bool) -> Vec<NodeView> {
         let nodes = self.nodes.read();
-        let (name, entry) = nodes.get_key_value(node)?;
-        Some(NodeSettings::of(name, entry))
-    }
-
-    /// The settings of all nodes, in the order of their names.
-    pub(crate) fn all_settings(&self) -> Vec<NodeSettings> {
-        let nodes = self.nodes.read();
-        nodes
-            .iter()
-            .map(|(name, entry)| NodeSettings::of(name, entry))
-            .collect()
+        let nodes = nodes.values().map(|entry| &entry.node);
+        nodes.filter(|node| is_wanted(node)).cloned().collect()
     }
 
     /// Calls `each` for every node, in the order of their names.
-    pub(crate) fn each(&self, mut each: impl FnMut(&Arc<str>, &Entry)) {
-        for (name, entry) in self.nodes.read().iter() {
-            each(name, entry);
-        }
+    pub(crate) fn each(&self, each: impl FnMut(&NodeView)) {
+        let nodes = self.nodes.read();
+        nodes.values().map(|entry| &entry.node).for_each(each);
     }
 }

@@ -1,8 +1,8 @@
 //! Stores changes of presence: rows of nodes, and events.
 
-use super::PresenceState;
+use super::{NodeView, PresenceState};
 use crate::store::row::read_all;
-use crate::store::tables::{EventRow, NodeRow};
+use crate::store::tables::EventRow;
 use crate::store::{Database, StoreError};
 use serde::Deserialize;
 use serde_json::json;
@@ -11,7 +11,7 @@ use std::collections::HashMap;
 /// The rows that wait to be written.
 #[derive(Debug, Default)]
 pub struct News {
-    pub(super) nodes: Vec<NodeRow>,
+    pub(super) nodes: Vec<NodeView>,
     pub(super) events: Vec<EventRow>,
 }
 
@@ -29,34 +29,44 @@ impl News {
         if self.nodes.is_empty() {
             return Ok(events);
         }
-        let names: Vec<&str> = self.nodes.iter().map(|row| row.name.as_str()).collect();
+        let names: Vec<&str> = self.nodes.iter().map(|node| node.node.as_str()).collect();
         let text = "SELECT name, state, since_ms FROM nodes WHERE name IN";
         let before: Vec<Before> = read_all(database.among(text, &names)?)?;
         let before: HashMap<&str, &Before> = (before.iter())
             .map(|node| (node.name.as_str(), node))
             .collect();
         // A node that was forgotten since then stays forgotten.
-        let stays = |row: &&NodeRow| {
-            (before.get(row.name.as_str()))
-                .is_none_or(|node| node.state != "forgotten" || node.since_ms < row.since_ms)
+        let stays = |node: &&NodeView| {
+            (before.get(node.node.as_str()))
+                .is_none_or(|row| row.state != "forgotten" || row.since_ms < node.since_ms)
         };
-        let rows: Vec<&NodeRow> = self.nodes.iter().filter(stays).collect();
+        let nodes = || self.nodes.iter().filter(stays);
+        let row = |node: &NodeView| {
+            json!({
+                "name": node.node,
+                "state": node.state,
+                "since_ms": node.since_ms,
+                "why": node.why,
+                "heard_ms": node.heard_ms,
+                "revision": i64::try_from(node.revision).unwrap_or(i64::MAX),
+                "status": node.status,
+            })
+        };
         database.insert(
             "nodes",
-            &rows,
+            &nodes().map(row).collect::<Vec<_>>(),
             // Columns without a new value keep their old one.
             "ON CONFLICT (name) DO UPDATE SET state = excluded.state, \
              since_ms = CASE WHEN nodes.state = excluded.state THEN nodes.since_ms ELSE excluded.since_ms END, \
              why = excluded.why, heard_ms = COALESCE(excluded.heard_ms, nodes.heard_ms), \
-             run = COALESCE(excluded.run, nodes.run), started_ns = COALESCE(excluded.started_ns, nodes.started_ns), \
              revision = excluded.revision, status = COALESCE(excluded.status, nodes.status)",
         )?;
-        for row in rows {
-            let node = before.get(row.name.as_str());
-            let from = node.map_or(PresenceState::Silent.name(), |node| &node.state);
-            if from != row.state {
-                let detail = json!({ "from": from, "to": row.state, "why": row.why });
-                events.push(EventRow::new(row.since_ms, "node", &row.name, detail));
+        for node in nodes() {
+            let row = before.get(node.node.as_str());
+            let from = row.map_or(PresenceState::Silent.name(), |row| &row.state);
+            if from != node.state.name() {
+                let detail = json!({ "from": from, "to": node.state, "why": node.why });
+                events.push(EventRow::new(node.since_ms, "node", &node.node, detail));
             }
         }
         Ok(events)

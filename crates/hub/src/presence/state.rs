@@ -59,11 +59,13 @@ pub(super) fn judge(
     if let Some((why, _)) = &node.identity {
         return (PresenceState::Degraded, why.clone());
     }
-    let why = match (node.health, node.reasons.as_str()) {
+    let status = node.node.status.as_ref();
+    let reasons = status.map_or_else(String::new, |status| status.health.text());
+    let why = match (node.health, reasons.as_str()) {
         (HealthState::Ready, _) => return (PresenceState::Online, String::new()),
-        (HealthState::Degraded, "") => "a part does not work",
-        (HealthState::NotReady, "") => "it does not answer frames",
-        (_, reasons) => reasons,
+        (HealthState::Degraded, "") => "a part does not work".to_owned(),
+        (HealthState::NotReady, "") => "it does not answer frames".to_owned(),
+        _ => reasons,
     };
-    (PresenceState::Degraded, why.to_owned())
+    (PresenceState::Degraded, why)
 }

@@ -1,10 +1,11 @@
 use super::entry::Entry;
-use super::settings::tests::STATUS;
+use super::node::tests::STATUS;
 use super::state::judge;
 use super::*;
 use crate::config::PresenceConfig;
-use albireo_wire::{HealthState, Heartbeat, StatusMessage, VERSION};
+use albireo_wire::{HealthState, HealthStatus, Heartbeat, NodeStatus, StatusMessage, VERSION};
 use serde_json::json;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 #[test]
@@ -12,9 +13,17 @@ fn the_state_follows_the_table_in_the_documentation() {
     use HealthState::{Degraded as Bad, NotReady, Ready};
     use PresenceState::{Degraded, Offline, Online, Silent};
     let heard = |seconds, health, reasons: &str, identity: Option<&str>| {
-        let mut node = Entry::new(0);
+        let mut node = Entry::new("a", 0);
         node.health = health;
-        node.reasons = reasons.to_owned();
+        let reasons = reasons.split_once(": ").into_iter();
+        let reasons = reasons.map(|(part, reason)| (part.to_owned(), reason.to_owned()));
+        node.node.status = Some(Arc::new(NodeStatus {
+            health: HealthStatus {
+                state: health,
+                reasons: reasons.collect(),
+            },
+            ..STATUS.clone()
+        }));
         node.identity = identity.map(|why| (why.to_owned(), Instant::now()));
         (Some(Duration::from_secs(seconds)), node)
     };
@@ -57,8 +66,8 @@ fn life(seq: u64) -> StatusMessage {
 fn a_node_silent_at_a_hub_restart_becomes_offline_in_time_and_returns() {
     let fleet = Fleet::new(&PresenceConfig::default());
     let remembered = json!({
-        "name": "a", "first_seen_ms": 5_000, "state": "silent", "since_ms": 100_000, "why": "no status for 95 s",
-        "heard_ms": 5_000, "revision": 0,
+        "node": "a", "state": "silent", "since_ms": 100_000, "why": "no status for 95 s", "heard_ms": 5_000,
+        "waiting": 0, "revision": 0, "today": TodaysEnergy::default(),
     });
     let remembered = serde_json::from_value(remembered).unwrap();
     let start = Instant::now();

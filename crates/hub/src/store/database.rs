@@ -128,7 +128,6 @@ impl dyn Database + '_ {
         let new = |name: &&str| {
             json!({
                 "name": name,
-                "first_seen_ms": now_ms,
                 "state": PresenceState::Silent,
                 "since_ms": now_ms,
                 "why": "no status was received yet",

@@ -41,21 +41,6 @@ pub(crate) struct ReportCountsRow {
     pub(crate) counts: Counts,
 }
 
-/// The stored state of a node.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct NodeRow {
-    pub(crate) name: String,
-    pub(crate) first_seen_ms: i64,
-    pub(crate) state: String,
-    pub(crate) since_ms: i64,
-    pub(crate) why: String,
-    pub(crate) heard_ms: Option<i64>,
-    pub(crate) run: Option<i64>,
-    pub(crate) started_ns: Option<i64>,
-    pub(crate) revision: i64,
-    pub(crate) status: Option<String>,
-}
-
 /// The setup that a clip was made with; clips with the same setup share its id. A missing text is empty.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub(crate) struct SetupKey {

@@ -3,7 +3,7 @@
 use super::member::{Millis, Outcome};
 use super::selector::Selector;
 use super::tuner::{OutcomeLine, Tuner};
-use crate::presence::NodeSettings;
+use crate::presence::NodeView;
 use crate::store::{ChangeRow, StoreError};
 use albireo_wire::DesiredSetting;
 use serde::{Deserialize, Serialize};
@@ -60,12 +60,10 @@ impl Tuner {
         };
         let taken = self.taken().await?;
         let mut known = HashSet::new();
-        for node in self.fleet.all_settings() {
-            if !request.select.selects(&node.name, node.labels()) {
-                continue;
-            }
-            known.insert(node.name.to_string());
-            let taken = (taken.get(&*node.name))
+        let is_selected = |node: &NodeView| request.select.selects(&node.node, node.labels());
+        for node in self.fleet.views(is_selected) {
+            known.insert(node.node.clone());
+            let taken = (taken.get(&node.node))
                 .map(|other| format!("takes part in {other}: end or return that first"));
             let refused = taken.or_else(|| self.implausible(node.revision));
             let refused = refused.or_else(|| unable(&node, setting));
@@ -73,13 +71,13 @@ impl Tuner {
                 Some(detail) => (Outcome::Refused, detail.as_str()),
                 None if self.has_it(&node, setting) => (Outcome::Unchanged, ""),
                 None if !request.dry_run => (Outcome::Pending, ""),
-                None if node.reachable => (Outcome::WouldChange, ""),
+                None if node.is_reachable() => (Outcome::WouldChange, ""),
                 None => (
                     Outcome::WouldChange,
                     "out of reach: it would change when it returns",
                 ),
             };
-            (change.lines).push(line(&node.name, outcome, node.setting(), detail));
+            (change.lines).push(line(&node.node, outcome, node.setting(), detail));
         }
         for name in request.select.named() {
             if known.insert(name.to_owned()) {
@@ -131,8 +129,8 @@ impl Tuner {
 
     /// True if the node has the setting, and no other setting is desired that would replace it. "No target" is compatible with
     /// any desired threshold.
-    fn has_it(&self, node: &NodeSettings, setting: DesiredSetting) -> bool {
-        let desired = (self.desires.get(&node.name)).map(|desired| desired.setting);
+    fn has_it(&self, node: &NodeView, setting: DesiredSetting) -> bool {
+        let desired = (self.desires.get(&node.node)).map(|desired| desired.setting);
         let wanted = match setting {
             DesiredSetting::Target(None) => {
                 !matches!(desired, Some(DesiredSetting::Target(Some(_))))
@@ -144,7 +142,7 @@ impl Tuner {
 }
 
 /// The reason that the node cannot have the setting, according to its status; `None` if it can.
-fn unable(node: &NodeSettings, setting: DesiredSetting) -> Option<String> {
+fn unable(node: &NodeView, setting: DesiredSetting) -> Option<String> {
     match setting {
         DesiredSetting::Threshold(wanted) => {
             let name = node.threshold_name().filter(|name| *name != wanted.name)?;

@@ -1,7 +1,7 @@
 //! Follows the nodes of a rollout or trial: the orders to each, and the outcomes.
 
 use crate::named::named;
-use crate::presence::NodeSettings;
+use crate::presence::NodeView;
 use albireo_wire::{DesiredSetting, Threshold};
 use rand_core::{RngCore, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -83,7 +83,7 @@ impl Ask {
     /// Updates the outcome of an order for `wanted` from the node's state. Returns true if it changed.
     pub(crate) fn observe(
         &mut self,
-        node: &NodeSettings,
+        node: &NodeView,
         wanted: DesiredSetting,
         patience_ms: Millis,
         now: Millis,
@@ -95,7 +95,7 @@ impl Ask {
         let has_it = node.revision >= self.revision && node.has(wanted);
         // A node whose policy has no targets accepts the revision and ignores the target.
         let unable = match wanted {
-            DesiredSetting::Target(Some(_)) if node.reachable => node.cannot_hold(),
+            DesiredSetting::Target(Some(_)) if node.is_reachable() => node.cannot_hold(),
             _ => None,
         };
         let refused = node
@@ -111,7 +111,7 @@ impl Ask {
                 Refused
             }
             (Refused, None) => Refused,
-            _ if !node.reachable => Waiting,
+            _ if !node.is_reachable() => Waiting,
             (Waiting, None) => {
                 self.asked_ms = now;
                 Pending
@@ -200,13 +200,8 @@ impl Member {
     }
 
     /// Updates the outcome from the node's state. Returns true if it changed.
-    pub(crate) fn observe(
-        &mut self,
-        node: &NodeSettings,
-        patience_ms: Millis,
-        now: Millis,
-    ) -> bool {
-        self.reachable = node.reachable;
+    pub(crate) fn observe(&mut self, node: &NodeView, patience_ms: Millis, now: Millis) -> bool {
+        self.reachable = node.is_reachable();
         match self.asked {
             Some(asked) if self.due().is_none() => {
                 let asked = DesiredSetting::Threshold(asked);

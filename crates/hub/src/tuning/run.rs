@@ -20,7 +20,7 @@ use super::member::{self, Member, Millis, Order, Outcome, shuffle};
 use super::metric::BeforeAfter;
 use super::plan::{Basics, OnFailure, RolloutPlan, TrialPlan};
 use crate::named::named;
-use crate::presence::NodeSettings;
+use crate::presence::NodeView;
 use albireo_wire::Threshold;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
@@ -302,7 +302,7 @@ impl Run {
     }
 
     /// Updates the members by the states of their nodes.
-    pub(crate) fn observe(&mut self, now: Millis, look: impl Fn(&str) -> Option<NodeSettings>) {
+    pub(crate) fn observe(&mut self, now: Millis, look: impl Fn(&str) -> Option<NodeView>) {
         // Time stops in a pause: reports during it count as if they came at its beginning.
         let now = self.paused_ms.unwrap_or(now);
         let patience = self.patience();

@@ -4,7 +4,7 @@ use super::member::{Member, Millis};
 use super::metric::BeforeAfter;
 use super::run::{Command, Kind, Measured, Run, Window};
 use super::tuner::Tuner;
-use crate::presence::NodeSettings;
+use crate::presence::NodeView;
 use crate::store::tables::EventRow;
 use crate::store::{ChangeRow, StoreError};
 use albireo_wire::{DesiredSetting, Threshold};
@@ -144,14 +144,15 @@ impl Tuner {
         let mut runs = self.runs.lock().await;
         let taken = self.taken().await?;
         let (mut candidates, mut left_out) = (Vec::new(), Vec::new());
-        for node in self.fleet.all_settings() {
-            if !kind.basics().select.selects(&node.name, node.labels()) {
-                continue;
-            }
-            let name = node.name.to_string();
-            match able(&node, &kind, &taken) {
-                Ok(before) => candidates.push(Member::new(name, before, node.reachable)),
-                Err(why) => left_out.push(LeftOut { node: name, why }),
+        let select = &kind.basics().select;
+        for node in (self.fleet).views(|node| select.selects(&node.node, node.labels())) {
+            let (able, reachable) = (able(&node, &kind, &taken), node.is_reachable());
+            match able {
+                Ok(before) => candidates.push(Member::new(node.node, before, reachable)),
+                Err(why) => left_out.push(LeftOut {
+                    node: node.node,
+                    why,
+                }),
             }
         }
         let seed = kind.basics().seed.unwrap_or(now.unsigned_abs());
@@ -329,7 +330,7 @@ impl Tuner {
             let revision = self.order(change, order.nodes.clone()).await?;
             run.asked(&order, revision, now);
         }
-        run.observe(now, |node| self.fleet.settings(node));
+        run.observe(now, |node| self.fleet.view(node));
         if let Some(windows) = run.tick(now) {
             match self.measure(&windows).await {
                 Ok(found) => run.measured(&found, now),
@@ -373,11 +374,11 @@ impl Tuner {
 
 /// The present value of a node that can take part; else the reason that it cannot.
 fn able(
-    node: &NodeSettings,
+    node: &NodeView,
     kind: &Kind,
     taken: &HashMap<String, String>,
 ) -> Result<Threshold, String> {
-    if let Some(other) = taken.get(&*node.name) {
+    if let Some(other) = taken.get(&node.node) {
         return Err(format!("takes part in {other}"));
     }
     if let Some(target) = node.target() {

@@ -4,7 +4,7 @@ use super::member::{Ask, Millis, Outcome};
 use super::run::milliseconds;
 use crate::config::{LocalChange, TuningConfig};
 use crate::desired::{DesiredValue, Desires};
-use crate::presence::{Fleet, NodeSettings, Notifier};
+use crate::presence::{Fleet, NodeView, Notifier};
 use crate::store::tables::EventRow;
 use crate::store::{ChangeNode, ChangeRow, DesiredRow, Store, StoreError};
 use albireo_service::clock::unix_milliseconds;
@@ -237,13 +237,13 @@ impl Tuner {
         let mut above = u64::try_from(now.div_euclid(1000)).unwrap_or(0);
         let mut orders = Vec::new();
         for node in nodes {
-            let settings = self.fleet.settings(&node);
+            let settings = self.fleet.view(&node);
             let reported = settings.as_ref().map_or(0, |settings| settings.revision);
             if self.implausible(reported).is_none() {
                 above = above.max(reported);
             }
-            let from = settings.as_ref().and_then(NodeSettings::setting);
-            let outcome = match settings.is_some_and(|settings| settings.reachable) {
+            let from = settings.as_ref().and_then(NodeView::setting);
+            let outcome = match settings.is_some_and(|settings| settings.is_reachable()) {
                 true => Outcome::Pending,
                 false => Outcome::Waiting,
             };
@@ -310,7 +310,7 @@ impl Tuner {
             if matches!(order.ask.outcome, Outcome::Applied | Outcome::Refused) {
                 continue;
             }
-            let Some(settings) = self.fleet.settings(node) else {
+            let Some(settings) = self.fleet.view(node) else {
                 continue;
             };
             let mut next = order.clone();
@@ -349,7 +349,7 @@ impl Tuner {
     pub async fn look_for_drift(&self, now: Millis) -> Result<(), StoreError> {
         let (mut events, mut found) = (Vec::new(), Vec::new());
         for (node, desired) in self.desires.all() {
-            let Some(settings) = self.fleet.settings(&node) else {
+            let Some(settings) = self.fleet.view(&node) else {
                 continue;
             };
             let drifted = settings.is_known()
@@ -404,7 +404,7 @@ impl Tuner {
     pub(crate) fn drift(&self) -> Vec<Drift> {
         let nodes = self.drifted_ms.lock().clone();
         let drift = |(node, since_ms): (String, Millis)| {
-            let settings = self.fleet.settings(&node)?;
+            let settings = self.fleet.view(&node)?;
             Some(Drift {
                 since_ms,
                 desired: self.desires.get(&node)?.setting,

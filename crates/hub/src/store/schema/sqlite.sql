@@ -5,13 +5,10 @@
 CREATE TABLE nodes (
     id INTEGER PRIMARY KEY AUTOINCREMENT,
     name TEXT NOT NULL UNIQUE,
-    first_seen_ms BIGINT NOT NULL,
     state TEXT NOT NULL,
     since_ms BIGINT NOT NULL,
     why TEXT NOT NULL,
     heard_ms BIGINT,
-    run BIGINT,
-    started_ns BIGINT,
     revision BIGINT NOT NULL DEFAULT 0,
     status TEXT
 );

@@ -1,30 +1,45 @@
-//! Reads the settings of a node from its last full status.
+//! Defines a node as the hub knows it, and reads its settings from its last full status.
 
-use super::entry::Entry;
+use super::state::PresenceState;
+use super::today::TodaysEnergy;
+use crate::store::row::json_text;
 use albireo_wire::{DesiredSetting, NodeStatus, Target, Threshold, ThresholdName};
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use utoipa::ToSchema;
 
-/// The settings of a node, as far as the hub knows them.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct NodeSettings {
+/// A node, as the HTTP interface shows it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct NodeView {
     /// Its name.
-    pub(crate) name: Arc<str>,
-    /// True if it is in reach: online or degraded.
-    pub(crate) reachable: bool,
-    /// The revision that it last reported as in force.
-    pub(crate) revision: u64,
-    status: Option<Arc<NodeStatus>>,
+    pub node: String,
+    /// Its state.
+    pub state: PresenceState,
+    /// When that state began, milliseconds since the Unix epoch.
+    pub since_ms: i64,
+    /// The reason for the state; empty when online.
+    pub why: String,
+    /// When the last status was received, milliseconds since the Unix epoch.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub heard_ms: Option<i64>,
+    /// Reports that wait in its outbox.
+    pub waiting: u64,
+    /// The revision in force at the node.
+    pub revision: u64,
+    /// The energy and skip rate of its clips of today (UTC).
+    pub today: TodaysEnergy,
+    /// The last full status.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(deserialize_with = "json_text::or_value")]
+    #[schema(value_type = Option<NodeStatus>)]
+    pub status: Option<Arc<NodeStatus>>,
 }
 
-impl NodeSettings {
-    pub(super) fn of(name: &Arc<str>, entry: &Entry) -> Self {
-        Self {
-            name: Arc::clone(name),
-            reachable: entry.state.is_heard(),
-            revision: entry.revision,
-            status: entry.status.clone(),
-        }
+impl NodeView {
+    /// True if it is in reach: online or degraded.
+    pub(crate) const fn is_reachable(&self) -> bool {
+        self.state.is_heard()
     }
 
     /// True if it has sent a full status.
@@ -34,7 +49,9 @@ impl NodeSettings {
 
     /// Its labels.
     pub(crate) fn labels(&self) -> &BTreeMap<String, String> {
-        labels(self.status.as_deref())
+        static NONE: BTreeMap<String, String> = BTreeMap::new();
+        let status = self.status.as_ref();
+        status.map_or(&NONE, |status| &status.labels)
     }
 
     /// The threshold in force on all of its cameras; `None` if they differ, have none, or are not known.
@@ -95,18 +112,6 @@ impl NodeSettings {
     }
 }
 
-impl Entry {
-    /// Its labels.
-    pub(crate) fn labels(&self) -> &BTreeMap<String, String> {
-        labels(self.status.as_deref())
-    }
-}
-
-fn labels(status: Option<&NodeStatus>) -> &BTreeMap<String, String> {
-    static NONE: BTreeMap<String, String> = BTreeMap::new();
-    status.map_or(&NONE, |status| &status.labels)
-}
-
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
@@ -129,18 +134,21 @@ pub(crate) mod tests {
         revision: u64,
         threshold: Threshold,
         refused: Option<u64>,
-    ) -> NodeSettings {
+    ) -> NodeView {
         let mut status = STATUS.clone();
         status.cameras[0].threshold = Some(threshold);
         status.refused = refused.map(|revision| RefusedDesired {
             revision,
             reason: "range".to_owned(),
         });
-        NodeSettings {
-            name: "".into(),
-            reachable,
+        NodeView {
+            state: match reachable {
+                true => PresenceState::Online,
+                false => PresenceState::Silent,
+            },
             revision,
             status: Some(Arc::new(status)),
+            ..NodeView::default()
         }
     }
 }
