@@ -75,7 +75,7 @@ impl Hub {
             let (query, mut new) = self.asked().await;
             new.retain(|(id, _)| known.insert(*id));
             stored.extend(new.into_iter().map(|(_, count)| count));
-            let answer = serde_json::to_vec(&ReportAnswer::new(Uuid::max())).unwrap();
+            let answer = serde_json::to_vec(&ReportAnswer::default()).unwrap();
             let reply = query.reply(query.key_expr().clone(), answer);
             reply.await.unwrap();
         }

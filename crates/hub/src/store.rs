@@ -5,7 +5,7 @@
 
 mod database;
 mod error;
-pub(crate) mod migrate;
+mod migrate;
 mod postgres;
 mod read;
 pub(crate) mod retention;

@@ -80,9 +80,6 @@ pub struct RefusedReport {
 pub struct ReportAnswer {
     /// Version.
     pub v: u32,
-    /// Id of the hub's database.
-    #[schema(value_type = String, format = "uuid")]
-    pub database: Uuid,
     /// Reports that will never be stored: they are too old or invalid.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub refused: Vec<RefusedReport>,
@@ -94,12 +91,11 @@ pub struct ReportAnswer {
     pub desired: Option<Desired>,
 }
 
-impl ReportAnswer {
-    /// Returns the acknowledgement of a whole batch by `database`.
-    pub const fn new(database: Uuid) -> Self {
+impl Default for ReportAnswer {
+    /// The acknowledgement of a whole batch.
+    fn default() -> Self {
         Self {
             v: VERSION,
-            database,
             refused: Vec::new(),
             missing: Vec::new(),
             desired: None,

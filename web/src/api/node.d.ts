@@ -2712,11 +2712,6 @@ export interface components {
         };
         /** @description The acknowledgement of a batch, sent after the hub's commit: all its reports are stored, except the refused ones. */
         ReportAnswer: {
-            /**
-             * Format: uuid
-             * @description Id of the hub's database.
-             */
-            database: string;
             desired?: components["schemas"]["Desired"] | null;
             /**
              * @description Ranges, inclusive, of the node's report counts ([`ClipReport::count`]) that never arrived: the node resends

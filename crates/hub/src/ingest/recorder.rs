@@ -6,7 +6,6 @@ use super::limits::{ClockCheck, EventLimits};
 use super::plan::Seen;
 use crate::config::HistoryConfig;
 use crate::presence::News;
-use crate::store::migrate::identity;
 use crate::store::retention::retain;
 use crate::store::row::Row;
 use crate::store::tables::EventRow;
@@ -16,7 +15,6 @@ use albireo_wire::{RefusedReport, ReportAnswer};
 use serde_json::{Value, json};
 use std::collections::{BTreeSet, HashMap};
 use std::time::{Duration, Instant};
-use uuid::Uuid;
 
 /// Interval between two searches for old rows, after one that found none.
 const RETENTION: Duration = Duration::from_secs(60);
@@ -25,8 +23,6 @@ const RETENTION: Duration = Duration::from_secs(60);
 pub struct Recorder {
     store: Store,
     database: Option<Box<dyn Database>>,
-    /// The identity of the database; known once a first transaction has succeeded.
-    identity: Option<Uuid>,
     history: HistoryConfig,
     event_limits: EventLimits,
     clock: ClockCheck,
@@ -52,7 +48,6 @@ impl Recorder {
         Self {
             store: store.clone(),
             database: None,
-            identity: None,
             history: history.clone(),
             event_limits: EventLimits::default(),
             clock: ClockCheck::new(now.at, now.unix_ms),
@@ -60,9 +55,9 @@ impl Recorder {
         }
     }
 
-    /// True once a transaction has succeeded.
+    /// True if the last transaction succeeded.
     pub(crate) const fn is_proven(&self) -> bool {
-        self.identity.is_some()
+        self.database.is_some()
     }
 
     /// True if it is time to delete old rows.
@@ -91,10 +86,6 @@ impl Recorder {
         }
         // After an error the connection is dropped, which rolls the transaction back.
         let mut database = self.store.connect(Access::Write, self.database.take())?;
-        let database_id = match self.identity {
-            Some(identity) => identity,
-            None => identity(&mut *database)?,
-        };
         database.begin()?;
         let events = news.write(&mut *database)?;
         let mut recorded = Recorded {
@@ -102,18 +93,11 @@ impl Recorder {
             ..Recorded::default()
         };
         if !batches.is_empty() {
-            self.write(
-                &mut *database,
-                batches,
-                database_id,
-                now.unix_ms,
-                &mut recorded,
-            )?;
+            self.write(&mut *database, batches, now.unix_ms, &mut recorded)?;
         }
         database.insert("events", &recorded.events, "")?;
         database.commit()?;
         self.database = Some(database);
-        self.identity = Some(database_id);
         for batch in batches {
             self.clock.note(&batch.node, batch.clocks_agree);
         }
@@ -134,7 +118,6 @@ impl Recorder {
         &mut self,
         database: &mut dyn Database,
         batches: &[Batch],
-        database_id: Uuid,
         now_ms: i64,
         recorded: &mut Recorded,
     ) -> Result<(), StoreError> {
@@ -170,7 +153,7 @@ impl Recorder {
         for batch in batches {
             let node = nodes.get_mut(&batch.node).ok_or_else(|| lost("a node"))?;
             let node_cameras = cameras.get(&node.node_id);
-            let mut answer = ReportAnswer::new(database_id);
+            let mut answer = ReportAnswer::default();
             let (mut invalid, mut clocks_off) = (0, 0);
             for report in &batch.reports {
                 let mut is_new = false;

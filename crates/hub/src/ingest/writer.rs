@@ -157,7 +157,7 @@ impl Writer {
     /// Commits a group of batches. If the database refuses the group, commits each batch separately.
     fn commit(&mut self, waiting: Vec<Waiting>, batches: &[Batch]) {
         let retention = self.recorder.retention_is_due(Instant::now());
-        // Until a transaction has succeeded, an empty one is tried, which detects a read-only database at the start.
+        // At the start and after an error an empty transaction is tried, which shows whether the database can be written.
         if self.recorder.is_proven()
             && batches.is_empty()
             && !retention

@@ -1,12 +1,10 @@
 //! Creates the tables. A database of another program or of another version is refused and not changed.
 
-use super::row::{Row, read};
+use super::row::Row;
 use super::{Database, Kind, StoreError};
-use serde::Deserialize;
-use uuid::Uuid;
 
-/// The version of the tables. albireo 0.1.0 had version 5; 6 to 10 were never released.
-const VERSION: i64 = 11;
+/// The version of the tables. albireo 0.1.0 had version 5; 6 to 11 were never released.
+const VERSION: i64 = 12;
 
 /// The program's name in the table `hub_meta` of a hub's database.
 const MARK: &str = "albireo-hub";
@@ -21,27 +19,20 @@ pub(super) fn migrate(database: &mut dyn Database) -> Result<(), StoreError> {
             Kind::Sqlite => include_str!("schema/sqlite.sql"),
             Kind::Postgres => include_str!("schema/postgres.sql"),
         })?;
-        let (version, id) = (VERSION.to_string(), Uuid::now_v7().to_string());
         database.query(
-            "INSERT INTO hub_meta (key, value) VALUES ('program', $1), ('version', $2), ('identity', $3)",
-            &[MARK.into(), version.into(), id.into()],
+            "INSERT INTO hub_meta (key, value) VALUES ('program', $1), ('version', $2)",
+            &[MARK.into(), VERSION.to_string().into()],
         )?;
     }
-    identity(database)?;
+    check(database)?;
     database.commit()
 }
 
-/// The identity of the database, which a copy of it keeps.
+/// Checks that the database is that of a hub of this version.
 ///
 /// # Errors
-/// [`StoreError::Refused`] if the database is not a hub's, or has another version.
-pub(crate) fn identity(database: &mut dyn Database) -> Result<Uuid, StoreError> {
-    #[derive(Default, Deserialize)]
-    struct Meta {
-        program: Option<String>,
-        version: Option<String>,
-        identity: Option<Uuid>,
-    }
+/// [`StoreError::Refused`] if it is not.
+pub(super) fn check(database: &mut dyn Database) -> Result<(), StoreError> {
     let stranger = |what: String| {
         StoreError::Refused(format!(
             "the database is not a hub's ({what}) and was not changed: set an empty one in database.url"
@@ -51,34 +42,30 @@ pub(crate) fn identity(database: &mut dyn Database) -> Result<Uuid, StoreError> 
     if !names.iter().any(|name| name == "hub_meta") {
         return Err(stranger(format!("it has the table {}", names.join(", "))));
     }
-    let rows = database.query(
-        "SELECT max(CASE key WHEN 'program' THEN value END) AS program, \
-         max(CASE key WHEN 'version' THEN value END) AS version, \
-         max(CASE key WHEN 'identity' THEN value END) AS identity FROM hub_meta",
-        &[],
-    )?;
-    let meta: Meta = read(rows.into_iter().next().unwrap_or_default())?;
-    if meta.program.as_deref() != Some(MARK) {
-        let program = meta.program;
+    let mut value = |key: &str| {
+        let text = "SELECT value FROM hub_meta WHERE key = $1";
+        let rows = database.query(text, &[key.into()])?;
+        let value = rows.first().and_then(|row| row.get("value")?.as_str());
+        Ok::<_, StoreError>(value.unwrap_or_default().to_owned())
+    };
+    let (program, version) = (value("program")?, value("version")?);
+    if program != MARK {
         return Err(stranger(format!(
-            "its table hub_meta names the program {program:?}"
+            "its table hub_meta names the program `{program}`"
         )));
     }
-    let version = meta.version.and_then(|version| version.parse::<i64>().ok());
-    let found = version.ok_or_else(|| stranger("its table hub_meta has no version".to_owned()))?;
-    match found {
-        VERSION => meta
-            .identity
-            .ok_or_else(|| stranger("it has no id".to_owned())),
-        ..VERSION => Err(StoreError::Refused(
+    match version.parse::<i64>() {
+        Ok(VERSION) => Ok(()),
+        Ok(..VERSION) => Err(StoreError::Refused(
             "the database was written by albireo 0.1.0, whose tables this version does not read: set another one in \
              database.url"
                 .to_owned(),
         )),
-        _ => Err(StoreError::Refused(format!(
+        Ok(found) => Err(StoreError::Refused(format!(
             "the tables of the database have version {found}, written by a newer albireo; this version reads only \
              {VERSION}: run the newer program, or set another database in database.url"
         ))),
+        Err(_) => Err(stranger("its table hub_meta has no version".to_owned())),
     }
 }
 

@@ -1,17 +1,16 @@
 //! Copies a hub's SQLite file into an empty PostgreSQL database.
 
-use super::migrate::identity;
+use super::migrate::check;
 use super::sqlite::Sqlite;
 use super::{Access, Database, Kind, Row, Store, StoreError, retention};
 use crate::config::DatabaseConfig;
 use albireo_service::clock::{DAY_MS, unix_milliseconds};
 use serde_json::Value;
-use uuid::Uuid;
 
 /// Rows per statement.
 const BATCH: usize = 500;
 
-/// The tables of both databases, each after the tables that it refers to; `hub_meta` is handled separately.
+/// The tables of both databases, each after the tables that it refers to; `hub_meta` is the same in both.
 const TABLES: [&str; 15] = [
     "nodes",
     "report_counts",
@@ -41,8 +40,8 @@ pub struct Progress {
     pub of: u64,
 }
 
-/// Copies everything in the file `from` into the database `to`, which must be empty: history, identities of reports,
-/// revisions, and the identity of the database itself. It copies all or nothing. The file is locked during the copy and
+/// Copies everything in the file `from` into the database `to`, which must be empty: history, identities of reports
+/// and revisions. It copies all or nothing. The file is locked during the copy and
 /// not changed. Calls `progress` after each batch. Returns the number of rows.
 ///
 /// # Errors
@@ -67,15 +66,15 @@ pub async fn to_postgres(
             .map_err(|error| refused(&from, &error.to_string()))?;
         // Locks the file against writers.
         source.begin()?;
-        let identity = identity(&mut source).map_err(|error| refused(&from, &error.to_string()))?;
-        Ok((source, identity))
+        check(&mut source).map_err(|error| refused(&from, &error.to_string()))?;
+        Ok(source)
     });
-    let (source, identity) = source.await?;
+    let source = source.await?;
     // Creates the tables if there are none.
     let store = Store::open(&opening).await?;
     let copied = super::blocking(move || {
         let mut target = store.connect(Access::Write, None)?;
-        copy(source, &mut *target, identity, &shown, &progress)
+        copy(source, &mut *target, &shown, &progress)
     });
     copied.await
 }
@@ -89,7 +88,6 @@ fn refused(from: &str, what: &str) -> StoreError {
 fn copy(
     mut source: Sqlite,
     target: &mut dyn Database,
-    identity: Uuid,
     shown: &str,
     progress: &dyn Fn(Progress),
 ) -> Result<u64, StoreError> {
@@ -138,10 +136,6 @@ fn copy(
             )?;
         }
     }
-    target.query(
-        "UPDATE hub_meta SET value = $1 WHERE key = 'identity'",
-        &[identity.to_string().into()],
-    )?;
     target.commit()?;
     Ok(rows)
 }

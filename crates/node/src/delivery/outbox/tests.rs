@@ -11,8 +11,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use uuid::Uuid;
 
-const HUB: Uuid = Uuid::from_u128(1);
-
 impl Outbox {
     /// Stalls the disk until the result is dropped.
     pub(crate) fn stall(&self) -> impl Sized {
@@ -149,7 +147,7 @@ fn counts_of(batch: &ReportBatch) -> Vec<Option<u64>> {
 }
 
 fn acknowledge(outbox: &Outbox, batch: &ReportBatch) -> u64 {
-    outbox.answered(batch, &ReportAnswer::new(HUB), Now::system())
+    outbox.answered(batch, &ReportAnswer::default(), Now::system())
 }
 
 /// The clips that are sent, in bounded batches, to a hub that accepts everything.
@@ -176,7 +174,7 @@ fn reports_are_sent_until_acknowledged_or_refused_and_counted_on_after_a_restart
             id: sent.reports[1].id,
             reason: "too old".into(),
         }],
-        ..ReportAnswer::new(HUB)
+        ..ReportAnswer::default()
     };
     assert_eq!(outbox.answered(&sent, &answer, Now::system()), 1);
     drop(outbox);
@@ -200,7 +198,7 @@ fn reports_that_a_hub_lost_are_resent_once_after_new_ones() {
     let sent = batch(&outbox).unwrap();
     let answer = ReportAnswer {
         missing: vec![(2, 3), (5, 5), (90, 99)],
-        ..ReportAnswer::new(HUB)
+        ..ReportAnswer::default()
     };
     outbox.answered(&sent, &answer, Now::system());
     let counts = outbox.counts();
@@ -229,7 +227,7 @@ fn a_hub_with_another_database_gets_the_reports_of_the_last_week_once() {
         let answer = ReportAnswer {
             // An empty database lacks all reports before the first that it gets.
             missing: (clip == 20).then_some((1, 20)).into_iter().collect(),
-            ..ReportAnswer::new(HUB)
+            ..ReportAnswer::default()
         };
         outbox.answered(&batch, &answer, now);
         let counts = outbox.counts();

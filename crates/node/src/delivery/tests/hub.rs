@@ -11,7 +11,6 @@ use rusqlite::Connection;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
-use uuid::Uuid;
 
 /// The node's index and the number of its request.
 pub(super) type Asker = (usize, u64);
@@ -122,9 +121,6 @@ fn empty(folder: &Path) -> &'static [u8] {
     EMPTY.get_or_init(|| {
         let file = folder.join("empty.db");
         drop(open(&database(&file)));
-        let named = "UPDATE hub_meta SET value = ? WHERE key = 'identity'";
-        let db = Connection::open(&file).unwrap();
-        db.execute(named, [Uuid::max().to_string()]).unwrap();
         image(&file)
     })
 }
