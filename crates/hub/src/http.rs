@@ -17,7 +17,7 @@ pub use changes::{ChangeView, Changes, LastLine, OrderLine};
 pub use energy::Energy;
 pub(crate) use live::Reach;
 pub use nodes::{NodeDetail, NodeList};
-pub use runs::{Rollouts, RunView, StageView, Trials};
+pub use runs::Runs;
 
 use crate::config::HubConfig;
 use crate::desired::Desires;

@@ -334,7 +334,7 @@ async fn a_harmful_rollout_and_a_trial_restore_the_old_value_and_are_each_number
     assert_eq!(stopped["phase"], "stopped");
     assert!(stopped["ended_ms"].is_i64(), "{stopped}");
     let list = hub.get("/api/v1/rollouts").await;
-    assert_has(&list, &json!({"rollouts": [{"id": 2}, {"id": 1}]}));
+    assert_has(&list, &json!({"runs": [{"id": 2}, {"id": 1}]}));
     assert_eq!(hub.get("/api/v1/trials/1").await["phase"], "done");
     simulated.end().await;
     hub.stop().await;

@@ -5,13 +5,14 @@ use super::units::{
     counts, figure, finite, interval, joined, name_of, nodes, seconds, span, threshold, when,
 };
 use super::{Context, Ended};
-use albireo_hub::http::{Rollouts, RunView, Trials};
+use albireo_hub::http::Runs;
 use albireo_hub::tuning::effect::Scale;
 use albireo_hub::tuning::metric::Figure;
-use albireo_hub::tuning::run::{ArmResult, Entry, Kind, Phase, TrialResult};
+use albireo_hub::tuning::run::{ArmResult, Entry, Kind, Phase, Run, TrialResult};
 use anyhow::Context as _;
 use serde::Serialize;
 use serde_json::{Value, json};
+use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::time::Duration;
 
@@ -158,7 +159,7 @@ async fn begin(
     path: &str,
     plan: &impl Serialize,
     (name, value): (&str, Value),
-) -> anyhow::Result<RunView> {
+) -> anyhow::Result<Run> {
     let mut body = serde_json::to_value(plan)?;
     body[name] = value;
     if let Some(body) = body.as_object_mut() {
@@ -173,15 +174,15 @@ pub(super) async fn rollout(context: &Context, command: RolloutCommand) -> anyho
     let (id, order) = match command {
         Start(arguments) => return start(context, *arguments).await,
         Ls => {
-            let rollouts: Rollouts = client.get("/api/v1/rollouts", &[]).await?;
-            return context.print(&rollouts, |found| list(&found.rollouts));
+            let rollouts: Runs = client.get("/api/v1/rollouts", &[]).await?;
+            return context.print(&rollouts, |found| list(&found.runs));
         }
         Show { id, follow } => {
             let id = number(context, "rollouts", id).await?;
             if follow {
                 return self::follow(context, id).await;
             }
-            let rollout: RunView = client.get(&format!("/api/v1/rollouts/{id}"), &[]).await?;
+            let rollout: Run = client.get(&format!("/api/v1/rollouts/{id}"), &[]).await?;
             context.print(&rollout, whole)?;
             return Ok(judge(&rollout));
         }
@@ -192,21 +193,21 @@ pub(super) async fn rollout(context: &Context, command: RolloutCommand) -> anyho
         Stop(Number { id }) => (id, "stop"),
     };
     let path = format!("/api/v1/rollouts/{id}/{order}");
-    let rollout: RunView = client.post(&path, &json!({})).await?;
+    let rollout: Run = client.post(&path, &json!({})).await?;
     context.print(&rollout, |rollout| headline(rollout) + "\n")
 }
 
 pub(super) async fn trial(context: &Context, command: TrialCommand) -> anyhow::Result<Ended> {
     let client = &context.client;
-    let trial: RunView = match command {
+    let trial: Run = match command {
         TrialCommand::Start(plan) => {
             let value = |value: &f64| json!({ (plan.basics.threshold.as_str()): value });
             let values = plan.values.iter().map(value).collect();
             begin(context, "/api/v1/trials", &plan, ("values", values)).await?
         }
         TrialCommand::Ls => {
-            let trials: Trials = client.get("/api/v1/trials", &[]).await?;
-            return context.print(&trials, |found| list(&found.trials));
+            let trials: Runs = client.get("/api/v1/trials", &[]).await?;
+            return context.print(&trials, |found| list(&found.runs));
         }
         TrialCommand::Show { id } => {
             let id = number(context, "trials", id).await?;
@@ -226,21 +227,22 @@ async fn number(context: &Context, kind: &str, id: Option<i64>) -> anyhow::Resul
         return Ok(id);
     }
     let (path, newest) = (format!("/api/v1/{kind}"), [("limit", "1".to_owned())]);
-    let found: Value = context.client.get(&path, &newest).await?;
-    let id = found[kind][0]["id"].as_i64();
+    let found: Runs = context.client.get(&path, &newest).await?;
+    let newest = found.runs.first();
+    let id = newest.map(|run| run.id);
     id.with_context(|| format!("there are no {kind} yet"))
 }
 
 async fn start(context: &Context, arguments: RolloutArguments) -> anyhow::Result<Ended> {
     let value = (arguments.basics.threshold.as_str(), json!(arguments.value));
     let rollout = begin(context, "/api/v1/rollouts", &arguments, value).await?;
-    let id = rollout.kept.id;
+    let id = rollout.id;
     if arguments.follow {
         return follow(context, id).await;
     }
     context.print(&rollout, |rollout| {
         let mut text = headline(rollout) + "\n";
-        for left_out in &rollout.kept.left_out {
+        for left_out in &rollout.left_out {
             let line = format!("  without {}: {}", left_out.node, left_out.why);
             text += &(cut(&line, WIDTH) + "\n");
         }
@@ -252,8 +254,7 @@ async fn follow(context: &Context, id: i64) -> anyhow::Result<Ended> {
     let mut last: Option<Entry> = None;
     loop {
         let path = format!("/api/v1/rollouts/{id}");
-        let rollout: RunView = context.client.get(&path, &[]).await?;
-        let run = &rollout.kept.run;
+        let run: Run = context.client.get(&path, &[]).await?;
         // The hub keeps only the newest entries, so their positions change.
         let is_last = |entry: &Entry| Some(entry) == last.as_ref();
         let printed = run.record.iter().rposition(is_last);
@@ -261,7 +262,7 @@ async fn follow(context: &Context, id: i64) -> anyhow::Result<Ended> {
             if context.json {
                 println!("{}", serde_json::to_string(entry)?);
             } else {
-                print!("{}", entry_text(entry, rollout.kept.begun_ms));
+                print!("{}", entry_text(entry, run.begun_ms));
             }
         }
         last = run.record.last().cloned().or(last);
@@ -270,25 +271,25 @@ async fn follow(context: &Context, id: i64) -> anyhow::Result<Ended> {
             Phase::Done | Phase::Returned | Phase::Stopped | Phase::Held
         ) {
             if !context.json {
-                println!("{}", headline(&rollout));
+                println!("{}", headline(&run));
             }
-            return Ok(judge(&rollout));
+            return Ok(judge(&run));
         }
         tokio::time::sleep(UPDATE_INTERVAL).await;
     }
 }
 
-fn judge(rollout: &RunView) -> Ended {
-    match rollout.kept.run.phase {
+fn judge(rollout: &Run) -> Ended {
+    match rollout.phase {
         Phase::Done | Phase::Stopped => Ended::Well,
         Phase::Returned | Phase::Returning => Ended::Failed,
         _ => Ended::Open,
     }
 }
 
-fn state(run: &RunView) -> String {
-    let paused = if run.paused { ", paused" } else { "" };
-    format!("{}{paused}", run.kept.run.phase)
+fn state(run: &Run) -> String {
+    let paused = run.paused_ms.map_or("", |_| ", paused");
+    format!("{}{paused}", run.phase)
 }
 
 /// Formats the value that is rolled out, or the values that are compared.
@@ -299,42 +300,43 @@ fn values(kind: &Kind) -> String {
     }
 }
 
-fn headline(view: &RunView) -> String {
-    let run = &view.kept.run;
-    let (id, values, state) = (view.kept.id, values(&run.kind), state(view));
+fn headline(run: &Run) -> String {
+    let (id, values, state) = (run.id, values(&run.kind), state(run));
     if let Kind::Trial { .. } = run.kind {
-        let (counts, seed) = (counts(&view.counts), run.seed);
+        let mut all = BTreeMap::new();
+        for (outcome, nodes) in run.stages.iter().flat_map(|group| &group.counts) {
+            *all.entry(*outcome).or_default() += nodes;
+        }
+        let (counts, seed) = (counts(&all), run.seed);
         return format!("trial {id} of {values}: {state}; {counts}; seed {seed}");
     }
     let reason = match run.phase {
         Phase::Held | Phase::Returning => format!(" ({})", run.reason),
         _ => String::new(),
     };
-    let (stage, of) = (run.stage, view.stages.len());
+    let (stage, of) = (run.stage, run.stages.len());
     format!("rollout {id} to {values}: {state}, stage {stage} of {of}{reason}")
 }
 
-fn list(found: &[RunView]) -> String {
-    let rows = found.iter().map(|view| {
-        let kept = &view.kept;
-        let nodes: usize = view.stages.iter().map(|stage| stage.nodes).sum();
+fn list(found: &[Run]) -> String {
+    let rows = found.iter().map(|run| {
+        let nodes: usize = run.stages.iter().map(|stage| stage.nodes).sum();
         [
-            kept.id.to_string(),
-            values(&kept.run.kind),
-            state(view),
-            format!("{}/{}", kept.run.stage, view.stages.len()),
+            run.id.to_string(),
+            values(&run.kind),
+            state(run),
+            format!("{}/{}", run.stage, run.stages.len()),
             nodes.to_string(),
-            when(kept.begun_ms),
-            kept.who.clone(),
-            kept.run.kind.basics().why.clone(),
+            when(run.begun_ms),
+            run.who.clone(),
+            run.kind.basics().why.clone(),
         ]
     });
     table(">id|>to|state|>stage|>nodes|begun|who|why", rows)
 }
 
-fn whole(view: &RunView) -> String {
-    let run = &view.kept.run;
-    let mut text = headline(view) + "\n";
+fn whole(run: &Run) -> String {
+    let mut text = headline(run) + "\n";
     let Kind::Rollout { plan, .. } = &run.kind else {
         return text + &run.result.as_ref().map(result).unwrap_or_default();
     };
@@ -347,7 +349,7 @@ fn whole(view: &RunView) -> String {
         joined(plan.gates.iter().map(ToString::to_string)),
         name_of(&plan.on_failure)
     );
-    for (number, stage) in (1..).zip(&view.stages) {
+    for (number, stage) in (1..).zip(&run.stages) {
         let counts = match stage.counts.is_empty() {
             true => "not begun".to_owned(),
             false => counts(&stage.counts),
@@ -356,7 +358,7 @@ fn whole(view: &RunView) -> String {
         let _ = writeln!(text, "  stage {number}: {nodes}, {counts}");
     }
     for entry in &run.record {
-        text += &entry_text(entry, view.kept.begun_ms);
+        text += &entry_text(entry, run.begun_ms);
     }
     text
 }

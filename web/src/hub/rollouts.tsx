@@ -25,7 +25,7 @@ function Phase({ rollout }: { rollout: RolloutView }) {
   return (
     <>
       <Pill mood={phase.mood}>{phase.words}</Pill>
-      {rollout.paused && <Pill mood="wait">paused</Pill>}
+      {rollout.paused_ms && <Pill mood="wait">paused</Pill>}
       {rollout.reason && <span class="bad"> {rollout.reason}</span>}
     </>
   );
@@ -165,7 +165,7 @@ export function Rollout({ id }: { id: string }) {
           <Stages rollout={rollout} />
           <div class="row">
             {COMMANDS.filter(({ command, in: phases }) =>
-              command === "resume" ? rollout.paused || rollout.phase === "held" : command === "pause" ? !rollout.paused && phases.includes(rollout.phase) : phases.includes(rollout.phase),
+              command === "resume" ? rollout.paused_ms || rollout.phase === "held" : command === "pause" ? !rollout.paused_ms && phases.includes(rollout.phase) : phases.includes(rollout.phase),
             ).map((one) => (
               <button key={one.command} type="button" class={one.danger ? "danger" : "plain"} disabled={forbidden !== undefined} onClick={() => command(one.command)}>
                 {one.words}
@@ -205,8 +205,8 @@ export function Rollout({ id }: { id: string }) {
 }
 
 export function Rollouts() {
-  const found = useLoaded<{ rollouts: RolloutView[] }>("/api/v1/rollouts", 3000);
-  const rollouts = found.value?.rollouts ?? [];
+  const found = useLoaded<{ runs: RolloutView[] }>("/api/v1/rollouts", 3000);
+  const rollouts = found.value?.runs ?? [];
   return (
     <>
       <Section id="rollouts" title="Rollouts" wide>

@@ -24,7 +24,11 @@ function Phase({ trial }: { trial: TrialView }) {
 
 /** After a trial every node has its old value again. */
 function counts(trial: TrialView): Record<string, number> {
-  return trial.phase === "done" ? afterReturn(trial.counts) : trial.counts;
+  const all: Record<string, number> = {};
+  for (const group of trial.stages) {
+    for (const [outcome, nodes] of Object.entries(group.counts)) all[outcome] = (all[outcome] ?? 0) + (nodes ?? 0);
+  }
+  return trial.phase === "done" ? afterReturn(all) : all;
 }
 
 /** Whether the difference of a figure is relative to its earlier value. */
@@ -115,8 +119,8 @@ export function Trial({ id }: { id: string }) {
 }
 
 export function Trials() {
-  const found = useLoaded<{ trials: TrialView[] }>("/api/v1/trials", 3000);
-  const trials = found.value?.trials ?? [];
+  const found = useLoaded<{ runs: TrialView[] }>("/api/v1/trials", 3000);
+  const trials = found.value?.runs ?? [];
   return (
     <>
       <Section id="trials" title="Trials" wide>

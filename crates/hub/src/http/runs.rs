@@ -2,10 +2,9 @@
 
 use super::HubView;
 use super::body;
-use crate::tuning::member::{Outcome, counts};
 use crate::tuning::plan::{RolloutPlan, TrialPlan};
-use crate::tuning::run::{Command, Kind};
-use crate::tuning::runs::{KeptRun, RunError};
+use crate::tuning::run::{Command, Kind, Run};
+use crate::tuning::runs::RunError;
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::http::{Caller, Problem};
 use axum::Json;
@@ -14,7 +13,6 @@ use axum::extract::{Extension, Path, Query, State};
 use axum::http::StatusCode;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use std::collections::BTreeMap;
 use utoipa::{IntoParams, ToSchema};
 
 /// Most rollouts or trials per answer.
@@ -42,100 +40,47 @@ pub(super) struct Which {
     limit: Option<i64>,
 }
 
-/// A stage of a rollout, or a group of a trial.
+/// Rollouts or trials, the newest first.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
-pub struct StageView {
-    /// The number of nodes that it adds.
-    pub nodes: usize,
-    /// The number of them by outcome.
-    pub counts: BTreeMap<Outcome, usize>,
-}
-
-/// A rollout or a trial.
-#[derive(Debug, Serialize, Deserialize, ToSchema)]
-pub struct RunView {
-    /// Its stored form.
-    #[serde(flatten)]
-    pub kept: KeptRun,
-    /// True if it is paused.
-    pub paused: bool,
-    /// Its stages or groups.
-    pub stages: Vec<StageView>,
-    /// The number of nodes by outcome.
-    pub counts: BTreeMap<Outcome, usize>,
-}
-
-impl From<KeptRun> for RunView {
-    fn from(kept: KeptRun) -> Self {
-        let outcomes = || kept.run.members.iter().map(|m| (m.group, m.ask.outcome));
-        let stage = |group: usize| {
-            let own = || outcomes().filter(|of| of.0 == group).map(|of| of.1);
-            StageView {
-                nodes: own().count(),
-                counts: counts(own()),
-            }
-        };
-        Self {
-            paused: kept.run.paused_ms.is_some(),
-            stages: (0..kept.run.stages()).map(stage).collect(),
-            counts: counts(outcomes().map(|of| of.1)),
-            kept,
-        }
-    }
-}
-
-/// Rollouts, the newest first.
-#[derive(Debug, Serialize, Deserialize, ToSchema)]
-pub struct Rollouts {
-    /// One entry per run.
-    pub rollouts: Vec<RunView>,
+pub struct Runs {
+    /// One entry per run, without its record and nodes.
+    pub runs: Vec<Run>,
     /// The `before` of the next page; absent on the last page.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub next: Option<i64>,
 }
 
-/// Trials, the newest first.
-#[derive(Debug, Serialize, Deserialize, ToSchema)]
-pub struct Trials {
-    /// One entry per run.
-    pub trials: Vec<RunView>,
-    /// The `before` of the next page; absent on the last page.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub next: Option<i64>,
-}
-
-/// A page of runs without their records and nodes, and the cursor of the next page.
-async fn page(
-    view: &HubView,
-    kind: &str,
-    which: &Which,
-) -> Result<(Vec<RunView>, Option<i64>), Problem> {
+/// A page of runs.
+async fn page(view: &HubView, kind: &str, which: &Which) -> Result<Json<Runs>, Problem> {
     let limit = which.limit.unwrap_or(20).clamp(1, MOST);
     let before = which.before.unwrap_or(i64::MAX);
     let mut found = view.tuner()?.list_runs(kind, before, limit + 1).await?;
-    let next = body::next(&mut found, limit, |kept| kept.id);
-    let shown = found.into_iter().map(|kept| {
-        let mut shown = RunView::from(kept);
-        shown.kept.run.record.clear();
-        shown.kept.run.members.clear();
-        shown
+    let next = body::next(&mut found, limit, |run| run.id);
+    let runs = found.into_iter().map(|run| {
+        let mut run = run.shown();
+        run.record.clear();
+        run.members.clear();
+        run
     });
-    Ok((shown.collect(), next))
+    Ok(Json(Runs {
+        runs: runs.collect(),
+        next,
+    }))
 }
 
 /// A run with its record and its nodes.
-async fn one(view: &HubView, kind: &'static str, id: i64) -> Result<Json<RunView>, Problem> {
-    Ok(Json(view.tuner()?.run(kind, id).await?.into()))
+async fn one(view: &HubView, kind: &'static str, id: i64) -> Result<Json<Run>, Problem> {
+    Ok(Json(view.tuner()?.run(kind, id).await?.shown()))
 }
 
 async fn begin(
     view: &HubView,
     kind: Kind,
     caller: &Caller,
-) -> Result<(StatusCode, Json<RunView>), Problem> {
+) -> Result<(StatusCode, Json<Run>), Problem> {
     let now = unix_milliseconds();
     let begun = view.tuner()?.begin(kind, &caller.name, now).await?;
-    Ok((StatusCode::CREATED, Json(begun.into())))
+    Ok((StatusCode::CREATED, Json(begun.shown())))
 }
 
 /// Begins a rollout
@@ -144,13 +89,13 @@ async fn begin(
 /// `{"u": 5e-4, "select": ["cam-*"], "stages": ["1", "10%", "50%", "100%"], "soak_s": 1800, "gates": ["joules<=+5%"]}`.
 #[utoipa::path(
     post, operation_id = "begin_rollout", path = "/api/v1/rollouts", tag = "tuning", request_body = RolloutPlan,
-    responses((status = 201, body = RunView))
+    responses((status = 201, body = Run))
 )]
 pub(super) async fn begin_rollout(
     State(view): State<HubView>,
     Extension(caller): Extension<Caller>,
     bytes: Bytes,
-) -> Result<(StatusCode, Json<RunView>), Problem> {
+) -> Result<(StatusCode, Json<Run>), Problem> {
     let (to, plan): (_, RolloutPlan) = body::with_threshold(body::object(&bytes)?)?;
     begin(&view, Kind::Rollout { to, plan }, &caller).await
 }
@@ -158,25 +103,24 @@ pub(super) async fn begin_rollout(
 /// Rollouts, the newest first
 #[utoipa::path(
     get, operation_id = "list_rollouts", path = "/api/v1/rollouts", tag = "tuning", params(Which),
-    responses((status = 200, body = Rollouts))
+    responses((status = 200, body = Runs))
 )]
 pub(super) async fn rollouts(
     State(view): State<HubView>,
     Query(which): Query<Which>,
-) -> Result<Json<Rollouts>, Problem> {
-    let (rollouts, next) = page(&view, "rollout", &which).await?;
-    Ok(Json(Rollouts { rollouts, next }))
+) -> Result<Json<Runs>, Problem> {
+    page(&view, "rollout", &which).await
 }
 
 /// A rollout with its record and its nodes
 #[utoipa::path(
     get, operation_id = "rollout", path = "/api/v1/rollouts/{id}", tag = "tuning", params(("id" = i64, Path, description = "Its number.")),
-    responses((status = 200, body = RunView))
+    responses((status = 200, body = Run))
 )]
 pub(super) async fn one_rollout(
     State(view): State<HubView>,
     Path(id): Path<i64>,
-) -> Result<Json<RunView>, Problem> {
+) -> Result<Json<Run>, Problem> {
     one(&view, "rollout", id).await
 }
 
@@ -187,13 +131,13 @@ pub(super) async fn one_rollout(
         ("id" = i64, Path, description = "Its number."),
         ("command" = Command, Path, description = "`pause`, `resume`, `next`, `return` or `stop`."),
     ),
-    responses((status = 200, body = RunView))
+    responses((status = 200, body = Run))
 )]
 pub(super) async fn command_rollout(
     State(view): State<HubView>,
     Extension(caller): Extension<Caller>,
     Path((id, command)): Path<(i64, String)>,
-) -> Result<Json<RunView>, Problem> {
+) -> Result<Json<Run>, Problem> {
     let command = Command::named(&command).ok_or_else(|| {
         let detail = format!("`{command}` is not a command of rollouts");
         Problem::new(StatusCode::NOT_FOUND, detail).allowing(Command::ALL.map(Command::name))
@@ -209,13 +153,13 @@ pub(super) async fn command_rollout(
 /// `{"values": [{"u": 1e-4}, {"u": 3e-4}], "select": ["cam-*"], "duration_s": 3600}`
 #[utoipa::path(
     post, operation_id = "begin_trial", path = "/api/v1/trials", tag = "tuning", request_body = TrialPlan,
-    responses((status = 201, body = RunView))
+    responses((status = 201, body = Run))
 )]
 pub(super) async fn begin_trial(
     State(view): State<HubView>,
     Extension(caller): Extension<Caller>,
     bytes: Bytes,
-) -> Result<(StatusCode, Json<RunView>), Problem> {
+) -> Result<(StatusCode, Json<Run>), Problem> {
     let mut object = body::object(&bytes)?;
     if let Some(values) = object.get_mut("values").and_then(Value::as_array_mut) {
         values.iter_mut().try_for_each(body::name_threshold)?;
@@ -227,25 +171,24 @@ pub(super) async fn begin_trial(
 /// Trials, the newest first
 #[utoipa::path(
     get, operation_id = "list_trials", path = "/api/v1/trials", tag = "tuning", params(Which),
-    responses((status = 200, body = Trials))
+    responses((status = 200, body = Runs))
 )]
 pub(super) async fn trials(
     State(view): State<HubView>,
     Query(which): Query<Which>,
-) -> Result<Json<Trials>, Problem> {
-    let (trials, next) = page(&view, "trial", &which).await?;
-    Ok(Json(Trials { trials, next }))
+) -> Result<Json<Runs>, Problem> {
+    page(&view, "trial", &which).await
 }
 
 /// A trial with its result and its nodes
 #[utoipa::path(
     get, operation_id = "trial", path = "/api/v1/trials/{id}", tag = "tuning", params(("id" = i64, Path, description = "Its number.")),
-    responses((status = 200, body = RunView))
+    responses((status = 200, body = Run))
 )]
 pub(super) async fn one_trial(
     State(view): State<HubView>,
     Path(id): Path<i64>,
-) -> Result<Json<RunView>, Problem> {
+) -> Result<Json<Run>, Problem> {
     one(&view, "trial", id).await
 }
 
@@ -254,13 +197,13 @@ pub(super) async fn one_trial(
 /// The measurements until now are its result; the old values return.
 #[utoipa::path(
     post, operation_id = "end_trial", path = "/api/v1/trials/{id}/end", tag = "tuning", params(("id" = i64, Path, description = "Its number.")),
-    responses((status = 200, body = RunView))
+    responses((status = 200, body = Run))
 )]
 pub(super) async fn end_trial(
     State(view): State<HubView>,
     Extension(caller): Extension<Caller>,
     Path(id): Path<i64>,
-) -> Result<Json<RunView>, Problem> {
+) -> Result<Json<Run>, Problem> {
     view.tuner()?
         .end_trial(id, &caller.name, unix_milliseconds())
         .await?;

@@ -1,12 +1,12 @@
 //! Stores orders, desired settings and outcomes, and rollouts and trials.
 
-use super::row::{json_text, read, read_all};
+use super::row::{json_text, read_all};
 use super::{Database, Kind, Row, Store, StoreError};
 use crate::desired::DesiredValue;
 use crate::tuning::member::{Counts, Outcome};
 use crate::tuning::metric::{Figure, Figures, Mean};
-use crate::tuning::run::Window;
-use crate::tuning::runs::{KeptRun, RunKey};
+use crate::tuning::run::{Run, Window};
+use crate::tuning::runs::RunKey;
 use albireo_wire::DesiredSetting;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -61,15 +61,13 @@ pub(crate) struct DesiredRow {
     pub(crate) value: DesiredValue,
 }
 
-/// Reads rollouts and trials; their state is JSON in one column.
-fn kept_runs(rows: Vec<Row>) -> Result<Vec<KeptRun>, StoreError> {
-    let kept = |mut row: Row| {
-        if let Some(Value::String(state)) = row.remove("state") {
-            row.extend(serde_json::from_str::<Row>(&state)?);
-        }
-        read(row)
+/// Reads rollouts and trials, which are JSON in one column.
+fn runs(rows: &[Row]) -> Result<Vec<Run>, StoreError> {
+    let run = |row: &Row| {
+        let state = row.get("state").and_then(Value::as_str);
+        Ok(serde_json::from_str(state.unwrap_or_default())?)
     };
-    rows.into_iter().map(kept).collect()
+    rows.iter().map(run).collect()
 }
 
 impl dyn Database + '_ {
@@ -156,36 +154,34 @@ impl dyn Database + '_ {
         self.insert("order_nodes", &rows, conflict).map(drop)
     }
 
-    /// Begins a rollout or trial, driven by `driver`. Returns its number.
+    /// Begins a rollout or trial, driven by `driver`. Returns it with its number.
     pub(crate) fn begin_run(
         &mut self,
-        kept: &KeptRun,
+        mut run: Run,
         driver: &str,
         until_ms: i64,
-    ) -> Result<i64, StoreError> {
-        let kind = kept.run.kind.name();
-        let id = self.next(
+    ) -> Result<Run, StoreError> {
+        let kind = run.kind.name();
+        run.id = self.next(
             "UPDATE counters SET value = value + 1 WHERE name = $1 RETURNING value",
             kind.into(),
         )?;
-        let run = json!({
+        let row = json!({
             "kind": kind,
-            "id": id,
-            "begun_ms": kept.begun_ms,
-            "who": kept.who,
+            "id": run.id,
             "driver": driver,
             "driven_until_ms": until_ms,
-            "state": kept.run,
+            "state": run,
         });
-        self.insert("runs", &[run], "")?;
-        Ok(id)
+        self.insert("runs", &[row], "")?;
+        Ok(run)
     }
 
     /// Stores a rollout or trial if `driver` still drives it. With `until_ms`, `driver` drives it from now on, even if
     /// it has ended.
     pub(crate) fn save_run(
         &mut self,
-        kept: &KeptRun,
+        run: &Run,
         driver: &str,
         until_ms: Option<i64>,
     ) -> Result<(), StoreError> {
@@ -194,10 +190,10 @@ impl dyn Database + '_ {
              driven_until_ms = CASE WHEN $6 > 0 THEN $6 ELSE driven_until_ms END \
              WHERE kind = $1 AND id = $2 AND (driver = $5 OR $6 > 0)",
             &[
-                kept.run.kind.name().into(),
-                kept.id.into(),
-                kept.ended_ms.into(),
-                serde_json::to_string(&kept.run)?.into(),
+                run.kind.name().into(),
+                run.id.into(),
+                run.ended_ms.into(),
+                serde_json::to_string(run)?.into(),
                 driver.into(),
                 until_ms.unwrap_or(0).into(),
             ],
@@ -292,22 +288,22 @@ impl Store {
         kind: &str,
         before: i64,
         limit: i64,
-    ) -> Result<Vec<KeptRun>, StoreError> {
-        let text = "SELECT * FROM runs WHERE kind = $1 AND id < $2 ORDER BY id DESC LIMIT $3";
+    ) -> Result<Vec<Run>, StoreError> {
+        let text = "SELECT state FROM runs WHERE kind = $1 AND id < $2 ORDER BY id DESC LIMIT $3";
         let values = vec![kind.into(), before.into(), limit.into()];
-        kept_runs(self.query(text, values).await?)
+        runs(&self.query(text, values).await?)
     }
 
     /// The rollouts and trials that have not ended, of all hubs.
-    pub(crate) async fn open_runs(&self) -> Result<Vec<KeptRun>, StoreError> {
-        let text = "SELECT * FROM runs WHERE ended_ms IS NULL";
-        kept_runs(self.query(text, Vec::new()).await?)
+    pub(crate) async fn open_runs(&self) -> Result<Vec<Run>, StoreError> {
+        let text = "SELECT state FROM runs WHERE ended_ms IS NULL";
+        runs(&self.query(text, Vec::new()).await?)
     }
 
     /// One rollout or trial.
-    pub(crate) async fn run(&self, kind: &str, id: i64) -> Result<Option<KeptRun>, StoreError> {
+    pub(crate) async fn run(&self, kind: &str, id: i64) -> Result<Option<Run>, StoreError> {
         let found = self.runs(kind, id.saturating_add(1), 1).await?;
-        Ok(found.into_iter().find(|kept| kept.id == id))
+        Ok(found.into_iter().find(|run| run.id == id))
     }
 
     /// The figures over the clips of each window, by node.

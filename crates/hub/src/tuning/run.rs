@@ -16,14 +16,14 @@ pub use record::{Entry, What};
 
 use super::effect::FEWEST_NODES;
 use super::gate::Verdict;
-use super::member::{self, Member, Millis, Order, Outcome, shuffle};
+use super::member::{self, Member, Millis, Order, Outcome, counts, shuffle};
 use super::metric::BeforeAfter;
 use super::plan::{Basics, OnFailure, RolloutPlan, TrialPlan};
 use crate::named::named;
 use crate::presence::NodeView;
 use albireo_wire::Threshold;
 use serde::{Deserialize, Serialize};
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use utoipa::ToSchema;
 
 /// Most times that a stage's gates are judged: half-way (when they can only fail), at the end of the soak, and at the
@@ -160,9 +160,35 @@ impl Kind {
     }
 }
 
+/// A stage of a rollout, or a group of a trial.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct StageView {
+    /// The number of nodes that it adds.
+    pub nodes: usize,
+    /// The number of them by outcome.
+    pub counts: BTreeMap<Outcome, usize>,
+}
+
+/// A node that was selected and takes no part, and why.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct LeftOut {
+    /// The node.
+    pub node: String,
+    /// The reason.
+    pub why: String,
+}
+
 /// A rollout or a trial: its plan, nodes, phase and record.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Run {
+    /// Its number, among those of its kind.
+    pub id: i64,
+    /// Who began it.
+    pub who: String,
+    /// When, milliseconds since the Unix epoch.
+    pub begun_ms: Millis,
+    /// When it ended; absent while it runs.
+    pub ended_ms: Option<Millis>,
     /// Its kind and plan.
     #[serde(flatten)]
     pub kind: Kind,
@@ -197,6 +223,13 @@ pub struct Run {
     /// Its nodes, in the order of their stages; absent in a list.
     #[serde(rename = "nodes", default, skip_serializing_if = "Vec::is_empty")]
     pub members: Vec<Member>,
+    /// Its stages or groups.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[schema(required)]
+    pub stages: Vec<StageView>,
+    /// Selected nodes that take no part; only in the answer to the request that begins it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub left_out: Vec<LeftOut>,
     /// Failed measurements in a row.
     #[serde(skip)]
     failed_attempts: u8,
@@ -248,6 +281,10 @@ impl Run {
             }
         }
         let mut run = Self {
+            id: 0,
+            who: who.to_owned(),
+            begun_ms: now,
+            ended_ms: None,
             kind,
             seed,
             phase: Phase::Applying,
@@ -261,6 +298,8 @@ impl Run {
             result: None,
             record: Vec::new(),
             members,
+            stages: Vec::new(),
+            left_out: Vec::new(),
             failed_attempts: 0,
             unsaved: false,
         };
@@ -293,8 +332,21 @@ impl Run {
         self.phase.has_ended() && self.due().is_empty()
     }
 
+    /// Fills in its stages, for an answer.
+    pub(crate) fn shown(mut self) -> Self {
+        let stage = |group: usize| {
+            let members = self.members.iter().filter(|member| member.group == group);
+            StageView {
+                nodes: members.clone().count(),
+                counts: counts(members.map(|member| member.ask.outcome)),
+            }
+        };
+        self.stages = (0..self.stage_count()).map(stage).collect();
+        self
+    }
+
     /// The number of its stages or groups.
-    pub(crate) fn stages(&self) -> usize {
+    pub(crate) fn stage_count(&self) -> usize {
         match &self.kind {
             Kind::Rollout { plan, .. } => plan.stage_ends(self.members.len()).len(),
             Kind::Trial { plan } => plan.values.len(),
@@ -545,7 +597,7 @@ impl Run {
     }
 
     fn advance(&mut self, now: Millis) {
-        if self.stage < self.stages() {
+        if self.stage < self.stage_count() {
             self.enter_stage(self.stage + 1, now);
         } else {
             self.enter(Phase::Finishing, String::new(), now);

@@ -2,54 +2,25 @@
 
 use super::member::{Member, Millis};
 use super::metric::BeforeAfter;
-use super::run::{Command, Kind, Measured, Run, Window};
+use super::run::{Command, Kind, LeftOut, Measured, Run, Window};
 use super::tuner::Tuner;
 use crate::presence::NodeView;
 use crate::store::tables::EventRow;
 use crate::store::{ChangeRow, StoreError};
 use albireo_wire::{DesiredSetting, Threshold};
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 use serde_json::json;
 use std::collections::{BTreeMap, HashMap};
-use utoipa::ToSchema;
 
 /// The duration of a claim.
 const CLAIM_MS: Millis = 20_000;
 /// Time between two claims.
 const CLAIM_EVERY_MS: Millis = 4_000;
 
-/// A stored rollout or trial.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct KeptRun {
-    /// Its number, among those of its kind.
-    pub id: i64,
-    /// Who began it.
-    pub who: String,
-    /// When, milliseconds since the Unix epoch.
-    pub begun_ms: Millis,
-    /// When it ended; absent while it runs.
-    pub ended_ms: Option<Millis>,
-    /// The rollout or trial.
-    #[serde(flatten)]
-    pub run: Run,
-    /// Selected nodes that take no part; only in the answer to the request that begins it.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub left_out: Vec<LeftOut>,
-}
-
-/// A node that was selected and takes no part, and why.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct LeftOut {
-    /// The node.
-    pub node: String,
-    /// The reason.
-    pub why: String,
-}
-
-impl KeptRun {
+impl Run {
     fn key(&self) -> RunKey {
         RunKey {
-            kind: self.run.kind.name().to_owned(),
+            kind: self.kind.name().to_owned(),
             id: self.id,
         }
     }
@@ -65,14 +36,14 @@ pub(crate) struct RunKey {
 /// The rollouts and trials that this hub drives.
 #[derive(Debug, Default)]
 pub(crate) struct Runs {
-    running: BTreeMap<RunKey, KeptRun>,
+    running: BTreeMap<RunKey, Run>,
     claimed_ms: Millis,
 }
 
 impl Runs {
     /// The present state of a stored run: from memory if this hub drives it.
-    fn as_it_is(&self, kept: KeptRun) -> KeptRun {
-        self.running.get(&kept.key()).cloned().unwrap_or(kept)
+    fn as_it_is(&self, stored: Run) -> Run {
+        (self.running.get(&stored.key())).cloned().unwrap_or(stored)
     }
 }
 
@@ -104,13 +75,10 @@ impl Tuner {
     /// The nodes that take part in a rollout or trial of any hub, with its kind and number.
     pub(super) async fn taken(&self) -> Result<HashMap<String, String>, StoreError> {
         let mut taken = HashMap::new();
-        for KeptRun { id, run, .. } in self.store.open_runs().await? {
-            let name = format!("{} {id}", run.kind.name());
-            taken.extend(
-                run.members
-                    .into_iter()
-                    .map(|member| (member.node, name.clone())),
-            );
+        for run in self.store.open_runs().await? {
+            let name = format!("{} {}", run.kind.name(), run.id);
+            let nodes = run.members.into_iter().map(|member| member.node);
+            taken.extend(nodes.map(|node| (node, name.clone())));
         }
         Ok(taken)
     }
@@ -140,7 +108,7 @@ impl Tuner {
     ///
     /// # Errors
     /// When its plan is invalid, too few nodes can take part, or the database cannot be written.
-    pub async fn begin(&self, kind: Kind, who: &str, now: Millis) -> Result<KeptRun, RunError> {
+    pub async fn begin(&self, kind: Kind, who: &str, now: Millis) -> Result<Run, RunError> {
         let mut runs = self.runs.lock().await;
         let taken = self.taken().await?;
         let (mut candidates, mut left_out) = (Vec::new(), Vec::new());
@@ -156,28 +124,21 @@ impl Tuner {
             }
         }
         let seed = kind.basics().seed.unwrap_or(now.unsigned_abs());
-        let mut kept = KeptRun {
-            id: 0,
-            who: who.to_owned(),
-            begun_ms: now,
-            ended_ms: None,
-            run: Run::begin(kind, candidates, seed, who, now).map_err(RunError::Plan)?,
-            left_out: Vec::new(),
-        };
-        let (row, driver) = (kept.clone(), self.driver.clone());
-        let written = self
-            .store
-            .write(move |writing| writing.begin_run(&row, &driver, now + CLAIM_MS));
-        kept.id = written.await?;
-        runs.running.insert(kept.key(), kept.clone());
-        Ok(KeptRun { left_out, ..kept })
+        let run = Run::begin(kind, candidates, seed, who, now).map_err(RunError::Plan)?;
+        let driver = self.driver.clone();
+        let written =
+            (self.store).write(move |writing| writing.begin_run(run, &driver, now + CLAIM_MS));
+        let mut run = written.await?;
+        runs.running.insert(run.key(), run.clone());
+        run.left_out = left_out;
+        Ok(run)
     }
 
     /// A rollout or trial as it is now.
-    pub(crate) async fn run(&self, kind: &'static str, id: i64) -> Result<KeptRun, RunError> {
-        let kept = self.store.run(kind, id).await?;
-        let kept = kept.ok_or(RunError::Unknown(kind, id))?;
-        Ok(self.runs.lock().await.as_it_is(kept))
+    pub(crate) async fn run(&self, kind: &'static str, id: i64) -> Result<Run, RunError> {
+        let run = self.store.run(kind, id).await?;
+        let run = run.ok_or(RunError::Unknown(kind, id))?;
+        Ok(self.runs.lock().await.as_it_is(run))
     }
 
     /// The newest rollouts or trials.
@@ -186,10 +147,10 @@ impl Tuner {
         kind: &str,
         before: i64,
         limit: i64,
-    ) -> Result<Vec<KeptRun>, RunError> {
-        let kept = self.store.runs(kind, before, limit).await?;
+    ) -> Result<Vec<Run>, RunError> {
+        let stored = self.store.runs(kind, before, limit).await?;
         let runs = self.runs.lock().await;
-        Ok(kept.into_iter().map(|kept| runs.as_it_is(kept)).collect())
+        Ok(stored.into_iter().map(|run| runs.as_it_is(run)).collect())
     }
 
     /// The run that a person wants to change: this hub drives it, or it is an ended rollout, which can still be
@@ -200,27 +161,27 @@ impl Tuner {
         kind: &'static str,
         id: i64,
         returns: bool,
-    ) -> Result<KeptRun, RunError> {
-        let kept = self.store.run(kind, id).await?;
-        let mut kept = kept.ok_or(RunError::Unknown(kind, id))?;
-        if let Some(kept) = runs.running.get(&kept.key()) {
-            return Ok(kept.clone());
+    ) -> Result<Run, RunError> {
+        let run = self.store.run(kind, id).await?;
+        let mut run = run.ok_or(RunError::Unknown(kind, id))?;
+        if let Some(run) = runs.running.get(&run.key()) {
+            return Ok(run.clone());
         }
-        if kept.ended_ms.is_none() || !returns {
+        if run.ended_ms.is_none() || !returns {
             return Err(RunError::Conflict(format!(
                 "the {kind} {id} is driven by another hub on the same database, or has ended"
             )));
         }
         let taken = self.taken().await?;
-        let mut members = kept.run.members.iter();
+        let mut members = run.members.iter();
         if let Some(member) = members.find(|m| taken.contains_key(&m.node)) {
             return Err(RunError::taken(&member.node));
         }
-        kept.run.leave_out(|member| {
+        run.leave_out(|member| {
             (self.desires.get(&member.node))
                 .is_some_and(|desired| desired.revision != member.ask.revision)
         });
-        Ok(kept)
+        Ok(run)
     }
 
     /// Executes a command on a rollout.
@@ -235,17 +196,15 @@ impl Tuner {
         now: Millis,
     ) -> Result<(), RunError> {
         let mut runs = self.runs.lock().await;
-        let mut kept = self
+        let mut run = self
             .own(&runs, "rollout", id, command == Command::Return)
             .await?;
-        kept.run
-            .command(command, who, now)
-            .map_err(RunError::Conflict)?;
+        run.command(command, who, now).map_err(RunError::Conflict)?;
         // One commit: a hub that is killed must not leave a rollout that is stopped and has not ended.
-        self.save(&mut kept, true, now).await?;
-        match kept.ended_ms {
-            Some(_) => runs.running.remove(&kept.key()),
-            None => runs.running.insert(kept.key(), kept),
+        self.save(&mut run, true, now).await?;
+        match run.ended_ms {
+            Some(_) => runs.running.remove(&run.key()),
+            None => runs.running.insert(run.key(), run),
         };
         Ok(())
     }
@@ -253,11 +212,11 @@ impl Tuner {
     /// Ends a trial before its time, with the measurements until now.
     pub(crate) async fn end_trial(&self, id: i64, who: &str, now: Millis) -> Result<(), RunError> {
         let mut runs = self.runs.lock().await;
-        let mut kept = self.own(&runs, "trial", id, false).await?;
-        let found = self.measure(&kept.run.windows(now)).await?;
-        kept.run.end_trial(&found, Some(who), now);
-        self.save(&mut kept, true, now).await?;
-        runs.running.insert(kept.key(), kept);
+        let mut run = self.own(&runs, "trial", id, false).await?;
+        let found = self.measure(&run.windows(now)).await?;
+        run.end_trial(&found, Some(who), now);
+        self.save(&mut run, true, now).await?;
+        runs.running.insert(run.key(), run);
         Ok(())
     }
 
@@ -271,16 +230,16 @@ impl Tuner {
             self.claim(&mut runs, now).await?;
         }
         let mut failed = None;
-        for kept in runs.running.values_mut() {
+        for run in runs.running.values_mut() {
             // A failed run does not stop the others; its progress is saved.
-            let advanced = self.advance(kept, now).await;
-            let saved = match kept.run.unsaved {
-                true => self.save(kept, false, now).await,
+            let advanced = self.advance(run, now).await;
+            let saved = match run.unsaved {
+                true => self.save(run, false, now).await,
                 false => Ok(()),
             };
             failed = advanced.and(saved).err().or(failed);
         }
-        (runs.running).retain(|_, kept| kept.run.unsaved || !kept.run.has_ended());
+        (runs.running).retain(|_, run| run.unsaved || !run.has_ended());
         failed.map_or(Ok(()), Err)
     }
 
@@ -298,9 +257,9 @@ impl Tuner {
                 continue;
             }
             match self.store.run(&key.kind, key.id).await {
-                Ok(Some(kept)) => {
+                Ok(Some(run)) => {
                     tracing::info!(kind = key.kind, id = key.id, "resumed");
-                    runs.running.insert(key, kept);
+                    runs.running.insert(key, run);
                 }
                 Ok(None) => {}
                 Err(error) => {
@@ -312,18 +271,17 @@ impl Tuner {
     }
 
     /// Advances one run.
-    async fn advance(&self, kept: &mut KeptRun, now: Millis) -> Result<(), StoreError> {
-        let KeptRun { id, who, run, .. } = kept;
+    async fn advance(&self, run: &mut Run, now: Millis) -> Result<(), StoreError> {
         for order in run.due() {
             let change = ChangeRow {
                 revision: 0,
                 at_ms: now,
-                who: who.clone(),
+                who: run.who.clone(),
                 why: match order.is_return {
                     true => "the old value returns".to_owned(),
                     false => run.kind.basics().why.clone(),
                 },
-                origin: format!("{} {id}", run.kind.name()),
+                origin: format!("{} {}", run.kind.name(), run.id),
                 selector: String::new(),
                 setting: DesiredSetting::Threshold(order.threshold),
             };
@@ -344,15 +302,15 @@ impl Tuner {
     }
 
     /// Stores a run, with the time of its end. `take` makes this hub its driver.
-    async fn save(&self, kept: &mut KeptRun, take: bool, now: Millis) -> Result<(), StoreError> {
-        kept.ended_ms = kept.run.has_ended().then(|| kept.ended_ms.unwrap_or(now));
-        let (row, driver) = (kept.clone(), self.driver.clone());
+    async fn save(&self, run: &mut Run, take: bool, now: Millis) -> Result<(), StoreError> {
+        run.ended_ms = run.has_ended().then(|| run.ended_ms.unwrap_or(now));
+        let (row, driver) = (run.clone(), self.driver.clone());
         let until = take.then_some(now + CLAIM_MS);
         let written = self
             .store
             .write(move |writing| writing.save_run(&row, &driver, until));
         written.await?;
-        kept.run.unsaved = false;
+        run.unsaved = false;
         Ok(())
     }
 

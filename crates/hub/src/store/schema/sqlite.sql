@@ -260,9 +260,7 @@ CREATE INDEX order_nodes_open ON order_nodes (revision)
 CREATE TABLE runs (
     kind TEXT NOT NULL,
     id BIGINT NOT NULL,
-    begun_ms BIGINT NOT NULL,
     ended_ms BIGINT,
-    who TEXT NOT NULL,
     driver TEXT NOT NULL,
     driven_until_ms BIGINT NOT NULL,
     state TEXT NOT NULL,

@@ -156,7 +156,7 @@ impl Run {
             .map(|gate| gate.metric.figures().count())
             .sum();
         // One more for nodes that fall silent.
-        let tests = (self.stages() * (figures + 1)) as f64 * f64::from(LOOKS);
+        let tests = (self.stage_count() * (figures + 1)) as f64 * f64::from(LOOKS);
         ErrorRates {
             fail: error / tests,
             pass: error / f64::from(LOOKS - 1),
