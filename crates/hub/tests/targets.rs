@@ -26,7 +26,7 @@ async fn a_value_or_target_reaches_the_selected_nodes_and_replaces_the_one_befor
     let wanted = json!({"skip_rate": 0.6});
     let dry = json!({"target": wanted, "select": "sim-*", "dry_run": true});
     let answer = put_at(&hub, "/api/v1/target", dry, json!({"would_change": 6})).await;
-    assert_eq!(answer["nodes"][0]["to"], json!({"target": wanted}));
+    assert_eq!(answer["nodes"][0]["outcome"], "would_change");
     assert_eq!(hub.get("/api/v1/changes").await["changes"], json!([]));
 
     // Nodes 0 and 4 are in the north.

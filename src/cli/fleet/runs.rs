@@ -303,7 +303,7 @@ fn values(kind: &Kind) -> String {
 fn headline(run: &Run) -> String {
     let (id, values, state) = (run.id, values(&run.kind), state(run));
     if let Kind::Trial { .. } = run.kind {
-        let mut all = BTreeMap::new();
+        let mut all = BTreeMap::<_, usize>::new();
         for (outcome, nodes) in run.stages.iter().flat_map(|group| &group.counts) {
             *all.entry(*outcome).or_default() += nodes;
         }

@@ -3,12 +3,12 @@
 use super::table::{WIDTH, cut, table};
 use super::units::{counts, name_of, seconds, setting, when};
 use super::{Context, Ended};
-use albireo_hub::http::{ChangeView, Changes, LastLine, OrderLine};
-use albireo_hub::tuning::member::Outcome;
-use albireo_hub::tuning::tuner::{Drift, OutcomeLine};
-use albireo_wire::DesiredSetting;
+use albireo_hub::http::{ChangeView, Changes, OrderAnswer, OrderLine};
+use albireo_hub::tuning::member::{ChangeNode, Outcome};
+use albireo_hub::tuning::tuner::Drift;
+use albireo_wire::{DesiredSetting, Threshold};
 use serde::Serialize;
-use serde_json::Value;
+use serde_json::{Value, json};
 
 /// The nodes of an order, and how it is followed: the request without its setting.
 #[derive(Debug, clap::Args, Serialize)]
@@ -34,14 +34,21 @@ pub(super) async fn order(
     (name, value): (&str, Value),
     order: Order,
 ) -> anyhow::Result<Ended> {
+    let to = match value.as_f64() {
+        Some(number) => Some(DesiredSetting::Threshold(Threshold::new(name, number))),
+        // The hub refuses what is no target.
+        None => serde_json::from_value(json!({ "target": value })).ok(),
+    };
     let mut body = serde_json::to_value(order)?;
     body[name] = value;
     let mut last = None;
     let lines = context.client.put_lines(path, &body, |line: OrderLine| {
         match &line {
             _ if context.json => println!("{}", serde_json::to_string(&line)?),
-            OrderLine::Outcome(line) => println!("{}", outcome(line)),
-            OrderLine::Last(LastLine { revision, counts }) => {
+            OrderLine::Outcome(line) => println!("{}", outcome(line, to.as_ref())),
+            OrderLine::Last(OrderAnswer {
+                revision, counts, ..
+            }) => {
                 let revision = revision.map(|n| format!("revision {n}: "));
                 println!("{}{}", revision.unwrap_or_default(), self::counts(counts));
             }
@@ -56,24 +63,24 @@ pub(super) async fn order(
 }
 
 /// Formats the outcome of a node as a line.
-fn outcome(line: &OutcomeLine) -> String {
+fn outcome(line: &ChangeNode, to: Option<&DesiredSetting>) -> String {
     let text = format!(
         "{:<24} {:<12} {:>9} -> {:<9} {}",
         line.node,
-        name_of(&line.outcome),
-        before(line.from.as_ref()),
-        setting(&line.to),
-        line.detail,
+        name_of(&line.ask.outcome),
+        known(line.from.as_ref()),
+        known(to),
+        line.ask.detail,
     );
     cut(text.trim_end(), WIDTH)
 }
 
 /// Formats a setting that may be unknown.
-fn before(from: Option<&DesiredSetting>) -> String {
-    from.map_or_else(|| "-".to_owned(), setting)
+fn known(one: Option<&DesiredSetting>) -> String {
+    one.map_or_else(|| "-".to_owned(), setting)
 }
 
-fn judge(last: Option<&LastLine>) -> Ended {
+fn judge(last: Option<&OrderAnswer>) -> Ended {
     // Without a last line the answer is incomplete, and the outcome is unknown.
     let Some(last) = last else {
         return Ended::Failed;
@@ -112,10 +119,10 @@ pub(super) async fn changes(
             let rows = change.nodes.iter().map(|node| {
                 [
                     node.node.clone(),
-                    name_of(&node.outcome),
-                    before(node.setting_before.as_ref()),
-                    when(node.at_ms),
-                    node.detail.clone(),
+                    name_of(&node.ask.outcome),
+                    known(node.from.as_ref()),
+                    when(node.ask.at_ms),
+                    node.ask.detail.clone(),
                 ]
             });
             let nodes = table("node|outcome|>from|when|detail", rows);
@@ -154,7 +161,7 @@ pub(super) async fn drift(context: &Context) -> anyhow::Result<Ended> {
                 node.node.clone(),
                 when(node.since_ms),
                 setting(&node.desired),
-                before(node.in_force.as_ref()),
+                known(node.in_force.as_ref()),
                 node.set_back.to_string(),
                 node.why.clone().unwrap_or_default(),
             ]

@@ -184,7 +184,7 @@ export function Rollout({ id }: { id: string }) {
               {others.slice(0, 100).map((member) => (
                 <li key={member.node}>
                   <a href={href(["nodes", member.node])}>{member.node}</a> {outcomeWords(member.outcome)}
-                  {member.reason ? `: ${member.reason}` : ""}
+                  {member.detail ? `: ${member.detail}` : ""}
                 </li>
               ))}
             </ul>

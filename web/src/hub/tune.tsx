@@ -10,7 +10,7 @@ import { selected } from "./fleet";
 import { Fault, Field, Outcomes, outcomeWords, settingText } from "./parts";
 import { href, route } from "./route";
 import { lookSoon } from "./store";
-import type { OrderAnswer, OutcomeLine } from "./types";
+import type { OrderAnswer, ChangeNode } from "./types";
 
 /** Most lines of outcomes that are shown; the counts include all. */
 const SHOWN = 100;
@@ -18,7 +18,7 @@ const SHOWN = 100;
 const FOLLOW_S = 120;
 
 /** The last change, kept while the page shows another view. */
-const order = signal<{ counts: Record<string, number>; lines: OutcomeLine[]; dry: boolean; running: boolean; revision?: number } | undefined>(undefined);
+const order = signal<{ counts: Record<string, number>; lines: ChangeNode[]; dry: boolean; running: boolean; revision?: number } | undefined>(undefined);
 
 /** The terms of a text: names, globs and labels between commas. */
 export function terms(text: string): string[] {
@@ -104,7 +104,7 @@ export function Tune() {
         headers: { "Content-Type": "application/json", Accept: "application/x-ndjson" },
         body: JSON.stringify({ ...body, wait_s: FOLLOW_S }),
       });
-      const byNode = new Map<string, OutcomeLine>();
+      const byNode = new Map<string, ChangeNode>();
       const show = (running: boolean, revision?: number) => {
         const lines = [...byNode.values()];
         order.value = { counts: countOutcomes(lines), lines, dry: false, running, revision };
@@ -120,7 +120,7 @@ export function Tune() {
           const last = line as { revision?: number | null; counts?: object };
           // The last line has the sums.
           if (last.counts !== undefined) show(false, last.revision ?? undefined);
-          else byNode.set((line as OutcomeLine).node, line as OutcomeLine);
+          else byNode.set((line as ChangeNode).node, line as ChangeNode);
         }
         // Thousands may arrive at once.
         if (order.value?.running && performance.now() - painted > 200) {

@@ -1,11 +1,11 @@
 //! Serves changes of a threshold or a target on selected nodes, their history, and the nodes that drifted.
 
 use super::{HubView, body};
-use crate::store::{ChangeNode, ChangeRow};
+use crate::store::ChangeRow;
 use crate::tuning::change::NewChange;
-use crate::tuning::member::{Outcome, counts};
+use crate::tuning::member::{ChangeNode, Outcome, counts};
 use crate::tuning::plan::check_why;
-use crate::tuning::tuner::{Drift, OutcomeLine};
+use crate::tuning::tuner::Drift;
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::http::{Caller, Problem};
 use albireo_wire::{DesiredSetting, Target};
@@ -43,7 +43,7 @@ pub(super) struct OrderAnswer {
     /// The number of nodes by outcome.
     counts: BTreeMap<Outcome, usize>,
     /// The outcome at each node.
-    nodes: Vec<OutcomeLine>,
+    nodes: Vec<ChangeNode>,
 }
 
 /// The last line of a stream.
@@ -60,7 +60,7 @@ pub struct LastLine {
 #[serde(untagged)]
 pub enum OrderLine {
     /// The outcome at one node.
-    Outcome(OutcomeLine),
+    Outcome(ChangeNode),
     /// The end of the stream.
     Last(LastLine),
 }
@@ -170,7 +170,7 @@ async fn carry_out(
                 let counts = counts(known);
                 return Some((written(&[LastLine { revision, counts }]), None));
             }
-            known.extend(lines.iter().map(|line| line.outcome));
+            known.extend(lines.iter().map(|line| line.ask.outcome));
             Some((written(&lines), Some((tuner, change, known))))
         });
         return Ok(([(CONTENT_TYPE, LINES)], Body::from_stream(texts)).into_response());
@@ -187,7 +187,7 @@ async fn carry_out(
     let answer = OrderAnswer {
         revision,
         dry_run,
-        counts: counts(nodes.iter().map(|line| line.outcome)),
+        counts: counts(nodes.iter().map(|line| line.ask.outcome)),
         nodes,
     };
     Ok(Json(answer).into_response())

@@ -94,9 +94,9 @@ impl dyn Database + '_ {
         let Some(first) = rows.first() else {
             return Ok(Vec::new());
         };
-        let columns = list(first.keys().map(String::as_str), "");
+        let columns = list(first, |column| format!("\"{column}\""));
         let values = match self.kind() {
-            Kind::Sqlite => format!("VALUES ({})", list(first.keys().map(String::as_str), ":")),
+            Kind::Sqlite => format!("VALUES ({})", list(first, |column| format!(":{column}"))),
             Kind::Postgres => {
                 format!("SELECT {columns} FROM jsonb_populate_recordset(NULL::{table}, $1::jsonb)")
             }
@@ -251,8 +251,7 @@ impl dyn Database + '_ {
     }
 }
 
-/// Joins column names with commas, each after a prefix.
-fn list<'a>(columns: impl Iterator<Item = &'a str>, prefix: &str) -> String {
-    let columns = columns.map(|column| format!("{prefix}{column}"));
-    columns.collect::<Vec<_>>().join(", ")
+/// Joins the names of the columns with commas, each in that form.
+fn list(row: &Row, form: impl Fn(&String) -> String) -> String {
+    row.keys().map(form).collect::<Vec<_>>().join(", ")
 }

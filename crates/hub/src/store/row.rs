@@ -76,9 +76,8 @@ pub(crate) fn whole<'de, D: Deserializer<'de>>(from: D) -> Result<i64, D::Error>
 
 #[cfg(test)]
 mod tests {
-    use super::super::ChangeNode;
     use super::*;
-    use crate::tuning::member::Outcome;
+    use crate::tuning::member::{Ask, ChangeNode, Outcome};
     use albireo_wire::{DesiredSetting, Target, Threshold};
     use proptest::prelude::*;
 
@@ -86,19 +85,16 @@ mod tests {
         #[test]
         fn a_setting_reads_back_as_the_same(value in prop::num::f64::NORMAL, which in 0..Target::NAMES.len()) {
             let target = Target::named(Target::NAMES[which], value);
-            for setting_before in [
+            for from in [
                 Some(DesiredSetting::Threshold(Threshold::new("u", value))),
                 Some(DesiredSetting::Target(target)),
                 Some(DesiredSetting::Target(None)),
                 None,
             ] {
                 let given = ChangeNode {
-                    revision: 7,
                     node: "a".to_owned(),
-                    setting_before,
-                    outcome: Outcome::Applied,
-                    at_ms: 1,
-                    detail: String::new(),
+                    from,
+                    ask: Ask::new(7, 1, Outcome::Applied),
                 };
                 let mut written = row(&given).unwrap();
                 prop_assert_eq!(&read::<ChangeNode>(written.clone()).unwrap(), &given);
@@ -114,10 +110,10 @@ mod tests {
     #[test]
     fn a_column_of_another_type_or_a_missing_one_is_a_clear_error() {
         let mut row = row(&serde_json::json!({ "revision": "seven" })).unwrap();
-        let error = read::<ChangeNode>(row.clone()).unwrap_err();
+        let error = read::<Ask>(row.clone()).unwrap_err();
         assert!(error.to_string().contains("seven"), "{error}");
         row.clear();
-        let error = read::<ChangeNode>(row).unwrap_err();
+        let error = read::<Ask>(row).unwrap_err();
         assert!(error.to_string().contains("revision"), "{error}");
     }
 }

@@ -3,7 +3,7 @@
 use super::row::{json_text, read_all};
 use super::{Database, Kind, Row, Store, StoreError};
 use crate::desired::DesiredValue;
-use crate::tuning::member::{Counts, Outcome};
+use crate::tuning::member::{ChangeNode, Counts, Outcome};
 use crate::tuning::metric::{Figure, Figures, Mean};
 use crate::tuning::run::{Run, Window};
 use crate::tuning::runs::RunKey;
@@ -32,25 +32,6 @@ pub struct ChangeRow {
     /// The ordered setting: a threshold, or a target (null switches it off).
     #[serde(rename = "to", deserialize_with = "json_text::or_value")]
     pub setting: DesiredSetting,
-}
-
-/// The outcome of a change at one node.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct ChangeNode {
-    /// The number of the change.
-    pub revision: i64,
-    /// The node.
-    pub node: String,
-    /// Its setting before, if known: a threshold or a target.
-    #[serde(rename = "from", deserialize_with = "json_text::or_value")]
-    pub setting_before: Option<DesiredSetting>,
-    /// The outcome.
-    pub outcome: Outcome,
-    /// When the hub learned the outcome, milliseconds since the Unix epoch.
-    pub at_ms: i64,
-    /// The reason, if there is one.
-    #[serde(default, skip_serializing_if = "String::is_empty")]
-    pub detail: String,
 }
 
 /// The desired setting of a node.
@@ -98,17 +79,14 @@ impl dyn Database + '_ {
             "ON CONFLICT (node) DO UPDATE SET revision = excluded.revision, \
              setting = excluded.setting WHERE excluded.revision > desired.revision",
         )?;
-        let row = json!({
-            "revision": revision,
-            "at_ms": change.at_ms,
-            "who": change.who,
-            "why": change.why,
-            "origin": change.origin,
-            "selector": change.selector,
-            "setting": setting,
-        });
-        self.insert("orders", &[row], "")?;
-        nodes.iter_mut().for_each(|node| node.revision = revision);
+        let change = ChangeRow {
+            revision,
+            ..change.clone()
+        };
+        self.insert("orders", &[&change], "")?;
+        for node in &mut nodes {
+            node.ask.revision = revision.unsigned_abs();
+        }
         self.outcomes(&nodes)?;
         self.query(
             "UPDATE order_nodes SET outcome = 'superseded', at_ms = $1 \
@@ -137,21 +115,10 @@ impl dyn Database + '_ {
     /// Stores outcomes of orders. An order that has ended since then, for example because its node was forgotten, keeps
     /// its outcome.
     pub(crate) fn outcomes(&mut self, nodes: &[ChangeNode]) -> Result<(), StoreError> {
-        let row = |node: &ChangeNode| {
-            json!({
-                "revision": node.revision,
-                "node": node.node,
-                "setting_before": node.setting_before,
-                "outcome": node.outcome,
-                "at_ms": node.at_ms,
-                "detail": node.detail,
-            })
-        };
-        let rows: Vec<Value> = nodes.iter().map(row).collect();
         let conflict = "ON CONFLICT (revision, node) DO UPDATE SET outcome = excluded.outcome, \
                         at_ms = excluded.at_ms, detail = excluded.detail \
                         WHERE order_nodes.outcome IN ('pending', 'waiting', 'timed_out')";
-        self.insert("order_nodes", &rows, conflict).map(drop)
+        self.insert("order_nodes", nodes, conflict).map(drop)
     }
 
     /// Begins a rollout or trial, driven by `driver`. Returns it with its number.
@@ -234,14 +201,13 @@ impl Store {
 
     /// The outcome of a change at each node.
     pub(crate) async fn change_nodes(&self, revision: i64) -> Result<Vec<ChangeNode>, StoreError> {
-        let text = "SELECT o.*, setting_before AS \"from\" FROM order_nodes o WHERE revision = $1 ORDER BY node";
+        let text = "SELECT * FROM order_nodes WHERE revision = $1 ORDER BY node";
         read_all(self.query(text, vec![revision.into()]).await?)
     }
 
     /// Orders to nodes whose outcome is open.
     pub(crate) async fn open_order_nodes(&self) -> Result<Vec<ChangeNode>, StoreError> {
-        let text = "SELECT o.*, setting_before AS \"from\" FROM order_nodes o \
-                    WHERE outcome IN ('pending', 'waiting', 'timed_out')";
+        let text = "SELECT * FROM order_nodes WHERE outcome IN ('pending', 'waiting', 'timed_out')";
         read_all(self.query(text, Vec::new()).await?)
     }
 
@@ -252,7 +218,7 @@ impl Store {
         node: Option<&str>,
         limit: i64,
     ) -> Result<Vec<ChangeRow>, StoreError> {
-        let text = "SELECT o.*, selector AS \"select\", setting AS \"to\" FROM orders o WHERE revision < $1 \
+        let text = "SELECT * FROM orders WHERE revision < $1 \
                     AND ($2 = '' OR revision IN (SELECT revision FROM order_nodes WHERE node = $2)) \
                     ORDER BY revision DESC LIMIT $3";
         let values = vec![before.into(), node.unwrap_or_default().into(), limit.into()];

@@ -1,8 +1,8 @@
 //! Orders changes by hand, of a threshold or a target on selected nodes, and collects the outcomes.
 
-use super::member::{Millis, Outcome};
+use super::member::{Ask, ChangeNode, Millis, Outcome};
 use super::selector::Selector;
-use super::tuner::{OutcomeLine, Tuner};
+use super::tuner::Tuner;
 use crate::presence::NodeView;
 use crate::store::{ChangeRow, StoreError};
 use albireo_wire::DesiredSetting;
@@ -35,7 +35,7 @@ pub struct Change {
     /// Its revision; absent in a dry run, and if no node would change.
     pub(crate) revision: Option<u64>,
     /// Outcomes that were not reported to the caller yet; those of nodes whose answers are awaited are pending.
-    pub(crate) lines: Vec<OutcomeLine>,
+    pub(crate) lines: Vec<ChangeNode>,
 }
 
 impl Tuner {
@@ -51,12 +51,13 @@ impl Tuner {
         now: Millis,
     ) -> Result<Change, StoreError> {
         let mut change = Change::default();
-        let line = |node: &str, outcome, from, detail: &str| OutcomeLine {
+        let line = |node: &str, outcome, from, detail: &str| ChangeNode {
             node: node.to_owned(),
-            outcome,
             from,
-            to: setting,
-            detail: detail.to_owned(),
+            ask: Ask {
+                detail: detail.to_owned(),
+                ..Ask::new(0, now, outcome)
+            },
         };
         let taken = self.taken().await?;
         let mut known = HashSet::new();
@@ -85,7 +86,7 @@ impl Tuner {
                 (change.lines).push(line(name, Outcome::Refused, None, detail));
             }
         }
-        let awaited = (change.lines.iter()).filter(|line| line.outcome == Outcome::Pending);
+        let awaited = (change.lines.iter()).filter(|line| line.ask.outcome == Outcome::Pending);
         let awaited: Vec<_> = awaited.map(|line| line.node.clone()).collect();
         if !awaited.is_empty() {
             let row = ChangeRow {
@@ -104,20 +105,19 @@ impl Tuner {
 
     /// Waits for outcomes that were not returned yet; at `until` all other nodes get the outcome "pending". Returns nothing once
     /// every node was returned.
-    pub(crate) async fn outcomes(&self, change: &mut Change, until: Instant) -> Vec<OutcomeLine> {
+    pub(crate) async fn outcomes(&self, change: &mut Change, until: Instant) -> Vec<ChangeNode> {
         loop {
             let looked = self.looked.notified();
             let is_over = Instant::now() >= until;
             for line in &mut change.lines {
-                if line.outcome == Outcome::Pending {
-                    let revision = change.revision.unwrap_or(0);
-                    (line.outcome, line.detail) = self.outcome(&line.node, revision);
+                if line.ask.outcome == Outcome::Pending {
+                    self.update(line, change.revision.unwrap_or(0));
                 }
-                if line.outcome == Outcome::Pending && is_over {
-                    line.detail = "not answered yet".to_owned();
+                if line.ask.outcome == Outcome::Pending && is_over {
+                    line.ask.detail = "not answered yet".to_owned();
                 }
             }
-            let is_known = |line: &mut OutcomeLine| is_over || line.outcome != Outcome::Pending;
+            let is_known = |line: &mut ChangeNode| is_over || line.ask.outcome != Outcome::Pending;
             let mut lines: Vec<_> = change.lines.extract_if(.., is_known).collect();
             if !lines.is_empty() || change.lines.is_empty() {
                 lines.sort_by(|a, b| a.node.cmp(&b.node));

@@ -2,6 +2,7 @@
 
 use crate::named::named;
 use crate::presence::NodeView;
+use crate::store::row::json_text;
 use albireo_wire::{DesiredSetting, Threshold};
 use rand_core::{RngCore, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -61,11 +62,10 @@ pub struct Ask {
     pub asked_ms: Millis,
     /// The outcome.
     pub outcome: Outcome,
-    /// When the node reported the setting; 0 before.
+    /// When the hub learned the outcome, milliseconds since the Unix epoch.
     pub at_ms: Millis,
-    /// Why the node refused it.
-    #[serde(default, skip_serializing_if = "String::is_empty")]
-    pub reason: String,
+    /// The reason for the outcome; empty without one.
+    pub detail: String,
 }
 
 impl Ask {
@@ -75,8 +75,8 @@ impl Ask {
             revision,
             asked_ms,
             outcome,
-            at_ms: 0,
-            reason: String::new(),
+            at_ms: asked_ms,
+            detail: String::new(),
         }
     }
 
@@ -102,12 +102,9 @@ impl Ask {
             .refused()
             .filter(|(revision, _)| *revision == self.revision);
         let next = match (self.outcome, unable.or(refused.map(|(_, reason)| reason))) {
-            _ if has_it => {
-                self.at_ms = now;
-                Applied
-            }
+            _ if has_it => Applied,
             (_, Some(reason)) => {
-                self.reason = reason;
+                self.detail = reason;
                 Refused
             }
             (Refused, None) => Refused,
@@ -119,8 +116,25 @@ impl Ask {
             (Pending, None) if now - self.asked_ms < patience_ms => Pending,
             _ => TimedOut,
         };
-        std::mem::replace(&mut self.outcome, next) != next
+        let is_new = std::mem::replace(&mut self.outcome, next) != next;
+        if is_new {
+            self.at_ms = now;
+        }
+        is_new
     }
+}
+
+/// The outcome of a change at one node.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct ChangeNode {
+    /// The node.
+    pub node: String,
+    /// Its setting before, if known: a threshold or a target.
+    #[serde(deserialize_with = "json_text::or_value")]
+    pub from: Option<DesiredSetting>,
+    /// The order.
+    #[serde(flatten)]
+    pub ask: Ask,
 }
 
 /// One node of a rollout or trial.

@@ -1,12 +1,12 @@
 //! Carries out orders: stores them, notifies the nodes, and follows their reports.
 
-use super::member::{Ask, Millis, Outcome};
+use super::member::{Ask, ChangeNode, Millis, Outcome};
 use super::run::milliseconds;
 use crate::config::{LocalChange, TuningConfig};
 use crate::desired::{DesiredValue, Desires};
 use crate::presence::{Fleet, NodeView, Notifier};
 use crate::store::tables::EventRow;
-use crate::store::{ChangeNode, ChangeRow, DesiredRow, Store, StoreError};
+use crate::store::{ChangeRow, DesiredRow, Store, StoreError};
 use albireo_service::clock::unix_milliseconds;
 use albireo_wire::DesiredSetting;
 use parking_lot::Mutex;
@@ -33,45 +33,14 @@ const SET_BACK: &str = "drift";
 /// that nodes have, but a node that reports nonsense must not use up the numbers.
 const FARTHEST_AHEAD: u64 = 1 << 32;
 
-/// The outcome of an order at one node.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct OutcomeLine {
-    /// The node.
-    pub node: String,
-    /// The outcome.
-    pub outcome: Outcome,
-    /// Its setting before, if known: a threshold or a target.
-    pub from: Option<DesiredSetting>,
-    /// The ordered setting: a threshold or a target.
-    pub to: DesiredSetting,
-    /// The reason, if there is one.
-    #[serde(default, skip_serializing_if = "String::is_empty")]
-    pub detail: String,
-}
-
 /// The last order to a node.
 #[derive(Clone, Debug)]
 struct OpenOrder {
-    ask: Ask,
+    at: ChangeNode,
     setting: DesiredSetting,
-    from: Option<DesiredSetting>,
     notified_ms: Millis,
     /// How often the node was set back since the last order by somebody else.
     set_back: u32,
-}
-
-impl OpenOrder {
-    /// Its row at `node`.
-    fn row(&self, node: &str, at_ms: Millis) -> ChangeNode {
-        ChangeNode {
-            revision: i64::try_from(self.ask.revision).unwrap_or(i64::MAX),
-            node: node.to_owned(),
-            setting_before: self.from,
-            outcome: self.ask.outcome,
-            at_ms,
-            detail: self.ask.reason.clone(),
-        }
-    }
 }
 
 /// A node that applied its desired setting, and has another one now.
@@ -182,19 +151,19 @@ impl Tuner {
             runs: tokio::sync::Mutex::default(),
         };
         tuner.learn().await?;
-        for row in tuner.store.open_order_nodes().await? {
-            let revision = row.revision.unsigned_abs();
-            let desired = tuner.desires.get(&row.node);
+        for mut at in tuner.store.open_order_nodes().await? {
+            let revision = at.ask.revision;
+            let desired = tuner.desires.get(&at.node);
             if let Some(desired) = desired.filter(|desired| desired.revision == revision) {
+                // Its time limit begins again, because no hub was listening.
+                at.ask = Ask::new(revision, now, Outcome::Pending);
                 let order = OpenOrder {
-                    // Its time limit begins again, because no hub was listening.
-                    ask: Ask::new(revision, now, Outcome::Pending),
+                    at,
                     setting: desired.setting,
-                    from: row.setting_before,
                     notified_ms: 0,
                     set_back: 0,
                 };
-                tuner.open.lock().insert(row.node, order);
+                (tuner.open.lock()).insert(order.at.node.clone(), order);
             }
         }
         Ok(tuner)
@@ -247,24 +216,25 @@ impl Tuner {
                 true => Outcome::Pending,
                 false => Outcome::Waiting,
             };
-            let order = OpenOrder {
-                ask: Ask::new(0, now, outcome),
-                setting,
-                from,
-                notified_ms: now,
-                set_back: match change.origin == SET_BACK {
-                    true => self.set_back_times(&node) + 1,
-                    false => 0,
-                },
+            let set_back = match change.origin == SET_BACK {
+                true => self.set_back_times(&node) + 1,
+                false => 0,
             };
-            orders.push((node, order));
+            let ask = Ask::new(0, now, outcome);
+            orders.push(OpenOrder {
+                at: ChangeNode { node, from, ask },
+                setting,
+                notified_ms: now,
+                set_back,
+            });
         }
-        let rows = orders.iter().map(|(node, order)| order.row(node, now));
-        let (rows, above) = (rows.collect(), i64::try_from(above).unwrap_or(i64::MAX));
+        let rows = orders.iter().map(|order| order.at.clone()).collect();
+        let above = i64::try_from(above).unwrap_or(i64::MAX);
         let written = (self.store).write(move |writing| writing.order(&change, rows, above));
         let revision = written.await?.unsigned_abs();
-        for (node, mut order) in orders {
-            order.ask.revision = revision;
+        for mut order in orders {
+            order.at.ask.revision = revision;
+            let node = order.at.node.clone();
             self.desires.set(&node, DesiredValue { revision, setting });
             // A node that is set back stays listed until it has the value again.
             if order.set_back == 0 {
@@ -288,14 +258,17 @@ impl Tuner {
         self.open.lock().get(node).map_or(0, |order| order.set_back)
     }
 
-    /// The outcome of the order of `revision` at `node`, and the reason.
-    pub(crate) fn outcome(&self, node: &str, revision: u64) -> (Outcome, String) {
-        match self.open.lock().get(node) {
-            Some(order) if order.ask.revision == revision => {
-                (order.ask.outcome, order.ask.reason.clone())
+    /// Updates the outcome of an order of `revision`.
+    pub(super) fn update(&self, line: &mut ChangeNode, revision: u64) {
+        match self.open.lock().get(&line.node) {
+            Some(order) if order.at.ask.revision == revision => {
+                line.ask = order.at.ask.clone();
             }
-            Some(_) => (Outcome::Superseded, String::new()),
-            None => (Outcome::Missed, "the node was forgotten".to_owned()),
+            Some(_) => line.ask.outcome = Outcome::Superseded,
+            None => {
+                line.ask.outcome = Outcome::Missed;
+                line.ask.detail = "the node was forgotten".to_owned();
+            }
         }
     }
 
@@ -307,32 +280,30 @@ impl Tuner {
         let patience = milliseconds(self.config.apply_within_s);
         let mut answered = Vec::new();
         for (node, order) in self.open.lock().iter_mut() {
-            if matches!(order.ask.outcome, Outcome::Applied | Outcome::Refused) {
+            if matches!(order.at.ask.outcome, Outcome::Applied | Outcome::Refused) {
                 continue;
             }
             let Some(settings) = self.fleet.view(node) else {
                 continue;
             };
             let mut next = order.clone();
-            if (next.ask).observe(&settings, order.setting, patience, now) {
-                answered.push((node.clone(), next));
-            } else if order.ask.outcome == Outcome::Pending
+            if (next.at.ask).observe(&settings, order.setting, patience, now) {
+                answered.push(next);
+            } else if order.at.ask.outcome == Outcome::Pending
                 && now - order.notified_ms >= NOTIFY_AGAIN_MS
             {
                 order.notified_ms = now;
-                self.notifier.notify(node, order.ask.revision);
+                self.notifier.notify(node, order.at.ask.revision);
             }
         }
         if !answered.is_empty() {
-            let rows: Vec<_> = (answered.iter())
-                .map(|(node, order)| order.row(node, now))
-                .collect();
+            let rows: Vec<_> = answered.iter().map(|order| order.at.clone()).collect();
             let written = (self.store).write(move |writing| writing.outcomes(&rows));
             written.await?;
         }
-        for (node, order) in answered {
-            if let Some(present) = self.open.lock().get_mut(&node)
-                && present.ask.revision == order.ask.revision
+        for order in answered {
+            if let Some(present) = self.open.lock().get_mut(&order.at.node)
+                && present.at.ask.revision == order.at.ask.revision
             {
                 *present = order;
             }

@@ -238,15 +238,16 @@ CREATE TABLE orders (
     who TEXT NOT NULL,
     why TEXT NOT NULL,
     origin TEXT NOT NULL,
-    selector TEXT NOT NULL,
-    setting TEXT NOT NULL
+    "select" TEXT NOT NULL,
+    "to" TEXT NOT NULL
 );
 
--- `setting_before` is the setting that a node had, where that was known.
+-- `from` is the setting that a node had, where that was known.
 CREATE TABLE order_nodes (
     revision BIGINT NOT NULL,
     node TEXT NOT NULL,
-    setting_before TEXT,
+    "from" TEXT,
+    asked_ms BIGINT NOT NULL,
     outcome TEXT NOT NULL,
     at_ms BIGINT NOT NULL,
     detail TEXT NOT NULL,
