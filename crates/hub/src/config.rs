@@ -4,13 +4,16 @@
 mod sections;
 #[cfg(test)]
 mod tests;
-mod tuning;
 
-pub use sections::{DatabaseConfig, HistoryConfig, HubSection, IngestConfig, PresenceConfig};
-pub use tuning::{LocalChange, TuningConfig};
+pub use sections::{
+    DatabaseConfig, HistoryConfig, HubSection, IngestConfig, LocalChange, PresenceConfig,
+    TuningConfig,
+};
 
+use crate::error::HubError;
 use albireo_service::config::{
-    Configuration, Finding, Findings, HttpConfig, LogConfig, NamedToken, ZenohConfig, ZenohMode,
+    Configuration, DAY_S, Finding, Findings, HttpConfig, LogConfig, NamedToken, ZenohConfig,
+    ZenohMode,
 };
 use albireo_wire::NodeKeys;
 use serde::{Deserialize, Serialize};
@@ -77,8 +80,8 @@ impl HubConfig {
     ///
     /// # Errors
     /// When the prefix is invalid, which the configuration's check rules out.
-    pub(crate) fn keys(&self) -> Result<NodeKeys, albireo_wire::KeyError> {
-        NodeKeys::all(&self.hub.prefix)
+    pub(crate) fn keys(&self) -> Result<NodeKeys, HubError> {
+        NodeKeys::all(&self.hub.prefix).map_err(HubError::at("[hub]"))
     }
 }
 
@@ -98,16 +101,39 @@ impl Configuration for HubConfig {
 
     fn findings(&self) -> Vec<Finding> {
         let mut findings = Findings::default();
-        if let Err(error) = NodeKeys::all(&self.hub.prefix) {
-            findings.add("hub.prefix", error.to_string());
-        }
+        findings.check("hub.prefix", NodeKeys::all(&self.hub.prefix));
         self.zenoh.check(&mut findings);
         self.http.check(&self.tokens, &mut findings);
         self.database.check(&mut findings);
-        self.ingest.check(&mut findings);
-        self.presence.check(&mut findings);
-        self.history.check(&mut findings);
-        self.tuning.check(&mut findings);
+        let (ingest, presence, history) = (&self.ingest, &self.presence, &self.history);
+        let share = ingest.camera_bytes_per_day;
+        findings.count(
+            "database.timeout_ms",
+            self.database.timeout_ms,
+            100,
+            600_000,
+        );
+        findings.count("ingest.commit_ms", ingest.commit_ms, 0, 10_000);
+        findings.count("ingest.camera_bytes_per_day", share, 100_000, 1 << 40);
+        for (key, days) in [
+            ("history.clips_days", history.clips_days),
+            ("history.five_minutes_days", history.five_minutes_days),
+            ("history.events_days", history.events_days),
+            ("history.set_aside_days", history.set_aside_days),
+        ] {
+            findings.count(key, days.into(), 1, 36_500);
+        }
+        let (silent_s, offline_s) = (presence.silent_after_s, presence.offline_after_s);
+        findings.above_zero("presence.silent_after_s", silent_s, DAY_S);
+        findings.above_zero("presence.offline_after_s", offline_s, 30.0 * DAY_S);
+        if offline_s < silent_s {
+            findings.add(
+                "presence.offline_after_s",
+                "is below presence.silent_after_s",
+            );
+        }
+        let apply_s = self.tuning.apply_within_s;
+        findings.above_zero("tuning.apply_within_s", apply_s, DAY_S);
         self.log.check(&mut findings);
         findings.into_vec()
     }

@@ -143,7 +143,8 @@ async fn parts(config: &HubConfig, view: &HubView) -> Result<(), HubError> {
     let opening = session::open(&config.zenoh, MAX_PAYLOAD_BYTES, SESSION, true, |error| {
         zenoh.not_ready(error.to_string());
     });
-    let Some(session) = shutdown.run_until_cancelled(opening).await.transpose()? else {
+    let opened = shutdown.run_until_cancelled(opening).await.transpose();
+    let Some(session) = opened.map_err(|error| HubError(error.to_string()))? else {
         store.close().await;
         return Ok(());
     };
@@ -224,7 +225,7 @@ async fn parts(config: &HubConfig, view: &HubView) -> Result<(), HubError> {
     if tokio::time::timeout(STOP_LIMIT, stop).await.is_err() {
         tracing::warn!("stopping took too long; nodes keep the reports that were not committed");
     }
-    Ok(watched?)
+    watched.map_err(|error| HubError(error.to_string()))
 }
 
 /// Retries `open` until the database answers. Returns `None` if the hub stops first.

@@ -98,7 +98,6 @@ impl DatabaseConfig {
                 "names no file: acknowledged reports must survive a restart",
             );
         }
-        findings.count("database.timeout_ms", self.timeout_ms, 100, 600_000);
     }
 }
 
@@ -122,18 +121,6 @@ impl Default for IngestConfig {
     }
 }
 
-impl IngestConfig {
-    pub(super) fn check(&self, findings: &mut Findings) {
-        findings.count("ingest.commit_ms", self.commit_ms, 0, 10_000);
-        findings.count(
-            "ingest.camera_bytes_per_day",
-            self.camera_bytes_per_day,
-            100_000,
-            1 << 40,
-        );
-    }
-}
-
 /// The times after which a node counts as silent or offline: the `[presence]` section.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -152,20 +139,6 @@ impl Default for PresenceConfig {
             silent_after_s: 95.0,
             offline_after_s: 600.0,
             tokens: true,
-        }
-    }
-}
-
-impl PresenceConfig {
-    pub(super) fn check(&self, findings: &mut Findings) {
-        let day = albireo_service::config::DAY_S;
-        findings.above_zero("presence.silent_after_s", self.silent_after_s, day);
-        findings.above_zero("presence.offline_after_s", self.offline_after_s, 30.0 * day);
-        if self.offline_after_s < self.silent_after_s {
-            findings.add(
-                "presence.offline_after_s",
-                "is below presence.silent_after_s",
-            );
         }
     }
 }
@@ -195,15 +168,32 @@ impl Default for HistoryConfig {
     }
 }
 
-impl HistoryConfig {
-    pub(super) fn check(&self, findings: &mut Findings) {
-        for (key, days) in [
-            ("history.clips_days", self.clips_days),
-            ("history.five_minutes_days", self.five_minutes_days),
-            ("history.events_days", self.events_days),
-            ("history.set_aside_days", self.set_aside_days),
-        ] {
-            findings.count(key, days.into(), 1, 36_500);
+/// The hub's reaction when somebody at a node changes a value that the hub set.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LocalChange {
+    /// The change stays, and the hub lists it as drift.
+    #[default]
+    Wins,
+    /// The hub sets its value again.
+    SetBack,
+}
+
+/// The time limit of orders, and the reaction to local changes: the `[tuning]` section.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct TuningConfig {
+    /// Time that a reachable node has to report a new value before the order counts as timed out, seconds.
+    pub apply_within_s: f64,
+    /// The reaction to a change at the node.
+    pub local_change: LocalChange,
+}
+
+impl Default for TuningConfig {
+    fn default() -> Self {
+        Self {
+            apply_within_s: 60.0,
+            local_change: LocalChange::Wins,
         }
     }
 }
