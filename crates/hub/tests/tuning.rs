@@ -4,7 +4,7 @@
 use crate::support::postgres::Postgres;
 use crate::support::{Hub, PATIENCE, assert_has, config, full_status, names, on_both, sqlite};
 use albireo_service::config::{NamedToken, Role, Token};
-use albireo_simulate::{Behaviour, Options};
+use albireo_simulate::Options;
 use reqwest::{Method, Response, StatusCode};
 use serde_json::{Value, json};
 use std::time::Duration;
@@ -276,13 +276,10 @@ async fn a_harmful_rollout_and_a_trial_restore_the_old_value_and_are_each_number
     database: &str,
 ) {
     let hub = Hub::start(config(database)).await;
-    let behaviour = Behaviour {
+    let options = Options {
         worse_above: Some(4e-4),
         worse_by: 1.6,
         measured: true,
-    };
-    let options = Options {
-        behaviour,
         ..fleet(20)
     };
     let simulated = SimulatedFleet::start(&hub, options).await;

@@ -10,15 +10,9 @@ use std::time::Instant;
 pub(crate) struct Process {
     name: String,
     pid: u32,
-    first: Option<Sample>,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Sample {
-    at: Instant,
-    cpu_s: f64,
-    resident: u64,
-    largest: u64,
+    begun: Instant,
+    /// Its processor time until then, seconds, if it could be read.
+    cpu_s: Option<f64>,
 }
 
 /// The cost of a process.
@@ -40,22 +34,20 @@ impl Process {
         Self {
             name: name.into(),
             pid,
-            first: read(pid).ok(),
+            begun: Instant::now(),
+            cpu_s: read(pid).ok().map(|(cpu_s, ..)| cpu_s),
         }
     }
 
     /// The cost until now.
     pub(crate) fn cost(&self) -> ProcessCost {
-        let last = read(self.pid).ok();
-        let share = |(first, last): (Sample, Sample)| {
-            let seconds = (last.at - first.at).as_secs_f64();
-            (seconds > 0.0).then(|| (last.cpu_s - first.cpu_s) / seconds)
-        };
+        let (now, seconds) = (read(self.pid).ok(), self.begun.elapsed().as_secs_f64());
+        let used = now.zip(self.cpu_s).map(|(now, before)| now.0 - before);
         ProcessCost {
             name: self.name.clone(),
-            cores: self.first.zip(last).and_then(share),
-            resident: last.map(|s| s.resident),
-            largest: last.map(|s| s.largest),
+            cores: used.map(|used| used / seconds),
+            resident: now.map(|now| now.1),
+            largest: now.map(|now| now.2),
         }
     }
 }
@@ -73,16 +65,13 @@ impl fmt::Display for ProcessCost {
     }
 }
 
-fn read(pid: u32) -> ProcResult<Sample> {
+/// Returns the processor time of a process in seconds, and its present and largest resident memory in bytes.
+fn read(pid: u32) -> ProcResult<(f64, u64, u64)> {
     let process = procfs::process::Process::new(pid.cast_signed())?;
     let (stat, status) = (process.stat()?, process.status()?);
     let bytes = |kib: Option<u64>| kib.unwrap_or(0) * 1024;
-    Ok(Sample {
-        at: Instant::now(),
-        cpu_s: (stat.utime + stat.stime) as f64 / ticks_per_second() as f64,
-        resident: bytes(status.vmrss),
-        largest: bytes(status.vmhwm),
-    })
+    let cpu_s = (stat.utime + stat.stime) as f64 / ticks_per_second() as f64;
+    Ok((cpu_s, bytes(status.vmrss), bytes(status.vmhwm)))
 }
 
 #[cfg(test)]

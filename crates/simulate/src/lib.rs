@@ -11,7 +11,7 @@ mod totals;
 
 pub use cost::ProcessCost;
 pub use error::SimulateError;
-pub use options::{Behaviour, Options};
+pub use options::Options;
 pub use summary::Summary;
 pub use totals::{Counts, DelaySummary};
 
@@ -41,7 +41,7 @@ pub async fn run(
     shutdown: CancellationToken,
     mut progress: impl FnMut(String),
 ) -> Result<Summary, SimulateError> {
-    options.check().map_err(SimulateError::Other)?;
+    options.check().map_err(SimulateError)?;
     let options = Arc::new(options);
     let totals = Arc::new(Totals::default());
     let opening = Instant::now();
@@ -53,7 +53,7 @@ pub async fn run(
         sessions = opened => sessions?,
         () = shutdown.cancelled() => {
             let reason = "stopped before all sessions were open".to_owned();
-            return Err(SimulateError::Other(reason));
+            return Err(SimulateError(reason));
         }
     };
     let opened_s = opening.elapsed().as_secs_f64();
@@ -65,17 +65,14 @@ pub async fn run(
     let mut processes = vec![Process::begin("simulator", std::process::id())];
     let watched = options.watch.iter();
     processes.extend(watched.map(|(name, pid)| Process::begin(name, *pid)));
-    let (end, stop) = (CancellationToken::new(), CancellationToken::new());
+    let end = CancellationToken::new();
     let (began, started_ns) = (Instant::now(), options::now_ns());
     let mut playing = JoinSet::new();
     for (index, session) in (0..options.nodes).zip(sessions.iter().cycle()) {
-        let mut node = SimNode::new(index, &options, started_ns);
-        if options.backlog == 0 {
-            node.begin_within(options.gather);
-        }
+        let node = SimNode::new(index, &options, started_ns);
         let (options, totals) = (Arc::clone(&options), Arc::clone(&totals));
         let player = Player::new(session.clone(), node, options, totals)?;
-        playing.spawn(player.play(began, end.clone(), stop.clone()));
+        playing.spawn(player.play(began, end.clone()));
     }
 
     let mut every = tokio::time::interval(PROGRESS_EVERY);
@@ -92,15 +89,17 @@ pub async fn run(
     let costs = processes.iter().map(Process::cost).collect();
     end.cancel();
     let draining = Instant::now();
-    let stopper = stop.clone();
-    let drain = options.drain;
-    tokio::spawn(async move {
-        tokio::time::sleep(drain).await;
-        stopper.cancel();
-    });
-    while let Some(ended) = playing.join_next().await {
-        ended??;
+    let rest = async {
+        while let Some(ended) = playing.join_next().await {
+            ended.map_err(SimulateError::at("a simulated session failed"))??;
+        }
+        Ok::<_, SimulateError>(())
+    };
+    // What is not acknowledged by then is given up.
+    if let Ok(ended) = tokio::time::timeout(options.drain, rest).await {
+        ended?;
     }
+    playing.shutdown().await;
     for session in sessions {
         if let Err(error) = session.close().await {
             tracing::debug!(%error, "session not closed");
@@ -115,7 +114,6 @@ pub async fn run(
         drained_s: draining.elapsed().as_secs_f64(),
         counts,
         answers: totals.answers.summary(),
-        settled: totals.settled.summary(),
         costs,
     })
 }

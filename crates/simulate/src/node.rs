@@ -1,6 +1,6 @@
 //! Simulates one node, its reports and its reactions to desired settings, without network or clock.
 
-use super::options::{Behaviour, Options};
+use super::options::Options;
 use albireo_wire::{
     CameraState, CameraStatus, ClipEnd, ClipEnergy, ClipReport, Desired, DesiredSetting,
     DomainEnergy, DroppedFrames, EnergyQuality, FrameStates, HealthState, HealthStatus, Heartbeat,
@@ -10,6 +10,7 @@ use albireo_wire::{
 use rand_core::{RngCore, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use uuid::{Builder, Uuid};
 
 /// The initial value of every node.
@@ -32,11 +33,9 @@ const DETECTOR_WATTS: f64 = 9.0;
 pub(crate) struct SimNode {
     pub(crate) name: String,
     seed: u64,
-    /// The labels: the region, and a mark that the node is simulated.
-    labels: BTreeMap<String, String>,
+    region: &'static str,
     started_ns: u64,
-    behaviour: Behaviour,
-    clip_s: f64,
+    options: Arc<Options>,
     /// Reports made, and reports that a hub has acknowledged.
     pub(crate) made: u64,
     pub(crate) acknowledged: u64,
@@ -54,22 +53,21 @@ pub(crate) struct SimNode {
 }
 
 impl SimNode {
-    /// Creates node number `index` of a run that began at `started_ns`.
-    pub(crate) fn new(index: usize, options: &Options, started_ns: u64) -> Self {
+    /// Creates node number `index` of a run that began at `began_ns`. Without a backlog it starts at a random point between
+    /// two batches, like in a fleet that has run for long: otherwise nothing would be reported until the first batch is
+    /// gathered.
+    pub(crate) fn new(index: usize, options: &Arc<Options>, began_ns: u64) -> Self {
         let seed = mix(options.seed, index as u64);
-        let region = ["north", "east", "south", "west"][index % 4];
-        let backlog_ns = (options.backlog as f64 * options.clip_s * 1e9) as u64;
+        let made = match options.backlog {
+            0 => mix(seed, 6) % options.gather.max(1),
+            backlog => backlog,
+        };
         Self {
             name: format!("{}{index:06}", options.name),
-            labels: [
-                ("region".to_owned(), region.to_owned()),
-                ("simulated".to_owned(), "yes".to_owned()),
-            ]
-            .into(),
-            started_ns: started_ns.saturating_sub(backlog_ns),
-            behaviour: options.behaviour,
-            clip_s: options.clip_s,
-            made: options.backlog,
+            region: ["north", "east", "south", "west"][index % 4],
+            started_ns: began_ns.saturating_sub((made as f64 * options.clip_s * 1e9) as u64),
+            options: Arc::clone(options),
+            made,
             acknowledged: 0,
             revision: 0,
             values: vec![(0, FIRST_U)],
@@ -81,15 +79,6 @@ impl SimNode {
             reported_revision: None,
             seed,
         }
-    }
-
-    /// Starts the node at a random point between two batches, like in a fleet that has run for long: otherwise nothing
-    /// would be reported until the first batch is gathered.
-    pub(crate) fn begin_within(&mut self, gather: u64) {
-        let waiting = mix(self.seed, 6) % gather.max(1);
-        self.made += waiting;
-        let clips_ns = (waiting as f64 * self.clip_s * 1e9) as u64;
-        self.started_ns = self.started_ns.saturating_sub(clips_ns);
     }
 
     /// The number of waiting reports.
@@ -217,7 +206,9 @@ impl SimNode {
     fn full(&self) -> NodeStatus {
         NodeStatus {
             version: env!("CARGO_PKG_VERSION").to_owned(),
-            labels: self.labels.clone(),
+            labels: [("region", self.region), ("simulated", "yes")]
+                .map(|(label, value)| (label.to_owned(), value.to_owned()))
+                .into(),
             cameras: vec![CameraStatus {
                 name: CAMERA.to_owned(),
                 state: CameraState::Live,
@@ -246,8 +237,8 @@ impl SimNode {
     }
 
     /// The energy quality to report; no figure comes from a meter.
-    const fn quality(&self) -> EnergyQuality {
-        if self.behaviour.measured {
+    fn quality(&self) -> EnergyQuality {
+        if self.options.measured {
             EnergyQuality::Measured
         } else {
             EnergyQuality::Estimated
@@ -264,19 +255,15 @@ impl SimNode {
             .map_or(FIRST_U, |(_, u)| *u);
         let mut random = Pcg64Mcg::seed_from_u64(mix(self.seed, 1_000 + number));
         let mut noise = || normal(&mut random);
-        let frames = (self.clip_s * FRAMES_PER_S).round().max(1.0);
+        let frames = (self.options.clip_s * FRAMES_PER_S).round().max(1.0);
         // A factor of ten in `u` changes a fifth of the frames; nodes and clips differ.
         let own = 0.08 * normal(&mut Pcg64Mcg::seed_from_u64(mix(self.seed, 5)));
         let skip =
             (SKIP.0 + SKIP.1 * (u / FIRST_U).log10() + own + 0.03 * noise()).clamp(0.0, 0.99);
-        let is_worse = self.behaviour.worse_above.is_some_and(|limit| u > limit);
-        let worse = if is_worse {
-            self.behaviour.worse_by
-        } else {
-            1.0
-        };
+        let is_worse = self.options.worse_above.is_some_and(|limit| u > limit);
+        let worse = if is_worse { self.options.worse_by } else { 1.0 };
         let watts = 6.0 + DETECTOR_WATTS * (1.0 - skip) + 0.2 * noise();
-        let joules = (watts * worse * self.clip_s).max(0.1);
+        let joules = (watts * worse * self.options.clip_s).max(0.1);
         let p99 = (28.0 * worse + noise()).max(1.0);
         let skipped = (skip * frames).round() as u64;
         let states = FrameStates {
@@ -293,7 +280,7 @@ impl SimNode {
             p95: middle * 1.6,
             p99,
         };
-        let started = self.started_ns + (number as f64 * self.clip_s * 1e9) as u64;
+        let started = self.started_ns + (number as f64 * self.options.clip_s * 1e9) as u64;
         ClipReport {
             v: VERSION,
             id: self.report_id(number, started),
@@ -304,7 +291,7 @@ impl SimNode {
             part: 0,
             ended_by: ClipEnd::Window,
             started_ns: started,
-            duration_s: self.clip_s,
+            duration_s: self.options.clip_s,
             frames: frames as u64,
             skip_rate: states.skip_rate(0),
             states,
@@ -324,18 +311,18 @@ impl SimNode {
             energy: ClipEnergy {
                 joules: Some(joules),
                 node_joules: Some(joules),
-                saved_joules_estimated: Some(DETECTOR_WATTS * skip * worse * self.clip_s),
-                edp: Some(joules * self.clip_s * 1e3 / frames),
+                saved_joules_estimated: Some(DETECTOR_WATTS * skip * worse * self.options.clip_s),
+                edp: Some(joules * self.options.clip_s * 1e3 / frames),
                 quality: self.quality(),
                 source: "simulated".to_owned(),
                 total_from: "simulated".to_owned(),
-                samples: (self.clip_s * 10.0) as u64,
+                samples: (self.options.clip_s * 10.0) as u64,
                 coverage: 1.0,
                 domains: vec![DomainEnergy {
                     domain: "total".to_owned(),
                     joules,
-                    mean_watts: joules / self.clip_s,
-                    peak_watts: Some(joules / self.clip_s * 1.3),
+                    mean_watts: joules / self.options.clip_s,
+                    peak_watts: Some(joules / self.options.clip_s * 1.3),
                 }],
             },
             board: None,
@@ -348,7 +335,7 @@ impl SimNode {
         let drawn = mix(self.seed, 2_000_000 + number).to_le_bytes();
         let mut random = [0; 10];
         random[..8].copy_from_slice(&drawn);
-        let made_ms = (started_ns as f64 / 1e6 + self.clip_s * 1e3) as u64;
+        let made_ms = (started_ns as f64 / 1e6 + self.options.clip_s * 1e3) as u64;
         Builder::from_unix_timestamp_millis(made_ms, &random).into_uuid()
     }
 }
@@ -379,7 +366,7 @@ mod tests {
 
     fn node(options: Options) -> SimNode {
         let options = Options { seed: 1, ..options };
-        SimNode::new(3, &options, 1_000_000_000_000_000_000)
+        SimNode::new(3, &Arc::new(options), 1_000_000_000_000_000_000)
     }
 
     fn desired(revision: u64, value: f64) -> Desired {
@@ -424,10 +411,13 @@ mod tests {
     #[test]
     fn nodes_start_at_every_point_of_a_batch_and_no_clip_is_in_the_future() {
         let started = 1_000_000_000_000_000_000;
+        let options = Arc::new(Options {
+            gather: 8,
+            ..Options::default()
+        });
         let mut waiting = BTreeSet::new();
         for index in 0..100 {
-            let mut node = SimNode::new(index, &Options::default(), started);
-            node.begin_within(8);
+            let node = SimNode::new(index, &options, started);
             waiting.insert(node.waiting());
             let batch = node.batch(10, started);
             let mut reports = batch.iter().flat_map(|batch| &batch.reports);

@@ -16,20 +16,6 @@ const LONGEST: Duration = Duration::from_secs(86_400);
 const REPORTS: &str = "Reports";
 const FAULTS: &str = "What goes wrong";
 
-/// The dependence of the nodes' figures on the threshold.
-#[derive(Clone, Copy, Debug, PartialEq, clap::Args)]
-pub struct Behaviour {
-    /// Above this threshold, clips cost more energy and time.
-    #[arg(long, help_heading = FAULTS, value_name = "U")]
-    pub worse_above: Option<f64>,
-    /// The factor by which they cost more.
-    #[arg(long, help_heading = FAULTS, default_value_t = 1.3, value_name = "FACTOR")]
-    pub worse_by: f64,
-    /// Marks the invented energy in reports as measured instead of estimated.
-    #[arg(skip)]
-    pub measured: bool,
-}
-
 /// The options of `albireo simulate`.
 #[derive(Clone, Debug, PartialEq, clap::Args)]
 pub struct Options {
@@ -66,9 +52,15 @@ pub struct Options {
     /// Nodes do not subscribe to notices: they learn a new value from the answer to a report.
     #[arg(long = "no-notices", action = clap::ArgAction::SetFalse)]
     pub notices: bool,
-    /// The dependence of the figures on the threshold.
-    #[command(flatten)]
-    pub behaviour: Behaviour,
+    /// Above this threshold, clips cost more energy and time.
+    #[arg(long, help_heading = FAULTS, value_name = "U")]
+    pub worse_above: Option<f64>,
+    /// The factor by which they cost more.
+    #[arg(long, help_heading = FAULTS, default_value_t = 1.3, value_name = "FACTOR")]
+    pub worse_by: f64,
+    /// Marks the invented energy in reports as measured instead of estimated.
+    #[arg(skip)]
+    pub measured: bool,
     /// Longest time to wait at the end until everything is acknowledged, seconds.
     #[arg(long, help_heading = REPORTS, default_value = "30", value_name = "SECONDS", value_parser = seconds)]
     pub drain: Duration,

@@ -31,8 +31,8 @@ const PREFIX: &str = "albireo";
 /// The time within which all nodes send their first status.
 const FIRST_STATUSES: Duration = Duration::from_secs(5);
 
-/// The time after the start at which the initial flood of all nodes is over.
-pub(crate) const SETTLED: Duration = Duration::from_secs(20);
+/// The time after the start at which the initial flood of all nodes is over; a third of a short run.
+const SETTLED: Duration = Duration::from_secs(20);
 
 /// A request to the hub with its answer, good or error, if one was received.
 enum Asked {
@@ -46,8 +46,7 @@ type Answer = Result<Vec<u8>, Vec<u8>>;
 /// Opens a client session to the endpoint, with the buffers of a node's uplink.
 pub(crate) async fn open(options: &Options, index: usize) -> Result<Session, SimulateError> {
     let mut config = match &options.zenoh_config {
-        Some(file) => zenoh::Config::from_file(file)
-            .map_err(|error| SimulateError::at(file.display(), error))?,
+        Some(file) => zenoh::Config::from_file(file).map_err(SimulateError::at(file.display()))?,
         None => zenoh::Config::default(),
     };
     // The first retries are spread over time, because thousands may reconnect to a router at once.
@@ -70,11 +69,11 @@ pub(crate) async fn open(options: &Options, index: usize) -> Result<Session, Sim
     ] {
         config
             .insert_json5(key, &value.to_string())
-            .map_err(|error| SimulateError::at(key, error))?;
+            .map_err(SimulateError::at(key))?;
     }
     zenoh::open(config)
         .await
-        .map_err(|error| SimulateError::at(format!("session {index}"), error))
+        .map_err(SimulateError::at(format!("session {index}")))
 }
 
 /// Simulates one node.
@@ -101,7 +100,8 @@ impl Player {
         options: Arc<Options>,
         totals: Arc<Totals>,
     ) -> Result<Self, SimulateError> {
-        let keys = NodeKeys::new(PREFIX, &node.name)?;
+        let keys = NodeKeys::new(PREFIX, &node.name);
+        let keys = keys.map_err(SimulateError::at("a simulated node's name"))?;
         totals.counts.lock().made += node.made;
         Ok(Self {
             session,
@@ -117,12 +117,11 @@ impl Player {
         })
     }
 
-    /// Runs until `end`, then sends the rest until `stop`.
+    /// Runs until `end`, then sends the rest.
     pub(crate) async fn play(
         mut self,
         began: Instant,
         end: CancellationToken,
-        stop: CancellationToken,
     ) -> Result<(), SimulateError> {
         let notice = Arc::new(Notify::new());
         let _notices = self
@@ -164,7 +163,6 @@ impl Player {
                     self.ending = true;
                     self.send(1);
                 }
-                () = stop.cancelled() => break,
             }
         }
         Ok(())
@@ -187,7 +185,7 @@ impl Player {
             });
         notices
             .wait()
-            .map_err(|error| SimulateError::at(format!("notice of {}", self.node.name), error))
+            .map_err(SimulateError::at(format!("notice of {}", self.node.name)))
     }
 
     fn answered(&mut self, asked: Asked, began: Instant) {
@@ -222,9 +220,8 @@ impl Player {
         answer: &ReportAnswer,
         began: Instant,
     ) {
-        self.totals.answers.add(took);
-        if !self.ending && began.elapsed() >= SETTLED {
-            self.totals.settled.add(took);
+        if !self.ending && began.elapsed() >= SETTLED.min(self.options.duration / 3) {
+            self.totals.answers.add(took);
         }
         self.pause = FIRST_PAUSE;
         self.node.answered(reports);

@@ -21,11 +21,9 @@ pub struct Summary {
     /// The counts of messages sent and answered.
     #[serde(flatten)]
     pub counts: Counts,
-    /// The delay from sending a batch to its acknowledgement.
+    /// The delay from sending a batch to its acknowledgement, without two floods that only the simulation has: all
+    /// nodes start at the same time, and all send their remaining reports at the same time at the end.
     pub answers: DelaySummary,
-    /// The same without two floods that only the simulation has: all nodes start at the same time, and all send their
-    /// remaining reports at the same time at the end.
-    pub settled: DelaySummary,
     /// The cost of processes during the load.
     pub costs: Vec<ProcessCost>,
 }
@@ -52,14 +50,12 @@ impl fmt::Display for Summary {
              batches sent     {:>10}  {bytes} B each; {busy} busy, {refused} refused, {no_reply} unanswered",
             counts.statuses, counts.made, counts.acknowledged, counts.batches
         )?;
-        let settled = crate::play::SETTLED.as_secs();
-        for (from, of) in [(0, &self.answers), (settled, &self.settled)] {
-            writeln!(
-                f,
-                "acknowledgement  p50 {:.0} ms, p99 {:.0} ms, largest {:.0} ms, of {} from {from} s on",
-                of.p50_ms, of.p99_ms, of.largest_ms, of.count
-            )?;
-        }
+        let answers = &self.answers;
+        writeln!(
+            f,
+            "acknowledgement  p50 {:.0} ms, p99 {:.0} ms, largest {:.0} ms, of {} between start and end",
+            answers.p50_ms, answers.p99_ms, answers.largest_ms, answers.count
+        )?;
         for cost in &self.costs {
             writeln!(f, "{cost}")?;
         }

@@ -71,9 +71,9 @@ pub struct Counts {
 #[derive(Debug, Default)]
 pub(crate) struct Totals {
     pub(crate) counts: Mutex<Counts>,
+    /// Delays between two floods that only the simulation has: all nodes start at the same time, and all send their
+    /// remaining reports at the same time at the end.
     pub(crate) answers: Delays,
-    /// Delays between the floods at the start and at the end.
-    pub(crate) settled: Delays,
 }
 
 #[cfg(test)]
