@@ -13,7 +13,7 @@ mod metrics;
 mod nodes;
 mod runs;
 
-pub use changes::{ChangeView, Changes, LastLine, OrderLine};
+pub use changes::{ChangeView, Changes, OrderAnswer, OrderLine};
 pub use energy::Energy;
 pub(crate) use live::Reach;
 pub use nodes::{NodeDetail, NodeList};
@@ -34,7 +34,7 @@ use axum::routing::get;
 use axum::{Extension, Router};
 use std::sync::{Arc, OnceLock};
 use std::time::Instant;
-use tokio::sync::{Semaphore, watch};
+use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 use utoipa::OpenApi as _;
 use utoipa::openapi::OpenApi;
@@ -52,8 +52,6 @@ pub struct HubView {
     pub desires: Arc<Desires>,
     /// Counters of what is received and stored.
     pub ingest: Arc<IngestCounters>,
-    /// Signals that the database has new events.
-    pub events: watch::Sender<()>,
     /// Cancelled when the hub stops.
     pub shutdown: CancellationToken,
     /// The database, once it is open.
@@ -79,7 +77,6 @@ impl HubView {
             fleet: Arc::new(Fleet::new(&config.presence)),
             desires: Arc::default(),
             ingest: Arc::default(),
-            events: watch::Sender::default(),
             shutdown,
             opened: Arc::default(),
             tunes: Arc::default(),

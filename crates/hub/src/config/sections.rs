@@ -129,8 +129,6 @@ pub struct PresenceConfig {
     pub silent_after_s: f64,
     /// A node that sent nothing for this long is offline, seconds.
     pub offline_after_s: f64,
-    /// True if liveliness tokens are watched too: a node that loses its token is offline immediately.
-    pub tokens: bool,
 }
 
 impl Default for PresenceConfig {
@@ -138,7 +136,6 @@ impl Default for PresenceConfig {
         Self {
             silent_after_s: 95.0,
             offline_after_s: 600.0,
-            tokens: true,
         }
     }
 }

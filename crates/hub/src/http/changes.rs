@@ -32,27 +32,17 @@ const LONGEST_WAIT_S: f64 = 8.0;
 /// Longest stream of outcomes, seconds.
 const LONGEST_STREAM_S: f64 = 3_600.0;
 
-/// The result of a change.
-#[derive(Debug, Serialize, ToSchema)]
-pub(super) struct OrderAnswer {
-    /// Revision of the order: `/api/v1/changes/{revision}` shows its progress. Absent in a dry run, and if no node would change.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    revision: Option<u64>,
-    /// True if nothing was changed.
-    dry_run: bool,
-    /// The number of nodes by outcome.
-    counts: BTreeMap<Outcome, usize>,
-    /// The outcome at each node.
-    nodes: Vec<ChangeNode>,
-}
-
-/// The last line of a stream.
+/// The result of a change, and the last line of a stream.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
-pub struct LastLine {
-    /// Revision of the order; absent in a dry run, and if no node would change.
+pub struct OrderAnswer {
+    /// Revision of the order: `/api/v1/changes/{revision}` shows its progress. Absent in a dry run, and if no node would change.
     pub revision: Option<u64>,
     /// The number of nodes by outcome.
     pub counts: BTreeMap<Outcome, usize>,
+    /// The outcome at each node; absent in a stream, which had them before.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[schema(required)]
+    pub nodes: Vec<ChangeNode>,
 }
 
 /// A line of a stream.
@@ -62,7 +52,7 @@ pub enum OrderLine {
     /// The outcome at one node.
     Outcome(ChangeNode),
     /// The end of the stream.
-    Last(LastLine),
+    Last(OrderAnswer),
 }
 
 /// A target for selected nodes.
@@ -149,7 +139,7 @@ async fn carry_out(
             "wait_s: must be from 0 to {most}, not {wait}"
         )));
     }
-    let (tuner, dry_run) = (Arc::clone(view.tuner()?), request.dry_run);
+    let tuner = Arc::clone(view.tuner()?);
     let mut change = tuner
         .change(setting, request, &caller.name, unix_milliseconds())
         .await?;
@@ -167,8 +157,12 @@ async fn carry_out(
             let (tuner, mut change, mut known) = state?;
             let lines = tuner.outcomes(&mut change, until).await;
             if lines.is_empty() {
-                let counts = counts(known);
-                return Some((written(&[LastLine { revision, counts }]), None));
+                let last = OrderAnswer {
+                    revision,
+                    counts: counts(known),
+                    nodes: Vec::new(),
+                };
+                return Some((written(&[last]), None));
             }
             known.extend(lines.iter().map(|line| line.ask.outcome));
             Some((written(&lines), Some((tuner, change, known))))
@@ -186,7 +180,6 @@ async fn carry_out(
     nodes.sort_by(|a, b| a.node.cmp(&b.node));
     let answer = OrderAnswer {
         revision,
-        dry_run,
         counts: counts(nodes.iter().map(|line| line.ask.outcome)),
         nodes,
     };

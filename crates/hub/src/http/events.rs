@@ -12,7 +12,6 @@ use serde_json::json;
 use std::convert::Infallible;
 use std::future::ready;
 use std::time::Duration;
-use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 use utoipa::IntoParams;
 
@@ -20,10 +19,8 @@ use utoipa::IntoParams;
 const MOST_REPLAYED: i64 = 5000;
 /// Most events that are read from the database at a time.
 const STEP: i64 = 500;
-/// Time between two reads without a signal: other hubs write to the same database.
-const LOOK: Duration = Duration::from_secs(2);
-/// Pause between a signal and the read, so that events that happen together are read together.
-const GATHER: Duration = Duration::from_millis(100);
+/// Time between two reads of the database, to which other hubs may write too.
+const LOOK: Duration = Duration::from_millis(500);
 
 /// Selects events.
 #[derive(Deserialize, IntoParams)]
@@ -39,7 +36,6 @@ pub(super) struct Selection {
 struct Reader {
     last: i64,
     store: Store,
-    changed: watch::Receiver<()>,
     shutdown: CancellationToken,
 }
 
@@ -58,10 +54,6 @@ impl Reader {
             tokio::select! {
                 () = self.shutdown.cancelled() => return None,
                 () = tokio::time::sleep(LOOK) => {}
-                changed = self.changed.changed() => {
-                    changed.ok()?;
-                    tokio::time::sleep(GATHER).await;
-                }
             }
         }
     }
@@ -112,7 +104,6 @@ pub(super) async fn stream(
     let reader = Reader {
         last,
         store,
-        changed: view.events.subscribe(),
         shutdown: view.shutdown.clone(),
     };
     let news = stream::unfold(reader, |mut reader| async move {

@@ -94,20 +94,20 @@ pub(crate) struct Counts {
     /// Ranges of counts that were not received, also below `base`: a database that was restored from a backup made
     /// before the node's first report lacks those.
     #[serde(with = "json_text")]
-    missing: Vec<(u64, u64)>,
+    ranges: Vec<(u64, u64)>,
 }
 
 impl Counts {
     /// The number of missing counts since the first one that was received.
     pub(crate) fn missing(&self) -> u64 {
-        let since = self.missing.iter().filter(|(first, _)| *first >= self.base);
+        let since = self.ranges.iter().filter(|(first, _)| *first >= self.base);
         since.map(|(first, last)| last - first + 1).sum()
     }
 
     /// The counts that the node should send again, as ranges (first, last): all missing ones, also before the first
     /// that was received.
     pub(crate) fn wanted(&self) -> &[(u64, u64)] {
-        &self.missing
+        &self.ranges
     }
 
     /// Notes the count of a report, which was `new` or stored already.
@@ -118,7 +118,7 @@ impl Counts {
         if self.base == 0 {
             (self.base, self.highest) = (count, count);
             if count > 1 {
-                self.missing.push((1, count - 1));
+                self.ranges.push((1, count - 1));
             }
             return Seen::Expected;
         }
@@ -128,22 +128,22 @@ impl Counts {
             if gap.0 > gap.1 {
                 return Seen::Expected;
             }
-            if self.missing.len() == MOST_RANGES {
-                self.missing.remove(0);
+            if self.ranges.len() == MOST_RANGES {
+                self.ranges.remove(0);
             }
-            self.missing.push(gap);
+            self.ranges.push(gap);
             return Seen::Gap(gap.0, gap.1);
         }
         if let Some(place) = self
-            .missing
+            .ranges
             .iter()
             .position(|(first, last)| (*first..=*last).contains(&count))
         {
-            let (first, last) = self.missing.remove(place);
+            let (first, last) = self.ranges.remove(place);
             let rest = [(first, count - 1), (count + 1, last)];
             let rest = rest.into_iter().filter(|(first, last)| first <= last);
-            self.missing.splice(place..place, rest);
-            self.missing.truncate(MOST_RANGES);
+            self.ranges.splice(place..place, rest);
+            self.ranges.truncate(MOST_RANGES);
             return Seen::Expected;
         }
         if !new || count < self.base {
@@ -152,7 +152,7 @@ impl Counts {
         *self = Self {
             base: count,
             highest: count,
-            missing: Vec::new(),
+            ranges: Vec::new(),
         };
         Seen::Reset
     }

@@ -173,7 +173,7 @@ impl Recorder {
                                 clips.push(clip(accepted, *camera, *setup, now_ms));
                                 *counts += counted(&accepted.record.row);
                                 clocks_off += u64::from(!accepted.record.clock);
-                                node.stored += 1;
+                                node.totals.stored += 1;
                                 None
                             }
                         }
@@ -184,7 +184,7 @@ impl Recorder {
                     let reason = match rejected {
                         Rejected::TooOld(reason) => {
                             counts.too_old += 1;
-                            node.refused += 1;
+                            node.totals.refused += 1;
                             reason
                         }
                         Rejected::Invalid { cause, body } => {
@@ -215,7 +215,7 @@ impl Recorder {
                     }
                     Some(Seen::Reset) => {
                         counts.resets += 1;
-                        node.resets += 1;
+                        node.totals.resets += 1;
                         ("reset", json!({ "count": report.count }))
                     }
                     Some(Seen::Expected) | None => continue,
@@ -224,8 +224,8 @@ impl Recorder {
             }
             counts.set_aside += invalid;
             counts.clock_off += clocks_off;
-            node.set_aside += i64::try_from(invalid).unwrap_or(i64::MAX);
-            node.last_ms = now_ms.max(node.last_ms);
+            node.totals.set_aside += i64::try_from(invalid).unwrap_or(i64::MAX);
+            node.totals.last_ms = now_ms.max(node.totals.last_ms);
             for (kind, what, count) in [
                 ("set_aside", "reports", invalid),
                 ("clock_off", "clips", clocks_off),
@@ -235,6 +235,7 @@ impl Recorder {
                     limits.event(&mut recorded.events, now_ms, kind, &batch.node, detail);
                 }
             }
+            node.totals.missing = node.counts.missing();
             answer.missing = node.counts.wanted().to_vec();
             recorded.answers.push(answer);
             recorded.cameras.push(node_cameras.map_or(0, HashMap::len));

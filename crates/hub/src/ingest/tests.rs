@@ -88,7 +88,7 @@ fn counts_are_read_back_from_their_row_unchanged() {
     let mut counts = Counts::default();
     see(&mut counts, &[3, 4, 9]);
     let row = row(&counts).unwrap();
-    assert_eq!(row["missing"], "[[1,2],[5,8]]");
+    assert_eq!(row["ranges"], "[[1,2],[5,8]]");
     assert_eq!(read::<Counts>(row).unwrap(), counts);
 }
 

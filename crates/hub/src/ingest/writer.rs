@@ -210,19 +210,11 @@ impl Writer {
     }
 
     fn acknowledge(&mut self, waiting: Vec<Waiting>, batches: &[Batch], recorded: Recorded) {
-        let HubView {
-            fleet,
-            ingest,
-            events,
-            ..
-        } = &self.shared.view;
+        let HubView { fleet, ingest, .. } = &self.shared.view;
         ingest.count(|counts| {
             *counts += recorded.counts;
             counts.batches += batches.len() as u64;
         });
-        if !recorded.events.is_empty() {
-            events.send_replace(());
-        }
         let answers = recorded.answers.into_iter().zip(recorded.cameras);
         for (waiting, (mut answer, cameras)) in waiting.into_iter().zip(answers) {
             let node = &waiting.node;

@@ -79,7 +79,7 @@ impl Inbox {
 /// The hub's Zenoh declarations; dropping them undeclares them.
 pub(crate) struct Listening {
     _status: Subscriber<()>,
-    _tokens: Option<Subscriber<()>>,
+    _tokens: Subscriber<()>,
     _pulls: Queryable<()>,
     /// Notifies nodes that they should pull their setting.
     pub(crate) notifier: Notifier,
@@ -145,23 +145,18 @@ pub(crate) async fn listen(
         })
         .await
         .map_err(HubError::at("status messages cannot be subscribed to"))?;
-    let tokens = if config.presence.tokens {
-        let subscriber = session
-            .liveliness()
-            .declare_subscriber(keys.alive())
-            .history(true)
-            .callback(move |sample| {
-                if let Some(node) = NodeKeys::node_of(sample.key_expr().as_str()) {
-                    // A dropped token only costs time: without it the age of the last status decides.
-                    inbox.put(node, What::Token(sample.kind() == SampleKind::Put));
-                }
-            })
-            .await
-            .map_err(HubError::at("liveliness tokens cannot be watched"))?;
-        Some(subscriber)
-    } else {
-        None
-    };
+    let tokens = session
+        .liveliness()
+        .declare_subscriber(keys.alive())
+        .history(true)
+        .callback(move |sample| {
+            if let Some(node) = NodeKeys::node_of(sample.key_expr().as_str()) {
+                // A dropped token only costs time: without it the age of the last status decides.
+                inbox.put(node, What::Token(sample.kind() == SampleKind::Put));
+            }
+        })
+        .await
+        .map_err(HubError::at("liveliness tokens cannot be watched"))?;
     let asked = view.clone();
     let pulls = session
         .declare_queryable(keys.pull())

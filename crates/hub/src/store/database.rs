@@ -138,8 +138,8 @@ impl dyn Database + '_ {
         let nodes = self.among(include_str!("sql/reporting_nodes.sql"), names)?;
         let nodes: Vec<ReportCountsRow> = read_all(nodes)?;
         let nodes = nodes.into_iter().map(|mut node| {
-            if node.first_ms == 0 {
-                node.first_ms = now_ms;
+            if node.totals.first_ms == 0 {
+                node.totals.first_ms = now_ms;
             }
             (node.name.clone(), node)
         });
@@ -233,7 +233,7 @@ impl dyn Database + '_ {
         let conflict = "ON CONFLICT (node_id) DO UPDATE SET last_ms = excluded.last_ms, \
                         stored = excluded.stored, set_aside = excluded.set_aside, refused = excluded.refused, \
                         resets = excluded.resets, base = excluded.base, highest = excluded.highest, \
-                        missing = excluded.missing";
+                        missing = excluded.missing, ranges = excluded.ranges";
         self.insert("report_counts", &rows, conflict).map(drop)
     }
 

@@ -1,5 +1,6 @@
 //! Defines the rows of tables. `docs/fleet.md` lists the tables.
 
+use super::read::ReportCounts;
 use crate::ingest::Counts;
 use serde::{Deserialize, Serialize};
 
@@ -31,12 +32,8 @@ pub(crate) struct ReportCountsRow {
     #[serde(default, skip_serializing)]
     pub(crate) name: String,
     pub(crate) node_id: i64,
-    pub(crate) first_ms: i64,
-    pub(crate) last_ms: i64,
-    pub(crate) stored: i64,
-    pub(crate) set_aside: i64,
-    pub(crate) refused: i64,
-    pub(crate) resets: i64,
+    #[serde(flatten)]
+    pub(crate) totals: ReportCounts,
     #[serde(flatten)]
     pub(crate) counts: Counts,
 }

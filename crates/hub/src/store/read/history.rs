@@ -1,7 +1,6 @@
 //! Reads clips, events, report counts and invalid reports.
 
 use super::audit::{audit, audit_figures};
-use crate::ingest::Counts;
 use crate::store::row::{json_text, read, read_all};
 use crate::store::{Store, StoreError};
 use albireo_wire::{AuditFigures, EnergyQuality};
@@ -256,11 +255,6 @@ impl Store {
         let text =
             "SELECT r.* FROM report_counts r JOIN nodes n ON n.id = r.node_id WHERE n.name = $1";
         let rows = self.query(text, vec![node.into()]).await?;
-        let Some(mut row) = rows.into_iter().next() else {
-            return Ok(None);
-        };
-        let missing = read::<Counts>(row.clone())?.missing();
-        row.insert("missing".to_owned(), missing.into());
-        read(row).map(Some)
+        rows.into_iter().next().map(read).transpose()
     }
 }

@@ -14,7 +14,7 @@ CREATE TABLE nodes (
 );
 
 -- The reports of a node: how many were stored, and which of its running counts never came. Counts are told from `base` on;
--- `missing` is a JSON array of ranges; one below `base` is asked for, but nobody knows whether those reports exist.
+-- `ranges` is a JSON array of them; one below `base` is asked for, but nobody knows whether those reports exist.
 CREATE TABLE report_counts (
     node_id BIGINT NOT NULL PRIMARY KEY REFERENCES nodes (id),
     first_ms BIGINT NOT NULL,
@@ -25,7 +25,8 @@ CREATE TABLE report_counts (
     resets BIGINT NOT NULL DEFAULT 0,
     base BIGINT NOT NULL DEFAULT 0,
     highest BIGINT NOT NULL DEFAULT 0,
-    missing TEXT NOT NULL DEFAULT '[]'
+    missing BIGINT NOT NULL DEFAULT 0,
+    ranges TEXT NOT NULL DEFAULT '[]'
 );
 
 -- The identity of each report that came, for as long as a node may send it again. `day` is the day of the identity's own

@@ -9,7 +9,8 @@ SELECT n.name,
        COALESCE(r.resets, 0) AS resets,
        COALESCE(r.base, 0) AS base,
        COALESCE(r.highest, 0) AS highest,
-       COALESCE(r.missing, '[]') AS missing
+       COALESCE(r.missing, 0) AS missing,
+       COALESCE(r.ranges, '[]') AS ranges
 FROM nodes n
 LEFT JOIN report_counts r ON r.node_id = n.id
 WHERE n.name IN

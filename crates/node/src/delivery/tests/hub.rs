@@ -227,7 +227,7 @@ impl Hub {
         let counted = number("SELECT COALESCE(sum(stored), 0) FROM report_counts");
         let stored = number("SELECT count(*) FROM clips");
         assert_eq!(counted, stored, "reports counted as stored");
-        let longest = number("SELECT COALESCE(max(length(missing)), 0) FROM report_counts");
+        let longest = number("SELECT COALESCE(max(length(ranges)), 0) FROM report_counts");
         assert!(longest <= 1000, "ranges of {longest} bytes");
         let senseless = number("SELECT count(*) FROM set_aside");
         assert_eq!(senseless, 0, "reports set aside");
