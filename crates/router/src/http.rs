@@ -31,7 +31,7 @@ impl RouterView {
         match self.session.get() {
             None => Some("it does not listen yet".to_owned()),
             Some(session) if session.is_closed() => Some("its session is closed".to_owned()),
-            Some(_) => self.probes.stuck(),
+            Some(_) => self.probes.seen().stuck(),
         }
     }
 }
@@ -60,7 +60,7 @@ async fn readyz(State(view): State<RouterView>) -> Response {
 }
 
 async fn metrics(State(view): State<RouterView>) -> MetricsPage {
-    let mut page = MetricsPage::default();
+    let (mut page, seen) = (MetricsPage::default(), view.probes.seen());
     page.gauges(
         "albireo_router_build_info",
         "The running program, always 1",
@@ -84,12 +84,12 @@ async fn metrics(State(view): State<RouterView>) -> MetricsPage {
     page.gauge(
         "albireo_router_probe_seconds",
         "Duration of the last attempt to open a session; absent if it failed",
-        view.probes.took().map(|took| took.as_secs_f64()),
+        seen.took.map(|took| took.as_secs_f64()),
     );
     page.counter(
         "albireo_router_probes_failed_total",
         "Attempts of the router to open a session to itself that failed",
-        view.probes.failed() as f64,
+        seen.failed as f64,
     );
     page.process();
     page

@@ -15,12 +15,27 @@ const LIMIT: Duration = Duration::from_secs(20);
 /// Consecutive failures before the router counts as stuck. A single attempt may fail while many nodes join.
 const STUCK_AFTER: u32 = 3;
 
-#[derive(Debug, Default)]
-struct Seen {
-    failures: u32,
-    failed: u64,
-    took: Option<Duration>,
+/// What the attempts showed.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Seen {
+    /// Failed attempts since the last one that succeeded.
+    in_a_row: u32,
+    /// Failed attempts since the start.
+    pub(crate) failed: u64,
+    /// The duration of the last attempt; `None` if it failed, or before the first.
+    pub(crate) took: Option<Duration>,
     error: String,
+}
+
+impl Seen {
+    /// The reason to assume that the router no longer accepts sessions, if any.
+    pub(crate) fn stuck(&self) -> Option<String> {
+        let Self {
+            in_a_row, error, ..
+        } = self;
+        (*in_a_row >= STUCK_AFTER)
+            .then(|| format!("{in_a_row} attempts in a row opened no session: {error}"))
+    }
 }
 
 /// The results of the attempts.
@@ -28,37 +43,21 @@ struct Seen {
 pub(crate) struct Probes(Arc<Mutex<Seen>>);
 
 impl Probes {
-    /// The number of failed attempts since the start.
-    pub(crate) fn failed(&self) -> u64 {
-        self.0.lock().failed
-    }
-
-    /// The duration of the last attempt; `None` if it failed, or before the first.
-    pub(crate) fn took(&self) -> Option<Duration> {
-        self.0.lock().took
-    }
-
-    /// The reason to assume that the router no longer accepts sessions, if any.
-    pub(crate) fn stuck(&self) -> Option<String> {
-        let state = self.0.lock();
-        (state.failures >= STUCK_AFTER).then(|| {
-            format!(
-                "{} attempts in a row opened no session: {}",
-                state.failures, state.error
-            )
-        })
+    /// The results until now.
+    pub(crate) fn seen(&self) -> Seen {
+        self.0.lock().clone()
     }
 
     fn record(&self, outcome: Result<Duration, String>) {
         let mut state = self.0.lock();
         match outcome {
             Ok(took) => {
-                state.failures = 0;
+                state.in_a_row = 0;
                 state.took = Some(took);
             }
             Err(error) => {
                 tracing::warn!(%error, "the router accepted no session");
-                state.failures = state.failures.saturating_add(1);
+                state.in_a_row = state.in_a_row.saturating_add(1);
                 state.failed += 1;
                 state.took = None;
                 state.error = error;
@@ -149,14 +148,15 @@ mod tests {
         for _ in 0..2 {
             probes.record(Err("none".to_owned()));
         }
-        assert_eq!(probes.stuck(), None);
+        assert_eq!(probes.seen().stuck(), None);
         probes.record(Ok(Duration::from_millis(3)));
         for _ in 0..3 {
             probes.record(Err("none".to_owned()));
         }
-        let stuck = probes.stuck().unwrap();
+        let seen = probes.seen();
+        let stuck = seen.stuck().unwrap();
         let expected = "3 attempts in a row opened no session: none";
         assert!(stuck.contains(expected), "{stuck}");
-        assert_eq!((probes.failed(), probes.took()), (5, None));
+        assert_eq!((seen.failed, seen.took), (5, None));
     }
 }

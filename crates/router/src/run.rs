@@ -156,7 +156,7 @@ async fn route(
         move || ServiceState {
             ready: notified_view.reason().is_none(),
             reasons: notified_view.reason().unwrap_or_default(),
-            stuck: notified_view.probes.stuck(),
+            stuck: notified_view.probes.seen().stuck(),
         },
         shutdown.clone(),
     ));

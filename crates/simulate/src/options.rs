@@ -35,13 +35,13 @@ pub struct Options {
     #[arg(long, default_value = "sim-")]
     pub name: String,
     /// Duration after all sessions are open, seconds.
-    #[arg(long = "seconds", alias = "for", default_value = "60", value_name = "SECONDS", value_parser = seconds)]
+    #[arg(long = "seconds", default_value = "60", value_name = "SECONDS", value_parser = seconds)]
     pub duration: Duration,
     /// Seconds between two heartbeats.
-    #[arg(long = "status-seconds", help_heading = REPORTS, alias = "status-s", default_value_t = 30.0)]
+    #[arg(long = "status-seconds", help_heading = REPORTS, default_value_t = 30.0)]
     pub status_s: f64,
     /// Length of a clip, seconds.
-    #[arg(long = "clip-seconds", help_heading = REPORTS, alias = "clip-s", default_value_t = 40.0)]
+    #[arg(long = "clip-seconds", help_heading = REPORTS, default_value_t = 40.0)]
     pub clip_s: f64,
     /// Reports that a node gathers before it sends them.
     #[arg(long, help_heading = REPORTS, default_value_t = 12)]

@@ -30,21 +30,18 @@ pub struct Summary {
 
 impl fmt::Display for Summary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self {
-            nodes,
-            sessions,
-            opened_s,
-            played_s,
-            drained_s,
-            counts,
-            ..
-        } = self;
+        let counts = &self.counts;
+        writeln!(
+            f,
+            "{} nodes, {} sessions (open after {:.1} s), {:.0} s",
+            self.nodes, self.sessions, self.opened_s, self.played_s
+        )?;
+        let drained_s = self.drained_s;
         let bytes = counts.batch_bytes / counts.batches.max(1);
         let (busy, refused, no_reply) = (counts.busy, counts.refused, counts.no_reply);
         writeln!(
             f,
-            "{nodes} nodes, {sessions} sessions (open after {opened_s:.1} s), {played_s:.0} s\n\
-             status           {:>10}\n\
+            "status           {:>10}\n\
              reports made     {:>10}\n  \
              acknowledged   {:>10}  the last {drained_s:.1} s after the end\n\
              batches sent     {:>10}  {bytes} B each; {busy} busy, {refused} refused, {no_reply} unanswered",
