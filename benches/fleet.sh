@@ -53,10 +53,10 @@ start_router() {
     until grep -q ready "$folder/router.out"; do sleep 0.1; done
 }
 # Only what this script started is ended.
-end() { kill "${router:-}" "${hub_process:-}" "${watcher:-}" 2> /dev/null || true; wait 2> /dev/null || true; rm -rf "$folder"; }
+end() { kill "${router:-}" "${hub_process:-}" "${watcher:-}" "${simulator:-}" "${meter:-}" 2> /dev/null || true; wait 2> /dev/null || true; rm -rf "$folder"; }
 trap end EXIT
 start_router
-env "${hub_zenoh[@]}" ALBIREO_HTTP__LISTEN=127.0.0.1:18090 ALBIREO_PRESENCE__TOKENS=false \
+env "${hub_zenoh[@]}" ALBIREO_HTTP__LISTEN=127.0.0.1:18090 \
     ALBIREO_DATABASE__URL="${DATABASE:-sqlite:$folder/hub.db}" "$albireo" hub 2> "$folder/hub.log" &
 hub_process=$!
 until curl -sf $hub/readyz > /dev/null; do sleep 0.1; done
@@ -77,9 +77,26 @@ elif [ -n "${RESTART:-}" ]; then
      trap 'kill $router $!' EXIT TERM; sleep 1000 > /dev/null 2>&1 & wait) &
     watcher=$!
 fi
-"$albireo" simulate --nodes "$nodes" --sessions "$sessions" --seconds "$seconds" --connect "$place" \
-    --pid hub=$hub_process --pid router=$router "$@" 2> >(while read -r line; do
-        case $line in *'sessions open'*) touch "$folder/open" ;; esac; echo "$line"; done) || true
+"$albireo" simulate --nodes "$nodes" --sessions "$sessions" --seconds "$seconds" --connect "$place" "$@" \
+    2> >(while read -r line; do
+        case $line in *'sessions open'*) touch "$folder/open" ;; esac; echo "$line"; done) &
+simulator=$!
+cpu_s() { awk -v ticks="$(getconf CLK_TCK)" '{ print ($14 + $15) / ticks }' "/proc/$1/stat"; }
+# What each costs from when all sessions are open to the end of the load.
+(until [ -e "$folder/open" ]; do sleep 0.2; done
+ begun=()
+ for one in "hub $hub_process" "router $router" "simulator $simulator"; do begun+=("$one $(cpu_s "${one#* }")"); done
+ sleep "$seconds"
+ for one in "${begun[@]}"; do
+     read -r name pid before <<< "$one"
+     awk -v name="$name" -v used="$(cpu_s "$pid")" -v before="$before" -v seconds="$seconds" \
+         '/^VmRSS/ { now = $2 } /^VmHWM/ { most = $2 }
+          END { printf "%-16s %.1f %% of a core, %.0f MB, at most %.0f MB\n", name, (used - before) / seconds * 100, now / 1e3, most / 1e3 }' \
+         "/proc/$pid/status" || true
+ done) &
+meter=$!
+wait "$simulator" || true
+if [ -e "$folder/open" ]; then wait "$meter" || true; fi
 if [ -n "${API:-}${SET_U:-}" ]; then wait "$watcher" || true; fi
 curl -s $hub/metrics | grep -E '^albireo_hub_(clips_total|commit_p99|acknowledged_after|nodes\{|batches_refused|reports_missing|database_errors|statuses_overrun|sessions)'
 grep -c 'trying again' "$folder/hub.log" | sed 's/^/hub: warnings of a lost session or database: /' || true

@@ -27,7 +27,7 @@ done
 for router in 1 2; do until grep -q ready "$folder/router$router.out"; do sleep 0.1; done; done
 for hub in 1 2; do
     ALBIREO_ZENOH__MODE=client ALBIREO_ZENOH__CONNECT="[\"tcp/127.0.0.1:1744$hub\"]" ALBIREO_ZENOH__LISTEN='[]' \
-        ALBIREO_DATABASE__URL="$DATABASE" ALBIREO_HTTP__LISTEN=127.0.0.1:1809$hub ALBIREO_PRESENCE__TOKENS=false \
+        ALBIREO_DATABASE__URL="$DATABASE" ALBIREO_HTTP__LISTEN=127.0.0.1:1809$hub \
         "$albireo" hub 2> "$folder/hub$hub.log" &
     started+=($!)
     eval "hub$hub=$!"
@@ -35,7 +35,7 @@ for hub in 1 2; do
 done
 for router in 1 2; do
     "$albireo" simulate --nodes "$nodes" --sessions "$sessions" --seconds "$seconds" --name "at$router-" --drain 60 \
-        --connect tcp/127.0.0.1:1744$router --pid hub1=$hub1 --pid hub2=$hub2 > "$folder/simulate$router.out" 2>&1 &
+        --connect tcp/127.0.0.1:1744$router > "$folder/simulate$router.out" 2>&1 &
     eval "playing$router=$!"
     started+=($!)
 done
@@ -47,4 +47,4 @@ wait $playing2 || true
 cat "$folder/simulate1.out" "$folder/simulate2.out"
 psql=("$postgres_tools/psql" -h 127.0.0.1 -p 15432 -U hub -At fleet)
 echo "rows: $("${psql[@]}" -c 'select count(*) from clips'), of them different: $("${psql[@]}" -c \
-    'select count(*) from (select distinct instance_id, report from clips) one')"
+    'select count(distinct report_id) from clips')"

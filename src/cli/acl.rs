@@ -2,7 +2,7 @@
 
 use super::cert::AuthorityPlace;
 use albireo_router::access::access_control;
-use albireo_router::authority::write_public;
+use albireo_router::authority::{PUBLIC, write};
 use anyhow::Context;
 use std::path::PathBuf;
 
@@ -44,7 +44,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         None => print!("{text}"),
         Some(file) => {
             // The file is replaced as a whole, because the router may start at any moment.
-            write_public(file, &text).context("the rules cannot be written")?;
+            write(file, &text, PUBLIC).context("the rules cannot be written")?;
             let subjects = access["subjects"].as_array().map_or(0, Vec::len);
             println!("{}: {subjects} certificates have access", file.display());
         }

@@ -15,9 +15,8 @@ a report was not acknowledged by the end.
 Examples:
   albireo simulate
       100 nodes on 4 sessions for a minute
-  albireo simulate --nodes 10000 --sessions 50 --seconds 300 --pid hub=4711 \\
-      --pid router=4712
-      the load of 10,000 nodes for five minutes, and the cost of hub and router
+  albireo simulate --nodes 10000 --sessions 50 --seconds 300
+      the load of 10,000 nodes for five minutes
   albireo simulate --nodes 40 --clip-seconds 1 --status-seconds 2 --gather 1 \\
       --seconds 600 --worse-above 4e-4
       a small fast fleet that values above 4e-4 harm, for trying a rollout

@@ -71,8 +71,8 @@ impl Authority {
         let mut params = authority_params(name);
         set_validity(&mut params, lasts)?;
         let certificate = params.self_signed(&key)?;
-        write_private(&folder.join(AUTHORITY_KEY), &key.serialize_pem())?;
-        write_public(&file, &certificate.pem())?;
+        write(&folder.join(AUTHORITY_KEY), &key.serialize_pem(), PRIVATE)?;
+        write(&file, &certificate.pem(), PUBLIC)?;
         List::open(folder)?.write()?;
         Self::open(folder)
     }
@@ -179,8 +179,8 @@ impl Authority {
         };
         create_folder(&self.folder.join(issued.entry.role.as_str()))?;
         // The key first: a certificate with the wrong key is worse than a key without its certificate.
-        write_private(&issued.key, &key.serialize_pem())?;
-        write_public(&issued.certificate, &certificate.pem())?;
+        write(&issued.key, &key.serialize_pem(), PRIVATE)?;
+        write(&issued.certificate, &certificate.pem(), PUBLIC)?;
         self.list.put(issued.entry.clone())?;
         Ok(issued)
     }
@@ -212,28 +212,27 @@ fn create_folder(folder: &Path) -> Result<(), RouterError> {
         .map_err(at(folder))
 }
 
-/// Writes a file that only the owner may read.
-fn write_private(file: &Path, text: &str) -> Result<(), RouterError> {
-    write(file, text, 0o600).map_err(at(file))
-}
+/// The permissions of a file that only its owner may read, and of one that all may.
+pub(crate) const PRIVATE: u32 = 0o600;
+/// See [`PRIVATE`].
+pub const PUBLIC: u32 = 0o644;
 
-/// Writes a world-readable file atomically and syncs it.
+/// Writes a file with these permissions atomically and syncs it.
 ///
 /// # Errors
 /// [`RouterError`] with the file's name if it cannot be written.
-pub fn write_public(file: &Path, text: &str) -> Result<(), RouterError> {
-    write(file, text, 0o644).map_err(at(file))
-}
-
-fn write(file: &Path, text: &str, mode: u32) -> std::io::Result<()> {
+pub fn write(file: &Path, text: &str, mode: u32) -> Result<(), RouterError> {
     let folder = file.parent().filter(|folder| *folder != Path::new(""));
-    let mut new = tempfile::Builder::new()
-        .permissions(Permissions::from_mode(mode))
-        .tempfile_in(folder.unwrap_or(Path::new(".")))?;
-    new.write_all(text.as_bytes())?;
-    new.as_file().sync_all()?;
-    new.persist(file)?;
-    Ok(())
+    let written = || {
+        let mut new = tempfile::Builder::new()
+            .permissions(Permissions::from_mode(mode))
+            .tempfile_in(folder.unwrap_or(Path::new(".")))?;
+        new.write_all(text.as_bytes())?;
+        new.as_file().sync_all()?;
+        new.persist(file)?;
+        Ok::<_, std::io::Error>(())
+    };
+    written().map_err(at(file))
 }
 
 /// Returns the common name of the certificate in a file.

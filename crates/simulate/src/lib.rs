@@ -1,7 +1,6 @@
 //! Simulates a fleet of nodes for a hub over real Zenoh sessions: status, reports, and reactions to desired settings.
-//! Reports what it sent, what was acknowledged, and the cost of its own and other processes.
+//! Reports what it sent and what was acknowledged.
 
-mod cost;
 mod error;
 mod node;
 mod options;
@@ -9,13 +8,11 @@ mod play;
 mod summary;
 mod totals;
 
-pub use cost::ProcessCost;
 pub use error::SimulateError;
 pub use options::Options;
 pub use summary::Summary;
 pub use totals::{Counts, DelaySummary};
 
-use cost::Process;
 use futures_util::stream::{self, StreamExt, TryStreamExt};
 use node::SimNode;
 use play::Player;
@@ -62,9 +59,6 @@ pub async fn run(
         sessions.len()
     ));
 
-    let mut processes = vec![Process::begin("simulator", std::process::id())];
-    let watched = options.watch.iter();
-    processes.extend(watched.map(|(name, pid)| Process::begin(name, *pid)));
     let end = CancellationToken::new();
     let (began, started_ns) = (Instant::now(), options::now_ns());
     let mut playing = JoinSet::new();
@@ -81,12 +75,10 @@ pub async fn run(
         tokio::select! {
             () = tokio::time::sleep_until(until) => break,
             () = shutdown.cancelled() => break,
-            _ = every.tick() => progress(line(began, &totals, &processes)),
+            _ = every.tick() => progress(line(began, &totals)),
         }
     }
     let played_s = began.elapsed().as_secs_f64();
-    // Before the drain, whose cost is not part of the load.
-    let costs = processes.iter().map(Process::cost).collect();
     end.cancel();
     let draining = Instant::now();
     let rest = async {
@@ -114,13 +106,12 @@ pub async fn run(
         drained_s: draining.elapsed().as_secs_f64(),
         counts,
         answers: totals.answers.summary(),
-        costs,
     })
 }
 
-fn line(began: Instant, totals: &Totals, processes: &[Process]) -> String {
+fn line(began: Instant, totals: &Totals) -> String {
     let (counts, answers) = (*totals.counts.lock(), totals.answers.summary());
-    let mut text = format!(
+    format!(
         "{:>5.0} s  {} status, {} made, {} acknowledged, {} busy, {} unanswered, p99 {:.0} ms",
         began.elapsed().as_secs_f64(),
         counts.statuses,
@@ -129,9 +120,5 @@ fn line(began: Instant, totals: &Totals, processes: &[Process]) -> String {
         counts.busy,
         counts.no_reply,
         answers.p99_ms,
-    );
-    for process in processes {
-        text += &format!("; {}", process.cost());
-    }
-    text
+    )
 }

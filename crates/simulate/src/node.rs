@@ -49,7 +49,6 @@ pub(crate) struct SimNode {
     target: Option<NodeTarget>,
     seq: u64,
     full_due: bool,
-    reported_revision: Option<u64>,
 }
 
 impl SimNode {
@@ -76,7 +75,6 @@ impl SimNode {
             target: None,
             seq: 0,
             full_due: true,
-            reported_revision: None,
             seed,
         }
     }
@@ -172,9 +170,8 @@ impl SimNode {
 
     /// The payload of the next status; a heartbeat if nothing changed.
     pub(crate) fn status_payload(&mut self, now_ns: u64) -> Result<Vec<u8>, serde_json::Error> {
-        let reported = self.reported_revision.replace(self.revision) == Some(self.revision);
         let message = self.status(now_ns);
-        if message.full.is_some() || !reported {
+        if message.full.is_some() {
             return serde_json::to_vec(&message);
         }
         let heartbeat = Heartbeat {

@@ -9,8 +9,6 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 const MOST_NODES: usize = 1_000_000;
 /// The maximum number of sessions in a run: each is a connection, with much state at both ends.
 const MOST_SESSIONS: usize = 20_000;
-/// The maximum duration of a run.
-const LONGEST: Duration = Duration::from_secs(86_400);
 
 /// Headings of the help text.
 const REPORTS: &str = "Reports";
@@ -67,24 +65,16 @@ pub struct Options {
     /// Seed of the times and figures; random by default.
     #[arg(long, default_value_t = now_ns(), hide_default_value = true)]
     pub seed: u64,
-    /// A process whose cost is also reported, `hub=4711`; may be given several times.
-    #[arg(long = "pid", value_name = "NAME=PID", value_parser = named_pid)]
-    pub watch: Vec<(String, u32)>,
 }
 
 fn seconds(text: &str) -> Result<Duration, String> {
-    let seconds = text.parse().map_err(|_| "not a number".to_owned())?;
-    Duration::try_from_secs_f64(seconds).map_err(|error| error.to_string())
-}
-
-fn named_pid(text: &str) -> Result<(String, u32), String> {
-    let (name, pid) = text
-        .split_once('=')
-        .ok_or("write NAME=PID, such as hub=4711")?;
-    let pid = pid
-        .parse()
-        .map_err(|_| format!("`{pid}` is not a process number"))?;
-    Ok((name.to_owned(), pid))
+    let seconds = text
+        .parse::<f64>()
+        .ok()
+        .filter(|s| (0.0..=86_400.0).contains(s));
+    seconds
+        .map(Duration::from_secs_f64)
+        .ok_or_else(|| "must be a number of seconds, at most a day".to_owned())
 }
 
 /// Nanoseconds since the Unix epoch.
@@ -124,9 +114,6 @@ impl Options {
         within("clip-seconds", self.clip_s, 0.1, 86_400.0)?;
         // More would not fit into the largest batch that a hub accepts.
         within("gather", self.gather as f64, 1.0, 500.0)?;
-        if self.duration > LONGEST || self.drain > LONGEST {
-            return Err("seconds and drain must be at most a day".to_owned());
-        }
         if !is_on_this_machine(&self.connect) {
             return Err(format!(
                 "`{}` is not on this machine: a simulated fleet connects only over loopback (tcp/127.0.0.1:7448)",

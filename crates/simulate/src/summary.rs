@@ -1,6 +1,5 @@
 //! Summarises a run, as a table and as JSON.
 
-use super::cost::ProcessCost;
 use super::totals::{Counts, DelaySummary};
 use serde::Serialize;
 use std::fmt;
@@ -24,8 +23,6 @@ pub struct Summary {
     /// The delay from sending a batch to its acknowledgement, without two floods that only the simulation has: all
     /// nodes start at the same time, and all send their remaining reports at the same time at the end.
     pub answers: DelaySummary,
-    /// The cost of processes during the load.
-    pub costs: Vec<ProcessCost>,
 }
 
 impl fmt::Display for Summary {
@@ -52,10 +49,6 @@ impl fmt::Display for Summary {
             f,
             "acknowledgement  p50 {:.0} ms, p99 {:.0} ms, largest {:.0} ms, of {} between start and end",
             answers.p50_ms, answers.p99_ms, answers.largest_ms, answers.count
-        )?;
-        for cost in &self.costs {
-            writeln!(f, "{cost}")?;
-        }
-        Ok(())
+        )
     }
 }

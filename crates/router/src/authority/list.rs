@@ -1,6 +1,6 @@
 //! Keeps the list of the certificates that an authority has issued.
 
-use super::{read, write_private};
+use super::{PRIVATE, read, write};
 use crate::error::{RouterError, at};
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
@@ -117,7 +117,7 @@ impl List {
 
     pub(super) fn write(&self) -> Result<(), RouterError> {
         let text = serde_json::to_string_pretty(&self.stored).map_err(at(&self.file))?;
-        write_private(&self.file, &(text + "\n"))
+        write(&self.file, &(text + "\n"), PRIVATE)
     }
 
     pub(super) fn entries(&self) -> &[Entry] {
