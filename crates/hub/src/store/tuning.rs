@@ -46,7 +46,7 @@ pub(crate) struct DesiredRow {
 fn runs(rows: &[Row]) -> Result<Vec<Run>, StoreError> {
     let run = |row: &Row| {
         let state = row.get("state").and_then(Value::as_str);
-        Ok(serde_json::from_str(state.unwrap_or_default())?)
+        Ok::<Run, StoreError>(serde_json::from_str(state.unwrap_or_default())?)
     };
     rows.iter().map(run).collect()
 }
