@@ -149,11 +149,8 @@ async fn parts(config: &HubConfig, view: &HubView) -> Result<(), HubError> {
         return Ok(());
     };
 
-    let (replies, replier) = Replies::start(Arc::clone(&view.ingest)).map_err(HubError::at(
-        "the thread that sends answers cannot be started",
-    ))?;
-    let (queue, written) = ingest::start(config, view, &store, &replies)
-        .map_err(HubError::at("the ingest threads cannot be started"))?;
+    let (replies, replier) = Replies::start(Arc::clone(&view.ingest));
+    let (queue, written) = ingest::start(config, view, &store, &replies);
     // A hub that lost a task would look healthy and do half of its work. So the hub stops when a task ends, and the
     // service manager restarts it.
     let mut tasks = Supervisor::new(readiness.clone(), TaskFailures::default(), shutdown.clone());
@@ -194,7 +191,8 @@ async fn parts(config: &HubConfig, view: &HubView) -> Result<(), HubError> {
     }
     // Known nodes report their state now instead of at their next interval.
     view.fleet.each(|NodeView { node, .. }| {
-        (listening.notifier).notify(node, view.desires.of(node).revision);
+        let notice = (node.clone(), view.desires.of(node).revision);
+        let _ = listening.notifier.try_send(notice);
     });
     zenoh.works();
     let locators: Vec<String> = session
@@ -216,7 +214,7 @@ async fn parts(config: &HubConfig, view: &HubView) -> Result<(), HubError> {
         tasks.finish().await;
         drop(listening);
         // The last answers are sent before the session closes.
-        let _ = tokio::task::spawn_blocking(move || replier.join()).await;
+        let _ = replier.await;
         if let Err(error) = session.close().await {
             tracing::warn!(%error, "Zenoh session not closed cleanly");
         }

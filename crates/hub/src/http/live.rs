@@ -56,7 +56,8 @@ impl HubView {
     /// Renews the node's lease, and notifies it.
     fn watch(&self, reach: &Reach, node: &str) {
         self.desires.watch(node, LEASE);
-        reach.notifier.notify(node, self.desires.of(node).revision);
+        let notice = (node.to_owned(), self.desires.of(node).revision);
+        let _ = reach.notifier.try_send(notice);
     }
 }
 

@@ -6,8 +6,8 @@ use albireo_wire::{NodeKeys, RefusalReason, ReportRefusal, VERSION};
 use serde::Serialize;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
-use std::thread::JoinHandle;
 use std::time::Duration;
+use tokio::task::{JoinHandle, spawn_blocking};
 use zenoh::Wait;
 use zenoh::query::Query;
 
@@ -33,21 +33,16 @@ pub(crate) struct Replies {
 
 impl Replies {
     /// Starts the thread; it ends when the last sender is dropped.
-    ///
-    /// # Errors
-    /// When the thread cannot be started.
-    pub(crate) fn start(counters: Arc<IngestCounters>) -> std::io::Result<(Self, JoinHandle<()>)> {
+    pub(crate) fn start(counters: Arc<IngestCounters>) -> (Self, JoinHandle<()>) {
         let (sender, replies) = sync_channel(QUEUE);
         let counted = Arc::clone(&counters);
-        let thread = std::thread::Builder::new()
-            .name("replies".to_owned())
-            .spawn(move || send(&replies, &counted))?;
+        let thread = spawn_blocking(move || send(&replies, &counted));
         let replies = Self {
             sender,
             places: Arc::new(PerNode::new(MOST_OF_A_NODE)),
             counters,
         };
-        Ok((replies, thread))
+        (replies, thread)
     }
 
     /// Answers a query.

@@ -13,7 +13,7 @@ use std::future::Future;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::{Duration, Instant};
-use tokio::sync::oneshot;
+use tokio::task::spawn_blocking;
 
 /// Longest time between two checks for changes of presence, also without reports.
 const IDLE: Duration = Duration::from_millis(250);
@@ -37,15 +37,12 @@ const COMMIT_REPORTS: usize = 4000;
 const COMMIT_BYTES: usize = 16 << 20;
 
 /// Starts the threads. They end once the queue is dropped and empty; then the returned future completes.
-///
-/// # Errors
-/// When a thread cannot be started.
 pub(crate) fn start(
     config: &HubConfig,
     view: &HubView,
     store: &Store,
     replies: &Replies,
-) -> std::io::Result<(ReportQueue, impl Future<Output = ()> + use<>)> {
+) -> (ReportQueue, impl Future<Output = ()> + use<>) {
     let (queue, waiting) = sync_channel(MOST_BATCHES);
     let (sender, ready) = sync_channel(READY);
     let shared = Shared {
@@ -63,27 +60,13 @@ pub(crate) fn start(
         pause: Duration::from_millis(config.ingest.commit_ms),
         shared: shared.clone(),
     };
-    let reading = thread("reports", move || reader.run(&waiting))?;
-    let writing = thread("writer", move || writer.run(&ready))?;
+    let reading = spawn_blocking(move || reader.run(&waiting));
+    let writing = spawn_blocking(move || writer.run(&ready));
     let ended = async move {
         let _ = reading.await;
         let _ = writing.await;
     };
-    Ok((ReportQueue { queue, shared }, ended))
-}
-
-/// Starts a thread whose end can be awaited.
-fn thread(
-    name: &str,
-    run: impl FnOnce() + Send + 'static,
-) -> std::io::Result<oneshot::Receiver<()>> {
-    let (running, ended) = oneshot::channel();
-    let builder = std::thread::Builder::new().name(name.to_owned());
-    builder.spawn(move || {
-        let _running: oneshot::Sender<()> = running;
-        run();
-    })?;
-    Ok(ended)
+    (ReportQueue { queue, shared }, ended)
 }
 
 /// Parses batches.

@@ -85,23 +85,8 @@ pub(crate) struct Listening {
     pub(crate) notifier: Notifier,
 }
 
-/// Sends notices to nodes.
-#[derive(Clone, Debug)]
-pub struct Notifier(SyncSender<(String, u64)>);
-
-impl From<SyncSender<(String, u64)>> for Notifier {
-    /// A notice is the node, and the revision that it may pull.
-    fn from(sender: SyncSender<(String, u64)>) -> Self {
-        Self(sender)
-    }
-}
-
-impl Notifier {
-    /// Notifies `node` that it has something to pull. Never waits.
-    pub(crate) fn notify(&self, node: &str, revision: u64) {
-        let _ = self.0.try_send((node.to_owned(), revision));
-    }
-}
+/// Sends notices to nodes: the node, and the revision that it may pull.
+pub type Notifier = SyncSender<(String, u64)>;
 
 /// Declares the subscribers and the queryable. Also returns the task that handles the messages until the shutdown.
 pub(crate) async fn listen(
@@ -112,9 +97,7 @@ pub(crate) async fn listen(
 ) -> Result<(Listening, impl Future<Output = ()> + Send + use<>), HubError> {
     let keys = config.keys()?;
     let (sender, messages) = mpsc::channel(QUEUE);
-    let notifier = start_notifier(session.clone(), config.hub.prefix.clone()).map_err(
-        HubError::at("the thread that sends notices cannot be started"),
-    )?;
+    let notifier = start_notifier(session.clone(), config.hub.prefix.clone());
     let is_client = config.zenoh.mode == ZenohMode::Client;
     let receiver = Receiver {
         messages,
@@ -188,35 +171,33 @@ pub(crate) async fn listen(
 }
 
 /// Starts a thread that sends notices, because a put may block. It ends when the last sender is dropped.
-fn start_notifier(session: Session, prefix: String) -> std::io::Result<Notifier> {
+fn start_notifier(session: Session, prefix: String) -> Notifier {
     let (sender, notices) = sync_channel::<(String, u64)>(NOTICES);
-    std::thread::Builder::new()
-        .name("notices".to_owned())
-        .spawn(move || {
-            let mut sent = 0_usize;
-            while let Ok((node, revision)) = notices.recv() {
-                let Ok(keys) = NodeKeys::new(&prefix, &node) else {
-                    continue;
-                };
-                let notice = ConfigChanged {
-                    v: VERSION,
-                    revision,
-                };
-                let payload = serde_json::to_vec(&notice).unwrap_or_default();
-                let put = session
-                    .put(keys.changed(), payload)
-                    .congestion_control(CongestionControl::Drop)
-                    .wait();
-                if let Err(error) = put {
-                    tracing::debug!(%error, node, "a notice was not sent");
-                }
-                sent += 1;
-                if sent.is_multiple_of(NOTICES_AT_ONCE) {
-                    std::thread::sleep(NOTICE_PAUSE);
-                }
+    tokio::task::spawn_blocking(move || {
+        let mut sent = 0_usize;
+        while let Ok((node, revision)) = notices.recv() {
+            let Ok(keys) = NodeKeys::new(&prefix, &node) else {
+                continue;
+            };
+            let notice = ConfigChanged {
+                v: VERSION,
+                revision,
+            };
+            let payload = serde_json::to_vec(&notice).unwrap_or_default();
+            let put = session
+                .put(keys.changed(), payload)
+                .congestion_control(CongestionControl::Drop)
+                .wait();
+            if let Err(error) = put {
+                tracing::debug!(%error, node, "a notice was not sent");
             }
-        })?;
-    Ok(sender.into())
+            sent += 1;
+            if sent.is_multiple_of(NOTICES_AT_ONCE) {
+                std::thread::sleep(NOTICE_PAUSE);
+            }
+        }
+    });
+    sender
 }
 
 /// Most messages handled at once.
@@ -320,7 +301,7 @@ impl Receiver {
                     Ok(is_due) => {
                         counters.count(|counts| counts.statuses += 1);
                         if is_due {
-                            self.notifier.notify(&node, 0);
+                            let _ = self.notifier.try_send((node, 0));
                         }
                     }
                     Err(error) => {

@@ -240,7 +240,7 @@ impl Tuner {
             if order.set_back == 0 {
                 self.drifted_ms.lock().remove(&node);
             }
-            self.notifier.notify(&node, revision);
+            let _ = self.notifier.try_send((node.clone(), revision));
             self.open.lock().insert(node, order);
         }
         Ok(revision)
@@ -293,7 +293,8 @@ impl Tuner {
                 && now - order.notified_ms >= NOTIFY_AGAIN_MS
             {
                 order.notified_ms = now;
-                self.notifier.notify(node, order.at.ask.revision);
+                let notice = (node.clone(), order.at.ask.revision);
+                let _ = self.notifier.try_send(notice);
             }
         }
         if !answered.is_empty() {

@@ -78,7 +78,7 @@ impl Hub {
                 store.clone(),
                 Arc::clone(&fleet),
                 Arc::clone(&desires),
-                sender.into(),
+                sender,
                 TuningConfig::default(),
                 "hub".to_owned(),
                 now.unix_ms,
