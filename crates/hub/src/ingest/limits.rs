@@ -1,7 +1,6 @@
 //! Limits what one node may send.
 
 use crate::per_node::{PerNode, Place};
-use crate::store::tables::EventRow;
 use albireo_service::clock::DAY_MS;
 use albireo_service::config::DAY_S;
 use parking_lot::Mutex;
@@ -20,10 +19,9 @@ pub(super) const BUSY_RETRY: Duration = Duration::from_secs(2);
 /// The longest wait for a node that has used up its share.
 const LONGEST_WAIT: Duration = Duration::from_secs(3600);
 
-/// Most invalid reports of a node that are kept per day; further ones are only counted.
-const SET_ASIDE_PER_DAY: u32 = 100;
-
-const MINUTE_MS: i64 = 60_000;
+/// Most events of a node and kind, and most invalid reports of a node that are kept; further ones are only counted.
+pub(super) const EVENTS: (u32, i64) = (1, 60_000);
+pub(super) const SET_ASIDE: (u32, i64) = (100, DAY_MS);
 
 /// The share of each node: the bytes that it may still send.
 #[derive(Debug)]
@@ -99,57 +97,35 @@ impl NodeLimits {
     }
 }
 
-/// Limits what is written about a node: one event of each kind per minute, and [`SET_ASIDE_PER_DAY`] invalid reports
-/// per day.
-#[derive(Debug, Default)]
-pub(crate) struct EventLimits {
-    events: Counted,
-    set_aside: Counted,
-}
-
-/// Counts by node and kind in the present span of time.
-#[derive(Debug, Default)]
-struct Counted {
+/// Limits what is written about each node.
+#[derive(Debug)]
+pub(crate) struct EntryLimit {
+    /// Most entries of a kind per span of time, and its length in milliseconds.
+    most: (u32, i64),
+    /// The number of the present span, and the entries of nodes in it, by kind.
     span: i64,
     counts: HashMap<(String, &'static str), u32>,
 }
 
-impl Counted {
-    /// Counts one more, and returns the new count.
-    fn add(&mut self, node: &str, kind: &'static str, span: i64) -> u32 {
+impl EntryLimit {
+    pub(crate) fn new(most: (u32, i64)) -> Self {
+        Self {
+            most,
+            span: 0,
+            counts: HashMap::new(),
+        }
+    }
+
+    /// Counts one more entry of a node, and returns true if it may be written.
+    pub(crate) fn allows(&mut self, node: &str, kind: &'static str, at_ms: i64) -> bool {
+        let (most, span_ms) = self.most;
+        let span = at_ms.div_euclid(span_ms);
         if std::mem::replace(&mut self.span, span) != span {
             self.counts.clear();
         }
         let count = self.counts.entry((node.to_owned(), kind)).or_default();
         *count = count.saturating_add(1);
-        *count
-    }
-}
-
-impl EventLimits {
-    /// Adds an event of a node, unless there was one of its kind in this minute.
-    pub(crate) fn event(
-        &mut self,
-        events: &mut Vec<EventRow>,
-        at_ms: i64,
-        kind: &'static str,
-        node: &str,
-        detail: serde_json::Value,
-    ) {
-        if self.is_first(node, kind, at_ms) {
-            events.push(EventRow::new(at_ms, kind, node, detail));
-        }
-    }
-
-    /// True for a node's first event of that kind in this minute.
-    pub(crate) fn is_first(&mut self, node: &str, kind: &'static str, at_ms: i64) -> bool {
-        self.events.add(node, kind, at_ms.div_euclid(MINUTE_MS)) == 1
-    }
-
-    /// True if another invalid report of `node` may be kept.
-    pub(crate) fn may_set_aside(&mut self, node: &str, at_ms: i64) -> bool {
-        let rows = self.set_aside.add(node, "", at_ms.div_euclid(DAY_MS));
-        rows <= SET_ASIDE_PER_DAY
+        *count <= most
     }
 }
 

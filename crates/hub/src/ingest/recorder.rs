@@ -2,7 +2,7 @@
 
 use super::counters::IngestCounts;
 use super::decode::{Accepted, Batch, Rejected};
-use super::limits::{ClockCheck, EventLimits};
+use super::limits::{ClockCheck, EVENTS, EntryLimit, SET_ASIDE};
 use super::plan::Seen;
 use crate::config::HistoryConfig;
 use crate::presence::News;
@@ -24,7 +24,8 @@ pub struct Recorder {
     store: Store,
     database: Option<Box<dyn Database>>,
     history: HistoryConfig,
-    event_limits: EventLimits,
+    event_limit: EntryLimit,
+    aside_limit: EntryLimit,
     clock: ClockCheck,
     retention_due: Instant,
 }
@@ -49,7 +50,8 @@ impl Recorder {
             store: store.clone(),
             database: None,
             history: history.clone(),
-            event_limits: EventLimits::default(),
+            event_limit: EntryLimit::new(EVENTS),
+            aside_limit: EntryLimit::new(SET_ASIDE),
             clock: ClockCheck::new(now.at, now.unix_ms),
             retention_due: now.at,
         }
@@ -149,7 +151,12 @@ impl Recorder {
             body: String::new(),
         };
         let (mut clips, mut aside) = (Vec::new(), Vec::new());
-        let (counts, limits) = (&mut recorded.counts, &mut self.event_limits);
+        let (counts, events) = (&mut recorded.counts, &mut recorded.events);
+        let mut event = |node: &str, kind: &'static str, detail: Value| {
+            if self.event_limit.allows(node, kind, now_ms) {
+                events.push(EventRow::new(now_ms, kind, node, detail));
+            }
+        };
         for batch in batches {
             let node = nodes.get_mut(&batch.node).ok_or_else(|| lost("a node"))?;
             let node_cameras = cameras.get(&node.node_id);
@@ -189,7 +196,7 @@ impl Recorder {
                         }
                         Rejected::Invalid { cause, body } => {
                             invalid += 1;
-                            if limits.may_set_aside(&batch.node, now_ms) {
+                            if self.aside_limit.allows(&batch.node, "", now_ms) {
                                 aside.push(json!({
                                     "node_id": node.node_id,
                                     "report_id": report.id.map(|id| id.to_string()),
@@ -220,7 +227,7 @@ impl Recorder {
                     }
                     Some(Seen::Expected) | None => continue,
                 };
-                limits.event(&mut recorded.events, now_ms, kind, &batch.node, detail);
+                event(&batch.node, kind, detail);
             }
             counts.set_aside += invalid;
             counts.clock_off += clocks_off;
@@ -231,8 +238,7 @@ impl Recorder {
                 ("clock_off", "clips", clocks_off),
             ] {
                 if count > 0 {
-                    let detail = json!({ what: count });
-                    limits.event(&mut recorded.events, now_ms, kind, &batch.node, detail);
+                    event(&batch.node, kind, json!({ what: count }));
                 }
             }
             node.totals.missing = node.counts.missing();

@@ -1,7 +1,7 @@
 //! Runs the threads of ingest: one parses batches, the other commits them and queues the answers.
 
 use super::decode::{Batch, decode};
-use super::limits::{EventLimits, NodeLimits};
+use super::limits::{EVENTS, EntryLimit, NodeLimits};
 use super::recorder::{Recorded, Recorder};
 use super::{MOST_BATCHES, Replies, ReportQueue, Shared, Waiting};
 use crate::config::HubConfig;
@@ -52,7 +52,7 @@ pub(crate) fn start(
     };
     let reader = Reader {
         shared: shared.clone(),
-        event_limits: EventLimits::default(),
+        event_limit: EntryLimit::new(EVENTS),
         ready: sender,
     };
     let writer = Writer {
@@ -72,7 +72,7 @@ pub(crate) fn start(
 /// Parses batches.
 struct Reader {
     shared: Shared,
-    event_limits: EventLimits,
+    event_limit: EntryLimit,
     ready: SyncSender<(Waiting, Batch)>,
 }
 
@@ -90,7 +90,7 @@ impl Reader {
                 }
                 Err(error) => {
                     shared.limits.charge(node, UNREADABLE_COST);
-                    if self.event_limits.is_first(node, "refused", now_ms) {
+                    if self.event_limit.allows(node, "refused", now_ms) {
                         tracing::warn!(node, error, "a batch cannot be read");
                         shared.view.fleet.unreadable(node, &error, now_ms);
                     }
