@@ -160,23 +160,17 @@ async fn route(
         },
         shutdown.clone(),
     ));
-    let probing = endpoints.first().map(|endpoint| {
-        tokio::spawn(view.probes.clone().run(
-            of_router,
-            endpoint.clone(),
-            Duration::from_secs(options.probe_s),
-            shutdown.clone(),
-        ))
-    });
+    if let Some(endpoint) = endpoints.first() {
+        let period = Duration::from_secs(options.probe_s);
+        let probes = view.probes.clone();
+        tokio::spawn(probes.run(of_router, endpoint.clone(), period, shutdown.clone()));
+    }
     shutdown.cancelled().await;
     let _ = notifier.await;
     let closing = tokio::task::spawn_blocking(move || session.close().wait());
     let closed = tokio::time::timeout(STOP_LIMIT, closing).await;
     if !matches!(closed, Ok(Ok(Ok(())))) {
         tracing::warn!("the router's session was not closed cleanly");
-    }
-    if let Some(probing) = probing {
-        probing.abort();
     }
     Ok(())
 }
