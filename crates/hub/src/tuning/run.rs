@@ -12,7 +12,7 @@ mod record;
 mod tests;
 
 pub use measured::{ArmFigure, ArmResult, TrialResult};
-pub use record::{Entry, What};
+pub use record::{Entry, LeftOut, StageView, What};
 
 use super::effect::FEWEST_NODES;
 use super::gate::Verdict;
@@ -23,7 +23,7 @@ use crate::named::named;
 use crate::presence::NodeView;
 use albireo_wire::Threshold;
 use serde::{Deserialize, Serialize};
-use std::collections::{BTreeMap, HashMap};
+use std::collections::HashMap;
 use utoipa::ToSchema;
 
 /// Most times that a stage's gates are judged: half-way (when they can only fail), at the end of the soak, and at the
@@ -158,24 +158,6 @@ impl Kind {
             Self::Trial { plan } => plan.check(),
         }
     }
-}
-
-/// A stage of a rollout, or a group of a trial.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct StageView {
-    /// The number of nodes that it adds.
-    pub nodes: usize,
-    /// The number of them by outcome.
-    pub counts: BTreeMap<Outcome, usize>,
-}
-
-/// A node that was selected and takes no part, and why.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct LeftOut {
-    /// The node.
-    pub node: String,
-    /// The reason.
-    pub why: String,
 }
 
 /// A rollout or a trial: its plan, nodes, phase and record.

@@ -1,9 +1,10 @@
-//! Defines the record of a rollout or trial.
+//! Defines the record of a rollout or trial, and what an answer adds to it.
 
 use super::super::gate::{GateResult, Verdict};
-use super::super::member::Millis;
+use super::super::member::{Millis, Outcome};
 use crate::named::named;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use utoipa::ToSchema;
 
 named! {
@@ -61,4 +62,22 @@ pub struct Entry {
     /// Each gate with its numbers.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub gates: Vec<GateResult>,
+}
+
+/// A stage of a rollout, or a group of a trial.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct StageView {
+    /// The number of nodes that it adds.
+    pub nodes: usize,
+    /// The number of them by outcome.
+    pub counts: BTreeMap<Outcome, usize>,
+}
+
+/// A node that was selected and takes no part, and why.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct LeftOut {
+    /// The node.
+    pub node: String,
+    /// The reason.
+    pub why: String,
 }
