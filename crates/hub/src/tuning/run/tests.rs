@@ -340,7 +340,7 @@ fn a_stage_that_cannot_be_judged_is_held_then_undone_and_resuming_it_costs_no_er
         };
         let rates = rollout.error_rates(plan);
         // Each look at each figure of each stage.
-        total += rates.fail * 2.0 * rollout.stages() as f64 * f64::from(LOOKS);
+        total += rates.fail * 2.0 * rollout.stage_count() as f64 * f64::from(LOOKS);
         rollout.command(Command::Resume, "ops", world.now).unwrap();
         assert_eq!(rollout.phase.name(), "soaking");
     }
