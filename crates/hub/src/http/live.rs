@@ -15,14 +15,12 @@ use futures_util::{Stream, stream};
 use std::convert::Infallible;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::sync::OwnedSemaphorePermit;
+use tokio::sync::{OwnedSemaphorePermit, mpsc};
 use tokio::time::{Interval, MissedTickBehavior};
 use zenoh::Session;
-use zenoh::handlers::{RingChannel, RingChannelHandler};
 use zenoh::pubsub::Subscriber;
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::{Reply, ReplyError};
-use zenoh::sample::Sample;
 
 /// Most readers of live counters at a time.
 pub(super) const MOST_LIVE: usize = 64;
@@ -32,7 +30,7 @@ const LEASE: Duration = Duration::from_secs(30);
 const RENEW: Duration = Duration::from_secs(10);
 /// Time limit of a picture: a node on a mobile link first has to learn of its lease.
 const PICTURE_WITHIN: Duration = Duration::from_secs(8);
-/// Messages that wait for a slow reader. Older ones are dropped: counters are cumulative.
+/// Messages that wait for a slow reader. Further ones are dropped: counters are cumulative.
 const WAITING: usize = 64;
 /// The header with the sequence number of a picture's frame.
 const FRAME: HeaderName = HeaderName::from_static("albireo-frame");
@@ -66,7 +64,8 @@ struct Watching {
     reach: Reach,
     node: String,
     renew: Interval,
-    counters: Subscriber<RingChannelHandler<Sample>>,
+    counters: mpsc::Receiver<CountersMessage>,
+    _subscriber: Subscriber<()>,
     _place: OwnedSemaphorePermit,
 }
 
@@ -76,12 +75,9 @@ impl Watching {
             tokio::select! {
                 () = self.view.shutdown.cancelled() => return None,
                 _ = self.renew.tick() => self.view.watch(&self.reach, &self.node),
-                sample = self.counters.recv_async() => {
-                    let payload = sample.ok()?.payload().to_bytes().into_owned();
+                message = self.counters.recv() => {
                     let event = sse::Event::default().event("counters");
-                    if let Ok(message) = albireo_wire::read::<CountersMessage>(&payload)
-                        && let Ok(event) = event.json_data(message)
-                    {
+                    if let Ok(event) = event.json_data(message?) {
                         return Some(event);
                     }
                 }
@@ -108,10 +104,15 @@ pub(super) async fn live(
         let detail = format!("{MOST_LIVE} nodes are being watched; close one and try again");
         Problem::new(StatusCode::SERVICE_UNAVAILABLE, detail)
     })?;
-    let counters = reach
+    let (sender, counters) = mpsc::channel(WAITING);
+    let subscriber = reach
         .session
         .declare_subscriber(keys.all_counters())
-        .with(RingChannel::new(WAITING))
+        .callback(move |sample| {
+            if let Ok(message) = albireo_wire::read(&sample.payload().to_bytes()) {
+                let _ = sender.try_send(message);
+            }
+        })
         .await
         .map_err(unavailable)?;
     let mut renew = tokio::time::interval(RENEW);
@@ -122,6 +123,7 @@ pub(super) async fn live(
         node,
         renew,
         counters,
+        _subscriber: subscriber,
         _place: place,
     };
     let events = stream::unfold(watching, |mut watching| async move {

@@ -34,7 +34,7 @@ pub struct FleetTallies {
 }
 
 /// All nodes.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Fleet {
     config: PresenceConfig,
     nodes: RwLock<BTreeMap<String, Entry>>,
@@ -48,7 +48,9 @@ impl Fleet {
     pub fn new(config: &PresenceConfig) -> Self {
         Self {
             config: config.clone(),
-            ..Self::default()
+            nodes: RwLock::default(),
+            dirty: Mutex::default(),
+            events: Mutex::default(),
         }
     }
 
