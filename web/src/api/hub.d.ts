@@ -915,7 +915,7 @@ export interface paths {
                         [name: string]: unknown;
                     };
                     content: {
-                        "application/json": components["schemas"]["Rollouts"];
+                        "application/json": components["schemas"]["Runs"];
                     };
                 };
                 "4XX": {
@@ -960,7 +960,7 @@ export interface paths {
                         [name: string]: unknown;
                     };
                     content: {
-                        "application/json": components["schemas"]["RunView"];
+                        "application/json": components["schemas"]["Run"];
                     };
                 };
                 "4XX": {
@@ -1012,7 +1012,7 @@ export interface paths {
                         [name: string]: unknown;
                     };
                     content: {
-                        "application/json": components["schemas"]["RunView"];
+                        "application/json": components["schemas"]["Run"];
                     };
                 };
                 "4XX": {
@@ -1070,7 +1070,7 @@ export interface paths {
                         [name: string]: unknown;
                     };
                     content: {
-                        "application/json": components["schemas"]["RunView"];
+                        "application/json": components["schemas"]["Run"];
                     };
                 };
                 "4XX": {
@@ -1307,7 +1307,7 @@ export interface paths {
                         [name: string]: unknown;
                     };
                     content: {
-                        "application/json": components["schemas"]["Trials"];
+                        "application/json": components["schemas"]["Runs"];
                     };
                 };
                 "4XX": {
@@ -1351,7 +1351,7 @@ export interface paths {
                         [name: string]: unknown;
                     };
                     content: {
-                        "application/json": components["schemas"]["RunView"];
+                        "application/json": components["schemas"]["Run"];
                     };
                 };
                 "4XX": {
@@ -1403,7 +1403,7 @@ export interface paths {
                         [name: string]: unknown;
                     };
                     content: {
-                        "application/json": components["schemas"]["RunView"];
+                        "application/json": components["schemas"]["Run"];
                     };
                 };
                 "4XX": {
@@ -1462,7 +1462,7 @@ export interface paths {
                         [name: string]: unknown;
                     };
                     content: {
-                        "application/json": components["schemas"]["RunView"];
+                        "application/json": components["schemas"]["Run"];
                     };
                 };
                 "4XX": {
@@ -1712,12 +1712,12 @@ export interface components {
         Ask: {
             /** @description When the node was asked; for a node that was out of reach, when it returned. */
             asked_ms: components["schemas"]["i64"];
-            /** @description When the node reported the setting; 0 before. */
+            /** @description When the hub learned the outcome, milliseconds since the Unix epoch. */
             at_ms: components["schemas"]["i64"];
+            /** @description The reason for the outcome; empty without one. */
+            detail: string;
             /** @description The outcome. */
             outcome: components["schemas"]["Outcome"];
-            /** @description Why the node refused it. */
-            reason?: string;
             /**
              * Format: int64
              * @description Its revision.
@@ -1854,24 +1854,10 @@ export interface components {
             threshold_source: components["schemas"]["SettingSource"];
         };
         /** @description The outcome of a change at one node. */
-        ChangeNode: {
-            /**
-             * Format: int64
-             * @description When the hub learned the outcome, milliseconds since the Unix epoch.
-             */
-            at_ms: number;
-            /** @description The reason, if there is one. */
-            detail?: string;
+        ChangeNode: components["schemas"]["Ask"] & {
             from?: components["schemas"]["DesiredSetting"] | null;
             /** @description The node. */
             node: string;
-            /** @description The outcome. */
-            outcome: components["schemas"]["Outcome"];
-            /**
-             * Format: int64
-             * @description The number of the change.
-             */
-            revision: number;
         };
         /** @description A change: a setting that was ordered for some nodes. */
         ChangeRow: {
@@ -2287,21 +2273,6 @@ export interface components {
              */
             upper: number;
         };
-        /** @description A stored rollout or trial. */
-        KeptRun: components["schemas"]["Run"] & {
-            /** @description When, milliseconds since the Unix epoch. */
-            begun_ms: components["schemas"]["i64"];
-            ended_ms?: components["schemas"]["i64"] | null;
-            /**
-             * Format: int64
-             * @description Its number, among those of its kind.
-             */
-            id: number;
-            /** @description Selected nodes that take no part; only in the answer to the request that begins it. */
-            left_out?: components["schemas"]["LeftOut"][];
-            /** @description Who began it. */
-            who: string;
-        };
         /** @description A rollout or a trial, with its plan. */
         Kind: {
             /** @enum {string} */
@@ -2460,16 +2431,14 @@ export interface components {
          * @enum {string}
          */
         OnFailure: "return" | "hold";
-        /** @description The result of a change. */
+        /** @description The result of a change, and the last line of a stream. */
         OrderAnswer: {
             /** @description The number of nodes by outcome. */
             counts: {
                 [key: string]: number;
             };
-            /** @description True if nothing was changed. */
-            dry_run: boolean;
-            /** @description The outcome at each node. */
-            nodes: components["schemas"]["OutcomeLine"][];
+            /** @description The outcome at each node; absent in a stream, which had them before. */
+            nodes: components["schemas"]["ChangeNode"][];
             /**
              * Format: int64
              * @description Revision of the order: `/api/v1/changes/{revision}` shows its progress. Absent in a dry run, and if no node would change.
@@ -2501,18 +2470,6 @@ export interface components {
          * @enum {string}
          */
         Outcome: "untouched" | "pending" | "waiting" | "applied" | "refused" | "timed_out" | "missed" | "superseded" | "unchanged" | "would_change";
-        /** @description The outcome of an order at one node. */
-        OutcomeLine: {
-            /** @description The reason, if there is one. */
-            detail?: string;
-            from?: components["schemas"]["DesiredSetting"] | null;
-            /** @description The node. */
-            node: string;
-            /** @description The outcome. */
-            outcome: components["schemas"]["Outcome"];
-            /** @description The ordered setting: a threshold or a target. */
-            to: components["schemas"]["DesiredSetting"];
-        };
         /**
          * @description The phase of a rollout or a trial.
          * @enum {string}
@@ -2652,16 +2609,6 @@ export interface components {
              */
             stages: string[];
         };
-        /** @description Rollouts, the newest first. */
-        Rollouts: {
-            /**
-             * Format: int64
-             * @description The `before` of the next page; absent on the last page.
-             */
-            next?: number | null;
-            /** @description One entry per run. */
-            rollouts: components["schemas"]["RunView"][];
-        };
         /** @description A route. */
         Route: {
             /** @description `GET`, `PUT`, `POST` or `DELETE`. */
@@ -2673,8 +2620,18 @@ export interface components {
         };
         /** @description A rollout or a trial: its plan, nodes, phase and record. */
         Run: components["schemas"]["Kind"] & {
+            /** @description When, milliseconds since the Unix epoch. */
+            begun_ms: components["schemas"]["i64"];
             /** @description Who ended a trial before its time. */
             ended_by?: string | null;
+            ended_ms?: components["schemas"]["i64"] | null;
+            /**
+             * Format: int64
+             * @description Its number, among those of its kind.
+             */
+            id: number;
+            /** @description Selected nodes that take no part; only in the answer to the request that begins it. */
+            left_out?: components["schemas"]["LeftOut"][];
             /**
              * Format: int32
              * @description How often this stage's gates were judged.
@@ -2704,17 +2661,20 @@ export interface components {
             soaks: number;
             /** @description The stage it is in, from 1. */
             stage: number;
-        };
-        /** @description A rollout or a trial. */
-        RunView: components["schemas"]["KeptRun"] & {
-            /** @description The number of nodes by outcome. */
-            counts: {
-                [key: string]: number;
-            };
-            /** @description True if it is paused. */
-            paused: boolean;
             /** @description Its stages or groups. */
             stages: components["schemas"]["StageView"][];
+            /** @description Who began it. */
+            who: string;
+        };
+        /** @description Rollouts or trials, the newest first. */
+        Runs: {
+            /**
+             * Format: int64
+             * @description The `before` of the next page; absent on the last page.
+             */
+            next?: number | null;
+            /** @description One entry per run, without its record and nodes. */
+            runs: components["schemas"]["Run"][];
         };
         /**
          * @description The origin of a threshold or a target.
@@ -3088,16 +3048,6 @@ export interface components {
             until_ms: components["schemas"]["i64"];
             /** @description Each value, in the plan's order. */
             values: components["schemas"]["ArmResult"][];
-        };
-        /** @description Trials, the newest first. */
-        Trials: {
-            /**
-             * Format: int64
-             * @description The `before` of the next page; absent on the last page.
-             */
-            next?: number | null;
-            /** @description One entry per run. */
-            trials: components["schemas"]["RunView"][];
         };
         /**
          * @description The verdict of a gate or a stage.
