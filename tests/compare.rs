@@ -119,7 +119,7 @@ fn the_boards_own_meter_is_read_in_every_run() {
 #[case(["--policy", "albireo:1e-3"], "no policy of this run has a setting `u` left")]
 #[case(["--clip", "no/such/drive.mp4"], "no/such/drive.mp4: no such file")]
 #[case(["--repeat", "0"], "--repeat")]
-#[case(["--model", "no/such.onnx"], "--detector no/such.onnx: no such file")]
+#[case(["--model", "no/such.onnx"], "no/such.onnx: no such file")]
 #[case(["--speed", "0"], "must be a number from 0.001")]
 #[case(["--config", "no/node.toml"], "no/node.toml")]
 fn an_invalid_comparison_is_rejected_with_a_remedy(

@@ -208,7 +208,7 @@ impl Traced {
             if let Some(begun) = self.syncing.remove(&thread) {
                 self.synced(begun);
             }
-        } else if call.contains(r#"{\"v\":1,\"database\":"#) {
+        } else if call.contains(r#"{\"v\":1,\"desired\":"#) {
             self.acknowledged += 1;
             self.too_early += u64::from(self.unsynced > 0);
         }
@@ -225,8 +225,7 @@ impl Traced {
 fn a_trace_with_an_answer_before_its_sync_is_caught() {
     let write = r#"7 pwrite64(11</t/hub.db-wal>, "x"..., 4096, 0) = 4096"#;
     let sync = "7 fdatasync(11</t/hub.db-wal>) = 0";
-    let answer =
-        r#"9 sendto(5<socket:[1]>, "...{\"v\":1,\"database\":\"0\"}", 40, 0, NULL, 0) = 40"#;
+    let answer = r#"9 sendto(5<socket:[1]>, "...{\"v\":1,\"desired\":null}", 40, 0, NULL, 0) = 40"#;
     let begun = "7 fdatasync(11</t/hub.db-wal> <unfinished ...>";
     let ended = "7 <... fdatasync resumed>) = 0";
     for (lines, too_early) in [

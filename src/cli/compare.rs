@@ -170,7 +170,7 @@ fn prepare(arguments: &Arguments) -> anyhow::Result<(NodeConfig, Vec<PolicySpec>
     let model = &config.detector.model;
     ensure!(
         model.is_file(),
-        "{} does not exist: run it in the project's folder, or name a detector with --detector or --config",
+        "{}: no such file; run this in the project's folder, or name an ONNX file with --detector or --config",
         model.display()
     );
     if let Some(head) = arguments.head {
