@@ -202,34 +202,23 @@ mod tests {
     impl Filter {
         /// Returns the mean as a vector, in state order.
         pub(crate) fn mean(&self) -> SVector<f64, 10> {
-            let mut mean = SVector::zeros();
-            for axis in 0..2 {
-                mean[axis] = self.position[axis];
-                mean[2 + axis] = self.size[axis];
-                mean[4 + axis] = self.velocity[axis];
-                mean[6 + axis] = self.size_velocity[axis];
-                mean[8 + axis] = self.acceleration[axis];
-            }
-            mean
+            let parts = [
+                self.position,
+                self.size,
+                self.velocity,
+                self.size_velocity,
+                self.acceleration,
+            ];
+            SVector::from_column_slice(parts.as_flattened())
         }
 
-        /// Returns the full 10x10 covariance, in state order.
+        /// Returns the full 10x10 covariance, in state order: components a multiple of four apart share a block.
         pub(crate) fn covariance(&self) -> SMatrix<f64, 10, 10> {
-            let (center, size) = (&self.center_covariance, &self.size_covariance);
-            let mut full = SMatrix::zeros();
-            for axis in 0..2 {
-                for (row, values) in center.iter().enumerate() {
-                    for (column, &value) in values.iter().enumerate() {
-                        full[(4 * row + axis, 4 * column + axis)] = value;
-                    }
-                }
-                for (row, values) in size.iter().enumerate() {
-                    for (column, &value) in values.iter().enumerate() {
-                        full[(2 + 4 * row + axis, 2 + 4 * column + axis)] = value;
-                    }
-                }
-            }
-            full
+            SMatrix::from_fn(|row, column| match row % 4 {
+                block if block != column % 4 => 0.0,
+                0 | 1 => self.center_covariance[row / 4][column / 4],
+                _ => self.size_covariance[row / 4][column / 4],
+            })
         }
     }
 }
