@@ -123,23 +123,25 @@ mod tests {
 
     #[test]
     fn invalid_values_are_rejected_by_key() {
+        let interval = "power.interval_ms: must be from 10 to 10000, not 1";
+        let busy = "power.busy_watts: is 0.5, below idle_watts";
+        let twice = "power.rails: `A` is counted in two";
         for (text, expected) in [
-            (
-                "interval_ms = 1",
-                "power.interval_ms: must be from 10 to 10000, not 1",
-            ),
-            (
-                "busy_watts = 0.5",
-                "power.busy_watts: is 0.5, below idle_watts",
-            ),
+            ("interval_ms = 1", interval),
+            ("busy_watts = 0.5", busy),
             ("idle_watts = nan", "idle_watts"),
             ("tegrastats = ''", "power.tegrastats: is empty"),
             ("[rails]\ngpu = ['A']", "power.rails:"),
+            ("[rails]\nsum = ['A']\ngpu = ['A']\ncpu = ['A']", twice),
+            ("[rails]\nsum = ['A', 'A']", "twice"),
+            ("[rails]", "name the rail"),
         ] {
             let config: PowerConfig = toml::from_str(text).unwrap();
             assert_contains(crate::open(&config).err().unwrap(), &[expected]);
         }
-        assert!(toml::from_str::<PowerConfig>("watt = 3").is_err());
+        for unknown in ["watt = 3", "[rails]\nsumm = []"] {
+            assert!(toml::from_str::<PowerConfig>(unknown).is_err());
+        }
     }
 
     #[test]

@@ -61,16 +61,13 @@ mod tests {
     use crate::tests::assert_contains;
 
     #[test]
-    fn permission_denied_names_the_file_and_the_remedy() {
+    fn an_unusable_file_is_named_with_its_text_or_the_remedy() {
         let path = Path::new("/sys/class/powercap/intel-rapl:0/energy_uj");
         let error = failure(path, &io::ErrorKind::PermissionDenied.into());
         let file = path.display();
         let denied = format!("may not read {file}");
         assert_contains(error, &[&denied, &format!("sudo chmod a+r {file}")]);
-    }
 
-    #[test]
-    fn a_file_without_a_number_is_reported_with_its_text() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("energy_uj");
         std::fs::write(&path, "many\n").unwrap();

@@ -89,21 +89,16 @@ fn a_card_without_readings_is_left_out_and_no_other_card_is_an_error() {
 }
 
 #[test]
-fn a_lost_card_is_an_error_rather_than_zero() {
+fn the_condition_has_the_hottest_card_and_any_throttling_and_a_lost_card_is_an_error() {
     let machine = FakeMachine::new(vec![counting(0), counting(0)]);
     let mut meter = machine.open().unwrap();
+    let found = meter.condition();
+    assert_eq!(found.hottest_celsius, Some(41.0));
+    assert_eq!(found.throttled, Some(true));
     meter.poll(Instant::now()).unwrap();
     machine.0.lock().unwrap()[1] = Err("GPU is lost".to_owned());
     let error = meter.poll(Instant::now()).unwrap_err();
     assert_contains(error, &["card 1", "GPU is lost"]);
-}
-
-#[test]
-fn the_condition_has_the_hottest_card_and_any_throttling() {
-    let machine = FakeMachine::new(vec![counting(0), counting(0)]);
-    let found = machine.open().unwrap().condition();
-    assert_eq!(found.hottest_celsius, Some(41.0));
-    assert_eq!(found.throttled, Some(true));
 }
 
 #[test]

@@ -1,6 +1,4 @@
 use super::*;
-use crate::config::PowerConfig;
-use crate::tests::assert_contains;
 
 fn rails(list: &[(&str, f64)]) -> Vec<RailWatts> {
     list.iter()
@@ -56,23 +54,6 @@ fn a_user_table_takes_precedence_over_the_built_in_ones() {
     ]));
     let [total, io_mem] = [2.4, 0.4].map(|watts| Some(Value::Power(watts)));
     assert_eq!(found.values, [total, None, None, io_mem]);
-}
-
-#[test]
-fn a_table_that_is_empty_or_counts_a_rail_twice_is_rejected() {
-    let twice = "sum = ['A']\ngpu = ['A']\ncpu = ['A']";
-    for (text, expected) in [
-        (twice, "power.rails: `A` is counted in two"),
-        ("sum = ['A', 'A']", "twice"),
-        ("", "name the rail"),
-    ] {
-        let config = PowerConfig {
-            rails: Some(toml::from_str(text).unwrap()),
-            ..PowerConfig::default()
-        };
-        assert_contains(crate::open(&config).err().unwrap(), &[expected]);
-    }
-    assert!(toml::from_str::<RailTable>("summ = []").is_err());
 }
 
 #[test]

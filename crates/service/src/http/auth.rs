@@ -352,11 +352,13 @@ mod tests {
 
     #[test]
     fn only_ip_addresses_and_localhost_are_accepted_as_host() {
-        for host in "localhost LOCALHOST:80 127.0.0.1:8080 [::1] [::1]:8080".split(' ') {
+        let own = "localhost localhost:8080 LOCALHOST LOCALHOST:80 127.0.0.1 127.0.0.1:8080 192.168.1.7:8080 [::1] \
+                   [::1]:8080";
+        for host in own.split(' ') {
             assert!(is_address(host), "{host}");
         }
-        let foreign = "evil.example [::1].evil.example [::1]evil [::1 localhost:80@evil localhost@evil localhost:evil \
-                       127.0.0.1.evil.example 127.0.0.1:80:80";
+        let foreign = "evil.example evil.example:8080 [::1].evil.example [::1]evil [::1 localhost:80@evil localhost@evil \
+                       localhost:evil localhost.evil.example:8080 127.0.0.1.evil.example 127.0.0.1:80:80";
         for host in foreign.split(' ').chain([""]) {
             assert!(!is_address(host), "{host}");
         }

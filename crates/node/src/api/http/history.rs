@@ -216,16 +216,3 @@ pub(super) async fn skip_estimate(
         threshold,
     }))
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn only_numbers_that_an_answer_can_show_are_accepted() {
-        assert_eq!(thresholds("1e-4, 3e-4").unwrap(), [1e-4, 3e-4]);
-        for text in ["", "0", "-1", "NaN", "inf", "1e999", "1,,2"] {
-            assert!(thresholds(text).is_err(), "{text}");
-        }
-    }
-}
