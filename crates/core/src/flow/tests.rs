@@ -56,13 +56,15 @@ fn corners([x1, y1, x2, y2]: [f64; 4]) -> Corners {
     Corners { x1, y1, x2, y2 }
 }
 
-fn pyramid(bytes: &[u8]) -> Pyramid {
+fn filled(width: usize, height: usize, pixels: &[u8]) -> Pyramid {
+    let size = PictureSize::new(width as u32, height as u32);
     let mut pyramid = Pyramid::default();
-    assert!(pyramid.fill(GreyPicture {
-        size: PictureSize::new(WIDTH as u32, HEIGHT as u32),
-        pixels: bytes,
-    }));
+    assert!(pyramid.fill(GreyPicture { size, pixels }));
     pyramid
+}
+
+fn pyramid(pixels: &[u8]) -> Pyramid {
+    filled(WIDTH, HEIGHT, pixels)
 }
 
 proptest! {
@@ -112,12 +114,8 @@ proptest! {
         grid in 0usize..20,
     ) {
         let mut flow = BoxFlow::new(grid);
-        let (mut before, mut after) = (Pyramid::default(), Pyramid::default());
-        let size = PictureSize::new(width as u32, height as u32);
-        let (first, last) = (&bytes[..width * height], &bytes[bytes.len() - width * height..]);
-        for (pyramid, pixels) in [(&mut before, first), (&mut after, last)] {
-            assert!(pyramid.fill(GreyPicture { size, pixels }));
-        }
+        let before = filled(width, height, &bytes[..width * height]);
+        let after = filled(width, height, &bytes[bytes.len() - width * height..]);
         let followed = flow.follow(&before, &after, corners(sides), [guess, -guess]);
         prop_assert!(followed.kept <= followed.points);
         if let Some(motion) = followed.motion {

@@ -19,15 +19,11 @@ fn pyramid(file: &Path) -> Pyramid {
     assert_eq!(words.next(), Some(&b"P5"[..]));
     let mut number = || {
         let word = std::str::from_utf8(words.next().unwrap()).unwrap();
-        word.parse::<u32>().unwrap()
+        word.parse().unwrap()
     };
     let (width, height) = (number(), number());
     let rest = words.next().unwrap();
-    let pixels = rest.strip_prefix(b"255\n").unwrap();
-    let mut pyramid = Pyramid::default();
-    let size = PictureSize::new(width, height);
-    assert!(pyramid.fill(GreyPicture { size, pixels }));
-    pyramid
+    filled(width, height, rest.strip_prefix(b"255\n").unwrap())
 }
 
 #[test]

@@ -92,36 +92,25 @@ fn tau_equal_to_u_runs_the_detector_in_the_paper_and_skips_in_the_reference() {
 }
 
 #[test]
-fn the_age_limit_calls_the_detector_at_t_max() {
-    let mut settings = AlbireoSettings::paper();
-    settings.periodic_cap = u32::MAX;
-    let mut run = watching(settings);
-    run.policy.set_threshold(1.0).unwrap();
-    for _ in 1..15 {
-        assert_eq!(run.blind(), FrameState::P);
-        assert!(!run.outcome.degraded);
-    }
-    assert_eq!(run.see(&[seen(0.5, 0.9)]), FrameState::I);
-    assert_eq!(run.outcome.cause, Some(CallCause::ObjectCap));
-}
-
-#[test]
-fn the_periodic_cap_counts_as_configured() {
-    for (counts, due) in [
-        (PeriodicCap::SinceDetector, vec![2 + 7, 2 + 14]),
-        (PeriodicCap::FrameIndex, vec![7, 14]),
+fn a_cap_calls_the_detector_when_it_is_due() {
+    use CallCause::{ObjectCap, PeriodicCap as Periodic};
+    let never = u32::MAX;
+    for (cap, counts, due, cause) in [
+        (7, PeriodicCap::SinceDetector, vec![2 + 7, 2 + 14], Periodic),
+        (7, PeriodicCap::FrameIndex, vec![7, 14], Periodic),
+        // The age limit of an object, t_max.
+        (never, PeriodicCap::SinceDetector, vec![2 + 15], ObjectCap),
     ] {
         let mut settings = AlbireoSettings::paper();
-        settings.periodic_cap = 7;
+        settings.periodic_cap = cap;
         settings.periodic_cap_counts = counts;
         let mut run = watching(settings);
         run.policy.set_threshold(1.0).unwrap();
         let mut called = Vec::new();
-        while run.index < 17 {
+        while run.index < 18 {
             let index = run.index;
             if run.see(&[seen(0.5, 0.9)]) == FrameState::I {
-                let cause = run.outcome.cause;
-                assert_eq!(cause, Some(CallCause::PeriodicCap), "{counts:?}");
+                assert_eq!(run.outcome.cause, Some(cause), "{counts:?}");
                 called.push(index);
             }
         }
