@@ -1,8 +1,9 @@
 //! The intervals of the audit on recordings, where the result for all frames is known.
 
+use crate::golden_traces::replay::policy;
 use crate::golden_traces::shared_data::sequences;
 use albireo_core::audit::{AuditDraw, AuditRate, AuditSums};
-use albireo_core::policy::PolicyConfig;
+use albireo_core::policy::Profile;
 use albireo_eval::against_detector::against_detector;
 use albireo_eval::run::Settings;
 
@@ -22,10 +23,8 @@ fn sample(cameras: &[Camera], share: f64, seed: u64) -> AuditSums {
     sums
 }
 
-fn cameras(policy: &str) -> (Vec<Camera>, AuditSums) {
-    let mut config = PolicyConfig::default();
-    config.select(policy).expect("a policy");
-    let mut policy = config.build().expect("a policy");
+fn cameras(asked: &str) -> (Vec<Camera>, AuditSums) {
+    let mut policy = policy(asked, Profile::Paper);
     let compared: Vec<_> = (sequences().iter())
         .filter(|clip| clip.truth.iter().flatten().any(|truth| !truth.is_empty()))
         .map(|clip| against_detector(policy.as_mut(), clip, &Settings::default()).expect("it runs"))

@@ -3,9 +3,7 @@
 //! These tests need the Python environment of tests/requirements.txt at .cache/python.
 
 use crate::golden_traces::shared_data::sequences;
-use crate::support::{ask_script, project, python};
-use albireo_core::detection::ClassId;
-use albireo_core::geometry::Corners;
+use crate::support::{ask_script, project, python, scored};
 use albireo_eval::average_precision::Classes::{Pooled, Separate};
 use albireo_eval::average_precision::Interpolation::{AllPoints, Coco101};
 use albireo_eval::average_precision::{ScoredBox, accuracy};
@@ -57,10 +55,6 @@ fn assert_agreement(cases: &[Case]) {
     }
 }
 
-fn corners([x1, y1, x2, y2]: [f64; 4]) -> Corners {
-    Corners { x1, y1, x2, y2 }
-}
-
 #[test]
 #[ignore = "needs Python"]
 fn python_random_boxes_of_three_classes_score_as_in_pycocotools() {
@@ -72,23 +66,14 @@ fn python_random_boxes_of_three_classes_score_as_in_pycocotools() {
         for _ in 0..(uniform() * 12.0) as usize {
             let (x, y) = (uniform() * 300.0, uniform() * 200.0);
             let (w, h) = (20.0 + uniform() * 80.0, 20.0 + uniform() * 80.0);
-            let class = ClassId((uniform() * 3.0) as u16);
-            let real = ScoredBox {
-                corners: corners([x, y, x + w, y + h]),
-                class,
-                confidence: 1.0,
-                object: None,
-            };
-            there.push(real);
+            let class = (uniform() * 3.0) as u16;
+            let sides = [x, y, x + w, y + h];
+            there.push(scored(sides, class, 1.0));
             // Most are found, roughly, some twice, some with a wrong class.
             while uniform() < 0.6 {
-                let near = [x, y, x + w, y + h].map(|side| side + (uniform() - 0.5) * 16.0);
-                found.push(ScoredBox {
-                    corners: corners(near),
-                    class: if uniform() < 0.9 { class } else { ClassId(1) },
-                    confidence: uniform(),
-                    ..real
-                });
+                let near = sides.map(|side| side + (uniform() - 0.5) * 16.0);
+                let class = if uniform() < 0.9 { class } else { 1 };
+                found.push(scored(near, class, uniform()));
             }
         }
         predictions.push(found);

@@ -6,9 +6,8 @@ mod live;
 
 use crate::eval_command::eval;
 use crate::support::detectors::model;
-use crate::support::{assert_contains, shared};
-use albireo_core::detection::ClassId;
-use albireo_core::geometry::{Corners, PictureSize};
+use crate::support::{assert_contains, jpeg, scored, shared};
+use albireo_core::geometry::PictureSize;
 use albireo_core::policy::PolicyConfig;
 use albireo_eval::average_precision::ScoredBox;
 use albireo_eval::data::{Clip, LoadReport, recorded};
@@ -33,16 +32,13 @@ fn detector(name: &str) -> String {
 /// Writes JPEG pictures. The confidences of the fixture detector are the means of the three colours, and the fixture screen
 /// calls a picture empty while red is below one half: here both vary.
 fn write_pictures(folder: &Path, frames: u32) {
-    let size = PictureSize::new(1280, 720);
     for frame in 0..frames {
         let red = if frame % 17 < 9 { 150 + frame % 50 } else { 30 };
         let green = if frame % 11 < 6 { 135 + frame % 7 } else { 60 };
         let colour = [red as u8, green as u8, (frame % 80) as u8];
-        let pixels = colour.repeat(size.pixels() as usize);
+        let pixels = colour.repeat(1280 * 720);
         let file = folder.join(format!("{frame}.jpg"));
-        let encoder = jpeg_encoder::Encoder::new_file(file, 90).unwrap();
-        let rgb = jpeg_encoder::ColorType::Rgb;
-        encoder.encode(&pixels, 1280, 720, rgb).unwrap();
+        std::fs::write(file, jpeg(&pixels, [1280, 720])).unwrap();
     }
 }
 
@@ -234,17 +230,7 @@ fn pictures_are_judged_by_their_ground_truth_and_their_streams_as_those_of_store
 
 /// An artificial clip: one confident car on every frame, and round times.
 fn by_hand(frames: usize) -> Clip {
-    let car = ScoredBox {
-        corners: Corners {
-            x1: 100.0,
-            y1: 100.0,
-            x2: 200.0,
-            y2: 200.0,
-        },
-        class: ClassId(2),
-        confidence: 0.9,
-        object: None,
-    };
+    let car = scored([100.0, 100.0, 200.0, 200.0], 2, 0.9);
     let times = StepTimes {
         decode: 1e4,
         detector: 1e5,

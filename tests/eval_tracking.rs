@@ -1,9 +1,9 @@
 //! HOTA and IDF1 equal those of TrackEval on the same boxes.
 
-use crate::golden_traces::replay::{Screen, decide_frame};
+use crate::golden_traces::replay::{Screen, decide_frame, policy};
 use crate::golden_traces::shared_data::{detections, sequences};
 use crate::support::{ask_script, project};
-use albireo_core::policy::{Outcome, PolicyConfig};
+use albireo_core::policy::{Outcome, Profile};
 use albireo_eval::average_precision::{SHOWN_CONFIDENCE, ScoredBox};
 use albireo_eval::data::Clip;
 use albireo_eval::tracking::tracking;
@@ -11,10 +11,8 @@ use serde_json::{Value, json};
 use std::process::Command;
 
 /// The boxes that `policy` shows for a recording.
-fn shown(clip: &Clip, policy: &str) -> Vec<Vec<ScoredBox>> {
-    let mut config = PolicyConfig::default();
-    config.select(policy).expect("a policy");
-    let mut policy = config.build().expect("a policy");
+fn shown(clip: &Clip, asked: &str) -> Vec<Vec<ScoredBox>> {
+    let mut policy = policy(asked, Profile::Paper);
     let mut outcome = Outcome::default();
     let mut boxes = Vec::new();
     for (index, found) in (0..).zip(detections(clip)) {

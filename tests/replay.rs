@@ -1,7 +1,7 @@
 //! `albireo replay` acts as a camera: every frame arrives, in order, with its number, time and clip.
 
 use crate::support::{
-    PATIENCE, assert_contains, free_port, grey_jpeg, listening_peer, script, test_video,
+    PATIENCE, assert_contains, free_port, grey_jpeg, jpeg, listening_peer, script, test_video,
 };
 use albireo::cli::replay::{self, ReplayArguments, Sent};
 use albireo_core::geometry::PictureSize;
@@ -95,14 +95,12 @@ async fn a_folder_arrives_complete_in_order_and_with_its_clips() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_slow_receiver_slows_down_the_sender_and_loses_nothing() {
-    // 300 frames of 300 kB: far more than the rings, queues and sockets hold.
+    // 300 frames of several 100 kB: far more than the rings, queues and sockets hold.
     let folder = tempfile::tempdir().unwrap();
-    let mut noise = vec![0_u8; 640 * 480];
+    let mut noise = vec![0_u8; 3 * 640 * 480];
     Pcg64Mcg::seed_from_u64(1).fill_bytes(&mut noise);
     let file = folder.path().join("noise.jpg");
-    let encoder = jpeg_encoder::Encoder::new_file(file, 90).unwrap();
-    let grey = jpeg_encoder::ColorType::Luma;
-    encoder.encode(&noise, 640, 480, grey).unwrap();
+    std::fs::write(file, jpeg(&noise, [640, 480])).unwrap();
     let (more, wait) = ("--rate max --loop --frames 300", Duration::from_millis(2));
     let (frames, sent) = replayed(folder.path(), more, wait).await;
     assert_eq!(sent.frames, 300);

@@ -3,12 +3,12 @@
 
 use crate::documentation::workshop;
 use crate::golden_traces::RUNS;
-use crate::golden_traces::replay::{Screen, decide_frame, reference};
+use crate::golden_traces::replay::{Screen, decide_frame, policy};
 use crate::golden_traces::shared_data::{detections, given, sequences};
 use crate::support::{assert_contains, project, run_command, text};
 use albireo_core::detection::Detection;
 use albireo_core::geometry::PictureSize;
-use albireo_core::policy::{BoxSource, FrameState, Outcome};
+use albireo_core::policy::{BoxSource, FrameState, Outcome, Profile};
 use albireo_eval::average_precision::ScoredBox;
 use rstest::rstest;
 use serde_json::json;
@@ -54,7 +54,7 @@ fn decided(
     picture: PictureSize,
     recorded: &[Vec<Detection>],
 ) -> Vec<u8> {
-    let mut policy = reference(asked);
+    let mut policy = policy(asked, Profile::Reference);
     let mut outcome = Outcome::default();
     let mut numbers = Vec::new();
     for (index, found) in (0..).zip(recorded) {

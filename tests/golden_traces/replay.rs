@@ -28,10 +28,10 @@ pub(crate) enum Screen {
     EmptyWithoutDetections,
 }
 
-/// The policy `asked`, `NAME[:ARGUMENT]`, with the profile of the published code.
-pub(crate) fn reference(asked: &str) -> Box<dyn Policy> {
+/// The policy `asked`, `NAME[:ARGUMENT]`.
+pub(crate) fn policy(asked: &str, profile: Profile) -> Box<dyn Policy> {
     let mut config = PolicyConfig {
-        profile: Profile::Reference,
+        profile,
         ..PolicyConfig::default()
     };
     config.select(asked).unwrap();
@@ -70,7 +70,7 @@ pub(crate) fn compare(
     recorded: &[Vec<Detection>],
     golden: &[TraceFrame],
 ) {
-    let mut policy = reference(asked);
+    let mut policy = policy(asked, Profile::Reference);
     let mut outcome = Outcome::default();
     assert_eq!(recorded.len(), golden.len(), "{what}: frames");
     for (expected, given) in golden.iter().zip(recorded) {

@@ -2,27 +2,25 @@ use super::served::{Served, THRESHOLD, board, problem};
 use crate::support::{assert_contains, until};
 use albireo_node::api::http::router;
 use albireo_node::config::NodeConfig;
-use albireo_service::config::{HttpConfig, Token};
+use albireo_service::config::HttpConfig;
 use albireo_service::http;
 use reqwest::Method;
-use std::path::PathBuf;
+use std::path::Path;
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
 pub(super) const TOKEN: &str = "a-long-random-secret";
 
-pub(super) fn with_token() -> HttpConfig {
-    HttpConfig {
-        token: Some(Token::new(TOKEN)),
-        ..HttpConfig::default()
-    }
+fn http_config(settings: &str) -> HttpConfig {
+    toml::from_str(settings).unwrap()
 }
 
-fn with_file(file: PathBuf) -> HttpConfig {
-    HttpConfig {
-        token_file: Some(file),
-        ..HttpConfig::default()
-    }
+pub(super) fn with_token() -> HttpConfig {
+    http_config(&format!("token = {TOKEN:?}"))
+}
+
+fn with_file(file: &Path) -> HttpConfig {
+    http_config(&format!("token_file = {file:?}"))
 }
 
 /// The status of a request with one more header.
@@ -74,7 +72,7 @@ async fn a_token_file_is_reloaded_without_a_restart_and_an_invalid_one_keeps_the
     let file = directory.path().join("token");
     let write = |text: &str| std::fs::write(&file, text).unwrap();
     write("the-first-token-of-all\nsecond line\n");
-    let node = Served::with(with_file(file.clone())).await;
+    let node = Served::with(with_file(&file)).await;
     let status = async |token: &str| {
         let request = node.request(Method::GET, "/metrics").bearer_auth(token);
         request.send().await.unwrap().status().as_u16()
@@ -101,13 +99,10 @@ async fn a_node_open_to_others_needs_protection_or_permission_and_a_token_file_a
     let folder = tempfile::tempdir().unwrap();
     let [empty, short] = [("empty", "\n"), ("short", "short\n")].map(|(name, content)| {
         std::fs::write(folder.path().join(name), content).unwrap();
-        with_file(folder.path().join(name))
+        with_file(&folder.path().join(name))
     });
-    let missing = with_file(folder.path().join("missing"));
-    let anybody = HttpConfig {
-        allow_unauthenticated: true,
-        ..HttpConfig::default()
-    };
+    let missing = with_file(&folder.path().join("missing"));
+    let anybody = http_config("allow_unauthenticated = true");
     let (open, local) = ("0.0.0.0:0", "127.0.0.1:0");
     for (address, config, said) in [
         (open, HttpConfig::default(), "allow_unauthenticated"),

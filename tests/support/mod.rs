@@ -14,6 +14,9 @@ pub(crate) use assertions::assert_has;
 pub(crate) use ports::free_port;
 
 use albireo::cli::frames::{FrameSender, Pacing, open_session};
+use albireo_core::detection::ClassId;
+use albireo_core::geometry::Corners;
+use albireo_eval::average_precision::ScoredBox;
 use albireo_wire::{ClipReport, ReportBatch};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -250,13 +253,27 @@ pub(crate) fn script(folder: &Path, name: &str, body: &str) -> PathBuf {
     file
 }
 
-pub(crate) fn grey_jpeg(value: u8, [width, height]: [u16; 2]) -> Vec<u8> {
+pub(crate) fn jpeg(pixels: &[u8], [width, height]: [u16; 2]) -> Vec<u8> {
     let mut file = Vec::new();
     let encoder = jpeg_encoder::Encoder::new(&mut file, 90);
-    let pixels = vec![value; 3 * usize::from(width) * usize::from(height)];
     let rgb = jpeg_encoder::ColorType::Rgb;
-    encoder.encode(&pixels, width, height, rgb).unwrap();
+    encoder.encode(pixels, width, height, rgb).unwrap();
     file
+}
+
+pub(crate) fn grey_jpeg(value: u8, size: [u16; 2]) -> Vec<u8> {
+    let [width, height] = size.map(usize::from);
+    jpeg(&vec![value; 3 * width * height], size)
+}
+
+/// A box of unknown object with these sides: left, top, right, bottom.
+pub(crate) fn scored([x1, y1, x2, y2]: [f64; 4], class: u16, confidence: f64) -> ScoredBox {
+    ScoredBox {
+        corners: Corners { x1, y1, x2, y2 },
+        class: ClassId(class),
+        confidence,
+        object: None,
+    }
 }
 
 /// A video of ffmpeg's test picture in `folder`, 320x180, with `options` such as `rate=20:duration=1`.
