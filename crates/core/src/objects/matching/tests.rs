@@ -107,10 +107,8 @@ fn associate_without_index(
                 let own = state.filter.bounding_box();
                 // The overlap follows from the cost: 1e-30, a rounding error, is no overlap.
                 let cost = 1.0 - own.intersection_over_union(other.bounding_box);
-                let distance = state
-                    .filter
-                    .gauge(&model())
-                    .squared_distance(other.bounding_box);
+                let gauge = state.filter.gauge(&model());
+                let distance = gauge.squared_distance(other.bounding_box);
                 let cost = match stage {
                     0 => (1.0 - cost >= settings.iou_gate && cost < 1.0).then_some(cost),
                     _ => (distance < settings.mahalanobis_gate).then_some(distance),
@@ -173,10 +171,9 @@ proptest! {
             let measured = detections[index as usize].bounding_box;
             let iou = state.filter.bounding_box().intersection_over_union(measured);
             let distance = state.filter.gauge(&model()).squared_distance(measured);
-            prop_assert!(
-                (state.since_update <= SETTINGS.iou_frames && iou > 0.0 && iou >= iou_gate - 1e-12)
-                    || distance < SETTINGS.mahalanobis_gate
-            );
+            let is_young = state.since_update <= SETTINGS.iou_frames;
+            let overlaps = is_young && iou > 0.0 && iou >= iou_gate - 1e-12;
+            prop_assert!(overlaps || distance < SETTINGS.mahalanobis_gate);
         }
     }
 }

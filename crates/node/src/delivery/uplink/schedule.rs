@@ -266,11 +266,8 @@ mod tests {
         assert_eq!(bench.batch(3, 1_003_000), None);
         let now = bench.at(1_004_000);
         bench.schedule.begin(now);
-        assert_eq!(
-            bench.batch(3, 1_004_000),
-            Some(false),
-            "a new session begins"
-        );
+        let of_a_new_session = bench.batch(3, 1_004_000);
+        assert_eq!(of_a_new_session, Some(false));
     }
 
     #[test]
