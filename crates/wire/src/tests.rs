@@ -113,20 +113,14 @@ fn call_causes_serialise_by_name_and_unknown_ones_are_ignored() {
 
 #[test]
 fn a_desired_setting_is_a_threshold_a_target_or_a_null_target() {
+    let value = DesiredSetting::Threshold(Threshold::new("u", 5e-4));
+    let half = DesiredSetting::Target(Some(Target::SkipRate(0.5)));
     for (setting, text) in [
-        (
-            DesiredSetting::Threshold(Threshold::new("u", 5e-4)),
-            r#"{"v":1,"revision":7,"setting":{"threshold":{"name":"u","value":0.0005}}}"#,
-        ),
-        (
-            DesiredSetting::Target(Some(Target::SkipRate(0.5))),
-            r#"{"v":1,"revision":7,"setting":{"target":{"skip_rate":0.5}}}"#,
-        ),
-        (
-            DesiredSetting::Target(None),
-            r#"{"v":1,"revision":7,"setting":{"target":null}}"#,
-        ),
+        (value, r#"{"threshold":{"name":"u","value":0.0005}}"#),
+        (half, r#"{"target":{"skip_rate":0.5}}"#),
+        (DesiredSetting::Target(None), r#"{"target":null}"#),
     ] {
+        let text = format!(r#"{{"v":1,"revision":7,"setting":{text}}}"#);
         let desired = Desired {
             revision: 7,
             setting: Some(setting),

@@ -88,11 +88,9 @@ fn a_broken_row_is_named_with_file_and_line() {
 
 #[test]
 fn an_impossible_description_is_rejected() {
+    let outside = INDEX.replace("\"a\"", "\"../a\"");
     for (index, part) in [
-        (
-            INDEX.replace("\"a\"", "\"../a\""),
-            "cannot be a sequence's name",
-        ),
+        (outside, "cannot be a sequence's name"),
         (INDEX.replace("100", "0"), "pictures of 0x50"),
         (INDEX.replace("10,", "-1,"), "frame rate"),
     ] {
@@ -138,13 +136,11 @@ const SEQINFO: &str =
 
 #[test]
 fn mot_challenge_counts_frames_and_pixels_from_one_and_knows_both_releases() {
+    let truth = "1,4,11,21,10,20,1,1,1.0\n2,4,11,21,10,20,0,1,1.0\n2,5,11,21,10,20,1,8,1\n2,6,1,1,5,5,1,6,1\n\
+                 1,7,11,21,10,20,1,3.5,4.5,-1\n";
     let files = folder(&[
         ("train/M/seqinfo.ini", SEQINFO),
-        (
-            "train/M/gt/gt.txt",
-            "1,4,11,21,10,20,1,1,1.0\n2,4,11,21,10,20,0,1,1.0\n2,5,11,21,10,20,1,8,1\n2,6,1,1,5,5,1,6,1\n\
-             1,7,11,21,10,20,1,3.5,4.5,-1\n",
-        ),
+        ("train/M/gt/gt.txt", truth),
         ("train/M/det/det.txt", "2,-1,11,21,10,20,0.8,-1,-1,-1\n"),
         ("train/M/img1/000002.jpg", ""),
         ("train/M/img1/000001.jpg", ""),

@@ -7,6 +7,7 @@ fn config(text: &str) -> PolicyConfig {
 
 #[test]
 fn an_invalid_selection_is_rejected_with_a_reason_and_changes_nothing() {
+    let no_number = "`fixed-skip:two`: the argument must be a number";
     for (asked, part) in [
         ("mine", "there is no policy `mine`"),
         ("mine", "`albireo`, `vanilla`"),
@@ -16,24 +17,19 @@ fn an_invalid_selection_is_rejected_with_a_reason_and_changes_nothing() {
         ("vanilla:2", "`vanilla:2`: this policy takes no argument"),
         ("erd-only:", "takes no argument"),
         ("ctd:", "`ctd:`: the argument must be a number"),
-        (
-            "fixed-skip:two",
-            "`fixed-skip:two`: the argument must be a number",
-        ),
+        ("fixed-skip:two", no_number),
     ] {
         let mut config = PolicyConfig::default();
         let message = config.select(asked).unwrap_err().to_string();
         assert!(message.contains(part), "{message}");
         assert_eq!(config, PolicyConfig::default(), "{asked}");
     }
+    let negative = "policy.statues: `component_size` must be a number";
     for (asked, message) in [
         ("fixed-skip:0", "policy.fixed_skip: `n` must be a number"),
         ("ctd:1", "policy.ctd: `threshold` must be a number"),
         ("ctd:nan", "policy.ctd: `threshold` must be a number"),
-        (
-            "statues:-1",
-            "policy.statues: `component_size` must be a number",
-        ),
+        ("statues:-1", negative),
         ("kill-only:7", "policy.u: `u` must be a number"),
     ] {
         let mut config = PolicyConfig::default();

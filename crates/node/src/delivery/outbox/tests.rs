@@ -239,12 +239,11 @@ fn a_hub_with_another_database_gets_the_reports_of_the_last_week_once() {
 
 #[test]
 fn a_foreign_file_and_one_of_the_first_version_are_rejected_with_a_reason() {
+    let first_version =
+        "CREATE TABLE instance (id); PRAGMA application_id = 0x616c6269; PRAGMA user_version = 1";
     for (statements, wanted) in [
         ("CREATE TABLE other (x)", "another program's"),
-        (
-            "CREATE TABLE instance (id); PRAGMA application_id = 0x616c6269; PRAGMA user_version = 1",
-            "such as 0.1.0",
-        ),
+        (first_version, "such as 0.1.0"),
     ] {
         let bench = Bench::new();
         std::fs::create_dir(bench.state()).unwrap();

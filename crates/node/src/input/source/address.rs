@@ -401,6 +401,7 @@ mod tests {
 
     #[test]
     fn shown_addresses_have_no_credentials() {
+        let pipeline = "rtspsrc location=rtsp://u:pw@cam/s user-pw=x ! rtph264depay ! jpegenc";
         for (text, shown) in [
             ("rtsp://u:pw@cam:554/s", "rtsp://cam:554/s"),
             ("rtsp://u:p/w@cam/s", "rtsp://cam/s"),
@@ -408,10 +409,7 @@ mod tests {
             ("http://cam/v.mjpg?token=secret", "http://cam/v.mjpg?…"),
             ("http://cam/v.mjpg?mail=a@b", "http://cam/v.mjpg?…"),
             ("/dev/video0", "/dev/video0"),
-            (
-                "rtspsrc location=rtsp://u:pw@cam/s user-pw=x ! rtph264depay ! jpegenc",
-                "rtspsrc ! rtph264depay ! jpegenc",
-            ),
+            (pipeline, "rtspsrc ! rtph264depay ! jpegenc"),
         ] {
             let address = SourceAddress::new(text);
             assert_eq!(address.to_string(), shown);
@@ -445,23 +443,17 @@ mod tests {
 
     #[test]
     fn an_unusable_address_is_explained_without_showing_it() {
+        let open = "has `${` without `}` behind the variable's name";
+        let unset = "needs environment variables that are not set: `NOBODY`, `NONE`";
+        let misspelt = "begins with `rtps://`; did you mean `rtsp://`?";
         for (text, error) in [
             ("", "is empty"),
             ("rtsp://a\nfile x", CONTROL),
-            (
-                "rtsp://${USER@cam",
-                "has `${` without `}` behind the variable's name",
-            ),
-            (
-                "rtsp://${NOBODY}:${NONE}@cam",
-                "needs environment variables that are not set: `NOBODY`, `NONE`",
-            ),
+            ("rtsp://${USER@cam", open),
+            ("rtsp://${NOBODY}:${NONE}@cam", unset),
             ("rtsp://cam/${LINES}", CONTROL),
             ("a caps=\"b ! c", "has a quotation mark that is not closed"),
-            (
-                "rtps://cam/s",
-                "begins with `rtps://`; did you mean `rtsp://`?",
-            ),
+            ("rtps://cam/s", misspelt),
         ] {
             assert_eq!(resolve(text).err().as_deref(), Some(error), "{text}");
         }

@@ -43,23 +43,20 @@ fn heads() -> Vec<(Head, Shapes)> {
         let head = bound(name, &input, &[("output", shape)]);
         (head, vec![shape.to_vec()])
     };
+    let two = detr.map(|(_, shape)| shape.to_vec()).to_vec();
     vec![
         one(HeadName::Yolo, &[1, 6, 42]),
         one(HeadName::EndToEnd, &[1, 5, 6]),
         one(HeadName::Yolox, &[1, 42, 7]),
         one(HeadName::FastestDet, &[1, 7, 2, 4]),
-        (
-            bound(HeadName::Detr, &input, &detr),
-            detr.map(|(_, shape)| shape.to_vec()).to_vec(),
-        ),
+        (bound(HeadName::Detr, &input, &detr), two),
     ]
 }
 
 fn read(head: &Head, outputs: &[(&[i64], &[f32])]) -> (u64, Vec<Candidate>) {
-    let views: Vec<_> = outputs
-        .iter()
-        .map(|&(shape, values)| TensorView { shape, values })
-        .collect();
+    let views = outputs.iter();
+    let views = views.map(|&(shape, values)| TensorView { shape, values });
+    let views: Vec<_> = views.collect();
     let mut candidates = Vec::new();
     let rejected = head.read(&views, 0.5, &mut candidates).unwrap();
     (rejected, candidates)
@@ -181,27 +178,16 @@ fn a_box_with_an_impossible_number_is_rejected_and_counted() {
     let end_to_end = [1.0, 2.0, 30.0, 20.0, 0.5, 79.0];
     let cell = [0.9, 0.0, 0.0, 0.0, 0.0, 0.9, 0.1];
     let yolox = [0.0, 0.0, 0.0, 0.0, 0.9, 0.9, 0.0];
-    // A good box, how far apart its numbers are, and numbers other than NaN that spoil it in these places.
+    // Numbers other than NaN that spoil a good box in these places.
+    let of_yolo = [(2, -4.0), (2, INFINITY), (4, 3.0)];
+    let of_end_to_end = [(0, 31.0), (5, -1.0), (5, 0.5), (5, 1e9)];
+    let of_yolox = [(1, INFINITY), (2, 1e4), (3, -INFINITY), (4, 7.0), (6, -0.5)];
+    // A good box, how far apart its numbers are, and what spoils it.
     for (name, good, step, others) in [
-        (
-            Yolo,
-            &yolo[..],
-            42,
-            &[(2_usize, -4.0), (2, INFINITY), (4, 3.0)][..],
-        ),
-        (
-            EndToEnd,
-            &end_to_end,
-            1,
-            &[(0, 31.0), (5, -1.0), (5, 0.5), (5, 1e9)],
-        ),
+        (Yolo, &yolo[..], 42, &of_yolo[..]),
+        (EndToEnd, &end_to_end, 1, &of_end_to_end),
         (FastestDet, &cell, 8, &[]),
-        (
-            Yolox,
-            &yolox,
-            1,
-            &[(1, INFINITY), (2, 1e4), (3, -INFINITY), (4, 7.0), (6, -0.5)],
-        ),
+        (Yolox, &yolox, 1, &of_yolox),
     ] {
         let found = |numbers: &[f32]| {
             let (rejected, found) = read_rows(name, step, &[(0, numbers)]);

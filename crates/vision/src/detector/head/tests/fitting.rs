@@ -128,16 +128,14 @@ fn an_unknown_or_ambiguous_model_is_rejected_with_every_head_that_was_tried() {
     };
     let outputs: [(&str, &[i64]); 2] = [("logits", &[1, 300, 80]), ("pred_boxes", &[1, 300, 4])];
     let unknown_transformer = model(64, &outputs, &[]);
+    // Either YOLOX with one class, or 84 finished boxes.
+    let ambiguous = plain(64, "output", &[1, 84, 6]);
     for (signature, reason) in [
         (plain(64, "logits", &[1, 1000]), "none of them"),
         // YOLOv5: three boxes per cell.
         (plain(640, "output0", &[1, 25200, 85]), "none of them"),
         (unknown_transformer, "none of them"),
-        // Either YOLOX with one class, or 84 finished boxes.
-        (
-            plain(64, "output", &[1, 84, 6]),
-            "each of end-to-end, yolox",
-        ),
+        (ambiguous, "each of end-to-end, yolox"),
         (ultralytics("task", "segment"), "`segment`"),
         // Metadata that contradicts the shape.
         (ultralytics("end2end", "True"), "`end-to-end`"),
