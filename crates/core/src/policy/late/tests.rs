@@ -101,65 +101,6 @@ fn play(policy: &mut dyn Policy, script: &[Event], given: &[usize]) -> Vec<Outco
     outcomes
 }
 
-/// A camera whose frames are answered at once, and the answers so far.
-struct Camera<'a> {
-    late: LatePolicy,
-    script: &'a [Event],
-    next: usize,
-    /// The pending frame, what it needs, and after which frame that arrives.
-    waits: Option<(usize, Need, usize)>,
-    /// Number of pieces of evidence given to each frame.
-    given: Vec<usize>,
-    /// The answer to the last frame.
-    live: Outcome,
-    settled: Vec<(usize, Outcome)>,
-}
-
-impl Camera<'_> {
-    /// Plays the next frame; returns false after the last.
-    fn frame(&mut self) -> bool {
-        let Some(event) = self.script.get(self.next) else {
-            return false;
-        };
-        if let Some(value) = event.threshold(self.late.policy()) {
-            self.late.set_threshold(value).unwrap();
-        }
-        let need = self.late.frame(event.head, &mut self.live);
-        assert_eq!(self.live.state, FrameState::P);
-        if need != Need::Nothing {
-            assert!(self.waits.is_none(), "one frame at a time");
-            self.waits = Some((self.next, need, self.next + event.delay));
-        }
-        self.next += 1;
-        true
-    }
-
-    /// Delivers the evidence that has arrived by now.
-    fn arrivals(&mut self) -> bool {
-        let mut came = false;
-        while let Some((frame, need, at)) = self.waits
-            && at < self.next
-        {
-            came = true;
-            let mut outcome = Outcome::default();
-            let event = &self.script[frame];
-            let mut known = event.known();
-            let Ok(evidence) = known.evidence(need);
-            let index = event.head.index;
-            let need = self.late.deliver(index, evidence, &mut outcome);
-            self.given[frame] += 1;
-            self.waits = match need.unwrap() {
-                Need::Nothing => {
-                    self.settled.push((frame, outcome));
-                    None
-                }
-                need => Some((frame, need, self.next - 1 + event.delay)),
-            };
-        }
-        came
-    }
-}
-
 #[test]
 fn predicting_policies_answer_at_once_and_others_are_rejected() {
     for name in known_policies() {
@@ -206,47 +147,69 @@ fn compare<P: Policy + Clone + 'static>(
     script: &[Event],
 ) -> Result<&'static str, TestCaseError> {
     let name = new.name();
-    let mut camera = Camera {
-        late: LatePolicy::new(Box::new(new.clone())).unwrap(),
-        script,
-        next: 0,
-        waits: None,
-        given: vec![0; script.len()],
-        live: Outcome::default(),
-        settled: Vec::new(),
-    };
+    let mut late = LatePolicy::new(Box::new(new.clone())).unwrap();
+    let mut answer = Outcome::default();
+    // Number of pieces of evidence given to each frame.
+    let mut given = vec![0; script.len()];
+    // The pending frame, what it needs, and after which frame that arrives.
+    let mut waits: Option<(usize, Need, usize)> = None;
+    let mut settled: Vec<(usize, Outcome)> = Vec::new();
     // The policy before the first frame that may still get evidence, and the index of that frame. What came before it is
     // final, so to play on from here is to play from the start.
     let (mut before, mut first) = (new.clone(), 0);
-    while camera.frame() {
-        let script = &script[first..camera.next];
+    for (number, event) in script.iter().enumerate() {
+        if let Some(value) = event.threshold(late.policy()) {
+            late.set_threshold(value).unwrap();
+        }
+        let need = late.frame(event.head, &mut answer);
+        prop_assert_eq!(answer.state, FrameState::P);
+        if need != Need::Nothing {
+            prop_assert!(waits.is_none(), "one frame at a time");
+            waits = Some((number, need, number + event.delay));
+        }
+        let played = &script[first..=number];
         let mut policy = before.clone();
-        let mut live = play(&mut policy, script, &camera.given[first..])
-            .pop()
-            .unwrap();
+        let mut live = play(&mut policy, played, &given[first..]).pop().unwrap();
         (live.degraded, live.cause) = (false, None);
-        prop_assert_eq!(&camera.live, &live, "{}", name);
-        prop_assert_eq!(records(camera.late.policy()), records(&policy), "{}", name);
-        let came = camera.arrivals();
-        prop_assert_eq!(camera.late.pending().is_some(), camera.waits.is_some());
+        prop_assert_eq!(&answer, &live, "{}", name);
+        prop_assert_eq!(records(late.policy()), records(&policy), "{}", name);
+        let mut came = false;
+        while let Some((frame, need, at)) = waits
+            && at <= number
+        {
+            came = true;
+            let of_frame = &script[frame];
+            let mut outcome = Outcome::default();
+            let mut known = of_frame.known();
+            let Ok(evidence) = known.evidence(need);
+            let need = late.deliver(of_frame.head.index, evidence, &mut outcome);
+            given[frame] += 1;
+            waits = match need.unwrap() {
+                Need::Nothing => {
+                    settled.push((frame, outcome));
+                    None
+                }
+                need => Some((frame, need, number + of_frame.delay)),
+            };
+        }
+        prop_assert_eq!(late.pending().is_some(), waits.is_some());
         if came {
             policy = before.clone();
-            let after = play(&mut policy, script, &camera.given[first..]);
-            prop_assert_eq!(records(camera.late.policy()), records(&policy), "{}", name);
-            prop_assert_eq!(camera.late.policy().threshold(), policy.threshold());
-            let settled = camera.settled.iter().filter(|(frame, _)| *frame >= first);
-            for (frame, outcome) in settled {
+            let after = play(&mut policy, played, &given[first..]);
+            prop_assert_eq!(records(late.policy()), records(&policy), "{}", name);
+            prop_assert_eq!(late.policy().threshold(), policy.threshold());
+            for (frame, outcome) in settled.iter().filter(|(frame, _)| *frame >= first) {
                 prop_assert_eq!(outcome, &after[frame - first], "{}, frame {}", name, frame);
             }
         }
-        if camera.waits.is_none() {
-            (before, first) = (policy, camera.next);
+        if waits.is_none() {
+            (before, first) = (policy, number + 1);
         }
     }
     let mut policy = new.clone();
-    let outcomes = play(&mut policy, script, &camera.given);
-    prop_assert_eq!(records(camera.late.policy()), records(&policy), "{}", name);
-    for (frame, outcome) in &camera.settled {
+    let outcomes = play(&mut policy, script, &given);
+    prop_assert_eq!(records(late.policy()), records(&policy), "{}", name);
+    for (frame, outcome) in &settled {
         prop_assert_eq!(outcome, &outcomes[*frame], "{}, frame {}", name, frame);
     }
     Ok(name)
