@@ -23,10 +23,10 @@ fn on_pictures(folder: &Path, more: &str) -> String {
 
 #[test]
 fn a_missing_file_folder_or_model_is_named() {
-    let said = refusal("video no/such.mp4");
-    assert_contains(&said, &["no/such.mp4: no such file or folder"]);
-    let said = on_pictures(Path::new("no/such"), "");
-    assert_contains(&said, &["no/such: no such file or folder"]);
+    for (command, name) in [("video", "no/such.mp4"), ("pictures", "no/such")] {
+        let said = refusal(&format!("{command} {name}"));
+        assert_contains(&said, &[&format!("{name}: no such file or folder")]);
+    }
     let folder = tempfile::tempdir().unwrap();
     assert_contains(&on_pictures(folder.path(), ""), &["no .jpg"]);
     write_pictures(folder.path(), 2);
@@ -89,7 +89,7 @@ fn labels(folder: &Path, video: &str, frames: usize) -> GroundTruth {
 }
 
 #[test]
-fn ground_truth_is_found_by_name_and_rejected_for_other_frames_or_clips() {
+fn ground_truth_is_found_by_name_and_rejected_for_other_frames_clips_or_sizes() {
     let folder = tempfile::tempdir().unwrap();
     let mut clip = by_hand(3);
     let mut report = LoadReport::default();
@@ -116,16 +116,10 @@ fn ground_truth_is_found_by_name_and_rejected_for_other_frames_or_clips() {
     let names = ["by-hand".to_owned(), "second".to_owned()];
     let error = other.check(&names).unwrap_err().to_string();
     assert_contains(&error, &["other", "by-hand, second"]);
-}
 
-#[test]
-fn ground_truth_for_pictures_of_another_size_is_rejected() {
-    let folder = tempfile::tempdir().unwrap();
-    let mut clip = by_hand(3);
     clip.truth = Some(vec![Vec::new(); 3]);
     albireo_eval::data::recorded::write(folder.path(), std::slice::from_ref(&clip)).unwrap();
     let mut truth = GroundTruth::new(vec![folder.path().to_owned()], TruthFormat::Recorded);
-    let mut report = LoadReport::default();
     truth.attach_to(&mut clip, false, &mut report).unwrap();
     assert!(clip.truth.is_some());
     clip.picture = PictureSize::new(640, 360);

@@ -3,7 +3,7 @@
 mod reports;
 
 pub(crate) use super::postgres::{on_both, sqlite};
-pub(crate) use reports::{Reply, in_batch, now_ns, uplink};
+pub(crate) use reports::{Reply, in_batch, now_ns, uplink, zenoh_session};
 
 use super::{PATIENCE, albireo, clip_report, free_port, json_at, project, python, text_at};
 use albireo_wire::{BatchCompression, ClipReport};

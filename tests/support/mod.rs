@@ -11,6 +11,7 @@ mod ports;
 pub(crate) mod postgres;
 
 pub(crate) use assertions::assert_has;
+pub(crate) use fleet::zenoh_session;
 pub(crate) use ports::free_port;
 
 use albireo::cli::frames::{FrameSender, Pacing, open_session};
@@ -125,16 +126,6 @@ pub(crate) fn value_of(metrics: &str, series: &str) -> f64 {
 
 pub(crate) async fn metric(http: &str, series: &str) -> f64 {
     value_of(&text_at(&format!("{http}/metrics")).await, series)
-}
-
-/// A Zenoh session with these settings over Zenoh's defaults.
-pub(crate) async fn zenoh_session(settings: &[(&str, Value)]) -> zenoh::Result<Session> {
-    let mut config = zenoh::Config::default();
-    config.insert_json5("scouting/multicast/enabled", "false")?;
-    for (key, value) in settings {
-        config.insert_json5(key, &value.to_string())?;
-    }
-    zenoh::open(config).await
 }
 
 /// A client with Zenoh's defaults, shared memory among them.

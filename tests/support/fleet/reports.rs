@@ -44,13 +44,17 @@ pub(crate) async fn uplink(endpoint: &str) -> zenoh::Session {
 }
 
 /// Opens a session with these settings over Zenoh's defaults.
-pub(crate) async fn open(settings: &[(&str, Value)]) -> zenoh::Session {
+pub(crate) async fn zenoh_session(settings: &[(&str, Value)]) -> zenoh::Result<zenoh::Session> {
     let mut config = zenoh::Config::default();
     let alone = ("scouting/multicast/enabled", json!(false));
     for (key, value) in settings.iter().chain([&alone]) {
-        config.insert_json5(key, &value.to_string()).unwrap();
+        config.insert_json5(key, &value.to_string())?;
     }
-    let opened = tokio::time::timeout(Duration::from_secs(60), zenoh::open(config));
+    zenoh::open(config).await
+}
+
+pub(crate) async fn open(settings: &[(&str, Value)]) -> zenoh::Session {
+    let opened = tokio::time::timeout(Duration::from_secs(60), zenoh_session(settings));
     opened.await.expect("the session opens in time").unwrap()
 }
 

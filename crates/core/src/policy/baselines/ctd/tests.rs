@@ -4,18 +4,17 @@ use crate::policy::tests::{Run, seen};
 use crate::policy::{BoxSource, FrameEvidence, Profile};
 use proptest::prelude::*;
 
-/// Frames until the detector runs, which then finds `found`.
-fn frames_until_detector(run: &mut Run, found: f64) -> usize {
+fn frames_until_detector(run: &mut Run) -> usize {
     let mut frames = 1..100;
-    let called = frames.find(|_| run.see(&[seen(found, 0.9)]) == I);
+    let called = frames.find(|_| run.see(&[seen(0.5, 0.9)]) == I);
     called.unwrap()
 }
 
 /// A confirmed object that does not move.
-fn standing(threshold: &str, profile: Profile) -> Run {
-    let mut run = Run::new(&format!("ctd:{threshold}"), profile);
+fn standing(profile: Profile) -> Run {
+    let mut run = Run::new("ctd:0.5", profile);
     for _ in 0..30 {
-        frames_until_detector(&mut run, 0.5);
+        frames_until_detector(&mut run);
     }
     assert!(run.records()[0].confirmed);
     run
@@ -49,22 +48,17 @@ proptest! {
 }
 
 #[test]
-fn a_stationary_object_is_predicted_for_eight_frames() {
+fn a_stationary_object_is_predicted_for_eight_frames_counting_lost_ones() {
+    let found = [seen(0.5, 0.9)];
     for profile in [Profile::Paper, Profile::Reference] {
-        let mut run = standing("0.5", profile);
-        assert_eq!(frames_until_detector(&mut run, 0.5), 9);
+        let mut run = standing(profile);
+        assert_eq!(frames_until_detector(&mut run), 9);
+        for (step, state) in [(8, P), (1, I), (9, I)] {
+            assert_eq!(run.frame(step, FrameEvidence::detections(&found)), state);
+        }
         assert_eq!(run.see(&[]), P);
         assert_eq!(run.reported()[0].0, BoxSource::Predicted);
     }
-}
-
-#[test]
-fn lost_frames_count_towards_the_longest_skip() {
-    let mut run = standing("0.5", Profile::Paper);
-    let found = [seen(0.5, 0.9)];
-    assert_eq!(run.frame(8, FrameEvidence::detections(&found)), P);
-    assert_eq!(run.frame(1, FrameEvidence::detections(&found)), I);
-    assert_eq!(run.frame(9, FrameEvidence::detections(&found)), I);
 }
 
 #[test]
