@@ -2,7 +2,7 @@
 //! kind of intruder.
 
 use crate::support::camera::Camera;
-use crate::support::fleet::{HubProcess, Settings, deliver, now_ns, settings, sqlite};
+use crate::support::fleet::{HubProcess, deliver, now_ns, settings, sqlite};
 use crate::support::{
     Node, PATIENCE, albireo, assert_contains, free_port, run, signal, subscribe, text, text_at,
     until_ready, value_of, zenoh_session,
@@ -36,7 +36,11 @@ impl Fleet {
         fleet.does(&["cert", "hub", "main"]);
         fleet.does(&["cert", "node", "car-7", "car-8"]);
         let router = fleet.start_router().await;
-        let hub = HubProcess::start(&fleet.hub_settings());
+        let (_, mut settings) = settings(&sqlite(fleet.folder.path()));
+        settings.retain(|(name, _)| *name != "ALBIREO_ZENOH__LISTEN");
+        let file = fleet.shipped("hub.json5").display().to_string();
+        settings.push(("ALBIREO_ZENOH__CONFIG_FILE", file));
+        let hub = HubProcess::start(&settings);
         hub.until_ready().await;
         (fleet, router, hub)
     }
@@ -94,14 +98,6 @@ impl Fleet {
 
     fn log(&self) -> String {
         std::fs::read_to_string(self.folder.path().join("router.log")).unwrap()
-    }
-
-    fn hub_settings(&self) -> Settings {
-        let (_, mut settings) = settings(&sqlite(self.folder.path()));
-        settings.retain(|(name, _)| *name != "ALBIREO_ZENOH__LISTEN");
-        let file = self.shipped("hub.json5").display().to_string();
-        settings.push(("ALBIREO_ZENOH__CONFIG_FILE", file));
-        settings
     }
 
     async fn opens_with(&self, certificate: &Path, key: &Path) -> zenoh::Result<Session> {

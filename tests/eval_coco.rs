@@ -14,13 +14,6 @@ use std::process::Command;
 /// A name, predictions and ground truth.
 type Case = (String, Vec<Vec<ScoredBox>>, Vec<Vec<ScoredBox>>);
 
-fn coco(cases: &[Case]) -> Value {
-    let clips: Vec<Value> = cases.iter().map(frames).collect();
-    let mut script = Command::new(python());
-    script.arg(project("tests/python/coco_average_precision.py"));
-    ask_script(&mut script, &json!({"clips": clips}))
-}
-
 /// A case in the format of the script.
 fn frames((_, predictions, truth): &Case) -> Value {
     let row = |b: &ScoredBox| {
@@ -36,7 +29,10 @@ fn frames((_, predictions, truth): &Case) -> Value {
 }
 
 fn assert_agreement(cases: &[Case]) {
-    let answers = coco(cases);
+    let clips: Vec<Value> = cases.iter().map(frames).collect();
+    let mut script = Command::new(python());
+    script.arg(project("tests/python/coco_average_precision.py"));
+    let answers = ask_script(&mut script, &json!({"clips": clips}));
     let answers = answers.as_array().expect("answers");
     for ((what, predictions, truth), theirs) in cases.iter().zip(answers) {
         for (name, classes, interpolation) in [

@@ -176,15 +176,11 @@ fn every_second<T>(frames: Vec<T>) -> Vec<T> {
 
 fn main() -> Outcome<()> {
     let arguments = Arguments::parse();
-    let recordings =
-        Recordings::read(&arguments.folder, arguments.half_rate, arguments.confidence)?;
-    let (clips, rate) = (&recordings.clips, arguments.half_rate);
-    println!(
-        "{} clips, detections >= {}{}\n",
-        clips.len(),
-        arguments.confidence,
-        if rate { ", every second frame" } else { "" }
-    );
+    let (half_rate, confidence) = (arguments.half_rate, arguments.confidence);
+    let recordings = Recordings::read(&arguments.folder, half_rate, confidence)?;
+    let (clips, count) = (&recordings.clips, recordings.clips.len());
+    let rate = ["", ", every second frame"][usize::from(half_rate)];
+    println!("{count} clips, detections >= {confidence}{rate}\n");
     for policy in [BASELINE, "expected-loss:0"] {
         let point = recordings.run(clips, policy)?;
         let figures = FIGURES.map(|(name, figure)| format!("{name} {:.3}", point.mean(figure)));

@@ -115,17 +115,14 @@ fn slow_average_precision(
     hits.map(best_from).sum::<f64>() / boxes as f64
 }
 
-fn some_box() -> impl Strategy<Value = Corners> {
-    (0..12u8, 0..12u8, 1..9u8, 1..9u8).prop_map(|(x, y, w, h)| Corners {
+fn some_boxes() -> impl Strategy<Value = Vec<ScoredBox>> {
+    let corners = (0..12u8, 0..12u8, 1..9u8, 1..9u8).prop_map(|(x, y, w, h)| Corners {
         x1: f64::from(x),
         y1: f64::from(y),
         x2: f64::from(x + w),
         y2: f64::from(y + h),
-    })
-}
-
-fn some_boxes() -> impl Strategy<Value = Vec<ScoredBox>> {
-    let scored = (some_box(), 0..6u8).prop_map(|(b, c)| scored(b, f64::from(c) / 8.0));
+    });
+    let scored = (corners, 0..6u8).prop_map(|(b, c)| scored(b, f64::from(c) / 8.0));
     proptest::collection::vec(scored, 0..8)
 }
 

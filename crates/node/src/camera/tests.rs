@@ -1,7 +1,7 @@
 //! Tests of a camera's loop, with a detector of coloured boxes and with frames that are late or out of order.
 
 use super::*;
-use crate::camera::audit::{AuditConfig, Auditor};
+use crate::camera::audit::Auditor;
 use crate::camera::clip::tests::report;
 use crate::camera::clip::{Clip, ClipConfig, ClipTracker};
 use crate::camera::evidence::LiveEvidence;
@@ -67,11 +67,8 @@ struct Bench {
 impl Bench {
     /// A camera under a policy, of whose skipped frames this share is audited.
     async fn new(policy: &str, share: f64) -> Self {
-        let audit = AuditConfig { share };
-        let mut config = NodeConfig {
-            audit,
-            ..NodeConfig::default()
-        };
+        let mut config = NodeConfig::default();
+        config.audit.share = share;
         config.policy.select(policy).unwrap();
         config.cameras[0].ring = 64;
         let board = Board::open(&config).unwrap();
@@ -82,7 +79,7 @@ impl Bench {
         let pixels = pixels(&detector);
         let energy = PowerHandle::none().camera();
         let (closed, clips) = tokio::sync::mpsc::unbounded_channel();
-        let audit = Arc::new(CameraAudit::new(audit, Arc::clone(&camera)));
+        let audit = Arc::new(CameraAudit::new(config.audit, Arc::clone(&camera)));
         let tracker = ClipTracker::new(ClipConfig::default(), energy.clone(), audit.share());
         let session = crate::api::name::tests::session(&[("listen/endpoints", "[]")]).await;
         let sent = (CongestionControl::Drop, publishing::LIVE);
