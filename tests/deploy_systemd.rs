@@ -106,10 +106,9 @@ impl Service {
     async fn until(&mut self, message: &str, times: usize) {
         while self.count(message) < times {
             let mut buffer = [0; 4096];
-            let length = timeout(PATIENCE, self.socket.recv(&mut buffer))
-                .await
-                .unwrap_or_else(|_| panic!("no {message}: {:?}\n{}", self.heard, self.log()))
-                .unwrap();
+            let received = timeout(PATIENCE, self.socket.recv(&mut buffer)).await;
+            let missing = |_| panic!("no {message}: {:?}\n{}", self.heard, self.log());
+            let length = received.unwrap_or_else(missing).unwrap();
             let text = String::from_utf8(buffer[..length].to_vec()).unwrap();
             self.heard.extend(text.lines().map(str::to_owned));
         }

@@ -11,21 +11,16 @@ use std::collections::HashMap;
 
 type Row = HashMap<String, String>;
 
-/// `summary.csv` of the published code: its rows by sequence and policy.
-fn golden_summary() -> HashMap<(String, String), Row> {
-    let reader = csv::Reader::from_path(shared("golden/summary.csv"));
-    let rows = reader.expect("the summary").into_deserialize::<Row>();
-    rows.map(|row| {
-        let row = row.expect("a readable row");
-        ((row["sequence"].clone(), row["policy"].clone()), row)
-    })
-    .collect()
-}
-
 #[test]
 #[ignore = "needs ../shared"]
 fn shared_every_policy_of_the_published_summary_gives_the_published_figures() {
-    let summary = golden_summary();
+    // The rows of the published code's summary by sequence and policy.
+    let mut summary = HashMap::new();
+    let reader = csv::Reader::from_path(shared("golden/summary.csv"));
+    for row in reader.expect("the summary").into_deserialize::<Row>() {
+        let row = row.expect("a readable row");
+        summary.insert((row["sequence"].clone(), row["policy"].clone()), row);
+    }
     let clips = recorded::read(&shared("data/recorded")).expect("the recordings");
     let mut compared = 0;
     for screen in [ScreenRule::Nonempty, ScreenRule::Detections] {

@@ -13,14 +13,12 @@ use shared_data::{detections, sequences};
 pub(crate) mod replay;
 pub(crate) mod shared_data;
 
+const SCREENED: &str = "albireo-u3e-4-erd-detections";
+
 /// The runs of the published code: the name of the traces, the policy, and the verdicts of the empty-scene screen.
 pub(crate) const RUNS: [(&str, &str, Screen); 5] = [
     ("albireo-u3e-4-erd-nonempty", "albireo:3e-4", NeverEmpty),
-    (
-        "albireo-u3e-4-erd-detections",
-        "albireo:3e-4",
-        EmptyWithoutDetections,
-    ),
+    (SCREENED, "albireo:3e-4", EmptyWithoutDetections),
     ("albireo-u1e-3-erd-nonempty", "albireo:1e-3", NeverEmpty),
     ("fixedskip-2", "fixed-skip:2", NeverEmpty),
     ("ctd-0.50", "ctd:0.50", NeverEmpty),

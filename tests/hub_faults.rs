@@ -3,7 +3,7 @@
 use crate::support::fleet::{
     HubProcess, Reply, deliver, in_batch, now_ns, report, send, settings, sqlite, uplink,
 };
-use crate::support::{assert_contains, memory_mb, metric};
+use crate::support::{assert_contains, limit, memory_mb, metric};
 use albireo_wire::{BatchCompression, LARGEST_BATCH_BYTES, RefusalReason};
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -47,10 +47,7 @@ async fn a_full_disk_delays_acknowledgements_and_loses_nothing() {
     assert!(metric(&hub.http, "albireo_hub_database_errors_total").await > 0.0);
 
     // There is space again.
-    let lifted = std::process::Command::new("prlimit")
-        .args(["--pid", &hub.id().to_string(), "--fsize=unlimited"])
-        .status();
-    assert!(lifted.unwrap().success());
+    limit(hub.id(), "--fsize=unlimited");
     deliver(&session, NODE, last + 1..=last + 100, begun).await;
     hub.until_ready().await;
     hub.has_each_once(NODE, last + 100).await;

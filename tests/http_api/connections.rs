@@ -1,7 +1,7 @@
 //! Connections that send or read nothing are closed, and never block other clients.
 
 use super::served::{Served, answered, frame};
-use crate::support::{Node, PATIENCE};
+use crate::support::{Node, PATIENCE, limit};
 use albireo_core::policy::FrameState;
 use albireo_service::config::HttpConfig;
 use reqwest::StatusCode;
@@ -99,11 +99,7 @@ async fn an_event_stream_that_is_not_read_is_closed() {
 #[ignore = "needs ONNX Runtime"]
 async fn a_thousand_idle_connections_block_no_health_check_and_hold_few_descriptors() {
     let node = Node::start("[detector]\nmodel = \"tests/fixtures/models/colours.onnx\"\n").await;
-    let limited = std::process::Command::new("prlimit")
-        .args(["--nofile=1024:1024", "--pid", &node.id().to_string()])
-        .status()
-        .expect("prlimit runs (Debian package `util-linux`)");
-    assert!(limited.success());
+    limit(node.id(), "--nofile=1024:1024");
     let address = node.http.trim_start_matches("http://").to_owned();
     let mut idle = Vec::new();
     for _ in 0..1100 {

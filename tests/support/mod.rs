@@ -102,6 +102,12 @@ pub(crate) fn signal(process: u32, signal: &str) {
     run_command(kill.args([signal, &process.to_string()])).succeeds();
 }
 
+/// Sets a limit of a process with `prlimit` (Debian package `util-linux`).
+pub(crate) fn limit(process: u32, limit: &str) {
+    let mut prlimit = std::process::Command::new("prlimit");
+    run_command(prlimit.args(["--pid", &process.to_string(), limit])).succeeds();
+}
+
 /// The text at an address; empty without an answer.
 pub(crate) async fn text_at(url: &str) -> String {
     match reqwest::get(url).await {

@@ -236,6 +236,26 @@ proptest! {
             prop_assert!(rate.low <= rate.high, "{:?}", rate);
         }
     }
+
+    /// Computed per frame instead of from sums of squares.
+    #[test]
+    fn the_design_effect_is_the_variance_of_frames_over_that_of_boxes(
+        frames in prop::collection::vec((1u32..12, 0.0f64..=1.0), 1..40),
+    ) {
+        let frames: Vec<(f64, f64)> = (frames.iter())
+            .map(|&(boxes, share)| (f64::from(boxes), (f64::from(boxes) * share).round()))
+            .collect();
+        let sum = |of: &dyn Fn(f64, f64) -> f64| frames.iter().map(|&(m, k)| of(m, k)).sum::<f64>();
+        let (boxes, paired) = (sum(&|m, _| m), sum(&|_, k| k));
+        let crowd = sum(&|m, _| m * m) / boxes;
+        let rate = (paired + crowd / 2.0) / (boxes + crowd);
+        let more = |shown: f64| (shown - rate * crowd).powi(2);
+        let residuals = sum(&|m, k| (k - rate * m).powi(2)) + (more(0.0) + more(crowd)) / 2.0;
+        let expected = residuals / (boxes + crowd) / (rate * (1.0 - rate));
+        let squares = [sum(&|_, k| k * k), sum(&|m, k| m * k), sum(&|m, _| m * m)];
+        let found = design_effect(paired, boxes, squares);
+        prop_assert!((found - expected.max(1.0)).abs() < 1e-9 * expected, "{found} {expected}");
+    }
 }
 
 /// The sums of a camera and its true recall: all boxes of a frame except one were shown, but only half of them on missed
@@ -291,26 +311,4 @@ fn missed_frames_alone_give_no_rate() {
     assert_eq!((sums.recall(), sums.precision()), (None, None));
     assert_eq!(sums.missed_share(), 1.0);
     assert!(!sums.is_empty() && AuditSums::default().is_empty());
-}
-
-proptest! {
-    /// Computed per frame instead of from sums of squares.
-    #[test]
-    fn the_design_effect_is_the_variance_of_frames_over_that_of_boxes(
-        frames in prop::collection::vec((1u32..12, 0.0f64..=1.0), 1..40),
-    ) {
-        let frames: Vec<(f64, f64)> = (frames.iter())
-            .map(|&(boxes, share)| (f64::from(boxes), (f64::from(boxes) * share).round()))
-            .collect();
-        let sum = |of: &dyn Fn(f64, f64) -> f64| frames.iter().map(|&(m, k)| of(m, k)).sum::<f64>();
-        let (boxes, paired) = (sum(&|m, _| m), sum(&|_, k| k));
-        let crowd = sum(&|m, _| m * m) / boxes;
-        let rate = (paired + crowd / 2.0) / (boxes + crowd);
-        let more = |shown: f64| (shown - rate * crowd).powi(2);
-        let residuals = sum(&|m, k| (k - rate * m).powi(2)) + (more(0.0) + more(crowd)) / 2.0;
-        let expected = residuals / (boxes + crowd) / (rate * (1.0 - rate));
-        let squares = [sum(&|_, k| k * k), sum(&|m, k| m * k), sum(&|m, _| m * m)];
-        let found = design_effect(paired, boxes, squares);
-        prop_assert!((found - expected.max(1.0)).abs() < 1e-9 * expected, "{found} {expected}");
-    }
 }

@@ -42,10 +42,8 @@ impl Texture {
             let angles = columns[index % WIDTH].iter().zip(&rows[index / WIDTH]);
             let waves =
                 angles.map(|((sin_x, cos_x), (sin_y, cos_y))| cos_x * cos_y - sin_x * sin_y);
-            let sum: f64 = waves
-                .zip(&self.0)
-                .map(|(wave, [.., weight])| weight * wave)
-                .sum();
+            let weighted = waves.zip(&self.0).map(|(wave, [.., weight])| weight * wave);
+            let sum: f64 = weighted.sum();
             (128.0 + 7.0 * sum).clamp(0.0, 255.0) as u8
         };
         (0..WIDTH * HEIGHT).map(value).collect()

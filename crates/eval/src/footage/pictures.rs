@@ -201,9 +201,8 @@ mod tests {
         for (name, bytes) in members {
             let mut header = tar::Header::new_gnu();
             header.set_size(bytes.len() as u64);
-            builder
-                .append_data(&mut header, name, bytes.as_slice())
-                .unwrap();
+            let added = builder.append_data(&mut header, name, bytes.as_slice());
+            added.unwrap();
         }
         builder.finish().unwrap();
         file

@@ -130,9 +130,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("1.jpg");
         let encoder = jpeg_encoder::Encoder::new_file(&file, 80).unwrap();
-        encoder
-            .encode(&[0; 3 * 16 * 16], 16, 16, jpeg_encoder::ColorType::Rgb)
-            .unwrap();
+        let rgb = jpeg_encoder::ColorType::Rgb;
+        encoder.encode(&[0; 3 * 16 * 16], 16, 16, rgb).unwrap();
         let mut worst = WorstFrame {
             frame: 3,
             state: FrameState::P,

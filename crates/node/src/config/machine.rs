@@ -141,11 +141,9 @@ mod tests {
         config.http.token_file = Some(taken.clone());
         config.node.state_dir = Some(taken);
         config.uplink.root_ca_certificate = Some("/nowhere/ca.pem".into());
-        assert_eq!(
-            keys(config.missing_here()).join(" "),
-            "detector.model detector.class_names screen.model detector.onnxruntime http.token_file \
-             uplink.root_ca_certificate node.state_dir"
-        );
+        let expected = "detector.model detector.class_names screen.model detector.onnxruntime http.token_file \
+                        uplink.root_ca_certificate node.state_dir";
+        assert_eq!(keys(config.missing_here()).join(" "), expected);
     }
 
     #[test]

@@ -320,10 +320,8 @@ mod tests {
         let foreign = |sent: &'static str| {
             let mut headers = HeaderMap::new();
             headers.insert(HOST, HeaderValue::from_static("127.0.0.1:8090"));
-            for (name, value) in sent
-                .split(", ")
-                .filter_map(|header| header.split_once(": "))
-            {
+            let sent = sent.split(", ");
+            for (name, value) in sent.filter_map(|header| header.split_once(": ")) {
                 headers.insert(name, HeaderValue::from_static(value));
             }
             guard.is_from_another_site(&headers)

@@ -4,18 +4,16 @@ use super::*;
 use albireo_wire::EnergyQuality;
 
 fn played(quality: EnergyQuality) -> Comparison {
-    let runs = rounds([80.0, 60.0], 40)
-        .map(|mut run| {
-            run.report.energy.quality = quality;
-            run.agreement = Some(Agreement {
-                ap50: 0.912,
-                precision: 0.95,
-                recall: 0.93,
-                frames: 100,
-            });
-            run
-        })
-        .collect();
+    let mut runs = Vec::from_iter(rounds([80.0, 60.0], 40));
+    for run in &mut runs {
+        run.report.energy.quality = quality;
+        run.agreement = Some(Agreement {
+            ap50: 0.912,
+            precision: 0.95,
+            recall: 0.93,
+            frames: 100,
+        });
+    }
     comparison(&["vanilla", "albireo u=5e-4"], runs)
 }
 
