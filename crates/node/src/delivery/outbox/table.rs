@@ -187,16 +187,12 @@ impl Table {
                 insert.execute(params![id, count, state.0, state.1, report.json])?;
             }
         }
-        let mut lost = 0;
-        for state in [REFUSED, ACKNOWLEDGED, AGAIN, WAITING] {
-            while used_bytes(&transaction)? > self.most_bytes {
-                let deleted = remove_oldest(&transaction, state, 16)?;
-                if deleted == 0 {
-                    break;
-                }
-                if state == WAITING {
-                    lost += deleted;
-                }
+        let (mut lost, mut state) = (0, REFUSED);
+        while state >= WAITING && used_bytes(&transaction)? > self.most_bytes {
+            match remove_oldest(&transaction, state, 16)? {
+                0 => state -= 1,
+                deleted if state == WAITING => lost += deleted,
+                _ => {}
             }
         }
         let counters = Counters {
@@ -223,9 +219,9 @@ impl Table {
     ) -> Result<Vec<StoredReport>, TableError> {
         let mut select = self.db.prepare_cached(
             "SELECT id, count, state, acknowledged_ms, json FROM report
-             WHERE state <= ? ORDER BY state, count LIMIT ?",
+             WHERE state <= ? ORDER BY state, count",
         )?;
-        let found = select.query_map([last_state, signed(most as u64)], |row| {
+        let found = select.query_map([last_state], |row| {
             Ok(StoredReport {
                 id: Uuid::from_bytes(row.get(0)?),
                 count: row.get::<_, Option<i64>>(1)?.map(i64::cast_unsigned),
@@ -234,7 +230,8 @@ impl Table {
                 json: row.get(4)?,
             })
         })?;
-        Ok(found.collect::<Result<_, _>>()?)
+        // Not by `LIMIT ?`: SQLite parses a statement anew whenever such a limit is bound.
+        Ok(found.take(most).collect::<Result<_, _>>()?)
     }
 
     /// Applies a hub's answer. Acknowledged reports are kept for `kept_ms` from then on.
@@ -266,11 +263,11 @@ impl Table {
             }
         }
         // Examines only the oldest, so the cost is limited by the number of deleted rows.
-        transaction.execute(
+        (transaction.prepare_cached(
             "DELETE FROM report WHERE acknowledged_ms < ?1 AND rowid IN \
              (SELECT rowid FROM report WHERE state >= ?2 ORDER BY state, count LIMIT 400)",
-            params![now_ms.saturating_sub(kept_ms), ACKNOWLEDGED],
-        )?;
+        )?)
+        .execute(params![now_ms.saturating_sub(kept_ms), ACKNOWLEDGED])?;
         write_counters(&transaction, &self.counters)?;
         transaction.commit()?;
         Ok(())
