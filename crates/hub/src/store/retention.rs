@@ -91,7 +91,9 @@ pub(crate) fn retain(
             (ORDERS, before(history.events_days)),
             (SET_ASIDE, before(history.set_aside_days)),
         ]) {
-            let gone: Vec<Row> = database.query(text, &[bound.into(), STEP.into()])?;
+            // Not as a parameter: SQLite parses a statement anew whenever its limit is bound.
+            let text = text.replace("$2", &STEP.to_string());
+            let gone: Vec<Row> = database.query(&text, &[bound.into()])?;
             most = most.max(gone.len());
         }
     }
