@@ -4,7 +4,9 @@
 use super::clip::{ClipRecord, record};
 use super::plan::{Present, key};
 use crate::store::ReportKey;
-use albireo_wire::{ClipReport, MOST_REPORTS, VERSION, check_segment, decompress_batch};
+use albireo_wire::{
+    ClipReport, MOST_REPORTS, VERSION, check_segment, check_version, decompress_batch,
+};
 use serde::Deserialize;
 use serde_json::value::RawValue;
 use uuid::Uuid;
@@ -51,6 +53,7 @@ pub(crate) enum Rejected {
 /// A batch with unparsed reports, so that an invalid one does not make its batch invalid.
 #[derive(Deserialize)]
 struct RawBatch<'a> {
+    v: u32,
     node: String,
     t_ms: u64,
     #[serde(borrow)]
@@ -63,7 +66,11 @@ struct RawBatch<'a> {
 /// The reason that the whole batch is refused. An invalid report in it is no reason.
 pub fn decode(node: &str, payload: &[u8], hub_ms: i64) -> Result<Batch, String> {
     let json = decompress_batch(payload).map_err(|error| error.to_string())?;
-    let batch: RawBatch<'_> = albireo_wire::read(&json).map_err(|error| error.to_string())?;
+    // A batch is read once: only one that cannot be read is searched for another version.
+    let batch: RawBatch<'_> = serde_json::from_slice(&json)
+        .or_else(|_| albireo_wire::read(&json))
+        .map_err(|error| error.to_string())?;
+    check_version(batch.v).map_err(|error| error.to_string())?;
     if batch.node != node {
         let of = batch.node;
         return Err(format!(
