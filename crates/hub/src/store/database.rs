@@ -125,17 +125,21 @@ impl dyn Database + '_ {
         names: &[&str],
         now_ms: i64,
     ) -> Result<HashMap<String, ReportCountsRow>, StoreError> {
-        let new = |name: &&str| {
-            json!({
-                "name": name,
-                "state": PresenceState::Silent,
-                "since_ms": now_ms,
-                "why": "no status was received yet",
-            })
-        };
-        let new: Vec<Value> = names.iter().map(new).collect();
-        self.insert("nodes", &new, "ON CONFLICT (name) DO NOTHING")?;
-        let nodes = self.among(include_str!("sql/reporting_nodes.sql"), names)?;
+        let text = include_str!("sql/reporting_nodes.sql");
+        let mut nodes = self.among(text, names)?;
+        if nodes.len() < names.len() {
+            let new = |name: &&str| {
+                json!({
+                    "name": name,
+                    "state": PresenceState::Silent,
+                    "since_ms": now_ms,
+                    "why": "no status was received yet",
+                })
+            };
+            let new: Vec<Value> = names.iter().map(new).collect();
+            self.insert("nodes", &new, "ON CONFLICT (name) DO NOTHING")?;
+            nodes = self.among(text, names)?;
+        }
         let nodes: Vec<ReportCountsRow> = read_all(nodes)?;
         let nodes = nodes.into_iter().map(|mut node| {
             if node.totals.first_ms == 0 {

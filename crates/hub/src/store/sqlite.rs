@@ -86,11 +86,15 @@ impl Database for Sqlite {
             return Err(StoreError::Unavailable("the database is read-only".into()));
         }
         // A transaction that reads first fails at its first write if another transaction wrote in between.
-        Ok(self.connection.execute_batch("BEGIN IMMEDIATE")?)
+        self.connection
+            .prepare_cached("BEGIN IMMEDIATE")?
+            .execute([])?;
+        Ok(())
     }
 
     fn commit(&mut self) -> Result<(), StoreError> {
-        Ok(self.connection.execute_batch("COMMIT")?)
+        self.connection.prepare_cached("COMMIT")?.execute([])?;
+        Ok(())
     }
 
     fn query(&mut self, text: &str, values: &[Value]) -> Result<Vec<Row>, StoreError> {
