@@ -158,12 +158,9 @@ impl Hub {
         self.processes[process].waiting.clear();
     }
 
-    /// Accepts a batch for the next commit; returns `false` if the process is off.
-    pub(super) fn take(&mut self, process: usize, from: Asker, batch: Batch) -> bool {
-        if self.is_on(process) {
-            self.processes[process].waiting.push((from, batch));
-        }
-        self.is_on(process)
+    /// Accepts a batch for the next commit.
+    pub(super) fn take(&mut self, process: usize, from: Asker, batch: Batch) {
+        self.processes[process].waiting.push((from, batch));
     }
 
     pub(super) fn commit(&mut self, process: usize, now: Now) -> Vec<(Asker, Reply)> {

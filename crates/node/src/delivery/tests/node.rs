@@ -6,10 +6,11 @@ use crate::delivery::outbox::tests::{Faults, report};
 use crate::delivery::outbox::{Outbox, OutboxConfig, OutboxCounts};
 use crate::delivery::uplink::{Schedule, conclude, read_reply};
 use albireo_service::clock::Now;
-use albireo_wire::{BatchCompression, ClipReport, FrameStates, ReportAnswer, ReportBatch};
+use albireo_wire::{ClipReport, FrameStates, ReportAnswer, ReportBatch};
 use rusqlite::Connection;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+use std::rc::Rc;
 use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
@@ -38,7 +39,7 @@ pub(super) struct Node {
     running: Option<(Outbox, Schedule)>,
     /// How far its wall clock is ahead, ms.
     pub(super) clock_ms: i64,
-    reply: Option<(u64, ReportBatch)>,
+    reply: Option<(u64, Rc<ReportBatch>)>,
     /// Reports that exist only in memory.
     pub(super) in_memory: Vec<usize>,
     pub(super) kept_state: Option<Vec<u8>>,
@@ -160,16 +161,21 @@ impl Node {
         }
     }
 
-    /// Looks what is to be sent: the payload, as the question of that number; and when to look again.
-    pub(super) fn look(&mut self, question: u64, now: Now) -> Option<(Option<Vec<u8>>, Duration)> {
+    /// Looks what is to be sent: a batch, as the question of that number; and when to look again.
+    pub(super) fn look(
+        &mut self,
+        question: u64,
+        now: Now,
+    ) -> Option<(Option<Rc<ReportBatch>>, Duration)> {
         let (outbox, schedule) = self.running.as_mut()?;
         outbox.retry_disk(now);
-        let mut payload = None;
+        let mut sent = None;
         if let Some(again) = schedule.next_batch(&outbox.counts(), false, now.at) {
             match outbox.batch(&self.name, again, now) {
                 Some(batch) => {
-                    payload = Some(batch.to_payload(BatchCompression::Quick).unwrap());
-                    self.reply = Some((question, batch));
+                    let batch = Rc::new(batch);
+                    self.reply = Some((question, Rc::clone(&batch)));
+                    sent = Some(batch);
                 }
                 None => schedule.batch_ended(&Ok(()), now.at),
             }
@@ -178,7 +184,7 @@ impl Node {
         let latest = now.at + Duration::from_secs(if fails { 20 } else { 900 });
         let pause = schedule.next_look(latest, now.at) - now.at;
         self.note_durable();
-        Some((payload, pause))
+        Some((sent, pause))
     }
 
     /// Receives a reply, if it waits for that one; returns the reports that the hub refuses permanently.

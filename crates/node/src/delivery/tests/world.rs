@@ -1,9 +1,10 @@
 //! Plays the events of nodes and a hub in order of virtual time.
 
 use super::hub::{Asker, Hub, Reply};
-use super::node::{Node, put};
+use super::node::{Node, put, serial};
 use super::timeline::{DAY, HOUR, Payload, SECOND, Timeline, folder};
 use albireo_hub::ingest::decode;
+use albireo_wire::{BatchCompression, ReportBatch};
 use std::collections::BTreeSet;
 use std::rc::Rc;
 use tempfile::TempDir;
@@ -32,7 +33,7 @@ const HUB_CLOCK: &str = "hub's clock is set";
 enum Event {
     Clip(usize),
     Look(usize),
-    Batch(Asker, Payload<Vec<u8>>),
+    Batch(Asker, Sent),
     Commit(usize),
     Reply(Asker, Payload<Reply>),
     NodeOn(usize),
@@ -43,6 +44,17 @@ enum Event {
     BackUp,
     Fault,
     End,
+}
+
+/// A batch on its way. It becomes a payload only where a hub receives it.
+#[derive(Clone)]
+struct Sent(Rc<ReportBatch>);
+
+impl std::fmt::Debug for Sent {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let reports = self.0.reports.iter().map(|report| serial(report.id));
+        f.debug_list().entries(reports).finish()
+    }
 }
 
 pub(super) struct World {
@@ -134,11 +146,15 @@ impl World {
                     self.look(at);
                 }
             }
-            Event::Batch(from, payload) => {
+            Event::Batch(from, Sent(batch)) => {
                 let process = usize::from(self.hub.is_on(1) && self.time.chance(500));
-                let now = self.time.now(self.hub.processes[process].clock_ms);
-                let batch = decode(&self.nodes[from.0].name, &payload.0, now.unix_ms).unwrap();
-                if self.hub.take(process, from, batch) {
+                if self.hub.is_on(process) {
+                    let payload = batch.to_payload(BatchCompression::Quick).unwrap();
+                    let payload = Payload(Rc::new(payload));
+                    self.time.note(&payload);
+                    let now = self.time.now(self.hub.processes[process].clock_ms);
+                    let batch = decode(&self.nodes[from.0].name, &payload.0, now.unix_ms).unwrap();
+                    self.hub.take(process, from, batch);
                     self.time.after(100, Event::Commit(process));
                 }
             }
@@ -207,12 +223,11 @@ impl World {
 
     fn look(&mut self, at: usize) {
         let (question, now) = (self.time.number(), self.time.now(self.nodes[at].clock_ms));
-        let Some((payload, pause)) = self.nodes[at].look(question, now) else {
+        let Some((batch, pause)) = self.nodes[at].look(question, now) else {
             return;
         };
-        if let Some(payload) = payload {
-            self.time
-                .send(&Event::Batch((at, question), Payload(Rc::new(payload))));
+        if let Some(batch) = batch {
+            self.time.send(&Event::Batch((at, question), Sent(batch)));
             let unanswered = Payload(Rc::new(Err(b"no reply".to_vec())));
             self.time
                 .after(10 * SECOND, Event::Reply((at, question), unanswered));
