@@ -41,8 +41,8 @@ pub(crate) trait Database: Send {
     /// Runs a statement and returns its rows. Its parameters are `$1`, `$2`, …
     fn query(&mut self, text: &str, values: &[Value]) -> Result<Vec<Row>, StoreError>;
 
-    /// Runs a statement for rows with the same columns, in order, and returns its rows. In SQLite the columns are the
-    /// parameters `:column`; PostgreSQL gets all rows at once, as the JSON array `$1`.
+    /// Runs a statement for rows with the same columns, in order, and returns its rows. In SQLite the columns of a row
+    /// are the parameters `?1`, `?2`, …; PostgreSQL gets all rows at once, as the JSON array `$1`.
     fn each(&mut self, text: &str, rows: Vec<Row>) -> Result<Vec<Row>, StoreError>;
 
     /// Runs several statements without parameters.
@@ -94,9 +94,10 @@ impl dyn Database + '_ {
         let Some(first) = rows.first() else {
             return Ok(Vec::new());
         };
-        let columns = list(first, |column| format!("\"{column}\""));
+        let columns = first.keys().map(|column| format!("\"{column}\""));
+        let columns = columns.collect::<Vec<_>>().join(", ");
         let values = match self.kind() {
-            Kind::Sqlite => format!("VALUES ({})", list(first, |column| format!(":{column}"))),
+            Kind::Sqlite => format!("VALUES ({})", vec!["?"; first.len()].join(", ")),
             Kind::Postgres => {
                 format!("SELECT {columns} FROM jsonb_populate_recordset(NULL::{table}, $1::jsonb)")
             }
@@ -253,9 +254,4 @@ impl dyn Database + '_ {
         }
         Ok(())
     }
-}
-
-/// Joins the names of the columns with commas, each in that form.
-fn list(row: &Row, form: impl Fn(&String) -> String) -> String {
-    row.keys().map(form).collect::<Vec<_>>().join(", ")
 }

@@ -34,13 +34,15 @@ pub(super) fn file(url: &str) -> &str {
 impl Sqlite {
     pub(super) fn open(url: &str, timeout_ms: u64, access: Access) -> Result<Self, StoreError> {
         let parameters = url.split_once('?').map_or("", |(_, rest)| rest);
-        let flags = if parameters.split('&').any(|one| one == "mode=ro") {
+        let mut flags = if parameters.split('&').any(|one| one == "mode=ro") {
             OpenFlags::SQLITE_OPEN_READ_ONLY
         } else if access == Access::Create {
             OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_CREATE
         } else {
             OpenFlags::SQLITE_OPEN_READ_WRITE
         };
+        // One thread at a time uses a connection.
+        flags |= OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let connection = Connection::open_with_flags(file(url), flags)?;
         connection.set_prepared_statement_cache_capacity(64);
         connection.busy_timeout(Duration::from_millis(timeout_ms))?;
@@ -104,9 +106,17 @@ impl Database for Sqlite {
             self.connection.progress_handler(10_000, Some(is_over))?;
         }
         let mut statement = self.connection.prepare_cached(text)?;
-        bind(&mut statement, |name| {
-            values.get(name.parse::<usize>().ok()?.checked_sub(1)?)
-        })?;
+        for at in 1..=statement.parameter_count() {
+            let name = statement.parameter_name(at).unwrap_or_default();
+            let number = name
+                .get(1..)
+                .and_then(|number| number.parse::<usize>().ok());
+            let value = number.and_then(|number| values.get(number.checked_sub(1)?));
+            let value = value.ok_or_else(|| {
+                StoreError::Statement(format!("the parameter {name} has no value"))
+            })?;
+            statement.raw_bind_parameter(at, Cell(value))?;
+        }
         let mut rows = Vec::new();
         for_each_row(&mut statement, &mut |row| {
             rows.push(row);
@@ -119,7 +129,14 @@ impl Database for Sqlite {
         let mut statement = self.connection.prepare_cached(text)?;
         let mut returned = Vec::new();
         for row in rows {
-            bind(&mut statement, |name| row.get(name))?;
+            let (values, parameters) = (row.len(), statement.parameter_count());
+            if values != parameters {
+                let text = format!("{values} values for {parameters} parameters");
+                return Err(StoreError::Statement(text));
+            }
+            for (at, value) in row.values().enumerate() {
+                statement.raw_bind_parameter(at + 1, Cell(value))?;
+            }
             for_each_row(&mut statement, &mut |row| {
                 returned.push(row);
                 Ok(())
@@ -131,21 +148,6 @@ impl Database for Sqlite {
     fn script(&mut self, text: &'static str) -> Result<(), StoreError> {
         Ok(self.connection.execute_batch(text)?)
     }
-}
-
-/// Binds the parameters of a statement, by their names without the first character.
-fn bind<'v>(
-    statement: &mut Statement<'_>,
-    value: impl Fn(&str) -> Option<&'v Value>,
-) -> Result<(), StoreError> {
-    for at in 1..=statement.parameter_count() {
-        let name = statement.parameter_name(at).unwrap_or_default();
-        let found = value(name.get(1..).unwrap_or_default());
-        let found = found
-            .ok_or_else(|| StoreError::Statement(format!("the parameter {name} has no value")))?;
-        statement.raw_bind_parameter(at, Cell(found))?;
-    }
-    Ok(())
 }
 
 /// Runs a statement whose parameters are bound, and calls `take` for each row.

@@ -1,7 +1,7 @@
--- Notes one report, unless it is known under its own day or without one.
+-- Notes a report of day ?1 with identity ?2, unless that is known under its own day ?3 or without one.
 INSERT INTO report_ids (day, id)
-SELECT :day, :id
-WHERE NOT EXISTS (SELECT 1 FROM report_ids WHERE day = :own_day AND id = :id)
-    AND NOT EXISTS (SELECT 1 FROM report_ids WHERE id = :id AND day < 0)
+SELECT ?1, ?2
+WHERE NOT EXISTS (SELECT 1 FROM report_ids WHERE day = ?3 AND id = ?2)
+    AND NOT EXISTS (SELECT 1 FROM report_ids WHERE id = ?2 AND day < 0)
 ON CONFLICT DO NOTHING
 RETURNING id
