@@ -210,7 +210,10 @@ impl Tuner {
     }
 
     /// Ends a trial before its time, with the measurements until now.
-    pub(crate) async fn end_trial(&self, id: i64, who: &str, now: Millis) -> Result<(), RunError> {
+    ///
+    /// # Errors
+    /// When it has ended, another hub drives it, or the database cannot be used.
+    pub async fn end_trial(&self, id: i64, who: &str, now: Millis) -> Result<(), RunError> {
         let mut runs = self.runs.lock().await;
         let mut run = self.own(&runs, "trial", id, false).await?;
         let found = self.measure(&run.windows(now)).await?;

@@ -1,22 +1,22 @@
-//! Simulates settings sent from a hub to nodes: real orders and rollouts on a real database, and the real files of nodes,
-//! connected by a network that loses, delays, duplicates and reorders messages.
+//! Simulates settings sent from a hub to nodes: real orders, rollouts and trials on a real database, and the real files of
+//! nodes, connected by a network that loses, delays, duplicates and reorders messages.
 
 mod hub;
 mod node;
 
 use super::timeline::{HOUR, Payload, SECOND, Timeline, folder};
 use albireo_hub::tuning::gate::Gate;
-use albireo_hub::tuning::plan::{Basics, OnFailure, RolloutPlan};
-use albireo_hub::tuning::run::Command;
+use albireo_hub::tuning::plan::{Basics, OnFailure, RolloutPlan, TrialPlan};
+use albireo_hub::tuning::run::{Command, Kind};
 use albireo_hub::tuning::selector::Selector;
-use albireo_wire::DesiredSetting;
+use albireo_wire::{DesiredSetting, Target, Threshold};
 use hub::Hub;
 use node::Node;
 use std::collections::BTreeMap;
 use std::rc::Rc;
 use tempfile::TempDir;
 
-/// Once nothing fails any more, every order is answered and every rollout has ended within this time.
+/// Once nothing fails any more, every order is answered and every rollout and trial has ended within this time.
 const SETTLED_WITHIN: i64 = 4 * HOUR;
 const TICK: i64 = 5 * SECOND;
 
@@ -49,6 +49,10 @@ enum Event {
     Order,
     Rollout,
     Command,
+    /// Targets are switched off, so that a trial can begin soon.
+    PrepareTrial,
+    Trial,
+    EndTrial,
     KeepNode(usize),
     BackUp,
     Fault,
@@ -63,6 +67,8 @@ pub(super) struct Settings {
     values: u64,
     /// What each node accepted, by revision.
     taken: BTreeMap<(usize, u64), DesiredSetting>,
+    /// The highest revision that was ordered, whatever the hub forgot since.
+    highest: u64,
     restored_ms: i64,
     _folder: TempDir,
 }
@@ -71,15 +77,18 @@ impl Settings {
     fn new(seed: u64, verbose: bool) -> Self {
         let folder = folder();
         let mut time = Timeline::new(seed, verbose);
-        let end_ms = time.between(HOUR / 4, HOUR);
-        let nodes = (0..2 + time.below(3) as usize)
-            .map(|at| Node::new(format!("node-{at}"), folder.path()));
+        // A trial takes at least 16 nodes, and a run with so many takes long.
+        let has_trials = time.chance(100);
+        let end_ms = time.between(HOUR / 4, if has_trials { HOUR / 2 } else { HOUR });
+        let nodes = if has_trials { 18 } else { 2 } + time.below(3) as usize;
+        let nodes = (0..nodes).map(|at| Node::new(format!("node-{at}"), folder.path()));
         let mut world = Self {
             end_ms,
             nodes: nodes.collect(),
             hub: Hub::new(folder.path()),
             values: 0,
             taken: BTreeMap::new(),
+            highest: 0,
             restored_ms: -1,
             _folder: folder,
             time,
@@ -89,14 +98,12 @@ impl Settings {
         for at in 0..world.nodes.len() {
             world.time.after(0, Event::NodeOn(at));
         }
-        let plenty = [
-            (6, Event::Order),
-            (4, Event::Rollout),
-            (5, Event::Command),
-            (10, Event::Fault),
-            (2, Event::BackUp),
-        ];
-        for (most, event) in plenty {
+        let plenty = [(6, Event::Order), (10, Event::Fault), (2, Event::BackUp)];
+        let runs = match has_trials {
+            false => [(4, Event::Rollout), (5, Event::Command)],
+            true => [(6, Event::PrepareTrial), (3, Event::EndTrial)],
+        };
+        for (most, event) in plenty.into_iter().chain(runs) {
             for _ in 0..=world.time.below(most) {
                 world.time.sometime(10 * SECOND, end_ms, event.clone());
             }
@@ -137,6 +144,7 @@ impl Settings {
             Event::Notice(at) => self.nodes[at].notice(),
             Event::Pull(at, question) => {
                 if let Some(answer) = self.hub.answer(&self.nodes[at].name) {
+                    self.highest = self.highest.max(self.hub.highest_revision());
                     let answer = Some(Payload(Rc::new(answer)));
                     self.time.send(&Event::Pulled(at, question, answer));
                 }
@@ -162,6 +170,18 @@ impl Settings {
             Event::Command => {
                 let (command, which) = (self.time.one_of(&Command::ALL), self.time.random());
                 self.hub.command(which, command, self.time.now(0));
+                self.notices();
+            }
+            Event::PrepareTrial => {
+                let (all, off) = (self.all(), DesiredSetting::Target(None));
+                self.hub.order(&all, off, self.time.now(0));
+                self.notices();
+                self.time.after(60 * SECOND, Event::Trial);
+            }
+            Event::Trial => self.trial(),
+            Event::EndTrial => {
+                let which = self.time.random();
+                self.hub.end_trial(which, self.time.now(0));
                 self.notices();
             }
             Event::KeepNode(at) => self.nodes[at].keep_state(),
@@ -192,7 +212,8 @@ impl Settings {
             let unanswered = Event::Pulled(at, question, None);
             self.time.after(10 * SECOND, unanswered);
         }
-        self.time.sometime(SECOND, 5 * SECOND, Event::Look(at));
+        let longest = 5 * SECOND * self.nodes.len() as i64;
+        self.time.sometime(SECOND, longest / 4, Event::Look(at));
     }
 
     fn pulled(&mut self, at: usize, question: u64, answer: Option<&[u8]>) {
@@ -202,6 +223,8 @@ impl Settings {
         };
         self.time.note(&taken);
         let (revision, setting) = taken;
+        let highest = self.highest;
+        assert!(revision <= highest, "revision {revision} above {highest}");
         let known = *self.taken.entry((at, revision)).or_insert(setting);
         assert_eq!(known, setting, "revision {revision} twice at node {at}");
         if self.time.unlucky(30) {
@@ -232,6 +255,20 @@ impl Settings {
         1e-3 + self.values as f64 * 1e-4
     }
 
+    /// A target or a threshold, or that there is no target.
+    fn setting(&mut self) -> DesiredSetting {
+        let value = self.value();
+        match self.time.below(6) {
+            0 => DesiredSetting::Target(None),
+            1 | 2 => DesiredSetting::Target(Some(Target::SkipRate(10.0 * value))),
+            _ => DesiredSetting::Threshold(Threshold::new("u", value)),
+        }
+    }
+
+    fn all(&self) -> Vec<String> {
+        self.nodes.iter().map(|node| node.name.clone()).collect()
+    }
+
     fn some(&mut self) -> Vec<String> {
         let Self { nodes, time, .. } = self;
         let some = nodes.iter().filter(|_| time.chance(700));
@@ -243,9 +280,9 @@ impl Settings {
     }
 
     fn order(&mut self) {
-        let (names, value) = (self.some(), self.value());
-        self.time.note(&format!("{value} for {names:?}"));
-        self.hub.order(&names, value, self.time.now(0));
+        let (names, setting) = (self.some(), self.setting());
+        self.time.note(&format!("{setting:?} for {names:?}"));
+        self.hub.order(&names, setting, self.time.now(0));
         self.notices();
     }
 
@@ -273,8 +310,31 @@ impl Settings {
             fewest_applied: 0.5,
             on_failure: [OnFailure::Return, OnFailure::Hold][usize::from(holds)],
         };
-        self.time.note(&plan);
-        self.hub.rollout(value, plan, self.time.now(0));
+        let to = Threshold::new("u", value);
+        self.begin(Kind::Rollout { to, plan });
+    }
+
+    fn trial(&mut self) {
+        let [duration_s, apply_within_s] = [(); 2].map(|()| self.time.between(10, 300) as f64);
+        let values = [(); 2].map(|()| Threshold::new("u", self.value()));
+        let basics = Basics {
+            select: Selector::new(&self.all()).unwrap(),
+            apply_within_s,
+            seed: Some(self.time.random()),
+            ..Basics::default()
+        };
+        let values = values.to_vec();
+        let plan = TrialPlan {
+            basics,
+            values,
+            duration_s,
+        };
+        self.begin(Kind::Trial { plan });
+    }
+
+    fn begin(&mut self, kind: Kind) {
+        self.time.note(&kind);
+        self.hub.begin(kind, self.time.now(0));
         self.notices();
     }
 
@@ -316,14 +376,15 @@ impl Settings {
             }
             "hub is killed" => self.hub_crash(SECOND),
             "hub is killed at a commit" => {
-                let (cut, event) = (self.time.random(), self.time.below(3));
-                let (names, value) = (self.some(), self.value());
+                let (cut, event) = (self.time.random(), self.time.below(4));
+                let (names, setting) = (self.some(), self.setting());
                 let command = self.time.one_of(&Command::ALL);
                 let now = self.time.now(0);
                 let before = self.hub.file.read();
                 match event {
-                    0 => self.hub.order(&names, value, now),
+                    0 => self.hub.order(&names, setting, now),
                     1 => self.hub.command(cut, command, now),
+                    2 => self.hub.end_trial(cut, now),
                     _ => self.hub.tick(now),
                 }
                 let image = self.hub.image_at_a_commit(before, cut);
@@ -365,7 +426,7 @@ impl Settings {
         for at in 0..self.nodes.len() {
             self.node_on(at);
         }
-        for which in 0..self.hub.rollouts() {
+        for which in 0..self.hub.last("rollout") {
             self.hub.command(which, Command::Resume, now);
         }
     }
@@ -377,14 +438,13 @@ impl Settings {
             let Some(desired) = self.hub.desired(&node.name) else {
                 continue;
             };
-            let (revision, deviates, has) = node.has();
-            // A value that the hub forgot with its database may be in force; one ordered since must not be skipped.
+            let (revision, setting) = (node.revision(), desired.setting);
+            // What the hub forgot with its database may be in force; a setting ordered since must not be skipped.
             let is_forgotten = revision > desired.revision && desired.at_ms <= self.restored_ms;
-            let is_taken = (revision == desired.revision && deviates) || has == [desired.value; 2];
-            if !is_forgotten && !is_taken {
-                wrong.push(format!(
-                    "node {at} has {has:?} by revision {revision}, but {desired:?} is desired"
-                ));
+            let is_replaced = revision == desired.revision && node.deviates(setting);
+            if !is_forgotten && !is_replaced && !node.has(setting) {
+                let shown = node.shown();
+                wrong.push(format!("node {at} has {shown}, but {desired:?} is desired"));
             }
         }
         wrong

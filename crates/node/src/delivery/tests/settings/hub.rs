@@ -1,4 +1,4 @@
-//! Simulates a hub with its real orders, rollouts and database.
+//! Simulates a hub with its real orders, rollouts, trials and database.
 
 use super::super::hub::{HubFile, Image};
 use super::super::timeline::BEGIN;
@@ -10,11 +10,10 @@ use albireo_hub::store::Store;
 use albireo_hub::tuning::Tuner;
 use albireo_hub::tuning::change::NewChange;
 use albireo_hub::tuning::member::Outcome;
-use albireo_hub::tuning::plan::RolloutPlan;
 use albireo_hub::tuning::run::{Command, Kind, Phase, Run};
 use albireo_hub::tuning::selector::Selector;
 use albireo_service::clock::Now;
-use albireo_wire::{DesiredSetting, Heartbeat, StatusMessage, Threshold};
+use albireo_wire::{DesiredSetting, Heartbeat, StatusMessage};
 use std::future::Future;
 use std::path::Path;
 use std::sync::Arc;
@@ -38,9 +37,9 @@ pub(super) struct Hub {
 #[derive(Debug)]
 pub(super) struct Wanted {
     pub(super) revision: u64,
-    pub(super) value: f64,
+    pub(super) setting: DesiredSetting,
     pub(super) at_ms: i64,
-    /// Who ordered it: `hand`, `rollout 3`.
+    /// Who ordered it: `hand`, `rollout 3`, `trial 1`.
     origin: String,
 }
 
@@ -155,9 +154,8 @@ impl Hub {
         self.running = Some(hub);
     }
 
-    pub(super) fn order(&self, nodes: &[String], value: f64, now: Now) {
+    pub(super) fn order(&self, nodes: &[String], setting: DesiredSetting, now: Now) {
         let Some(hub) = &self.running else { return };
-        let setting = DesiredSetting::Threshold(Threshold::new("u", value));
         let request = NewChange {
             select: Selector::new(nodes).unwrap(),
             ..NewChange::default()
@@ -165,24 +163,35 @@ impl Hub {
         self.work(hub.tuner.change(setting, request, "ops", now.unix_ms));
     }
 
-    pub(super) fn rollout(&self, value: f64, plan: RolloutPlan, now: Now) {
+    pub(super) fn begin(&self, kind: Kind, now: Now) {
         let Some(hub) = &self.running else { return };
-        let to = Threshold::new("u", value);
-        let kind = Kind::Rollout { to, plan };
         self.work(hub.tuner.begin(kind, "ops", now.unix_ms));
     }
 
     pub(super) fn command(&self, which: u64, command: Command, now: Now) {
-        let many = self.rollouts();
+        let many = self.last("rollout");
         if let Some(hub) = self.running.as_ref().filter(|_| many > 0) {
             let id = (which % many).cast_signed() + 1;
             self.work(hub.tuner.command_rollout(id, command, "ops", now.unix_ms));
         }
     }
 
-    pub(super) fn rollouts(&self) -> u64 {
-        let query = "SELECT COALESCE(max(id), 0) FROM runs";
-        self.file.number(query).unsigned_abs()
+    pub(super) fn end_trial(&self, which: u64, now: Now) {
+        let many = self.last("trial");
+        if let Some(hub) = self.running.as_ref().filter(|_| many > 0) {
+            let id = (which % many).cast_signed() + 1;
+            self.work(hub.tuner.end_trial(id, "ops", now.unix_ms));
+        }
+    }
+
+    /// The number of the last rollout or trial.
+    pub(super) fn last(&self, kind: &str) -> u64 {
+        let query = format!("SELECT value FROM counters WHERE name = '{kind}'");
+        self.file.number(&query).unsigned_abs()
+    }
+
+    pub(super) fn highest_revision(&self) -> u64 {
+        self.last("revision")
     }
 
     /// The database as a power cut may leave it: as it was at `before`, or after one of the commits since. `None` if the log was
@@ -210,13 +219,9 @@ impl Hub {
         let text = "SELECT d.revision, d.setting, o.at_ms, o.origin FROM desired d \
                     JOIN orders o ON o.revision = d.revision WHERE node = ?";
         let read = |row: &rusqlite::Row<'_>| {
-            let setting: DesiredSetting = serde_json::from_str(&row.get::<_, String>(1)?).unwrap();
-            let DesiredSetting::Threshold(threshold) = setting else {
-                panic!("no targets are ordered");
-            };
             Ok(Wanted {
                 revision: row.get::<_, i64>(0)?.unsigned_abs(),
-                value: threshold.value,
+                setting: serde_json::from_str(&row.get::<_, String>(1)?).unwrap(),
                 at_ms: row.get::<_, i64>(2)? - BEGIN,
                 origin: row.get(3)?,
             })
@@ -224,7 +229,8 @@ impl Hub {
         self.file.other.query_row(text, [node], read).ok()
     }
 
-    /// Unanswered orders, running rollouts, and nodes that do not have the result of the last rollout that asked them.
+    /// Unanswered orders, running rollouts and trials, and nodes for which another value is desired than the result of the last
+    /// rollout or trial that asked them.
     pub(super) fn unfinished(&self) -> Vec<String> {
         let mut wrong = Vec::new();
         let query = "SELECT count(*) FROM order_nodes WHERE outcome IN ('pending', 'waiting')";
@@ -232,30 +238,31 @@ impl Hub {
         if open > 0 {
             wrong.push(format!("{open} orders are open"));
         }
-        let text = "SELECT id, state, ended_ms IS NULL FROM runs";
+        let text = "SELECT kind || ' ' || id, state, ended_ms IS NULL FROM runs";
         let mut select = self.file.other.prepare(text).unwrap();
         let mut rows = select.query([]).unwrap();
         while let Some(row) = rows.next().unwrap() {
-            let (id, state): (i64, String) = (row.get(0).unwrap(), row.get(1).unwrap());
-            let rollout: Run = serde_json::from_str(&state).unwrap();
-            let it_is = format!("rollout {id} is {}", rollout.phase.name());
+            let (name, state): (String, String) = (row.get(0).unwrap(), row.get(1).unwrap());
+            let run: Run = serde_json::from_str(&state).unwrap();
+            let it_is = format!("{name} is {}", run.phase.name());
             if row.get(2).unwrap() {
                 wrong.push(it_is.clone());
             }
-            let Kind::Rollout { to, .. } = &rollout.kind else {
-                panic!("no trials begin");
-            };
-            for member in &rollout.members {
-                let value = match rollout.phase {
-                    Phase::Done if member.ask.outcome != Outcome::Missed => to.value,
-                    Phase::Done | Phase::Returned => member.before.value,
+            for member in &run.members {
+                let value = match (&run.kind, run.phase) {
+                    (Kind::Rollout { to, .. }, Phase::Done)
+                        if member.ask.outcome != Outcome::Missed =>
+                    {
+                        *to
+                    }
+                    (_, Phase::Done | Phase::Returned) => member.before,
                     _ => continue,
                 };
                 let Some(wanted) = self.desired(&member.node) else {
                     continue;
                 };
-                let is_last = member.ask.revision > 0 && wanted.origin == format!("rollout {id}");
-                if is_last && wanted.value != value {
+                let is_last = member.ask.revision > 0 && wanted.origin == name;
+                if is_last && wanted.setting != DesiredSetting::Threshold(value) {
                     let node = &member.node;
                     wrong.push(format!("{it_is}, but for {node} {wanted:?} is desired"));
                 }

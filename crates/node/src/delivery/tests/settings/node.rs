@@ -139,17 +139,41 @@ impl Node {
         }
     }
 
-    /// The revision, whether it was refused or somebody changed it at the node since, and the thresholds.
-    pub(super) fn has(&self) -> (u64, bool, Vec<f64>) {
+    /// The highest revision that it was given.
+    pub(super) fn revision(&self) -> u64 {
+        self.started.as_ref().unwrap().keeper.kept().revision
+    }
+
+    /// True if the setting is in force.
+    pub(super) fn has(&self, setting: DesiredSetting) -> bool {
+        let board = &self.started.as_ref().unwrap().board;
+        let target = board.target.report().target;
+        match setting {
+            DesiredSetting::Threshold(wanted) => {
+                target.is_none() && thresholds(board) == [wanted.value; 2]
+            }
+            DesiredSetting::Target(wanted) => target == wanted,
+        }
+    }
+
+    /// True if it refused the setting, or somebody set the threshold at the node since.
+    pub(super) fn deviates(&self, setting: DesiredSetting) -> bool {
         let node = self.started.as_ref().unwrap();
         let kept = node.keeper.kept();
         let is_refused = (kept.refused).is_some_and(|refused| refused.revision == kept.revision);
-        let mut cameras = node.board.cameras.iter();
-        let by_hand = cameras.any(|camera| camera.threshold_source() == SettingSource::Local);
-        (
-            kept.revision,
-            is_refused || by_hand,
-            thresholds(&node.board),
-        )
+        let mut sources = node.board.cameras.iter().map(|one| one.threshold_source());
+        is_refused
+            || match setting {
+                DesiredSetting::Threshold(_) => sources.any(|one| one == SettingSource::Local),
+                DesiredSetting::Target(_) => {
+                    node.board.target.report().source == SettingSource::Local
+                }
+            }
+    }
+
+    pub(super) fn shown(&self) -> String {
+        let board = &self.started.as_ref().unwrap().board;
+        let (target, values) = (board.target.report().target, thresholds(board));
+        format!("{target:?}, {values:?} by revision {}", self.revision())
     }
 }
