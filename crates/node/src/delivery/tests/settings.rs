@@ -12,7 +12,7 @@ use albireo_hub::tuning::selector::Selector;
 use albireo_wire::{DesiredSetting, Target, Threshold};
 use hub::Hub;
 use node::Node;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::rc::Rc;
 use tempfile::TempDir;
 
@@ -70,6 +70,8 @@ pub(super) struct Settings {
     /// The highest revision that was ordered, whatever the hub forgot since.
     highest: u64,
     restored_ms: i64,
+    /// The nodes that lost power between the two writes of a setting and of its revision.
+    torn: BTreeSet<usize>,
     _folder: TempDir,
 }
 
@@ -90,6 +92,7 @@ impl Settings {
             taken: BTreeMap::new(),
             highest: 0,
             restored_ms: -1,
+            torn: BTreeSet::new(),
             _folder: folder,
             time,
         };
@@ -233,7 +236,10 @@ impl Settings {
             self.node_crash(at);
             match self.time.below(3) {
                 0 => self.nodes[at].put_state(before),
-                1 => self.nodes[at].put_state(node::between(before, after)),
+                1 => {
+                    self.nodes[at].put_state(node::between(before, after));
+                    self.torn.insert(at);
+                }
                 _ => {}
             }
         }
@@ -440,7 +446,8 @@ impl Settings {
             };
             let (revision, setting) = (node.revision(), desired.setting);
             // What the hub forgot with its database may be in force; a setting ordered since must not be skipped.
-            let is_forgotten = revision > desired.revision && desired.at_ms <= self.restored_ms;
+            let is_newer = revision > desired.revision || self.torn.contains(&at);
+            let is_forgotten = is_newer && desired.at_ms <= self.restored_ms;
             let is_replaced = revision == desired.revision && node.deviates(setting);
             if !is_forgotten && !is_replaced && !node.has(setting) {
                 let shown = node.shown();
