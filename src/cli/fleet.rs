@@ -162,13 +162,8 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<ExitCode> {
             value,
             threshold,
             order,
-        } => {
-            let threshold = (threshold.as_str(), json!(value));
-            set::order(&context, "/api/v1/threshold", threshold, order).await
-        }
-        Command::SetTarget { target, order } => {
-            set::order(&context, "/api/v1/target", ("target", target), order).await
-        }
+        } => set::order(&context, &threshold, json!(value), order).await,
+        Command::SetTarget { target, order } => set::order(&context, "target", target, order).await,
         Command::Changes(arguments) => set::changes(&context, arguments).await,
         Command::Drift => set::drift(&context).await,
         Command::Rollout(command) => runs::rollout(&context, command).await,

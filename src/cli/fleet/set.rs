@@ -30,14 +30,17 @@ pub(super) struct Order {
 /// Sends the order to set `name` to `value`, and prints each node's outcome as it arrives.
 pub(super) async fn order(
     context: &Context,
-    path: &str,
-    (name, value): (&str, Value),
+    name: &str,
+    value: Value,
     order: Order,
 ) -> anyhow::Result<Ended> {
-    let to = match value.as_f64() {
-        Some(number) => Some(DesiredSetting::Threshold(Threshold::new(name, number))),
+    let (path, to) = if let Some(number) = value.as_f64() {
+        let to = DesiredSetting::Threshold(Threshold::new(name, number));
+        ("/api/v1/threshold", Some(to))
+    } else {
         // The hub refuses what is no target.
-        None => serde_json::from_value(json!({ "target": value })).ok(),
+        let to = serde_json::from_value(json!({ "target": value })).ok();
+        ("/api/v1/target", to)
     };
     let mut body = serde_json::to_value(order)?;
     body[name] = value;
