@@ -1,10 +1,8 @@
-//! Logs panics, one per line in the log's format and at most one per second.
+//! Logs panics, one per line in the log's format.
 
-use crate::rate_limit::RateLimit;
 use std::any::Any;
 use std::backtrace::{Backtrace, BacktraceStatus};
 use std::panic::PanicHookInfo;
-use std::time::Duration;
 use tracing::field::display;
 
 /// Makes `tracing` log every panic of the process. Call it once, when the log is set up.
@@ -12,20 +10,15 @@ pub(crate) fn log_panics() {
     std::panic::set_hook(Box::new(log));
 }
 
-/// A decoder may panic on every frame of a camera. Who catches a panic counts or reports it, so none is lost.
-static LIMIT: RateLimit = RateLimit::new(Duration::from_secs(1));
-
 fn log(panic: &PanicHookInfo<'_>) {
-    LIMIT.log(|held_back| {
-        let place = panic.location().map(ToString::to_string);
-        let thread = std::thread::current();
-        let thread = thread.name().unwrap_or("unnamed");
-        let backtrace = Backtrace::capture();
-        let is_captured = backtrace.status() == BacktraceStatus::Captured;
-        let backtrace = is_captured.then(|| display(backtrace));
-        let text = message(panic.payload());
-        tracing::error!(place, thread, backtrace, held_back, "panic: {text}");
-    });
+    let place = panic.location().map(ToString::to_string);
+    let thread = std::thread::current();
+    let thread = thread.name().unwrap_or("unnamed");
+    let backtrace = Backtrace::capture();
+    let is_captured = backtrace.status() == BacktraceStatus::Captured;
+    let backtrace = is_captured.then(|| display(backtrace));
+    let text = message(panic.payload());
+    tracing::error!(place, thread, backtrace, "panic: {text}");
 }
 
 /// The message of a panic.
