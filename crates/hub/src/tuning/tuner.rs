@@ -206,13 +206,13 @@ impl Tuner {
         let mut above = u64::try_from(now.div_euclid(1000)).unwrap_or(0);
         let mut orders = Vec::new();
         for node in nodes {
-            let settings = self.fleet.view(&node);
-            let reported = settings.as_ref().map_or(0, |settings| settings.revision);
+            let view = self.fleet.view(&node);
+            let reported = view.as_ref().map_or(0, |view| view.revision);
             if self.implausible(reported).is_none() {
                 above = above.max(reported);
             }
-            let from = settings.as_ref().and_then(NodeView::setting);
-            let outcome = match settings.is_some_and(|settings| settings.is_reachable()) {
+            let from = view.as_ref().and_then(NodeView::setting);
+            let outcome = match view.is_some_and(|view| view.is_reachable()) {
                 true => Outcome::Pending,
                 false => Outcome::Waiting,
             };
@@ -283,11 +283,11 @@ impl Tuner {
             if matches!(order.at.ask.outcome, Outcome::Applied | Outcome::Refused) {
                 continue;
             }
-            let Some(settings) = self.fleet.view(node) else {
+            let Some(view) = self.fleet.view(node) else {
                 continue;
             };
             let mut next = order.clone();
-            if (next.at.ask).observe(&settings, order.setting, patience, now) {
+            if (next.at.ask).observe(&view, order.setting, patience, now) {
                 answered.push(next);
             } else if order.at.ask.outcome == Outcome::Pending
                 && now - order.notified_ms >= NOTIFY_AGAIN_MS
@@ -321,14 +321,13 @@ impl Tuner {
     pub async fn look_for_drift(&self, now: Millis) -> Result<(), StoreError> {
         let (mut events, mut found) = (Vec::new(), Vec::new());
         for (node, desired) in self.desires.all() {
-            let Some(settings) = self.fleet.view(&node) else {
+            let Some(view) = self.fleet.view(&node) else {
                 continue;
             };
-            let drifted = settings.is_known()
-                && settings.revision == desired.revision
-                && !settings.has(desired.setting);
+            let drifted =
+                view.is_known() && view.revision == desired.revision && !view.has(desired.setting);
             if !drifted {
-                if settings.revision >= desired.revision {
+                if view.revision >= desired.revision {
                     self.drifted_ms.lock().remove(&node);
                 }
                 continue;
@@ -337,7 +336,7 @@ impl Tuner {
                 let detail = serde_json::json!({
                     "revision": desired.revision,
                     "desired": desired.setting,
-                    "in_force": settings.setting(),
+                    "in_force": view.setting(),
                 });
                 events.push(EventRow::new(now, "drift", &node, detail));
             }
@@ -376,12 +375,12 @@ impl Tuner {
     pub(crate) fn drift(&self) -> Vec<Drift> {
         let nodes = self.drifted_ms.lock().clone();
         let drift = |(node, since_ms): (String, Millis)| {
-            let settings = self.fleet.view(&node)?;
+            let view = self.fleet.view(&node)?;
             Some(Drift {
                 since_ms,
                 desired: self.desires.get(&node)?.setting,
-                in_force: settings.setting(),
-                why: settings.target_off(),
+                in_force: view.setting(),
+                why: view.target_off(),
                 set_back: self.set_back_times(&node),
                 node,
             })

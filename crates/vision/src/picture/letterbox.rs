@@ -168,8 +168,8 @@ impl Letterbox {
         &self.tensor
     }
 
-    /// Turns `picture`, which is RGB, into the input and returns the mapping back. Bilinear without antialiasing, as in the training
-    /// of the networks (OpenCV's `INTER_LINEAR`).
+    /// Turns `picture`, which is RGB, into the input and returns the mapping back. Bilinear without antialiasing, as in
+    /// the training of the networks (OpenCV's `INTER_LINEAR`).
     ///
     /// # Errors
     /// If the picture is empty, or is not RGB of its size.
