@@ -3,7 +3,7 @@
 use crate::support::fleet::{
     HubProcess, Reply, deliver, in_batch, now_ns, report, send, settings, sqlite, uplink,
 };
-use crate::support::{assert_contains, limit, memory_mb, metric};
+use crate::support::{albireo_on_a_disk_that_fills, assert_contains, limit, memory_mb, metric};
 use albireo_wire::{BatchCompression, LARGEST_BATCH_BYTES, RefusalReason};
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -17,13 +17,11 @@ const NODE: &str = "car-1";
 async fn a_full_disk_delays_acknowledgements_and_loses_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let (zenoh, settings) = settings(&sqlite(folder.path()));
-    // A file size limit acts like a full disk. It is a soft limit, which can be lifted while the hub runs.
-    let mut command = Command::new("sh");
-    command
-        .args(["-c", "trap '' XFSZ; ulimit -S -f 2048; exec \"$0\" hub"])
-        .arg(env!("CARGO_BIN_EXE_albireo"));
+    let mut command = albireo_on_a_disk_that_fills();
+    command.arg("hub");
     let hub = HubProcess::start_as(command, &settings);
     hub.until_ready().await;
+    limit(hub.id(), "--fsize=1048576:");
     let session = uplink(&zenoh).await;
     let begun = now_ns();
     let mut last = 0;
@@ -47,7 +45,7 @@ async fn a_full_disk_delays_acknowledgements_and_loses_nothing() {
     assert!(metric(&hub.http, "albireo_hub_database_errors_total").await > 0.0);
 
     // There is space again.
-    limit(hub.id(), "--fsize=unlimited");
+    limit(hub.id(), "--fsize=unlimited:");
     deliver(&session, NODE, last + 1..=last + 100, begun).await;
     hub.until_ready().await;
     hub.has_each_once(NODE, last + 100).await;

@@ -153,6 +153,10 @@ impl Router {
         Self(child)
     }
 
+    pub(crate) fn id(&self) -> u32 {
+        self.0.id().expect("the router runs")
+    }
+
     pub(crate) async fn kill(mut self) {
         self.0.kill().await.expect("the router is killed");
     }

@@ -218,7 +218,19 @@ pub(crate) fn run_command(command: &mut std::process::Command) -> Ended {
 }
 
 pub(crate) fn albireo() -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_albireo"));
+    in_project(Command::new(env!("CARGO_BIN_EXE_albireo")))
+}
+
+/// The program where a limit on the size of files, which can be set and lifted while it runs, acts like a full disk.
+pub(crate) fn albireo_on_a_disk_that_fills() -> Command {
+    let mut command = Command::new("sh");
+    command
+        .args(["-c", "trap '' XFSZ; exec \"$0\" \"$@\""])
+        .arg(env!("CARGO_BIN_EXE_albireo"));
+    in_project(command)
+}
+
+fn in_project(mut command: Command) -> Command {
     command
         .current_dir(env!("CARGO_MANIFEST_DIR"))
         .kill_on_drop(true)
@@ -312,7 +324,16 @@ impl Node {
     }
 
     pub(crate) async fn start_in(folder: tempfile::TempDir, settings: &str) -> Self {
-        let node = Self::start_with(folder, settings, &[]).await;
+        Self::start_as(albireo(), folder, settings).await
+    }
+
+    /// Starts a node with a command that wraps the program, and waits until it is ready.
+    pub(crate) async fn start_as(
+        command: Command,
+        folder: tempfile::TempDir,
+        settings: &str,
+    ) -> Self {
+        let node = Self::spawn(command, folder, settings).await;
         until_ready(&node.http).await;
         node
     }
@@ -322,6 +343,12 @@ impl Node {
         settings: &str,
         environment: &[(&str, &str)],
     ) -> Self {
+        let mut command = albireo();
+        command.envs(environment.iter().copied());
+        Self::spawn(command, folder, settings).await
+    }
+
+    async fn spawn(mut command: Command, folder: tempfile::TempDir, settings: &str) -> Self {
         let zenoh = format!("tcp/127.0.0.1:{}", free_port());
         let file = folder.path().join("node.toml");
         // Each report is sent at once.
@@ -329,11 +356,10 @@ impl Node {
             "http.listen = \"127.0.0.1:0\"\nzenoh.listen = [{zenoh:?}]\nlog.format = \"json\"\noutbox.gather_s = 0\n"
         );
         std::fs::write(&file, own + settings).unwrap();
-        let mut child = albireo()
+        let mut child = command
             .args(["node", "--config"])
             .arg(&file)
             .env("ALBIREO_DEVELOPMENT", development(settings))
-            .envs(environment.iter().copied())
             .stderr(Stdio::piped())
             .spawn()
             .expect("the program starts");
