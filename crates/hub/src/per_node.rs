@@ -27,17 +27,13 @@ impl PerNode {
     /// Takes a place for one more entry of `node`; `None` if too many are waiting.
     pub(crate) fn place(&self, node: &str) -> Option<Place> {
         let mut all = self.places.lock();
-        let places = match all.get(node) {
-            Some(places) => Arc::clone(places),
-            None => {
-                // Nodes with nothing waiting are removed, because a sender can invent any number of names.
-                all.retain(|_, places| places.available_permits() < self.most);
-                let places = Arc::new(Semaphore::new(self.most));
-                all.insert(node.to_owned(), Arc::clone(&places));
-                places
-            }
-        };
-        places.try_acquire_owned().ok()
+        if !all.contains_key(node) {
+            // Nodes with nothing waiting are removed, because a sender can invent any number of names.
+            all.retain(|_, places| places.available_permits() < self.most);
+        }
+        let places =
+            (all.entry(node.to_owned())).or_insert_with(|| Arc::new(Semaphore::new(self.most)));
+        Arc::clone(places).try_acquire_owned().ok()
     }
 }
 

@@ -11,11 +11,10 @@ mod read;
 pub(crate) mod retention;
 pub(crate) mod row;
 mod sqlite;
-pub(crate) mod tables;
 pub mod transfer;
 mod tuning;
 
-pub(crate) use database::{Database, MOST_CAMERAS, ReportKey};
+pub(crate) use database::{Database, EventRow, MOST_CAMERAS, ReportKey};
 pub use error::StoreError;
 pub(crate) use read::audit_figures;
 pub use read::{
@@ -31,7 +30,6 @@ use row::Row;
 use serde_json::Value;
 pub(crate) use sqlite::Access;
 use std::borrow::Cow;
-use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::runtime::Handle;
@@ -91,12 +89,8 @@ impl Store {
     /// [`StoreError::Refused`] when the database holds other data, or was written by another version of the program: a retry
     /// does not help. [`StoreError::Unavailable`] when it cannot be reached now.
     pub async fn open(config: &DatabaseConfig) -> Result<Self, StoreError> {
-        let kind = Kind::of(&config.url);
-        if kind == Kind::Sqlite {
-            check_file(&config.url)?;
-        }
         let store = Self(Arc::new(Shared {
-            kind,
+            kind: Kind::of(&config.url),
             url: config.url.clone(),
             timeout_ms: config.timeout_ms,
             runtime: Handle::current(),
@@ -189,10 +183,10 @@ impl Store {
     /// Closes the connections once nothing uses them.
     pub async fn close(&self) {
         let _all = self.0.readers.acquire_many(READERS as u32).await;
-        let idle = std::mem::take(&mut *self.0.idle.lock());
         let writer = self.0.writer.lock().await.take();
+        let open = (std::mem::take(&mut *self.0.idle.lock()), writer);
         let closed = blocking(move || {
-            drop((idle, writer));
+            drop(open);
             Ok(())
         });
         let _ = closed.await;
@@ -208,19 +202,4 @@ async fn blocking<T: Send + 'static>(
             "the task that uses the database failed: {error}"
         ))),
     }
-}
-
-/// Checks that the folder of the file exists, because SQLite's own error does not name it.
-fn check_file(url: &str) -> Result<(), StoreError> {
-    let folder = match Path::new(sqlite::file(url)).parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
-    };
-    if !folder.is_dir() {
-        return Err(StoreError::Unavailable(format!(
-            "the database folder {} does not exist; create it, or change database.url",
-            folder.display()
-        )));
-    }
-    Ok(())
 }

@@ -3,7 +3,6 @@
 
 use super::plan::Present;
 use crate::store::row::{Row, text};
-use crate::store::tables::SetupKey;
 use albireo_service::clock::DAY_MS;
 use albireo_wire::{AuditReport, ClipReport};
 use serde_json::json;
@@ -27,9 +26,10 @@ const PAST_MS: i64 = 400 * DAY_MS;
 
 /// The figures of a report, before its camera and setup have row ids.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct ClipRecord {
+pub(crate) struct Clip {
     pub(crate) camera: String,
-    pub(crate) setup: SetupKey,
+    /// The row of its setup, without its id.
+    pub(crate) setup: Row,
     /// The row without its day, camera and setup.
     pub(crate) row: Row,
     /// True if the node's clock is believed.
@@ -40,7 +40,7 @@ pub(crate) struct ClipRecord {
 ///
 /// # Errors
 /// The figure that cannot be stored, and the reason: the report is then set aside.
-pub(crate) fn record(report: &ClipReport, present: Present) -> Result<ClipRecord, String> {
+pub(crate) fn clip(report: &ClipReport, present: Present) -> Result<Clip, String> {
     let (at_ms, clock) = filed_under(report.started_ns, present);
     let (states, energy) = (&report.states, &report.energy);
     let (total, detector) = (&report.total_latency_ms, &report.detector_latency_ms);
@@ -156,18 +156,26 @@ pub(crate) fn record(report: &ClipReport, present: Present) -> Result<ClipRecord
         row.insert(column.to_owned(), value);
     }
     let threshold = report.threshold.as_ref();
-    let setup = SetupKey {
-        policy: name("policy", &report.policy)?,
-        threshold: threshold.map_or_else(String::new, |threshold| threshold.name.to_string()),
-        value: threshold.map_or_else(String::new, |threshold| threshold.value.to_string()),
-        model: name("model", &report.model)?,
-        provider: name("provider", &report.provider)?,
-        power_source: name("energy.source", &energy.source)?,
-        total_from: name("energy.total_from", &energy.total_from)?,
-    };
-    Ok(ClipRecord {
+    // A missing text is empty. The value is the shortest text that parses to the same number.
+    let setup = [
+        ("policy", name("policy", &report.policy)?),
+        (
+            "threshold",
+            threshold.map_or_else(String::new, |threshold| threshold.name.to_string()),
+        ),
+        (
+            "value",
+            threshold.map_or_else(String::new, |threshold| threshold.value.to_string()),
+        ),
+        ("model", name("model", &report.model)?),
+        ("provider", name("provider", &report.provider)?),
+        ("power_source", name("energy.source", &energy.source)?),
+        ("total_from", name("energy.total_from", &energy.total_from)?),
+    ];
+    let setup = setup.map(|(column, text)| (column.to_owned(), text.into()));
+    Ok(Clip {
         camera: name("camera", &report.camera)?,
-        setup,
+        setup: Row::from_iter(setup),
         row,
         clock,
     })

@@ -1,15 +1,24 @@
 //! Counts what the hub receives and stores.
 
+use crate::per_node::Place;
 use albireo_wire::RefusalReason;
 use parking_lot::Mutex;
 use std::collections::VecDeque;
 use std::ops::AddAssign;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
+use tokio::sync::Semaphore;
 
 /// The number of times over which a percentile is taken.
 const KEPT: usize = 4096;
+
+/// Most batches that may wait, and most compressed bytes of them; a further batch is answered "busy" immediately.
+const MOST_BATCHES: usize = 4096;
+const MOST_BYTES: usize = 32 << 20;
+
+/// A batch that arrives while the batches being written have waited longer than this is answered "busy". This is well
+/// below the time that nodes wait for an answer: a node sends a batch again that is answered later.
+const BUSY_AFTER: Duration = Duration::from_secs(3);
 
 macro_rules! counts {
     ($($name:ident $help:literal $($metric:literal)?;)+) => {
@@ -64,16 +73,30 @@ counts! {
 }
 
 /// The counters and times since the hub started.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct IngestCounters {
     counts: Mutex<IngestCounts>,
     /// Times from a batch's arrival to its acknowledgement.
     pub(crate) acknowledged_after: Ages,
     /// Times that transactions took.
     pub(crate) committed_in: Ages,
-    queued: AtomicU64,
-    queued_bytes: AtomicU64,
+    /// The free places for batches, and for their compressed bytes.
+    batches: Arc<Semaphore>,
+    bytes: Arc<Semaphore>,
     writing_since: Mutex<Option<Instant>>,
+}
+
+impl Default for IngestCounters {
+    fn default() -> Self {
+        Self {
+            counts: Mutex::default(),
+            acknowledged_after: Ages::default(),
+            committed_in: Ages::default(),
+            batches: Arc::new(Semaphore::new(MOST_BATCHES)),
+            bytes: Arc::new(Semaphore::new(MOST_BYTES)),
+            writing_since: Mutex::default(),
+        }
+    }
 }
 
 impl IngestCounters {
@@ -83,8 +106,13 @@ impl IngestCounters {
     }
 
     /// The number of batches that are not answered yet.
-    pub fn queued(&self) -> u64 {
-        self.queued.load(Ordering::Relaxed)
+    pub fn queued(&self) -> usize {
+        MOST_BATCHES - self.batches.available_permits()
+    }
+
+    /// The compressed bytes of these batches.
+    pub(crate) fn queued_bytes(&self) -> usize {
+        MOST_BYTES - self.bytes.available_permits()
     }
 
     /// Adds to the counts.
@@ -106,42 +134,16 @@ impl IngestCounters {
         *self.writing_since.lock() = since;
     }
 
-    /// The time that the batch being written has waited: an estimate of the wait of a batch that arrives now.
-    pub(crate) fn waited(&self) -> Duration {
+    /// Takes the places of one more batch: itself and its bytes. Returns `None` if there is no place, or if the batch being
+    /// written has waited so long that another would be answered too late.
+    pub(crate) fn queue(&self, bytes: usize) -> Option<[Place; 2]> {
         let since = *self.writing_since.lock();
-        since.map_or(Duration::ZERO, |since| since.elapsed())
-    }
-
-    /// The compressed bytes of the batches that wait.
-    pub(crate) fn queued_bytes(&self) -> u64 {
-        self.queued_bytes.load(Ordering::Relaxed)
-    }
-
-    /// Counts a batch as waiting until the returned place is dropped.
-    pub(crate) fn queue(self: &Arc<Self>, bytes: usize) -> Queued {
-        let bytes = bytes as u64;
-        self.queued.fetch_add(1, Ordering::Relaxed);
-        self.queued_bytes.fetch_add(bytes, Ordering::Relaxed);
-        Queued {
-            counters: Arc::clone(self),
-            bytes,
+        if since.is_some_and(|since| since.elapsed() > BUSY_AFTER) {
+            return None;
         }
-    }
-}
-
-/// A batch's place among those that wait.
-#[derive(Debug)]
-pub(crate) struct Queued {
-    counters: Arc<IngestCounters>,
-    bytes: u64,
-}
-
-impl Drop for Queued {
-    fn drop(&mut self) {
-        self.counters.queued.fetch_sub(1, Ordering::Relaxed);
-        self.counters
-            .queued_bytes
-            .fetch_sub(self.bytes, Ordering::Relaxed);
+        let batch = Arc::clone(&self.batches).try_acquire_owned().ok()?;
+        let bytes = Arc::clone(&self.bytes).try_acquire_many_owned(bytes as u32);
+        Some([batch, bytes.ok()?])
     }
 }
 

@@ -1,7 +1,7 @@
 //! Parses a batch into reports with their figures, or with the reason that they are not stored. It uses no database,
 //! network or clock.
 
-use super::clip::{ClipRecord, record};
+use super::clip::{Clip, clip};
 use super::plan::{Present, key};
 use crate::store::ReportKey;
 use albireo_wire::{
@@ -31,23 +31,16 @@ pub(crate) struct Received {
     /// Its identity, if it has one.
     pub(crate) id: Option<Uuid>,
     pub(crate) count: Option<u64>,
-    pub(crate) content: Result<Accepted, Rejected>,
-}
-
-/// A report to store, unless it is stored already.
-#[derive(Debug)]
-pub(crate) struct Accepted {
-    pub(crate) key: ReportKey,
-    pub(crate) record: Box<ClipRecord>,
+    /// Its clip, to be stored under that key unless the key is known.
+    pub(crate) content: Result<(ReportKey, Box<Clip>), Rejected>,
 }
 
 /// The reason that a report is not stored.
-#[derive(Debug, PartialEq, Eq)]
-pub(crate) enum Rejected {
-    /// It is older than the identities that the hub keeps.
-    TooOld(String),
-    /// It is invalid. `body` is the beginning of its text.
-    Invalid { cause: String, body: String },
+#[derive(Debug)]
+pub(crate) struct Rejected {
+    pub(crate) reason: String,
+    /// The beginning of its text if it is invalid; `None` if it is older than the identities that the hub keeps.
+    pub(crate) text: Option<String>,
 }
 
 /// A batch with unparsed reports, so that an invalid one does not make its batch invalid.
@@ -114,14 +107,12 @@ fn parse(node: &str, raw: &str, present: Present) -> Received {
             };
         }
     };
-    let content = check(node, &report)
-        .and_then(|()| record(&report, present))
-        .map_err(|cause| invalid(cause, raw))
-        .and_then(|record| {
-            let key = key(report.id, present).map_err(Rejected::TooOld)?;
-            let record = Box::new(record);
-            Ok(Accepted { key, record })
-        });
+    let clip = check(node, &report).and_then(|()| clip(&report, present));
+    let content = match (clip, key(report.id, present)) {
+        (Err(reason), _) => Err(invalid(reason, raw)),
+        (_, Err(reason)) => Err(Rejected { reason, text: None }),
+        (Ok(clip), Ok(key)) => Ok((key, Box::new(clip))),
+    };
     Received {
         id: Some(report.id),
         count: report.count,
@@ -142,8 +133,8 @@ fn check(node: &str, report: &ClipReport) -> Result<(), String> {
     check_segment("camera name", &report.camera).map_err(|error| error.to_string())
 }
 
-fn invalid(cause: String, raw: &str) -> Rejected {
-    let body = raw[..raw.floor_char_boundary(KEPT)].to_owned();
-    let cause = cause[..cause.floor_char_boundary(KEPT)].to_owned();
-    Rejected::Invalid { cause, body }
+fn invalid(mut reason: String, raw: &str) -> Rejected {
+    reason.truncate(reason.floor_char_boundary(KEPT));
+    let text = Some(raw[..raw.floor_char_boundary(KEPT)].to_owned());
+    Rejected { reason, text }
 }

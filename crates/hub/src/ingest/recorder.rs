@@ -1,19 +1,18 @@
 //! Writes groups of batches, each in one transaction, and builds their answers. It uses no thread, network or clock.
 
 use super::counters::IngestCounts;
-use super::decode::{Accepted, Batch, Rejected};
+use super::decode::{Batch, Rejected};
 use super::limits::{ClockCheck, EVENTS, EntryLimit, SET_ASIDE};
 use super::plan::Seen;
 use crate::config::HistoryConfig;
 use crate::presence::News;
 use crate::store::retention::retain;
 use crate::store::row::Row;
-use crate::store::tables::EventRow;
-use crate::store::{Access, Database, MOST_CAMERAS, Store, StoreError};
+use crate::store::{Access, Database, EventRow, MOST_CAMERAS, Store, StoreError};
 use albireo_service::clock::{DAY_MS, Now};
 use albireo_wire::{RefusedReport, ReportAnswer};
 use serde_json::{Value, json};
-use std::collections::{BTreeSet, HashMap};
+use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
 /// Interval between two searches for old rows, after one that found none.
@@ -24,7 +23,7 @@ pub struct Recorder {
     store: Store,
     database: Option<Box<dyn Database>>,
     history: HistoryConfig,
-    event_limit: EntryLimit,
+    pub(super) event_limit: EntryLimit,
     aside_limit: EntryLimit,
     clock: ClockCheck,
     retention_due: Instant,
@@ -39,8 +38,6 @@ pub struct Recorded {
     pub(crate) cameras: Vec<usize>,
     /// The additions to the counters.
     pub(crate) counts: IngestCounts,
-    /// The events that it wrote.
-    pub(crate) events: Vec<EventRow>,
 }
 
 impl Recorder {
@@ -55,11 +52,6 @@ impl Recorder {
             clock: ClockCheck::new(now.at, now.unix_ms),
             retention_due: now.at,
         }
-    }
-
-    /// True if the last transaction succeeded.
-    pub(crate) const fn is_proven(&self) -> bool {
-        self.database.is_some()
     }
 
     /// True if it is time to delete old rows.
@@ -89,15 +81,12 @@ impl Recorder {
         // After an error the connection is dropped, which rolls the transaction back.
         let mut database = self.store.connect(Access::Write, self.database.take())?;
         database.begin()?;
-        let events = news.write(&mut *database)?;
-        let mut recorded = Recorded {
-            events,
-            ..Recorded::default()
+        let mut events = news.write(&mut *database)?;
+        let recorded = match batches {
+            [] => Recorded::default(),
+            _ => self.write(&mut *database, batches, now.unix_ms, &mut events)?,
         };
-        if !batches.is_empty() {
-            self.write(&mut *database, batches, now.unix_ms, &mut recorded)?;
-        }
-        database.insert("events", &recorded.events, "")?;
+        database.insert("events", &events, "")?;
         database.commit()?;
         self.database = Some(database);
         for batch in batches {
@@ -121,37 +110,25 @@ impl Recorder {
         database: &mut dyn Database,
         batches: &[Batch],
         now_ms: i64,
-        recorded: &mut Recorded,
-    ) -> Result<(), StoreError> {
+        events: &mut Vec<EventRow>,
+    ) -> Result<Recorded, StoreError> {
         let names: BTreeSet<&str> = batches.iter().map(|batch| batch.node.as_str()).collect();
         let names: Vec<&str> = names.into_iter().collect();
         let mut nodes = database.reporting_nodes(&names, now_ms)?;
-        let accepted = batches.iter().flat_map(|batch| {
-            let contents = batch.reports.iter().map(|report| report.content.as_ref());
-            contents
-                .flatten()
-                .map(|accepted| (batch.node.as_str(), accepted))
-        });
-        let mut new =
-            database.new_reports(&accepted.clone().map(|(_, accepted)| accepted.key).collect())?;
-        let accepted: Vec<_> = accepted
-            .filter(|(_, accepted)| new.contains(&accepted.key.id))
-            .collect();
-        let setups = accepted.iter().map(|(_, accepted)| &accepted.record.setup);
-        let setups = database.setups(&setups.collect())?;
-        let wanted = accepted.iter().map(|(node, accepted)| {
-            let node = nodes.get(*node).ok_or_else(|| lost("a node"))?;
-            Ok((node.node_id, accepted.record.camera.as_str()))
-        });
-        let wanted = wanted.collect::<Result<BTreeSet<_>, StoreError>>()?;
-        let cameras = database.cameras(&names, wanted)?;
+        let mut cameras = database.cameras(&names)?;
+        let reports = batches.iter().flat_map(|batch| &batch.reports);
+        let accepted = reports.filter_map(|report| report.content.as_ref().ok());
+        let mut new = database.new_reports(&accepted.clone().map(|(key, _)| *key).collect())?;
+        let setups = accepted.filter(|(key, _)| new.contains(&key.id));
+        let setups = database.setups(setups.map(|(_, clip)| &clip.setup).collect())?;
 
-        let too_many = Rejected::Invalid {
-            cause: format!("the node has {MOST_CAMERAS} cameras already"),
-            body: String::new(),
+        let too_many = Rejected {
+            reason: format!("the node has {MOST_CAMERAS} cameras already"),
+            text: Some(String::new()),
         };
         let (mut clips, mut aside) = (Vec::new(), Vec::new());
-        let (counts, events) = (&mut recorded.counts, &mut recorded.events);
+        let mut recorded = Recorded::default();
+        let counts = &mut recorded.counts;
         let mut event = |node: &str, kind: &'static str, detail: Value| {
             if self.event_limit.allows(node, kind, now_ms) {
                 events.push(EventRow::new(now_ms, kind, node, detail));
@@ -159,55 +136,59 @@ impl Recorder {
         };
         for batch in batches {
             let node = nodes.get_mut(&batch.node).ok_or_else(|| lost("a node"))?;
-            let node_cameras = cameras.get(&node.node_id);
+            let cameras = cameras.entry(node.node_id).or_default();
             let mut answer = ReportAnswer::default();
             let (mut invalid, mut clocks_off) = (0, 0);
             for report in &batch.reports {
-                let mut is_new = false;
-                let rejected = match &report.content {
+                let (mut is_new, mut rejected) = (false, None);
+                match &report.content {
+                    Err(why) => rejected = Some(why),
                     // It was stored before, or earlier in this group.
-                    Ok(accepted) if !new.remove(&accepted.key.id) => {
-                        counts.again += 1;
-                        None
-                    }
-                    Ok(accepted) => {
+                    Ok((key, _)) if !new.remove(&key.id) => counts.again += 1,
+                    Ok((key, clip)) => {
                         is_new = true;
-                        match node_cameras.and_then(|all| all.get(&accepted.record.camera)) {
-                            None => Some(&too_many),
-                            Some(camera) => {
-                                let setup = setups.get(&accepted.record.setup);
-                                let setup = setup.ok_or_else(|| lost("a setup"))?;
-                                clips.push(clip(accepted, *camera, *setup, now_ms));
-                                *counts += counted(&accepted.record.row);
-                                clocks_off += u64::from(!accepted.record.clock);
-                                node.totals.stored += 1;
-                                None
+                        let mut camera = cameras.get(&clip.camera).copied();
+                        if camera.is_none() && cameras.len() < MOST_CAMERAS {
+                            let added = database.add_camera(node.node_id, &clip.camera)?;
+                            cameras.insert(clip.camera.clone(), added);
+                            camera = Some(added);
+                        }
+                        if let Some(camera) = camera {
+                            let setup = setups.get(&clip.setup);
+                            let setup = *setup.ok_or_else(|| lost("a setup"))?;
+                            let today = now_ms.div_euclid(DAY_MS);
+                            let day = if key.day > 0 { key.day } else { today };
+                            let mut row = clip.row.clone();
+                            for (column, number) in
+                                [("day", day), ("camera_id", camera), ("setup_id", setup)]
+                            {
+                                row.insert(column.to_owned(), number.into());
                             }
+                            *counts += counted(&row);
+                            clips.push(row);
+                            clocks_off += u64::from(!clip.clock);
+                            node.totals.stored += 1;
+                        } else {
+                            rejected = Some(&too_many);
                         }
                     }
-                    Err(rejected) => Some(rejected),
-                };
-                if let Some(rejected) = rejected {
-                    let reason = match rejected {
-                        Rejected::TooOld(reason) => {
-                            counts.too_old += 1;
-                            node.totals.refused += 1;
-                            reason
+                }
+                if let Some(Rejected { reason, text }) = rejected {
+                    if let Some(text) = text {
+                        invalid += 1;
+                        if self.aside_limit.allows(&batch.node, "", now_ms) {
+                            aside.push(json!({
+                                "node_id": node.node_id,
+                                "report_id": report.id.map(|id| id.to_string()),
+                                "received_ms": now_ms,
+                                "cause": reason,
+                                "body": text,
+                            }));
                         }
-                        Rejected::Invalid { cause, body } => {
-                            invalid += 1;
-                            if self.aside_limit.allows(&batch.node, "", now_ms) {
-                                aside.push(json!({
-                                    "node_id": node.node_id,
-                                    "report_id": report.id.map(|id| id.to_string()),
-                                    "received_ms": now_ms,
-                                    "cause": cause,
-                                    "body": body,
-                                }));
-                            }
-                            cause
-                        }
-                    };
+                    } else {
+                        counts.too_old += 1;
+                        node.totals.refused += 1;
+                    }
                     let reason = reason.clone();
                     let refused = report.id.map(|id| RefusedReport { id, reason });
                     answer.refused.extend(refused);
@@ -244,29 +225,17 @@ impl Recorder {
             node.totals.missing = node.counts.missing();
             answer.missing = node.counts.wanted().to_vec();
             recorded.answers.push(answer);
-            recorded.cameras.push(node_cameras.map_or(0, HashMap::len));
+            recorded.cameras.push(cameras.len());
         }
         database.write_report_counts(nodes.into_values().collect())?;
         database.insert("set_aside", &aside, "")?;
-        database.insert_clips(clips)
+        database.insert_clips(clips)?;
+        Ok(recorded)
     }
 }
 
 fn lost(what: &str) -> StoreError {
     StoreError::Statement(format!("{what} has no id after it was written"))
-}
-
-/// The row of a clip.
-fn clip(accepted: &Accepted, camera: i64, setup: i64, now_ms: i64) -> Row {
-    let day = match accepted.key.day > 0 {
-        true => accepted.key.day,
-        false => now_ms.div_euclid(DAY_MS),
-    };
-    let mut row = accepted.record.row.clone();
-    for (column, number) in [("day", day), ("camera_id", camera), ("setup_id", setup)] {
-        row.insert(column.to_owned(), number.into());
-    }
-    row
 }
 
 /// The additions to the counters for a stored clip; null counts as 0.

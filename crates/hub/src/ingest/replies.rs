@@ -16,12 +16,8 @@ const QUEUE: usize = 16_384;
 /// Most answers that may wait per node: a node that does not read its answers cannot fill the queue.
 const MOST_OF_A_NODE: usize = 16;
 
-struct Reply {
-    query: Query,
-    payload: Vec<u8>,
-    error: bool,
-    _place: Place,
-}
+/// A query, the answer or refusal to it, and its place.
+type Reply = (Query, Result<Vec<u8>, Vec<u8>>, Place);
 
 /// Queues answers to nodes.
 #[derive(Clone, Debug)]
@@ -47,7 +43,7 @@ impl Replies {
 
     /// Answers a query.
     pub(crate) fn answer(&self, query: Query, answer: &impl Serialize) {
-        self.hand_over(query, answer, false);
+        self.hand_over(query, serde_json::to_vec(answer).map(Ok));
     }
 
     /// Refuses a query; the node may retry after `wait`.
@@ -64,20 +60,14 @@ impl Replies {
             detail: why.into(),
             retry_after_ms: wait.and_then(|wait| u64::try_from(wait.as_millis()).ok()),
         };
-        self.hand_over(query, &refusal, true);
+        self.hand_over(query, serde_json::to_vec(&refusal).map(Err));
     }
 
-    fn hand_over(&self, query: Query, message: &impl Serialize, error: bool) {
+    fn hand_over(&self, query: Query, payload: serde_json::Result<Result<Vec<u8>, Vec<u8>>>) {
         let queue = || {
-            let payload = serde_json::to_vec(message).ok()?;
             let node = NodeKeys::node_of(query.key_expr().as_str()).unwrap_or_default();
-            let reply = Reply {
-                _place: self.places.place(node)?,
-                query,
-                payload,
-                error,
-            };
-            self.sender.try_send(reply).ok()
+            let place = self.places.place(node)?;
+            self.sender.try_send((query, payload.ok()?, place)).ok()
         };
         if queue().is_none() {
             self.counters.count(|counts| counts.answers_lost += 1);
@@ -86,17 +76,10 @@ impl Replies {
 }
 
 fn send(replies: &Receiver<Reply>, counters: &IngestCounters) {
-    while let Ok(reply) = replies.recv() {
-        let Reply {
-            query,
-            payload,
-            error,
-            _place,
-        } = reply;
-        let sent = if error {
-            query.reply_err(payload).wait()
-        } else {
-            query.reply(query.key_expr().clone(), payload).wait()
+    while let Ok((query, payload, _place)) = replies.recv() {
+        let sent = match payload {
+            Ok(answer) => query.reply(query.key_expr().clone(), answer).wait(),
+            Err(refusal) => query.reply_err(refusal).wait(),
         };
         if let Err(error) = sent {
             counters.count(|counts| counts.answers_lost += 1);

@@ -1,28 +1,34 @@
-//! Runs the threads of ingest: one parses batches, the other commits them and queues the answers.
+//! The queue of batches, and the thread that parses them, commits them and queues the answers.
 
 use super::decode::{Batch, decode};
-use super::limits::{EVENTS, EntryLimit, NodeLimits};
+use super::limits::{BUSY_RETRY, NodeLimits};
 use super::recorder::{Recorded, Recorder};
-use super::{MOST_BATCHES, Replies, ReportQueue, Shared, Waiting};
+use super::replies::Replies;
 use crate::config::HubConfig;
 use crate::http::HubView;
-use crate::store::{Store, StoreError};
+use crate::per_node::Place;
+use crate::store::Store;
 use albireo_service::clock::{Now, unix_milliseconds};
-use albireo_wire::RefusalReason;
+use albireo_wire::{NodeKeys, RefusalReason};
+use bytes::Bytes;
 use std::future::Future;
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::{Duration, Instant};
 use tokio::task::spawn_blocking;
+use zenoh::query::Query;
 
-/// Longest time between two checks for changes of presence, also without reports.
+/// Largest compressed batch, bytes: ten times as large as those that nodes send.
+const LARGEST_PAYLOAD: usize = 1 << 20;
+
+/// The reason for a refusal when the queue is full.
+const FULL: &str = "too many batches wait to be written";
+
+/// Longest time between two transactions, also without reports: changes of presence are written, too.
 const IDLE: Duration = Duration::from_millis(250);
 
 /// Pause after an error of the database.
 const DATABASE_PAUSE: Duration = Duration::from_millis(500);
-
-/// Most parsed batches that wait to be committed.
-const READY: usize = 16;
 
 /// The charge to a node for an unreadable batch, bytes.
 const UNREADABLE_COST: usize = 64 << 10;
@@ -36,69 +42,109 @@ const COMMIT_REPORTS: usize = 4000;
 /// Most bytes of JSON per commit.
 const COMMIT_BYTES: usize = 16 << 20;
 
-/// Starts the threads. They end once the queue is dropped and empty; then the returned future completes.
+/// A batch that waits.
+#[derive(Debug)]
+struct Waiting {
+    /// Its compressed bytes.
+    payload: Bytes,
+    /// The query to answer.
+    query: Query,
+    /// When it arrived.
+    since: Instant,
+    /// Its node.
+    node: String,
+    /// Its places: among the batches of its node, among all batches, and for its bytes.
+    _places: [Place; 3],
+}
+
+/// What the queue and the thread share.
+#[derive(Clone)]
+struct Shared {
+    limits: Arc<NodeLimits>,
+    replies: Replies,
+    view: HubView,
+}
+
+impl Shared {
+    /// Refuses a batch; the node may retry after `wait`.
+    fn refuse(
+        &self,
+        query: Query,
+        reason: RefusalReason,
+        why: impl Into<String>,
+        wait: Option<Duration>,
+    ) {
+        self.view.ingest.refuse(reason);
+        self.replies.refuse(query, reason, why, wait);
+    }
+}
+
+/// The queue into which Zenoh's threads put batches.
+pub(crate) struct ReportQueue {
+    queue: Sender<Waiting>,
+    shared: Shared,
+}
+
+impl ReportQueue {
+    /// Queues a batch, or refuses it. Never waits.
+    pub(crate) fn take(&self, mut query: Query) {
+        let (now, shared) = (Instant::now(), &self.shared);
+        let counters = &shared.view.ingest;
+        let node = NodeKeys::node_of(query.key_expr().as_str()).map(str::to_owned);
+        let payload = query.payload_mut().map(std::mem::take);
+        let (Some(node), Some(payload)) = (node, payload) else {
+            // The sender is not a node, and gets no answer.
+            return counters.refuse(RefusalReason::Unreadable);
+        };
+        if payload.len() > LARGEST_PAYLOAD {
+            let detail = format!("the batch has more than {LARGEST_PAYLOAD} bytes");
+            return shared.refuse(query, RefusalReason::Unreadable, detail, None);
+        }
+        let place = match shared.limits.admit(&node, now) {
+            Ok(place) => place,
+            Err((wait, why)) => return shared.refuse(query, RefusalReason::Busy, why, Some(wait)),
+        };
+        let Some([batch, bytes]) = counters.queue(payload.len()) else {
+            return shared.refuse(query, RefusalReason::Busy, FULL, Some(BUSY_RETRY));
+        };
+        // A copy, so that a waiting batch holds no network buffers.
+        let payload = Bytes::copy_from_slice(&payload.to_bytes());
+        let waiting = Waiting {
+            _places: [place, batch, bytes],
+            payload,
+            query,
+            since: now,
+            node,
+        };
+        // Without a writer the hub is stopping: the node gets no answer, and sends the batch again.
+        let _ = self.queue.send(waiting);
+    }
+}
+
+/// Starts the thread. It ends once the queue is dropped and empty; then the returned future completes.
 pub(crate) fn start(
     config: &HubConfig,
     view: &HubView,
     store: &Store,
     replies: &Replies,
 ) -> (ReportQueue, impl Future<Output = ()> + use<>) {
-    let (queue, waiting) = sync_channel(MOST_BATCHES);
-    let (sender, ready) = sync_channel(READY);
+    // It is bounded by the places in `IngestCounters`.
+    let (queue, waiting) = channel();
     let shared = Shared {
         limits: Arc::new(NodeLimits::new(config.ingest.camera_bytes_per_day)),
         replies: replies.clone(),
         view: view.clone(),
-    };
-    let reader = Reader {
-        shared: shared.clone(),
-        event_limit: EntryLimit::new(EVENTS),
-        ready: sender,
     };
     let writer = Writer {
         recorder: Recorder::new(store, &config.history, Now::system()),
         pause: Duration::from_millis(config.ingest.commit_ms),
         shared: shared.clone(),
     };
-    let reading = spawn_blocking(move || reader.run(&waiting));
-    let writing = spawn_blocking(move || writer.run(&ready));
+    let writing = spawn_blocking(move || writer.run(&waiting));
     let ended = async move {
-        let _ = reading.await;
         let _ = writing.await;
     };
     (ReportQueue { queue, shared }, ended)
-}
-
-/// Parses batches.
-struct Reader {
-    shared: Shared,
-    event_limit: EntryLimit,
-    ready: SyncSender<(Waiting, Batch)>,
-}
-
-impl Reader {
-    fn run(mut self, queue: &Receiver<Waiting>) {
-        while let Ok(waiting) = queue.recv() {
-            let (shared, node) = (&self.shared, &waiting.node);
-            let now_ms = unix_milliseconds();
-            match decode(node, &waiting.payload, now_ms) {
-                Ok(batch) => {
-                    shared.limits.charge(node, batch.bytes);
-                    if self.ready.send((waiting, batch)).is_err() {
-                        return;
-                    }
-                }
-                Err(error) => {
-                    shared.limits.charge(node, UNREADABLE_COST);
-                    if self.event_limit.allows(node, "refused", now_ms) {
-                        tracing::warn!(node, error, "a batch cannot be read");
-                        shared.view.fleet.unreadable(node, &error, now_ms);
-                    }
-                    shared.refuse(waiting.query, RefusalReason::Unreadable, error, None);
-                }
-            }
-        }
-    }
 }
 
 /// Commits batches and changes of presence.
@@ -110,23 +156,30 @@ struct Writer {
 }
 
 impl Writer {
-    /// Runs until the reader has ended.
-    fn run(mut self, ready: &Receiver<(Waiting, Batch)>) {
+    /// Runs until the queue is dropped and empty.
+    fn run(mut self, queue: &Receiver<Waiting>) {
         loop {
-            let first = ready.recv_timeout(IDLE.max(self.pause));
+            let first = queue.recv_timeout(IDLE.max(self.pause));
             let begun = Instant::now();
+            let since = first.as_ref().map_or(begun, |oldest| oldest.since);
+            self.shared.view.ingest.writing(Some(since));
             let ended = matches!(first, Err(RecvTimeoutError::Disconnected));
             let (mut waiting, mut batches) = (Vec::new(), Vec::new());
             let (mut reports, mut bytes) = (0, 0);
             let mut next = first.ok();
-            while let Some((one, batch)) = next {
-                self.shared.view.ingest.writing(Some(one.since));
-                reports += batch.reports.len();
-                bytes += batch.bytes;
-                waiting.push(one);
-                batches.push(batch);
+            while let Some(one) = next {
+                match decode(&one.node, &one.payload, unix_milliseconds()) {
+                    Ok(batch) => {
+                        self.shared.limits.charge(&one.node, batch.bytes);
+                        reports += batch.reports.len();
+                        bytes += batch.bytes;
+                        waiting.push(one);
+                        batches.push(batch);
+                    }
+                    Err(error) => self.unreadable(one, error),
+                }
                 let full = reports >= COMMIT_REPORTS || bytes >= COMMIT_BYTES;
-                next = if full { None } else { ready.try_recv().ok() };
+                next = if full { None } else { queue.try_recv().ok() };
             }
             self.commit(waiting, &batches);
             self.shared.view.ingest.writing(None);
@@ -137,66 +190,58 @@ impl Writer {
         }
     }
 
+    fn unreadable(&mut self, Waiting { node, query, .. }: Waiting, error: String) {
+        let (shared, now_ms) = (&self.shared, unix_milliseconds());
+        shared.limits.charge(&node, UNREADABLE_COST);
+        if self.recorder.event_limit.allows(&node, "refused", now_ms) {
+            tracing::warn!(node, error, "a batch cannot be read");
+            shared.view.fleet.unreadable(&node, &error, now_ms);
+        }
+        shared.refuse(query, RefusalReason::Unreadable, error, None);
+    }
+
     /// Commits a group of batches. If the database refuses the group, commits each batch separately.
     fn commit(&mut self, waiting: Vec<Waiting>, batches: &[Batch]) {
+        let view = &self.shared.view;
         let retention = self.recorder.retention_is_due(Instant::now());
-        // At the start and after an error an empty transaction is tried, which shows whether the database can be written.
-        if self.recorder.is_proven()
-            && batches.is_empty()
-            && !retention
-            && !self.shared.view.fleet.has_news()
-        {
+        // Also without batches and news: it shows whether the database can be written.
+        let (begun, news) = (Instant::now(), view.fleet.take_news());
+        let done = (self.recorder).record(batches, &news, retention, Now::system());
+        let error = match done {
+            Ok(recorded) => {
+                if !batches.is_empty() {
+                    view.ingest.committed_in.add(begun.elapsed());
+                }
+                view.readiness.part("database").works();
+                return self.acknowledge(waiting, recorded);
+            }
+            Err(error) => error,
+        };
+        view.ingest.count(|counts| counts.database_errors += 1);
+        tracing::error!(%error, batches = batches.len(), "nothing was committed");
+        view.fleet.give_back(news);
+        if !error.passes() && batches.len() > 1 {
+            for (waiting, batch) in waiting.into_iter().zip(batches) {
+                self.commit(vec![waiting], std::slice::from_ref(batch));
+            }
             return;
         }
-        match self.transaction(batches, retention) {
-            Ok(committed) => {
-                self.shared.view.readiness.part("database").works();
-                self.acknowledge(waiting, batches, committed);
-            }
-            Err(error) if !error.passes() && batches.len() > 1 => {
-                tracing::error!(%error, "the database refused a group of batches; each is tried separately");
-                for (waiting, batch) in waiting.into_iter().zip(batches) {
-                    let (waiting, alone) = (vec![waiting], std::slice::from_ref(batch));
-                    match self.transaction(alone, false) {
-                        Ok(committed) => self.acknowledge(waiting, alone, committed),
-                        Err(error) => self.refuse(waiting, &error),
-                    }
-                }
-            }
-            Err(error) => {
-                self.refuse(waiting, &error);
-                if error.passes() {
-                    (self.shared.view.readiness.part("database")).not_ready(error.to_string());
-                    std::thread::sleep(DATABASE_PAUSE);
-                }
-            }
+        let (reason, retry) = (RefusalReason::Unavailable, Some(UNAVAILABLE_RETRY));
+        for waiting in waiting {
+            (self.shared).refuse(waiting.query, reason, error.to_string(), retry);
+        }
+        if error.passes() {
+            (view.readiness.part("database")).not_ready(error.to_string());
+            std::thread::sleep(DATABASE_PAUSE);
         }
     }
 
-    fn transaction(&mut self, batches: &[Batch], retention: bool) -> Result<Recorded, StoreError> {
-        let begun = Instant::now();
-        let news = self.shared.view.fleet.take_news();
-        let done = (self.recorder).record(batches, &news, retention, Now::system());
-        let counters = &self.shared.view.ingest;
-        match &done {
-            Ok(_) => {
-                counters.count(|counts| counts.commits += 1);
-                counters.committed_in.add(begun.elapsed());
-            }
-            Err(error) => {
-                counters.count(|counts| counts.database_errors += 1);
-                tracing::error!(%error, batches = batches.len(), "nothing was committed");
-                self.shared.view.fleet.give_back(news);
-            }
-        }
-        done
-    }
-
-    fn acknowledge(&mut self, waiting: Vec<Waiting>, batches: &[Batch], recorded: Recorded) {
+    fn acknowledge(&self, waiting: Vec<Waiting>, recorded: Recorded) {
         let HubView { fleet, ingest, .. } = &self.shared.view;
         ingest.count(|counts| {
             *counts += recorded.counts;
-            counts.batches += batches.len() as u64;
+            counts.commits += 1;
+            counts.batches += waiting.len() as u64;
         });
         let answers = recorded.answers.into_iter().zip(recorded.cameras);
         for (waiting, (mut answer, cameras)) in waiting.into_iter().zip(answers) {
@@ -206,13 +251,6 @@ impl Writer {
             ingest.acknowledged_after.add(waiting.since.elapsed());
             answer.desired = Some(self.shared.view.desired(node));
             self.shared.replies.answer(waiting.query, &answer);
-        }
-    }
-
-    fn refuse(&self, waiting: Vec<Waiting>, error: &StoreError) {
-        let (reason, retry) = (RefusalReason::Unavailable, Some(UNAVAILABLE_RETRY));
-        for waiting in waiting {
-            (self.shared).refuse(waiting.query, reason, error.to_string(), retry);
         }
     }
 }

@@ -6,8 +6,7 @@ use super::node::NodeView;
 use super::state::{PresenceState, judge, seconds};
 use super::today::TodaysEnergy;
 use crate::config::PresenceConfig;
-use crate::store::tables::EventRow;
-use crate::store::{Store, StoreError};
+use crate::store::{EventRow, Store, StoreError};
 use albireo_wire::{Heartbeat, NodeStatus, StatusMessage, TargetStatus};
 use parking_lot::{Mutex, RwLock};
 use serde_json::json;
@@ -248,11 +247,6 @@ impl Fleet {
         if events.len() < MOST_EVENTS {
             events.push(EventRow::new(now_ms, "refused", node, detail));
         }
-    }
-
-    /// True if rows wait to be written.
-    pub(crate) fn has_news(&self) -> bool {
-        !self.dirty.lock().is_empty() || !self.events.lock().is_empty()
     }
 
     /// Takes the waiting rows, at most as many as one transaction may have.

@@ -2,8 +2,7 @@
 
 use super::{NodeView, PresenceState};
 use crate::store::row::read_all;
-use crate::store::tables::EventRow;
-use crate::store::{Database, StoreError};
+use crate::store::{Database, EventRow, StoreError};
 use serde::Deserialize;
 use serde_json::json;
 use std::collections::HashMap;

@@ -31,7 +31,7 @@ pub struct NodeView {
     pub today: TodaysEnergy,
     /// The last full status.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[serde(deserialize_with = "json_text::or_value")]
+    #[serde(deserialize_with = "json_text::deserialize")]
     #[schema(value_type = Option<NodeStatus>)]
     pub status: Option<Arc<NodeStatus>>,
 }

@@ -1,12 +1,13 @@
 //! Defines a connection to a database, and the statements of ingest.
 
+use super::read::ReportCounts;
 use super::row::{Row, read_all, row};
-use super::tables::{ReportCountsRow, SetupKey};
 use super::{Kind, StoreError};
+use crate::ingest::Counts;
 use crate::presence::PresenceState;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
-use std::collections::{BTreeSet, HashMap};
+use std::collections::{BTreeSet, HashMap, HashSet};
 use uuid::Uuid;
 
 /// The statements that add clips to sums, with the length of their spans in seconds; days are in UTC.
@@ -35,9 +36,6 @@ pub(crate) trait Database: Send {
     /// rows.
     fn begin(&mut self) -> Result<(), StoreError>;
 
-    /// Commits. The rows then survive a power loss.
-    fn commit(&mut self) -> Result<(), StoreError>;
-
     /// Runs a statement and returns its rows. Its parameters are `$1`, `$2`, …
     fn query(&mut self, text: &str, values: &[Value]) -> Result<Vec<Row>, StoreError>;
 
@@ -47,6 +45,11 @@ pub(crate) trait Database: Send {
 
     /// Runs several statements without parameters.
     fn script(&mut self, text: &'static str) -> Result<(), StoreError>;
+
+    /// Commits. The rows then survive a power loss.
+    fn commit(&mut self) -> Result<(), StoreError> {
+        self.script("COMMIT")
+    }
 
     /// Runs a statement and returns the whole number in its first row, if any.
     fn number(&mut self, text: &str, values: &[Value]) -> Result<Option<i64>, StoreError> {
@@ -68,6 +71,40 @@ pub(crate) struct ReportKey {
     pub(crate) own_day: i64,
 }
 
+/// An event.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct EventRow {
+    pub(crate) at_ms: i64,
+    pub(crate) kind: String,
+    pub(crate) node: Option<String>,
+    pub(crate) detail: String,
+}
+
+impl EventRow {
+    /// An event of a node.
+    pub(crate) fn new(at_ms: i64, kind: &str, node: &str, detail: Value) -> Self {
+        Self {
+            at_ms,
+            kind: kind.to_owned(),
+            node: Some(node.to_owned()),
+            detail: detail.to_string(),
+        }
+    }
+}
+
+/// Counts of a node's reports.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct ReportCountsRow {
+    /// The node's name, if the query returns it.
+    #[serde(default, skip_serializing)]
+    pub(crate) name: String,
+    pub(crate) node_id: i64,
+    #[serde(flatten)]
+    pub(crate) totals: ReportCounts,
+    #[serde(flatten)]
+    pub(crate) counts: Counts,
+}
+
 /// Most cameras of a node.
 pub(crate) const MOST_CAMERAS: usize = 64;
 
@@ -85,7 +122,7 @@ impl dyn Database + '_ {
     }
 
     /// Does the same as [`insert`](Self::insert) for rows, which must all have the same columns.
-    fn insert_rows(
+    pub(super) fn insert_rows(
         &mut self,
         table: &str,
         rows: Vec<Row>,
@@ -143,20 +180,17 @@ impl dyn Database + '_ {
         }
         let nodes: Vec<ReportCountsRow> = read_all(nodes)?;
         let nodes = nodes.into_iter().map(|mut node| {
-            if node.totals.first_ms == 0 {
-                node.totals.first_ms = now_ms;
-            }
+            // Only of a new row; that of an old one is not changed.
+            node.totals.first_ms = now_ms;
             (node.name.clone(), node)
         });
         Ok(nodes.collect())
     }
 
-    /// Returns the ids of the cameras of these nodes, by node and name. Adds new cameras of `wanted`, each given by node id and
-    /// name, up to the limit per node.
+    /// Returns the ids of the cameras of these nodes, by node id and name.
     pub(crate) fn cameras(
         &mut self,
         nodes: &[&str],
-        wanted: BTreeSet<(i64, &str)>,
     ) -> Result<HashMap<i64, HashMap<String, i64>>, StoreError> {
         #[derive(Deserialize)]
         struct Camera {
@@ -170,41 +204,29 @@ impl dyn Database + '_ {
             let known = cameras.entry(camera.node_id).or_default();
             known.insert(camera.name, camera.id);
         }
-        let mut new = Vec::new();
-        for (node, name) in wanted {
-            let known = cameras.entry(node).or_default();
-            if known.len() < MOST_CAMERAS && !known.contains_key(name) {
-                // A placeholder: the database assigns the id below.
-                known.insert(name.to_owned(), 0);
-                new.push(json!({ "node_id": node, "name": name }));
-            }
-        }
-        let added = self.insert("cameras", &new, "RETURNING id, node_id, name")?;
-        for camera in read_all::<Camera>(added)? {
-            let known = cameras.entry(camera.node_id).or_default();
-            known.insert(camera.name, camera.id);
-        }
         Ok(cameras)
+    }
+
+    /// Adds a camera to a node, and returns its id.
+    pub(crate) fn add_camera(&mut self, node_id: i64, name: &str) -> Result<i64, StoreError> {
+        let text = "INSERT INTO cameras (node_id, name) VALUES ($1, $2) RETURNING id";
+        let id = self.number(text, &[node_id.into(), name.into()])?;
+        id.ok_or_else(|| StoreError::Statement(format!("the camera {name} got no id")))
     }
 
     /// Returns the ids of setups. Adds new setups.
     pub(crate) fn setups(
         &mut self,
-        setups: &BTreeSet<&SetupKey>,
-    ) -> Result<HashMap<SetupKey, i64>, StoreError> {
-        #[derive(Deserialize)]
-        struct Numbered {
-            id: i64,
-            #[serde(flatten)]
-            setup: SetupKey,
-        }
-        let setups: Vec<_> = setups.iter().collect();
+        setups: HashSet<&Row>,
+    ) -> Result<HashMap<Row, i64>, StoreError> {
         // The update changes nothing; it makes the statement return the row.
         let conflict = "ON CONFLICT (policy, threshold, value, model, provider, power_source, total_from) \
                         DO UPDATE SET policy = excluded.policy RETURNING *";
-        let numbered: Vec<Numbered> = read_all(self.insert("setups", &setups, conflict)?)?;
-        let numbered = numbered.into_iter().map(|one| (one.setup, one.id));
-        Ok(numbered.collect())
+        let setups = setups.into_iter().cloned().collect();
+        let numbered = self.insert_rows("setups", setups, conflict)?.into_iter();
+        let numbered = numbered.filter_map(|mut setup| Some((setup.remove("id")?, setup)));
+        let ids = numbered.filter_map(|(id, setup)| Some((setup, id.as_i64()?)));
+        Ok(ids.collect())
     }
 
     /// Stores the identities of reports, and returns those that are new.

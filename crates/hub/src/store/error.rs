@@ -37,12 +37,6 @@ impl From<sqlx::Error> for StoreError {
                 }
             }
             sqlx::Error::Configuration(reason) => Self::Refused(format!("database.url: {reason}")),
-            sqlx::Error::ColumnDecode { .. }
-            | sqlx::Error::ColumnNotFound(_)
-            | sqlx::Error::RowNotFound
-            | sqlx::Error::Decode(_)
-            | sqlx::Error::Encode(_)
-            | sqlx::Error::TypeNotFound { .. } => Self::Statement(error.to_string()),
             other => Self::Unavailable(format!("the database cannot be reached: {other}")),
         }
     }
@@ -59,9 +53,11 @@ impl From<rusqlite::Error> for StoreError {
                 | Code::ReadOnly
                 | Code::SystemIoFailure
                 | Code::DiskFull
-                | Code::CannotOpen
                 | Code::OperationInterrupted,
             ) => Self::Unavailable(format!("the database cannot be used now: {error}")),
+            Some(Code::CannotOpen) => Self::Unavailable(format!(
+                "{error}; create its folder, or set another file in database.url"
+            )),
             Some(Code::NotADatabase) => Self::Refused(
                 "the file is not an SQLite database and was not changed: set another file in database.url"
                     .to_owned(),

@@ -61,11 +61,6 @@ impl PostgresServer {
         })?;
         Ok(Self { connection, waiter })
     }
-
-    fn ask(&mut self, query: Query<'_, Postgres, PgArguments>) -> Result<Vec<Row>, StoreError> {
-        let found = self.waiter.wait(query.fetch_all(&mut self.connection))?;
-        found.iter().map(read).collect()
-    }
 }
 
 impl Database for PostgresServer {
@@ -82,17 +77,15 @@ impl Database for PostgresServer {
         self.script("BEGIN; SELECT pg_advisory_xact_lock(169546976)")
     }
 
-    fn commit(&mut self) -> Result<(), StoreError> {
-        self.script("COMMIT")
-    }
-
     fn query(&mut self, text: &str, values: &[Value]) -> Result<Vec<Row>, StoreError> {
         let query = sqlx::query(AssertSqlSafe(text.to_owned()));
-        self.ask(values.iter().fold(query, bound))
+        let query = values.iter().fold(query, bound);
+        let found = self.waiter.wait(query.fetch_all(&mut self.connection))?;
+        found.iter().map(read).collect()
     }
 
     fn each(&mut self, text: &str, rows: Vec<Row>) -> Result<Vec<Row>, StoreError> {
-        self.ask(sqlx::query(AssertSqlSafe(text.to_owned())).bind(recordset(rows)))
+        self.query(text, &[recordset(rows).into()])
     }
 
     fn script(&mut self, text: &'static str) -> Result<(), StoreError> {

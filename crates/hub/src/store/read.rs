@@ -1,18 +1,17 @@
 //! Queries the database on the connections for reading.
 
-mod audit;
 mod energy;
 mod history;
 
-pub(crate) use audit::audit_figures;
 pub use energy::{EnergyBy, EnergyGroup, EnergyQuery, Resolution, Sort};
 pub use history::{ClipQuery, ReportCounts, StoredClip, StoredEvent, StoredSetAside};
 
 use super::row::{Row, read, read_all};
 use super::{Store, StoreError};
 use crate::presence::{NodeView, TodaysEnergy};
+use albireo_wire::{AuditFigures, AuditReport, AuditSquares, AuditSums};
 use serde::Deserialize;
-use serde_json::json;
+use serde_json::{Value, json};
 use std::collections::HashMap;
 
 impl Store {
@@ -47,4 +46,35 @@ impl Store {
         let used: Vec<Used> = read_all(rows.await?)?;
         Ok(used.into_iter().map(|one| (one.node, one.today)).collect())
     }
+}
+
+/// The counts of a row with the audit's columns; null counts as 0.
+fn audit(row: &Row) -> AuditReport {
+    let number = |name: &str| row.get(name).and_then(Value::as_f64).unwrap_or(0.0) as u64;
+    let sums = AuditSums {
+        missed: number("audit_missed"),
+        missed_boxes: number("audit_missed_boxes"),
+        frames: number("audit_frames"),
+        detected: number("audit_detected"),
+        shown: number("audit_shown"),
+        paired: number("audit_paired"),
+        squares: AuditSquares {
+            detected: number("audit_detected_sq"),
+            shown: number("audit_shown_sq"),
+            paired: number("audit_paired_sq"),
+            detected_paired: number("audit_detected_x"),
+            shown_paired: number("audit_shown_x"),
+        },
+    };
+    AuditReport {
+        calls: number("audit_calls"),
+        detector_us: number("audit_us"),
+        sums,
+        ..AuditReport::default()
+    }
+}
+
+/// The audit's figures; `None` if no frame was drawn.
+pub(crate) fn audit_figures(audit: &AuditReport) -> Option<AuditFigures> {
+    (!audit.sums.is_empty()).then(|| audit.figures())
 }

@@ -1,7 +1,6 @@
 //! Deletes old rows: whole days in PostgreSQL, else a small range at a time, so that the thread that writes never waits
 //! long.
 
-use super::row::Row;
 use super::{Database, Kind, StoreError};
 use crate::config::HistoryConfig;
 use albireo_service::clock::DAY_MS;
@@ -13,40 +12,45 @@ pub(crate) const STEP: usize = 2000;
 /// Earlier than any day of a row.
 const NO_DAY: i64 = -1_000_000;
 
-const EVENTS: &str = "DELETE FROM events WHERE id IN (SELECT id FROM events WHERE at_ms < $1 \
-    AND id < (SELECT COALESCE(min(id), 0) FROM events) + $2) RETURNING 1 AS gone";
-// Desired settings stay: a node that returns after years still gets its setting.
-const ORDER_NODES: &str = "DELETE FROM order_nodes WHERE (revision, node) IN (SELECT n.revision, n.node \
-    FROM order_nodes n JOIN orders o ON o.revision = n.revision WHERE o.at_ms < $1 ORDER BY 1, 2 LIMIT $2) \
-    RETURNING 1 AS gone";
-const ORDERS: &str = "DELETE FROM orders WHERE revision IN (SELECT o.revision FROM orders o WHERE o.at_ms < $1 \
-    AND NOT EXISTS (SELECT 1 FROM order_nodes n WHERE n.revision = o.revision) LIMIT $2) RETURNING 1 AS gone";
-const SET_ASIDE: &str = "DELETE FROM set_aside WHERE id IN (SELECT id FROM set_aside WHERE received_ms < $1 \
-    AND id < (SELECT COALESCE(min(id), 0) FROM set_aside) + $2) RETURNING 1 AS gone";
-
-/// The statements for clips, identities of reports, identities under their day of receipt, and five-minute sums. The
-/// ids of clips grow in the order of receipt, and a clip's day is at most one day after its receipt.
-const BY_DAY_SQLITE: [&str; 4] = [
-    "DELETE FROM clips WHERE id IN (SELECT id FROM clips WHERE day < $1 \
-     AND id < (SELECT COALESCE(min(id), 0) FROM clips) + $2) RETURNING 1 AS gone",
-    "DELETE FROM report_ids WHERE (day, id) IN (SELECT day, id FROM report_ids WHERE day > 0 AND day < $1 \
-     ORDER BY day LIMIT $2) RETURNING 1 AS gone",
-    "DELETE FROM report_ids WHERE (day, id) IN (SELECT day, id FROM report_ids WHERE day < 0 AND day > $1 \
-     ORDER BY day LIMIT $2) RETURNING 1 AS gone",
-    "DELETE FROM sums_5m WHERE (camera_id, bucket_s, setup_id, quality) IN (SELECT camera_id, bucket_s, setup_id, \
-     quality FROM sums_5m WHERE camera_id IN (SELECT 0 UNION ALL SELECT id FROM cameras) AND bucket_s < $1 LIMIT $2) \
-     RETURNING 1 AS gone",
-];
-/// The same for PostgreSQL, where only rows of the default partitions are deleted one by one.
-const BY_DAY_POSTGRES: [&str; 4] = [
-    "DELETE FROM clips_other WHERE (day, id) IN (SELECT day, id FROM clips_other WHERE day < $1 LIMIT $2) \
-     RETURNING 1 AS gone",
-    "DELETE FROM report_ids_other WHERE (day, id) IN (SELECT day, id FROM report_ids_other WHERE day > 0 AND day < $1 \
-     LIMIT $2) RETURNING 1 AS gone",
-    "DELETE FROM report_ids_other WHERE (day, id) IN (SELECT day, id FROM report_ids_other WHERE day < 0 AND day > $1 \
-     LIMIT $2) RETURNING 1 AS gone",
-    "DELETE FROM sums_5m_other WHERE (camera_id, bucket_s, setup_id, quality) IN (SELECT camera_id, bucket_s, \
-     setup_id, quality FROM sums_5m_other WHERE bucket_s < $1 LIMIT $2) RETURNING 1 AS gone",
+/// The rows to delete: their table, its key, and the condition; `$1` is the bound. In PostgreSQL, tables kept by day lose
+/// whole partitions, so that only rows of their default partition are deleted one by one; in SQLite `clips_other` is
+/// `clips`. Ids grow in the order of receipt, and a clip's day is at most one day after its receipt, so that only the
+/// lowest ids are looked at.
+const OLD: [(&str, &str, &str); 8] = [
+    (
+        "clips_other",
+        "id",
+        "day < $1 AND id < (SELECT COALESCE(min(id), 0) FROM clips_other) + 2000",
+    ),
+    ("report_ids_other", "day, id", "day > 0 AND day < $1"),
+    // Identities under their day of receipt.
+    ("report_ids_other", "day, id", "day < 0 AND day > $1"),
+    (
+        "sums_5m_other",
+        "camera_id, bucket_s, setup_id, quality",
+        "camera_id IN (SELECT 0 UNION ALL SELECT id FROM cameras) AND bucket_s < $1",
+    ),
+    (
+        "events",
+        "id",
+        "at_ms < $1 AND id < (SELECT COALESCE(min(id), 0) FROM events) + 2000",
+    ),
+    // Desired settings stay: a node that returns after years still gets its setting.
+    (
+        "order_nodes",
+        "revision, node",
+        "revision IN (SELECT revision FROM orders WHERE at_ms < $1)",
+    ),
+    (
+        "orders",
+        "revision",
+        "at_ms < $1 AND NOT EXISTS (SELECT 1 FROM order_nodes n WHERE n.revision = orders.revision)",
+    ),
+    (
+        "set_aside",
+        "id",
+        "received_ms < $1 AND id < (SELECT COALESCE(min(id), 0) FROM set_aside) + 2000",
+    ),
 ];
 
 /// Deletes at most [`STEP`] rows of each table that are too old at `now_ms`, and whole partitions. If the clock is not
@@ -80,21 +84,27 @@ pub(crate) fn retain(
     let mut most = 0;
     if is_believed {
         let before = |days: u32| now_ms.saturating_sub(i64::from(days) * DAY_MS);
-        let by_day = match database.kind() {
-            Kind::Sqlite => BY_DAY_SQLITE,
-            Kind::Postgres => BY_DAY_POSTGRES,
-        };
-        let by_day = by_day.into_iter().zip([clips, ids, -ids, sums * 86_400]);
-        for (text, bound) in by_day.chain([
-            (EVENTS, before(history.events_days)),
-            (ORDER_NODES, before(history.events_days)),
-            (ORDERS, before(history.events_days)),
-            (SET_ASIDE, before(history.set_aside_days)),
-        ]) {
-            // Not as a parameter: SQLite parses a statement anew whenever its limit is bound.
-            let text = text.replace("$2", &STEP.to_string());
-            let gone: Vec<Row> = database.query(&text, &[bound.into()])?;
-            most = most.max(gone.len());
+        let events = before(history.events_days);
+        let bounds = [
+            clips,
+            ids,
+            -ids,
+            sums * 86_400,
+            events,
+            events,
+            events,
+            before(history.set_aside_days),
+        ];
+        for ((table, key, condition), bound) in OLD.into_iter().zip(bounds) {
+            // The limit is no parameter: SQLite parses a statement anew whenever its limit is bound.
+            let mut text = format!(
+                "DELETE FROM {table} WHERE ({key}) IN (SELECT {key} FROM {table} WHERE {condition} LIMIT {STEP}) \
+                 RETURNING 1 AS gone"
+            );
+            if database.kind() == Kind::Sqlite {
+                text = text.replace("_other", "");
+            }
+            most = most.max(database.query(&text, &[bound.into()])?.len());
         }
     }
     database.commit()?;

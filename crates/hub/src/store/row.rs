@@ -49,16 +49,8 @@ pub(crate) mod json_text {
         Some(text).filter(|text| text != "null").serialize(to)
     }
 
+    /// Reads it from a row, or from a message that contains the value itself.
     pub(crate) fn deserialize<'de, D: Deserializer<'de>, T: DeserializeOwned>(
-        from: D,
-    ) -> Result<T, D::Error> {
-        let text = Option::<String>::deserialize(from)?;
-        let text = text.as_deref().unwrap_or("null");
-        serde_json::from_str(text).map_err(serde::de::Error::custom)
-    }
-
-    /// Reads a value from such a column, or from a message that contains the value itself.
-    pub(crate) fn or_value<'de, D: Deserializer<'de>, T: DeserializeOwned>(
         from: D,
     ) -> Result<T, D::Error> {
         match Value::deserialize(from)? {

@@ -71,6 +71,31 @@ impl Sqlite {
         let mut statement = self.connection.prepare(text)?;
         for_each_row(&mut statement, &mut take)
     }
+
+    /// Runs a statement once for each list of values, and returns its rows.
+    fn run<'v>(
+        &mut self,
+        text: &str,
+        lists: impl IntoIterator<Item = Vec<&'v Value>>,
+    ) -> Result<Vec<Row>, StoreError> {
+        let mut statement = self.connection.prepare_cached(text)?;
+        let mut returned = Vec::new();
+        for values in lists {
+            let (given, parameters) = (values.len(), statement.parameter_count());
+            if given != parameters {
+                let text = format!("{given} values for {parameters} parameters");
+                return Err(StoreError::Statement(text));
+            }
+            for (at, value) in values.into_iter().enumerate() {
+                statement.raw_bind_parameter(at + 1, Cell(value))?;
+            }
+            for_each_row(&mut statement, &mut |row| {
+                returned.push(row);
+                Ok(())
+            })?;
+        }
+        Ok(returned)
+    }
 }
 
 impl Database for Sqlite {
@@ -88,15 +113,7 @@ impl Database for Sqlite {
             return Err(StoreError::Unavailable("the database is read-only".into()));
         }
         // A transaction that reads first fails at its first write if another transaction wrote in between.
-        self.connection
-            .prepare_cached("BEGIN IMMEDIATE")?
-            .execute([])?;
-        Ok(())
-    }
-
-    fn commit(&mut self) -> Result<(), StoreError> {
-        self.connection.prepare_cached("COMMIT")?.execute([])?;
-        Ok(())
+        self.script("BEGIN IMMEDIATE")
     }
 
     fn query(&mut self, text: &str, values: &[Value]) -> Result<Vec<Row>, StoreError> {
@@ -105,44 +122,12 @@ impl Database for Sqlite {
             let is_over = move || begun.elapsed() > limit;
             self.connection.progress_handler(10_000, Some(is_over))?;
         }
-        let mut statement = self.connection.prepare_cached(text)?;
-        for at in 1..=statement.parameter_count() {
-            let name = statement.parameter_name(at).unwrap_or_default();
-            let number = name
-                .get(1..)
-                .and_then(|number| number.parse::<usize>().ok());
-            let value = number.and_then(|number| values.get(number.checked_sub(1)?));
-            let value = value.ok_or_else(|| {
-                StoreError::Statement(format!("the parameter {name} has no value"))
-            })?;
-            statement.raw_bind_parameter(at, Cell(value))?;
-        }
-        let mut rows = Vec::new();
-        for_each_row(&mut statement, &mut |row| {
-            rows.push(row);
-            Ok(())
-        })?;
-        Ok(rows)
+        // `?2` is the second parameter, wherever it is; `$2` would be a name.
+        self.run(&text.replace('$', "?"), [values.iter().collect()])
     }
 
     fn each(&mut self, text: &str, rows: Vec<Row>) -> Result<Vec<Row>, StoreError> {
-        let mut statement = self.connection.prepare_cached(text)?;
-        let mut returned = Vec::new();
-        for row in rows {
-            let (values, parameters) = (row.len(), statement.parameter_count());
-            if values != parameters {
-                let text = format!("{values} values for {parameters} parameters");
-                return Err(StoreError::Statement(text));
-            }
-            for (at, value) in row.values().enumerate() {
-                statement.raw_bind_parameter(at + 1, Cell(value))?;
-            }
-            for_each_row(&mut statement, &mut |row| {
-                returned.push(row);
-                Ok(())
-            })?;
-        }
-        Ok(returned)
+        self.run(text, rows.iter().map(|row| row.values().collect()))
     }
 
     fn script(&mut self, text: &'static str) -> Result<(), StoreError> {

@@ -30,7 +30,7 @@ pub struct ChangeRow {
     #[serde(rename = "select")]
     pub selector: String,
     /// The ordered setting: a threshold, or a target (null switches it off).
-    #[serde(rename = "to", deserialize_with = "json_text::or_value")]
+    #[serde(rename = "to", deserialize_with = "json_text::deserialize")]
     pub setting: DesiredSetting,
 }
 

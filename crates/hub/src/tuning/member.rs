@@ -130,7 +130,7 @@ pub struct ChangeNode {
     /// The node.
     pub node: String,
     /// Its setting before, if known: a threshold or a target.
-    #[serde(deserialize_with = "json_text::or_value")]
+    #[serde(deserialize_with = "json_text::deserialize")]
     pub from: Option<DesiredSetting>,
     /// The order.
     #[serde(flatten)]

@@ -1,6 +1,6 @@
 //! Reads sums over time and fleet. Measured, partial and estimated energy are never added.
 
-use super::audit::{audit, audit_figures};
+use super::{audit, audit_figures};
 use crate::store::row::{read, whole};
 use crate::store::{Store, StoreError};
 use albireo_wire::{AuditFigures, AuditReport, EnergyQuality};

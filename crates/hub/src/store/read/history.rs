@@ -1,6 +1,6 @@
 //! Reads clips, events, report counts and invalid reports.
 
-use super::audit::{audit, audit_figures};
+use super::{audit, audit_figures};
 use crate::store::row::{json_text, read, read_all};
 use crate::store::{Store, StoreError};
 use albireo_wire::{AuditFigures, EnergyQuality};

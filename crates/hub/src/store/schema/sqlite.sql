@@ -2,6 +2,10 @@
 -- No figure is a floating-point number where it is summed: energy is whole microjoules, time whole microseconds,
 -- so that a sum is the same in any order. docs/fleet.md lists the tables.
 
+-- The program and the version of these tables.
+CREATE TABLE hub_meta (key TEXT NOT NULL PRIMARY KEY, value TEXT NOT NULL);
+INSERT INTO hub_meta (key, value) VALUES ('program', 'albireo-hub'), ('version', '13');
+
 CREATE TABLE nodes (
     id INTEGER PRIMARY KEY AUTOINCREMENT,
     name TEXT NOT NULL UNIQUE,
