@@ -36,12 +36,16 @@ pub(crate) struct Clip {
     pub(crate) clock: bool,
 }
 
-/// Reads the figures of a report.
+/// Reads the figures of a report. A clip is stored under the time when it began, or under that of its receipt if the node's
+/// clock is not believed.
 ///
 /// # Errors
 /// The figure that cannot be stored, and the reason: the report is then set aside.
 pub(crate) fn clip(report: &ClipReport, present: Present) -> Result<Clip, String> {
-    let (at_ms, clock) = filed_under(report.started_ns, present);
+    let now_ms = present.hub_ms;
+    let started_ms = i64::try_from(report.started_ns / 1_000_000).unwrap_or(i64::MAX);
+    let believable = now_ms - PAST_MS..=now_ms.saturating_add(FUTURE_MS);
+    let clock = present.clocks_agree() && believable.contains(&started_ms);
     let (states, energy) = (&report.states, &report.energy);
     let (total, detector) = (&report.total_latency_ms, &report.detector_latency_ms);
     let skipped = states.e.saturating_add(states.p);
@@ -69,15 +73,10 @@ pub(crate) fn clip(report: &ClipReport, present: Present) -> Result<Clip, String
         ("degraded", count(report.degraded_frames)),
         ("dropped", count(dropped)),
         ("latency_mean_us", ms(total.mean)),
-        ("latency_p50_us", ms(total.p50)),
-        ("latency_p95_us", ms(total.p95)),
         ("latency_p99_us", ms(total.p99)),
         ("latency_us", ms(total.mean * total.count as f64)),
         ("detector_calls", count(detector.count)),
         ("detector_mean_us", ms(detector.mean)),
-        ("detector_p50_us", ms(detector.p50)),
-        ("detector_p95_us", ms(detector.p95)),
-        ("detector_p99_us", ms(detector.p99)),
         ("detector_us", ms(detector.mean * detector.count as f64)),
         ("avoided_calls", count(avoided_calls)),
         (
@@ -86,7 +85,6 @@ pub(crate) fn clip(report: &ClipReport, present: Present) -> Result<Clip, String
         ),
         ("energy_uj", joules(energy.joules)),
         ("node_uj", joules(energy.node_joules)),
-        ("samples", count(energy.samples)),
         ("audit_frames", audit(|a| a.sums.frames)),
         ("audit_missed", audit(|a| a.sums.missed)),
         ("audit_missed_boxes", audit(|a| a.sums.missed_boxes)),
@@ -129,16 +127,12 @@ pub(crate) fn clip(report: &ClipReport, present: Present) -> Result<Clip, String
     if !(0.0..=1.0 + 1e-6).contains(&energy.coverage) {
         return Err(format!("coverage: {} is not from 0 to 1", energy.coverage));
     }
-    let whole = |number: u64| i64::try_from(number).ok();
+    let number = report.count.and_then(|count| i64::try_from(count).ok());
     for (column, value) in [
         ("report_id", json!(report.id.as_bytes())),
-        ("count", json!(report.count.and_then(whole))),
-        ("at_ms", json!(at_ms)),
-        ("received_ms", json!(present.hub_ms)),
-        (
-            "started_ns",
-            json!(whole(report.started_ns).unwrap_or(i64::MAX)),
-        ),
+        ("count", json!(number)),
+        ("at_ms", json!(if clock { started_ms } else { now_ms })),
+        ("received_ms", json!(now_ms)),
         ("clip", json!(name("clip", &report.clip)?)),
         ("part", json!(report.part)),
         ("ended_by", json!(report.ended_by)),
@@ -179,18 +173,6 @@ pub(crate) fn clip(report: &ClipReport, present: Present) -> Result<Clip, String
         row,
         clock,
     })
-}
-
-/// The time under which a clip is stored, milliseconds since the Unix epoch, and true if it is the node's own time.
-fn filed_under(started_ns: u64, present: Present) -> (i64, bool) {
-    let now_ms = present.hub_ms;
-    let started_ms = i64::try_from(started_ns / 1_000_000).unwrap_or(i64::MAX);
-    let believable = (now_ms - PAST_MS..=now_ms.saturating_add(FUTURE_MS)).contains(&started_ms);
-    if believable && present.clocks_agree() {
-        (started_ms, true)
-    } else {
-        (now_ms, false)
-    }
 }
 
 /// Converts a text to a form that both databases can store, and checks its length.
