@@ -114,16 +114,13 @@ impl Store {
         {
             return Ok(before);
         }
-        let Shared {
-            url, timeout_ms, ..
-        } = &*self.0;
+        let (url, timeout_ms) = (&self.0.url, self.0.timeout_ms);
         Ok(match self.0.kind {
-            Kind::Sqlite => Box::new(sqlite::Sqlite::open(url, *timeout_ms, access)?),
-            Kind::Postgres => Box::new(postgres::PostgresServer::open(
-                url,
-                *timeout_ms,
-                self.0.runtime.clone(),
-            )?),
+            Kind::Sqlite => Box::new(sqlite::Sqlite::open(url, timeout_ms, access)?),
+            Kind::Postgres => {
+                let runtime = self.0.runtime.clone();
+                Box::new(postgres::PostgresServer::open(url, timeout_ms, runtime)?)
+            }
         })
     }
 

@@ -166,16 +166,12 @@ impl dyn Database + '_ {
         let text = include_str!("sql/reporting_nodes.sql");
         let mut nodes = self.among(text, names)?;
         if nodes.len() < names.len() {
-            let new = |name: &&str| {
-                json!({
-                    "name": name,
-                    "state": PresenceState::Silent,
-                    "since_ms": now_ms,
-                    "why": "no status was received yet",
-                })
-            };
-            let new: Vec<Value> = names.iter().map(new).collect();
-            self.insert("nodes", &new, "ON CONFLICT (name) DO NOTHING")?;
+            let add = "INSERT INTO nodes (name, state, since_ms, why) \
+                       VALUES ($1, $2, $3, 'no status was received yet') ON CONFLICT (name) DO NOTHING";
+            let silent = PresenceState::Silent.name();
+            for name in names {
+                self.query(add, &[(*name).into(), silent.into(), now_ms.into()])?;
+            }
             nodes = self.among(text, names)?;
         }
         let nodes: Vec<ReportCountsRow> = read_all(nodes)?;
@@ -254,9 +250,8 @@ impl dyn Database + '_ {
     /// Writes the report counts of nodes.
     pub(crate) fn write_report_counts(
         &mut self,
-        mut rows: Vec<ReportCountsRow>,
+        rows: Vec<ReportCountsRow>,
     ) -> Result<(), StoreError> {
-        rows.sort_by_key(|row| row.node_id);
         let conflict = "ON CONFLICT (node_id) DO UPDATE SET last_ms = excluded.last_ms, \
                         stored = excluded.stored, set_aside = excluded.set_aside, refused = excluded.refused, \
                         resets = excluded.resets, base = excluded.base, highest = excluded.highest, \

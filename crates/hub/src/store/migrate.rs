@@ -2,7 +2,7 @@
 
 use super::{Database, Kind, Row, StoreError};
 
-/// The version of the tables, which the schemas store. albireo 0.1.0 had version 5; 6 to 12 were never released.
+/// The version of the tables, which the schemas store.
 const VERSION: i64 = 13;
 
 /// Creates the tables if there are none.
@@ -38,16 +38,13 @@ pub(super) fn check(database: &mut dyn Database) -> Result<(), StoreError> {
     let version = rows.first().and_then(|row| row.get("value")?.as_str());
     match version.and_then(|version| version.parse::<i64>().ok()) {
         Some(VERSION) => Ok(()),
-        Some(..VERSION) => Err(StoreError::Refused(
-            "the database was written by albireo 0.1.0, whose tables this version does not read: set another one in \
-             database.url"
-                .to_owned(),
-        )),
         Some(found) => Err(StoreError::Refused(format!(
-            "the tables of the database have version {found}, written by a newer albireo; this version reads only \
-             {VERSION}: run the newer program, or set another database in database.url"
+            "the tables of the database have version {found}, and this albireo reads only version {VERSION}: run the older \
+             or newer one that wrote them, or set another database in database.url"
         ))),
-        None => Err(stranger("its table hub_meta is of another program".to_owned())),
+        None => Err(stranger(
+            "its table hub_meta is of another program".to_owned(),
+        )),
     }
 }
 

@@ -17,37 +17,32 @@ use tokio::runtime::Handle;
 /// A connection to a server.
 pub(super) struct PostgresServer {
     connection: PgConnection,
-    waiter: Waiter,
-}
-
-/// Waits for the server's answers, on a thread outside the runtime.
-struct Waiter {
     runtime: Handle,
     limit: Duration,
 }
 
-impl Waiter {
-    fn wait<T>(&self, request: impl Future<Output = sqlx::Result<T>>) -> Result<T, StoreError> {
-        let limited = async { tokio::time::timeout(self.limit, request).await };
-        match self.runtime.block_on(limited) {
-            Ok(answered) => Ok(answered?),
-            Err(_) => Err(StoreError::Unavailable(format!(
-                "the database did not answer within {} ms",
-                self.limit.as_millis()
-            ))),
-        }
+/// Waits for an answer of the server, on a thread outside the runtime.
+fn wait<T>(
+    runtime: &Handle,
+    limit: Duration,
+    request: impl Future<Output = sqlx::Result<T>>,
+) -> Result<T, StoreError> {
+    let limited = async { tokio::time::timeout(limit, request).await };
+    match runtime.block_on(limited) {
+        Ok(answered) => Ok(answered?),
+        Err(_) => Err(StoreError::Unavailable(format!(
+            "the database did not answer within {} ms",
+            limit.as_millis()
+        ))),
     }
 }
 
 impl PostgresServer {
     /// Connects. Must not be called on a thread of the runtime.
     pub(super) fn open(url: &str, timeout_ms: u64, runtime: Handle) -> Result<Self, StoreError> {
-        let waiter = Waiter {
-            runtime,
-            // The server itself ends a statement after four times the lock timeout.
-            limit: Duration::from_millis(timeout_ms.saturating_mul(5)),
-        };
-        let connection = waiter.wait(async move {
+        // The server itself ends a statement after four times the lock timeout.
+        let limit = Duration::from_millis(timeout_ms.saturating_mul(5));
+        let connection = wait(&runtime, limit, async move {
             let mut connection = PgConnection::connect(url).await?;
             let settings = format!(
                 "SET synchronous_commit TO on; SET statement_timeout TO {}; \
@@ -59,7 +54,11 @@ impl PostgresServer {
                 .await?;
             Ok(connection)
         })?;
-        Ok(Self { connection, waiter })
+        Ok(Self {
+            connection,
+            runtime,
+            limit,
+        })
     }
 }
 
@@ -69,7 +68,7 @@ impl Database for PostgresServer {
     }
 
     fn is_open(&mut self) -> bool {
-        self.waiter.wait(self.connection.ping()).is_ok()
+        wait(&self.runtime, self.limit, self.connection.ping()).is_ok()
     }
 
     fn begin(&mut self) -> Result<(), StoreError> {
@@ -80,7 +79,11 @@ impl Database for PostgresServer {
     fn query(&mut self, text: &str, values: &[Value]) -> Result<Vec<Row>, StoreError> {
         let query = sqlx::query(AssertSqlSafe(text.to_owned()));
         let query = values.iter().fold(query, bound);
-        let found = self.waiter.wait(query.fetch_all(&mut self.connection))?;
+        let found = wait(
+            &self.runtime,
+            self.limit,
+            query.fetch_all(&mut self.connection),
+        )?;
         found.iter().map(read).collect()
     }
 
@@ -90,7 +93,7 @@ impl Database for PostgresServer {
 
     fn script(&mut self, text: &'static str) -> Result<(), StoreError> {
         let done = self.connection.execute(sqlx::raw_sql(text));
-        self.waiter.wait(done).map(drop)
+        wait(&self.runtime, self.limit, done).map(drop)
     }
 }
 

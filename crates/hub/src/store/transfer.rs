@@ -41,7 +41,6 @@ pub async fn to_postgres(
     }
     let (from, shown) = (from.to_owned(), to.shown());
     let timeout_ms = to.timeout_ms;
-    let opening = to.clone();
     let source = super::blocking(move || {
         let mut source = Sqlite::open(&from, timeout_ms, Access::Write)
             .map_err(|error| refused(&from, &error.to_string()))?;
@@ -52,7 +51,7 @@ pub async fn to_postgres(
     });
     let source = source.await?;
     // Creates the tables if there are none.
-    let store = Store::open(&opening).await?;
+    let store = Store::open(to).await?;
     let copied = super::blocking(move || {
         let mut target = store.connect(Access::Write, None)?;
         copy(source, &mut *target, &shown, &progress)
@@ -126,8 +125,6 @@ fn copy(
 
 #[cfg(test)]
 mod tests {
-    use super::*;
-
     #[test]
     fn every_table_of_both_databases_is_moved() {
         let tables = |schema: &'static str| {

@@ -1,0 +1,40 @@
+-- Deletes rows before $1, at most 2000 per statement. Each statement has its own bound. In PostgreSQL, tables kept by day lose
+-- whole partitions, and only rows of their default partition are deleted here, in SQLite `clips_other` is `clips`, and so on.
+-- Ids grow in the order of receipt, and a clip's day is at most one day after its receipt: only the lowest ids are looked at.
+DELETE FROM clips_other WHERE id IN (
+    SELECT id FROM clips_other WHERE day < $1 AND id < (SELECT COALESCE(min(id), 0) FROM clips_other) + 2000
+) RETURNING 1 AS gone;
+
+DELETE FROM report_ids_other WHERE (day, id) IN (
+    SELECT day, id FROM report_ids_other WHERE day > 0 AND day < $1 LIMIT 2000
+) RETURNING 1 AS gone;
+
+-- Identities under their day of receipt, which is negative.
+DELETE FROM report_ids_other WHERE (day, id) IN (
+    SELECT day, id FROM report_ids_other WHERE day < 0 AND day > -$1 LIMIT 2000
+) RETURNING 1 AS gone;
+
+DELETE FROM sums_5m_other WHERE (camera_id, bucket_s, setup_id, quality) IN (
+    SELECT camera_id, bucket_s, setup_id, quality FROM sums_5m_other
+    WHERE camera_id IN (SELECT 0 UNION ALL SELECT id FROM cameras) AND bucket_s < $1 * 86400 LIMIT 2000
+) RETURNING 1 AS gone;
+
+DELETE FROM events WHERE id IN (
+    SELECT id FROM events WHERE at_ms < $1 * 86400000 AND id < (SELECT COALESCE(min(id), 0) FROM events) + 2000
+) RETURNING 1 AS gone;
+
+-- Desired settings stay: a node that returns after years still gets its setting.
+DELETE FROM order_nodes WHERE (revision, node) IN (
+    SELECT revision, node FROM order_nodes
+    WHERE revision IN (SELECT revision FROM orders WHERE at_ms < $1 * 86400000) LIMIT 2000
+) RETURNING 1 AS gone;
+
+DELETE FROM orders WHERE revision IN (
+    SELECT o.revision FROM orders o WHERE o.at_ms < $1 * 86400000
+        AND NOT EXISTS (SELECT 1 FROM order_nodes n WHERE n.revision = o.revision) LIMIT 2000
+) RETURNING 1 AS gone;
+
+DELETE FROM set_aside WHERE id IN (
+    SELECT id FROM set_aside WHERE received_ms < $1 * 86400000
+        AND id < (SELECT COALESCE(min(id), 0) FROM set_aside) + 2000
+) RETURNING 1 AS gone
