@@ -22,8 +22,8 @@ pub struct Progress {
 }
 
 /// Copies everything in the file `from` into the database `to`, which must be empty: history, identities of reports
-/// and revisions. It copies all or nothing. The file is locked during the copy and
-/// not changed. Calls `progress` after each batch. Returns the number of rows.
+/// and revisions. It copies all or nothing. The file is locked during the copy and not changed. Calls `progress` after each
+/// batch. Returns the number of rows.
 ///
 /// # Errors
 /// [`StoreError::Refused`] when `from` is not the file of a hub of this version or `to` is not an empty PostgreSQL database;
@@ -72,9 +72,10 @@ fn copy(
     progress: &dyn Fn(Progress),
 ) -> Result<u64, StoreError> {
     target.begin()?;
+    let known = tables(target)?;
     let mut tables = tables(&mut source)?;
-    // It is the same in both, and not empty.
-    tables.retain(|table| table != "hub_meta");
+    // Tables of other programs in the file stay there; `hub_meta` is the same in both.
+    tables.retain(|table| known.contains(table) && table != "hub_meta");
     let mut of = 0;
     for table in &tables {
         let count = format!("SELECT count(*) FROM {table}");
