@@ -11,7 +11,6 @@ use crate::store::Store;
 use albireo_service::clock::{Now, unix_milliseconds};
 use albireo_wire::{NodeKeys, RefusalReason};
 use bytes::Bytes;
-use std::future::Future;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::{Duration, Instant};

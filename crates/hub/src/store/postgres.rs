@@ -10,7 +10,6 @@ use sqlx::{
     TypeInfo as _, ValueRef as _,
 };
 use std::fmt::Write as _;
-use std::future::Future;
 use std::time::Duration;
 use tokio::runtime::Handle;
 

@@ -5,13 +5,16 @@ DELETE FROM clips_other WHERE id IN (
     SELECT id FROM clips_other WHERE day < $1 AND id < (SELECT COALESCE(min(id), 0) FROM clips_other) + 2000
 ) RETURNING 1 AS gone;
 
-DELETE FROM report_ids_other WHERE (day, id) IN (
-    SELECT day, id FROM report_ids_other WHERE day > 0 AND day < $1 LIMIT 2000
+-- One day at a time: a list of pairs would look at all ids of a day for each.
+WITH oldest AS (SELECT min(day) AS day FROM report_ids_other WHERE day > 0 AND day < $1)
+DELETE FROM report_ids_other WHERE day = (SELECT day FROM oldest) AND id IN (
+    SELECT id FROM report_ids_other WHERE day = (SELECT day FROM oldest) LIMIT 2000
 ) RETURNING 1 AS gone;
 
 -- Identities under their day of receipt, which is negative.
-DELETE FROM report_ids_other WHERE (day, id) IN (
-    SELECT day, id FROM report_ids_other WHERE day < 0 AND day > -$1 LIMIT 2000
+WITH oldest AS (SELECT max(day) AS day FROM report_ids_other WHERE day < 0 AND day > -$1)
+DELETE FROM report_ids_other WHERE day = (SELECT day FROM oldest) AND id IN (
+    SELECT id FROM report_ids_other WHERE day = (SELECT day FROM oldest) LIMIT 2000
 ) RETURNING 1 AS gone;
 
 DELETE FROM sums_5m_other WHERE (camera_id, bucket_s, setup_id, quality) IN (
