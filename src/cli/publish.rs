@@ -2,7 +2,7 @@
 
 use super::frames::{FrameSender, FrameTarget, NOBODY, OutgoingFrame, Pacing, close, open_session};
 use albireo_node::input::source::{
-    Handover, LiveSource, RtspTransport, SourceAddress, SourceOptions, SourceSettings, SourceSink,
+    LiveSource, RtspTransport, SourceAddress, SourceEvent, SourceOptions, SourceSettings,
 };
 use albireo_service::clock::unix_nanoseconds;
 use albireo_service::config::LogConfig;
@@ -15,9 +15,6 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 use tokio::sync::watch;
 use zenoh::session::Session;
-
-/// JPEG quality of sources that are not motion JPEG already (`-q:v`, 2 is the best).
-const QUALITY: u8 = 3;
 
 /// Pause between two attempts to reach the node for the first time; later Zenoh reconnects by itself.
 const RETRY: Duration = Duration::from_secs(2);
@@ -89,7 +86,7 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         options,
         silence: Duration::from_secs(arguments.source_timeout.max(1)),
         // JPEG saves more on the network than encoding costs.
-        decoded: Handover::Jpeg(QUALITY),
+        as_jpeg: true,
         limits: FrameLimits::default(),
     };
     let found = tokio::task::spawn_blocking(move || LiveSource::find(settings)).await?;
@@ -103,14 +100,30 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let receivers = sender.receivers();
     tokio::spawn(log_receivers(receivers.clone(), key.clone()));
     let sent = Arc::new(AtomicU64::new(0));
-    let sink = Outlet {
-        source: source.name(),
-        sender,
-        seq: 0,
-        sent: Arc::clone(&sent),
-        failed: false,
+    let (name, counted) = (source.name(), Arc::clone(&sent));
+    let mut outlet = Outlet { sender, seq: 0 };
+    let mut failed = false;
+    let each = move |event| match event {
+        SourceEvent::Failed { reason, pause } => {
+            let seconds = pause.as_secs_f64();
+            tracing::warn!(
+                source = name,
+                "failed: {reason}; next attempt in {seconds} s"
+            );
+        }
+        SourceEvent::Picture { picture, reopened } => match outlet.send(picture, reopened) {
+            Ok(()) => {
+                counted.fetch_add(1, Ordering::Relaxed);
+                failed = false;
+            }
+            // Logged once for a series of failures.
+            Err(error) if !std::mem::replace(&mut failed, true) => {
+                tracing::warn!("a frame was not sent: {error:#}");
+            }
+            Err(_) => {}
+        },
     };
-    let ended = source.run(sink, shutdown).await;
+    let ended = source.run(each, shutdown).await;
     close(session).await?;
     println!("sent {} frames on {key}", sent.load(Ordering::Relaxed));
     ended.map_err(|reason| anyhow!("reading the camera failed: {reason}"))?;
@@ -150,11 +163,8 @@ async fn log_receivers(mut receivers: watch::Receiver<Option<bool>>, key: String
 
 /// Sends a source's pictures.
 struct Outlet {
-    source: String,
     sender: FrameSender,
     seq: u64,
-    sent: Arc<AtomicU64>,
-    failed: bool,
 }
 
 impl Outlet {
@@ -179,26 +189,5 @@ impl Outlet {
                 ..FrameAttachment::default()
             },
         })
-    }
-}
-
-impl SourceSink for Outlet {
-    fn fails(&mut self, reason: &str, pause: Duration) {
-        let (source, seconds) = (&self.source, pause.as_secs_f64());
-        tracing::warn!(source, "failed: {reason}; next attempt in {seconds} s");
-    }
-
-    fn picture(&mut self, picture: Result<EncodedPicture, FrameFault>, reopened: bool) {
-        match self.send(picture, reopened) {
-            Ok(()) => {
-                self.sent.fetch_add(1, Ordering::Relaxed);
-                self.failed = false;
-            }
-            // Logged once for a series of failures.
-            Err(error) if !std::mem::replace(&mut self.failed, true) => {
-                tracing::warn!("a frame was not sent: {error:#}");
-            }
-            Err(_) => {}
-        }
     }
 }

@@ -11,20 +11,20 @@ pub(crate) mod publishing;
 mod settled;
 
 pub use config::{AnswerTime, ReportConfig, SettleConfig};
-pub(crate) use decider::Decider;
-pub(crate) use settled::SettledStream;
 #[cfg(test)]
 pub(crate) use tests::answer;
 
 use crate::camera::answer::detections_message;
 use crate::camera::audit::{CameraAudit, DrawnFrame};
 use crate::camera::clip::{Clip, ClipTracker};
-use crate::camera::decider::{Decided, Fetched};
-use crate::camera::evidence::Times;
+use crate::camera::decider::{Decided, Decider, Fetched};
+use crate::camera::evidence::{LiveEvidence, Times};
 use crate::camera::publishing::Outlet;
+use crate::camera::settled::SettledStream;
+use crate::config::NodeConfig;
 use crate::input::receiver::{FrameReceiver, SequencedFrame, kind_of};
 use crate::state::board::CameraBoard;
-use albireo_core::policy::{CallCause, FrameHead, MinConfidence, Need, Outcome};
+use albireo_core::policy::{CallCause, FrameHead, LatePolicy, MinConfidence, Need, Outcome};
 use albireo_power::CameraEnergy;
 use albireo_service::clock::milliseconds;
 use albireo_wire::{DetectionsMessage, Latency, Threshold};
@@ -46,16 +46,14 @@ pub(crate) struct CameraParts {
     /// Publishes the final answers of pending frames, if frames are answered at once.
     pub late: Option<Outlet>,
     /// Publishes every frame again once its boxes are settled.
-    pub settled: Option<Arc<Outlet>>,
+    pub settled: Option<Outlet>,
     /// Selects the boxes to publish.
     pub min_confidence: MinConfidence,
     /// The names of the detector's classes.
-    pub class_names: Arc<[String]>,
+    pub class_names: Vec<String>,
     /// Sends closed clips. Unbounded, because a clip is a few kilobytes every few seconds and must not be lost; the
     /// reporter's wait per clip is bounded.
     pub closed: mpsc::UnboundedSender<Clip>,
-    /// Receives the frames that the detector audits afterwards.
-    pub audit: Arc<CameraAudit>,
     /// The camera's share of the node's energy.
     pub energy: CameraEnergy,
     /// True if the policy forgets its objects at a new clip id of the camera.
@@ -81,6 +79,8 @@ pub(crate) struct Camera {
     settled: Option<SettledStream>,
     /// The open clip.
     tracker: ClipTracker,
+    /// The frames that the detector examines afterwards.
+    audit: CameraAudit,
     threshold: watch::Receiver<Option<f64>>,
     /// The highest index and newest stream of the camera so far.
     newest: Option<(u64, u64)>,
@@ -131,20 +131,28 @@ impl FrameRecord {
 }
 
 impl Camera {
-    /// Creates a loop that has seen no frame.
+    /// Creates a loop that has seen no frame. It begins a new clip, and applies the threshold in force at its first
+    /// frame.
     pub(crate) fn new(
         parts: Arc<CameraParts>,
-        decider: Decider,
-        settled: Option<SettledStream>,
-        tracker: ClipTracker,
+        config: &NodeConfig,
+        policy: LatePolicy,
+        evidence: LiveEvidence,
+        audit: CameraAudit,
     ) -> Self {
         let mut threshold = parts.board.watch_threshold();
         threshold.mark_changed();
+        parts.receiver.ring.open();
+        let longest = Duration::from_millis(config.settle.longest_ms);
+        let settled = (parts.settled.is_some()).then(|| SettledStream::new(longest, &parts));
+        let share = config.audit.share;
+        let audited = (share > 0.0).then_some(share);
         Self {
-            parts,
-            decider,
+            decider: Decider::new(policy, evidence),
             settled,
-            tracker,
+            tracker: ClipTracker::new(config.clip, parts.energy.clone(), audited),
+            audit,
+            parts,
             threshold,
             newest: None,
             first_index: None,
@@ -164,6 +172,7 @@ impl Camera {
                 biased;
                 () = shutdown.cancelled() => break,
                 fetched = self.decider.fetched() => self.deliver(fetched),
+                () = self.audit.run() => {}
                 // Before the clock: a camera with waiting frames is not silent, only the detector is slow.
                 incoming = self.parts.receiver.ring.next(), if !waits => self.process(incoming),
                 () = at(due), if !waits => self.tick(),
@@ -190,12 +199,12 @@ impl Camera {
     /// Stops taking frames, counts the waiting ones as dropped, and ends the open clip. A second call does nothing.
     fn end(&mut self) {
         let parts = &self.parts;
-        for mut frame in parts.receiver.ring.close() {
+        for frame in parts.receiver.ring.close() {
             let reason = "the camera's loop ended before its turn";
             (parts.receiver).count_dropped(|dropped| &mut dropped.stopped, 1, &reason);
-            frame.answer(Some(reason));
+            parts.receiver.answer(frame.query, Some(reason));
         }
-        parts.audit.give_up();
+        self.audit.give_up();
         self.count_others();
         let parts = &self.parts;
         parts.hand_over(self.tracker.nothing_is_pending());
@@ -212,7 +221,7 @@ impl Camera {
     }
 
     fn process(&mut self, mut incoming: SequencedFrame) {
-        incoming.answer(None);
+        self.parts.receiver.answer(incoming.query.take(), None);
         let Some(mut frame) = self.begin(incoming) else {
             return;
         };
@@ -262,8 +271,8 @@ impl Camera {
         }
         parts.board.record_frame(&record);
         let skipped = outcome.state.is_skipped() && !outcome.degraded;
-        if skipped && parts.audit.draws(incoming.index) {
-            parts.audit.offer(DrawnFrame {
+        if skipped && self.audit.draws(incoming.index) {
+            self.audit.offer(DrawnFrame {
                 picture: incoming.frame.picture.clone(),
                 shown: outcome.boxes.clone(),
             });

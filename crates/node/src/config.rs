@@ -8,7 +8,7 @@ use crate::camera::audit::AuditConfig;
 use crate::camera::clip::ClipConfig;
 use crate::camera::{AnswerTime, ReportConfig, SettleConfig};
 use crate::delivery::outbox::OutboxConfig;
-use crate::input::source::{Handover, RtspTransport, SourceAddress, SourceOptions, SourceSettings};
+use crate::input::source::{RtspTransport, SourceAddress, SourceOptions, SourceSettings};
 use crate::input::{Delivery, PayloadFormat};
 use crate::state::target::TargetConfig;
 use albireo_core::policy::PolicyConfig;
@@ -252,7 +252,7 @@ impl CameraConfig {
             options: self.source_options.clone(),
             silence: Duration::try_from_secs_f64(self.source_timeout_s).unwrap_or(Duration::MAX),
             // Not encoded again: most frames are never examined.
-            decoded: Handover::Pixels,
+            as_jpeg: false,
             limits,
         })
     }

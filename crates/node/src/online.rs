@@ -2,16 +2,16 @@
 //! node opens, the router, the hub. For `albireo check --online`.
 
 use crate::config::NodeConfig;
-use crate::input::source::{LiveSource, SourceSettings, SourceSink};
+use crate::input::source::{LiveSource, SourceEvent, SourceSettings};
 use albireo_service::clock::milliseconds;
 use albireo_service::config::{ZenohConfig, ZenohMode};
 use albireo_service::session;
 use albireo_vision::detector::{DetectorConfig, DetectorNetwork};
-use albireo_vision::picture::{EncodedPicture, FrameFault, Picture};
+use albireo_vision::picture::Picture;
 use albireo_vision::screen::ScreenHandle;
 use std::error::Error;
 use std::time::{Duration, Instant};
-use tokio::sync::mpsc::{Sender, channel};
+use tokio::sync::mpsc::channel;
 use tokio_util::sync::CancellationToken;
 use zenoh::Session;
 
@@ -98,46 +98,35 @@ fn try_detector(config: &DetectorConfig) -> Result<String, Failure> {
     Ok(text)
 }
 
-/// Passes on the first picture, or the reason none arrived.
-struct FirstPicture(Sender<Result<String, Failure>>);
-
-impl SourceSink for FirstPicture {
-    fn picture(&mut self, picture: Result<EncodedPicture, FrameFault>, _reopened: bool) {
-        let found = match picture {
-            Ok(picture) => Ok(format!(
-                "a picture arrived, {} kB as {}",
-                picture.bytes.len().div_ceil(1000),
-                picture.format.as_str()
-            )),
-            Err(fault) => Err(format!("a picture arrived that cannot be used: {fault}").into()),
-        };
-        // Only the first result is awaited.
-        let _ = self.0.try_send(found);
-    }
-
-    fn fails(&mut self, reason: &str, _pause: Duration) {
-        let _ = self.0.try_send(Err(reason.into()));
-    }
-}
-
+/// Waits for the first picture.
 async fn try_source(settings: SourceSettings) -> Result<String, Failure> {
     let patience = settings.silence.min(Duration::from_secs(600)) + ANSWER;
     let source = tokio::task::spawn_blocking(move || LiveSource::find(settings)).await??;
     let (sender, mut found) = channel(1);
     let stop = CancellationToken::new();
-    let running = source.run(FirstPicture(sender), stop.clone());
+    let each = move |event| {
+        // Only the first event is awaited.
+        let _ = sender.try_send(event);
+    };
+    let running = source.run(each, stop.clone());
     let waiting = async {
         let first = tokio::time::timeout(patience, found.recv()).await;
         stop.cancel();
-        match first {
-            Ok(Some(found)) => found,
-            Ok(None) => Err("the reader of the source ended".into()),
-            Err(_) => Err(format!("no picture in {} s", patience.as_secs()).into()),
-        }
+        first
     };
-    let (ended, found) = tokio::join!(running, waiting);
+    let (ended, first) = tokio::join!(running, waiting);
     ended?;
-    found
+    match first {
+        Ok(Some(SourceEvent::Picture { picture, .. })) => {
+            let unusable = |fault| format!("a picture arrived that cannot be used: {fault}");
+            let picture = picture.map_err(unusable)?;
+            let (kilobytes, format) = (picture.bytes.len().div_ceil(1000), picture.format.as_str());
+            Ok(format!("a picture arrived, {kilobytes} kB as {format}"))
+        }
+        Ok(Some(SourceEvent::Failed { reason, .. })) => Err(reason.into()),
+        Ok(None) => Err("the reader of the source ended".into()),
+        Err(_) => Err(format!("no picture in {} s", patience.as_secs()).into()),
+    }
 }
 
 /// Tries to reach the router, as a client that does not listen: the ports belong to the running node.

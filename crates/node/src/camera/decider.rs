@@ -14,7 +14,7 @@ use tokio::time::Instant;
 static BROKEN: RateLimit = RateLimit::new(Duration::from_secs(10));
 
 /// Decides a camera's frames one at a time, and gives the policy the evidence it needs.
-pub(crate) struct Decider {
+pub(super) struct Decider {
     pub policy: LatePolicy,
     /// The frame that waits for evidence, and its need.
     pending: Option<(BegunFrame, Need)>,
@@ -36,7 +36,7 @@ pub(super) struct Fetched {
 
 impl Decider {
     /// Creates a decider for `policy`.
-    pub(crate) fn new(policy: LatePolicy, evidence: LiveEvidence) -> Self {
+    pub(super) fn new(policy: LatePolicy, evidence: LiveEvidence) -> Self {
         Self {
             policy,
             pending: None,

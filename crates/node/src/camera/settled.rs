@@ -1,10 +1,10 @@
 //! Publishes each frame again, in order, with its boxes interpolated between two detector calls.
 
+use super::CameraParts;
 use super::answer::box_messages;
-use super::publishing::Outlet;
 use crate::input::receiver::SequencedFrame;
 use albireo_core::geometry::PictureSize;
-use albireo_core::policy::{MinConfidence, Outcome, OutputBox, SettledFrame, Settler};
+use albireo_core::policy::{Outcome, OutputBox, SettledFrame, Settler};
 use albireo_wire::{SettledMessage, VERSION};
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -12,7 +12,7 @@ use std::time::Duration;
 use tokio::time::Instant;
 
 /// The settled frames of one camera.
-pub(crate) struct SettledStream {
+pub(super) struct SettledStream {
     settler: Settler,
     messages: Messages,
     start: Instant,
@@ -23,27 +23,18 @@ struct Messages {
     /// In order, without boxes.
     waiting: VecDeque<SettledMessage>,
     boxes: Vec<OutputBox>,
-    min_confidence: MinConfidence,
-    class_names: Arc<[String]>,
-    outlet: Arc<Outlet>,
+    parts: Arc<CameraParts>,
 }
 
 impl SettledStream {
     /// Creates a stream that holds frames back for at most `longest`.
-    pub(crate) fn new(
-        longest: Duration,
-        outlet: Arc<Outlet>,
-        min_confidence: MinConfidence,
-        class_names: Arc<[String]>,
-    ) -> Self {
+    pub(super) fn new(longest: Duration, parts: &Arc<CameraParts>) -> Self {
         Self {
             settler: Settler::new(longest),
             messages: Messages {
                 waiting: VecDeque::new(),
                 boxes: Vec::new(),
-                min_confidence,
-                class_names,
-                outlet,
+                parts: Arc::clone(parts),
             },
             start: Instant::now(),
         }
@@ -109,11 +100,13 @@ impl Messages {
         };
         self.boxes.clear();
         self.boxes.extend_from_slice(frame.boxes);
-        self.min_confidence.select(&mut self.boxes);
+        self.parts.min_confidence.select(&mut self.boxes);
         let size = PictureSize::new(message.width, message.height);
         message.state = frame.state;
         message.settled = frame.settled;
-        message.boxes = box_messages(&self.boxes, size, &self.class_names);
-        self.outlet.put(&message);
+        message.boxes = box_messages(&self.boxes, size, &self.parts.class_names);
+        if let Some(outlet) = &self.parts.settled {
+            outlet.put(&message);
+        }
     }
 }

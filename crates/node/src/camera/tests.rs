@@ -1,16 +1,13 @@
 //! Tests of a camera's loop, with a detector of coloured boxes and with frames that are late or out of order.
 
 use super::*;
-use crate::camera::audit::Auditor;
+use crate::camera::audit::Examiner;
+use crate::camera::clip::Clip;
 use crate::camera::clip::tests::report;
-use crate::camera::clip::{Clip, ClipConfig, ClipTracker};
-use crate::camera::evidence::LiveEvidence;
-use crate::camera::publishing::Outlet;
-use crate::config::NodeConfig;
 use crate::input::{Frame, Pushed};
 use crate::state::board::{Board, News};
 use albireo_core::geometry::PictureSize;
-use albireo_core::policy::{FrameState, LatePolicy, MinConfidence};
+use albireo_core::policy::FrameState;
 use albireo_power::PowerHandle;
 use albireo_scene::BoxScene;
 use albireo_vision::detector::{CameraSlot, DetectorConfig, DetectorHandle};
@@ -18,6 +15,7 @@ use albireo_vision::picture::{EncodedPicture, FrameLimits, PictureFormat};
 use albireo_vision::pixel_work::PixelWork;
 use albireo_vision::screen::{CameraScreen, ScreenConfig};
 use albireo_wire::{AuditReport, ClipEnd, DetectionsMessage};
+use futures_util::FutureExt;
 use std::path::Path;
 use std::time::Duration;
 use tokio::sync::mpsc::UnboundedReceiver;
@@ -61,7 +59,6 @@ struct Bench {
     receiver: Arc<FrameReceiver>,
     camera: Camera,
     clips: UnboundedReceiver<Clip>,
-    auditor: Auditor,
 }
 
 impl Bench {
@@ -79,13 +76,19 @@ impl Bench {
         let pixels = pixels(&detector);
         let energy = PowerHandle::none().camera();
         let (closed, clips) = tokio::sync::mpsc::unbounded_channel();
-        let audit = Arc::new(CameraAudit::new(config.audit, Arc::clone(&camera)));
-        let tracker = ClipTracker::new(ClipConfig::default(), energy.clone(), audit.share());
+        let examiner = Examiner {
+            detector: detector.clone(),
+            screen: None,
+            pixels: pixels.clone(),
+            energy: energy.clone(),
+        };
+        let examine = move |frame| examiner.clone().look(frame).boxed();
+        let audit = CameraAudit::new(config.audit, Arc::clone(&camera), examine);
         let session = crate::api::name::tests::session(&[("listen/endpoints", "[]")]).await;
         let sent = (CongestionControl::Drop, publishing::LIVE);
         let detections = Outlet::declare(&session, camera.keys.detections(), sent, &camera);
         let policy = LatePolicy::waiting(config.policy.build().unwrap());
-        let decider = Decider::new(policy, live_evidence(&detector, &pixels));
+        let evidence = live_evidence(&detector, &pixels);
         let parts = CameraParts {
             detections: detections.await.unwrap(),
             board: camera,
@@ -93,24 +96,16 @@ impl Bench {
             late: None,
             settled: None,
             min_confidence: MinConfidence::new(None, 0.5),
-            class_names: detector.class_names().into(),
+            class_names: detector.class_names().to_vec(),
             closed,
-            energy: energy.clone(),
-            audit: Arc::clone(&audit),
+            energy,
             reset_at_clip: false,
         };
         Self {
             board,
             receiver,
-            camera: Camera::new(Arc::new(parts), decider, None, tracker),
+            camera: Camera::new(Arc::new(parts), &config, policy, evidence, audit),
             clips,
-            auditor: Auditor {
-                audit,
-                detector,
-                screen: None,
-                pixels,
-                energy,
-            },
         }
     }
 
@@ -193,7 +188,6 @@ async fn drive(policy: &str, share: f64) -> (Vec<DetectionsMessage>, Option<Audi
     let board = Arc::clone(&bench.board.cameras[0]);
     let mut events = bench.board.subscribe();
     let stop = CancellationToken::new();
-    let auditing = tokio::spawn(bench.auditor.run());
     let camera = tokio::spawn(bench.camera.run(stop.clone()));
     let mut published = Vec::new();
     let mut skipped = 0;
@@ -214,7 +208,6 @@ async fn drive(policy: &str, share: f64) -> (Vec<DetectionsMessage>, Option<Audi
     }
     stop.cancel();
     camera.await.unwrap();
-    auditing.abort();
     let audit = report(bench.clips.recv().await.unwrap()).await.audit;
     let counts = |audit: &AuditReport| (audit.sums, audit.calls);
     let counted = board.snapshot().audit;

@@ -3,13 +3,11 @@
 
 use super::read::{RawSample, read_frame};
 use super::sequence::{Arrival, SequenceTracker};
-use super::source::SourceSink;
 use super::{Frame, FrameNumber, PayloadFormat, Pushed, Ring};
 use crate::config::CameraConfig;
 use crate::state::board::{CameraBoard, LatestFrame};
 use albireo_service::clock::unix_nanoseconds;
 use albireo_service::rate_limit::RateLimit;
-use albireo_service::readiness::Part;
 use albireo_vision::picture::{EncodedPicture, FrameFault, FrameLimits};
 use albireo_wire::{DroppedFrames, FrameAnswer, VERSION};
 use parking_lot::Mutex;
@@ -43,58 +41,9 @@ pub(crate) struct SequencedFrame {
     /// The number of its stream. It grows whenever a new stream begins, even if the frame that showed it is
     /// unusable.
     pub epoch: u64,
-    /// The frame's query, if it came as one; answered when the frame is taken from the ring.
-    pub query: Option<FrameQuery>,
-}
-
-impl SequencedFrame {
-    /// Answers a waiting sender: the frame's turn has come, or the reason it will not be processed.
-    pub(crate) fn answer(&mut self, refused: Option<&str>) {
-        if let Some(query) = self.query.take() {
-            query.answer(refused.map(str::to_owned));
-        }
-    }
-}
-
-/// A frame that came as a query: its sender waits for the answer before it sends the next one. A dropped query ends
-/// without an answer, and the sender repeats it.
-#[derive(Debug)]
-pub(crate) struct FrameQuery {
-    query: Query,
-    /// Sends answers, off the threads that must not wait for the network.
-    runtime: Handle,
-    /// One permit per answer that waits for the network.
-    places: Arc<Semaphore>,
-}
-
-impl FrameQuery {
-    /// Answers the sender: the frame's turn has come, or the reason it will not be processed.
-    fn answer(self, refused: Option<String>) {
-        let Self {
-            query,
-            runtime,
-            places,
-        } = self;
-        let Ok(place) = places.try_acquire_owned() else {
-            return;
-        };
-        runtime.spawn_blocking(move || {
-            let answer = FrameAnswer {
-                v: VERSION,
-                refused,
-            };
-            let sent = serde_json::to_vec(&answer)
-                .map_err(zenoh::Error::from)
-                .and_then(|answer| {
-                    let reply = query.reply(query.key_expr(), answer);
-                    reply.encoding(Encoding::APPLICATION_JSON).wait()
-                });
-            if let Err(error) = sent {
-                tracing::debug!(%error, "a frame's sender was not answered");
-            }
-            drop(place);
-        });
-    }
+    /// The frame's query, if it came as one: its sender waits for the [answer](FrameReceiver::answer), given when the
+    /// frame is taken from the ring, before it sends the next frame.
+    pub query: Option<Query>,
 }
 
 /// Selects the counter for one kind of unprocessed frames.
@@ -120,7 +69,9 @@ pub(crate) struct FrameReceiver {
     format: PayloadFormat,
     limits: FrameLimits,
     stream: Mutex<StreamState>,
+    /// Sends answers, off the threads that must not wait for the network.
     runtime: Handle,
+    /// One permit per answer that waits for the network.
     answers: Arc<Semaphore>,
 }
 
@@ -156,12 +107,33 @@ impl FrameReceiver {
 
     /// Receives a frame that came as a query. If there is no room, the query ends without an answer.
     pub(crate) fn take_query(&self, query: Query) {
-        let waiting = FrameQuery {
-            query: query.clone(),
-            runtime: self.runtime.clone(),
-            places: Arc::clone(&self.answers),
+        let waiting = Some(query.clone());
+        self.place(waiting, |arrival| self.read((&query).into(), arrival));
+    }
+
+    /// Answers the sender of a frame that came as a query: the frame's turn has come, or the reason it will not be
+    /// processed. If too many answers wait, the query ends without one, and the sender repeats it.
+    pub(crate) fn answer(&self, query: Option<Query>, refused: Option<&str>) {
+        let Some(query) = query else { return };
+        let Ok(place) = Arc::clone(&self.answers).try_acquire_owned() else {
+            return;
         };
-        self.place(Some(waiting), |arrival| self.read((&query).into(), arrival));
+        let answer = FrameAnswer {
+            v: VERSION,
+            refused: refused.map(str::to_owned),
+        };
+        self.runtime.spawn_blocking(move || {
+            let sent = serde_json::to_vec(&answer)
+                .map_err(zenoh::Error::from)
+                .and_then(|answer| {
+                    let reply = query.reply(query.key_expr(), answer);
+                    reply.encoding(Encoding::APPLICATION_JSON).wait()
+                });
+            if let Err(error) = sent {
+                tracing::debug!(%error, "a frame's sender was not answered");
+            }
+            drop(place);
+        });
     }
 
     fn read(&self, raw: RawSample<'_>, arrival: u64) -> Read {
@@ -194,11 +166,11 @@ impl FrameReceiver {
     }
 
     /// Numbers the result of `read` and puts it into the ring.
-    fn place(&self, mut query: Option<FrameQuery>, read: impl FnOnce(u64) -> Read) {
+    fn place(&self, mut query: Option<Query>, read: impl FnOnce(u64) -> Read) {
         // One lock over reading, numbering and pushing keeps the order of arrival if Zenoh calls from several
         // threads.
         let mut stream = self.stream.lock();
-        if let Some(FrameQuery { query, .. }) = &query
+        if let Some(query) = &query
             && !(self.ring).has_room(query.payload().map_or(0, ZBytes::len))
         {
             return;
@@ -210,8 +182,8 @@ impl FrameReceiver {
         });
         // The next frame need not wait for this one's answer.
         drop(stream);
-        if let (Err(reason), Some(query)) = (refused, query) {
-            query.answer(Some(reason));
+        if let Err(reason) = refused {
+            self.answer(query, Some(&reason));
         }
     }
 
@@ -300,7 +272,7 @@ impl FrameReceiver {
 
     /// Counts the frame that was replaced, or the frame itself if it was not queued.
     fn count_pushed(&self, pushed: Pushed<SequencedFrame>) -> Result<(), String> {
-        let (mut frame, kind, reason): (_, DropKind, _) = match pushed {
+        let (frame, kind, reason): (_, DropKind, _) = match pushed {
             Pushed::Queued => return Ok(()),
             Pushed::Replaced(_) => {
                 let reason = "a newer frame arrived before its turn (camera.delivery)";
@@ -318,31 +290,8 @@ impl FrameReceiver {
                 "the camera's loop is not running: it has failed, or the node is stopping",
             ),
         };
-        frame.answer(Some(reason));
+        self.answer(frame.query, Some(reason));
         Err(self.refuse(kind, reason.to_owned()))
-    }
-}
-
-/// Receives the pictures of a source that the node keeps open.
-#[derive(Clone, Debug)]
-pub(crate) struct SourceFeed {
-    pub receiver: Arc<FrameReceiver>,
-    /// The camera's part in the readiness.
-    pub part: Part,
-}
-
-impl SourceSink for SourceFeed {
-    fn picture(&mut self, picture: Result<EncodedPicture, FrameFault>, reopened: bool) {
-        if reopened && picture.is_ok() {
-            self.part.works();
-        }
-        self.receiver.take_picture(picture, reopened);
-    }
-
-    fn fails(&mut self, reason: &str, pause: Duration) {
-        let seconds = pause.as_secs_f64();
-        self.part
-            .degraded(format!("failed: {reason}; next attempt in {seconds} s"));
     }
 }
 

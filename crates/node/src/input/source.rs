@@ -14,5 +14,5 @@ mod program;
 mod templates;
 
 pub use address::{SourceAddress, SourceKind, SourceOptions};
-pub use live::{LiveSource, SourceSink};
-pub use templates::{Handover, RtspTransport, SourceSettings};
+pub use live::{LiveSource, SourceEvent};
+pub use templates::{RtspTransport, SourceSettings};

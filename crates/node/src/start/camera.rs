@@ -1,17 +1,16 @@
 //! Adds a camera to a starting node: its publishers, its loop, its reporter, its threshold and its source of frames.
 
 use super::PolicyMaker;
-use crate::camera::audit::{Auditor, CameraAudit};
-use crate::camera::clip::ClipTracker;
+use crate::camera::audit::{CameraAudit, Examiner};
 use crate::camera::evidence::LiveEvidence;
 use crate::camera::publishing::{self, Outlet};
-use crate::camera::{AnswerTime, Camera, CameraParts, Decider, SettledStream};
+use crate::camera::{AnswerTime, Camera, CameraParts};
 use crate::config::{CameraConfig, NodeConfig};
 use crate::delivery::report::Reporter;
 use crate::error::NodeError;
 use crate::input::Delivery;
-use crate::input::receiver::{FrameReceiver, SourceFeed};
-use crate::input::source::{LiveSource, SourceSettings};
+use crate::input::receiver::FrameReceiver;
+use crate::input::source::{LiveSource, SourceEvent, SourceSettings};
 use crate::state::board::{Board, CameraBoard};
 use crate::state::readiness;
 use albireo_core::policy::{LatePolicy, MinConfidence};
@@ -21,9 +20,9 @@ use albireo_vision::detector::{CameraSlot, DetectorHandle};
 use albireo_vision::pixel_work::PixelWork;
 use albireo_vision::screen::{CameraScreen, ScreenHandle};
 use albireo_wire::{HealthState, stream_of_token, stream_token};
+use futures_util::FutureExt;
 use std::any::Any;
 use std::sync::Arc;
-use std::time::Duration;
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 use zenoh::Session;
@@ -92,30 +91,17 @@ impl Cameras {
             .await
             .map_err(NodeError::refused("clip reports cannot be published"))?;
 
-        let energy = self.power.camera();
-        let audit = Arc::new(CameraAudit::new(self.config.audit, Arc::clone(board)));
-        if audit.share().is_some() {
-            let auditor = Auditor {
-                audit: Arc::clone(&audit),
-                detector: self.detector.clone(),
-                screen: self.screen.as_ref().map(ScreenHandle::input_format),
-                pixels: self.pixels.clone(),
-                energy: energy.clone(),
-            };
-            tasks.until_shutdown(format!("audit {name}"), auditor.run());
-        }
         let report = self.config.report.confidence;
         let parts = Arc::new(CameraParts {
             board: Arc::clone(board),
             receiver: Arc::clone(&receiver),
             detections,
             late,
-            settled: settled.map(Arc::new),
+            settled,
             min_confidence: MinConfidence::new(report, self.config.detector.confidence),
-            class_names: self.detector.class_names().into(),
+            class_names: self.detector.class_names().to_vec(),
             closed,
-            audit,
-            energy,
+            energy: self.power.camera(),
             reset_at_clip: config.reset_at_clip,
         });
         let cameras = Arc::clone(self);
@@ -186,48 +172,49 @@ impl Cameras {
         let found = tokio::task::spawn_blocking(move || LiveSource::find(settings)).await;
         let source = found.map_err(NodeError::new)?.map_err(NodeError::new)?;
         let readiness = &self.board.readiness;
-        let feed = SourceFeed {
-            receiver,
-            part: readiness.part_of(readiness::CAMERAS, name.to_owned()),
+        let part = readiness.part_of(readiness::CAMERAS, name);
+        let each = move |event| match event {
+            SourceEvent::Picture { picture, reopened } => {
+                if reopened && picture.is_ok() {
+                    part.works();
+                }
+                receiver.take_picture(picture, reopened);
+            }
+            SourceEvent::Failed { reason, pause } => {
+                let seconds = pause.as_secs_f64();
+                part.degraded(format!("failed: {reason}; next attempt in {seconds} s"));
+            }
         };
         let stop = self.shutdown.clone();
         tasks.restarting(format!("source {name}"), HealthState::Degraded, move || {
-            source.clone().run(feed.clone(), stop.clone())
+            source.clone().run(each.clone(), stop.clone())
         });
         Ok(())
     }
 
-    /// Creates a camera's loop, at its start and whenever it has failed. The loop begins a new clip, and applies the
-    /// threshold in force at its first frame.
+    /// Creates a camera's loop, at its start and whenever it has failed.
     fn camera(&self, slot: CameraSlot, parts: Arc<CameraParts>) -> Result<Camera, NodeError> {
-        let Self {
-            config, detector, ..
-        } = self;
-        let name = parts.board.name();
-        let policy = (self.policies)(name).map_err(NodeError::new)?;
-        let evidence = LiveEvidence::new(
-            detector.clone(),
-            CameraScreen::new(&config.screen, self.screen.clone()),
-            slot,
-            self.pixels.clone(),
-            self.give_up.clone(),
-        );
+        let policy = (self.policies)(parts.board.name()).map_err(NodeError::new)?;
         let policy = match parts.late {
             Some(_) => LatePolicy::new(policy).map_err(NodeError::new)?,
             None => LatePolicy::waiting(policy),
         };
-        let decider = Decider::new(policy, evidence);
-        let settled = parts.settled.as_ref().map(|publisher| {
-            SettledStream::new(
-                Duration::from_millis(config.settle.longest_ms),
-                Arc::clone(publisher),
-                parts.min_confidence,
-                Arc::clone(&parts.class_names),
-            )
-        });
-        let energy = parts.energy.clone();
-        let clip = ClipTracker::new(config.clip, energy, parts.audit.share());
-        parts.receiver.ring.open();
-        Ok(Camera::new(parts, decider, settled, clip))
+        let evidence = LiveEvidence::new(
+            self.detector.clone(),
+            CameraScreen::new(&self.config.screen, self.screen.clone()),
+            slot,
+            self.pixels.clone(),
+            self.give_up.clone(),
+        );
+        let examiner = Examiner {
+            detector: self.detector.clone(),
+            screen: self.screen.as_ref().map(ScreenHandle::input_format),
+            pixels: self.pixels.clone(),
+            energy: parts.energy.clone(),
+        };
+        let board = Arc::clone(&parts.board);
+        let examine = move |frame| examiner.clone().look(frame).boxed();
+        let audit = CameraAudit::new(self.config.audit, board, examine);
+        Ok(Camera::new(parts, &self.config, policy, evidence, audit))
     }
 }

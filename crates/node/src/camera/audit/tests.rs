@@ -2,8 +2,9 @@ use super::*;
 use crate::camera::tests::picture;
 use crate::config::NodeConfig;
 use crate::state::board::Board;
-use albireo_wire::AuditReport;
-use std::sync::Arc;
+use futures_util::FutureExt;
+use parking_lot::Mutex;
+use tokio::sync::oneshot;
 
 fn frame() -> DrawnFrame {
     DrawnFrame {
@@ -21,11 +22,19 @@ fn compared() -> AuditReport {
     count
 }
 
-#[tokio::test]
-async fn every_drawn_frame_is_compared_or_missed_and_counted_once() {
+#[test]
+fn every_drawn_frame_is_compared_or_missed_and_counted_once() {
     let config = NodeConfig::default();
     let board = Board::open(&config).unwrap();
-    let audit = CameraAudit::new(config.audit, Arc::clone(&board.cameras[0]));
+    let camera = Arc::clone(&board.cameras[0]);
+    let examined = Arc::new(Mutex::new(VecDeque::new()));
+    let started = Arc::clone(&examined);
+    let mut audit = CameraAudit::new(config.audit, camera, move |_| {
+        let (result, examination) = oneshot::channel();
+        started.lock().push_back(result);
+        async { examination.await.unwrap() }.boxed()
+    });
+    let done = |found| examined.lock().pop_front().unwrap().send(found).is_ok();
     let counts = |audit: &AuditReport| (audit.sums.drawn(), audit.sums.missed, audit.calls);
     let taken = || counts(&board.cameras[0].take_unreported().1);
     for _ in 0..4 {
@@ -33,24 +42,27 @@ async fn every_drawn_frame_is_compared_or_missed_and_counted_once() {
     }
     // Two frames wait; there is no room for the others.
     assert_eq!(taken(), (2, 2, 0));
-    audit.next().await;
-    audit.done(Some(compared()));
-    audit.next().await;
-    audit.done(None);
+    assert!(audit.run().now_or_never().is_none());
+    assert!(done(Some(compared())));
+    assert!(audit.run().now_or_never().is_none());
+    assert!(done(None));
+    assert!(audit.run().now_or_never().is_none());
     assert_eq!(taken(), (2, 1, 1));
 
     // When the camera ends, one frame is being examined and one waits; neither result is counted.
     audit.offer(frame());
     audit.offer(frame());
-    audit.next().await;
+    assert!(audit.run().now_or_never().is_none());
     audit.give_up();
-    audit.done(Some(compared()));
+    assert!(!done(Some(compared())), "nobody waits for it");
+    assert!(audit.run().now_or_never().is_none());
     assert_eq!(taken(), (2, 2, 0));
 
-    // Counting continues after the camera's loop restarts.
+    // Frames are examined afterwards as before.
     audit.offer(frame());
-    audit.next().await;
-    audit.done(Some(compared()));
+    assert!(audit.run().now_or_never().is_none());
+    assert!(done(Some(compared())));
+    assert!(audit.run().now_or_never().is_none());
     let total = board.cameras[0].snapshot().audit.unwrap();
     assert_eq!(counts(&total), (7, 5, 2));
 }

@@ -38,14 +38,23 @@ const INSTALL_FFMPEG: &str =
 const INSTALL_GSTREAMER: &str =
     "Install it with `apt-get install gstreamer1.0-tools gstreamer1.0-plugins-good`";
 
-/// Receives the pictures. It is called on the reading thread, so the source waits while it works.
-pub trait SourceSink: Send + 'static {
-    /// Called with a picture, or the fault of an unusable one. `reopened` is true for the first since the source was
-    /// opened.
-    fn picture(&mut self, picture: Result<EncodedPicture, FrameFault>, reopened: bool);
-
-    /// Called when the source ended for this reason; it is reopened after the pause.
-    fn fails(&mut self, _reason: &str, _pause: Duration) {}
+/// An event of a source.
+#[derive(Debug)]
+pub enum SourceEvent {
+    /// A picture arrived.
+    Picture {
+        /// The picture, or the fault of an unusable one.
+        picture: Result<EncodedPicture, FrameFault>,
+        /// True for the first since the source was opened.
+        reopened: bool,
+    },
+    /// The source ended.
+    Failed {
+        /// Why it ended.
+        reason: String,
+        /// The time after which it is opened again.
+        pause: Duration,
+    },
 }
 
 /// A source that is kept open.
@@ -126,13 +135,14 @@ impl LiveSource {
         }
     }
 
-    /// Keeps the source open and passes its pictures to `sink` until `shutdown`.
+    /// Keeps the source open until `shutdown`, and calls `each` for each of its events. That is on the reading thread
+    /// for pictures, so the source waits while `each` works.
     ///
     /// # Errors
     /// An error if the reading thread fails.
-    pub async fn run<S: SourceSink>(
+    pub async fn run<F: FnMut(SourceEvent) + Send + 'static>(
         mut self,
-        mut sink: S,
+        mut each: F,
         shutdown: CancellationToken,
     ) -> Result<(), JoinError> {
         let mut pause = FIRST_PAUSE;
@@ -140,27 +150,27 @@ impl LiveSource {
             let begun = Instant::now();
             let stop = shutdown.clone();
             let reading = tokio::task::spawn_blocking(move || {
-                let failed = self.read(&mut sink, stop);
-                (self, sink, failed)
+                let read = self.read(&mut each, stop);
+                (self, each, read)
             });
-            let failed;
-            (self, sink, failed) = reading.await?;
+            let read;
+            (self, each, read) = reading.await?;
             if shutdown.is_cancelled() {
                 return Ok(());
             }
             if begun.elapsed() > STAYED {
                 pause = FIRST_PAUSE;
             }
-            let reason = match failed {
-                Some(reason) => tokio::select! {
+            let reason = match read {
+                Err(reason) => tokio::select! {
                     () = shutdown.cancelled() => return Ok(()),
                     unreachable = self.unreachable() => Some(unreachable.unwrap_or(reason)),
                 },
-                None => (pause > FIRST_PAUSE)
+                Ok(()) => (pause > FIRST_PAUSE)
                     .then(|| "it alternates between motion JPEG and another codec".to_owned()),
             };
             if let Some(reason) = reason {
-                sink.fails(&reason, pause);
+                each(SourceEvent::Failed { reason, pause });
             }
             tokio::select! {
                 () = shutdown.cancelled() => return Ok(()),
@@ -197,52 +207,50 @@ impl LiveSource {
         Some(format!("{host}:{port} cannot be reached: {reason}"))
     }
 
-    /// Opens the source once and reads to its end. Returns the reason it failed; `None` if it must be read the other
-    /// way.
-    fn read(&mut self, sink: &mut dyn SourceSink, stop: CancellationToken) -> Option<String> {
-        let program = match self.program() {
-            Ok(program) => program,
-            Err(error) => return Some(error),
-        };
-        let (name, ppm) = (program.program, program.ppm);
-        let running = match program.start(self.settings.silence, stop) {
-            Ok(running) => running,
-            Err(error) => return Some(format!("`{name}` cannot be started: {error}")),
-        };
-        let mut output = BufReader::with_capacity(BUFFER, running);
-        let mut pictures = 0;
-        let cut = self.pictures(&mut output, ppm, sink, &mut pictures);
-        let running = output.get_mut();
-        let mut reason = match cut {
-            Ok(true) => None,
-            Ok(false) => Some(running.end().err().unwrap_or_else(|| "it ended".to_owned())),
-            Err(error) => Some(match running.abort() {
-                Some(message) => format!("{error}; {name} said: {message}"),
-                None => error,
-            }),
-        };
-        if pictures == 0 && self.switches(running.codec()) {
-            reason = None;
-        }
-        // A device without motion JPEG cannot be opened for it.
-        let is_device = self.settings.address.kind() == SourceKind::Device && self.ffmpeg.is_some();
-        if reason.is_none() || (is_device && pictures == 0) {
-            self.motion_jpeg = !self.motion_jpeg;
-        }
-        reason
-    }
-
-    /// Passes pictures on until there are no more. Returns true if the source turns out to need the other way of reading.
+    /// Opens the source once and reads to its end; returns without an error if it must be read the other way.
     ///
     /// # Errors
-    /// The reason the output cannot be read further.
+    /// The reason it failed.
+    fn read(
+        &mut self,
+        each: &mut dyn FnMut(SourceEvent),
+        stop: CancellationToken,
+    ) -> Result<(), String> {
+        let program = self.program()?;
+        let (name, ppm) = (program.program, program.ppm);
+        let running = (program.start(self.settings.silence, stop))
+            .map_err(|error| format!("`{name}` cannot be started: {error}"))?;
+        let mut output = BufReader::with_capacity(BUFFER, running);
+        let mut pictures = 0;
+        let cut = self.pictures(&mut output, ppm, each, &mut pictures);
+        let running = output.get_mut();
+        let reason = match cut {
+            None => running.end().err().unwrap_or_else(|| "it ended".to_owned()),
+            Some(cut) => match running.abort() {
+                Some(message) => format!("{cut}; {name} said: {message}"),
+                None => cut,
+            },
+        };
+        let switches = pictures == 0 && self.switches(running.codec());
+        // A device without motion JPEG cannot be opened for it.
+        let is_device = self.settings.address.kind() == SourceKind::Device && self.ffmpeg.is_some();
+        if switches || (is_device && pictures == 0) {
+            self.motion_jpeg = !self.motion_jpeg;
+        }
+        match switches {
+            true => Ok(()),
+            false => Err(reason),
+        }
+    }
+
+    /// Passes pictures on until there are no more. Returns the reason the output is not read further, if it has not ended.
     fn pictures(
         &mut self,
         output: &mut BufReader<RunningProgram>,
         ppm: bool,
-        sink: &mut dyn SourceSink,
+        each: &mut dyn FnMut(SourceEvent),
         pictures: &mut u64,
-    ) -> Result<bool, String> {
+    ) -> Option<String> {
         let begun = Instant::now();
         let limits = self.settings.limits;
         // ffmpeg applies the limit itself when it decodes.
@@ -250,31 +258,27 @@ impl LiveSource {
         let mut last_slot = None;
         let mut bad_parts = 0;
         loop {
-            let picture = if ppm {
-                read_ppm(output, &limits).map_err(|error| error.to_string())?
-            } else {
-                let part = read_part(output, limits.max_payload_bytes as u64);
-                let part = part.map_err(|error| error.to_string())?;
-                part.map(|part| picture_of_file(Bytes::from(part), &limits))
+            let read = match ppm {
+                true => read_ppm(output, &limits),
+                false => read_part(output, limits.max_payload_bytes as u64)
+                    .map(|part| part.map(|part| picture_of_file(Bytes::from(part), &limits))),
             };
-            let Some(picture) = picture else {
-                return Ok(false);
+            let picture = match read {
+                Ok(picture) => picture?,
+                Err(error) => return Some(error.to_string()),
             };
-            if *pictures == 0 && self.switches(output.get_ref().codec()) {
-                return Ok(true);
-            }
-            if self.motion_jpeg && *pictures == 0 && picture.is_err() {
+            let first = *pictures == 0;
+            if first && picture.is_err() && self.motion_jpeg {
                 bad_parts += 1;
-                if bad_parts == FIRST_PARTS {
-                    self.not_jpeg = true;
-                    return Ok(true);
-                }
+                self.not_jpeg |= bad_parts == FIRST_PARTS;
+            }
+            if first && self.switches(output.get_ref().codec()) {
+                return Some("it is read the other way".to_owned());
             }
             // The first picture of each time slot: on average exactly the limit, at any rate of the camera.
             let slot = limit.map(|rate| (begun.elapsed().as_secs_f64() * rate) as u64);
             if slot.is_none() || last_slot != slot {
                 last_slot = slot;
-                let first = *pictures == 0;
                 if let Ok(picture) = &picture {
                     if first {
                         tracing::info!(
@@ -286,18 +290,24 @@ impl LiveSource {
                     }
                     *pictures += 1;
                 }
-                sink.picture(picture, first);
+                each(SourceEvent::Picture {
+                    picture,
+                    reopened: first,
+                });
             }
             output.get_mut().picture_taken();
         }
     }
 
-    /// True if the codec that ffmpeg reports requires the other way of reading.
+    /// True if the source must be read the other way: something that was taken for motion JPEG is none, or ffmpeg reports
+    /// a codec for the other way.
     fn switches(&self, codec: Option<&str>) -> bool {
-        let is_jpeg = codec.map(|codec| codec == "mjpeg");
+        let is_jpeg = match self.not_jpeg {
+            true => Some(false),
+            false => codec.map(|codec| codec == "mjpeg"),
+        };
         self.ffmpeg.is_some()
             && self.settings.address.kind() != SourceKind::File
             && is_jpeg.is_some_and(|is_jpeg| is_jpeg != self.motion_jpeg)
-            && (self.motion_jpeg || !self.not_jpeg)
     }
 }

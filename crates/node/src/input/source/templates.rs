@@ -18,6 +18,9 @@ const SCRIPT_OPTIONS: Version = (5, 0);
 /// The first version with `-fps_mode`.
 const FPS_MODE: Version = (5, 1);
 
+/// The quality of encoded pictures (`-q:v`, 2 is the best).
+const JPEG_QUALITY: &str = "3";
+
 /// Memory of ffmpeg besides its largest blocks: libraries, threads, queues.
 const WORKING_MEMORY: u64 = 512 << 20;
 
@@ -55,15 +58,6 @@ impl RtspTransport {
     }
 }
 
-/// The form of decoded pictures.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Handover {
-    /// JPEG files of this quality (`-q:v`, 2 is the best).
-    Jpeg(u8),
-    /// Pixels, not encoded again.
-    Pixels,
-}
-
 /// A source to open, and how to open it.
 #[derive(Clone, Debug)]
 pub struct SourceSettings {
@@ -79,8 +73,8 @@ pub struct SourceSettings {
     pub options: SourceOptions,
     /// A source without a picture for this long is reopened.
     pub silence: Duration,
-    /// The form of pictures that must be decoded.
-    pub decoded: Handover,
+    /// True if decoded pictures are encoded as JPEG files; otherwise they stay pixels.
+    pub as_jpeg: bool,
     /// Limits of the pictures.
     pub limits: FrameLimits,
 }
@@ -211,7 +205,7 @@ pub(super) fn ffmpeg(
         "-vsync"
     };
     arguments.add(&[fps_mode, "vfr"]);
-    let ppm = !untouched && settings.decoded == Handover::Pixels;
+    let ppm = !untouched && !settings.as_jpeg;
     if untouched {
         arguments.add(&["-c:v", "copy", "-f", "mpjpeg"]);
     } else {
@@ -221,13 +215,10 @@ pub(super) fn ffmpeg(
         }
         // Fine enough that no two frames have the same tick.
         arguments.add(&["-enc_time_base", "1/90000"]);
-        match settings.decoded {
-            Handover::Pixels => arguments.add(&["-c:v", "ppm", "-f", "image2pipe"]),
-            Handover::Jpeg(quality) => {
-                arguments.add(&["-c:v", "mjpeg", "-q:v", &quality.to_string()]);
-                arguments.add(&["-f", "mpjpeg"]);
-            }
-        }
+        arguments.add(match settings.as_jpeg {
+            true => &["-c:v", "mjpeg", "-q:v", JPEG_QUALITY, "-f", "mpjpeg"],
+            false => &["-c:v", "ppm", "-f", "image2pipe"],
+        });
     }
     arguments.add(&["-flush_packets", "1", "pipe:1"]);
     Ok(PictureProgram {

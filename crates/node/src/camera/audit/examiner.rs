@@ -1,13 +1,12 @@
-//! Runs the detector on drawn frames, one task per camera.
+//! Runs the detector on a drawn frame.
 
-use super::frames::{CameraAudit, DrawnFrame};
+use super::DrawnFrame;
 use albireo_power::CameraEnergy;
 use albireo_vision::detector::DetectorHandle;
 use albireo_vision::picture::InputFormat;
 use albireo_vision::pixel_work::PixelWork;
 use albireo_vision::screen::decoding_target;
 use albireo_wire::AuditReport;
-use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::{Instant, timeout_at};
 
@@ -16,9 +15,8 @@ use tokio::time::{Instant, timeout_at};
 const LONGEST_WAIT: Duration = Duration::from_secs(5);
 
 /// Examines one camera's drawn frames.
-pub(crate) struct Auditor {
-    /// The drawn frames.
-    pub audit: Arc<CameraAudit>,
+#[derive(Clone)]
+pub(crate) struct Examiner {
     /// The detector that runs on them.
     pub detector: DetectorHandle,
     /// The screen's input, which the camera's frames are also decoded for, if the screen is a model.
@@ -29,18 +27,9 @@ pub(crate) struct Auditor {
     pub energy: CameraEnergy,
 }
 
-impl Auditor {
-    /// Examines frames forever. If it is dropped during a frame, that frame counts as missed when the last clip ends.
-    pub(crate) async fn run(self) {
-        loop {
-            let frame = self.audit.next().await;
-            let found = self.look(&frame).await;
-            self.audit.done(found);
-        }
-    }
-
+impl Examiner {
     /// Compares a frame; `None` if the detector has no time for it or its picture is broken.
-    async fn look(&self, frame: &DrawnFrame) -> Option<AuditReport> {
+    pub(crate) async fn look(self, frame: DrawnFrame) -> Option<AuditReport> {
         let until = Instant::now() + LONGEST_WAIT;
         let turn = timeout_at(until, self.detector.spare_turn()).await.ok()??;
         // Only now that the detector is free: most pictures are never decoded.
