@@ -112,7 +112,6 @@ impl<'a> OurPath<'a> {
             clip: None,
             picture: encoded.clone(),
             received: tokio::time::Instant::now(),
-            payload_bytes: encoded.bytes.len(),
         };
         let start = Instant::now();
         decode_for(self.network.input_format(), encoded, &mut self.picture)?;

@@ -10,6 +10,7 @@ use albireo_service::{logging, signals};
 use albireo_vision::picture::{EncodedPicture, FrameFault, FrameLimits};
 use albireo_wire::{FrameAttachment, VERSION};
 use anyhow::{anyhow, bail};
+use std::convert::Infallible;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
@@ -40,6 +41,7 @@ comes back.")]
 pub(super) struct Arguments {
     /// A camera (rtsp://, http://), a device, a video file, or a GStreamer pipeline; ${NAME} is an environment
     /// variable
+    #[arg(value_parser = |text: &str| Ok::<_, Infallible>(SourceAddress::new(text)))]
     source: SourceAddress,
     /// Where the frames go.
     #[command(flatten)]

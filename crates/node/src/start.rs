@@ -97,14 +97,12 @@ impl PreparedNode {
         config: &NodeConfig,
         shutdown: CancellationToken,
     ) -> Result<Option<Node>, NodeError> {
-        tokio::select! {
-            biased;
-            node = self.start_parts(config, shutdown.clone()) => node.map(Some),
-            () = shutdown.cancelled() => {
-                tracing::info!("stopped before the node was ready");
-                Ok(None)
-            }
+        let starting = self.start_parts(config, shutdown.clone());
+        let started = shutdown.run_until_cancelled(starting).await;
+        if started.is_none() {
+            tracing::info!("stopped before the node was ready");
         }
+        started.transpose()
     }
 
     async fn start_parts(
@@ -267,22 +265,16 @@ impl Node {
             start + self.stop_timeout / 2,
             start + self.stop_timeout * 3 / 4,
         );
-        let give_up = self.give_up.clone();
-        let giving_up = async {
+        let give_up = self.give_up;
+        tokio::spawn(async move {
             tokio::time::sleep(self.stop_timeout / 4).await;
             give_up.cancel();
-            std::future::pending().await
-        };
-        let subscriptions = std::mem::take(&mut self.subscriptions);
+        });
+        let subscriptions = self.subscriptions;
         // Zenoh's calls may block.
         let undeclared = tokio::task::spawn_blocking(move || drop(subscriptions));
-        let ending = tokio::select! {
-            ended = tokio::time::timeout_at(tasks_until, async {
-                let (_, ()) = tokio::join!(undeclared, self.tasks.finish());
-            }) => ended,
-            () = giving_up => Ok(()),
-        };
-        if ending.is_err() {
+        let ending = async { tokio::join!(undeclared, self.tasks.finish()) };
+        if (tokio::time::timeout_at(tasks_until, ending).await).is_err() {
             tracing::error!(
                 tasks = ?self.tasks.still_running(),
                 "abandoned tasks that did not end in time"

@@ -58,9 +58,6 @@ impl Decider {
     /// Fetches the evidence for a frame.
     pub(super) fn fetch(&mut self, frame: BegunFrame, need: Need) {
         self.pending = Some((frame, need));
-        if let Some(evidence) = &mut self.evidence {
-            evidence.next_frame();
-        }
         self.fetch_next();
     }
 
@@ -104,22 +101,19 @@ impl Decider {
             mut evidence,
             fetched,
         } = fetched;
-        let mut decided = None;
-        if (self.pending.as_ref()).is_some_and(|(frame, _)| frame.incoming.index == index) {
-            decided = match fetched {
-                Ok(()) => self.give(evidence.fetched(need), outcome).map(Ok),
-                Err(fault) => self.broken(fault, outcome),
-            };
-            if let Some(decided) = &mut decided {
-                if let Ok(frame) = decided {
-                    let policy = frame.times.latency.policy;
-                    frame.times = evidence.times();
-                    frame.times.latency.policy = policy;
-                }
-                evidence.end_frame();
-            }
-        } else {
+        let waits = (self.pending.as_ref()).is_some_and(|(frame, _)| frame.incoming.index == index);
+        let mut decided = match fetched {
             // For a frame that was given up. Another one may be waiting.
+            _ if !waits => None,
+            Ok(()) => self.give(evidence.fetched(need), outcome).map(Ok),
+            Err(fault) => self.broken(fault, outcome),
+        };
+        if let Some(Ok(frame)) = &mut decided {
+            let policy = frame.times.latency.policy;
+            frame.times = evidence.times();
+            frame.times.latency.policy = policy;
+        }
+        if decided.is_some() || !waits {
             evidence.next_frame();
         }
         self.evidence = Some(evidence);

@@ -82,15 +82,10 @@ impl LiveEvidence {
         }
     }
 
-    /// Resets for the next frame.
+    /// Resets for the next frame. Call it at the end of a frame: others wait for its decoding place.
     pub fn next_frame(&mut self) {
         self.screen.next_frame();
         self.current = Current::default();
-    }
-
-    /// Drops the current frame's pixels: other frames wait for its decoding place.
-    pub(crate) fn end_frame(&mut self) {
-        self.current.frame = PreparedFrame::default();
     }
 
     /// The times of the current frame so far.

@@ -133,7 +133,6 @@ fn put(receiver: &FrameReceiver, index: u64, epoch: u64, received: Instant) {
         clip: Some("drive".into()),
         picture: picture(index),
         received,
-        payload_bytes: 0,
     };
     let frame = SequencedFrame {
         frame,

@@ -289,7 +289,11 @@ fn check_source(camera: &CameraConfig, key: &dyn Fn(&str) -> String, findings: &
     if camera.hardware.as_ref().is_some_and(String::is_empty) {
         findings.add(key("hardware"), "is empty; leave the key out instead");
     }
-    let source = camera.source.as_ref().map(SourceAddress::check).transpose();
+    let source = camera
+        .source
+        .as_ref()
+        .map(SourceAddress::resolved)
+        .transpose();
     findings.check(key("source"), source);
     findings.check(key("source_options"), camera.source_options.check());
     let source = camera.source.as_ref().map(SourceAddress::kind);

@@ -1,7 +1,8 @@
 //! Reads a Zenoh sample or query as a frame with a still encoded picture.
 
 use super::attachment::read_attachment;
-use super::{FrameNumber, PayloadFormat, ros2};
+use super::ros2::{self, StampedPicture};
+use super::{FrameNumber, PayloadFormat};
 use albireo_core::geometry::PictureSize;
 use albireo_service::clock::unix_nanoseconds;
 use albireo_vision::picture::{
@@ -11,7 +12,6 @@ use albireo_vision::picture::{
 use albireo_wire::FrameAttachment;
 use bytes::Bytes;
 use std::borrow::Cow;
-use std::ops::Range;
 use std::sync::Arc;
 use tokio::time::Instant;
 use zenoh::bytes::ZBytes;
@@ -49,8 +49,6 @@ pub struct Frame {
     pub picture: EncodedPicture,
     /// The time at which the sample was received.
     pub received: Instant,
-    /// The size of the payload, bytes.
-    pub payload_bytes: usize,
 }
 
 impl<'a> From<&'a Sample> for RawSample<'a> {
@@ -105,12 +103,11 @@ pub fn read_frame(
     format: PayloadFormat,
     limits: &FrameLimits,
 ) -> (FrameNumber, Result<Frame, FrameFault>) {
-    let payload_bytes = raw.payload.len();
     let attachment = match read_attachment(raw.attachment.as_deref(), format) {
         Ok(attachment) => attachment,
         Err(fault) => return (FrameNumber::default(), Err(fault)),
     };
-    let read = check_payload(payload_bytes, limits)
+    let read = check_payload(raw.payload.len(), limits)
         .and_then(|()| read_picture(&raw, &attachment, format, limits));
     let number = FrameNumber {
         seq: attachment.seq,
@@ -126,7 +123,6 @@ pub fn read_frame(
         clip: attachment.clip.map(Arc::from),
         picture,
         received: raw.received,
-        payload_bytes,
     });
     (number, frame)
 }
@@ -137,33 +133,13 @@ fn read_picture(
     attachment: &FrameAttachment,
     format: PayloadFormat,
     limits: &FrameLimits,
-) -> Result<(EncodedPicture, Option<u64>), FrameFault> {
+) -> Result<StampedPicture, FrameFault> {
     match format {
         PayloadFormat::Encoding => {
             read_by_encoding(raw, attachment, limits).map(|picture| (picture, None))
         }
-        PayloadFormat::Ros2CompressedImage => {
-            let message = ros2::read_compressed_image(&raw.payload)?;
-            let bytes = raw.payload.slice(message.data.clone());
-            let Some(format) = format_of(&bytes) else {
-                let text: String = message.format.chars().take(48).collect();
-                return Err(FrameFault::unknown_format(format!(
-                    "the CompressedImage (format {text:?}) holds neither a JPEG nor a PNG file"
-                )));
-            };
-            Ok((picture_of_kind(format, bytes, limits)?, message.time_ns))
-        }
-        PayloadFormat::Ros2Image => {
-            let message = ros2::read_image(&raw.payload)?;
-            check_picture(message.size, limits)?;
-            let bytes = without_padding(&raw.payload, &message)?;
-            let picture = EncodedPicture {
-                format: message.format,
-                bytes,
-                size: message.size,
-            };
-            Ok((picture, message.time_ns))
-        }
+        PayloadFormat::Ros2CompressedImage => ros2::read_compressed_image(&raw.payload, limits),
+        PayloadFormat::Ros2Image => ros2::read_image(&raw.payload, limits),
     }
 }
 
@@ -211,47 +187,4 @@ const ENCODINGS: &str =
 fn unknown_encoding(encoding: &str) -> FrameFault {
     let start: String = encoding.chars().take(64).collect();
     FrameFault::unknown_format(format!("unknown encoding {start:?}; {ENCODINGS}"))
-}
-
-/// The rows of a ROS image, packed: the payload itself if its rows have no padding, else a copy that is no
-/// larger than the payload.
-fn without_padding(payload: &Bytes, image: &ros2::Image) -> Result<Bytes, FrameFault> {
-    let data = &payload[image.data.clone()];
-    let (width, height) = (image.size.width as usize, image.size.height as usize);
-    // Rows of pixels; for NV12, then rows of chroma: a Cb and a Cr byte per two columns.
-    let (row, chroma_row, chroma_rows) = match image.format {
-        PictureFormat::Gray8 => (width, 0, 0),
-        PictureFormat::Rgba8 | PictureFormat::Bgra8 => (4 * width, 0, 0),
-        PictureFormat::Nv12 => (width, 2 * width.div_ceil(2), height.div_ceil(2)),
-        _ => (3 * width, 0, 0),
-    };
-    let longest = row.max(chroma_row);
-    if image.step < longest {
-        return Err(FrameFault::undecodable(format!(
-            "a row of the {} image has {longest} bytes, but its step is {}",
-            image.size, image.step
-        )));
-    }
-    let rows = height + chroma_rows;
-    if image
-        .step
-        .checked_mul(rows)
-        .is_none_or(|needed| needed > data.len())
-    {
-        return Err(FrameFault::undecodable(format!(
-            "{rows} rows of {} bytes do not fit in the {} bytes of the ROS image",
-            image.step,
-            data.len()
-        )));
-    }
-    if image.step == row {
-        let Range { start, .. } = image.data;
-        return Ok(payload.slice(start..start + row * rows));
-    }
-    let mut packed = Vec::with_capacity(row * height + chroma_row * chroma_rows);
-    for (index, padded) in data.chunks(image.step).take(rows).enumerate() {
-        let used = if index < height { row } else { chroma_row };
-        packed.extend_from_slice(&padded[..used]);
-    }
-    Ok(Bytes::from(packed))
 }

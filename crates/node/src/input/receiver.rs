@@ -152,7 +152,6 @@ impl FrameReceiver {
                 sequence: arrival,
                 time_ns: unix_nanoseconds(),
                 clip: None,
-                payload_bytes: picture.bytes.len(),
                 picture,
                 received: Instant::now(),
             });
@@ -177,7 +176,7 @@ impl FrameReceiver {
         }
         let refused = self.admit(&mut stream, read).and_then(|mut frame| {
             frame.query = query.take();
-            let bytes = frame.frame.payload_bytes;
+            let bytes = frame.frame.picture.bytes.len();
             self.count_pushed(self.ring.push(frame, bytes))
         });
         // The next frame need not wait for this one's answer.

@@ -1,52 +1,42 @@
 //! ROS 2 `sensor_msgs/msg/CompressedImage` and `Image` in CDR (OMG CDR, plain encoding of XTypes
-//! version 1), both byte orders. Nothing is copied: results are ranges of the payload.
+//! version 1), both byte orders. Nothing is copied, except the rows of an image with padding.
 
 use albireo_core::geometry::PictureSize;
-use albireo_vision::picture::{FrameFault, PictureFormat};
+use albireo_vision::picture::{
+    EncodedPicture, FrameFault, FrameLimits, PictureFormat, check_picture, format_of,
+    picture_of_kind,
+};
+use bytes::Bytes;
 use std::ops::Range;
 
-/// A CompressedImage message.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct CompressedImage<'a> {
-    /// Header stamp, nanoseconds since the Unix epoch; `None` if it is not set.
-    pub time_ns: Option<u64>,
-    /// Free text, such as `jpeg` or `bgr8; jpeg compressed bgr8`.
-    pub format: &'a str,
-    /// The range of the payload with the picture file.
-    pub data: Range<usize>,
-}
-
-/// An Image message.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Image {
-    /// Header stamp, nanoseconds since the Unix epoch; `None` if it is not set.
-    pub time_ns: Option<u64>,
-    /// Size of the picture.
-    pub size: PictureSize,
-    /// The format of its bytes.
-    pub format: PictureFormat,
-    /// Bytes from one row to the next.
-    pub step: usize,
-    /// The range of the payload with the rows.
-    pub data: Range<usize>,
-}
+/// A message's picture, and its header stamp in nanoseconds since the Unix epoch, if that is set.
+pub(super) type StampedPicture = (EncodedPicture, Option<u64>);
 
 /// Reads a CompressedImage: header, format, data.
-pub(super) fn read_compressed_image(payload: &[u8]) -> Result<CompressedImage<'_>, FrameFault> {
+pub(super) fn read_compressed_image(
+    payload: &Bytes,
+    limits: &FrameLimits,
+) -> Result<StampedPicture, FrameFault> {
     let mut cdr = Cdr::new(payload)?;
     let time_ns = cdr.header()?;
-    let format = cdr.text("format")?;
-    let data = cdr.bytes("data")?;
-    Ok(CompressedImage {
-        time_ns,
-        format,
-        data,
-    })
+    // Free text, such as `jpeg` or `bgr8; jpeg compressed bgr8`.
+    let named = cdr.text("format")?;
+    let file = payload.slice(cdr.bytes("data")?);
+    let Some(format) = format_of(&file) else {
+        let text: String = named.chars().take(48).collect();
+        return Err(FrameFault::unknown_format(format!(
+            "the CompressedImage (format {text:?}) holds neither a JPEG nor a PNG file"
+        )));
+    };
+    Ok((picture_of_kind(format, file, limits)?, time_ns))
 }
 
 /// Reads an Image: header, height, width, encoding, is_bigendian, step, data. `is_bigendian` is irrelevant
 /// for the one-byte samples read here.
-pub(super) fn read_image(payload: &[u8]) -> Result<Image, FrameFault> {
+pub(super) fn read_image(
+    payload: &Bytes,
+    limits: &FrameLimits,
+) -> Result<StampedPicture, FrameFault> {
     let mut cdr = Cdr::new(payload)?;
     let time_ns = cdr.header()?;
     let height = cdr.u32("height")?;
@@ -54,7 +44,7 @@ pub(super) fn read_image(payload: &[u8]) -> Result<Image, FrameFault> {
     let encoding = cdr.text("encoding")?;
     cdr.u8("is_bigendian")?;
     let step = cdr.u32("step")? as usize;
-    let data = cdr.bytes("data")?;
+    let data = payload.slice(cdr.bytes("data")?);
     // sensor_msgs/image_encodings.hpp; OpenCV's untyped names are treated like in cv_bridge.
     let format = match encoding {
         "rgb8" => PictureFormat::Rgb8,
@@ -70,13 +60,57 @@ pub(super) fn read_image(payload: &[u8]) -> Result<Image, FrameFault> {
             )));
         }
     };
-    Ok(Image {
-        time_ns,
-        size: PictureSize::new(width, height),
+    let size = PictureSize::new(width, height);
+    check_picture(size, limits)?;
+    let bytes = without_padding(&data, step, format, size)?;
+    let picture = EncodedPicture {
         format,
-        step,
-        data,
-    })
+        bytes,
+        size,
+    };
+    Ok((picture, time_ns))
+}
+
+/// The rows of a ROS image, packed: the data itself if its rows have no padding, else a copy that is no larger.
+fn without_padding(
+    data: &Bytes,
+    step: usize,
+    format: PictureFormat,
+    size: PictureSize,
+) -> Result<Bytes, FrameFault> {
+    let (width, height) = (size.width as usize, size.height as usize);
+    // Rows of pixels; for NV12, then rows of chroma: a Cb and a Cr byte per two columns.
+    let (row, chroma_row, chroma_rows) = match format {
+        PictureFormat::Gray8 => (width, 0, 0),
+        PictureFormat::Rgba8 | PictureFormat::Bgra8 => (4 * width, 0, 0),
+        PictureFormat::Nv12 => (width, 2 * width.div_ceil(2), height.div_ceil(2)),
+        _ => (3 * width, 0, 0),
+    };
+    let longest = row.max(chroma_row);
+    if step < longest {
+        return Err(FrameFault::undecodable(format!(
+            "a row of the {size} image has {longest} bytes, but its step is {step}"
+        )));
+    }
+    let rows = height + chroma_rows;
+    if step
+        .checked_mul(rows)
+        .is_none_or(|needed| needed > data.len())
+    {
+        return Err(FrameFault::undecodable(format!(
+            "{rows} rows of {step} bytes do not fit in the {} bytes of the ROS image",
+            data.len()
+        )));
+    }
+    if step == row {
+        return Ok(data.slice(..row * rows));
+    }
+    let mut packed = Vec::with_capacity(row * height + chroma_row * chroma_rows);
+    for (index, padded) in data.chunks(step).take(rows).enumerate() {
+        let used = if index < height { row } else { chroma_row };
+        packed.extend_from_slice(&padded[..used]);
+    }
+    Ok(Bytes::from(packed))
 }
 
 /// A reader of plain CDR.

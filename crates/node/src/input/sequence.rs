@@ -12,11 +12,11 @@ use std::time::Duration;
 use tokio::time::Instant;
 
 /// The number of past sequence numbers for which the tracker remembers whether they arrived.
-const WINDOW: u64 = 64;
+const WINDOW: i128 = 64;
 /// The largest step ahead that is accepted at once.
-const NEAR: u64 = 8;
+const NEAR: i128 = 8;
 /// The largest number of frames accepted as lost: an hour at 30 frames per second.
-const MAX_GAP: u64 = 108_000;
+const MAX_GAP: i128 = 108_000;
 /// A stream that brings nothing new for this long, and for five of its periods, may be replaced by another.
 const SILENCE: Duration = Duration::from_secs(1);
 
@@ -66,7 +66,7 @@ struct Stream {
     /// Bit `k` is set if number `highest - k` has arrived.
     came: u64,
     /// The distance above the highest number of the last number that was too far ahead.
-    ahead: Option<u64>,
+    ahead: Option<i128>,
     /// Unusable samples since the highest number: that many of the missing numbers do not count as lost.
     unusable: u64,
     newest: Instant,
@@ -76,26 +76,14 @@ struct Stream {
     ended: bool,
 }
 
-/// The place of a frame in a stream.
-enum Place {
-    Next(u64),
-    Ahead(u64),
-    Behind(u64),
-    Elsewhere,
-}
-
 impl Stream {
-    fn place(&self, number: &FrameNumber) -> Place {
+    /// The distance of a frame's number above the highest; `None` if it belongs to another stream.
+    fn distance(&self, number: &FrameNumber) -> Option<i128> {
         match (self.highest, number.seq) {
-            _ if self.id != number.stream => Place::Elsewhere,
-            (None, None) => Place::Next(1),
-            (Some(highest), Some(seq)) if seq > highest => match seq - highest {
-                step if step <= NEAR => Place::Next(step),
-                step if step <= MAX_GAP => Place::Ahead(step),
-                _ => Place::Elsewhere,
-            },
-            (Some(highest), Some(seq)) if highest - seq < WINDOW => Place::Behind(highest - seq),
-            _ => Place::Elsewhere,
+            _ if self.id != number.stream => None,
+            (None, None) => Some(1),
+            (Some(highest), Some(seq)) => Some(i128::from(seq) - i128::from(highest)),
+            _ => None,
         }
     }
 
@@ -105,14 +93,13 @@ impl Stream {
     }
 
     /// True if the number `step` ahead follows one that was too far ahead to be accepted.
-    fn goes_on(&self, step: u64) -> bool {
-        (self.ahead.and_then(|ahead| step.checked_sub(ahead)))
-            .is_some_and(|more| (1..=NEAR).contains(&more))
+    fn goes_on(&self, step: i128) -> bool {
+        (self.ahead).is_some_and(|ahead| (1..=NEAR).contains(&(step - ahead)))
     }
 
-    /// Accepts the frame `step` numbers ahead, and returns the number of lost frames.
-    fn advance(&mut self, step: u64, now: Instant) -> u64 {
-        self.highest = self.highest.map(|highest| highest + step);
+    /// Accepts the frame with this number, `step` ahead, and returns the number of lost frames.
+    fn advance(&mut self, number: &FrameNumber, step: i128, now: Instant) -> u64 {
+        self.highest = number.seq;
         self.came = match step {
             1..WINDOW => self.came << step | 1,
             _ => 1,
@@ -124,7 +111,7 @@ impl Stream {
             None => since,
         });
         self.newest = now;
-        (step - 1).saturating_sub(std::mem::take(&mut self.unusable))
+        (step as u64 - 1).saturating_sub(std::mem::take(&mut self.unusable))
     }
 }
 
@@ -134,26 +121,28 @@ impl SequenceTracker {
         let Some(present) = &mut self.present else {
             return self.begin(number, now);
         };
-        let step = match present.place(number) {
-            Place::Next(step) => step,
-            Place::Ahead(step) if present.is_over(now) || present.goes_on(step) => step,
-            Place::Ahead(step) => {
+        let is_over = present.is_over(now);
+        let step = match present.distance(number) {
+            Some(step @ 1..=NEAR) => step,
+            Some(step @ 1..=MAX_GAP) if is_over || present.goes_on(step) => step,
+            Some(step @ 1..=MAX_GAP) => {
                 present.ahead = Some(step);
                 present.unusable = present.unusable.saturating_add(1);
                 return Arrival::Stray;
             }
-            _ if present.is_over(now) => return self.begin(number, now),
-            Place::Behind(distance) if present.came & (1 << distance) != 0 => {
-                return Arrival::Duplicate;
+            _ if is_over => return self.begin(number, now),
+            Some(step) if step <= 0 && -step < WINDOW => {
+                let (bit, came) = (1 << -step, present.came);
+                present.came |= bit;
+                return match came & bit {
+                    0 => Arrival::Late,
+                    _ => Arrival::Duplicate,
+                };
             }
-            Place::Behind(distance) => {
-                present.came |= 1 << distance;
-                return Arrival::Late;
-            }
-            Place::Elsewhere => return Arrival::Stray,
+            _ => return Arrival::Stray,
         };
-        let lost = present.advance(step, now);
-        self.new_frame(step, lost, false)
+        let lost = present.advance(number, step, now);
+        self.new_frame(step as u64, lost, false)
     }
 
     /// Counts a sample with an unreadable number.

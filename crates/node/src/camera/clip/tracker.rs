@@ -50,9 +50,9 @@ pub(crate) struct ClipTracker {
 /// A window or a part that ended because it was full.
 #[derive(Debug)]
 struct FullClip {
-    clip: Arc<str>,
+    /// The camera's name for it; `None` for a window.
+    named: Option<Arc<str>>,
     part: u32,
-    windowed: bool,
     end: Instant,
 }
 
@@ -212,21 +212,17 @@ impl ClipTracker {
     fn begin(&mut self, t_ns: u64, clip: Option<&str>, arrival: Instant) {
         let windowed = clip.is_none();
         // A full clip continues if frames keep coming, and its successor must not be over before the frame arrived.
+        let longest = self.silence.min(self.limit(windowed));
         let full = self.full.take().filter(|full| {
-            full.windowed == windowed
-                && clip.is_none_or(|clip| clip == &*full.clip)
-                && arrival.saturating_duration_since(full.end)
-                    < self.silence.min(self.limit(windowed))
+            full.named.as_deref() == clip && arrival.saturating_duration_since(full.end) < longest
         });
         let start = full.as_ref().map_or(arrival, |full| full.end);
-        let (name, part) = match (clip, full) {
-            (Some(_), Some(full)) => (full.clip, full.part.saturating_add(1)),
-            (Some(name), None) => (Arc::from(name), 0),
-            (None, _) => {
-                self.windows += 1;
-                (format!("window-{}", self.windows - 1).into(), 0)
-            }
+        let part = match full {
+            Some(full) if !windowed => full.part.saturating_add(1),
+            _ => 0,
         };
+        let name = clip.map_or_else(|| format!("window-{}", self.windows), str::to_owned);
+        self.windows += u64::from(windowed);
         let arrival = arrival.max(start);
         let energy = self.energy.measure(start);
         energy.until(arrival);
@@ -237,7 +233,7 @@ impl ClipTracker {
         self.open = Some(OpenClip {
             clip: Clip {
                 report: ClipReport {
-                    clip: name.to_string(),
+                    clip: name.clone(),
                     part,
                     started_ns: t_ns,
                     audit,
@@ -249,7 +245,7 @@ impl ClipTracker {
                 detector: Vec::new(),
                 energy,
             },
-            name,
+            name: name.into(),
             windowed,
             first_arrival: arrival,
             last_arrival: arrival,
@@ -265,9 +261,8 @@ impl ClipTracker {
         open.clip.end = end;
         let full = matches!(ended_by, ClipEnd::Window | ClipEnd::Length);
         self.full = full.then_some(FullClip {
-            clip: open.name,
+            named: (!open.windowed).then_some(open.name),
             part: open.clip.report.part,
-            windowed: open.windowed,
             end,
         });
         if open.pending {

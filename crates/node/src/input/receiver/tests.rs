@@ -32,7 +32,6 @@ impl FrameReceiver {
                 size: PictureSize::new(64, 36),
             },
             received: Instant::now(),
-            payload_bytes: 0,
         };
         self.place(None, |_| (number, Ok(frame)));
     }

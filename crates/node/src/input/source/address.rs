@@ -3,6 +3,7 @@
 
 use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, percent_decode_str, utf8_percent_encode};
 use serde::{Deserialize, Serialize, Serializer};
+use serde_with::SerializeDisplay;
 use std::fmt;
 use strsim::osa_distance;
 
@@ -31,7 +32,7 @@ fn no_control(text: &str) -> Result<(), String> {
 }
 
 /// A source as named by the user, with `${NAME}` for environment variables. Shown (and serialised) without credentials.
-#[derive(Clone, PartialEq, Eq, Deserialize)]
+#[derive(Clone, PartialEq, Eq, Deserialize, SerializeDisplay)]
 #[serde(transparent)]
 pub struct SourceAddress(String);
 
@@ -50,7 +51,7 @@ pub enum SourceKind {
 
 /// An address with its variables substituted.
 #[derive(Clone)]
-pub(super) struct Resolved {
+pub(crate) struct Resolved {
     pub kind: SourceKind,
     /// The address, or the words of a pipeline.
     pub words: Vec<String>,
@@ -66,7 +67,7 @@ impl Resolved {
 
 /// Secrets, longest first.
 #[derive(Clone, Default)]
-pub(super) struct Secrets(Vec<String>);
+pub(crate) struct Secrets(Vec<String>);
 
 impl Secrets {
     pub(super) fn add(&mut self, secret: &str) {
@@ -141,17 +142,12 @@ impl SourceAddress {
             .is_some_and(|(_, password)| !password.is_empty() && !password.starts_with("${"))
     }
 
-    /// Checks the address and that its variables are set.
-    ///
-    /// # Errors
-    /// The fault.
-    pub fn check(&self) -> Result<(), String> {
-        self.resolve(&environment).map(drop)
-    }
-
     /// Substitutes the variables: percent-encoded in user and password, unchanged elsewhere. An error does not show the
     /// address.
-    pub(super) fn resolved(&self) -> Result<Resolved, String> {
+    ///
+    /// # Errors
+    /// The fault of the address, or the variables that are not set.
+    pub(crate) fn resolved(&self) -> Result<Resolved, String> {
         (self.resolve(&environment)).map_err(|reason| format!("the source {reason}"))
     }
 
@@ -291,20 +287,6 @@ impl fmt::Display for SourceAddress {
 impl fmt::Debug for SourceAddress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "SourceAddress({self})")
-    }
-}
-
-impl Serialize for SourceAddress {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_str(self)
-    }
-}
-
-impl std::str::FromStr for SourceAddress {
-    type Err = std::convert::Infallible;
-
-    fn from_str(text: &str) -> Result<Self, Self::Err> {
-        Ok(Self::new(text))
     }
 }
 

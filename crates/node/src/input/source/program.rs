@@ -7,7 +7,7 @@ use std::collections::VecDeque;
 use std::io::{self, ErrorKind, Read};
 use std::process::{ExitStatus, Stdio};
 use std::time::Duration;
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
 use tokio::process::{Child, ChildStderr, ChildStdout, Command};
 use tokio::runtime::Handle;
 use tokio::time::{Instant, sleep_until, timeout};
@@ -19,7 +19,7 @@ const PIPE_BYTES: usize = 1 << 20;
 const END_LIMIT: Duration = Duration::from_secs(2);
 /// The number of a program's error messages kept, and the maximum length of each.
 const MAX_COMPLAINTS: usize = 12;
-const MAX_LINE: usize = 4096;
+const MAX_LINE: u64 = 4096;
 
 /// The variables of this process that a program receives: for libraries, devices and proxies, without secrets. A `*`
 /// matches any suffix; case does not matter, because both cases are usual for proxies.
@@ -106,7 +106,7 @@ impl PictureProgram {
             process,
             output,
             errors: ErrorOutput {
-                pipe,
+                pipe: pipe.map(BufReader::new),
                 secrets: self.secrets,
                 ..ErrorOutput::default()
             },
@@ -231,8 +231,9 @@ impl Drop for RunningProgram {
 #[derive(Default)]
 struct ErrorOutput {
     /// `None` once it has ended.
-    pipe: Option<ChildStderr>,
+    pipe: Option<BufReader<ChildStderr>>,
     secrets: Secrets,
+    /// What has been read of the present line.
     line: Vec<u8>,
     /// The codec of the input, which ffmpeg reports before that of its output.
     codec: Option<String>,
@@ -240,30 +241,22 @@ struct ErrorOutput {
 }
 
 impl ErrorOutput {
-    /// Reads the next part; waits forever once nothing more comes.
+    /// Reads the next line, or the beginning of a longer one; waits forever once nothing more comes. Cancel safe.
     async fn listen(&mut self) {
         let Some(pipe) = &mut self.pipe else {
             return std::future::pending().await;
         };
-        let mut bytes = [0; MAX_LINE];
-        match pipe.read(&mut bytes).await {
-            Ok(length @ 1..) => self.take(&bytes[..length]),
+        let mut room = pipe.take(MAX_LINE - self.line.len() as u64);
+        match room.read_until(b'\n', &mut self.line).await {
+            Ok(1..) => self.take_line(),
             _ => self.pipe = None,
         }
     }
 
-    fn take(&mut self, bytes: &[u8]) {
-        for &byte in bytes {
-            if byte != b'\n' && self.line.len() < MAX_LINE {
-                self.line.push(byte);
-            } else {
-                let line = std::mem::take(&mut self.line);
-                self.take_line(String::from_utf8_lossy(&line).trim());
-            }
-        }
-    }
-
-    fn take_line(&mut self, text: &str) {
+    fn take_line(&mut self) {
+        let line = std::mem::take(&mut self.line);
+        let line = String::from_utf8_lossy(&line);
+        let text = line.trim();
         if let Some(complaint) = complaint(text) {
             let complaint = self.secrets.redact(&complaint);
             tracing::debug!(complaint, "message from the source's program");
@@ -280,8 +273,7 @@ impl ErrorOutput {
 
     /// Why it failed: the camera's answer, or else its last messages.
     fn reason(&mut self) -> Option<String> {
-        let rest = std::mem::take(&mut self.line);
-        self.take_line(String::from_utf8_lossy(&rest).trim());
+        self.take_line();
         let complaints = self.complaints.make_contiguous();
         let answer = complaints.iter().find_map(|complaint| refusal(complaint));
         answer.or_else(|| {
@@ -347,7 +339,7 @@ pub(super) fn output_of(program: &'static str, argument: &str) -> Result<Option<
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::io::{BufRead, BufReader};
+    use std::io::BufRead;
     use std::sync::LazyLock;
     use tokio::runtime::Runtime;
 
@@ -427,7 +419,7 @@ mod tests {
     fn a_dropped_program_is_killed_with_its_children() {
         let mut running = start("sleep 1000 & echo $!; exec tail -f /dev/null");
         let mut child = String::new();
-        let mut output = BufReader::new(&mut running);
+        let mut output = io::BufReader::new(&mut running);
         output.read_line(&mut child).unwrap();
         let process = running.process.as_raw_pid();
         let processes = [process.to_string(), child.trim().to_owned()];
