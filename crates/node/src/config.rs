@@ -154,13 +154,6 @@ pub struct NodeSection {
     pub stuck_after_s: f64,
 }
 
-impl NodeSection {
-    /// [`stuck_after_s`](Self::stuck_after_s) as a duration.
-    pub(crate) fn stuck_after(&self) -> Duration {
-        Duration::try_from_secs_f64(self.stuck_after_s).unwrap_or(Duration::MAX)
-    }
-}
-
 impl Default for NodeSection {
     fn default() -> Self {
         Self {

@@ -108,14 +108,15 @@ impl Interface {
             let ended = ended.map_err(NodeError::of("the HTTP interface failed"))?;
             ended.map_err(NodeError::of("[http]"))
         };
-        let (status_board, stuck_after) = (Arc::clone(&board), config.node.stuck_after());
+        let status_board = Arc::clone(&board);
+        let stuck_after_s = config.node.stuck_after_s;
         let stopping = shutdown.child_token();
         let notifier = tokio::spawn(albireo_service::notify::run(
             move || {
                 readiness::service_state(
                     &status_board.readiness,
                     &status_board.detector_status(),
-                    stuck_after,
+                    stuck_after_s,
                 )
             },
             stopping.clone(),

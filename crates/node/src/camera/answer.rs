@@ -40,25 +40,18 @@ pub(super) fn box_messages(
     size: PictureSize,
     names: &[String],
 ) -> Vec<BoxMessage> {
-    let messages = boxes.iter();
-    messages
-        .filter_map(|output| box_message(output, size, names))
-        .collect()
-}
-
-fn box_message(output: &OutputBox, size: PictureSize, names: &[String]) -> Option<BoxMessage> {
-    let class = names
-        .get(usize::from(output.class.0))
-        .cloned()
-        .unwrap_or_else(|| format!("class-{}", output.class.0));
-    Some(BoxMessage {
-        corners: clipped_corners(output.bounding_box, size)?,
-        class,
-        confidence: ((output.confidence * 1e4).round() / 1e4) as f32,
-        source: output.source,
-        object: output.object,
-        confirmed: output.confirmed,
-    })
+    let message = |output: &OutputBox| {
+        let class = usize::from(output.class.0);
+        Some(BoxMessage {
+            corners: clipped_corners(output.bounding_box, size)?,
+            class: (names.get(class).cloned()).unwrap_or_else(|| format!("class-{class}")),
+            confidence: ((output.confidence * 1e4).round() / 1e4) as f32,
+            source: output.source,
+            object: output.object,
+            confirmed: output.confirmed,
+        })
+    };
+    boxes.iter().filter_map(message).collect()
 }
 
 /// Left, top, right and bottom in pixels, to a hundredth of a pixel; `None` if the box is entirely outside

@@ -4,7 +4,7 @@ use super::CameraParts;
 use super::answer::box_messages;
 use crate::input::receiver::SequencedFrame;
 use albireo_core::geometry::PictureSize;
-use albireo_core::policy::{Outcome, OutputBox, SettledFrame, Settler};
+use albireo_core::policy::{Outcome, SettledFrame, Settler};
 use albireo_wire::{SettledMessage, VERSION};
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -22,7 +22,6 @@ pub(super) struct SettledStream {
 struct Messages {
     /// In order, without boxes.
     waiting: VecDeque<SettledMessage>,
-    boxes: Vec<OutputBox>,
     parts: Arc<CameraParts>,
 }
 
@@ -33,7 +32,6 @@ impl SettledStream {
             settler: Settler::new(longest),
             messages: Messages {
                 waiting: VecDeque::new(),
-                boxes: Vec::new(),
                 parts: Arc::clone(parts),
             },
             start: Instant::now(),
@@ -98,13 +96,12 @@ impl Messages {
         let Some(mut message) = self.waiting.pop_front() else {
             return;
         };
-        self.boxes.clear();
-        self.boxes.extend_from_slice(frame.boxes);
-        self.parts.min_confidence.select(&mut self.boxes);
+        let mut boxes = frame.boxes.to_vec();
+        self.parts.min_confidence.select(&mut boxes);
         let size = PictureSize::new(message.width, message.height);
         message.state = frame.state;
         message.settled = frame.settled;
-        message.boxes = box_messages(&self.boxes, size, &self.parts.class_names);
+        message.boxes = box_messages(&boxes, size, &self.parts.class_names);
         if let Some(outlet) = &self.parts.settled {
             outlet.put(&message);
         }

@@ -54,15 +54,9 @@ fn read_json(bytes: &[u8]) -> Result<FrameAttachment, FrameFault> {
 /// id, with a length prefix in some releases. In the first releases, each of the three is preceded by a
 /// name with a length prefix.
 fn read_rmw_zenoh(bytes: &[u8]) -> Option<FrameAttachment> {
-    let (sequence, rest) = match strip_name(bytes, b"sequence_number") {
-        Some(rest) => {
-            let (sequence, rest) = take_i64(rest)?;
-            (sequence, strip_name(rest, b"source_timestamp")?)
-        }
-        None => take_i64(bytes)?,
-    };
-    let (time_ns, rest) = take_i64(rest)?;
-    let sender = strip_name(rest, b"source_gid").unwrap_or(rest);
+    let (sequence, rest) = take_i64(without_name(bytes, b"sequence_number"))?;
+    let (time_ns, rest) = take_i64(without_name(rest, b"source_timestamp"))?;
+    let sender = without_name(rest, b"source_gid");
     if !matches!(sender.len(), 16 | 17) {
         return None;
     }
@@ -79,9 +73,13 @@ fn read_rmw_zenoh(bytes: &[u8]) -> Option<FrameAttachment> {
     })
 }
 
-fn strip_name<'a>(bytes: &'a [u8], name: &[u8]) -> Option<&'a [u8]> {
-    let (&length, rest) = bytes.split_first()?;
-    (usize::from(length) == name.len()).then(|| rest.strip_prefix(name))?
+fn without_name<'a>(bytes: &'a [u8], name: &[u8]) -> &'a [u8] {
+    match bytes.split_first() {
+        Some((&length, rest)) if usize::from(length) == name.len() => {
+            rest.strip_prefix(name).unwrap_or(bytes)
+        }
+        _ => bytes,
+    }
 }
 
 fn take_i64(bytes: &[u8]) -> Option<(i64, &[u8])> {

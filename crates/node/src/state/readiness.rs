@@ -55,12 +55,12 @@ pub(crate) const PARTS: [&str; 9] = [
 ];
 
 /// The state for the service manager. A fault of the node itself (not an unreachable router) that has lasted for
-/// `stuck_after` counts as stuck, so that the service manager restarts the node; the loss of this process's GPU does so
+/// `stuck_after_s` seconds counts as stuck, so that the service manager restarts the node; the loss of this process's GPU does so
 /// at once.
 pub(crate) fn service_state(
     readiness: &Readiness,
     detector: &DetectorStatus,
-    stuck_after: Duration,
+    stuck_after_s: f64,
 ) -> ServiceState {
     let health = readiness.health();
     let lost = match detector {
@@ -77,8 +77,7 @@ pub(crate) fn service_state(
             ZENOH => fault.subject == ZENOH_SESSION,
             _ => false,
         };
-        own && fault.fault.effect == HealthState::NotReady
-            && fault.since_s >= stuck_after.as_secs_f64()
+        own && fault.fault.effect == HealthState::NotReady && fault.since_s >= stuck_after_s
     });
     ServiceState {
         ready: health.is_ready(),
@@ -164,7 +163,8 @@ mod tests {
     async fn only_lasting_faults_of_the_node_itself_are_stuck() {
         let readiness = Readiness::default();
         let limit = Duration::from_secs(60);
-        let state = |status: &DetectorStatus| service_state(&readiness, status, limit);
+        let state =
+            |status: &DetectorStatus| service_state(&readiness, status, limit.as_secs_f64());
         let stuck = |status: &DetectorStatus| state(status).stuck.unwrap_or_default();
         let starting = DetectorStatus::Starting;
         let failed = DetectorStatus::Degraded {
@@ -211,7 +211,7 @@ mod tests {
             reason: "the GPU is lost to this process".to_owned(),
             provider: ExecutionProvider::Cuda,
         };
-        let state = service_state(&Readiness::default(), &lost, Duration::from_secs(900));
+        let state = service_state(&Readiness::default(), &lost, 900.0);
         let stuck = state.stuck.unwrap();
         assert!(stuck.starts_with("detector: the GPU is lost"), "{stuck}");
         let fault = of_detector(&lost).unwrap();

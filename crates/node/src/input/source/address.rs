@@ -213,19 +213,14 @@ impl SourceAddress {
         words.iter().try_for_each(|word| no_control(word))?;
         for word in &words {
             // A pipeline's locations, and properties such as user-pw=…
-            let value = word
-                .split_once('=')
-                .map_or(word.as_str(), |(_, value)| value);
-            let address = Self::new(if kind == SourceKind::Pipeline {
-                value
-            } else {
-                word
-            });
+            let (name, value) = match word.split_once('=') {
+                Some(property) if kind == SourceKind::Pipeline => property,
+                _ => ("", word.as_str()),
+            };
+            let address = Self::new(value);
             secrets.add_login(address.userinfo());
             secrets.add_query(address.query());
-            if let Some((name, value)) = word.split_once('=')
-                && ["user-id", "user-pw", "proxy-pw"].contains(&name)
-            {
+            if ["user-id", "user-pw", "proxy-pw"].contains(&name) {
                 secrets.add(value);
             }
         }

@@ -28,11 +28,6 @@ const FIRST_PARTS: u32 = 3;
 /// The size of a read from a program's output, bytes.
 const BUFFER: usize = 1 << 18;
 
-/// Suffixes of HTTP addresses that do not serve motion JPEG.
-const CONTAINERS: [&str; 8] = [
-    ".m3u8", ".mpd", ".mp4", ".ts", ".mkv", ".webm", ".flv", ".mov",
-];
-
 const INSTALL_FFMPEG: &str =
     "Install it with `apt-get install ffmpeg`, `dnf install ffmpeg` or `brew install ffmpeg`";
 const INSTALL_GSTREAMER: &str =
@@ -99,10 +94,7 @@ impl LiveSource {
             return Err(format!("{name}: {programs} was found. {remedy}"));
         }
         let motion_jpeg = match &resolved.kind {
-            SourceKind::Network(scheme) if scheme.starts_with("http") => {
-                let path = path.split('?').next().unwrap_or_default();
-                !CONTAINERS.iter().any(|end| path.ends_with(end))
-            }
+            SourceKind::Network(scheme) => scheme.starts_with("http"),
             kind => *kind == SourceKind::Device,
         };
         let source = Self {

@@ -298,22 +298,15 @@ fn refusal(complaint: &str) -> Option<String> {
 /// The error message in a line: the whole line unless ffmpeg marks it as information (`-v level+info`), without the
 /// memory addresses that ffmpeg puts in front.
 fn complaint(line: &str) -> Option<String> {
-    if line.is_empty() || line.contains("deprecated pixel format") {
+    // A password may contain any word; only the beginning is ffmpeg's.
+    let is_information = line.starts_with('[') && line.contains("[info]");
+    if line.is_empty() || is_information || line.contains("deprecated pixel format") {
         return None;
     }
-    let Some(level) = ["[info]", "[verbose]"]
+    let behind = ["[error]", "[fatal]", "[warning]", "[panic]"]
         .iter()
-        .find(|level| line.contains(**level))
-    else {
-        let levels = ["[error]", "[fatal]", "[warning]", "[panic]"];
-        let behind = levels
-            .iter()
-            .find_map(|level| line.split_once(level))
-            .map_or(line, |(_, behind)| behind);
-        return Some(behind.trim().to_owned());
-    };
-    // A password may contain any word; only the beginning is ffmpeg's.
-    (!line.starts_with(level) && !line.starts_with('[')).then(|| line.to_owned())
+        .find_map(|level| line.split_once(level));
+    Some(behind.map_or(line, |(_, behind)| behind).trim().to_owned())
 }
 
 /// The codec in a line such as `[info]   Stream #0:0: Video: h264 (High), yuv420p`.
