@@ -28,11 +28,12 @@ use albireo_core::policy::{CallCause, FrameHead, LatePolicy, MinConfidence, Need
 use albireo_power::CameraEnergy;
 use albireo_service::clock::milliseconds;
 use albireo_wire::{DetectionsMessage, Latency, Threshold};
+use futures_util::future::OptionFuture;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::{mpsc, watch};
-use tokio::time::Instant;
+use tokio::time::{Instant, sleep_until};
 use tokio_util::sync::CancellationToken;
 
 /// The parts of a camera that survive a restart of its loop.
@@ -175,7 +176,7 @@ impl Camera {
                 () = self.audit.run() => {}
                 // Before the clock: a camera with waiting frames is not silent, only the detector is slow.
                 incoming = self.parts.receiver.ring.next(), if !waits => self.process(incoming),
-                () = at(due), if !waits => self.tick(),
+                Some(()) = OptionFuture::from(due.map(sleep_until)), if !waits => self.tick(),
             }
         }
         while self.decider.is_pending() {
@@ -387,14 +388,6 @@ impl Drop for Camera {
         if catch_unwind(AssertUnwindSafe(|| self.end())).is_err() {
             tracing::error!(camera = self.parts.board.name(), "the open clip is lost");
         }
-    }
-}
-
-/// Waits until `due`; forever if `None`.
-async fn at(due: Option<Instant>) {
-    match due {
-        Some(due) => tokio::time::sleep_until(due).await,
-        None => std::future::pending().await,
     }
 }
 

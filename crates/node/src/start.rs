@@ -18,6 +18,7 @@ use albireo_vision::detector::{CameraSlot, DetectorHandle, DetectorStatus};
 use albireo_vision::pixel_work::PixelWork;
 use albireo_vision::screen::ScreenHandle;
 use camera::{Cameras, Subscriptions};
+use futures_util::future::OptionFuture;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch;
@@ -261,10 +262,8 @@ impl Node {
         self.shutdown.cancel();
         let start = Instant::now();
         // The rest of the time is for HTTP and for threads that are still working.
-        let (tasks_until, until) = (
-            start + self.stop_timeout / 2,
-            start + self.stop_timeout * 3 / 4,
-        );
+        let tasks_until = start + self.stop_timeout / 2;
+        let until = start + self.stop_timeout * 3 / 4;
         let give_up = self.give_up;
         tokio::spawn(async move {
             tokio::time::sleep(self.stop_timeout / 4).await;
@@ -288,12 +287,8 @@ impl Node {
             session.close().await
         };
         let closing = async {
-            let screen = async {
-                if let Some(screen) = &self.screen {
-                    screen.stop().await;
-                }
-            };
-            let (closed, (), ()) = tokio::join!(closed, self.detector.stop(), screen);
+            let screen = OptionFuture::from(self.screen.as_ref().map(ScreenHandle::stop));
+            let (closed, (), _) = tokio::join!(closed, self.detector.stop(), screen);
             if let Err(error) = closed {
                 tracing::warn!(%error, "Zenoh session not closed cleanly");
             }

@@ -197,15 +197,16 @@ impl FrameReceiver {
     ) -> Result<SequencedFrame, String> {
         let (number, read) = read(stream.arrivals);
         stream.arrivals += 1;
-        let arrival = if read.is_err() && number.seq.is_none() {
-            stream.tracker.arrive_unreadable();
-            None
-        } else {
-            Some(stream.tracker.arrive(&number, Instant::now()))
+        let arrival = match &read {
+            Err(_) if number.seq.is_none() => {
+                stream.tracker.arrive_unreadable();
+                Arrival::Stray
+            }
+            _ => stream.tracker.arrive(&number, Instant::now()),
         };
-        if let Some(Arrival::New {
+        if let Arrival::New {
             lost, restarted, ..
-        }) = arrival
+        } = arrival
         {
             stream.epoch += u64::from(restarted);
             if lost > 0 {
@@ -216,9 +217,9 @@ impl FrameReceiver {
         let frame = read.map_err(|fault| self.refuse(kind_of(&fault), fault.to_string()))?;
         let sequence = frame.sequence;
         let (kind, reason): (DropKind, _) = match arrival {
-            Some(Arrival::New { index, .. }) => {
-                self.board
-                    .set_latest_frame(LatestFrame::new(sequence, frame.picture.clone()));
+            Arrival::New { index, .. } => {
+                let latest = LatestFrame::new(sequence, frame.picture.clone());
+                self.board.set_latest_frame(latest);
                 return Ok(SequencedFrame {
                     frame,
                     index,
@@ -226,11 +227,9 @@ impl FrameReceiver {
                     query: None,
                 });
             }
-            Some(Arrival::Duplicate) => (|dropped| &mut dropped.duplicate, "has already arrived"),
-            Some(Arrival::Late) | None => {
-                (|dropped| &mut dropped.late, "arrived after a later one")
-            }
-            Some(Arrival::Stray) => (
+            Arrival::Duplicate => (|dropped| &mut dropped.duplicate, "has already arrived"),
+            Arrival::Late => (|dropped| &mut dropped.late, "arrived after a later one"),
+            Arrival::Stray => (
                 |dropped| &mut dropped.stray,
                 "belongs to a stream other than the camera's current one",
             ),

@@ -148,7 +148,8 @@ impl SourceAddress {
     /// # Errors
     /// The fault of the address, or the variables that are not set.
     pub(crate) fn resolved(&self) -> Result<Resolved, String> {
-        (self.resolve(&environment)).map_err(|reason| format!("the source {reason}"))
+        let resolved = self.resolve(&|name| std::env::var(name).ok());
+        resolved.map_err(|reason| format!("the source {reason}"))
     }
 
     fn resolve(&self, variable: &dyn Fn(&str) -> Option<String>) -> Result<Resolved, String> {
@@ -283,10 +284,6 @@ impl fmt::Debug for SourceAddress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "SourceAddress({self})")
     }
-}
-
-fn environment(name: &str) -> Option<String> {
-    std::env::var(name).ok().filter(|value| !value.is_empty())
 }
 
 /// Options of ffmpeg for a source, each name followed by its value. Shown (and serialised) without secret
