@@ -5,7 +5,7 @@ use crate::config::NodeConfig;
 use crate::state::board::Board;
 use crate::state::readiness;
 use crate::{Node, NodeError, PreparedNode};
-use albireo_service::http::{HttpError, Problem};
+use albireo_service::http::Problem;
 use axum::Router;
 use axum::extract::Request;
 use axum::http::{Method, StatusCode};
@@ -15,8 +15,7 @@ use std::net::SocketAddr;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::net::TcpListener;
-use tokio::task::JoinHandle;
-use tokio_util::sync::{CancellationToken, DropGuard};
+use tokio_util::sync::CancellationToken;
 use tower_service::Service;
 
 /// Runs a node and its HTTP interface on `listener` until `shutdown`.
@@ -32,15 +31,13 @@ pub async fn run(
     listener: TcpListener,
     shutdown: CancellationToken,
 ) -> Result<(), NodeError> {
-    let interface = Interface::start(config, listener)?;
     // On a blocking thread, because opening and checking the state file takes a while on a slow SD card.
-    let opening = config.clone();
-    let opening = tokio::task::spawn_blocking(move || PreparedNode::new(&opening));
-    let Some(prepared) = shutdown.run_until_cancelled(opening).await else {
-        return Ok(());
+    let opened = config.clone();
+    let opening = async {
+        let opening = tokio::task::spawn_blocking(move || PreparedNode::new(&opened));
+        opening.await.map_err(NodeError::new)?
     };
-    let prepared = prepared.map_err(NodeError::new)??;
-    interface.run(config, prepared, shutdown).await
+    serve(config, opening, listener, shutdown).await
 }
 
 /// Like [`run`], with a node whose board others also read.
@@ -53,99 +50,83 @@ pub async fn run_prepared(
     listener: TcpListener,
     shutdown: CancellationToken,
 ) -> Result<(), NodeError> {
-    let interface = Interface::start(config, listener)?;
-    interface.run(config, prepared, shutdown).await
+    serve(config, async { Ok(prepared) }, listener, shutdown).await
 }
 
-/// The HTTP interface of a node. It serves from the start, and shows the node once that is open.
-struct Interface {
-    address: SocketAddr,
-    routes: Arc<OnceLock<Router>>,
-    /// HTTP outlives the node, so that the counters can be read until the end.
-    serving: DropGuard,
-    served: JoinHandle<Result<(), HttpError>>,
-}
-
-impl Interface {
-    /// Serves HTTP as configured, in a separate task: nothing that the node waits for may delay a health check.
-    fn start(config: &NodeConfig, listener: TcpListener) -> Result<Self, NodeError> {
-        let address = listener.local_addr();
-        let address = address.map_err(NodeError::of("the listener has no address"))?;
-        let (serving, routes) = (CancellationToken::new(), Arc::<OnceLock<_>>::default());
-        let (early, open) = (early_routes(&config.node.name), Arc::clone(&routes));
-        let router = Router::new()
-            .fallback(move |request: Request| open.get().unwrap_or(&early).clone().call(request));
-        let (http, tokens, stop) = (config.http.clone(), config.tokens.clone(), serving.clone());
-        let served = tokio::spawn(async move {
-            let methods = [Method::GET, Method::PUT];
-            albireo_service::http::run(&http, &tokens, &methods, router, listener, stop).await
-        });
-        Ok(Self {
-            address,
-            routes,
-            serving: serving.drop_guard(),
-            served,
-        })
-    }
-
-    /// Shows the node and runs it until `shutdown`.
-    async fn run(
-        self,
-        config: &NodeConfig,
-        prepared: PreparedNode,
-        shutdown: CancellationToken,
-    ) -> Result<(), NodeError> {
-        let (address, serving) = (self.address, self.serving.disarm());
-        let board = Arc::clone(prepared.board());
-        let router = http::router(Arc::clone(&board), config, serving.clone());
-        // Set only here.
-        let _ = self.routes.set(router);
-        // A node without its interface cannot be monitored or stopped, so it ends.
-        let unserved = shutdown.clone();
-        let http = async move {
-            let ended = self.served.await;
-            unserved.cancel();
-            let ended = ended.map_err(NodeError::of("the HTTP interface failed"))?;
-            ended.map_err(NodeError::of("[http]"))
+/// Serves HTTP, shows the node once it is opened, and runs it until `shutdown`.
+async fn serve(
+    config: &NodeConfig,
+    opening: impl Future<Output = Result<PreparedNode, NodeError>>,
+    listener: TcpListener,
+    shutdown: CancellationToken,
+) -> Result<(), NodeError> {
+    let address = listener.local_addr();
+    let address = address.map_err(NodeError::of("the listener has no address"))?;
+    let routes = Arc::<OnceLock<Router>>::default();
+    let (early, open) = (early_routes(&config.node.name), Arc::clone(&routes));
+    let router = Router::new()
+        .fallback(move |request: Request| open.get().unwrap_or(&early).clone().call(request));
+    // HTTP outlives the node, so that the counters can be read until the end.
+    let serving = CancellationToken::new();
+    let _until_the_end = serving.clone().drop_guard();
+    // In a separate task: nothing that the node waits for may delay a health check.
+    let (http, tokens, stop) = (config.http.clone(), config.tokens.clone(), serving.clone());
+    let served = tokio::spawn(async move {
+        let methods = [Method::GET, Method::PUT];
+        albireo_service::http::run(&http, &tokens, &methods, router, listener, stop).await
+    });
+    let opened = shutdown.run_until_cancelled(opening).await;
+    let Some(prepared) = opened.transpose()? else {
+        return Ok(());
+    };
+    let board = Arc::clone(prepared.board());
+    // Set only here.
+    let _ = routes.set(http::router(Arc::clone(&board), config, serving.clone()));
+    // A node without its interface cannot be monitored or stopped, so it ends.
+    let unserved = shutdown.clone();
+    let http = async move {
+        let ended = served.await;
+        unserved.cancel();
+        let ended = ended.map_err(NodeError::of("the HTTP interface failed"))?;
+        ended.map_err(NodeError::of("[http]"))
+    };
+    let status_board = Arc::clone(&board);
+    let stuck_after_s = config.node.stuck_after_s;
+    let stopping = shutdown.child_token();
+    let notifier = tokio::spawn(albireo_service::notify::run(
+        move || {
+            readiness::service_state(
+                &status_board.readiness,
+                &status_board.detector_status(),
+                stuck_after_s,
+            )
+        },
+        stopping.clone(),
+    ));
+    tracing::info!(
+        http = format!("http://{address}"),
+        node = config.node.name,
+        "listening"
+    );
+    let node = async {
+        let node = prepared.start(config, shutdown.clone()).await;
+        let ended = match node {
+            Ok(None) => Ok(()),
+            Ok(Some(node)) => {
+                let zenoh = node.endpoints().await;
+                log_start(config, &board, &node, address, &zenoh);
+                node.stopped().await
+            }
+            Err(error) => Err(error),
         };
-        let status_board = Arc::clone(&board);
-        let stuck_after_s = config.node.stuck_after_s;
-        let stopping = shutdown.child_token();
-        let notifier = tokio::spawn(albireo_service::notify::run(
-            move || {
-                readiness::service_state(
-                    &status_board.readiness,
-                    &status_board.detector_status(),
-                    stuck_after_s,
-                )
-            },
-            stopping.clone(),
-        ));
-        tracing::info!(
-            http = format!("http://{address}"),
-            node = config.node.name,
-            "listening"
-        );
-        let node = async {
-            let node = prepared.start(config, shutdown.clone()).await;
-            let ended = match node {
-                Ok(None) => Ok(()),
-                Ok(Some(node)) => {
-                    let zenoh = node.endpoints().await;
-                    log_start(config, &board, &node, address, &zenoh);
-                    node.stopped().await
-                }
-                Err(error) => Err(error),
-            };
-            serving.cancel();
-            ended
-        };
-        let (http, node) = tokio::join!(http, node);
-        // Notifies the service manager of the end, even after an error, before the process exits.
-        stopping.cancel();
-        let _ = notifier.await;
-        node.and(http)
-    }
+        serving.cancel();
+        ended
+    };
+    let (http, node) = tokio::join!(http, node);
+    // Notifies the service manager of the end, even after an error, before the process exits.
+    stopping.cancel();
+    let _ = notifier.await;
+    node.and(http)
 }
 
 /// Answers requests until the state file is open.

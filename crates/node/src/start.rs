@@ -24,7 +24,6 @@ use std::time::Duration;
 use tokio::sync::watch;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
-use zenoh::Session;
 
 /// The interval at which the state of parts that do not report it themselves is read.
 const POLL_INTERVAL: Duration = Duration::from_secs(1);
@@ -35,21 +34,15 @@ pub type PolicyMaker =
 
 /// A running node.
 pub struct Node {
-    session: Session,
-    detector: DetectorHandle,
-    screen: Option<ScreenHandle>,
+    cameras: Arc<Cameras>,
     /// All tasks: they end by themselves once the shutdown token is cancelled.
     tasks: Supervisor,
-    /// Once cancelled, no camera waits for the detector any more.
-    give_up: CancellationToken,
-    stop_timeout: Duration,
     /// Stops the power sampler, once the last report is out.
     sampling: CancellationToken,
     /// Holds the name until the session is closed.
     _name: NodeName,
     uplink: Uplink,
     subscriptions: Subscriptions,
-    shutdown: CancellationToken,
 }
 
 /// A node before its start: its board can already be shown and reports that the node is not ready.
@@ -167,10 +160,9 @@ impl PreparedNode {
             watched.watch(POLL_INTERVAL).await;
         });
         tasks.until_shutdown("power sampler", sampler);
-        let give_up = CancellationToken::new();
         let cameras = Arc::new(Cameras {
             config: config.clone(),
-            session: session.clone(),
+            session,
             board: Arc::clone(&board),
             power: power.clone(),
             pixels: PixelWork::new(
@@ -178,12 +170,13 @@ impl PreparedNode {
                 config.frame,
                 config.detector.batch_size,
             ),
-            detector: detector.clone(),
-            screen: screen.clone(),
+            detector,
+            screen,
             policies,
-            give_up: give_up.clone(),
+            give_up: CancellationToken::new(),
             shutdown: shutdown.clone(),
         });
+        let session = &cameras.session;
         let mut subscriptions = Subscriptions::new();
         for (slot, (camera, board)) in config.cameras.iter().zip(&board.cameras).enumerate() {
             let added = cameras.add(CameraSlot(slot), camera, board, &mut tasks);
@@ -191,7 +184,7 @@ impl PreparedNode {
             let named = NodeError::of(format!("camera `{}`", camera.name));
             subscriptions.extend(added.map_err(named)?);
         }
-        let outlets = counters::declare(&session, &board).await?;
+        let outlets = counters::declare(session, &board).await?;
         let counting = counters::run(Arc::clone(&board), power, outlets, shutdown.clone());
         tasks.essential("counters", counting);
         let mut values = NodeKeyValues::new();
@@ -200,7 +193,7 @@ impl PreparedNode {
         let target = (keys.target(), KeyValue::Target(Arc::clone(&board)));
         for (key, value) in thresholds.chain([target]) {
             let refused = NodeError::refused(format!("`{key}` cannot be served"));
-            (values.add(&session, key, value).await).map_err(refused)?;
+            (values.add(session, key, value).await).map_err(refused)?;
         }
         tasks.essential("requests", values.run(shutdown.clone()));
         let disk = retry_disk(board.outbox.clone(), board.settings.clone());
@@ -222,17 +215,12 @@ impl PreparedNode {
         tasks.until_shutdown("uplink", ended);
         board.readiness.part(readiness::CAMERAS).works();
         Ok(Node {
-            session,
-            detector,
-            screen,
+            cameras,
             tasks,
-            give_up,
-            stop_timeout: config.node.stop_timeout,
             sampling: unless_started.disarm(),
             _name: name,
             uplink,
             subscriptions,
-            shutdown,
         })
     }
 }
@@ -241,13 +229,13 @@ impl Node {
     /// The addresses on which the node's Zenoh session listens, with the actual ports of endpoints configured with port
     /// 0.
     pub async fn endpoints(&self) -> Vec<String> {
-        let locators = self.session.info().locators().await;
+        let locators = self.cameras.session.info().locators().await;
         locators.iter().map(ToString::to_string).collect()
     }
 
     /// The execution provider that runs the detector, if known.
     pub fn provider(&self) -> Option<&'static str> {
-        provider(&self.detector.status().borrow())
+        provider(&self.cameras.detector.status().borrow())
     }
 
     /// Runs until the shutdown token is cancelled or an essential task fails. Then it completes the current frames and
@@ -258,15 +246,16 @@ impl Node {
     /// [`NodeError`] if a task failed.
     pub async fn stopped(mut self) -> Result<(), NodeError> {
         let ended = self.tasks.watch().await;
+        let cameras = self.cameras;
         // After a failed task, this stops the others.
-        self.shutdown.cancel();
-        let start = Instant::now();
+        cameras.shutdown.cancel();
+        let (start, longest) = (Instant::now(), cameras.config.node.stop_timeout);
         // The rest of the time is for HTTP and for threads that are still working.
-        let tasks_until = start + self.stop_timeout / 2;
-        let until = start + self.stop_timeout * 3 / 4;
-        let give_up = self.give_up;
+        let tasks_until = start + longest / 2;
+        let until = start + longest * 3 / 4;
+        let give_up = cameras.give_up.clone();
         tokio::spawn(async move {
-            tokio::time::sleep(self.stop_timeout / 4).await;
+            tokio::time::sleep(longest / 4).await;
             give_up.cancel();
         });
         let subscriptions = self.subscriptions;
@@ -281,14 +270,13 @@ impl Node {
         }
         // The sampler stops after the tasks: the clips' energy comes from it.
         self.sampling.cancel();
-        let (uplink, session) = (self.uplink, self.session);
-        let closed = async move {
-            uplink.stop().await;
-            session.close().await
+        let closed = async {
+            self.uplink.stop().await;
+            cameras.session.close().await
         };
         let closing = async {
-            let screen = OptionFuture::from(self.screen.as_ref().map(ScreenHandle::stop));
-            let (closed, (), _) = tokio::join!(closed, self.detector.stop(), screen);
+            let screen = OptionFuture::from(cameras.screen.as_ref().map(ScreenHandle::stop));
+            let (closed, (), _) = tokio::join!(closed, cameras.detector.stop(), screen);
             if let Err(error) = closed {
                 tracing::warn!(%error, "Zenoh session not closed cleanly");
             }

@@ -36,7 +36,7 @@ const CACHED_REPORTS: usize = 64;
 /// The Zenoh subscribers and queryables that receive frames; dropping them undeclares them.
 pub(super) type Subscriptions = Vec<Box<dyn Any + Send + Sync>>;
 
-/// Adds cameras to a starting node and creates their loops: the state they share.
+/// Adds cameras to a starting node and creates their loops: the parts of the node that they share.
 pub(super) struct Cameras {
     pub(super) config: NodeConfig,
     pub(super) session: Session,
