@@ -235,7 +235,8 @@ impl LiveSource {
         }
     }
 
-    /// Passes pictures on until there are no more. Returns the reason the output is not read further, if it has not ended.
+    /// Passes pictures on until there are no more. Returns the reason the output is not read further, if it has not
+    /// ended.
     fn pictures(
         &mut self,
         output: &mut BufReader<RunningProgram>,
@@ -291,8 +292,8 @@ impl LiveSource {
         }
     }
 
-    /// True if the source must be read the other way: something that was taken for motion JPEG is none, or ffmpeg reports
-    /// a codec for the other way.
+    /// True if the source must be read the other way: something that was taken for motion JPEG is none, or ffmpeg
+    /// reports a codec for the other way.
     fn switches(&self, codec: Option<&str>) -> bool {
         let is_jpeg = match self.not_jpeg {
             true => Some(false),
