@@ -13,7 +13,7 @@ pub(super) const GSTREAMER: &str = "gst-launch-1.0";
 /// The version of ffmpeg: major and minor number.
 pub(super) type Version = (u32, u32);
 
-/// The first version that accepts options inside a script.
+/// The first version that accepts options inside a script, and `-timeout` for RTSP.
 const SCRIPT_OPTIONS: Version = (5, 0);
 /// The first version with `-fps_mode`.
 const FPS_MODE: Version = (5, 1);
@@ -129,17 +129,24 @@ pub(super) fn ffmpeg(
         arguments.add(&["-flags", "low_delay"]);
         camera.push(("analyzeduration", "2000000".to_owned()));
     }
+    // In case this process is killed and cannot end ffmpeg.
+    let silence = (2 * settings.silence).as_micros().to_string();
     let mut address = resolved.text().to_owned();
     match &resolved.kind {
         SourceKind::Network(scheme) if scheme.starts_with("rtsp") => {
             let transport = settings.transport.as_str();
             if takes_options || !hidden_address {
+                let timeout = if takes_options { "timeout" } else { "stimeout" };
                 camera.push(("rtsp_transport", transport.to_owned()));
+                camera.push((timeout, silence));
             } else {
                 // Older versions accept it only at the end of the address.
                 let sign = if address.contains('?') { '&' } else { '?' };
                 address = format!("{address}{sign}{transport}");
             }
+        }
+        SourceKind::Network(scheme) if scheme.starts_with("http") => {
+            camera.push(("rw_timeout", silence));
         }
         SourceKind::Device => {
             arguments.add(&["-f", "v4l2"]);
@@ -352,7 +359,7 @@ mod tests {
         assert_has(&line, &["-fps_mode vfr", "-hwaccel cuda", "floor(t*5)"]);
         assert_eq!(script, None);
         let (old, _) = decoding(&settings, (4, 4));
-        assert_has(&old, &["-vsync vfr"]);
+        assert_has(&old, &["-vsync vfr", "-stimeout"]);
     }
 
     #[test]
