@@ -1,69 +1,83 @@
-//! Keeps the desired setting of each node in memory, for answering pulls.
+//! Keeps the desired setting of each node in memory, for answering pulls, and what became of it at the node.
 
-use crate::store::row::json_text;
+use crate::tuning::member::{ChangeNode, Millis};
 use albireo_wire::{Desired, DesiredSetting};
 use parking_lot::RwLock;
-use serde::Deserialize;
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::time::{Duration, Instant};
 
 /// The desired setting of a node: a threshold or a target.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
-pub struct DesiredValue {
-    /// The revision of the setting, higher than every earlier one.
-    pub revision: u64,
-    /// The threshold or the target.
-    #[serde(with = "json_text")]
-    pub setting: DesiredSetting,
+#[derive(Clone, Debug)]
+pub(crate) struct Wanted {
+    pub(crate) setting: DesiredSetting,
+    /// The order that gave it: the node, the revision and the outcome.
+    pub(crate) at: ChangeNode,
+    /// How often the node was set back since the last order by somebody else, as far as this hub knows.
+    pub(crate) set_back: u32,
+    /// When the hub noticed that the node drifted; absent unless it has.
+    pub(crate) drifted_ms: Option<Millis>,
 }
 
 /// The desired setting of each node, as in the database, and the nodes that somebody watches.
 #[derive(Debug, Default)]
 pub struct Desires {
-    values: RwLock<HashMap<String, DesiredValue>>,
+    nodes: RwLock<BTreeMap<String, Wanted>>,
     watched: RwLock<HashMap<String, Instant>>,
 }
 
 impl Desires {
-    /// Stores a setting if its revision is higher than the present one. Returns true if it was stored.
-    pub(crate) fn set(&self, node: &str, value: DesiredValue) -> bool {
-        let mut values = self.values.write();
-        let newer = (values.get(node)).is_none_or(|present| present.revision < value.revision);
-        if newer {
-            values.insert(node.to_owned(), value);
+    /// Replaces the desired setting of a node by one with a higher revision. A node that `is_set_back` stays listed as drifted
+    /// until it has its setting again.
+    pub(crate) fn set(&self, mut wanted: Wanted, is_set_back: bool) {
+        let mut nodes = self.nodes.write();
+        if let Some(present) = nodes.get(&wanted.at.node) {
+            if present.at.ask.revision >= wanted.at.ask.revision {
+                return;
+            }
+            if is_set_back {
+                wanted.set_back += present.set_back;
+                wanted.drifted_ms = present.drifted_ms;
+            }
         }
-        newer
+        nodes.insert(wanted.at.node.clone(), wanted);
+    }
+
+    /// Stores what became of a setting, unless another one replaced it meanwhile.
+    pub(crate) fn update(&self, wanted: Wanted) {
+        if let Some(present) = self.nodes.write().get_mut(&wanted.at.node)
+            && present.at.ask.revision == wanted.at.ask.revision
+        {
+            *present = wanted;
+        }
     }
 
     /// Drops the desired setting of a node.
     pub(crate) fn remove(&self, node: &str) {
-        self.values.write().remove(node);
+        self.nodes.write().remove(node);
     }
 
     /// The desired setting of a node.
-    pub(crate) fn get(&self, node: &str) -> Option<DesiredValue> {
-        self.values.read().get(node).copied()
+    pub(crate) fn get(&self, node: &str) -> Option<Wanted> {
+        self.nodes.read().get(node).cloned()
     }
 
-    /// All desired settings, by node.
-    pub(crate) fn all(&self) -> Vec<(String, DesiredValue)> {
-        let values = self.values.read();
-        values
-            .iter()
-            .map(|(node, value)| (node.clone(), *value))
-            .collect()
+    /// The desired settings for which `is_one` is true, in the order of the nodes' names.
+    pub(crate) fn list(&self, is_one: impl Fn(&Wanted) -> bool) -> Vec<Wanted> {
+        let nodes = self.nodes.read();
+        nodes.values().filter(|one| is_one(one)).cloned().collect()
     }
 
     /// The answer to a pull of `node`.
     pub fn of(&self, node: &str) -> Desired {
-        let value = self.get(node);
         let until = self.watched.read().get(node).copied();
         let watched = until
             .map(|until| until.saturating_duration_since(Instant::now()))
             .filter(|left| !left.is_zero());
+        let nodes = self.nodes.read();
+        let wanted = nodes.get(node);
         Desired {
-            revision: value.map_or(0, |value| value.revision),
-            setting: value.map(|value| value.setting),
+            revision: wanted.map_or(0, |wanted| wanted.at.ask.revision),
+            setting: wanted.map(|wanted| wanted.setting),
             watched_for_s: watched
                 .map(|left| u32::try_from(left.as_secs() + 1).unwrap_or(u32::MAX)),
             ..Desired::nothing()
@@ -82,6 +96,7 @@ impl Desires {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tuning::member::{Ask, Outcome};
     use albireo_wire::{Target, Threshold};
     use proptest::prelude::*;
 
@@ -97,12 +112,20 @@ mod tests {
                     0 => DesiredSetting::Threshold(Threshold::new("u", value)),
                     _ => DesiredSetting::Target(Some(Target::Watts(value))),
                 };
-                let taken = values.set("n", DesiredValue { revision, setting });
-                prop_assert_eq!(taken, highest.is_none_or(|highest| revision > highest));
-                highest = highest.max(Some(revision));
-                prop_assert_eq!(values.get("n").map(|v| v.revision), highest);
+                let at = ChangeNode {
+                    node: "n".to_owned(),
+                    from: None,
+                    ask: Ask::new(revision, 0, Outcome::Pending),
+                };
+                let wanted = Wanted { setting, at, set_back: 0, drifted_ms: None };
+                values.set(wanted, false);
+                if highest.is_none_or(|(highest, _)| revision > highest) {
+                    highest = Some((revision, setting));
+                }
+                let found = values.get("n").map(|found| (found.at.ask.revision, found.setting));
+                prop_assert_eq!(found, highest);
             }
-            prop_assert_eq!(values.get("other"), None);
+            prop_assert_eq!(values.of("other"), Desired::nothing());
         }
     }
 }

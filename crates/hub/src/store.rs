@@ -21,8 +21,7 @@ pub use read::{
     ClipQuery, EnergyBy, EnergyGroup, EnergyQuery, ReportCounts, Resolution, Sort, StoredClip,
     StoredEvent, StoredSetAside,
 };
-pub use tuning::ChangeRow;
-pub(crate) use tuning::DesiredRow;
+pub use tuning::{ChangeRow, ChangeView};
 
 use crate::config::DatabaseConfig;
 use parking_lot::Mutex;

@@ -344,7 +344,7 @@ fn whole(run: &Run) -> String {
         text,
         "  nodes {}; stages {}; soak {}\n  gates {}; on failure {}",
         plan.basics.select,
-        joined(plan.stages.iter().map(ToString::to_string)),
+        plan.stages.join(", "),
         span(plan.soak_s as i64),
         joined(plan.gates.iter().map(ToString::to_string)),
         name_of(&plan.on_failure)
@@ -385,7 +385,7 @@ fn entry_text(entry: &Entry, begun_ms: i64) -> String {
     let rows = entry.gates.iter().map(|result| {
         let measured = result.figure.map(|figure| figure.to_string());
         let change = result.change.as_ref();
-        let change = change.map(|change| interval(change, result.gate.relative));
+        let change = change.map(|change| interval(change, result.gate.scale == Scale::Relative));
         [
             format!("   {}", result.gate),
             measured.unwrap_or_else(|| "not measured".to_owned()),

@@ -40,34 +40,35 @@ where
     ))
 }
 
-/// Reads a request that has a threshold beside its own fields: `"u": 5e-4`.
-pub(super) fn with_threshold<T>(object: Map<String, Value>) -> Result<(Threshold, T), Problem>
-where
-    T: DeserializeOwned + Serialize + Default,
-{
-    let (request, others) = read(object)?;
-    let mut others = others.into_iter();
-    match (others.next(), others.next()) {
-        (Some((name, value)), None) => match value.as_f64().filter(|value| value.is_finite()) {
-            Some(value) => Ok((Threshold::new(&name, value), request)),
-            None => Err(unusable(format!("`{name}` must be a finite number"))),
+/// Reads the threshold that is the only field: `"u": 5e-4`.
+fn threshold(fields: &Map<String, Value>) -> Result<Threshold, Problem> {
+    let mut fields = fields.iter();
+    match (fields.next(), fields.next()) {
+        (Some((name, value)), None) => match value.as_f64() {
+            Some(value) => Ok(Threshold::new(name, value)),
+            None => Err(unusable(format!("`{name}` must be a number"))),
         },
-        (None, _) => Err(unusable(
-            "the body must have a threshold, such as \"u\": 5e-4",
-        )),
+        (None, _) => Err(unusable("there must be a threshold, such as \"u\": 5e-4")),
         (Some((one, _)), Some((other, _))) => Err(unusable(format!(
             "`{one}` and `{other}`: there must be one threshold and no other unknown field"
         ))),
     }
 }
 
+/// Reads a request that has a threshold beside its own fields: `"u": 5e-4`.
+pub(super) fn with_threshold<T>(object: Map<String, Value>) -> Result<(Threshold, T), Problem>
+where
+    T: DeserializeOwned + Serialize + Default,
+{
+    let (request, others) = read(object)?;
+    Ok((threshold(&others)?, request))
+}
+
 /// Converts a threshold from the form that users write, `{"u": 3e-4}`, to the form in messages.
 pub(super) fn name_threshold(written: &mut Value) -> Result<(), Problem> {
-    let fault = || unusable(r#"values: each must be one threshold, such as {"u": 3e-4}"#);
-    let fields = written.as_object().filter(|fields| fields.len() == 1);
-    let (name, value) = (fields.and_then(|fields| fields.iter().next())).ok_or_else(fault)?;
-    let value = value.as_f64().ok_or_else(fault)?;
-    *written = serde_json::json!({ "name": name, "value": value });
+    let fields = written.as_object();
+    let fields = fields.ok_or_else(|| unusable(r#"values: each must be such as {"u": 3e-4}"#))?;
+    *written = serde_json::json!(threshold(fields)?);
     Ok(())
 }
 

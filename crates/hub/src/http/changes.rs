@@ -1,9 +1,11 @@
 //! Serves changes of a threshold or a target on selected nodes, their history, and the nodes that drifted.
 
+pub use crate::store::ChangeView;
+pub use crate::tuning::change::OrderAnswer;
+
 use super::{HubView, body};
-use crate::store::ChangeRow;
 use crate::tuning::change::NewChange;
-use crate::tuning::member::{ChangeNode, Outcome, counts};
+use crate::tuning::member::{ChangeNode, counts};
 use crate::tuning::plan::check_why;
 use crate::tuning::tuner::Drift;
 use albireo_service::clock::unix_milliseconds;
@@ -15,9 +17,8 @@ use axum::extract::{Extension, Path, Query, State};
 use axum::http::header::{ACCEPT, CONTENT_TYPE};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
-use futures_util::stream;
+use futures_util::{StreamExt, stream};
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::Instant;
@@ -31,19 +32,6 @@ const LINES: &str = "application/x-ndjson";
 const LONGEST_WAIT_S: f64 = 8.0;
 /// Longest stream of outcomes, seconds.
 const LONGEST_STREAM_S: f64 = 3_600.0;
-
-/// The result of a change, and the last line of a stream.
-#[derive(Debug, Serialize, Deserialize, ToSchema)]
-pub struct OrderAnswer {
-    /// Revision of the order: `/api/v1/changes/{revision}` shows its progress. Absent in a dry run, and if no node would change.
-    pub revision: Option<u64>,
-    /// The number of nodes by outcome.
-    pub counts: BTreeMap<Outcome, usize>,
-    /// The outcome at each node; absent in a stream, which had them before.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    #[schema(required)]
-    pub nodes: Vec<ChangeNode>,
-}
 
 /// A line of a stream.
 #[derive(Debug, Serialize, Deserialize)]
@@ -102,17 +90,16 @@ pub(super) async fn set_target(
     headers: HeaderMap,
     bytes: Bytes,
 ) -> Result<Response, Problem> {
-    let object = body::object(&bytes)?;
+    let mut object = body::object(&bytes)?;
     let names = |detail: String| body::unusable(detail).allowing(Target::NAMES);
-    let target = object.get("target").cloned().ok_or_else(|| {
+    let target = object.remove("target").ok_or_else(|| {
         names("the body must have a target, such as \"target\": {\"skip_rate\": 0.5}, or null for none".to_owned())
     })?;
-    // Read separately, so that only errors of the target list the names of targets.
-    serde_json::from_value::<Option<Target>>(target)
-        .map_err(|error| names(format!("target: {error}")))?;
-    let NewTarget { target, change } = body::rest(object)?;
+    let target: Option<Target> =
+        serde_json::from_value(target).map_err(|error| names(format!("target: {error}")))?;
     let target = target.map(Target::check).transpose();
     let target = target.map_err(|error| names(error.to_string()))?;
+    let change = body::rest(object)?;
     let setting = DesiredSetting::Target(target);
     carry_out(&view, &caller, &headers, setting, change).await
 }
@@ -140,10 +127,10 @@ async fn carry_out(
         )));
     }
     let tuner = Arc::clone(view.tuner()?);
-    let mut change = tuner
+    let change = tuner
         .change(setting, request, &caller.name, unix_milliseconds())
         .await?;
-    if change.lines.is_empty() {
+    if change.nodes.is_empty() {
         return Err(Problem::new(
             StatusCode::NOT_FOUND,
             "no node is selected; GET /api/v1/nodes lists all",
@@ -151,39 +138,33 @@ async fn carry_out(
     }
     let until = Instant::now() + Duration::from_secs_f64(wait);
     let revision = change.revision;
-    if streams {
-        let begin = Some((tuner, change, Vec::new()));
-        let texts = stream::unfold(begin, move |state| async move {
-            let (tuner, mut change, mut known) = state?;
-            let lines = tuner.outcomes(&mut change, until).await;
-            if lines.is_empty() {
-                let last = OrderAnswer {
-                    revision,
-                    counts: counts(known),
-                    nodes: Vec::new(),
-                };
-                return Some((written(&[last]), None));
-            }
-            known.extend(lines.iter().map(|line| line.ask.outcome));
-            Some((written(&lines), Some((tuner, change, known))))
-        });
-        return Ok(([(CONTENT_TYPE, LINES)], Body::from_stream(texts)).into_response());
-    }
-    let mut nodes = Vec::new();
-    loop {
+    let outcomes = stream::unfold((tuner, change), move |(tuner, mut change)| async move {
         let lines = tuner.outcomes(&mut change, until).await;
-        if lines.is_empty() {
-            break;
-        }
-        nodes.extend(lines);
+        (!lines.is_empty()).then_some((lines, (tuner, change)))
+    });
+    if !streams {
+        let mut nodes = outcomes.concat().await;
+        nodes.sort_by(|a, b| a.node.cmp(&b.node));
+        let answer = OrderAnswer {
+            revision,
+            counts: counts(nodes.iter().map(|line| line.ask.outcome)),
+            nodes,
+        };
+        return Ok(Json(answer).into_response());
     }
-    nodes.sort_by(|a, b| a.node.cmp(&b.node));
-    let answer = OrderAnswer {
-        revision,
-        counts: counts(nodes.iter().map(|line| line.ask.outcome)),
-        nodes,
-    };
-    Ok(Json(answer).into_response())
+    let mut known = Vec::new();
+    let texts = (outcomes.map(Some).chain(stream::iter([None]))).map(move |lines| {
+        if let Some(lines) = lines {
+            known.extend(lines.iter().map(|line| line.ask.outcome));
+            return written(&lines);
+        }
+        written(&[OrderAnswer {
+            revision,
+            counts: counts(known.drain(..)),
+            nodes: Vec::new(),
+        }])
+    });
+    Ok(([(CONTENT_TYPE, LINES)], Body::from_stream(texts)).into_response())
 }
 
 /// The lines as JSON.
@@ -192,19 +173,6 @@ fn written<T: Serialize>(lines: &[T]) -> Result<String, serde_json::Error> {
         .iter()
         .map(|line| Ok(serde_json::to_string(line)? + "\n"));
     texts.collect()
-}
-
-/// A change in the history.
-#[derive(Debug, Serialize, Deserialize, ToSchema)]
-pub struct ChangeView {
-    /// The order.
-    #[serde(flatten)]
-    pub change: ChangeRow,
-    /// The number of nodes by outcome.
-    pub counts: BTreeMap<Outcome, usize>,
-    /// The outcome at each node; absent in a list.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub nodes: Vec<ChangeNode>,
 }
 
 /// Changes, the newest first.
@@ -242,30 +210,10 @@ pub(super) async fn changes(
 ) -> Result<Json<Changes>, Problem> {
     let limit = which.limit.unwrap_or(50).clamp(1, MOST);
     let before = which.before.unwrap_or(i64::MAX);
-    let (changes, next) = page(&view, before, which.node.as_deref(), limit).await?;
+    let node = which.node.as_deref();
+    let mut changes = view.store()?.changes(before, node, limit + 1).await?;
+    let next = body::next(&mut changes, limit, |found| found.change.revision);
     Ok(Json(Changes { changes, next }))
-}
-
-/// The newest changes below revision `before`, and the cursor of the next page.
-async fn page(
-    view: &HubView,
-    before: i64,
-    node: Option<&str>,
-    limit: i64,
-) -> Result<(Vec<ChangeView>, Option<i64>), Problem> {
-    let store = view.store()?;
-    let mut found = store.changes(before, node, limit + 1).await?;
-    let next = body::next(&mut found, limit, |change| change.revision);
-    let mut counts = match (found.last(), found.first()) {
-        (Some(last), Some(first)) => store.outcome_counts(last.revision, first.revision).await?,
-        _ => Default::default(),
-    };
-    let shown = found.into_iter().map(|change| ChangeView {
-        counts: counts.remove(&change.revision).unwrap_or_default(),
-        change,
-        nodes: Vec::new(),
-    });
-    Ok((shown.collect(), next))
 }
 
 /// One change with every node
@@ -278,15 +226,15 @@ pub(super) async fn change(
     State(view): State<HubView>,
     Path(number): Path<i64>,
 ) -> Result<Json<ChangeView>, Problem> {
-    let (found, _) = page(&view, number.saturating_add(1), None, 1).await?;
-    let found = found
-        .into_iter()
-        .find(|found| found.change.revision == number);
+    let store = view.store()?;
+    let found = store.changes(number.saturating_add(1), None, 1).await?;
+    let mut found = found.into_iter();
+    let found = found.find(|found| found.change.revision == number);
     let mut found = found.ok_or_else(|| {
         let detail = format!("there is no change {number}");
         Problem::new(StatusCode::NOT_FOUND, detail)
     })?;
-    found.nodes = view.store()?.change_nodes(number).await?;
+    found.nodes = store.change_nodes(number).await?;
     Ok(Json(found))
 }
 

@@ -54,23 +54,19 @@ pub struct Runs {
 async fn page(view: &HubView, kind: &str, which: &Which) -> Result<Json<Runs>, Problem> {
     let limit = which.limit.unwrap_or(20).clamp(1, MOST);
     let before = which.before.unwrap_or(i64::MAX);
-    let mut found = view.tuner()?.list_runs(kind, before, limit + 1).await?;
-    let next = body::next(&mut found, limit, |run| run.id);
-    let runs = found.into_iter().map(|run| {
-        let mut run = run.shown();
+    let mut runs = view.store()?.runs(kind, before, limit + 1).await?;
+    let next = body::next(&mut runs, limit, |run| run.id);
+    for run in &mut runs {
         run.record.clear();
         run.members.clear();
-        run
-    });
-    Ok(Json(Runs {
-        runs: runs.collect(),
-        next,
-    }))
+    }
+    Ok(Json(Runs { runs, next }))
 }
 
 /// A run with its record and its nodes.
 async fn one(view: &HubView, kind: &'static str, id: i64) -> Result<Json<Run>, Problem> {
-    Ok(Json(view.tuner()?.run(kind, id).await?.shown()))
+    let run = view.store()?.run(kind, id).await?;
+    Ok(Json(run.ok_or(RunError::Unknown(kind, id))?))
 }
 
 async fn begin(
@@ -80,7 +76,21 @@ async fn begin(
 ) -> Result<(StatusCode, Json<Run>), Problem> {
     let now = unix_milliseconds();
     let begun = view.tuner()?.begin(kind, &caller.name, now).await?;
-    Ok((StatusCode::CREATED, Json(begun.shown())))
+    Ok((StatusCode::CREATED, Json(begun)))
+}
+
+/// Executes a command, and shows the run after it.
+async fn order(
+    view: &HubView,
+    kind: &'static str,
+    id: i64,
+    command: Command,
+    caller: &Caller,
+) -> Result<Json<Run>, Problem> {
+    view.tuner()?
+        .command(kind, id, command, &caller.name, unix_milliseconds())
+        .await?;
+    one(view, kind, id).await
 }
 
 /// Begins a rollout
@@ -142,10 +152,7 @@ pub(super) async fn command_rollout(
         let detail = format!("`{command}` is not a command of rollouts");
         Problem::new(StatusCode::NOT_FOUND, detail).allowing(Command::ALL.map(Command::name))
     })?;
-    view.tuner()?
-        .command_rollout(id, command, &caller.name, unix_milliseconds())
-        .await?;
-    one(&view, "rollout", id).await
+    order(&view, "rollout", id, command, &caller).await
 }
 
 /// Begins a trial
@@ -204,8 +211,5 @@ pub(super) async fn end_trial(
     Extension(caller): Extension<Caller>,
     Path(id): Path<i64>,
 ) -> Result<Json<Run>, Problem> {
-    view.tuner()?
-        .end_trial(id, &caller.name, unix_milliseconds())
-        .await?;
-    one(&view, "trial", id).await
+    order(&view, "trial", id, Command::Return, &caller).await
 }

@@ -2,15 +2,14 @@
 
 use super::row::{json_text, read_all};
 use super::{Database, Kind, Row, Store, StoreError};
-use crate::desired::DesiredValue;
-use crate::tuning::member::{ChangeNode, Counts, Outcome};
-use crate::tuning::metric::{Figure, Figures, Mean};
-use crate::tuning::run::{Run, Window};
+use crate::tuning::member::{ChangeNode, Outcome};
+use crate::tuning::metric::{BeforeAfter, Figure, Mean};
+use crate::tuning::run::{Measured, Run, Window};
 use crate::tuning::runs::RunKey;
 use albireo_wire::DesiredSetting;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
-use std::collections::HashMap;
+use std::collections::BTreeMap;
 use utoipa::ToSchema;
 
 /// A change: a setting that was ordered for some nodes.
@@ -38,8 +37,25 @@ pub struct ChangeRow {
 #[derive(Deserialize)]
 pub(crate) struct DesiredRow {
     pub(crate) node: String,
+    pub(crate) revision: u64,
+    #[serde(with = "json_text")]
+    pub(crate) setting: DesiredSetting,
+    /// What became of its order; absent if that is no longer stored.
+    pub(crate) outcome: Option<Outcome>,
+}
+
+/// A change in the history.
+#[derive(Debug, Serialize, Deserialize, ToSchema)]
+pub struct ChangeView {
+    /// The order.
     #[serde(flatten)]
-    pub(crate) value: DesiredValue,
+    pub change: ChangeRow,
+    /// The number of nodes by outcome.
+    #[serde(deserialize_with = "json_text::or_value")]
+    pub counts: BTreeMap<Outcome, usize>,
+    /// The outcome at each node; absent in a list.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub nodes: Vec<ChangeNode>,
 }
 
 /// Reads rollouts and trials, which are JSON in one column.
@@ -58,19 +74,19 @@ impl dyn Database + '_ {
     }
 
     /// Stores a change and its nodes under the next revision, and makes its setting the desired one. The revision is
-    /// higher than every earlier one of any hub, and than `above`.
+    /// higher than every earlier one of any hub, and than `above`. Returns it, and the nodes with it.
     pub(crate) fn order(
         &mut self,
-        change: &ChangeRow,
+        mut change: ChangeRow,
         mut nodes: Vec<ChangeNode>,
-        above: i64,
-    ) -> Result<i64, StoreError> {
-        let revision = self.next(
+        above: u64,
+    ) -> Result<(u64, Vec<ChangeNode>), StoreError> {
+        change.revision = self.next(
             "UPDATE counters SET value = CASE WHEN value < $1 THEN $1 ELSE value END + 1 \
              WHERE name = 'revision' RETURNING value",
             above.into(),
         )?;
-        let setting = change.setting;
+        let (revision, setting) = (change.revision.unsigned_abs(), change.setting);
         let desired = (nodes.iter())
             .map(|node| json!({ "node": node.node, "revision": revision, "setting": setting }));
         self.insert(
@@ -79,13 +95,9 @@ impl dyn Database + '_ {
             "ON CONFLICT (node) DO UPDATE SET revision = excluded.revision, \
              setting = excluded.setting WHERE excluded.revision > desired.revision",
         )?;
-        let change = ChangeRow {
-            revision,
-            ..change.clone()
-        };
         self.insert("orders", &[&change], "")?;
         for node in &mut nodes {
-            node.ask.revision = revision.unsigned_abs();
+            node.ask.revision = revision;
         }
         self.outcomes(&nodes)?;
         self.query(
@@ -94,7 +106,7 @@ impl dyn Database + '_ {
              AND node IN (SELECT node FROM order_nodes WHERE revision = $2)",
             &[change.at_ms.into(), revision.into()],
         )?;
-        Ok(revision)
+        Ok((revision, nodes))
     }
 
     /// Removes a node from the list, and drops its desired setting; its clips and its history stay.
@@ -128,19 +140,11 @@ impl dyn Database + '_ {
         driver: &str,
         until_ms: i64,
     ) -> Result<Run, StoreError> {
-        let kind = run.kind.name();
         run.id = self.next(
             "UPDATE counters SET value = value + 1 WHERE name = $1 RETURNING value",
-            kind.into(),
+            run.kind.name().into(),
         )?;
-        let row = json!({
-            "kind": kind,
-            "id": run.id,
-            "driver": driver,
-            "driven_until_ms": until_ms,
-            "state": run,
-        });
-        self.insert("runs", &[row], "")?;
+        self.save_run(&run, driver, Some(until_ms))?;
         Ok(run)
     }
 
@@ -152,29 +156,33 @@ impl dyn Database + '_ {
         driver: &str,
         until_ms: Option<i64>,
     ) -> Result<(), StoreError> {
-        self.query(
-            "UPDATE runs SET ended_ms = $3, state = $4, driver = $5, \
-             driven_until_ms = CASE WHEN $6 > 0 THEN $6 ELSE driven_until_ms END \
-             WHERE kind = $1 AND id = $2 AND (driver = $5 OR $6 > 0)",
-            &[
-                run.kind.name().into(),
-                run.id.into(),
-                run.ended_ms.into(),
-                serde_json::to_string(run)?.into(),
-                driver.into(),
-                until_ms.unwrap_or(0).into(),
-            ],
-        )?;
-        Ok(())
+        let row = json!({
+            "kind": run.kind.name(),
+            "id": run.id,
+            "ended_ms": run.ended_ms,
+            "driver": driver,
+            "driven_until_ms": until_ms.unwrap_or(0),
+            "state": run,
+        });
+        let conflict = "ON CONFLICT (kind, id) DO UPDATE SET ended_ms = excluded.ended_ms, state = excluded.state, \
+                        driver = excluded.driver, driven_until_ms = CASE WHEN excluded.driven_until_ms > 0 \
+                        THEN excluded.driven_until_ms ELSE runs.driven_until_ms END \
+                        WHERE runs.driver = excluded.driver OR excluded.driven_until_ms > 0";
+        self.insert("runs", &[row], conflict).map(drop)
     }
 
-    /// Claims the rollouts and trials whose claims ended before `free_ms`, and renews the claims of `driver`.
+    /// Claims the rollouts and trials whose claims ended before `now_ms`, and renews the claims of `driver`. An SQLite file has
+    /// only one hub, which claims all.
     pub(crate) fn claim_runs(
         &mut self,
         driver: &str,
-        free_ms: i64,
+        now_ms: i64,
         until_ms: i64,
     ) -> Result<Vec<RunKey>, StoreError> {
+        let free_ms = match self.kind() {
+            Kind::Sqlite => i64::MAX,
+            Kind::Postgres => now_ms,
+        };
         let rows = self.query(
             "UPDATE runs SET driver = $1, driven_until_ms = $2 WHERE ended_ms IS NULL \
              AND (driver = $1 OR driven_until_ms < $3) RETURNING kind, id",
@@ -185,17 +193,10 @@ impl dyn Database + '_ {
 }
 
 impl Store {
-    /// The `free_ms` of `claim_runs` at `now_ms`. An SQLite file has only one hub, which claims all.
-    pub(crate) fn claims_free_before(&self, now_ms: i64) -> i64 {
-        match self.0.kind {
-            Kind::Sqlite => i64::MAX,
-            Kind::Postgres => now_ms,
-        }
-    }
-
     /// Desired settings with revisions above `after`.
     pub(crate) async fn desired_after(&self, after: u64) -> Result<Vec<DesiredRow>, StoreError> {
-        let text = "SELECT * FROM desired WHERE revision > $1";
+        let text = "SELECT d.node, d.revision, d.setting, o.outcome FROM desired d LEFT JOIN order_nodes o \
+                    ON o.revision = d.revision AND o.node = d.node WHERE d.revision > $1";
         read_all(self.query(text, vec![after.into()]).await?)
     }
 
@@ -205,47 +206,26 @@ impl Store {
         read_all(self.query(text, vec![revision.into()]).await?)
     }
 
-    /// Orders to nodes whose outcome is open.
-    pub(crate) async fn open_order_nodes(&self) -> Result<Vec<ChangeNode>, StoreError> {
-        let text = "SELECT * FROM order_nodes WHERE outcome IN ('pending', 'waiting', 'timed_out')";
-        read_all(self.query(text, Vec::new()).await?)
-    }
-
     /// The newest changes below revision `before`; only those of `node`, if it is given.
     pub(crate) async fn changes(
         &self,
         before: i64,
         node: Option<&str>,
         limit: i64,
-    ) -> Result<Vec<ChangeRow>, StoreError> {
-        let text = "SELECT * FROM orders WHERE revision < $1 \
-                    AND ($2 = '' OR revision IN (SELECT revision FROM order_nodes WHERE node = $2)) \
-                    ORDER BY revision DESC LIMIT $3";
+    ) -> Result<Vec<ChangeView>, StoreError> {
+        let object = match self.0.kind {
+            Kind::Sqlite => "json_group_object",
+            Kind::Postgres => "jsonb_object_agg",
+        };
+        let text = format!(
+            "SELECT o.*, (SELECT coalesce(CAST({object}(c.outcome, c.nodes) AS TEXT), '{{}}') FROM (SELECT outcome, \
+             count(*) AS nodes FROM order_nodes WHERE revision = o.revision GROUP BY outcome) AS c) AS counts \
+             FROM orders o WHERE o.revision < $1 \
+             AND ($2 = '' OR o.revision IN (SELECT revision FROM order_nodes WHERE node = $2)) \
+             ORDER BY o.revision DESC LIMIT $3"
+        );
         let values = vec![before.into(), node.unwrap_or_default().into(), limit.into()];
         read_all(self.query(text, values).await?)
-    }
-
-    /// The number of nodes by outcome, for each change from revision `from` to `to`.
-    pub(crate) async fn outcome_counts(
-        &self,
-        from: i64,
-        to: i64,
-    ) -> Result<HashMap<i64, Counts>, StoreError> {
-        #[derive(Deserialize)]
-        struct Counted {
-            revision: i64,
-            outcome: Outcome,
-            nodes: usize,
-        }
-        let text = "SELECT revision, outcome, count(*) AS nodes FROM order_nodes \
-                    WHERE revision BETWEEN $1 AND $2 GROUP BY revision, outcome";
-        let rows = self.query(text, vec![from.into(), to.into()]).await?;
-        let mut found: HashMap<i64, Counts> = HashMap::new();
-        for row in read_all::<Counted>(rows)? {
-            let counts = found.entry(row.revision).or_default();
-            counts.insert(row.outcome, row.nodes);
-        }
-        Ok(found)
     }
 
     /// The newest rollouts or trials with numbers below `before`.
@@ -272,11 +252,8 @@ impl Store {
         Ok(found.into_iter().find(|run| run.id == id))
     }
 
-    /// The figures over the clips of each window, by node.
-    pub(crate) async fn clip_sums(
-        &self,
-        windows: &[&Window],
-    ) -> Result<HashMap<String, Figures>, StoreError> {
+    /// Measures the clips of each node in its two windows.
+    pub(crate) async fn measure(&self, windows: &[[Window; 2]]) -> Result<Measured, StoreError> {
         let text = match self.0.kind {
             Kind::Sqlite => concat!(
                 "WITH w AS (SELECT value ->> 'node' AS node, value ->> 'threshold' AS threshold, value ->> 'value' AS value, \
@@ -289,21 +266,30 @@ impl Store {
                 include_str!("sql/clip_sums.sql")
             ),
         };
-        let mut found = HashMap::new();
-        // In chunks, so that a connection for reading is not held for long.
-        for windows in windows.chunks(500) {
-            let values = vec![serde_json::to_string(windows)?.into()];
-            for row in self.query(text, values).await? {
-                let number = |column: String| row.get(&column).and_then(Value::as_f64);
-                let mut figures = Figures::new();
-                for figure in Figure::ALL {
-                    let clips = number(format!("clips_{figure}")).unwrap_or(0.0) as u64;
-                    if let Some(sum) = number(format!("sum_{figure}")).filter(|_| clips > 0) {
-                        figures.insert(figure, Mean { clips, sum });
+        let nodes = windows.iter().map(|[before, _]| before.node.clone());
+        let mut found: Measured = nodes.map(|node| (node, BeforeAfter::default())).collect();
+        for side in [0, 1] {
+            // In chunks, so that a connection for reading is not held for long.
+            for windows in windows.chunks(500) {
+                let windows: Vec<_> = windows.iter().map(|both| &both[side]).collect();
+                let values = vec![serde_json::to_string(&windows)?.into()];
+                for row in self.query(text, values).await? {
+                    let node = row.get("node").and_then(Value::as_str);
+                    let Some(clips) = node.and_then(|node| found.get_mut(node)) else {
+                        continue;
+                    };
+                    let figures = match side {
+                        0 => &mut clips.before,
+                        _ => &mut clips.after,
+                    };
+                    let number = |column: String| row.get(&column).and_then(Value::as_f64);
+                    for figure in Figure::ALL {
+                        let clips = number(format!("clips_{figure}")).unwrap_or(0.0) as u64;
+                        if let Some(sum) = number(format!("sum_{figure}")).filter(|_| clips > 0) {
+                            figures.insert(figure, Mean { clips, sum });
+                        }
                     }
                 }
-                let node = row.get("node").and_then(Value::as_str);
-                found.insert(node.unwrap_or_default().to_owned(), figures);
             }
         }
         Ok(found)

@@ -7,9 +7,13 @@ use crate::presence::NodeView;
 use crate::store::{ChangeRow, StoreError};
 use albireo_wire::DesiredSetting;
 use serde::{Deserialize, Serialize};
-use std::collections::HashSet;
-use tokio::time::{Instant, timeout_at};
+use std::collections::BTreeMap;
+use std::time::Duration;
+use tokio::time::{Instant, sleep_until};
 use utoipa::ToSchema;
+
+/// Interval at which the outcomes of a change are looked up for its caller.
+const OUTCOMES_EVERY: Duration = Duration::from_millis(100);
 
 /// A change of selected nodes. The setting is a further field: the threshold under the policy's name for it, such as
 /// `"u": 5e-4`, or `target`.
@@ -29,17 +33,22 @@ pub struct NewChange {
     pub wait_s: Option<f64>,
 }
 
-/// A change that was ordered, or would be without `dry_run`.
-#[derive(Debug, Default)]
-pub struct Change {
-    /// Its revision; absent in a dry run, and if no node would change.
-    pub(crate) revision: Option<u64>,
-    /// Outcomes that were not reported to the caller yet; those of nodes whose answers are awaited are pending.
-    pub(crate) lines: Vec<ChangeNode>,
+/// The result of a change, and the last line of a stream.
+#[derive(Debug, Default, Serialize, Deserialize, ToSchema)]
+pub struct OrderAnswer {
+    /// Revision of the order: `/api/v1/changes/{revision}` shows its progress. Absent in a dry run, and if no node would change.
+    pub revision: Option<u64>,
+    /// The number of nodes by outcome.
+    pub counts: BTreeMap<Outcome, usize>,
+    /// The outcome at each node; absent in a stream, which had them before.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[schema(required)]
+    pub nodes: Vec<ChangeNode>,
 }
 
 impl Tuner {
-    /// Orders a setting for the selected nodes, or only finds the nodes that would change.
+    /// Orders a setting for the selected nodes, or only finds the nodes that would change. In the answer, nodes whose answers
+    /// are awaited are pending, and nothing is counted yet.
     ///
     /// # Errors
     /// When the database cannot be used: then nothing is ordered.
@@ -49,44 +58,41 @@ impl Tuner {
         request: NewChange,
         who: &str,
         now: Millis,
-    ) -> Result<Change, StoreError> {
-        let mut change = Change::default();
-        let line = |node: &str, outcome, from, detail: &str| ChangeNode {
-            node: node.to_owned(),
-            from,
-            ask: Ask {
-                detail: detail.to_owned(),
+    ) -> Result<OrderAnswer, StoreError> {
+        let mut change = OrderAnswer::default();
+        let mut line = |node: String, from, outcome, detail: String| {
+            let ask = Ask {
+                detail,
                 ..Ask::new(0, now, outcome)
-            },
+            };
+            change.nodes.push(ChangeNode { node, from, ask });
         };
         let taken = self.taken().await?;
-        let mut known = HashSet::new();
         let is_selected = |node: &NodeView| request.select.selects(&node.node, node.labels());
         for node in self.fleet.views(is_selected) {
-            known.insert(node.node.clone());
             let taken = (taken.get(&node.node))
                 .map(|other| format!("takes part in {other}: end or return that first"));
             let refused = taken.or_else(|| self.implausible(node.revision));
-            let refused = refused.or_else(|| unable(&node, setting));
-            let (outcome, detail) = match &refused {
-                Some(detail) => (Outcome::Refused, detail.as_str()),
-                None if self.has_it(&node, setting) => (Outcome::Unchanged, ""),
-                None if !request.dry_run => (Outcome::Pending, ""),
-                None if node.is_reachable() => (Outcome::WouldChange, ""),
+            let (outcome, detail) = match refused.or_else(|| unable(&node, setting)) {
+                Some(detail) => (Outcome::Refused, detail),
+                None if self.has_it(&node, setting) => (Outcome::Unchanged, String::new()),
+                None if !request.dry_run => (Outcome::Pending, String::new()),
+                None if node.is_reachable() => (Outcome::WouldChange, String::new()),
                 None => (
                     Outcome::WouldChange,
-                    "out of reach: it would change when it returns",
+                    "out of reach: it would change when it returns".to_owned(),
                 ),
             };
-            (change.lines).push(line(&node.node, outcome, node.setting(), detail));
+            let from = node.setting();
+            line(node.node, from, outcome, detail);
         }
         for name in request.select.named() {
-            if known.insert(name.to_owned()) {
-                let detail = "no node has that name";
-                (change.lines).push(line(name, Outcome::Refused, None, detail));
+            if self.fleet.view(name).is_none() {
+                let detail = "no node has that name".to_owned();
+                line(name.to_owned(), None, Outcome::Refused, detail);
             }
         }
-        let awaited = (change.lines.iter()).filter(|line| line.ask.outcome == Outcome::Pending);
+        let awaited = (change.nodes.iter()).filter(|line| line.ask.outcome == Outcome::Pending);
         let awaited: Vec<_> = awaited.map(|line| line.node.clone()).collect();
         if !awaited.is_empty() {
             let row = ChangeRow {
@@ -105,32 +111,43 @@ impl Tuner {
 
     /// Waits for outcomes that were not returned yet; at `until` all other nodes get the outcome "pending". Returns nothing once
     /// every node was returned.
-    pub(crate) async fn outcomes(&self, change: &mut Change, until: Instant) -> Vec<ChangeNode> {
+    pub(crate) async fn outcomes(
+        &self,
+        change: &mut OrderAnswer,
+        until: Instant,
+    ) -> Vec<ChangeNode> {
         loop {
-            let looked = self.looked.notified();
             let is_over = Instant::now() >= until;
-            for line in &mut change.lines {
-                if line.ask.outcome == Outcome::Pending {
-                    self.update(line, change.revision.unwrap_or(0));
+            for line in &mut change.nodes {
+                if line.ask.outcome != Outcome::Pending {
+                    continue;
+                }
+                match self.desires.get(&line.node).map(|wanted| wanted.at.ask) {
+                    Some(ask) if Some(ask.revision) == change.revision => line.ask = ask,
+                    Some(_) => line.ask.outcome = Outcome::Superseded,
+                    None => {
+                        line.ask.outcome = Outcome::Missed;
+                        line.ask.detail = "the node was forgotten".to_owned();
+                    }
                 }
                 if line.ask.outcome == Outcome::Pending && is_over {
                     line.ask.detail = "not answered yet".to_owned();
                 }
             }
             let is_known = |line: &mut ChangeNode| is_over || line.ask.outcome != Outcome::Pending;
-            let mut lines: Vec<_> = change.lines.extract_if(.., is_known).collect();
-            if !lines.is_empty() || change.lines.is_empty() {
+            let mut lines: Vec<_> = change.nodes.extract_if(.., is_known).collect();
+            if !lines.is_empty() || change.nodes.is_empty() {
                 lines.sort_by(|a, b| a.node.cmp(&b.node));
                 return lines;
             }
-            let _ = timeout_at(until, looked).await;
+            sleep_until(until.min(Instant::now() + OUTCOMES_EVERY)).await;
         }
     }
 
     /// True if the node has the setting, and no other setting is desired that would replace it. "No target" is compatible with
     /// any desired threshold.
     fn has_it(&self, node: &NodeView, setting: DesiredSetting) -> bool {
-        let desired = (self.desires.get(&node.node)).map(|desired| desired.setting);
+        let desired = (self.desires.get(&node.node)).map(|wanted| wanted.setting);
         let wanted = match setting {
             DesiredSetting::Target(None) => {
                 !matches!(desired, Some(DesiredSetting::Target(Some(_))))
@@ -142,7 +159,7 @@ impl Tuner {
 }
 
 /// The reason that the node cannot have the setting, according to its status; `None` if it can.
-fn unable(node: &NodeView, setting: DesiredSetting) -> Option<String> {
+pub(super) fn unable(node: &NodeView, setting: DesiredSetting) -> Option<String> {
     match setting {
         DesiredSetting::Threshold(wanted) => {
             let name = node.threshold_name().filter(|name| *name != wanted.name)?;

@@ -21,6 +21,7 @@
 use super::metric::{BeforeAfter, Figure};
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, DiscreteCDF, Hypergeometric, StudentsT};
+use statrs::statistics::Statistics;
 use utoipa::ToSchema;
 
 /// Fewest measured nodes in each group.
@@ -76,7 +77,7 @@ pub struct Effect {
     change: f64,
     /// Standard error of `change`.
     error: f64,
-    /// Degrees of freedom of `error`.
+    /// Degrees of freedom of `error`; not a number if that is zero.
     freedom: f64,
 }
 
@@ -85,16 +86,12 @@ impl Effect {
     pub fn of(scale: Scale, changed: &[f64], unchanged: &[f64]) -> Option<Self> {
         let (a, b) = (Typical::of(changed)?, Typical::of(unchanged)?);
         let variance = a.variance + b.variance;
-        let freedom = if variance > 0.0 {
-            variance * variance / (a.variance.powi(2) / a.freedom + b.variance.powi(2) / b.freedom)
-        } else {
-            a.freedom + b.freedom
-        };
         Some(Self {
             scale,
             change: a.mean - b.mean,
             error: variance.sqrt(),
-            freedom,
+            freedom: variance * variance
+                / (a.variance.powi(2) / a.freedom + b.variance.powi(2) / b.freedom),
         })
     }
 
@@ -144,8 +141,7 @@ impl Comparison {
         };
         let (means, own) = measured(changed);
         let (_, others) = measured(unchanged);
-        let average =
-            |side: fn(&(f64, f64)) -> f64| means.iter().map(side).sum::<f64>() / means.len() as f64;
+        let average = |side: fn(&(f64, f64)) -> f64| means.iter().map(side).mean();
         Self {
             nodes: own.len(),
             compared: others.len(),
@@ -172,16 +168,12 @@ impl Typical {
         sorted.sort_by(f64::total_cmp);
         let trimmed = (TRIMMED * count as f64) as usize;
         let kept = &sorted[trimmed..count - trimmed];
-        let (lowest, highest) = (kept[0], kept[kept.len() - 1]);
-        let mean = kept.iter().sum::<f64>() / kept.len() as f64;
-        let pulled_in = || sorted.iter().map(|change| change.clamp(lowest, highest));
-        let center = pulled_in().sum::<f64>() / count as f64;
-        let squares: f64 = pulled_in().map(|change| (change - center).powi(2)).sum();
-        let kept = kept.len() as f64;
+        let pulled_in = (sorted.iter()).map(|change| change.clamp(kept[0], kept[kept.len() - 1]));
+        let freedom = kept.len() as f64 - 1.0;
         Some(Self {
-            mean,
-            variance: squares / (kept * (kept - 1.0)),
-            freedom: kept - 1.0,
+            mean: kept.mean(),
+            variance: pulled_in.variance() * (count as f64 - 1.0) / (freedom * (freedom + 1.0)),
+            freedom,
         })
     }
 }

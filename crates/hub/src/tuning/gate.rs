@@ -20,8 +20,8 @@ pub struct Gate {
     pub metric: Metric,
     /// The bound as written: percent of the value before if relative, else in the metric's unit.
     pub number: f64,
-    /// True if the bound is relative to the value before.
-    pub relative: bool,
+    /// The scale of the bound.
+    pub scale: Scale,
     /// True if the gate passes when no node reports the metric; otherwise it is undecided then.
     pub where_measured: bool,
 }
@@ -30,25 +30,36 @@ impl Gate {
     /// The default gates: the skip rate may fall by 0.05, the energy of a clip may rise by 5 %, the 99th percentile of the
     /// latency by 10 %, the share of degraded frames by 0.01.
     pub fn defaults() -> Vec<Self> {
-        let gate = |metric, number, relative, where_measured| Self {
-            metric,
-            number,
-            relative,
-            where_measured,
-        };
-        vec![
-            gate(Metric::SkipRate, -0.05, false, false),
-            gate(Metric::Joules, 5.0, true, true),
-            gate(Metric::LatencyP99, 10.0, true, false),
-            gate(Metric::Degraded, 0.01, false, false),
-        ]
+        let texts = [
+            "skip_rate>=-0.05",
+            "joules<=+5%?",
+            "latency_p99<=+10%",
+            "degraded<=+0.01",
+        ];
+        texts.iter().filter_map(|text| text.parse().ok()).collect()
     }
 
     /// The bound: a share of the value before if relative, else in the metric's unit.
     fn bound(&self) -> f64 {
-        match self.relative {
-            true => self.number / 100.0,
-            false => self.number,
+        match self.scale {
+            Scale::Relative => self.number / 100.0,
+            Scale::Absolute => self.number,
+        }
+    }
+
+    /// The verdict on an effect.
+    fn judge(&self, effect: &Effect, rates: ErrorRates) -> Verdict {
+        let (fail, pass) = (effect.interval(rates.fail), effect.interval(rates.pass));
+        let bound = self.bound();
+        let (beyond, inside) = if self.metric.more_is_worse() {
+            (fail.lower > bound, pass.upper <= bound)
+        } else {
+            (fail.upper < bound, pass.lower >= bound)
+        };
+        match (beyond, inside) {
+            (true, _) => Verdict::Failed,
+            (_, true) => Verdict::Passed,
+            _ => Verdict::Undecided,
         }
     }
 }
@@ -62,37 +73,31 @@ impl FromStr for Gate {
                 "`{text}` is not a gate: {reason}; write for example `joules<=+5%` or `skip_rate>=-0.05`"
             )
         };
-        let (rest, where_measured) = match text.trim().strip_suffix('?') {
-            Some(rest) => (rest.trim_end(), true),
-            None => (text.trim(), false),
+        let rest = text.trim();
+        let (rest, where_measured) = match rest.strip_suffix('?') {
+            Some(rest) => (rest, true),
+            None => (rest, false),
         };
-        let sides = rest.split_once("<=").or_else(|| rest.split_once(">="));
-        let (name, bound) =
-            sides.ok_or_else(|| fault("it has neither `<=` nor `>=`".to_owned()))?;
-        let metric = Metric::named(name.trim()).ok_or_else(|| {
-            let names = Metric::ALL.map(Metric::name);
-            fault(format!("the metrics are {}", names.join(", ")))
+        let found = Metric::ALL.into_iter().find_map(|metric| {
+            let rest = rest.strip_prefix(metric.name())?.trim_start();
+            Some((metric, rest.strip_prefix(metric.sign())?.trim()))
+        });
+        let (metric, bound) = found.ok_or_else(|| {
+            let begin = Metric::ALL.map(|metric| format!("{metric}{}", metric.sign()));
+            fault(format!("it must begin with one of {}", begin.join(", ")))
         })?;
-        if !rest.contains(metric.sign()) {
-            return Err(fault(format!(
-                "`{metric}` is bounded by `{}`",
-                metric.sign()
-            )));
-        }
-        let bound = bound.trim();
-        let (number, relative) = match bound.strip_suffix('%') {
-            Some(percent) => (percent.trim(), true),
-            None => (bound, false),
+        let (number, scale) = match bound.strip_suffix('%') {
+            Some(percent) => (percent.trim_end(), Scale::Relative),
+            None => (bound, Scale::Absolute),
         };
         let number = number
             .parse()
             .ok()
             .filter(|number: &f64| number.is_finite());
-        let number = number.ok_or_else(|| fault(format!("`{bound}` is not a number")))?;
         Ok(Self {
             metric,
-            number,
-            relative,
+            number: number.ok_or_else(|| fault(format!("`{bound}` is not a number")))?,
+            scale,
             where_measured,
         })
     }
@@ -101,23 +106,26 @@ impl FromStr for Gate {
 impl fmt::Display for Gate {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (metric, sign, number) = (self.metric, self.metric.sign(), self.number);
-        let percent = if self.relative { "%" } else { "" };
+        let percent = match self.scale {
+            Scale::Relative => "%",
+            Scale::Absolute => "",
+        };
         let where_measured = if self.where_measured { "?" } else { "" };
         write!(f, "{metric}{sign}{number:+}{percent}{where_measured}")
     }
 }
 
 named! {
-    /// The verdict of a gate or a stage.
+    /// The verdict of a gate or a stage, the best first.
     pub enum Verdict {
         /// The change is within the bound.
         Passed = "passed",
-        /// The change is beyond the bound.
-        Failed = "failed",
-        /// The interval contains the bound.
-        Undecided = "undecided",
         /// Too few nodes were measured to estimate the change.
         NotMeasured = "not_measured",
+        /// The interval contains the bound.
+        Undecided = "undecided",
+        /// The change is beyond the bound.
+        Failed = "failed",
     }
 }
 
@@ -162,22 +170,18 @@ pub(crate) fn judge(
     rates: ErrorRates,
 ) -> Vec<GateResult> {
     let reported = |figure: &Figure| {
-        (changed.iter())
-            .any(|node| node.before.contains_key(figure) || node.after.contains_key(figure))
+        let mut nodes = changed.iter();
+        nodes.any(|node| node.before.contains_key(figure) || node.after.contains_key(figure))
     };
     let mut results = Vec::new();
     for gate in gates {
-        let scale = if gate.relative {
-            Scale::Relative
-        } else {
-            Scale::Absolute
-        };
         let mut figures: Vec<_> = (gate.metric.figures().filter(reported)).map(Some).collect();
         if figures.is_empty() {
             figures.push(None);
         }
         for figure in figures {
-            let compare = |figure| Comparison::of(figure, scale, changed, unchanged, fewest_clips);
+            let compare =
+                |figure| Comparison::of(figure, gate.scale, changed, unchanged, fewest_clips);
             let found = figure.map(compare).unwrap_or_default();
             results.push(GateResult {
                 gate: *gate,
@@ -188,7 +192,7 @@ pub(crate) fn judge(
                 after: found.means.map(|(_, after)| after),
                 change: found.effect.map(|effect| effect.interval(rates.fail)),
                 verdict: match (found.effect, figure) {
-                    (Some(effect), _) => within(gate, &effect, rates),
+                    (Some(effect), _) => gate.judge(&effect, rates),
                     (None, Some(_)) => Verdict::NotMeasured,
                     (None, None) if gate.where_measured => Verdict::Passed,
                     (None, None) => Verdict::Undecided,
@@ -199,27 +203,10 @@ pub(crate) fn judge(
     results
 }
 
-/// The verdict of all gates together: the worst one, in the order failed, undecided, not measured, passed.
+/// The verdict of all gates together: the worst one.
 pub(crate) fn overall(results: &[GateResult]) -> Verdict {
-    [Verdict::Failed, Verdict::Undecided, Verdict::NotMeasured]
-        .into_iter()
-        .find(|verdict| results.iter().any(|result| result.verdict == *verdict))
-        .unwrap_or(Verdict::Passed)
-}
-
-fn within(gate: &Gate, effect: &Effect, rates: ErrorRates) -> Verdict {
-    let (fail, pass) = (effect.interval(rates.fail), effect.interval(rates.pass));
-    let bound = gate.bound();
-    let (beyond, inside) = if gate.metric.more_is_worse() {
-        (fail.lower > bound, pass.upper <= bound)
-    } else {
-        (fail.upper < bound, pass.lower >= bound)
-    };
-    match (beyond, inside) {
-        (true, _) => Verdict::Failed,
-        (_, true) => Verdict::Passed,
-        _ => Verdict::Undecided,
-    }
+    let verdicts = results.iter().map(|result| result.verdict);
+    verdicts.max().unwrap_or(Verdict::Passed)
 }
 
 #[cfg(test)]

@@ -39,6 +39,13 @@ named! {
     }
 }
 
+impl Outcome {
+    /// True while the node may still report the setting by itself.
+    pub(crate) const fn is_open(self) -> bool {
+        matches!(self, Self::Pending | Self::Waiting | Self::TimedOut)
+    }
+}
+
 /// The number of nodes by outcome.
 pub(crate) type Counts = BTreeMap<Outcome, usize>;
 
@@ -88,33 +95,29 @@ impl Ask {
         patience_ms: Millis,
         now: Millis,
     ) -> bool {
-        use Outcome::{Applied, Pending, Refused, TimedOut, Waiting};
-        if !matches!(self.outcome, Pending | Waiting | TimedOut | Refused) {
+        if !self.outcome.is_open() {
             return false;
         }
-        let has_it = node.revision >= self.revision && node.has(wanted);
         // A node whose policy has no targets accepts the revision and ignores the target.
         let unable = match wanted {
             DesiredSetting::Target(Some(_)) if node.is_reachable() => node.cannot_hold(),
             _ => None,
         };
-        let refused = node
-            .refused()
-            .filter(|(revision, _)| *revision == self.revision);
-        let next = match (self.outcome, unable.or(refused.map(|(_, reason)| reason))) {
-            _ if has_it => Applied,
-            (_, Some(reason)) => {
-                self.detail = reason;
-                Refused
-            }
-            (Refused, None) => Refused,
-            _ if !node.is_reachable() => Waiting,
-            (Waiting, None) => {
-                self.asked_ms = now;
-                Pending
-            }
-            (Pending, None) if now - self.asked_ms < patience_ms => Pending,
-            _ => TimedOut,
+        let refused = node.refused().filter(|refused| refused.0 == self.revision);
+        let next = if node.revision >= self.revision && node.has(wanted) {
+            Outcome::Applied
+        } else if let Some(reason) = unable.or(refused.map(|(_, reason)| reason)) {
+            self.detail = reason;
+            Outcome::Refused
+        } else if !node.is_reachable() {
+            Outcome::Waiting
+        } else if self.outcome == Outcome::Waiting {
+            self.asked_ms = now;
+            Outcome::Pending
+        } else if self.outcome == Outcome::Pending && now - self.asked_ms < patience_ms {
+            Outcome::Pending
+        } else {
+            Outcome::TimedOut
         };
         let is_new = std::mem::replace(&mut self.outcome, next) != next;
         if is_new {
@@ -146,14 +149,12 @@ pub struct Member {
     pub group: usize,
     /// Its value at the beginning.
     pub before: Threshold,
-    /// The value that it should have; absent if it gets no order.
-    pub wanted: Option<Threshold>,
-    /// The value of the last order.
+    /// The value of the last order: first its new one, then its old one; absent if it got none.
     pub asked: Option<Threshold>,
     /// The last order.
     #[serde(flatten)]
     pub ask: Ask,
-    /// True if it is in reach.
+    /// True if it was in reach when the run was stored.
     pub reachable: bool,
     /// True if it was in reach when the present stage began.
     pub was_reachable: bool,
@@ -166,7 +167,6 @@ impl Member {
             node,
             group: 0,
             before,
-            wanted: None,
             asked: None,
             ask: Ask::new(0, 0, Outcome::Untouched),
             reachable,
@@ -174,95 +174,10 @@ impl Member {
         }
     }
 
-    /// Sets the value that it should have.
-    pub(crate) fn want(&mut self, value: Threshold) {
-        self.wanted = Some(value);
-        // Pending until it is asked, so that a phase cannot end before it has begun.
-        self.ask.outcome = Outcome::Pending;
-    }
-
-    /// Returns it to its old value. A node that never got an order keeps its value.
-    pub(crate) fn give_back(&mut self) {
-        if self.asked.is_some() {
-            self.wanted = Some(self.before);
-        } else {
-            self.leave();
-        }
-    }
-
-    /// Excludes it from further orders.
-    pub(crate) fn leave(&mut self) {
-        (self.wanted, self.asked) = (None, None);
-        self.ask.outcome = Outcome::Untouched;
-    }
-
-    /// The value to order next, if any, and true if that is its old value.
-    pub(crate) fn due(&self) -> Option<(Threshold, bool)> {
-        let wanted = self.wanted.filter(|_| self.wanted != self.asked)?;
-        Some((wanted, self.asked.is_some() && wanted == self.before))
-    }
-
-    /// Notes that it was asked.
-    pub(crate) fn asked(&mut self, revision: u64, now: Millis) {
-        self.asked = self.wanted;
-        // A node that missed its order remains listed as missed.
-        let outcome = match self.ask.outcome {
-            Outcome::Missed => Outcome::Missed,
-            _ => Outcome::Pending,
-        };
-        self.ask = Ask::new(revision, now, outcome);
-    }
-
-    /// Updates the outcome from the node's state. Returns true if it changed.
-    pub(crate) fn observe(&mut self, node: &NodeView, patience_ms: Millis, now: Millis) -> bool {
-        self.reachable = node.is_reachable();
-        match self.asked {
-            Some(asked) if self.due().is_none() => {
-                let asked = DesiredSetting::Threshold(asked);
-                (self.ask).observe(node, asked, patience_ms, now)
-            }
-            _ => false,
-        }
-    }
-
     /// When it reported the value, if it did.
     pub(crate) fn applied_ms(&self) -> Option<Millis> {
         (self.ask.outcome == Outcome::Applied).then_some(self.ask.at_ms)
     }
-
-    /// True if it was asked, and has answered or is out of reach.
-    pub(crate) fn is_settled(&self) -> bool {
-        self.due().is_none() && self.ask.outcome != Outcome::Pending
-    }
-}
-
-/// An order that is due: nodes to ask for a value.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Order {
-    /// The value.
-    pub(crate) threshold: Threshold,
-    /// True if it returns the old value.
-    pub(crate) is_return: bool,
-    /// The nodes.
-    pub(crate) nodes: Vec<String>,
-}
-
-/// The members that have to be asked, by value.
-pub(crate) fn due(members: &[Member]) -> Vec<Order> {
-    let mut orders: Vec<Order> = Vec::new();
-    for member in members {
-        let Some(due) = member.due() else { continue };
-        let node = member.node.clone();
-        match (orders.iter_mut()).find(|order| (order.threshold, order.is_return) == due) {
-            Some(order) => order.nodes.push(node),
-            None => orders.push(Order {
-                threshold: due.0,
-                is_return: due.1,
-                nodes: vec![node],
-            }),
-        }
-    }
-    orders
 }
 
 /// Shuffles a list by the algorithm of Fisher and Yates, seeded with `seed`.
@@ -288,12 +203,14 @@ mod tests {
         Threshold::new("u", 3e-4)
     }
 
-    fn asked() -> Member {
-        let mut member = Member::new("n".to_owned(), old(), true);
-        member.want(new());
-        assert!(member.due().is_some());
-        member.asked(7, 0);
-        member
+    /// An order for the new value, of revision 7.
+    fn order() -> Ask {
+        Ask::new(7, 0, Outcome::Pending)
+    }
+
+    fn observe(order: &mut Ask, node: &NodeView, now: Millis) -> &'static str {
+        order.observe(node, DesiredSetting::Threshold(new()), 100, now);
+        order.outcome.name()
     }
 
     #[test]
@@ -311,38 +228,24 @@ mod tests {
             ("refused", reported(true, 6, old(), Some(7)), 10, "refused"),
             ("an older", reported(true, 6, old(), Some(6)), 10, "pending"),
         ] {
-            let mut member = asked();
-            member.observe(&node, 100, at);
-            assert_eq!(member.ask.outcome.name(), expected, "{what}");
+            assert_eq!(observe(&mut order(), &node, at), expected, "{what}");
         }
     }
 
     #[test]
     fn a_node_that_was_offline_has_its_full_time_after_its_return() {
-        let mut member = asked();
+        let mut order = order();
         for (reachable, at, expected) in [
             (false, 50, "waiting"),
             (true, 5_000, "pending"),
             (true, 5_099, "pending"),
             (true, 5_100, "timed_out"),
         ] {
-            member.observe(&reported(reachable, 6, old(), None), 100, at);
-            assert_eq!(member.ask.outcome.name(), expected, "{at}");
+            let node = reported(reachable, 6, old(), None);
+            assert_eq!(observe(&mut order, &node, at), expected, "{at}");
         }
-        member.observe(&reported(true, 7, new(), None), 100, 9_000);
-        assert_eq!(member.applied_ms(), Some(9_000));
-    }
-
-    #[test]
-    fn a_node_that_was_never_asked_has_nothing_to_return_from() {
-        let mut member = Member::new("n".to_owned(), old(), true);
-        member.give_back();
-        assert!(member.due().is_none());
-        let mut member = asked();
-        member.give_back();
-        assert_eq!(member.due(), Some((old(), true)));
-        member.asked(9, 1);
-        member.observe(&reported(true, 9, old(), None), 100, 2);
-        assert_eq!(member.applied_ms(), Some(2));
+        let node = reported(true, 7, new(), None);
+        assert_eq!(observe(&mut order, &node, 9_000), "applied");
+        assert_eq!(order.at_ms, 9_000);
     }
 }

@@ -85,13 +85,6 @@ pub struct Mean {
     pub sum: f64,
 }
 
-impl Mean {
-    /// The mean, if there are at least `fewest` clips.
-    pub(crate) fn of_at_least(self, fewest: u64) -> Option<f64> {
-        (self.clips >= fewest.max(1)).then(|| self.sum / self.clips as f64)
-    }
-}
-
 /// The figures of a node's clips in a window, each over the clips that have it.
 pub type Figures = BTreeMap<Figure, Mean>;
 
@@ -107,7 +100,10 @@ pub struct BeforeAfter {
 impl BeforeAfter {
     /// The means of `figure` before and after, if both windows have at least `fewest` clips.
     pub(crate) fn means(&self, figure: Figure, fewest: u64) -> Option<(f64, f64)> {
-        let mean = |figures: &Figures| figures.get(&figure)?.of_at_least(fewest);
+        let mean = |figures: &Figures| {
+            let mean = figures.get(&figure).filter(|mean| mean.clips >= fewest)?;
+            Some(mean.sum / mean.clips as f64)
+        };
         Some((mean(&self.before)?, mean(&self.after)?))
     }
 

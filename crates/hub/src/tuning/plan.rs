@@ -5,10 +5,8 @@ use super::selector::Selector;
 use albireo_service::config::DAY_S;
 use albireo_wire::Threshold;
 use serde::{Deserialize, Serialize};
-use serde_with::{DeserializeFromStr, SerializeDisplay};
 use std::fmt;
 use std::ops::RangeInclusive;
-use std::str::FromStr;
 use utoipa::ToSchema;
 
 /// The longest time in a plan, seconds.
@@ -18,60 +16,23 @@ const MOST: usize = 20;
 /// Longest reason, bytes.
 const LONGEST_WHY: usize = 500;
 
-/// The number of nodes that have the new value once a stage has begun: a number, or a share of all, rounded up.
-#[derive(Clone, Copy, Debug, PartialEq, DeserializeFromStr, SerializeDisplay)]
-pub enum StageSize {
-    /// A number of nodes.
-    Nodes(usize),
-    /// A share of all nodes, above 0 and at most 1.
-    Share(f64),
-}
-
-impl StageSize {
-    /// The number out of `all`: at least one, at most all.
-    pub fn of(self, all: usize) -> usize {
-        let wanted = match self {
-            Self::Nodes(nodes) => nodes,
-            // A little less, so that a rounding error does not make 10 % of 30 four nodes.
-            Self::Share(share) => (share * all as f64 - 1e-9).ceil() as usize,
-        };
-        wanted.clamp(1, all.max(1))
-    }
-}
-
-impl FromStr for StageSize {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let text = text.trim();
-        let size = match text.strip_suffix('%') {
-            None if text == "all" => Some(Self::Share(1.0)),
-            None => text
-                .parse()
-                .ok()
-                .filter(|nodes| *nodes > 0)
-                .map(Self::Nodes),
-            Some(percent) => {
-                // Rounded to the digits that `Display` writes.
-                let percent = percent.trim().parse::<f64>().ok();
-                let percent = percent.map(|percent| (percent * 1e4).round() / 1e4);
-                (percent.filter(|percent| *percent > 0.0 && *percent <= 100.0))
-                    .map(|percent| Self::Share(percent / 100.0))
+/// The number of nodes out of `all` that a stage's size means, at least one and at most all: a number, a share of all,
+/// rounded up, or `all`. `None` if it is no size.
+pub(crate) fn stage_size(text: &str, all: usize) -> Option<usize> {
+    let text = text.trim();
+    let wanted = match text.strip_suffix('%') {
+        None if text == "all" => all,
+        None => text.parse().ok().filter(|nodes| *nodes > 0)?,
+        Some(percent) => {
+            let percent: f64 = percent.trim().parse().ok()?;
+            if !(percent > 0.0 && percent <= 100.0) {
+                return None;
             }
-        };
-        size.ok_or_else(|| {
-            format!("stages: `{text}` is not the size of a stage; write `1`, `10%` or `all`")
-        })
-    }
-}
-
-impl fmt::Display for StageSize {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Nodes(nodes) => write!(f, "{nodes}"),
-            Self::Share(share) => write!(f, "{}%", (share * 1e6).round() / 1e4),
+            // A little less, so that a rounding error does not make 10 % of 30 four nodes.
+            (percent / 100.0 * all as f64 - 1e-9).ceil() as usize
         }
-    }
+    };
+    Some(wanted.clamp(1, all.max(1)))
 }
 
 /// The reaction of a rollout to a failed gate.
@@ -130,10 +91,9 @@ pub struct RolloutPlan {
     /// The fields that a trial has too.
     #[serde(flatten)]
     pub basics: Basics,
-    /// The number of nodes that have the new value in each stage, earlier stages included. Nodes that the last stage leaves
-    /// out keep the old value, and the last stage is compared with them.
-    #[schema(value_type = Vec<String>)]
-    pub stages: Vec<StageSize>,
+    /// The number of nodes that have the new value in each stage, earlier stages included: `1`, `10%`, `all`. Nodes that the
+    /// last stage leaves out keep the old value, and the last stage is compared with them.
+    pub stages: Vec<String>,
     /// Time that a stage soaks before its gates are judged, seconds.
     pub soak_s: f64,
     /// Further time that a stage soaks if its gates are undecided at the end of the soak, seconds.
@@ -153,10 +113,9 @@ pub struct RolloutPlan {
 
 impl Default for RolloutPlan {
     fn default() -> Self {
-        use StageSize::{Nodes, Share};
         Self {
             basics: Basics::default(),
-            stages: vec![Nodes(1), Share(0.1), Share(0.5), Share(1.0)],
+            stages: ["1", "10%", "50%", "100%"].map(str::to_owned).to_vec(),
             // A day covers all hours.
             soak_s: DAY_S,
             patience_s: 2.0 * DAY_S,
@@ -240,6 +199,11 @@ impl RolloutPlan {
         if !(1..=MOST).contains(&self.stages.len()) {
             return Err(format!("stages: must be from 1 to {MOST} sizes"));
         }
+        if let Some(wrong) = (self.stages.iter()).find(|size| stage_size(size, 1).is_none()) {
+            return Err(format!(
+                "stages: `{wrong}` is not the size of a stage; write `1`, `10%` or `all`"
+            ));
+        }
         self.basics.check()
     }
 
@@ -247,7 +211,7 @@ impl RolloutPlan {
     /// fleet, is left out.
     pub fn stage_ends(&self, all: usize) -> Vec<usize> {
         let mut ends: Vec<usize> = Vec::new();
-        for end in self.stages.iter().map(|size| size.of(all)) {
+        for end in self.stages.iter().filter_map(|size| stage_size(size, all)) {
             if ends.last().is_none_or(|last| *last < end) {
                 ends.push(end);
             }

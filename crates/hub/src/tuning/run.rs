@@ -16,13 +16,14 @@ pub use record::{Entry, LeftOut, StageView, What};
 
 use super::effect::FEWEST_NODES;
 use super::gate::Verdict;
-use super::member::{self, Member, Millis, Order, Outcome, counts, shuffle};
+use super::member::{Ask, Member, Millis, Outcome, counts, shuffle};
 use super::metric::BeforeAfter;
 use super::plan::{Basics, OnFailure, RolloutPlan, TrialPlan};
 use crate::named::named;
 use crate::presence::NodeView;
-use albireo_wire::Threshold;
+use albireo_wire::{DesiredSetting, Threshold};
 use serde::{Deserialize, Serialize};
+use serde_with::skip_serializing_none;
 use std::collections::HashMap;
 use utoipa::ToSchema;
 
@@ -105,6 +106,15 @@ impl Window {
     }
 }
 
+/// An order that is due: nodes to ask for a value.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Order {
+    /// The value.
+    pub(crate) threshold: Threshold,
+    /// The nodes.
+    pub(crate) nodes: Vec<String>,
+}
+
 /// Measurements, by node.
 pub(crate) type Measured = HashMap<String, BeforeAfter>;
 
@@ -142,25 +152,10 @@ impl Kind {
             Self::Trial { plan } => &plan.basics,
         }
     }
-
-    /// The values that the nodes get.
-    pub(crate) fn values(&self) -> &[Threshold] {
-        match self {
-            Self::Rollout { to, .. } => std::slice::from_ref(to),
-            Self::Trial { plan } => &plan.values,
-        }
-    }
-
-    /// Checks the plan.
-    pub(crate) fn check(&self) -> Result<(), String> {
-        match self {
-            Self::Rollout { plan, .. } => plan.check(),
-            Self::Trial { plan } => plan.check(),
-        }
-    }
 }
 
 /// A rollout or a trial: its plan, nodes, phase and record.
+#[skip_serializing_none]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Run {
     /// Its number, among those of its kind.
@@ -191,13 +186,10 @@ pub struct Run {
     /// How often this stage has soaked: once, and once more after each resumed hold.
     pub soaks: u8,
     /// When it was paused; absent unless it is.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub paused_ms: Option<Millis>,
     /// Who ended a trial before its time.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ended_by: Option<String>,
     /// The result of a trial, once it is over; absent if it could not be measured.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub result: Option<TrialResult>,
     /// Its record, oldest entry first; absent in a list.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -233,13 +225,13 @@ impl Run {
         who: &str,
         now: Millis,
     ) -> Result<Self, String> {
-        kind.check()?;
         // The draw depends only on the seed and the nodes.
         nodes.sort_by(|a, b| a.node.cmp(&b.node));
         shuffle(&mut nodes, seed);
         let (mut members, far): (Vec<_>, Vec<_>) = nodes.into_iter().partition(|m| m.reachable);
         match &kind {
             Kind::Rollout { plan, .. } => {
+                plan.check()?;
                 members.extend(far);
                 if members.is_empty() {
                     return Err("select: no selected node can take part".to_owned());
@@ -251,6 +243,7 @@ impl Run {
                 }
             }
             Kind::Trial { plan } => {
+                plan.check()?;
                 let (nodes, values) = (members.len(), plan.values.len());
                 if nodes < values * FEWEST_NODES {
                     return Err(format!(
@@ -285,28 +278,70 @@ impl Run {
             failed_attempts: 0,
             unsaved: false,
         };
-        run.noted(now, What::Begun).who = Some(who.to_owned());
+        run.noted(now, What::Begun, "").who = Some(who.to_owned());
         run.enter_stage(1, now);
         Ok(run)
     }
 
-    /// The orders that are due. The caller calls [`Run::asked`] once an order is in the database.
-    pub(crate) fn due(&self) -> Vec<Order> {
-        // There are orders even after its end: nodes that missed their deadline get the old value.
-        if self.paused_ms.is_some() || self.phase == Phase::Stopped {
-            return Vec::new();
+    /// The value that a member should have now; `None` if it keeps the one that it has.
+    fn wanted(&self, member: &Member) -> Option<Threshold> {
+        match (&self.kind, self.phase) {
+            (_, Phase::Stopped) => None,
+            // A node that never got an order has nothing to return from.
+            (_, Phase::Returning | Phase::Returned) | (Kind::Trial { .. }, Phase::Done) => {
+                member.asked.map(|_| member.before)
+            }
+            (Kind::Trial { plan }, _) => plan.values.get(member.group).copied(),
+            (Kind::Rollout { .. }, _) if member.group >= self.stage => None,
+            // It would not be judged if it got its value after its deadline.
+            _ if member.ask.outcome == Outcome::Missed => Some(member.before),
+            (Kind::Rollout { to, .. }, _) => Some(*to),
         }
-        member::due(&self.members)
+    }
+
+    /// The value of the next order to a member, if any.
+    fn next(&self, member: &Member) -> Option<Threshold> {
+        self.wanted(member)
+            .filter(|_| self.paused_ms.is_none())
+            .filter(|wanted| member.asked != Some(*wanted))
+    }
+
+    /// The orders that are due, even after its end: nodes that missed their deadline get the old value. The caller calls
+    /// [`Run::asked`] once an order is in the database.
+    pub(crate) fn due(&self) -> Vec<Order> {
+        let mut orders: Vec<Order> = Vec::new();
+        for member in &self.members {
+            let Some(threshold) = self.next(member) else {
+                continue;
+            };
+            let node = member.node.clone();
+            match (orders.iter_mut()).find(|order| order.threshold == threshold) {
+                Some(order) => order.nodes.push(node),
+                None => orders.push(Order {
+                    threshold,
+                    nodes: vec![node],
+                }),
+            }
+        }
+        orders
     }
 
     /// Notes that `order` was given, with that revision.
     pub(crate) fn asked(&mut self, order: &Order, revision: u64, now: Millis) {
         self.unsaved = true;
-        for member in &mut self.members {
-            if member.due() == Some((order.threshold, order.is_return)) {
-                member.asked(revision, now);
+        let mut members = std::mem::take(&mut self.members);
+        for member in &mut members {
+            if self.next(member) == Some(order.threshold) {
+                member.asked = Some(order.threshold);
+                // A node that missed its order remains listed as missed.
+                let outcome = match member.ask.outcome {
+                    Outcome::Missed => Outcome::Missed,
+                    _ => Outcome::Pending,
+                };
+                member.ask = Ask::new(revision, now, outcome);
             }
         }
+        self.members = members;
     }
 
     /// True if nothing is left to do.
@@ -314,8 +349,8 @@ impl Run {
         self.phase.has_ended() && self.due().is_empty()
     }
 
-    /// Fills in its stages, for an answer.
-    pub(crate) fn shown(mut self) -> Self {
+    /// Counts the nodes of its stages or groups by outcome.
+    pub(crate) fn count_stages(&mut self) {
         let stage = |group: usize| {
             let members = self.members.iter().filter(|member| member.group == group);
             StageView {
@@ -324,7 +359,6 @@ impl Run {
             }
         };
         self.stages = (0..self.stage_count()).map(stage).collect();
-        self
     }
 
     /// The number of its stages or groups.
@@ -341,8 +375,13 @@ impl Run {
         let now = self.paused_ms.unwrap_or(now);
         let patience = self.patience();
         for member in &mut self.members {
-            if let Some(node) = look(&member.node) {
-                self.unsaved |= member.observe(&node, patience, now);
+            let Some(node) = look(&member.node) else {
+                continue;
+            };
+            member.reachable = node.is_reachable();
+            if let Some(asked) = member.asked {
+                let asked = DesiredSetting::Threshold(asked);
+                self.unsaved |= member.ask.observe(&node, asked, patience, now);
             }
         }
     }
@@ -354,46 +393,36 @@ impl Run {
         }
         self.withdraw_the_missed(now);
         let waited = now - self.since_ms;
-        let all = |is: fn(&Member) -> bool| self.members.iter().all(is);
+        let is_over = waited >= self.lasts();
         match self.phase {
             Phase::Applying => self.applying(waited, now),
-            Phase::Soaking | Phase::Running if waited >= self.lasts() => {
-                return Some(self.windows(now));
-            }
-            Phase::Finishing if all(|m| !is_open(m)) => self.end(Phase::Done, now),
+            Phase::Soaking | Phase::Running if is_over => return Some(self.windows(now)),
+            Phase::Held if is_over => self.go_back("nobody decided in time", now),
+            Phase::Finishing if !self.members.iter().any(is_awaited) => self.end(now),
             // A node that comes and goes must not keep the return open for ever.
-            Phase::Returning if all(Member::is_settled) || waited >= self.lasts() => {
-                self.end(
-                    match self.kind {
-                        Kind::Rollout { .. } => Phase::Returned,
-                        Kind::Trial { .. } => Phase::Done,
-                    },
-                    now,
-                );
-            }
-            Phase::Held if waited >= self.lasts() => {
-                self.go_back("nobody decided in time".to_owned(), now);
-            }
+            Phase::Returning if is_over || self.has_returned() => self.end(now),
             _ => {}
         }
         None
     }
 
+    /// True if every node in reach answered the order that returns its value.
+    fn has_returned(&self) -> bool {
+        let pending = |member: &Member| member.ask.outcome == Outcome::Pending;
+        self.due().is_empty() && !self.members.iter().any(pending)
+    }
+
     fn applying(&mut self, waited: Millis, now: Millis) {
-        let (mut applied, mut failed, mut away, mut open) = (0, 0, 0, 0);
-        for member in self.members.iter().filter(|m| self.is_in_stage(m)) {
-            match member.ask.outcome {
-                Outcome::Applied => applied += 1,
-                Outcome::Refused | Outcome::TimedOut => failed += 1,
-                Outcome::Waiting | Outcome::Missed => away += 1,
-                _ => open += 1,
-            }
-        }
+        let members = self.members.iter().filter(|m| self.is_in_stage(m));
+        let outcomes: Vec<Outcome> = members.map(|member| member.ask.outcome).collect();
         // A node that comes and goes must not delay the others.
-        if open > 0 && waited < 2 * self.patience() {
+        if outcomes.contains(&Outcome::Pending) && waited < 2 * self.patience() {
             return;
         }
-        let away = away + open;
+        let count = |of: &[Outcome]| outcomes.iter().filter(|one| of.contains(one)).count();
+        let applied = count(&[Outcome::Applied]);
+        let failed = count(&[Outcome::Refused, Outcome::TimedOut]);
+        let away = outcomes.len() - applied - failed;
         let counts =
             format!("{applied} applied, {failed} refused or timed out, {away} out of reach");
         let stage = self.stage;
@@ -401,18 +430,18 @@ impl Run {
             if applied == 0 && failed == 0 {
                 // There is no node to measure.
                 if waited >= milliseconds(plan.offline_deadline_s) {
-                    self.hold(format!("no node of stage {stage} returned in time"), now);
+                    self.hold(&format!("no node of stage {stage} returned in time"), now);
                 }
                 return;
             }
-            if f64::from(applied) < plan.fewest_applied * f64::from(applied + failed) {
+            if (applied as f64) < plan.fewest_applied * (applied + failed) as f64 {
                 let reason = format!("too few nodes of stage {stage} applied the value: {counts}");
-                self.fail(reason, now);
+                self.fail(&reason, now);
                 return;
             }
         }
         self.soak(now);
-        self.noted(now, What::Soaking).text = counts;
+        self.noted(now, What::Soaking, &counts);
     }
 
     fn soak(&mut self, now: Millis) {
@@ -421,7 +450,7 @@ impl Run {
             Kind::Rollout { .. } => Phase::Soaking,
             Kind::Trial { .. } => Phase::Running,
         };
-        self.enter(phase, String::new(), now);
+        self.enter(phase, "", now);
     }
 
     /// The duration of the phase, or the time from its beginning to the next measurement.
@@ -442,7 +471,7 @@ impl Run {
     /// asked yet, over the same hours.
     pub(crate) fn windows(&self, now: Millis) -> Vec<[Window; 2]> {
         let baseline = milliseconds(self.kind.basics().baseline_s);
-        let since = self.measured_from(now);
+        let since = self.since_ms;
         let asked = self.members.iter().filter(|m| self.is_in_stage(m));
         let asked = asked.map(|m| m.ask.asked_ms).min().unwrap_or(since);
         let windows = self.members.iter().filter_map(|member| {
@@ -462,20 +491,13 @@ impl Run {
         windows.collect()
     }
 
-    fn measured_from(&self, now: Millis) -> Millis {
-        match self.phase {
-            Phase::Soaking | Phase::Running => self.since_ms,
-            _ => now,
-        }
-    }
-
     /// Notes that a measurement failed; the next tick asks for it again. After many failures a rollout is held, and a trial
     /// ends without a result.
     pub(crate) fn not_measured(&mut self, now: Millis) {
         self.failed_attempts += 1;
         if self.failed_attempts >= ATTEMPTS {
             self.failed_attempts = 0;
-            let reason = "the clips could not be read".to_owned();
+            let reason = "the clips could not be read";
             match self.kind {
                 Kind::Rollout { .. } => self.hold(reason, now),
                 Kind::Trial { .. } => self.go_back(reason, now),
@@ -486,22 +508,19 @@ impl Run {
     /// Applies the requested measurements: a rollout advances, returns or waits; a trial ends.
     pub(crate) fn measured(&mut self, found: &Measured, now: Millis) {
         self.failed_attempts = 0;
-        match &self.kind {
-            Kind::Trial { .. } => self.end_trial(found, None, now),
-            Kind::Rollout { plan, .. } => {
-                let (verdict, text, gates) = self.judge(plan, found);
-                self.looks += 1;
-                let looks = self.looks;
-                let reason = format!("stage {}: {text}", self.stage);
-                let entry = self.noted(now, What::Judged);
-                (entry.text, entry.verdict, entry.gates) = (text, Some(verdict), gates);
-                match verdict {
-                    Verdict::Failed => self.fail(reason, now),
-                    Verdict::Passed | Verdict::NotMeasured if looks >= 2 => self.advance(now),
-                    Verdict::Undecided if looks >= LOOKS => self.hold(reason, now),
-                    _ => {}
-                }
-            }
+        let Kind::Rollout { plan, .. } = &self.kind else {
+            return self.end_trial(found, None, now);
+        };
+        let (verdict, text, gates) = self.judge(plan, found);
+        self.looks += 1;
+        let entry = self.noted(now, What::Judged, &text);
+        (entry.verdict, entry.gates) = (Some(verdict), gates);
+        let reason = format!("stage {}: {text}", self.stage);
+        match verdict {
+            Verdict::Failed => self.fail(&reason, now),
+            Verdict::Passed | Verdict::NotMeasured if self.looks >= 2 => self.advance(now),
+            Verdict::Undecided if self.looks >= LOOKS => self.hold(&reason, now),
+            _ => {}
         }
     }
 
@@ -513,10 +532,8 @@ impl Run {
         if matches!(self.phase, Phase::Applying | Phase::Running) {
             self.result = Some(self.compare(plan, found, now));
             self.ended_by = who.map(str::to_owned);
-            let by = who.map_or("the time is over".to_owned(), |who| {
-                format!("by hand: {who}")
-            });
-            self.go_back(by, now);
+            let by = who.map(|who| format!("by hand: {who}"));
+            self.go_back(by.as_deref().unwrap_or("the time is over"), now);
         }
     }
 
@@ -533,26 +550,25 @@ impl Run {
         use Phase::{Finishing, Held, Returned, Returning};
         let returning = matches!(self.phase, Returning | Returned);
         let (ended, is_held) = (self.phase.has_ended(), self.phase == Held);
+        let is_paused = self.paused_ms.is_some();
         let (what, possible) = match command {
-            Command::Pause => (
-                What::Paused,
-                !ended && !returning && self.paused_ms.is_none(),
-            ),
-            Command::Resume => (What::Resumed, self.paused_ms.is_some() || is_held),
+            Command::Pause => (What::Paused, !ended && !returning && !is_paused),
+            Command::Resume => (What::Resumed, is_paused || is_held),
             Command::Next => (What::Next, !ended && !returning && self.phase != Finishing),
             Command::Return => (What::Return, !returning),
             Command::Stop => (What::Stopped, !ended),
         };
         if !possible {
-            let phase = match self.paused_ms {
-                Some(_) => "paused",
-                None => self.phase.name(),
+            let phase = if is_paused {
+                "paused"
+            } else {
+                self.phase.name()
             };
             return Err(format!(
                 "a rollout that is {phase} does not accept `{command}`"
             ));
         }
-        self.noted(now, what).who = Some(who.to_owned());
+        self.noted(now, what, "").who = Some(who.to_owned());
         if command != Command::Pause {
             self.wake(now);
         }
@@ -561,8 +577,8 @@ impl Run {
             Command::Resume if is_held => self.soak(now),
             Command::Resume => {}
             Command::Next => self.advance(now),
-            Command::Return => self.go_back(format!("by hand: {who}"), now),
-            Command::Stop => self.enter(Phase::Stopped, String::new(), now),
+            Command::Return => self.go_back(&format!("by hand: {who}"), now),
+            Command::Stop => self.enter(Phase::Stopped, "", now),
         }
         Ok(())
     }
@@ -573,7 +589,7 @@ impl Run {
             return;
         };
         self.since_ms += now - paused;
-        for member in self.members.iter_mut().filter(|member| is_open(member)) {
+        for member in self.members.iter_mut().filter(|member| is_awaited(member)) {
             member.ask.asked_ms += now - paused;
         }
     }
@@ -582,28 +598,28 @@ impl Run {
         if self.stage < self.stage_count() {
             self.enter_stage(self.stage + 1, now);
         } else {
-            self.enter(Phase::Finishing, String::new(), now);
+            self.enter(Phase::Finishing, "", now);
         }
     }
 
     fn enter_stage(&mut self, stage: usize, now: Millis) {
         (self.stage, self.soaks) = (stage, 0);
-        self.enter(Phase::Applying, String::new(), now);
+        self.enter(Phase::Applying, "", now);
+        let is_trial = matches!(self.kind, Kind::Trial { .. });
         let mut count = 0;
         for member in &mut self.members {
             member.was_reachable = member.reachable;
-            match &self.kind {
-                Kind::Rollout { to, .. } if member.group + 1 == stage => member.want(*to),
-                Kind::Rollout { .. } => continue,
-                Kind::Trial { plan } => member.want(plan.values[member.group]),
+            if is_trial || member.group + 1 == stage {
+                // Before it is asked, so that the phase cannot end before it has begun.
+                member.ask.outcome = Outcome::Pending;
+                count += 1;
             }
-            count += 1;
         }
         let nodes = if count == 1 { "node" } else { "nodes" };
-        self.noted(now, What::Stage).text = format!("{count} {nodes}");
+        self.noted(now, What::Stage, &format!("{count} {nodes}"));
     }
 
-    fn fail(&mut self, reason: String, now: Millis) {
+    fn fail(&mut self, reason: &str, now: Millis) {
         match &self.kind {
             Kind::Rollout { plan, .. } if plan.on_failure == OnFailure::Hold => {
                 self.hold(reason, now);
@@ -612,47 +628,51 @@ impl Run {
         }
     }
 
-    fn hold(&mut self, reason: String, now: Millis) {
-        self.enter(Phase::Held, reason.clone(), now);
-        self.noted(now, What::Held).text = reason;
+    fn hold(&mut self, reason: &str, now: Millis) {
+        self.enter(Phase::Held, reason, now);
+        self.noted(now, What::Held, reason);
     }
 
-    fn go_back(&mut self, reason: String, now: Millis) {
-        self.members.iter_mut().for_each(Member::give_back);
-        self.enter(Phase::Returning, reason.clone(), now);
-        self.noted(now, What::Returning).text = reason;
+    fn go_back(&mut self, reason: &str, now: Millis) {
+        self.enter(Phase::Returning, reason, now);
+        self.noted(now, What::Returning, reason);
+        for member in self.members.iter_mut().filter(|m| m.asked.is_none()) {
+            member.ask.outcome = Outcome::Untouched;
+        }
     }
 
-    fn end(&mut self, phase: Phase, now: Millis) {
+    fn end(&mut self, now: Millis) {
+        let (phase, what) = match (&self.kind, self.phase) {
+            (Kind::Rollout { .. }, Phase::Returning) => (Phase::Returned, What::Returned),
+            _ => (Phase::Done, What::Done),
+        };
         let without = |m: &&Member| !matches!(m.ask.outcome, Outcome::Applied | Outcome::Untouched);
         let names: Vec<String> = (self.members.iter().filter(without))
             .map(|m| format!("{} {}", m.node, m.ask.outcome))
             .collect();
-        self.enter(phase, self.reason.clone(), now);
-        let what = match phase {
-            Phase::Returned => What::Returned,
-            _ => What::Done,
-        };
-        self.noted(now, what).text = match names.as_slice() {
+        let text = match names.as_slice() {
             [] => "every node reported its value".to_owned(),
             names => format!("without {}", list(names)),
         };
+        self.enter(phase, &self.reason.clone(), now);
+        self.noted(now, what, &text);
     }
 
-    fn enter(&mut self, phase: Phase, reason: String, now: Millis) {
+    fn enter(&mut self, phase: Phase, reason: &str, now: Millis) {
         (self.phase, self.since_ms, self.looks) = (phase, now, 0);
-        self.reason = reason;
+        self.reason = reason.to_owned();
         self.unsaved = true;
     }
 
     /// Leaves out the nodes for which `changed_since` is true: they keep the value that somebody else gave them since
     /// then.
     pub(crate) fn leave_out(&mut self, changed_since: impl Fn(&Member) -> bool) {
-        let asked = self.members.iter_mut().filter(|m| m.asked.is_some());
-        asked.filter(|m| changed_since(m)).for_each(Member::leave);
+        for member in self.members.iter_mut().filter(|m| changed_since(m)) {
+            member.asked = None;
+        }
     }
 
-    /// Withdraws the orders of nodes that missed their deadline: a node that got its value later would not be judged.
+    /// Withdraws the orders of nodes that missed their deadline.
     fn withdraw_the_missed(&mut self, now: Millis) {
         let deadline = match &self.kind {
             Kind::Rollout { plan, .. } if self.phase != Phase::Returning => {
@@ -664,12 +684,11 @@ impl Run {
         for member in &mut self.members {
             if member.ask.outcome == Outcome::Waiting && now - member.ask.asked_ms >= deadline {
                 member.ask.outcome = Outcome::Missed;
-                member.give_back();
                 missed.push(member.node.clone());
             }
         }
         if !missed.is_empty() {
-            self.noted(now, What::Missed).text = list(&missed);
+            self.noted(now, What::Missed, &list(&missed));
         }
     }
 
@@ -688,26 +707,25 @@ impl Run {
     }
 
     /// Adds an entry to the record.
-    fn noted(&mut self, at_ms: Millis, what: What) -> &mut Entry {
+    fn noted(&mut self, at_ms: Millis, what: What, text: &str) -> &mut Entry {
         self.unsaved = true;
         if self.record.len() >= MOST_ENTRIES {
             self.record.remove(0);
         }
-        let stage = self.stage;
         self.record.push_mut(Entry {
             at_ms,
-            stage,
+            stage: self.stage,
             what,
             who: None,
-            text: String::new(),
+            text: text.to_owned(),
             verdict: None,
             gates: Vec::new(),
         })
     }
 }
 
-/// True if the node was asked and has not answered.
-const fn is_open(member: &Member) -> bool {
+/// True if a rollout waits for the node's answer.
+const fn is_awaited(member: &Member) -> bool {
     matches!(member.ask.outcome, Outcome::Pending | Outcome::Waiting)
 }
 

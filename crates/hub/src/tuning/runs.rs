@@ -1,8 +1,8 @@
 //! Drives rollouts and trials: orders their values, measures the clips, and stores their state in the database.
 
+use super::change::unable;
 use super::member::{Member, Millis};
-use super::metric::BeforeAfter;
-use super::run::{Command, Kind, LeftOut, Measured, Run, Window};
+use super::run::{Command, Kind, LeftOut, Run};
 use super::tuner::Tuner;
 use crate::presence::NodeView;
 use crate::store::{ChangeRow, EventRow, StoreError};
@@ -37,13 +37,6 @@ pub(crate) struct RunKey {
 pub(crate) struct Runs {
     running: BTreeMap<RunKey, Run>,
     claimed_ms: Millis,
-}
-
-impl Runs {
-    /// The present state of a stored run: from memory if this hub drives it.
-    fn as_it_is(&self, stored: Run) -> Run {
-        (self.running.get(&stored.key())).cloned().unwrap_or(stored)
-    }
 }
 
 /// The reason that a rollout or trial cannot be begun or commanded.
@@ -99,7 +92,7 @@ impl Tuner {
             writing.insert("events", &[event], "").map(drop)
         });
         written.await?;
-        self.stop_following(node);
+        self.desires.remove(node);
         Ok(())
     }
 
@@ -123,7 +116,8 @@ impl Tuner {
             }
         }
         let seed = kind.basics().seed.unwrap_or(now.unsigned_abs());
-        let run = Run::begin(kind, candidates, seed, who, now).map_err(RunError::Plan)?;
+        let mut run = Run::begin(kind, candidates, seed, who, now).map_err(RunError::Plan)?;
+        run.count_stages();
         let driver = self.driver.clone();
         let written =
             (self.store).write(move |writing| writing.begin_run(run, &driver, now + CLAIM_MS));
@@ -133,25 +127,6 @@ impl Tuner {
         Ok(run)
     }
 
-    /// A rollout or trial as it is now.
-    pub(crate) async fn run(&self, kind: &'static str, id: i64) -> Result<Run, RunError> {
-        let run = self.store.run(kind, id).await?;
-        let run = run.ok_or(RunError::Unknown(kind, id))?;
-        Ok(self.runs.lock().await.as_it_is(run))
-    }
-
-    /// The newest rollouts or trials.
-    pub(crate) async fn list_runs(
-        &self,
-        kind: &str,
-        before: i64,
-        limit: i64,
-    ) -> Result<Vec<Run>, RunError> {
-        let stored = self.store.runs(kind, before, limit).await?;
-        let runs = self.runs.lock().await;
-        Ok(stored.into_iter().map(|run| runs.as_it_is(run)).collect())
-    }
-
     /// The run that a person wants to change: this hub drives it, or it is an ended rollout, which can still be
     /// returned.
     async fn own(
@@ -159,13 +134,14 @@ impl Tuner {
         runs: &Runs,
         kind: &'static str,
         id: i64,
-        returns: bool,
+        command: Command,
     ) -> Result<Run, RunError> {
         let run = self.store.run(kind, id).await?;
         let mut run = run.ok_or(RunError::Unknown(kind, id))?;
         if let Some(run) = runs.running.get(&run.key()) {
             return Ok(run.clone());
         }
+        let returns = command == Command::Return && matches!(run.kind, Kind::Rollout { .. });
         if run.ended_ms.is_none() || !returns {
             return Err(RunError::Conflict(format!(
                 "the {kind} {id} is driven by another hub on the same database, or has ended"
@@ -178,47 +154,40 @@ impl Tuner {
         }
         run.leave_out(|member| {
             (self.desires.get(&member.node))
-                .is_some_and(|desired| desired.revision != member.ask.revision)
+                .is_some_and(|desired| desired.at.ask.revision != member.ask.revision)
         });
         Ok(run)
     }
 
-    /// Executes a command on a rollout.
+    /// Executes a command on a rollout; a trial knows only the return of its values, and has the measurements until now.
     ///
     /// # Errors
-    /// When it is not possible in its phase, another hub drives it, or the database cannot be written.
-    pub async fn command_rollout(
+    /// When it is not possible in its phase, another hub drives it, or the database cannot be used.
+    pub async fn command(
         &self,
+        kind: &'static str,
         id: i64,
         command: Command,
         who: &str,
         now: Millis,
     ) -> Result<(), RunError> {
         let mut runs = self.runs.lock().await;
-        let mut run = self
-            .own(&runs, "rollout", id, command == Command::Return)
-            .await?;
-        run.command(command, who, now).map_err(RunError::Conflict)?;
+        let mut run = self.own(&runs, kind, id, command).await?;
+        match run.kind {
+            Kind::Rollout { .. } => {
+                run.command(command, who, now).map_err(RunError::Conflict)?;
+            }
+            Kind::Trial { .. } => {
+                let found = self.store.measure(&run.windows(now)).await?;
+                run.end_trial(&found, Some(who), now);
+            }
+        }
         // One commit: a hub that is killed must not leave a rollout that is stopped and has not ended.
         self.save(&mut run, true, now).await?;
         match run.ended_ms {
             Some(_) => runs.running.remove(&run.key()),
             None => runs.running.insert(run.key(), run),
         };
-        Ok(())
-    }
-
-    /// Ends a trial before its time, with the measurements until now.
-    ///
-    /// # Errors
-    /// When it has ended, another hub drives it, or the database cannot be used.
-    pub async fn end_trial(&self, id: i64, who: &str, now: Millis) -> Result<(), RunError> {
-        let mut runs = self.runs.lock().await;
-        let mut run = self.own(&runs, "trial", id, false).await?;
-        let found = self.measure(&run.windows(now)).await?;
-        run.end_trial(&found, Some(who), now);
-        self.save(&mut run, true, now).await?;
-        runs.running.insert(run.key(), run);
         Ok(())
     }
 
@@ -247,10 +216,8 @@ impl Tuner {
 
     async fn claim(&self, runs: &mut Runs, now: Millis) -> Result<(), StoreError> {
         let driver = self.driver.clone();
-        let free = self.store.claims_free_before(now);
-        let claimed = self
-            .store
-            .write(move |writing| writing.claim_runs(&driver, free, now + CLAIM_MS));
+        let claimed =
+            (self.store).write(move |writing| writing.claim_runs(&driver, now, now + CLAIM_MS));
         let mine = claimed.await?;
         runs.claimed_ms = now;
         runs.running.retain(|key, _| mine.contains(key));
@@ -258,15 +225,9 @@ impl Tuner {
             if runs.running.contains_key(&key) {
                 continue;
             }
-            match self.store.run(&key.kind, key.id).await {
-                Ok(Some(run)) => {
-                    tracing::info!(kind = key.kind, id = key.id, "resumed");
-                    runs.running.insert(key, run);
-                }
-                Ok(None) => {}
-                Err(error) => {
-                    tracing::error!(%error, kind = key.kind, id = key.id, "cannot be resumed");
-                }
+            if let Some(run) = self.store.run(&key.kind, key.id).await? {
+                tracing::info!(kind = key.kind, id = key.id, "resumed");
+                runs.running.insert(key, run);
             }
         }
         Ok(())
@@ -279,9 +240,10 @@ impl Tuner {
                 revision: 0,
                 at_ms: now,
                 who: run.who.clone(),
-                why: match order.is_return {
-                    true => "the old value returns".to_owned(),
-                    false => run.kind.basics().why.clone(),
+                // While old values return, the reason of that.
+                why: match run.reason.as_str() {
+                    "" => run.kind.basics().why.clone(),
+                    reason => reason.to_owned(),
                 },
                 origin: format!("{} {}", run.kind.name(), run.id),
                 selector: String::new(),
@@ -292,7 +254,7 @@ impl Tuner {
         }
         run.observe(now, |node| self.fleet.view(node));
         if let Some(windows) = run.tick(now) {
-            match self.measure(&windows).await {
+            match self.store.measure(&windows).await {
                 Ok(found) => run.measured(&found, now),
                 Err(error) => {
                     run.not_measured(now);
@@ -306,6 +268,7 @@ impl Tuner {
     /// Stores a run, with the time of its end. `take` makes this hub its driver.
     async fn save(&self, run: &mut Run, take: bool, now: Millis) -> Result<(), StoreError> {
         run.ended_ms = run.has_ended().then(|| run.ended_ms.unwrap_or(now));
+        run.count_stages();
         let (row, driver) = (run.clone(), self.driver.clone());
         let until = take.then_some(now + CLAIM_MS);
         let written = self
@@ -314,21 +277,6 @@ impl Tuner {
         written.await?;
         run.unsaved = false;
         Ok(())
-    }
-
-    /// Measures the clips of each node in its two windows.
-    async fn measure(&self, windows: &[[Window; 2]]) -> Result<Measured, StoreError> {
-        let side = |side: usize| -> Vec<_> { windows.iter().map(|both| &both[side]).collect() };
-        let mut before = self.store.clip_sums(&side(0)).await?;
-        let mut after = self.store.clip_sums(&side(1)).await?;
-        let found = windows.iter().map(|[Window { node, .. }, _]| {
-            let clips = BeforeAfter {
-                before: before.remove(node).unwrap_or_default(),
-                after: after.remove(node).unwrap_or_default(),
-            };
-            (node.clone(), clips)
-        });
-        Ok(found.collect())
     }
 }
 
@@ -346,10 +294,16 @@ fn able(
             "holds the target {target}, which could not be given back: switch it off first"
         ));
     }
-    let name = node.threshold_name();
-    let name = name.ok_or("has not reported a value yet, or its policy has none")?;
-    if kind.values().iter().any(|value| value.name != name) {
-        return Err(format!("the threshold of its policy is `{name}`"));
+    if node.threshold_name().is_none() {
+        return Err("has not reported a value yet, or its policy has none".to_owned());
+    }
+    let value = match kind {
+        Kind::Rollout { to, .. } => Some(to),
+        Kind::Trial { plan } => plan.values.first(),
+    };
+    let why = value.and_then(|value| unable(node, DesiredSetting::Threshold(*value)));
+    if let Some(why) = why {
+        return Err(why);
     }
     match (node.threshold(), kind) {
         (None, _) => Err("its cameras have different values".to_owned()),

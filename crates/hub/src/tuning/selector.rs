@@ -36,19 +36,19 @@ impl Selector {
                  `region=north`"
             )
         };
-        match terms.len() {
-            0 => return Err(fault("", "it is empty")),
-            1..=MOST_TERMS => {}
-            _ => return Err(fault("…", "it has more than 1000 terms")),
+        if terms.is_empty() {
+            return Err(fault("", "it is empty"));
+        }
+        if terms.len() > MOST_TERMS {
+            return Err(fault("…", "it has more than 1000 terms"));
         }
         let read = |term: &T| {
             let term = term.as_ref().trim();
-            match parts(term).try_for_each(|part| part.check()) {
-                Ok(()) => Ok(term.to_owned()),
-                Err(reason) => Err(fault(term, reason)),
-            }
+            (parts(term).try_for_each(|part| part.check()))
+                .map_err(|reason| fault(term, reason))?;
+            Ok(term.to_owned())
         };
-        Ok(Self(terms.iter().map(read).collect::<Result<_, _>>()?))
+        Ok(Self(terms.iter().map(read).collect::<Result<_, String>>()?))
     }
 
     /// True if it selects a node with that name and those labels.

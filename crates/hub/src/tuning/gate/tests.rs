@@ -50,7 +50,8 @@ fn a_gate_is_read_back_as_written() {
         ("joules<=+199999999990%", Metric::Joules, 1_999_999_999.9),
     ] {
         let gate: Gate = text.parse().unwrap();
-        let found = (gate.metric, gate.relative, gate.where_measured);
+        let is_relative = gate.scale == Scale::Relative;
+        let found = (gate.metric, is_relative, gate.where_measured);
         let expected = (metric, text.contains('%'), text.contains('?'));
         assert_eq!(found, expected, "{text}");
         assert!((gate.bound() - bound).abs() < 1e-15 * bound.abs(), "{text}");

@@ -64,17 +64,16 @@ impl Run {
         found: &Measured,
     ) -> (Verdict, String, Vec<GateResult>) {
         let rates = self.error_rates(plan);
-        let changed = self.side(found, |m| self.is_in_stage(m) && m.applied_ms().is_some());
-        let unchanged = self.side(found, |m| self.is_later(m));
-        let fewest = plan.basics.fewest_clips;
+        let (clips, changed) =
+            self.side(found, |m| self.is_in_stage(m) && m.applied_ms().is_some());
+        let (others, unchanged) = self.side(found, |m| self.is_later(m));
         let results = judge(
             &plan.gates,
-            &clips(&changed),
-            &clips(&unchanged),
-            fewest,
+            &clips,
+            &others,
+            plan.basics.fewest_clips,
             rates,
         );
-        let (changed, unchanged) = (silence(&changed), silence(&unchanged));
         let lost = changed.by_chance(unchanged) < rates.fail;
         // If too few nodes can be measured, a stage passes when its nodes applied the value and at most half fell silent.
         let alive = 2 * changed.silent <= changed.nodes && changed.silent < changed.nodes;
@@ -98,21 +97,33 @@ impl Run {
         (verdict, text, results)
     }
 
-    /// The members of one side of a comparison, with their clips.
-    fn side<'a>(&'a self, found: &'a Measured, is: impl Fn(&Member) -> bool) -> Vec<Side<'a>> {
-        let members = self.members.iter().filter(|member| is(member));
-        members
-            .filter_map(|member| Some((member, found.get(&member.node)?)))
-            .collect()
+    /// The clips of the members on one side of a comparison, and how many of them are silent, of those that were in reach
+    /// when the stage began: out of reach now, or with clips before and none since.
+    fn side<'a>(
+        &self,
+        found: &'a Measured,
+        is: impl Fn(&Member) -> bool,
+    ) -> (Vec<&'a BeforeAfter>, Silence) {
+        let (mut side, mut silence) = (Vec::new(), Silence::default());
+        for member in self.members.iter().filter(|member| is(member)) {
+            let Some(clips) = found.get(&member.node) else {
+                continue;
+            };
+            side.push(clips);
+            if member.was_reachable {
+                silence.nodes += 1;
+                silence.silent += u64::from(!member.reachable || clips.fell_silent());
+            }
+        }
+        (side, silence)
     }
 
     /// Compares the groups of a trial with the first.
     pub(super) fn compare(&self, plan: &TrialPlan, found: &Measured, now: Millis) -> TrialResult {
         let intervals = (Figure::ALL.len() * (plan.values.len() - 1)) as f64;
         let miss = (1.0 - plan.basics.confidence) / intervals / 2.0;
-        let nodes = |arm: usize| -> Vec<&BeforeAfter> {
-            clips(&self.side(found, |m| m.group == arm && m.applied_ms().is_some()))
-        };
+        let nodes =
+            |arm: usize| (self.side(found, |m| m.group == arm && m.applied_ms().is_some())).0;
         let first = nodes(0);
         let arm = |(arm, value): (usize, &Threshold)| {
             let own = nodes(arm);
@@ -140,7 +151,7 @@ impl Run {
             }
         };
         TrialResult {
-            from_ms: self.measured_from(now),
+            from_ms: self.since_ms,
             until_ms: now,
             confidence: plan.basics.confidence,
             values: plan.values.iter().enumerate().map(arm).collect(),
@@ -162,23 +173,6 @@ impl Run {
             pass: error / f64::from(LOOKS - 1),
         }
     }
-}
-
-type Side<'a> = (&'a Member, &'a BeforeAfter);
-
-fn clips<'a>(side: &[Side<'a>]) -> Vec<&'a BeforeAfter> {
-    side.iter().map(|(_, clips)| *clips).collect()
-}
-
-/// Counts the silent nodes, of those that were in reach when the stage began: out of reach now, or with clips before and none
-/// since.
-fn silence(side: &[Side<'_>]) -> Silence {
-    let mut silence = Silence::default();
-    for (member, clips) in side.iter().filter(|(member, _)| member.was_reachable) {
-        silence.nodes += 1;
-        silence.silent += u64::from(!member.reachable || clips.fell_silent());
-    }
-    silence
 }
 
 fn named(results: &[GateResult], verdict: Verdict) -> String {

@@ -4,6 +4,7 @@ use super::super::gate::{GateResult, Verdict};
 use super::super::member::{Millis, Outcome};
 use crate::named::named;
 use serde::{Deserialize, Serialize};
+use serde_with::skip_serializing_none;
 use std::collections::BTreeMap;
 use utoipa::ToSchema;
 
@@ -42,6 +43,7 @@ named! {
 }
 
 /// An entry of the record.
+#[skip_serializing_none]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Entry {
     /// When, milliseconds since the Unix epoch.
@@ -51,13 +53,11 @@ pub struct Entry {
     /// Its kind.
     pub what: What,
     /// Who ordered it; absent if the hub did it by itself.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub who: Option<String>,
     /// Details, as text.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub text: String,
     /// The verdict of all gates together.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub verdict: Option<Verdict>,
     /// Each gate with its numbers.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]

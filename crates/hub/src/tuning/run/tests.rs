@@ -2,7 +2,7 @@ mod fleets;
 mod trials;
 
 use super::super::metric::{Figure, Figures, Mean};
-use super::super::plan::StageSize;
+use super::super::plan::stage_size;
 use super::*;
 use crate::presence::reported;
 use proptest::prelude::*;
@@ -199,11 +199,10 @@ fn a_share_is_rounded_up_to_at_least_one_node() {
         ("all", 7, 7),
         ("33.3%", 1000, 333),
     ] {
-        let stage: StageSize = size.parse().unwrap();
-        assert_eq!(stage.of(all), expected, "{size} of {all}");
+        assert_eq!(stage_size(size, all), Some(expected), "{size} of {all}");
     }
     for wrong in ["0", "0%", "101%", "-1", "1.5", "few", "nan%"] {
-        assert!(wrong.parse::<StageSize>().is_err(), "{wrong}");
+        assert_eq!(stage_size(wrong, 10), None, "{wrong}");
     }
     assert_eq!(plan().stage_ends(40), [1, 4, 20, 40]);
     assert_eq!(plan().stage_ends(1), [1]);
@@ -278,7 +277,7 @@ fn a_value_that_kills_nodes_is_undone_even_without_measurements() {
 fn a_last_stage_that_excludes_nodes_is_measured_against_them() {
     let mut world = World::new(40);
     let mut rollout = world.begin(RolloutPlan {
-        stages: ["1", "50%"].map(|s| s.parse().unwrap()).to_vec(),
+        stages: ["1", "50%"].map(str::to_owned).to_vec(),
         ..plan()
     });
     world.run_until(&mut rollout, "done");
@@ -439,10 +438,27 @@ fn after_its_end_a_rollout_only_returns_and_skips_nodes_that_were_changed_since(
 }
 
 #[test]
+fn a_node_that_was_never_asked_has_nothing_to_return_from() {
+    let world = World::new(4);
+    let mut rollout = world.begin(plan());
+    let mut never = rollout.clone();
+    never.command(Command::Return, "ops", 0).unwrap();
+    assert_eq!(never.due(), []);
+    assert!(never.has_returned());
+    let order = rollout.due().remove(0);
+    rollout.asked(&order, 9, 0);
+    rollout.command(Command::Return, "ops", 0).unwrap();
+    let due = rollout.due();
+    assert_eq!((due.len(), &due[0].nodes), (1, &order.nodes));
+    assert_eq!(due[0].threshold, old());
+}
+
+#[test]
 fn an_invalid_plan_is_rejected_with_its_field() {
     type Change = fn(&mut RolloutPlan);
-    let changes: [(&str, Change); 7] = [
+    let changes: [(&str, Change); 8] = [
         ("stages", |plan| plan.stages.clear()),
+        ("stages", |plan| plan.stages.push("few".to_owned())),
         ("held_for_s", |plan| plan.held_for_s = 0.0),
         ("soak_s", |plan| plan.soak_s = f64::NAN),
         ("soak_s", |plan| plan.soak_s = 0.0),
@@ -515,7 +531,7 @@ proptest! {
             }
             let stage = rollout.stage;
             for member in &rollout.members {
-                prop_assert!(member.group < stage || member.wanted != Some(new()));
+                prop_assert!(member.group < stage || rollout.wanted(member) != Some(new()));
             }
         }
         for (i, entry) in rollout.record.iter().enumerate() {

@@ -307,7 +307,7 @@ impl Settings {
                 seed: Some(seed),
                 ..Basics::default()
             },
-            stages: ["1", "all"].map(|size| size.parse().unwrap()).to_vec(),
+            stages: ["1", "all"].map(str::to_owned).to_vec(),
             soak_s,
             patience_s,
             held_for_s,

@@ -130,7 +130,7 @@ struct Ends {
 fn run(nodes: usize, stages: &[&str], driving_hours: f64, change: f64, rollouts: u64) -> Ends {
     let soak = driving_hours / (1.0 - PARKED) * 3600.0;
     let plan = RolloutPlan {
-        stages: stages.iter().map(|size| size.parse().unwrap()).collect(),
+        stages: stages.iter().map(|size| (*size).to_owned()).collect(),
         basics: Basics {
             baseline_s: soak,
             apply_within_s: 7200.0,

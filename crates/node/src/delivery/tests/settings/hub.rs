@@ -149,7 +149,7 @@ impl Hub {
         let at_ms = now.unix_ms;
         self.work(hub.tuner.look(at_ms));
         self.work(hub.tuner.drive(at_ms));
-        self.work(hub.tuner.learn());
+        self.work(hub.tuner.learn(at_ms));
         self.work(hub.tuner.look_for_drift(at_ms));
         self.running = Some(hub);
     }
@@ -172,7 +172,10 @@ impl Hub {
         let many = self.last("rollout");
         if let Some(hub) = self.running.as_ref().filter(|_| many > 0) {
             let id = (which % many).cast_signed() + 1;
-            self.work(hub.tuner.command_rollout(id, command, "ops", now.unix_ms));
+            self.work(
+                hub.tuner
+                    .command("rollout", id, command, "ops", now.unix_ms),
+            );
         }
     }
 
@@ -180,7 +183,10 @@ impl Hub {
         let many = self.last("trial");
         if let Some(hub) = self.running.as_ref().filter(|_| many > 0) {
             let id = (which % many).cast_signed() + 1;
-            self.work(hub.tuner.end_trial(id, "ops", now.unix_ms));
+            self.work(
+                hub.tuner
+                    .command("trial", id, Command::Return, "ops", now.unix_ms),
+            );
         }
     }
 
