@@ -1,20 +1,26 @@
 //! Keeps the desired setting of each node in memory, for answering pulls, and what became of it at the node.
 
+use crate::store::row::json_text;
 use crate::tuning::member::{ChangeNode, Millis};
 use albireo_wire::{Desired, DesiredSetting};
 use parking_lot::RwLock;
+use serde::Deserialize;
 use std::collections::{BTreeMap, HashMap};
 use std::time::{Duration, Instant};
 
 /// The desired setting of a node: a threshold or a target.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize)]
 pub(crate) struct Wanted {
+    #[serde(with = "json_text")]
     pub(crate) setting: DesiredSetting,
     /// The order that gave it: the node, the revision and the outcome.
+    #[serde(flatten)]
     pub(crate) at: ChangeNode,
     /// How often the node was set back since the last order by somebody else, as far as this hub knows.
+    #[serde(skip)]
     pub(crate) set_back: u32,
     /// When the hub noticed that the node drifted; absent unless it has.
+    #[serde(skip)]
     pub(crate) drifted_ms: Option<Millis>,
 }
 

@@ -7,7 +7,6 @@ use crate::ingest::{self, Replies};
 use crate::presence::{NodeView, listen};
 use crate::store::{Store, StoreError};
 use crate::tuning::{self, Tuner};
-use albireo_service::clock::unix_milliseconds;
 use albireo_service::notify::{self, ServiceState};
 use albireo_service::readiness::Readiness;
 use albireo_service::supervise::{Supervisor, TaskFailures};
@@ -180,7 +179,6 @@ async fn parts(config: &HubConfig, view: &HubView) -> Result<(), HubError> {
             listening.notifier.clone(),
             config.tuning.clone(),
             session.zid().to_string(),
-            unix_milliseconds(),
         )
     };
     let tuner = patiently(config, view, opening).await?;

@@ -2,6 +2,7 @@
 
 use super::row::{json_text, read_all};
 use super::{Database, Kind, Row, Store, StoreError};
+use crate::desired::Wanted;
 use crate::tuning::member::{ChangeNode, Outcome};
 use crate::tuning::metric::{BeforeAfter, Figure, Mean};
 use crate::tuning::run::{Measured, Run, Window};
@@ -31,17 +32,6 @@ pub struct ChangeRow {
     /// The ordered setting: a threshold, or a target (null switches it off).
     #[serde(rename = "to", deserialize_with = "json_text::deserialize")]
     pub setting: DesiredSetting,
-}
-
-/// The desired setting of a node.
-#[derive(Deserialize)]
-pub(crate) struct DesiredRow {
-    pub(crate) node: String,
-    pub(crate) revision: u64,
-    #[serde(with = "json_text")]
-    pub(crate) setting: DesiredSetting,
-    /// What became of its order; absent if that is no longer stored.
-    pub(crate) outcome: Option<Outcome>,
 }
 
 /// A change in the history.
@@ -74,21 +64,24 @@ impl dyn Database + '_ {
     }
 
     /// Stores a change and its nodes under the next revision, and makes its setting the desired one. The revision is
-    /// higher than every earlier one of any hub, and than `above`. Returns it, and the nodes with it.
+    /// higher than every earlier one of any hub, and than `above`. Returns the nodes with it.
     pub(crate) fn order(
         &mut self,
         mut change: ChangeRow,
-        mut nodes: Vec<ChangeNode>,
+        mut nodes: Vec<Wanted>,
         above: u64,
-    ) -> Result<(u64, Vec<ChangeNode>), StoreError> {
+    ) -> Result<Vec<Wanted>, StoreError> {
         change.revision = self.next(
             "UPDATE counters SET value = CASE WHEN value < $1 THEN $1 ELSE value END + 1 \
              WHERE name = 'revision' RETURNING value",
             above.into(),
         )?;
-        let (revision, setting) = (change.revision.unsigned_abs(), change.setting);
-        let desired = (nodes.iter())
-            .map(|node| json!({ "node": node.node, "revision": revision, "setting": setting }));
+        for node in &mut nodes {
+            node.at.ask.revision = change.revision.unsigned_abs();
+        }
+        let desired = (nodes.iter()).map(|Wanted { at, setting, .. }| {
+            json!({ "node": at.node, "revision": at.ask.revision, "setting": setting })
+        });
         self.insert(
             "desired",
             &desired.collect::<Vec<_>>(),
@@ -96,17 +89,14 @@ impl dyn Database + '_ {
              setting = excluded.setting WHERE excluded.revision > desired.revision",
         )?;
         self.insert("orders", &[&change], "")?;
-        for node in &mut nodes {
-            node.ask.revision = revision;
-        }
         self.outcomes(&nodes)?;
         self.query(
             "UPDATE order_nodes SET outcome = 'superseded', at_ms = $1 \
              WHERE outcome IN ('pending', 'waiting', 'timed_out') AND revision < $2 \
              AND node IN (SELECT node FROM order_nodes WHERE revision = $2)",
-            &[change.at_ms.into(), revision.into()],
+            &[change.at_ms.into(), change.revision.into()],
         )?;
-        Ok((revision, nodes))
+        Ok(nodes)
     }
 
     /// Removes a node from the list, and drops its desired setting; its clips and its history stay.
@@ -126,49 +116,40 @@ impl dyn Database + '_ {
 
     /// Stores outcomes of orders. An order that has ended since then, for example because its node was forgotten, keeps
     /// its outcome.
-    pub(crate) fn outcomes(&mut self, nodes: &[ChangeNode]) -> Result<(), StoreError> {
+    pub(crate) fn outcomes(&mut self, nodes: &[Wanted]) -> Result<(), StoreError> {
+        let nodes: Vec<&ChangeNode> = nodes.iter().map(|node| &node.at).collect();
         let conflict = "ON CONFLICT (revision, node) DO UPDATE SET outcome = excluded.outcome, \
                         at_ms = excluded.at_ms, detail = excluded.detail \
                         WHERE order_nodes.outcome IN ('pending', 'waiting', 'timed_out')";
-        self.insert("order_nodes", nodes, conflict).map(drop)
+        self.insert("order_nodes", &nodes, conflict).map(drop)
     }
 
-    /// Begins a rollout or trial, driven by `driver`. Returns it with its number.
-    pub(crate) fn begin_run(
+    /// Stores a rollout or trial, and renews the claim of `driver`, unless another hub drives it; nobody drives one that has
+    /// ended. A new one gets its number, which is returned.
+    pub(crate) fn save_run(
         &mut self,
         mut run: Run,
         driver: &str,
         until_ms: i64,
-    ) -> Result<Run, StoreError> {
-        run.id = self.next(
-            "UPDATE counters SET value = value + 1 WHERE name = $1 RETURNING value",
-            run.kind.name().into(),
-        )?;
-        self.save_run(&run, driver, Some(until_ms))?;
-        Ok(run)
-    }
-
-    /// Stores a rollout or trial if `driver` still drives it. With `until_ms`, `driver` drives it from now on, even if
-    /// it has ended.
-    pub(crate) fn save_run(
-        &mut self,
-        run: &Run,
-        driver: &str,
-        until_ms: Option<i64>,
-    ) -> Result<(), StoreError> {
+    ) -> Result<i64, StoreError> {
+        let kind = run.kind.name();
+        if run.id == 0 {
+            let text = "UPDATE counters SET value = value + 1 WHERE name = $1 RETURNING value";
+            run.id = self.next(text, kind.into())?;
+        }
         let row = json!({
-            "kind": run.kind.name(),
+            "kind": kind,
             "id": run.id,
             "ended_ms": run.ended_ms,
             "driver": driver,
-            "driven_until_ms": until_ms.unwrap_or(0),
-            "state": run,
+            "driven_until_ms": until_ms,
+            "state": serde_json::to_string(&run)?,
         });
         let conflict = "ON CONFLICT (kind, id) DO UPDATE SET ended_ms = excluded.ended_ms, state = excluded.state, \
-                        driver = excluded.driver, driven_until_ms = CASE WHEN excluded.driven_until_ms > 0 \
-                        THEN excluded.driven_until_ms ELSE runs.driven_until_ms END \
-                        WHERE runs.driver = excluded.driver OR excluded.driven_until_ms > 0";
-        self.insert("runs", &[row], conflict).map(drop)
+                        driver = excluded.driver, driven_until_ms = excluded.driven_until_ms \
+                        WHERE runs.driver = excluded.driver OR runs.ended_ms IS NOT NULL";
+        self.insert("runs", &[row], conflict)?;
+        Ok(run.id)
     }
 
     /// Claims the rollouts and trials whose claims ended before `now_ms`, and renews the claims of `driver`. An SQLite file has
@@ -193,9 +174,11 @@ impl dyn Database + '_ {
 }
 
 impl Store {
-    /// Desired settings with revisions above `after`.
-    pub(crate) async fn desired_after(&self, after: u64) -> Result<Vec<DesiredRow>, StoreError> {
-        let text = "SELECT d.node, d.revision, d.setting, o.outcome FROM desired d LEFT JOIN order_nodes o \
+    /// Desired settings with revisions above `after`. The outcome of a very old one is no longer stored.
+    pub(crate) async fn desired_after(&self, after: u64) -> Result<Vec<Wanted>, StoreError> {
+        let text = "SELECT d.node, d.revision, d.setting, o.\"from\", coalesce(o.outcome, 'untouched') AS outcome, \
+                    coalesce(o.asked_ms, 0) AS asked_ms, coalesce(o.at_ms, 0) AS at_ms, \
+                    coalesce(o.detail, '') AS detail FROM desired d LEFT JOIN order_nodes o \
                     ON o.revision = d.revision AND o.node = d.node WHERE d.revision > $1";
         read_all(self.query(text, vec![after.into()]).await?)
     }
@@ -254,18 +237,16 @@ impl Store {
 
     /// Measures the clips of each node in its two windows.
     pub(crate) async fn measure(&self, windows: &[[Window; 2]]) -> Result<Measured, StoreError> {
-        let text = match self.0.kind {
-            Kind::Sqlite => concat!(
-                "WITH w AS (SELECT value ->> 'node' AS node, value ->> 'threshold' AS threshold, value ->> 'value' AS value, \
-                 value ->> 'from_ms' AS from_ms, value ->> 'until_ms' AS until_ms FROM json_each($1))\n",
-                include_str!("sql/clip_sums.sql")
-            ),
-            Kind::Postgres => concat!(
-                "WITH w AS (SELECT * FROM jsonb_to_recordset($1::jsonb) \
-                 AS given (node text, threshold text, value text, from_ms bigint, until_ms bigint))\n",
-                include_str!("sql/clip_sums.sql")
-            ),
+        let rows = match self.0.kind {
+            Kind::Sqlite => "json_each($1)",
+            Kind::Postgres => "jsonb_array_elements($1::jsonb)",
         };
+        let text = format!(
+            "WITH w AS (SELECT value ->> 'node' AS node, value ->> 'threshold' AS threshold, value ->> 'value' AS value, \
+             CAST(value ->> 'from_ms' AS BIGINT) AS from_ms, CAST(value ->> 'until_ms' AS BIGINT) AS until_ms \
+             FROM {rows})\n{}",
+            include_str!("sql/clip_sums.sql")
+        );
         let nodes = windows.iter().map(|[before, _]| before.node.clone());
         let mut found: Measured = nodes.map(|node| (node, BeforeAfter::default())).collect();
         for side in [0, 1] {
@@ -273,7 +254,7 @@ impl Store {
             for windows in windows.chunks(500) {
                 let windows: Vec<_> = windows.iter().map(|both| &both[side]).collect();
                 let values = vec![serde_json::to_string(&windows)?.into()];
-                for row in self.query(text, values).await? {
+                for row in self.query(text.clone(), values).await? {
                     let node = row.get("node").and_then(Value::as_str);
                     let Some(clips) = node.and_then(|node| found.get_mut(node)) else {
                         continue;

@@ -56,13 +56,6 @@ pub enum RunError {
     Store(#[from] StoreError),
 }
 
-impl RunError {
-    fn taken(node: &str) -> Self {
-        let text = format!("the node {node} takes part in a rollout or trial");
-        Self::Conflict(format!("{text}: end or return that first"))
-    }
-}
-
 impl Tuner {
     /// The nodes that take part in a rollout or trial of any hub, with its kind and number.
     pub(super) async fn taken(&self) -> Result<HashMap<String, String>, StoreError> {
@@ -83,7 +76,10 @@ impl Tuner {
         // Held to the end, so that no rollout or trial begins with the node before it is forgotten.
         let _runs = self.runs.lock().await;
         if self.taken().await?.contains_key(node) {
-            return Err(RunError::taken(node));
+            let text = format!("the node {node} takes part in a rollout or trial");
+            return Err(RunError::Conflict(format!(
+                "{text}: end or return that first"
+            )));
         }
         let event = EventRow::new(now, "forgotten", node, json!({ "who": who }));
         let forgotten = node.to_owned();
@@ -117,49 +113,14 @@ impl Tuner {
         }
         let seed = kind.basics().seed.unwrap_or(now.unsigned_abs());
         let mut run = Run::begin(kind, candidates, seed, who, now).map_err(RunError::Plan)?;
-        run.count_stages();
-        let driver = self.driver.clone();
-        let written =
-            (self.store).write(move |writing| writing.begin_run(run, &driver, now + CLAIM_MS));
-        let mut run = written.await?;
+        self.save(&mut run, now).await?;
         runs.running.insert(run.key(), run.clone());
         run.left_out = left_out;
         Ok(run)
     }
 
-    /// The run that a person wants to change: this hub drives it, or it is an ended rollout, which can still be
-    /// returned.
-    async fn own(
-        &self,
-        runs: &Runs,
-        kind: &'static str,
-        id: i64,
-        command: Command,
-    ) -> Result<Run, RunError> {
-        let run = self.store.run(kind, id).await?;
-        let mut run = run.ok_or(RunError::Unknown(kind, id))?;
-        if let Some(run) = runs.running.get(&run.key()) {
-            return Ok(run.clone());
-        }
-        let returns = command == Command::Return && matches!(run.kind, Kind::Rollout { .. });
-        if run.ended_ms.is_none() || !returns {
-            return Err(RunError::Conflict(format!(
-                "the {kind} {id} is driven by another hub on the same database, or has ended"
-            )));
-        }
-        let taken = self.taken().await?;
-        let mut members = run.members.iter();
-        if let Some(member) = members.find(|m| taken.contains_key(&m.node)) {
-            return Err(RunError::taken(&member.node));
-        }
-        run.leave_out(|member| {
-            (self.desires.get(&member.node))
-                .is_some_and(|desired| desired.at.ask.revision != member.ask.revision)
-        });
-        Ok(run)
-    }
-
-    /// Executes a command on a rollout; a trial knows only the return of its values, and has the measurements until now.
+    /// Executes a command on a rollout; a trial knows only the return of its values, and has the measurements until now. A
+    /// rollout that has ended can still be returned, without the nodes that were changed since.
     ///
     /// # Errors
     /// When it is not possible in its phase, another hub drives it, or the database cannot be used.
@@ -172,18 +133,31 @@ impl Tuner {
         now: Millis,
     ) -> Result<(), RunError> {
         let mut runs = self.runs.lock().await;
-        let mut run = self.own(&runs, kind, id, command).await?;
-        match run.kind {
-            Kind::Rollout { .. } => {
-                run.command(command, who, now).map_err(RunError::Conflict)?;
-            }
-            Kind::Trial { .. } => {
-                let found = self.store.measure(&run.windows(now)).await?;
-                run.end_trial(&found, Some(who), now);
-            }
+        let found = self.store.run(kind, id).await?;
+        let mut run = found.ok_or(RunError::Unknown(kind, id))?;
+        let is_rollout = matches!(run.kind, Kind::Rollout { .. });
+        if let Some(driven) = runs.running.get(&run.key()) {
+            run = driven.clone();
+        } else if run.ended_ms.is_some() && is_rollout && command == Command::Return {
+            let taken = self.taken().await?;
+            run.leave_out(|member| {
+                let desired = self.desires.get(&member.node);
+                taken.contains_key(&member.node)
+                    || desired.is_some_and(|wanted| wanted.at.ask.revision != member.ask.revision)
+            });
+        } else {
+            return Err(RunError::Conflict(format!(
+                "the {kind} {id} is driven by another hub on the same database, or has ended"
+            )));
+        }
+        if is_rollout {
+            run.command(command, who, now).map_err(RunError::Conflict)?;
+        } else {
+            let found = self.store.measure(&run.windows(now)).await?;
+            run.end_trial(&found, Some(who), now);
         }
         // One commit: a hub that is killed must not leave a rollout that is stopped and has not ended.
-        self.save(&mut run, true, now).await?;
+        self.save(&mut run, now).await?;
         match run.ended_ms {
             Some(_) => runs.running.remove(&run.key()),
             None => runs.running.insert(run.key(), run),
@@ -205,12 +179,12 @@ impl Tuner {
             // A failed run does not stop the others; its progress is saved.
             let advanced = self.advance(run, now).await;
             let saved = match run.unsaved {
-                true => self.save(run, false, now).await,
+                true => self.save(run, now).await,
                 false => Ok(()),
             };
             failed = advanced.and(saved).err().or(failed);
         }
-        (runs.running).retain(|_, run| run.unsaved || !run.has_ended());
+        (runs.running).retain(|_, run| run.unsaved || run.ended_ms.is_none());
         failed.map_or(Ok(()), Err)
     }
 
@@ -265,16 +239,14 @@ impl Tuner {
         Ok(())
     }
 
-    /// Stores a run, with the time of its end. `take` makes this hub its driver.
-    async fn save(&self, run: &mut Run, take: bool, now: Millis) -> Result<(), StoreError> {
+    /// Stores a run, with the time of its end.
+    async fn save(&self, run: &mut Run, now: Millis) -> Result<(), StoreError> {
         run.ended_ms = run.has_ended().then(|| run.ended_ms.unwrap_or(now));
         run.count_stages();
         let (row, driver) = (run.clone(), self.driver.clone());
-        let until = take.then_some(now + CLAIM_MS);
-        let written = self
-            .store
-            .write(move |writing| writing.save_run(&row, &driver, until));
-        written.await?;
+        let written =
+            (self.store).write(move |writing| writing.save_run(row, &driver, now + CLAIM_MS));
+        run.id = written.await?;
         run.unsaved = false;
         Ok(())
     }

@@ -80,18 +80,16 @@ struct Part<'a> {
 
 fn parts(term: &str) -> impl Iterator<Item = Part<'_>> {
     term.split('&').map(|text| {
-        let (negated, text) = match text.trim().strip_prefix('!') {
-            Some(rest) => (true, rest.trim_start()),
-            None => (false, text.trim()),
-        };
-        let (key, pattern) = match text.split_once('=') {
-            Some((key, value)) => (Some(key.trim()), value.trim()),
-            None => (None, text),
+        let text = text.trim();
+        let rest = text.strip_prefix('!');
+        let (key, pattern) = match rest.unwrap_or(text).split_once('=') {
+            Some((key, value)) => (Some(key.trim()), value),
+            None => (None, rest.unwrap_or(text)),
         };
         Part {
-            negated,
+            negated: rest.is_some(),
             key,
-            pattern,
+            pattern: pattern.trim(),
         }
     })
 }

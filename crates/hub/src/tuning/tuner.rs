@@ -82,7 +82,7 @@ pub(crate) async fn follow(tuner: Arc<Tuner>, shutdown: CancellationToken) {
             tuner.look(now).await?;
             if look.is_multiple_of(DRIVE_EVERY) {
                 tuner.drive(now).await?;
-                tuner.learn(now).await?;
+                tuner.learn().await?;
             }
             if look.is_multiple_of(DRIFT_EVERY) {
                 tuner.look_for_drift(now).await?;
@@ -112,7 +112,6 @@ impl Tuner {
         notifier: Notifier,
         config: TuningConfig,
         driver: String,
-        now: Millis,
     ) -> Result<Self, StoreError> {
         let tuner = Self {
             store,
@@ -124,7 +123,7 @@ impl Tuner {
             learned: AtomicU64::new(0),
             runs: tokio::sync::Mutex::default(),
         };
-        tuner.learn(now).await?;
+        tuner.learn().await?;
         Ok(tuner)
     }
 
@@ -144,26 +143,12 @@ impl Tuner {
     ///
     /// # Errors
     /// When the database cannot be read.
-    pub async fn learn(&self, now: Millis) -> Result<(), StoreError> {
+    pub async fn learn(&self) -> Result<(), StoreError> {
         let after = self.learned.load(Ordering::Relaxed);
-        for row in self.store.desired_after(after).await? {
-            let outcome = match row.outcome {
-                // Its time limit begins again.
-                Some(open) if open.is_open() => Outcome::Pending,
-                other => other.unwrap_or(Outcome::Untouched),
-            };
-            let wanted = Wanted {
-                setting: row.setting,
-                at: ChangeNode {
-                    node: row.node,
-                    from: None,
-                    ask: Ask::new(row.revision, now, outcome),
-                },
-                set_back: 0,
-                drifted_ms: None,
-            };
+        for wanted in self.store.desired_after(after).await? {
+            let revision = wanted.at.ask.revision;
+            self.learned.fetch_max(revision, Ordering::Relaxed);
             self.desires.set(wanted, true);
-            self.learned.fetch_max(row.revision, Ordering::Relaxed);
         }
         Ok(())
     }
@@ -190,23 +175,24 @@ impl Tuner {
                 true => Outcome::Pending,
                 false => Outcome::Waiting,
             };
-            asked.push(ChangeNode {
-                node,
-                from: view.setting(),
-                ask: Ask::new(0, now, outcome),
+            asked.push(Wanted {
+                setting,
+                at: ChangeNode {
+                    node,
+                    from: view.setting(),
+                    ask: Ask::new(0, now, outcome),
+                },
+                set_back: u32::from(is_set_back),
+                drifted_ms: None,
             });
         }
         let written = (self.store).write(move |writing| writing.order(change, asked, above));
-        let (revision, asked) = written.await?;
-        for at in asked {
-            let _ = self.notifier.try_send((at.node.clone(), revision));
-            let wanted = Wanted {
-                setting,
-                at,
-                set_back: u32::from(is_set_back),
-                drifted_ms: None,
-            };
+        let mut revision = 0;
+        for wanted in written.await? {
+            revision = wanted.at.ask.revision;
+            let notice = (wanted.at.node.clone(), revision);
             self.desires.set(wanted, is_set_back);
+            let _ = self.notifier.try_send(notice);
         }
         Ok(revision)
     }
@@ -226,7 +212,7 @@ impl Tuner {
             }
         }
         if !answered.is_empty() {
-            let rows: Vec<_> = answered.iter().map(|wanted| wanted.at.clone()).collect();
+            let rows = answered.clone();
             let written = (self.store).write(move |writing| writing.outcomes(&rows));
             written.await?;
         }

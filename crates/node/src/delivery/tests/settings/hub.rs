@@ -80,7 +80,6 @@ impl Hub {
                 sender,
                 TuningConfig::default(),
                 "hub".to_owned(),
-                now.unix_ms,
             );
             Ok::<_, albireo_hub::store::StoreError>((store, tuner.await?))
         };
@@ -149,7 +148,7 @@ impl Hub {
         let at_ms = now.unix_ms;
         self.work(hub.tuner.look(at_ms));
         self.work(hub.tuner.drive(at_ms));
-        self.work(hub.tuner.learn(at_ms));
+        self.work(hub.tuner.learn());
         self.work(hub.tuner.look_for_drift(at_ms));
         self.running = Some(hub);
     }
