@@ -32,15 +32,15 @@ pub struct Desires {
 }
 
 impl Desires {
-    /// Replaces the desired setting of a node by one with a higher revision. A node that `is_set_back` stays listed as drifted
-    /// until it has its setting again.
-    pub(crate) fn set(&self, mut wanted: Wanted, is_set_back: bool) {
+    /// Replaces the desired setting of a node by one with a higher revision. With `keeps_drift` the node stays listed as
+    /// drifted until it has its setting again.
+    pub(crate) fn set(&self, mut wanted: Wanted, keeps_drift: bool) {
         let mut nodes = self.nodes.write();
         if let Some(present) = nodes.get(&wanted.at.node) {
             if present.at.ask.revision >= wanted.at.ask.revision {
                 return;
             }
-            if is_set_back {
+            if keeps_drift {
                 wanted.set_back += present.set_back;
                 wanted.drifted_ms = present.drifted_ms;
             }
@@ -76,9 +76,7 @@ impl Desires {
     /// The answer to a pull of `node`.
     pub fn of(&self, node: &str) -> Desired {
         let until = self.watched.read().get(node).copied();
-        let watched = until
-            .map(|until| until.saturating_duration_since(Instant::now()))
-            .filter(|left| !left.is_zero());
+        let watched = until.and_then(|until| until.checked_duration_since(Instant::now()));
         let nodes = self.nodes.read();
         let wanted = nodes.get(node);
         Desired {

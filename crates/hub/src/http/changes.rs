@@ -43,17 +43,6 @@ pub enum OrderLine {
     Last(OrderAnswer),
 }
 
-/// A target for selected nodes.
-#[derive(Debug, Default, Serialize, Deserialize, ToSchema)]
-pub(super) struct NewTarget {
-    /// Such as `{"skip_rate": 0.5}`; null for no target: the threshold then keeps its value.
-    #[schema(required)]
-    target: Option<Target>,
-    /// The selected nodes.
-    #[serde(flatten)]
-    change: NewChange,
-}
-
 /// Sets a value on selected nodes
 ///
 /// A node has the value once it **reports** the value. With `Accept: application/x-ndjson` the outcome of each node is
@@ -78,10 +67,11 @@ pub(super) async fn set_threshold(
 /// Sets a target on selected nodes instead of a threshold
 ///
 /// A node has the target once it **reports** the target; its status says whether the target is met. A threshold that is
-/// set later, here or at the node, switches the target off. Otherwise this works like `/api/v1/threshold`.
+/// set later, here or at the node, switches the target off; `"target": null` does so and keeps the threshold. Otherwise
+/// this works like `/api/v1/threshold`.
 /// `curl -X PUT -d '{"target": {"skip_rate": 0.5}, "select": ["cam-*"]}' http://127.0.0.1:8090/api/v1/target`
 #[utoipa::path(
-    put, operation_id = "set_target", path = "/api/v1/target", tag = "tuning", request_body = NewTarget,
+    put, operation_id = "set_target", path = "/api/v1/target", tag = "tuning", request_body = NewChange,
     responses((status = 200, body = OrderAnswer))
 )]
 pub(super) async fn set_target(

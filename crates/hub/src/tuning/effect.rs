@@ -97,13 +97,9 @@ impl Effect {
 
     /// The interval that misses the true value with a probability of `miss` on each side.
     pub fn interval(&self, miss: f64) -> Interval {
-        let t = StudentsT::new(0.0, 1.0, self.freedom)
-            .map_or(f64::INFINITY, |t| t.inverse_cdf(1.0 - miss));
-        let half = if self.error > 0.0 {
-            t * self.error
-        } else {
-            0.0
-        };
+        // Without any variance there are no degrees of freedom, and no doubt.
+        let t = StudentsT::new(0.0, 1.0, self.freedom).map_or(0.0, |t| t.inverse_cdf(1.0 - miss));
+        let half = t * self.error;
         Interval {
             estimate: self.scale.shown(self.change),
             lower: self.scale.shown(self.change - half),

@@ -210,12 +210,9 @@ impl RolloutPlan {
     /// The number of `all` nodes that have the new value once each stage has begun. A stage that adds no node, as in a small
     /// fleet, is left out.
     pub fn stage_ends(&self, all: usize) -> Vec<usize> {
-        let mut ends: Vec<usize> = Vec::new();
-        for end in self.stages.iter().filter_map(|size| stage_size(size, all)) {
-            if ends.last().is_none_or(|last| *last < end) {
-                ends.push(end);
-            }
-        }
+        let sizes = self.stages.iter();
+        let mut ends: Vec<usize> = sizes.filter_map(|size| stage_size(size, all)).collect();
+        ends.dedup_by(|end, before| end <= before);
         ends
     }
 }

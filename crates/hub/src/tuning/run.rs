@@ -61,7 +61,7 @@ named! {
 
 impl Phase {
     /// True if it is over: only a return is still possible.
-    const fn has_ended(self) -> bool {
+    pub(crate) const fn has_ended(self) -> bool {
         matches!(self, Self::Done | Self::Returned | Self::Stopped)
     }
 }
@@ -342,11 +342,6 @@ impl Run {
             }
         }
         self.members = members;
-    }
-
-    /// True if nothing is left to do.
-    pub(crate) fn has_ended(&self) -> bool {
-        self.phase.has_ended() && self.due().is_empty()
     }
 
     /// Counts the nodes of its stages or groups by outcome.

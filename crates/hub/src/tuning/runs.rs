@@ -241,7 +241,8 @@ impl Tuner {
 
     /// Stores a run, with the time of its end.
     async fn save(&self, run: &mut Run, now: Millis) -> Result<(), StoreError> {
-        run.ended_ms = run.has_ended().then(|| run.ended_ms.unwrap_or(now));
+        let has_ended = run.phase.has_ended() && run.due().is_empty();
+        run.ended_ms = has_ended.then(|| run.ended_ms.unwrap_or(now));
         run.count_stages();
         let (row, driver) = (run.clone(), self.driver.clone());
         let written =
