@@ -41,7 +41,7 @@ pub struct ChangeView {
     #[serde(flatten)]
     pub change: ChangeRow,
     /// The number of nodes by outcome.
-    #[serde(deserialize_with = "json_text::or_value")]
+    #[serde(deserialize_with = "json_text::deserialize")]
     pub counts: BTreeMap<Outcome, usize>,
     /// The outcome at each node; absent in a list.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
