@@ -106,13 +106,8 @@ impl Configuration for HubConfig {
         self.http.check(&self.tokens, &mut findings);
         self.database.check(&mut findings);
         let (ingest, presence, history) = (&self.ingest, &self.presence, &self.history);
-        let share = ingest.camera_bytes_per_day;
-        findings.count(
-            "database.timeout_ms",
-            self.database.timeout_ms,
-            100,
-            600_000,
-        );
+        let (timeout_ms, share) = (self.database.timeout_ms, ingest.camera_bytes_per_day);
+        findings.count("database.timeout_ms", timeout_ms, 100, 600_000);
         findings.count("ingest.commit_ms", ingest.commit_ms, 0, 10_000);
         findings.count("ingest.camera_bytes_per_day", share, 100_000, 1 << 40);
         for (key, days) in [

@@ -76,14 +76,13 @@ impl Desires {
     /// The answer to a pull of `node`.
     pub fn of(&self, node: &str) -> Desired {
         let until = self.watched.read().get(node).copied();
-        let watched = until.and_then(|until| until.checked_duration_since(Instant::now()));
+        let left = until.and_then(|until| until.checked_duration_since(Instant::now()));
         let nodes = self.nodes.read();
         let wanted = nodes.get(node);
         Desired {
             revision: wanted.map_or(0, |wanted| wanted.at.ask.revision),
             setting: wanted.map(|wanted| wanted.setting),
-            watched_for_s: watched
-                .map(|left| u32::try_from(left.as_secs() + 1).unwrap_or(u32::MAX)),
+            watched_for_s: left.map(|left| u32::try_from(left.as_secs() + 1).unwrap_or(u32::MAX)),
             ..Desired::nothing()
         }
     }

@@ -50,21 +50,14 @@ impl Default for DatabaseConfig {
 impl DatabaseConfig {
     /// The URL without its password and parameters, which may contain a password too.
     pub fn shown(&self) -> String {
-        let Some((scheme, rest)) = self.url.split_once("://") else {
-            return self.url.clone();
+        let mut shown = match self.url.split_once('?') {
+            Some((place, _)) if place.contains("://") => format!("{place}?***"),
+            _ => self.url.clone(),
         };
-        let (place, parameters) = match rest.split_once('?') {
-            Some((place, _)) => (place, "?***"),
-            None => (rest, ""),
-        };
-        let place = match place.rsplit_once('@') {
-            Some((user, host)) => {
-                let user = user.split(':').next().unwrap_or_default();
-                format!("{user}@{host}")
-            }
-            None => place.to_owned(),
-        };
-        format!("{scheme}://{place}{parameters}")
+        for secret in self.passwords() {
+            shown = shown.replace(&format!(":{secret}@"), "@");
+        }
+        shown
     }
 
     /// The passwords in the URL: the user's, and any in the parameters.
@@ -80,24 +73,15 @@ impl DatabaseConfig {
     }
 
     pub(super) fn check(&self, findings: &mut Findings) {
-        let file = self.url.strip_prefix("sqlite:");
-        let postgres = ["postgres://", "postgresql://"]
-            .iter()
-            .any(|scheme| self.url.starts_with(scheme));
-        if !postgres && file.is_none() {
-            findings.add(
-                "database.url",
-                "must be sqlite:FILE or postgres://USER:PASSWORD@HOST/DATABASE",
-            );
-        }
-        if let Some(file) = file
-            && (file.is_empty() || file.contains(":memory:"))
-        {
-            findings.add(
-                "database.url",
-                "names no file: acknowledged reports must survive a restart",
-            );
-        }
+        let fault = match self.url.split_once(':') {
+            Some(("postgres" | "postgresql", place)) if place.starts_with("//") => return,
+            Some(("sqlite", file)) if file.is_empty() || file.contains(":memory:") => {
+                "names no file: acknowledged reports must survive a restart"
+            }
+            Some(("sqlite", _)) => return,
+            _ => "must be sqlite:FILE or postgres://USER:PASSWORD@HOST/DATABASE",
+        };
+        findings.add("database.url", fault);
     }
 }
 
