@@ -2,16 +2,15 @@
 
 use super::HubView;
 use super::body::next;
-use crate::store::{ClipQuery, StoredClip, StoredSetAside};
+use crate::store::{ClipQuery, StoreError, StoredClip, StoredSetAside};
 use albireo_service::http::Problem;
-use axum::Json;
 use axum::body::Body;
 use axum::extract::{Query, State};
 use axum::http::StatusCode;
 use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE};
 use axum::response::{IntoResponse, Response};
-use bytes::Bytes;
-use futures_util::stream;
+use axum::{BoxError, Json};
+use futures_util::{StreamExt, TryStreamExt, stream};
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
@@ -66,44 +65,39 @@ pub(super) async fn csv(
     Query(wanted): Query<ClipQuery>,
 ) -> Result<Response, Problem> {
     check(&wanted)?;
-    let store = view.store()?.clone();
     let left = wanted.limit.unwrap_or(i64::MAX).max(1);
-    // The first page is read before the answer begins, so that the answer to an error has its status.
-    let first = store.clips(&wanted, left.min(MOST)).await?;
-    let state = (store, wanted, first, left, true);
-    let pages = stream::try_unfold(Some(state), |state| async move {
-        let Some((store, mut wanted, mut clips, left, head)) = state else {
-            return Ok(None);
+    let begin = (view.store()?.clone(), wanted, left);
+    let pages = stream::try_unfold(begin, |(store, mut wanted, left)| async move {
+        let clips = store.clips(&wanted, left.min(MOST)).await?;
+        let Some(last) = clips.last() else {
+            return Ok::<_, StoreError>(None);
         };
-        let text = Bytes::from(written(&mut clips, head)?);
-        let (full, left) = (clips.len() as i64 == left.min(MOST), left - MOST);
-        if !full || left <= 0 {
-            return Ok(Some((text, None)));
-        }
-        wanted.cursor = clips.last().map(|clip| clip.id);
-        let next = store.clips(&wanted, left.min(MOST)).await;
-        let next = next.map_err(std::io::Error::other)?;
-        Ok::<_, std::io::Error>(Some((text, Some((store, wanted, next, left, false)))))
+        wanted.cursor = Some(last.id);
+        let left = left - clips.len() as i64;
+        Ok(Some((clips, (store, wanted, left))))
     });
+    // The first page is read before the answer begins, so that the answer to an error has its status.
+    let mut pages = Box::pin(pages);
+    let first = pages.try_next().await?;
+    let pages = stream::iter(first.map(Ok)).chain(pages).enumerate();
+    let texts = pages.map(|(number, clips)| written(clips?, number == 0));
     let headers = [
         (CONTENT_TYPE, "text/csv; charset=utf-8"),
         (CONTENT_DISPOSITION, "attachment; filename=\"clips.csv\""),
     ];
-    Ok((headers, Body::from_stream(pages)).into_response())
+    Ok((headers, Body::from_stream(texts)).into_response())
 }
 
-fn written(clips: &mut [StoredClip], head: bool) -> std::io::Result<Vec<u8>> {
+fn written(clips: Vec<StoredClip>, has_headers: bool) -> Result<Vec<u8>, BoxError> {
     let mut writer = csv::WriterBuilder::new()
-        .has_headers(head)
+        .has_headers(has_headers)
         .from_writer(Vec::new());
     for clip in clips {
         // CSV cannot hold nested fields; the JSON pages have the audit's figures.
-        clip.audit = None;
-        writer.serialize(clip).map_err(std::io::Error::other)?;
+        let audit = None;
+        writer.serialize(StoredClip { audit, ..clip })?;
     }
-    writer
-        .into_inner()
-        .map_err(|error| std::io::Error::other(error.to_string()))
+    Ok(writer.into_inner()?)
 }
 
 /// Selects reports that were set aside.
