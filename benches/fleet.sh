@@ -98,7 +98,7 @@ meter=$!
 wait "$simulator" || true
 if [ -e "$folder/open" ]; then wait "$meter" || true; fi
 if [ -n "${API:-}${SET_U:-}" ]; then wait "$watcher" || true; fi
-curl -s $hub/metrics | grep -E '^albireo_hub_(clips_total|commit_p99|acknowledged_after|nodes\{|batches_refused|reports_missing|database_errors|statuses_overrun|sessions)'
+curl -s $hub/metrics | grep -E '^albireo_hub_(clips_total|commit_p99|acknowledged_after|nodes\{|batches_refused|reports_missing|database_errors|sessions)'
 grep -c 'trying again' "$folder/hub.log" | sed 's/^/hub: warnings of a lost session or database: /' || true
 # What else it warned of, without times, nodes and numbers.
 sed -nE 's/\x1b\[[0-9;]*m//g; s/.* (WARN|ERROR) //p' "$folder/hub.log" | sed -E 's/[0-9]+/N/g' | sort | uniq -c | sort -rn | head -n 5

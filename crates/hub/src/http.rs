@@ -15,23 +15,22 @@ mod runs;
 
 pub use changes::{ChangeView, Changes, OrderAnswer, OrderLine};
 pub use energy::Energy;
-pub(crate) use live::Reach;
 pub use nodes::{NodeDetail, NodeList};
 pub use runs::Runs;
 
 use crate::config::HubConfig;
 use crate::desired::Desires;
 use crate::ingest::IngestCounters;
-use crate::presence::Fleet;
+use crate::presence::{Fleet, Notifier};
 use crate::store::{EnergyBy, Sort, Store, StoreError, StoredEvent};
 use crate::tuning::Tuner;
 use crate::tuning::run::Command;
-use albireo_service::http::{self, Problem, Route, TokenSecurity};
+use albireo_service::http::{self, Problem, TokenSecurity};
 use albireo_service::readiness::Readiness;
 use albireo_wire::{CountersMessage, Desired};
 use axum::http::StatusCode;
 use axum::routing::get;
-use axum::{Extension, Router};
+use axum::{Json, Router};
 use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 use tokio::sync::Semaphore;
@@ -40,6 +39,7 @@ use utoipa::OpenApi as _;
 use utoipa::openapi::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
+use zenoh::Session;
 
 /// The state that all routes share.
 #[derive(Clone, Debug)]
@@ -54,12 +54,12 @@ pub struct HubView {
     pub ingest: Arc<IngestCounters>,
     /// Cancelled when the hub stops.
     pub shutdown: CancellationToken,
-    /// The database, once it is open.
-    pub(crate) opened: Arc<OnceLock<Store>>,
-    /// The tuner, once it runs.
-    pub(crate) tunes: Arc<OnceLock<Arc<Tuner>>>,
-    /// The Zenoh session and the notifier, once the session is open.
-    pub(crate) reaches: Arc<OnceLock<Reach>>,
+    /// Sends notices to nodes.
+    pub(crate) notifier: Notifier,
+    /// The tuner, once the database is open.
+    pub(crate) opened: Arc<OnceLock<Arc<Tuner>>>,
+    /// The Zenoh session, once it is open.
+    pub(crate) session: Arc<OnceLock<Session>>,
     /// The prefix of all keys.
     prefix: Arc<str>,
     /// Limits the number of readers that watch nodes at a time.
@@ -71,16 +71,20 @@ pub struct HubView {
 
 impl HubView {
     /// A hub that knows no node yet.
-    pub fn new(config: &HubConfig, readiness: Readiness, shutdown: CancellationToken) -> Self {
+    pub(crate) fn new(
+        config: &HubConfig,
+        notifier: Notifier,
+        shutdown: CancellationToken,
+    ) -> Self {
         Self {
-            readiness,
+            readiness: Readiness::default(),
             fleet: Arc::new(Fleet::new(&config.presence)),
             desires: Arc::default(),
             ingest: Arc::default(),
             shutdown,
+            notifier,
             opened: Arc::default(),
-            tunes: Arc::default(),
-            reaches: Arc::default(),
+            session: Arc::default(),
             prefix: config.hub.prefix.as_str().into(),
             live: Arc::new(Semaphore::new(live::MOST_LIVE)),
             config: Arc::new(diag::without_secrets(config)),
@@ -96,32 +100,32 @@ impl HubView {
         }
     }
 
-    /// The number of Zenoh peers; `None` before the hub's own session is open.
-    pub(crate) async fn sessions(&self) -> Option<usize> {
-        let reach = self.reaches.get()?;
-        Some(reach.session.info().transports().await.count())
+    /// Notifies `node` that it should pull.
+    pub(crate) fn notify(&self, node: &str) {
+        let notice = (node.to_owned(), self.desires.of(node).revision);
+        let _ = self.notifier.try_send(notice);
     }
 
     /// The tuner.
     ///
     /// # Errors
-    /// A problem document while it does not run yet.
+    /// A problem document while the database is not open yet.
     pub(crate) fn tuner(&self) -> Result<&Arc<Tuner>, Problem> {
-        attached(&self.tunes, "the hub is not ready yet")
+        attached(&self.opened, "the database")
     }
 
     /// The database.
     ///
     /// # Errors
     /// A problem document while it is not open yet.
-    pub fn store(&self) -> Result<&Store, Problem> {
-        attached(&self.opened, "the database is not open yet")
+    pub(crate) fn store(&self) -> Result<&Store, Problem> {
+        Ok(&self.tuner()?.store)
     }
 }
 
-fn attached<'a, T>(part: &'a OnceLock<T>, missing: &str) -> Result<&'a T, Problem> {
+fn attached<'a, T>(part: &'a OnceLock<T>, name: &str) -> Result<&'a T, Problem> {
     part.get().ok_or_else(|| {
-        let detail = format!("{missing}; /readyz says why");
+        let detail = format!("{name} is not open yet; /readyz says why");
         Problem::new(StatusCode::SERVICE_UNAVAILABLE, detail)
     })
 }
@@ -200,14 +204,8 @@ pub fn openapi() -> OpenApi {
 
 /// Returns all routes, with their description.
 pub(crate) fn router(view: HubView) -> Router {
-    let (router, openapi) = described();
-    let routes: Arc<[Route]> = http::routes(&openapi).into();
-    let openapi = Arc::new(openapi);
+    let (router, _) = described();
     http::with_page(router, "hub.html")
-        .route(
-            "/openapi.json",
-            get(move || async move { axum::Json(Arc::unwrap_or_clone(openapi)) }),
-        )
-        .layer(Extension(routes))
+        .route("/openapi.json", get(|| async { Json(openapi()) }))
         .with_state(view)
 }

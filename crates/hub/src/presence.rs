@@ -5,17 +5,16 @@ mod fleet;
 mod listen;
 mod news;
 mod node;
-mod state;
 #[cfg(test)]
 mod tests;
 mod today;
 
-pub use fleet::{Fleet, FleetTallies};
+pub use fleet::Fleet;
 pub use listen::Notifier;
-pub(crate) use listen::listen;
+pub(crate) use listen::{NOTICES, listen, send_notices, watch};
 pub use news::News;
-pub use node::NodeView;
 #[cfg(test)]
 pub(crate) use node::tests::reported;
-pub use state::PresenceState;
+pub use node::{NodeView, PresenceState};
 pub use today::TodaysEnergy;
+pub(crate) use today::follow_today;

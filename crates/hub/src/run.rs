@@ -2,21 +2,24 @@
 
 use crate::config::{HubConfig, MAX_PAYLOAD_BYTES};
 use crate::error::HubError;
-use crate::http::{self, HubView, Reach};
+use crate::http::{self, HubView};
 use crate::ingest::{self, Replies};
-use crate::presence::{NodeView, listen};
+use crate::presence::{NOTICES, NodeView, follow_today, listen, send_notices, watch};
 use crate::store::{Store, StoreError};
 use crate::tuning::{self, Tuner};
+use albireo_service::config::ZenohMode;
 use albireo_service::notify::{self, ServiceState};
-use albireo_service::readiness::Readiness;
 use albireo_service::supervise::{Supervisor, TaskFailures};
 use albireo_service::{logging, session};
 use axum::http::Method;
 use parking_lot::Mutex;
 use std::sync::Arc;
+use std::sync::mpsc::{Receiver, sync_channel};
 use std::time::{Duration, Instant};
 use tokio::net::TcpListener;
+use tokio::task::spawn_blocking;
 use tokio_util::sync::CancellationToken;
+use uuid::Uuid;
 
 /// The Zenoh settings of a hub, in addition to the configured ones. The lease is long because many joining nodes can
 /// keep a router busy for 30 s: a session that is lost then declares everything again, which keeps the router busy for
@@ -59,10 +62,10 @@ pub async fn run(
         .local_addr()
         .map_err(HubError::at("the listener has no address"))?;
     config.database.passwords().for_each(logging::conceal);
-    let readiness = Readiness::default();
-    (readiness.part("zenoh")).not_ready("the session is not open yet");
-    (readiness.part("database")).not_ready("it is not open yet");
-    let view = HubView::new(config, readiness, shutdown.clone());
+    let (notifier, notices) = sync_channel(NOTICES);
+    let view = HubView::new(config, notifier, shutdown.clone());
+    (view.readiness.part("zenoh")).not_ready("the session is not open yet");
+    (view.readiness.part("database")).not_ready("it is not open yet");
     // HTTP stops last, so that the state can be read until the end.
     let serving = CancellationToken::new();
     let http = albireo_service::http::run(
@@ -73,15 +76,14 @@ pub async fn run(
         listener,
         serving.clone(),
     );
-    let stopping = shutdown.child_token();
-    let notifier = tokio::spawn(notify::run(service_state(view.clone()), stopping.clone()));
+    let manager = tokio::spawn(notify::run(service_state(view.clone()), shutdown.clone()));
     tracing::info!(
         http = format!("http://{address}"),
         prefix = config.hub.prefix,
         "listening"
     );
     let hub = async {
-        let ended = parts(config, &view).await;
+        let ended = parts(config, &view, notices).await;
         serving.cancel();
         ended
     };
@@ -95,8 +97,7 @@ pub async fn run(
         hub
     );
     // The service manager learns of the stop before the process exits, also after an error.
-    stopping.cancel();
-    let _ = notifier.await;
+    let _ = manager.await;
     hub.and(http)
 }
 
@@ -122,22 +123,31 @@ fn service_state(view: HubView) -> impl Fn() -> ServiceState {
 }
 
 /// Starts the parts in order, waits for the shutdown, and stops them in reverse order.
-async fn parts(config: &HubConfig, view: &HubView) -> Result<(), HubError> {
+async fn parts(
+    config: &HubConfig,
+    view: &HubView,
+    notices: Receiver<(String, u64)>,
+) -> Result<(), HubError> {
     let (readiness, shutdown) = (&view.readiness, &view.shutdown);
     let (database, zenoh) = (readiness.part("database"), readiness.part("zenoh"));
-    // The database may become unreachable again at any moment.
-    let opening = || async {
-        let store = Store::open(&config.database).await?;
-        let nodes = view.fleet.read(&store, Instant::now()).await?;
-        Ok((store, nodes))
+    let (store, tuner) = loop {
+        let error = match open(config, view).await {
+            Ok(opened) => break opened,
+            Err(error) => error,
+        };
+        let shown = config.database.shown();
+        if !error.passes() {
+            return Err(HubError::at(&format!("[database] {shown}"))(error));
+        }
+        tracing::warn!(%error, database = shown, "trying again");
+        database.not_ready(error.to_string());
+        let pause = tokio::time::sleep(DATABASE_RETRY);
+        if shutdown.run_until_cancelled(pause).await.is_none() {
+            return Ok(());
+        }
     };
-    let opened = patiently(config, view, opening).await?;
-    let Some((store, nodes)) = opened else {
-        return Ok(());
-    };
-    tracing::info!(database = store.kind(), nodes, "database opened");
-    // This is the only place that sets it.
-    let _ = view.opened.set(store.clone());
+    tracing::info!(database = store.kind(), "database opened");
+    let _ = view.opened.set(Arc::clone(&tuner));
     database.works();
     let opening = session::open(&config.zenoh, MAX_PAYLOAD_BYTES, SESSION, true, |error| {
         zenoh.not_ready(error.to_string());
@@ -147,6 +157,9 @@ async fn parts(config: &HubConfig, view: &HubView) -> Result<(), HubError> {
         store.close().await;
         return Ok(());
     };
+    let _ = view.session.set(session.clone());
+    let (notified, prefix) = (session.clone(), config.hub.prefix.clone());
+    spawn_blocking(move || send_notices(&notified, &prefix, &notices));
 
     let (replies, replier) = Replies::start(Arc::clone(&view.ingest));
     let (queue, written) = ingest::start(config, view, &store, &replies);
@@ -154,52 +167,24 @@ async fn parts(config: &HubConfig, view: &HubView) -> Result<(), HubError> {
     // service manager restarts it.
     let mut tasks = Supervisor::new(readiness.clone(), TaskFailures::default(), shutdown.clone());
     tasks.essential("writer", written);
-    let (listening, receiving) = listen(config, view, &session, replies).await?;
-    tasks.essential("presence", receiving);
-    let (fleet, history) = (Arc::clone(&view.fleet), store.clone());
-    tasks.until_shutdown("today", async move {
-        fleet.follow_today(&history).await;
-    });
-    let _ = view.reaches.set(Reach {
-        session: session.clone(),
-        notifier: listening.notifier.clone(),
-    });
+    let listening = listen(config, view, &session, replies).await?;
+    let router = (config.zenoh.mode == ZenohMode::Client).then(|| session.clone());
+    tasks.until_shutdown("presence", watch(view.clone(), router));
+    // Logs each change of the health.
+    tasks.until_shutdown("readiness", readiness.clone().watch(Duration::from_secs(1)));
+    let today = follow_today(Arc::clone(&view.fleet), store.clone());
+    tasks.until_shutdown("today", today);
     let reports = session
         .declare_queryable(config.keys()?.report())
         .complete(true)
         .callback(move |query| queue.take(query))
         .await
         .map_err(HubError::at("reports cannot be received"))?;
-    // `None` means that the hub is stopping; batches that were accepted until then are committed below.
-    let opening = || {
-        Tuner::open(
-            store.clone(),
-            view.fleet.clone(),
-            Arc::clone(&view.desires),
-            listening.notifier.clone(),
-            config.tuning.clone(),
-            session.zid().to_string(),
-        )
-    };
-    let tuner = patiently(config, view, opening).await?;
-    database.works();
-    if let Some(tuner) = tuner.map(Arc::new) {
-        let _ = view.tunes.set(Arc::clone(&tuner));
-        tasks.essential("tuning", tuning::follow(tuner, shutdown.clone()));
-    }
+    tasks.essential("tuning", tuning::follow(tuner, shutdown.clone()));
     // Known nodes report their state now instead of at their next interval.
-    view.fleet.each(|NodeView { node, .. }| {
-        let notice = (node.clone(), view.desires.of(node).revision);
-        let _ = listening.notifier.try_send(notice);
-    });
+    (view.fleet).each(|NodeView { node, .. }| view.notify(node));
     zenoh.works();
-    let locators: Vec<String> = session
-        .info()
-        .locators()
-        .await
-        .iter()
-        .map(ToString::to_string)
-        .collect();
+    let locators = session.info().locators().await;
     tracing::info!(zenoh = ?locators, "ready");
 
     let watched = tasks.watch().await;
@@ -224,26 +209,17 @@ async fn parts(config: &HubConfig, view: &HubView) -> Result<(), HubError> {
     watched.map_err(|error| HubError(error.to_string()))
 }
 
-/// Retries `open` until the database answers. Returns `None` if the hub stops first.
-async fn patiently<T, F: Future<Output = Result<T, StoreError>>>(
-    config: &HubConfig,
-    view: &HubView,
-    open: impl Fn() -> F,
-) -> Result<Option<T>, HubError> {
-    loop {
-        let error = match open().await {
-            Ok(opened) => return Ok(Some(opened)),
-            Err(error) => error,
-        };
-        if !error.passes() {
-            let what = format!("[database] {}", config.database.shown());
-            return Err(HubError::at(&what)(error));
-        }
-        tracing::warn!(%error, database = config.database.shown(), "trying again");
-        (view.readiness.part("database")).not_ready(error.to_string());
-        tokio::select! {
-            () = tokio::time::sleep(DATABASE_RETRY) => {}
-            () = view.shutdown.cancelled() => return Ok(None),
-        }
-    }
+/// Opens the database, and reads from it the nodes and what was ordered.
+async fn open(config: &HubConfig, view: &HubView) -> Result<(Store, Arc<Tuner>), StoreError> {
+    let store = Store::open(&config.database).await?;
+    view.fleet.read(&store, Instant::now()).await?;
+    let tuner = Tuner::open(
+        store.clone(),
+        Arc::clone(&view.fleet),
+        Arc::clone(&view.desires),
+        view.notifier.clone(),
+        config.tuning.clone(),
+        Uuid::now_v7().to_string(),
+    );
+    Ok((store, Arc::new(tuner.await?)))
 }

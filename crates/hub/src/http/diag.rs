@@ -1,17 +1,17 @@
 //! Serves the hub's diagnostics as one archive.
 
 use super::HubView;
+use super::nodes::{self, Order, Selection};
 use crate::config::HubConfig;
-use crate::presence::PresenceState;
-use crate::store::{Store, StoreError, StoredEvent};
+use crate::store::Store;
 use albireo_service::archive;
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::config;
+use albireo_service::http::Problem;
 use axum::extract::State;
 use axum::response::Response;
 use serde::Serialize;
 use serde_json::{Value, json};
-use std::cmp::Reverse;
 
 /// Most nodes that are not online, most events and most changes in the archive.
 const MOST_NODES: usize = 1000;
@@ -37,17 +37,24 @@ pub(super) fn without_secrets(config: &HubConfig) -> Value {
 )]
 pub(super) async fn archive(State(view): State<HubView>) -> Response {
     let now_s = u64::try_from(unix_milliseconds().div_euclid(1000)).unwrap_or(0);
-    let (events, changes) = match view.store() {
-        Ok(store) => (
-            or_error(events(store).await),
-            or_error(store.changes(i64::MAX, None, MOST_CHANGES).await),
-        ),
-        Err(_) => (away(), away()),
+    let events = async {
+        let store = view.store()?;
+        let last = store.last_event().await?;
+        Ok(store.events_after(last - MOST_EVENTS, MOST_EVENTS).await?)
     };
-    let mut unwell = (view.fleet).views(|node| node.state != PresenceState::Online);
+    let changes = async {
+        let changes = view.store()?.changes(i64::MAX, None, MOST_CHANGES);
+        Ok(changes.await?)
+    };
     // The worst states come first.
-    unwell.sort_by_key(|node| Reverse(node.state));
-    unwell.truncate(MOST_NODES);
+    let unwell = Selection {
+        state: Some("degraded,silent,offline".to_owned()),
+        sort: Order::State,
+        down: true,
+        limit: Some(MOST_NODES),
+        ..Selection::default()
+    };
+    let unwell = nodes::page(&view, unwell);
     let about = json!({
         "program": "albireo hub",
         "version": env!("CARGO_PKG_VERSION"),
@@ -58,36 +65,24 @@ pub(super) async fn archive(State(view): State<HubView>) -> Response {
         "not_working": view.readiness.health().status().reasons,
         "nodes": view.fleet.by_state(),
     });
-    let metrics = super::metrics::page(&view, view.sessions().await);
+    let metrics = super::metrics::page(&view).await;
     let files = [
-        ("about.json", text(&about)),
-        ("configuration.json", text(&view.config)),
-        ("nodes-not-online.json", text(&json!(unwell))),
-        ("events.json", text(&events)),
-        ("changes.json", text(&changes)),
+        ("about.json", text(Ok(about))),
+        ("configuration.json", text(Ok(&*view.config))),
+        ("nodes-not-online.json", text(unwell.map(|page| page.nodes))),
+        ("events.json", text(events.await)),
+        ("changes.json", text(changes.await)),
         ("metrics.txt", metrics.into_text().into_bytes()),
     ];
     archive::diagnostics("albireo-hub", &files, now_s)
 }
 
-fn text(value: &Value) -> Vec<u8> {
-    serde_json::to_vec_pretty(value).unwrap_or_default()
-}
-
-fn away() -> Value {
-    json!({ "error": "the database is not open yet" })
-}
-
-fn or_error(found: Result<impl Serialize, StoreError>) -> Value {
-    match found {
-        Ok(found) => json!(found),
-        Err(error) => json!({ "error": error.to_string() }),
-    }
-}
-
-async fn events(store: &Store) -> Result<Vec<StoredEvent>, StoreError> {
-    let last = store.last_event().await?;
-    store.events_after(last - MOST_EVENTS, MOST_EVENTS).await
+fn text(content: Result<impl Serialize, Problem>) -> Vec<u8> {
+    let text = match content {
+        Ok(content) => serde_json::to_vec_pretty(&content),
+        Err(problem) => serde_json::to_vec_pretty(&problem),
+    };
+    text.unwrap_or_default()
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! Serves the fleet's events as numbered server-sent events: a reader that reconnects gets the events it missed.
 
 use super::HubView;
-use crate::store::{Store, StoredEvent};
+use crate::store::StoredEvent;
 use albireo_service::http::Problem;
 use axum::extract::{Query, State};
 use axum::http::{HeaderMap, StatusCode};
@@ -9,10 +9,8 @@ use axum::response::sse::{self, KeepAlive, Sse};
 use futures_util::{Stream, StreamExt, stream};
 use serde::Deserialize;
 use serde_json::json;
-use std::convert::Infallible;
 use std::future::ready;
 use std::time::Duration;
-use tokio_util::sync::CancellationToken;
 use utoipa::IntoParams;
 
 /// Most events that are replayed: a reader that missed more reads the present state instead.
@@ -33,37 +31,6 @@ pub(super) struct Selection {
     types: Option<String>,
 }
 
-struct Reader {
-    last: i64,
-    store: Store,
-    shutdown: CancellationToken,
-}
-
-impl Reader {
-    /// The next events; nothing once the hub stops.
-    async fn next(&mut self) -> Option<Vec<StoredEvent>> {
-        loop {
-            match self.store.events_after(self.last, STEP).await {
-                Ok(events) if !events.is_empty() => {
-                    self.last = events.last().map_or(self.last, |event| event.id);
-                    return Some(events);
-                }
-                Ok(_) => {}
-                Err(error) => tracing::debug!(%error, "events cannot be read"),
-            }
-            tokio::select! {
-                () = self.shutdown.cancelled() => return None,
-                () = tokio::time::sleep(LOOK) => {}
-            }
-        }
-    }
-}
-
-fn written(event: StoredEvent) -> Option<sse::Event> {
-    let written = sse::Event::default().event(&event.kind);
-    written.id(event.id.to_string()).json_data(&event).ok()
-}
-
 /// The fleet's events, as server-sent events
 ///
 /// Kinds: `node` (its state changed), `gap`, `reset`, `set_aside`, `clock_off`, `refused`, `drift` (a value was changed
@@ -77,7 +44,7 @@ pub(super) async fn stream(
     State(view): State<HubView>,
     headers: HeaderMap,
     Query(selection): Query<Selection>,
-) -> Result<Sse<impl Stream<Item = Result<sse::Event, Infallible>>>, Problem> {
+) -> Result<Sse<impl Stream<Item = Result<sse::Event, axum::Error>>>, Problem> {
     let last_id = match headers.get("last-event-id") {
         None => selection.last_event_id,
         Some(value) => {
@@ -90,36 +57,44 @@ pub(super) async fn stream(
     };
     let store = view.store()?.clone();
     let newest = store.last_event().await?;
-    let (last, resync) = match last_id.unwrap_or(newest) {
-        last if last > newest => (
-            newest,
-            Some("the event is from another database".to_owned()),
-        ),
-        last if newest - last > MOST_REPLAYED => (
-            newest,
-            Some(format!("{} events were missed", newest - last)),
-        ),
-        last => (last, None),
+    let last = last_id.unwrap_or(newest);
+    let missed = if last > newest {
+        Some("the event is from another database".to_owned())
+    } else if newest - last > MOST_REPLAYED {
+        Some(format!("{} events were missed", newest - last))
+    } else {
+        None
     };
-    let reader = Reader {
-        last,
-        store,
-        shutdown: view.shutdown.clone(),
-    };
-    let news = stream::unfold(reader, |mut reader| async move {
-        Some((stream::iter(reader.next().await?), reader))
+    let last = if missed.is_some() { newest } else { last };
+    let resync = missed.map(|reason| {
+        let event = sse::Event::default().event("resync");
+        event.json_data(json!({ "reason": reason }))
+    });
+    let news = stream::unfold((store, last), |(store, last)| async move {
+        let events = store
+            .events_after(last, STEP)
+            .await
+            .unwrap_or_else(|error| {
+                tracing::debug!(%error, "events cannot be read");
+                Vec::new()
+            });
+        if events.is_empty() {
+            tokio::time::sleep(LOOK).await;
+        }
+        let last = events.last().map_or(last, |event| event.id);
+        Some((stream::iter(events), (store, last)))
     });
     let types = selection.types;
     let is_wanted = move |event: &StoredEvent| {
         (types.as_ref()).is_none_or(|types| types.split(',').any(|kind| kind == event.kind))
     };
-    let news = news
-        .flatten()
-        .filter_map(move |event| ready(Some(event).filter(&is_wanted).and_then(written)));
-    let resync = resync.and_then(|reason| {
-        let event = sse::Event::default().event("resync");
-        event.json_data(json!({ "reason": reason })).ok()
-    });
-    let events = stream::iter(resync).chain(news).map(Ok);
+    let news = (news.flatten())
+        .filter(move |event| ready(is_wanted(event)))
+        .map(|event| {
+            let written = sse::Event::default().event(&event.kind);
+            written.id(event.id.to_string()).json_data(&event)
+        })
+        .take_until(view.shutdown.cancelled_owned());
+    let events = stream::iter(resync).chain(news);
     Ok(Sse::new(events).keep_alive(KeepAlive::new().interval(Duration::from_secs(15))))
 }

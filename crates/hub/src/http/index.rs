@@ -1,9 +1,8 @@
 //! Serves the index of the HTTP interface.
 
-use albireo_service::http::Route;
-use axum::{Extension, Json};
+use albireo_service::http::{Route, routes};
+use axum::Json;
 use serde::Serialize;
-use std::sync::Arc;
 use utoipa::ToSchema;
 
 /// Service, version and list of routes.
@@ -23,11 +22,11 @@ pub(super) struct Index {
 ///
 /// `curl http://127.0.0.1:8090/api/v1`
 #[utoipa::path(get, path = "/api/v1", tag = "health", responses((status = 200, body = Index)))]
-pub(super) async fn index(Extension(routes): Extension<Arc<[Route]>>) -> Json<Index> {
+pub(super) async fn index() -> Json<Index> {
     Json(Index {
         service: "hub",
         version: env!("CARGO_PKG_VERSION"),
         openapi: "/openapi.json",
-        routes: routes.to_vec(),
+        routes: routes(&super::openapi()),
     })
 }

@@ -3,7 +3,6 @@
 
 use super::nodes::unknown;
 use super::{HubView, attached};
-use crate::presence::Notifier;
 use albireo_service::http::Problem;
 use albireo_wire::{CountersMessage, NodeKeys};
 use axum::extract::{Path, State};
@@ -11,14 +10,13 @@ use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
 use axum::http::{HeaderName, StatusCode};
 use axum::response::sse::{self, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
-use futures_util::{Stream, stream};
+use futures_util::{Stream, StreamExt, stream};
 use std::convert::Infallible;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::sync::{OwnedSemaphorePermit, mpsc};
-use tokio::time::{Interval, MissedTickBehavior};
+use tokio::time::MissedTickBehavior;
 use zenoh::Session;
-use zenoh::pubsub::Subscriber;
+use zenoh::handlers::RingChannel;
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::{Reply, ReplyError};
 
@@ -30,59 +28,24 @@ const LEASE: Duration = Duration::from_secs(30);
 const RENEW: Duration = Duration::from_secs(10);
 /// Time limit of a picture: a node on a mobile link first has to learn of its lease.
 const PICTURE_WITHIN: Duration = Duration::from_secs(8);
-/// Messages that wait for a slow reader. Further ones are dropped: counters are cumulative.
+/// Messages that wait for a slow reader. The oldest ones are dropped: counters are cumulative.
 const WAITING: usize = 64;
 /// The header with the sequence number of a picture's frame.
 const FRAME: HeaderName = HeaderName::from_static("albireo-frame");
 
-/// The session and the notifier through which the hub reaches nodes.
-#[derive(Clone, Debug)]
-pub(crate) struct Reach {
-    pub(crate) session: Session,
-    pub(crate) notifier: Notifier,
-}
-
 impl HubView {
     /// The session and the keys to reach a known node.
-    fn way_to(&self, node: &str) -> Result<(Reach, NodeKeys), Problem> {
-        let reach = attached(&self.reaches, "the Zenoh session is not open yet")?.clone();
+    fn way_to(&self, node: &str) -> Result<(&Session, NodeKeys), Problem> {
+        let session = attached(&self.session, "the Zenoh session")?;
         self.fleet.view(node).ok_or_else(|| unknown(node))?;
         let keys = NodeKeys::new(&self.prefix, node).map_err(|_| unknown(node))?;
-        Ok((reach, keys))
+        Ok((session, keys))
     }
 
     /// Renews the node's lease, and notifies it.
-    fn watch(&self, reach: &Reach, node: &str) {
+    fn watch(&self, node: &str) {
         self.desires.watch(node, LEASE);
-        let notice = (node.to_owned(), self.desires.of(node).revision);
-        let _ = reach.notifier.try_send(notice);
-    }
-}
-
-struct Watching {
-    view: HubView,
-    reach: Reach,
-    node: String,
-    renew: Interval,
-    counters: mpsc::Receiver<CountersMessage>,
-    _subscriber: Subscriber<()>,
-    _place: OwnedSemaphorePermit,
-}
-
-impl Watching {
-    async fn next(&mut self) -> Option<sse::Event> {
-        loop {
-            tokio::select! {
-                () = self.view.shutdown.cancelled() => return None,
-                _ = self.renew.tick() => self.view.watch(&self.reach, &self.node),
-                message = self.counters.recv() => {
-                    let event = sse::Event::default().event("counters");
-                    if let Ok(event) = event.json_data(message?) {
-                        return Some(event);
-                    }
-                }
-            }
-        }
+        self.notify(node);
     }
 }
 
@@ -99,37 +62,38 @@ pub(super) async fn live(
     State(view): State<HubView>,
     Path(node): Path<String>,
 ) -> Result<Sse<impl Stream<Item = Result<sse::Event, Infallible>>>, Problem> {
-    let (reach, keys) = view.way_to(&node)?;
+    let (session, keys) = view.way_to(&node)?;
     let place = Arc::clone(&view.live).try_acquire_owned().map_err(|_| {
         let detail = format!("{MOST_LIVE} nodes are being watched; close one and try again");
         Problem::new(StatusCode::SERVICE_UNAVAILABLE, detail)
     })?;
-    let (sender, counters) = mpsc::channel(WAITING);
-    let subscriber = reach
-        .session
+    let counters = session
         .declare_subscriber(keys.all_counters())
-        .callback(move |sample| {
-            if let Ok(message) = albireo_wire::read(&sample.payload().to_bytes()) {
-                let _ = sender.try_send(message);
-            }
-        })
+        .with(RingChannel::new(WAITING))
         .await
         .map_err(unavailable)?;
     let mut renew = tokio::time::interval(RENEW);
     renew.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let watching = Watching {
-        view,
-        reach,
-        node,
-        renew,
-        counters,
-        _subscriber: subscriber,
-        _place: place,
-    };
+    let shutdown = view.shutdown.clone().cancelled_owned();
+    let watching = (view, node, renew, counters, place);
     let events = stream::unfold(watching, |mut watching| async move {
-        let event = watching.next().await?;
-        Some((Ok(event), watching))
+        let (view, node, renew, counters, _place) = &mut watching;
+        loop {
+            let sample = tokio::select! {
+                _ = renew.tick() => {
+                    view.watch(node);
+                    continue;
+                }
+                sample = counters.recv_async() => sample.ok()?,
+            };
+            let message = albireo_wire::read::<CountersMessage>(&sample.payload().to_bytes());
+            let event = sse::Event::default().event("counters");
+            if let Some(Ok(event)) = message.ok().map(|message| event.json_data(message)) {
+                return Some((Ok(event), watching));
+            }
+        }
     });
+    let events = events.take_until(shutdown);
     Ok(Sse::new(events).keep_alive(KeepAlive::new().interval(Duration::from_secs(15))))
 }
 
@@ -162,22 +126,14 @@ pub(super) async fn picture(
     State(view): State<HubView>,
     Path((node, camera)): Path<(String, String)>,
 ) -> Result<Response, Problem> {
-    let (reach, keys) = view.way_to(&node)?;
+    let (session, keys) = view.way_to(&node)?;
     let key = (keys.camera(&camera))
         .map_err(|error| Problem::new(StatusCode::NOT_FOUND, error.to_string()))?
         .picture();
-    view.watch(&reach, &node);
-    let late = || {
-        let detail = format!(
-            "`{node}` sent no picture of `{camera}` within {} s: it is out of reach, or has no such camera",
-            PICTURE_WITHIN.as_secs()
-        );
-        Problem::new(StatusCode::GATEWAY_TIMEOUT, detail)
-    };
+    view.watch(&node);
     let asking = async {
         loop {
-            let replies = reach
-                .session
+            let replies = session
                 .get(&key)
                 // Under congestion the query or its reply may be dropped, so there is time for a second attempt. Reports
                 // have priority.
@@ -195,9 +151,14 @@ pub(super) async fn picture(
             tokio::time::sleep(Duration::from_millis(200)).await;
         }
     };
-    let reply = tokio::time::timeout(PICTURE_WITHIN, asking)
-        .await
-        .map_err(|_| late())??;
+    let asked = tokio::time::timeout(PICTURE_WITHIN, asking).await;
+    let reply = asked.map_err(|_| {
+        let detail = format!(
+            "`{node}` sent no picture of `{camera}` within {} s: it is out of reach, or has no such camera",
+            PICTURE_WITHIN.as_secs()
+        );
+        Problem::new(StatusCode::GATEWAY_TIMEOUT, detail)
+    })??;
     match reply.result() {
         Ok(sample) => {
             let frame = sample

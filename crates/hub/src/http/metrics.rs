@@ -13,12 +13,11 @@ use axum::extract::State;
     responses((status = 200, content_type = "text/plain", body = String))
 )]
 pub(super) async fn text(State(view): State<HubView>) -> MetricsPage {
-    let sessions = view.sessions().await;
-    page(&view, sessions)
+    page(&view).await
 }
 
-/// All metrics; `sessions` is `None` while the session is not open.
-pub(super) fn page(view: &HubView, sessions: Option<usize>) -> MetricsPage {
+/// All metrics.
+pub(super) async fn page(view: &HubView) -> MetricsPage {
     let mut page = MetricsPage::default();
     page.gauges(
         "albireo_hub_build_info",
@@ -33,10 +32,14 @@ pub(super) fn page(view: &HubView, sessions: Option<usize>) -> MetricsPage {
     page.process();
     presence(&mut page, view);
     ingest(&mut page, view);
+    let sessions = match view.session.get() {
+        Some(session) => Some(session.info().transports().await.count() as f64),
+        None => None,
+    };
     page.gauge(
         "albireo_hub_sessions",
         "Zenoh sessions of this hub: nodes where it is their router, else its router; absent while its own is not open",
-        sessions.map(|sessions| sessions as f64),
+        sessions,
     );
     page.gauge(
         "albireo_hub_sessions_limit",
@@ -47,11 +50,22 @@ pub(super) fn page(view: &HubView, sessions: Option<usize>) -> MetricsPage {
 }
 
 fn presence(page: &mut MetricsPage, view: &HubView) {
-    let tallies = view.fleet.tallies(|node| view.desires.of(node).revision);
+    let (mut behind, mut waiting, mut targets) = (0, 0, [0; TargetStatus::ALL.len()]);
+    view.fleet.each(|node| {
+        waiting += node.waiting;
+        if !node.is_reachable() {
+            return;
+        }
+        let desired = view.desires.get(&node.node);
+        behind += u32::from(desired.is_some_and(|desired| node.revision < desired.revision));
+        if let Some(target) = node.status.as_ref().and_then(|status| status.target) {
+            targets[target.status.unwrap_or(TargetStatus::Measuring) as usize] += 1;
+        }
+    });
     page.gauge(
         "albireo_hub_nodes_behind",
         "Online or degraded nodes that do not have their desired setting yet",
-        tallies.behind as f64,
+        f64::from(behind),
     );
     page.gauge(
         "albireo_hub_nodes_drifted",
@@ -61,12 +75,12 @@ fn presence(page: &mut MetricsPage, view: &HubView) {
     page.gauge(
         "albireo_hub_twin_names",
         "Names that more than one node uses",
-        tallies.twins as f64,
+        view.fleet.twins() as f64,
     );
     page.gauge(
         "albireo_hub_outbox_waiting",
         "Clip reports that wait in the nodes' outboxes, as far as they have reported",
-        tallies.waiting as f64,
+        waiting as f64,
     );
     let states = view.fleet.by_state().into_iter();
     page.gauges(
@@ -74,11 +88,11 @@ fn presence(page: &mut MetricsPage, view: &HubView) {
         "Nodes by state",
         states.map(|(state, nodes)| ([("state", state.name())], nodes as f64)),
     );
-    let targets = TargetStatus::ALL.into_iter().zip(tallies.targets);
+    let targets = TargetStatus::ALL.into_iter().zip(targets);
     page.gauges(
         "albireo_hub_targets",
         "Online or degraded nodes that hold a target, by its status",
-        targets.map(|(status, nodes)| ([("status", status.name())], nodes as f64)),
+        targets.map(|(status, nodes)| ([("status", status.name())], f64::from(nodes))),
     );
 }
 

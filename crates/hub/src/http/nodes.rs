@@ -22,7 +22,7 @@ const MOST: usize = 1000;
 /// The sort order of rows; equal rows are in the order of their names.
 #[derive(Clone, Copy, Debug, Default, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
-enum Order {
+pub(super) enum Order {
     /// Name.
     #[default]
     Name,
@@ -39,12 +39,12 @@ enum Order {
 }
 
 /// Selects and sorts nodes.
-#[derive(Deserialize, IntoParams)]
+#[derive(Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct Selection {
     /// Only nodes in these states, separated by commas: `degraded,silent`.
-    state: Option<String>,
+    pub(super) state: Option<String>,
     /// Only nodes with this text in the name.
     search: Option<String>,
     /// Only nodes that match these names, globs and labels, separated by commas: `cam-*,region=north`.
@@ -52,15 +52,15 @@ pub(super) struct Selection {
     /// The sort order.
     #[serde(default)]
     #[param(inline)]
-    sort: Order,
+    pub(super) sort: Order,
     /// Reverses the order.
     #[serde(default)]
-    down: bool,
+    pub(super) down: bool,
     /// The number of rows to skip.
     #[serde(default)]
     offset: usize,
     /// Maximum number, up to 1000; 100 by default.
-    limit: Option<usize>,
+    pub(super) limit: Option<usize>,
 }
 
 /// A page of nodes.
@@ -89,6 +89,11 @@ pub(super) async fn list(
     State(view): State<HubView>,
     Query(selection): Query<Selection>,
 ) -> Result<Json<NodeList>, Problem> {
+    page(&view, selection).map(Json)
+}
+
+/// The selected nodes.
+pub(super) fn page(view: &HubView, selection: Selection) -> Result<NodeList, Problem> {
     let names = selection.state.as_deref().unwrap_or_default().split(',');
     let wanted = names.filter(|name| !name.is_empty()).map(|name| {
         PresenceState::named(name).ok_or_else(|| {
@@ -114,7 +119,7 @@ pub(super) async fn list(
             && (select.as_ref()).is_none_or(|it| it.selects(&node.node, node.labels()));
         if is_wanted {
             let key = match selection.sort {
-                Order::Name => 0,
+                Order::Name => found.len() as i64,
                 Order::State => node.state as i64,
                 Order::Since => node.since_ms,
                 Order::Heard => node.heard_ms.unwrap_or(i64::MIN),
@@ -125,14 +130,13 @@ pub(super) async fn list(
         }
     });
     // The nodes are in the order of their names, which the sort keeps among equal ones.
-    match (selection.sort, selection.down) {
-        (Order::Name, true) => found.reverse(),
-        (_, true) => found.sort_by_key(|(key, _)| Reverse(*key)),
-        (_, false) => found.sort_by_key(|(key, _)| *key),
+    match selection.down {
+        true => found.sort_by_key(|(key, _)| Reverse(*key)),
+        false => found.sort_by_key(|(key, _)| *key),
     }
     let limit = selection.limit.unwrap_or(100).min(MOST);
     let nodes = found.iter().skip(selection.offset).take(limit);
-    Ok(Json(NodeList {
+    Ok(NodeList {
         counts: view.fleet.by_state(),
         waiting,
         total: found.len(),
@@ -140,7 +144,7 @@ pub(super) async fn list(
         nodes: nodes
             .filter_map(|(_, name)| view.fleet.view(name))
             .collect(),
-    }))
+    })
 }
 
 /// A node with the counts of its reports.
@@ -194,20 +198,15 @@ pub(super) async fn forget(
     Path(node): Path<String>,
 ) -> Result<StatusCode, Problem> {
     let known = view.fleet.view(&node).ok_or_else(|| unknown(&node))?;
-    let still_online = || {
+    if known.is_reachable() {
         let detail = format!(
             "`{node}` is online or degraded and would come back immediately: stop it first"
         );
-        Problem::new(StatusCode::CONFLICT, detail)
-    };
-    if known.is_reachable() {
-        return Err(still_online());
+        return Err(Problem::new(StatusCode::CONFLICT, detail));
     }
     (view.tuner()?)
         .forget(&node, &caller.name, unix_milliseconds())
         .await?;
-    if !view.fleet.forget(&node) {
-        return Err(still_online());
-    }
+    view.fleet.forget(&node);
     Ok(StatusCode::NO_CONTENT)
 }

@@ -1,11 +1,17 @@
-//! Keeps what the hub knows of one node.
+//! Keeps what the hub knows of one node, and judges its state.
 
-use super::node::NodeView;
+use super::node::{NodeView, PresenceState};
+use crate::config::PresenceConfig;
 use albireo_wire::HealthState;
 use std::time::{Duration, Instant};
 
 /// Shortest time between two notices to a node.
 const NOTIFY_EVERY: Duration = Duration::from_secs(5);
+
+/// A time limit, from its seconds.
+pub(super) fn seconds(limit_s: f64) -> Duration {
+    Duration::try_from_secs_f64(limit_s).unwrap_or(Duration::MAX)
+}
 
 /// One node.
 #[derive(Clone, Debug, Default)]
@@ -45,7 +51,7 @@ impl Entry {
     pub(super) fn remembered(node: NodeView, now: Instant) -> Self {
         let status = node.status.as_ref();
         Self {
-            heard: node.state.is_heard().then_some(now),
+            heard: node.is_reachable().then_some(now),
             health: status.map_or(HealthState::Ready, |status| status.health.state),
             needs_full: true,
             node,
@@ -64,9 +70,21 @@ impl Entry {
         notice
     }
 
+    /// Notes the number of a message of the present run. Returns `None` if a later one overtook it; after a gap, a full
+    /// status may be lost.
+    pub(super) fn note_seq(&mut self, seq: u64) -> Option<()> {
+        if seq <= self.seq && !self.needs_full {
+            return None;
+        }
+        self.needs_full |= self.seq.checked_add(1) != Some(seq);
+        self.seq = seq;
+        Some(())
+    }
+
     /// Notes a run that differs from the present one. A new run is a restart; a run that comes back after another one
     /// means that two nodes have this name.
     pub(super) fn another_run(&mut self, run: u32, now: Instant, silent: Duration) {
+        self.needs_full = true;
         let Some(before) = self.run.replace(run) else {
             return;
         };
@@ -78,5 +96,42 @@ impl Entry {
             self.identity = Some((what, now + silent.saturating_mul(2)));
         }
         self.other = Some((before, self.heard.unwrap_or(now)));
+    }
+
+    /// Returns its state if its last status is that old, and the reason. Without a status the time is `None`.
+    /// docs/fleet.md describes the rules.
+    pub(super) fn judge(
+        &self,
+        heard_ago: Option<Duration>,
+        config: &PresenceConfig,
+    ) -> (PresenceState, String) {
+        let Some(ago) = heard_ago else {
+            let why = "no status was received yet";
+            return (PresenceState::Silent, why.to_owned());
+        };
+        if self.token_gone {
+            let why = "its liveliness token disappeared: it stopped, or its connection broke";
+            return (PresenceState::Offline, why.to_owned());
+        }
+        for (state, limit_s) in [
+            (PresenceState::Offline, config.offline_after_s),
+            (PresenceState::Silent, config.silent_after_s),
+        ] {
+            if ago >= seconds(limit_s) {
+                return (state, format!("no status for {limit_s} s"));
+            }
+        }
+        if let Some((why, _)) = &self.identity {
+            return (PresenceState::Degraded, why.clone());
+        }
+        let status = self.node.status.as_ref();
+        let reasons = status.map_or_else(String::new, |status| status.health.text());
+        let why = match (self.health, reasons.as_str()) {
+            (HealthState::Ready, _) => return (PresenceState::Online, String::new()),
+            (HealthState::Degraded, "") => "a part does not work".to_owned(),
+            (HealthState::NotReady, "") => "it does not answer frames".to_owned(),
+            _ => reasons,
+        };
+        (PresenceState::Degraded, why)
     }
 }

@@ -1,13 +1,13 @@
 //! Keeps the states of all nodes in memory.
 
-use super::entry::Entry;
+use super::entry::{Entry, seconds};
 use super::news::News;
-use super::node::NodeView;
-use super::state::{PresenceState, judge, seconds};
+use super::node::{NodeView, PresenceState};
 use super::today::TodaysEnergy;
 use crate::config::PresenceConfig;
 use crate::store::{EventRow, Store, StoreError};
-use albireo_wire::{Heartbeat, NodeStatus, StatusMessage, TargetStatus};
+use albireo_service::clock::Now;
+use albireo_wire::{Heartbeat, NodeStatus, StatusMessage};
 use parking_lot::{Mutex, RwLock};
 use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -18,19 +18,6 @@ use std::time::{Duration, Instant};
 const MOST_NEWS: usize = 2000;
 /// Most events that wait for the database; further ones are dropped.
 const MOST_EVENTS: usize = 1000;
-
-/// Counts over all nodes, except those by state.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct FleetTallies {
-    /// Names that more than one node uses.
-    pub twins: u64,
-    /// Online or degraded nodes that do not have their desired setting yet.
-    pub behind: u64,
-    /// Reports that wait in the nodes' outboxes.
-    pub waiting: u64,
-    /// Online or degraded nodes that hold a target, by its status, in the order of [`TargetStatus::ALL`].
-    pub targets: [u64; TargetStatus::ALL.len()],
-}
 
 /// All nodes.
 #[derive(Debug)]
@@ -53,16 +40,13 @@ impl Fleet {
         }
     }
 
-    /// Loads the nodes from the database, and returns their number. The time limits of a node that was online begin at
-    /// `now`.
+    /// Loads the nodes from the database. The time limits of a node that was online begin at `now`.
     ///
     /// # Errors
     /// When the database cannot be read.
-    pub async fn read(&self, store: &Store, now: Instant) -> Result<usize, StoreError> {
-        let nodes = store.nodes().await?;
-        let many = nodes.len();
-        self.remember(nodes, now);
-        Ok(many)
+    pub async fn read(&self, store: &Store, now: Instant) -> Result<(), StoreError> {
+        self.remember(store.nodes().await?, now);
+        Ok(())
     }
 
     pub(super) fn remember(&self, nodes: Vec<NodeView>, now: Instant) {
@@ -73,38 +57,24 @@ impl Fleet {
     }
 
     /// Applies a status. Returns true if the node should be asked for a full status.
-    pub fn apply_status(
-        &self,
-        node: &str,
-        message: &StatusMessage,
-        now: Instant,
-        now_ms: i64,
-    ) -> bool {
-        let (run, seq) = (message.run, message.seq);
-        self.heard(node, now, now_ms, |entry| {
-            let same = entry.run == Some(run);
-            if same && message.full.is_none() && !entry.needs_full && seq <= entry.seq {
-                // Overtaken by a later one.
-                return None;
+    pub fn apply_status(&self, node: &str, message: &StatusMessage, now: Now) -> bool {
+        self.heard(node, now, |entry| {
+            if entry.run != Some(message.run) {
+                entry.another_run(message.run, now.at, seconds(self.config.silent_after_s));
+            } else if message.full.is_none() {
+                entry.note_seq(message.seq)?;
             }
-            let follows = same && entry.seq.checked_add(1) == Some(seq);
-            if !same {
-                entry.another_run(run, now, seconds(self.config.silent_after_s));
-            }
-            entry.needs_full = match &message.full {
-                Some(_) => false,
-                None => entry.needs_full || !follows,
-            };
             let mut changed = entry.node.revision != message.revision;
-            if let Some(full) = &message.full
-                && entry.node.status.as_deref() != Some(&**full)
-            {
-                changed = true;
-                entry.node.status = Some(Arc::new(NodeStatus::clone(full)));
+            if let Some(full) = &message.full {
+                entry.needs_full = false;
+                if entry.node.status.as_deref() != Some(&**full) {
+                    changed = true;
+                    entry.node.status = Some(Arc::new(NodeStatus::clone(full)));
+                }
             }
             entry.health = message.health;
             entry.node.revision = message.revision;
-            entry.seq = seq;
+            entry.seq = message.seq;
             entry.node.waiting = message.waiting;
             Some(changed)
         })
@@ -112,18 +82,14 @@ impl Fleet {
 
     /// Applies a heartbeat, which repeats the last status of its run except for its numbers. Returns true if the node
     /// should be asked for a full status.
-    pub fn alive(&self, node: &str, heartbeat: Heartbeat, now: Instant, now_ms: i64) -> bool {
-        self.heard(node, now, now_ms, |entry| {
+    pub fn alive(&self, node: &str, heartbeat: Heartbeat, now: Now) -> bool {
+        self.heard(node, now, |entry| {
             if entry.run != Some(heartbeat.run) {
                 // The hub has just started, or messages were lost: the heartbeat is not of the known run.
                 entry.needs_full = true;
                 return None;
             }
-            if !entry.needs_full && heartbeat.seq <= entry.seq {
-                return None;
-            }
-            entry.needs_full |= entry.seq.checked_add(1) != Some(heartbeat.seq);
-            entry.seq = heartbeat.seq;
+            entry.note_seq(heartbeat.seq)?;
             entry.node.waiting = heartbeat.waiting;
             Some(false)
         })
@@ -131,55 +97,39 @@ impl Fleet {
 
     /// Updates a node's entry by `take`, which returns whether the row has to be written, or `None` if the message says
     /// nothing new of a known run. Returns true if the node should be asked for a full status.
-    fn heard(
-        &self,
-        node: &str,
-        now: Instant,
-        now_ms: i64,
-        take: impl FnOnce(&mut Entry) -> Option<bool>,
-    ) -> bool {
+    fn heard(&self, node: &str, now: Now, take: impl FnOnce(&mut Entry) -> Option<bool>) -> bool {
         let mut nodes = self.nodes.write();
-        let entry = (nodes.entry(node.to_owned())).or_insert_with(|| Entry::new(node, now_ms));
+        let entry = (nodes.entry(node.to_owned())).or_insert_with(|| Entry::new(node, now.unix_ms));
         if let Some(changed) = take(entry) {
-            entry.heard = Some(now);
-            entry.node.heard_ms = Some(now_ms);
+            entry.heard = Some(now.at);
+            entry.node.heard_ms = Some(now.unix_ms);
             entry.token_gone = false;
             if changed {
                 self.dirty.lock().insert(node.to_owned());
             }
-            self.settle(entry, now, now_ms);
+            self.settle(entry, now);
         }
-        entry.ask_for_all(now)
+        entry.ask_for_all(now.at)
     }
 
-    /// Notes that a liveliness token appeared or disappeared.
-    pub(crate) fn token(&self, node: &str, present: bool, now: Instant, now_ms: i64) {
+    /// Notes that a liveliness token appeared or disappeared, for the next [`sweep`](Self::sweep).
+    pub(crate) fn token(&self, node: &str, is_present: bool) {
         if let Some(entry) = self.nodes.write().get_mut(node) {
-            entry.token_gone = !present;
-            self.settle(entry, now, now_ms);
+            entry.token_gone = !is_present;
         }
     }
 
-    /// Removes a node, unless it is online or degraded: its next status would add it again. Returns true if it was
-    /// removed.
-    pub(crate) fn forget(&self, node: &str) -> bool {
-        let mut nodes = self.nodes.write();
-        if (nodes.get(node)).is_some_and(|entry| entry.node.is_reachable()) {
-            return false;
-        }
-        nodes.remove(node);
-        true
+    /// Removes a node; its next status adds it again.
+    pub(crate) fn forget(&self, node: &str) {
+        self.nodes.write().remove(node);
     }
 
     /// Adds a node that has sent reports and no status yet.
     pub(crate) fn reported(&self, node: &str, now_ms: i64) {
-        if self.nodes.read().contains_key(node) {
-            return;
-        }
         let mut nodes = self.nodes.write();
-        nodes
-            .entry(node.to_owned())
-            .or_insert_with(|| Entry::new(node, now_ms));
+        if !nodes.contains_key(node) {
+            nodes.insert(node.to_owned(), Entry::new(node, now_ms));
+        }
     }
 
     /// Sets the energy of the nodes' clips of today; a node that is absent used none.
@@ -190,43 +140,39 @@ impl Fleet {
     }
 
     /// Finds the nodes that have become silent or offline.
-    pub fn sweep(&self, now: Instant, now_ms: i64) {
+    pub fn sweep(&self, now: Now) {
         for entry in self.nodes.write().values_mut() {
-            self.settle(entry, now, now_ms);
+            self.settle(entry, now);
         }
     }
 
-    /// Extends the time limits of every node by `time`, during which the hub could receive nothing.
+    /// Extends the time limits of every node by `time`, during which the hub could receive nothing. The loss of all
+    /// liveliness tokens at once says nothing about the nodes.
     pub(crate) fn pass_over(&self, time: Duration) {
         for entry in self.nodes.write().values_mut() {
+            entry.token_gone = false;
             entry.heard = entry.heard.map(|heard| heard + time);
         }
     }
 
     /// Judges a node's state, and notes a change.
-    fn settle(&self, entry: &mut Entry, now: Instant, now_ms: i64) {
-        if entry
-            .identity
-            .as_ref()
-            .is_some_and(|(_, until)| *until <= now)
-        {
-            entry.identity = None;
-        }
+    fn settle(&self, entry: &mut Entry, now: Now) {
+        entry.identity.take_if(|(_, until)| *until <= now.at);
         let heard_ago = match (entry.heard, entry.node.heard_ms) {
-            (Some(heard), _) => Some(now.saturating_duration_since(heard)),
+            (Some(heard), _) => Some(now.at.saturating_duration_since(heard)),
             (None, None) => None,
             // It was silent or offline when the hub started, and has sent nothing since: a silent node can become
             // offline.
             (None, Some(_)) if entry.node.state == PresenceState::Offline => return,
             (None, Some(heard_ms)) => {
-                let ago = Duration::from_millis(u64::try_from(now_ms - heard_ms).unwrap_or(0));
-                Some(ago.max(seconds(self.config.silent_after_s)))
+                let ago = u64::try_from(now.unix_ms - heard_ms).unwrap_or(0);
+                Some(Duration::from_millis(ago).max(seconds(self.config.silent_after_s)))
             }
         };
-        let (state, why) = judge(entry, heard_ago, &self.config);
+        let (state, why) = entry.judge(heard_ago, &self.config);
         let node = &mut entry.node;
         if state != node.state {
-            node.since_ms = now_ms;
+            node.since_ms = now.unix_ms;
         }
         if (state, why.as_str()) != (node.state, node.why.as_str()) {
             (node.state, node.why) = (state, why);
@@ -271,30 +217,17 @@ impl Fleet {
     /// The number of nodes in each state, also where it is 0.
     pub(crate) fn by_state(&self) -> BTreeMap<PresenceState, u64> {
         let mut counts = BTreeMap::from(PresenceState::ALL.map(|state| (state, 0)));
-        for entry in self.nodes.read().values() {
-            *counts.entry(entry.node.state).or_default() += 1;
-        }
+        self.each(|node| *counts.entry(node.state).or_default() += 1);
         counts
     }
 
-    /// Counts the nodes; `desired` gives the desired revision of a node.
-    pub(crate) fn tallies(&self, desired: impl Fn(&str) -> u64) -> FleetTallies {
-        let (now, mut tallies) = (Instant::now(), FleetTallies::default());
-        for (name, entry) in self.nodes.read().iter() {
-            let (node, heard) = (&entry.node, entry.node.is_reachable());
-            let two = (entry.identity.as_ref()).is_some_and(|(_, until)| *until > now);
-            tallies.twins += u64::from(two);
-            tallies.behind += u64::from(heard && node.revision < desired(name));
-            tallies.waiting += node.waiting;
-            let target = (node.status.as_ref()).and_then(|status| status.target);
-            let status = target.map(|target| target.status.unwrap_or(TargetStatus::Measuring));
-            let place = (status.filter(|_| heard))
-                .and_then(|at| TargetStatus::ALL.iter().position(|one| *one == at));
-            if let Some(count) = place.and_then(|at| tallies.targets.get_mut(at)) {
-                *count += 1;
-            }
-        }
-        tallies
+    /// The number of names that more than one node uses.
+    pub(crate) fn twins(&self) -> usize {
+        let nodes = self.nodes.read();
+        nodes
+            .values()
+            .filter(|entry| entry.identity.is_some())
+            .count()
     }
 
     /// One node.

@@ -39,8 +39,8 @@ impl News {
             (before.get(node.node.as_str()))
                 .is_none_or(|row| row.state != "forgotten" || row.since_ms < node.since_ms)
         };
-        let nodes = || self.nodes.iter().filter(stays);
-        let row = |node: &NodeView| {
+        let nodes: Vec<&NodeView> = self.nodes.iter().filter(stays).collect();
+        let rows = nodes.iter().map(|node| {
             json!({
                 "name": node.node,
                 "state": node.state,
@@ -50,17 +50,17 @@ impl News {
                 "revision": i64::try_from(node.revision).unwrap_or(i64::MAX),
                 "status": node.status,
             })
-        };
+        });
         database.insert(
             "nodes",
-            &nodes().map(row).collect::<Vec<_>>(),
+            &rows.collect::<Vec<_>>(),
             // Columns without a new value keep their old one.
             "ON CONFLICT (name) DO UPDATE SET state = excluded.state, \
              since_ms = CASE WHEN nodes.state = excluded.state THEN nodes.since_ms ELSE excluded.since_ms END, \
              why = excluded.why, heard_ms = COALESCE(excluded.heard_ms, nodes.heard_ms), \
              revision = excluded.revision, status = COALESCE(excluded.status, nodes.status)",
         )?;
-        for node in nodes() {
+        for node in nodes {
             let row = before.get(node.node.as_str());
             let from = row.map_or(PresenceState::Silent.name(), |row| &row.state);
             if from != node.state.name() {

@@ -1,13 +1,29 @@
 //! Defines a node as the hub knows it, and reads its settings from its last full status.
 
-use super::state::PresenceState;
 use super::today::TodaysEnergy;
+use crate::named::named;
 use crate::store::row::json_text;
 use albireo_wire::{DesiredSetting, NodeStatus, Target, Threshold, ThresholdName};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use utoipa::ToSchema;
+
+named! {
+    /// The state of a node.
+    #[derive(Default)]
+    pub enum PresenceState {
+        /// It sends status messages, and every part works.
+        Online = "online",
+        /// It sends status messages, and a part does not work.
+        Degraded = "degraded",
+        /// It sent no status for a while.
+        #[default]
+        Silent = "silent",
+        /// It sent no status for long, or its liveliness token disappeared.
+        Offline = "offline",
+    }
+}
 
 /// A node, as the HTTP interface shows it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -39,7 +55,7 @@ pub struct NodeView {
 impl NodeView {
     /// True if it is in reach: online or degraded.
     pub(crate) const fn is_reachable(&self) -> bool {
-        self.state.is_heard()
+        matches!(self.state, PresenceState::Online | PresenceState::Degraded)
     }
 
     /// True if it has sent a full status.

@@ -1,8 +1,8 @@
 use super::entry::Entry;
 use super::node::tests::STATUS;
-use super::state::judge;
 use super::*;
 use crate::config::PresenceConfig;
+use albireo_service::clock::Now;
 use albireo_wire::{HealthState, HealthStatus, Heartbeat, NodeStatus, StatusMessage, VERSION};
 use serde_json::json;
 use std::sync::Arc;
@@ -51,7 +51,15 @@ fn the_state_follows_the_table_in_the_documentation() {
         (twin(95, Ready, ""), Silent, "no status for 95 s"),
     ] {
         let expected = (state, why.to_owned());
-        assert_eq!(judge(&node, ago, &config), expected, "{ago:?} {node:?}");
+        assert_eq!(node.judge(ago, &config), expected, "{ago:?} {node:?}");
+    }
+}
+
+/// So many seconds after `start`.
+fn after(start: Instant, seconds: u64) -> Now {
+    Now {
+        at: start + Duration::from_secs(seconds),
+        unix_ms: seconds.cast_signed() * 1000,
     }
 }
 
@@ -73,12 +81,16 @@ fn a_node_silent_at_a_hub_restart_becomes_offline_in_time_and_returns() {
     let start = Instant::now();
     fleet.remember(vec![remembered], start);
     let state = || fleet.view("a").unwrap().state;
-    fleet.sweep(start + Duration::from_secs(1), 200_000);
+    let at = |seconds, unix_ms| Now {
+        unix_ms,
+        ..after(start, seconds)
+    };
+    fleet.sweep(at(1, 200_000));
     assert_eq!(state(), PresenceState::Silent);
-    fleet.sweep(start + Duration::from_secs(2), 700_000);
+    fleet.sweep(at(2, 700_000));
     assert_eq!(state(), PresenceState::Offline);
     assert_eq!(fleet.view("a").unwrap().since_ms, 700_000);
-    fleet.apply_status("a", &life(0), start + Duration::from_secs(3), 701_000);
+    fleet.apply_status("a", &life(0), at(3, 701_000));
     assert_eq!(state(), PresenceState::Online);
 }
 
@@ -87,7 +99,7 @@ fn a_restart_is_no_conflict_but_two_nodes_with_the_same_name_are_reported() {
     let fleet = Fleet::new(&PresenceConfig::default());
     let states = [7, 8, 7].map(|run| {
         let status = StatusMessage { run, ..life(0) };
-        fleet.apply_status("a", &status, Instant::now(), 0);
+        fleet.apply_status("a", &status, Now::system());
         fleet.view("a").unwrap().state
     });
     use PresenceState::{Degraded, Online};
@@ -100,9 +112,9 @@ fn a_restart_is_no_conflict_but_two_nodes_with_the_same_name_are_reported() {
 fn a_notice_for_a_lost_status_is_sent_at_most_every_few_seconds() {
     let fleet = Fleet::new(&PresenceConfig::default());
     let start = Instant::now();
-    assert!(fleet.apply_status("a", &life(0), start, 0));
-    assert!(!fleet.apply_status("a", &life(3), start + Duration::from_secs(1), 0));
-    assert!(fleet.apply_status("a", &life(9), start + Duration::from_secs(6), 0));
+    assert!(fleet.apply_status("a", &life(0), after(start, 0)));
+    assert!(!fleet.apply_status("a", &life(3), after(start, 1)));
+    assert!(fleet.apply_status("a", &life(9), after(start, 6)));
     assert!(fleet.needs_full_status("a"));
 }
 
@@ -110,29 +122,29 @@ fn a_notice_for_a_lost_status_is_sent_at_most_every_few_seconds() {
 fn a_heartbeat_confirms_the_last_status_of_its_run_and_another_run_requests_the_full_status() {
     let fleet = Fleet::new(&PresenceConfig::default());
     let start = Instant::now();
-    let at = |seconds| start + Duration::from_secs(seconds);
+    let at = |seconds| after(start, seconds);
     let first = StatusMessage {
         health: HealthState::Degraded,
         revision: 7,
         full: Some(Box::new(STATUS.clone())),
         ..life(0)
     };
-    assert!(!fleet.apply_status("a", &first, at(0), 0));
+    assert!(!fleet.apply_status("a", &first, at(0)));
     let (run, waiting) = (first.run, 3);
     let sign = |seq| Heartbeat { run, seq, waiting };
-    assert!(!fleet.alive("a", sign(1), at(90), 90_000));
-    fleet.sweep(at(180), 180_000);
+    assert!(!fleet.alive("a", sign(1), at(90)));
+    fleet.sweep(at(180));
     let view = fleet.view("a").unwrap();
     // It was heard 90 s ago, so its state stays.
     assert_eq!(view.state, PresenceState::Degraded);
     assert_eq!((view.waiting, view.revision), (3, 7));
     // A status was lost.
-    assert!(fleet.alive("a", sign(3), at(181), 181_000));
+    assert!(fleet.alive("a", sign(3), at(181)));
     assert!(fleet.needs_full_status("a"));
     // The hub knows nothing of another run, and does not mistake it for this one.
     let run = run + 1;
     let other = Heartbeat { run, ..sign(0) };
-    assert!(fleet.alive("a", other, at(200), 200_000));
-    assert!(fleet.alive("b", other, at(200), 200_000));
+    assert!(fleet.alive("a", other, at(200)));
+    assert!(fleet.alive("b", other, at(200)));
     assert_eq!(fleet.view("b").unwrap().state, PresenceState::Silent);
 }

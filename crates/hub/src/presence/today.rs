@@ -4,6 +4,7 @@ use super::Fleet;
 use crate::store::Store;
 use albireo_service::clock::{DAY_MS, unix_milliseconds};
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::{Instant, sleep};
 use utoipa::ToSchema;
@@ -35,17 +36,15 @@ impl TodaysEnergy {
     }
 }
 
-impl Fleet {
-    /// Reads the energy of today's clips (UTC) periodically.
-    pub(crate) async fn follow_today(&self, store: &Store) {
-        loop {
-            let begun = Instant::now();
-            let day = unix_milliseconds().div_euclid(DAY_MS);
-            match store.today(day * 86_400).await {
-                Ok(today) => self.set_today(today),
-                Err(error) => tracing::debug!(%error, "the energy of today was not read"),
-            }
-            sleep(PAUSE.max(begun.elapsed() * PAUSE_TIMES)).await;
+/// Reads the energy of today's clips (UTC) periodically.
+pub(crate) async fn follow_today(fleet: Arc<Fleet>, store: Store) {
+    loop {
+        let begun = Instant::now();
+        let day = unix_milliseconds().div_euclid(DAY_MS);
+        match store.today(day * 86_400).await {
+            Ok(today) => fleet.set_today(today),
+            Err(error) => tracing::debug!(%error, "the energy of today was not read"),
         }
+        sleep(PAUSE.max(begun.elapsed() * PAUSE_TIMES)).await;
     }
 }

@@ -47,7 +47,7 @@ pub struct Drift {
 /// Tunes the fleet.
 #[derive(Debug)]
 pub struct Tuner {
-    pub(super) store: Store,
+    pub(crate) store: Store,
     pub(super) fleet: Arc<Fleet>,
     /// The desired settings that answers to nodes contain.
     pub(super) desires: Arc<Desires>,

@@ -107,10 +107,10 @@ impl Hub {
         };
         if Heartbeat::is_one(payload) {
             let sign = Heartbeat::read(payload).unwrap();
-            return hub.fleet.alive(node, sign, now.at, now.unix_ms);
+            return hub.fleet.alive(node, sign, now);
         }
         let message: StatusMessage = albireo_wire::read(payload).unwrap();
-        hub.fleet.apply_status(node, &message, now.at, now.unix_ms)
+        hub.fleet.apply_status(node, &message, now)
     }
 
     pub(super) fn answer(&self, node: &str) -> Option<Vec<u8>> {
@@ -140,7 +140,7 @@ impl Hub {
         let Some(mut hub) = self.running.take() else {
             return;
         };
-        hub.fleet.sweep(now.at, now.unix_ms);
+        hub.fleet.sweep(now);
         let news = hub.fleet.take_news();
         if hub.recorder.record(&[], &news, false, now).is_err() {
             hub.fleet.give_back(news);
