@@ -5,14 +5,6 @@ use crate::config::PresenceConfig;
 use albireo_wire::HealthState;
 use std::time::{Duration, Instant};
 
-/// Shortest time between two notices to a node.
-const NOTIFY_EVERY: Duration = Duration::from_secs(5);
-
-/// A time limit, from its seconds.
-pub(super) fn seconds(limit_s: f64) -> Duration {
-    Duration::try_from_secs_f64(limit_s).unwrap_or(Duration::MAX)
-}
-
 /// One node.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Entry {
@@ -59,17 +51,6 @@ impl Entry {
         }
     }
 
-    /// Returns true if the node should be asked for a full status now: it is missing, and the last notice is not
-    /// recent.
-    pub(super) fn ask_for_all(&mut self, now: Instant) -> bool {
-        let due = |notified: Instant| now.saturating_duration_since(notified) >= NOTIFY_EVERY;
-        let notice = self.needs_full && self.notified.is_none_or(due);
-        if notice {
-            self.notified = Some(now);
-        }
-        notice
-    }
-
     /// Notes the number of a message of the present run. Returns `None` if a later one overtook it; after a gap, a full
     /// status may be lost.
     pub(super) fn note_seq(&mut self, seq: u64) -> Option<()> {
@@ -88,12 +69,12 @@ impl Entry {
         let Some(before) = self.run.replace(run) else {
             return;
         };
-        let back = self.other.is_some_and(|(other, heard)| {
-            other == run && now.saturating_duration_since(heard) < silent
-        });
-        if back {
+        if let Some((other, heard)) = self.other
+            && other == run
+            && now.saturating_duration_since(heard) < silent
+        {
             let what = format!("two nodes have this name: runs {run} and {before}");
-            self.identity = Some((what, now + silent.saturating_mul(2)));
+            self.identity = Some((what, now + silent * 2));
         }
         self.other = Some((before, self.heard.unwrap_or(now)));
     }
@@ -117,7 +98,7 @@ impl Entry {
             (PresenceState::Offline, config.offline_after_s),
             (PresenceState::Silent, config.silent_after_s),
         ] {
-            if ago >= seconds(limit_s) {
+            if ago.as_secs_f64() >= limit_s {
                 return (state, format!("no status for {limit_s} s"));
             }
         }

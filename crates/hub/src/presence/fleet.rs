@@ -1,6 +1,6 @@
 //! Keeps the states of all nodes in memory.
 
-use super::entry::{Entry, seconds};
+use super::entry::Entry;
 use super::news::News;
 use super::node::{NodeView, PresenceState};
 use super::today::TodaysEnergy;
@@ -14,6 +14,8 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+/// Shortest time between two notices to a node.
+const NOTIFY_EVERY: Duration = Duration::from_secs(5);
 /// Most nodes written in one transaction.
 const MOST_NEWS: usize = 2000;
 /// Most events that wait for the database; further ones are dropped.
@@ -60,7 +62,8 @@ impl Fleet {
     pub fn apply_status(&self, node: &str, message: &StatusMessage, now: Now) -> bool {
         self.heard(node, now, |entry| {
             if entry.run != Some(message.run) {
-                entry.another_run(message.run, now.at, seconds(self.config.silent_after_s));
+                let silent = Duration::from_secs_f64(self.config.silent_after_s);
+                entry.another_run(message.run, now.at, silent);
             } else if message.full.is_none() {
                 entry.note_seq(message.seq)?;
             }
@@ -109,7 +112,12 @@ impl Fleet {
             }
             self.settle(entry, now);
         }
-        entry.ask_for_all(now.at)
+        let is_due = |notified| now.at.saturating_duration_since(notified) >= NOTIFY_EVERY;
+        let ask = entry.needs_full && entry.notified.is_none_or(is_due);
+        if ask {
+            entry.notified = Some(now.at);
+        }
+        ask
     }
 
     /// Notes that a liveliness token appeared or disappeared, for the next [`sweep`](Self::sweep).
@@ -165,8 +173,8 @@ impl Fleet {
             // offline.
             (None, Some(_)) if entry.node.state == PresenceState::Offline => return,
             (None, Some(heard_ms)) => {
-                let ago = u64::try_from(now.unix_ms - heard_ms).unwrap_or(0);
-                Some(Duration::from_millis(ago).max(seconds(self.config.silent_after_s)))
+                let ago = Duration::from_millis((now.unix_ms - heard_ms).max(0).unsigned_abs());
+                Some(ago.max(Duration::from_secs_f64(self.config.silent_after_s)))
             }
         };
         let (state, why) = entry.judge(heard_ago, &self.config);
