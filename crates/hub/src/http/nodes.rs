@@ -46,9 +46,9 @@ pub(super) struct Selection {
     /// Only nodes in these states, separated by commas: `degraded,silent`.
     pub(super) state: Option<String>,
     /// Only nodes with this text in the name.
-    search: Option<String>,
+    pub(super) search: Option<String>,
     /// Only nodes that match these names, globs and labels, separated by commas: `cam-*,region=north`.
-    select: Option<String>,
+    pub(super) select: Option<String>,
     /// The sort order.
     #[serde(default)]
     #[param(inline)]
@@ -58,7 +58,7 @@ pub(super) struct Selection {
     pub(super) down: bool,
     /// The number of rows to skip.
     #[serde(default)]
-    offset: usize,
+    pub(super) offset: usize,
     /// Maximum number, up to 1000; 100 by default.
     pub(super) limit: Option<usize>,
 }
