@@ -11,7 +11,6 @@ use axum::http::{HeaderName, StatusCode};
 use axum::response::sse::{self, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
 use futures_util::{Stream, StreamExt, stream};
-use std::convert::Infallible;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::MissedTickBehavior;
@@ -61,7 +60,7 @@ impl HubView {
 pub(super) async fn live(
     State(view): State<HubView>,
     Path(node): Path<String>,
-) -> Result<Sse<impl Stream<Item = Result<sse::Event, Infallible>>>, Problem> {
+) -> Result<Sse<impl Stream<Item = Result<sse::Event, axum::Error>>>, Problem> {
     let (session, keys) = view.way_to(&node)?;
     let place = Arc::clone(&view.live).try_acquire_owned().map_err(|_| {
         let detail = format!("{MOST_LIVE} nodes are being watched; close one and try again");
@@ -87,9 +86,9 @@ pub(super) async fn live(
                 sample = counters.recv_async() => sample.ok()?,
             };
             let message = albireo_wire::read::<CountersMessage>(&sample.payload().to_bytes());
-            let event = sse::Event::default().event("counters");
-            if let Some(Ok(event)) = message.ok().map(|message| event.json_data(message)) {
-                return Some((Ok(event), watching));
+            if let Ok(message) = message {
+                let event = sse::Event::default().event("counters");
+                return Some((event.json_data(message), watching));
             }
         }
     });
