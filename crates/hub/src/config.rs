@@ -10,7 +10,6 @@ pub use sections::{
     TuningConfig,
 };
 
-use crate::error::HubError;
 use albireo_service::config::{
     Configuration, DAY_S, Finding, Findings, HttpConfig, LogConfig, NamedToken, ZenohConfig,
     ZenohMode,
@@ -72,16 +71,6 @@ impl Default for HubConfig {
             log: LogConfig::default(),
             tokens: Vec::new(),
         }
-    }
-}
-
-impl HubConfig {
-    /// The keys of all nodes of the fleet.
-    ///
-    /// # Errors
-    /// When the prefix is invalid, which the configuration's check rules out.
-    pub(crate) fn keys(&self) -> Result<NodeKeys, HubError> {
-        NodeKeys::all(&self.hub.prefix).map_err(HubError::at("[hub]"))
     }
 }
 

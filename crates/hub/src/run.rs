@@ -11,6 +11,7 @@ use albireo_service::config::ZenohMode;
 use albireo_service::notify::{self, ServiceState};
 use albireo_service::supervise::{Supervisor, TaskFailures};
 use albireo_service::{logging, session};
+use albireo_wire::NodeKeys;
 use axum::http::Method;
 use parking_lot::Mutex;
 use std::sync::Arc;
@@ -167,7 +168,8 @@ async fn parts(
     // service manager restarts it.
     let mut tasks = Supervisor::new(readiness.clone(), TaskFailures::default(), shutdown.clone());
     tasks.essential("writer", written);
-    let listening = listen(config, view, &session, replies).await?;
+    let keys = NodeKeys::all(&config.hub.prefix).map_err(HubError::at("[hub]"))?;
+    let listening = listen(&keys, view, &session, replies).await?;
     let router = (config.zenoh.mode == ZenohMode::Client).then(|| session.clone());
     tasks.until_shutdown("presence", watch(view.clone(), router));
     // Logs each change of the health.
@@ -175,7 +177,7 @@ async fn parts(
     let today = follow_today(Arc::clone(&view.fleet), store.clone());
     tasks.until_shutdown("today", today);
     let reports = session
-        .declare_queryable(config.keys()?.report())
+        .declare_queryable(keys.report())
         .complete(true)
         .callback(move |query| queue.take(query))
         .await

@@ -1,9 +1,8 @@
 //! Receives status messages and liveliness tokens, answers pulls, and notifies nodes.
 //!
-//! Zenoh's threads apply a status to the fleet themselves, which takes microseconds. What may block, such as an answer or
-//! a notice, is left to other threads.
+//! Zenoh's threads apply a status to the fleet themselves, which takes microseconds. What may block, such as an answer
+//! or a notice, is left to other threads.
 
-use crate::config::HubConfig;
 use crate::error::HubError;
 use crate::http::HubView;
 use crate::ingest::Replies;
@@ -34,14 +33,14 @@ const NOTICE_PAUSE: Duration = Duration::from_millis(10);
 /// Sends notices to nodes: the node, and the revision that it may pull.
 pub type Notifier = SyncSender<(String, u64)>;
 
-/// Receives statuses and tokens and answers pulls until what it returns is dropped.
+/// Receives the statuses and tokens of the nodes with these keys, and answers their pulls, until the returned
+/// declarations are dropped.
 pub(crate) async fn listen(
-    config: &HubConfig,
+    keys: &NodeKeys,
     view: &HubView,
     session: &Session,
     replies: Replies,
 ) -> Result<(Subscriber<()>, Subscriber<()>, Queryable<()>), HubError> {
-    let keys = config.keys()?;
     let hub = view.clone();
     let statuses = session
         .declare_subscriber(keys.status())
