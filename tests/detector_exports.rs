@@ -24,9 +24,15 @@ async fn a_dynamic_export_has_the_size_and_classes_of_its_metadata_reported_as_c
     assert_the_box(&detected(&detector, [51, 204, 0]).await, 1, 0.8);
     // By default only the classes of BDD100K are reported, without traffic lights.
     let detector = started(&config("yolo_open.onnx")).await;
-    assert!(detected(&detector, [0, 204, 0]).await.detections.is_empty());
+    assert!(
+        detected(&detector, [0, 204, 0])
+            .await
+            .output
+            .detections
+            .is_empty()
+    );
     let class = async |detector: &DetectorHandle, color| {
-        let found = detected(detector, color).await.detections[0].class;
+        let found = detected(detector, color).await.output.detections[0].class;
         detector.class_names()[usize::from(found.0)].to_owned()
     };
     assert_eq!(class(&detector, [204, 0, 0]).await, "car");
@@ -47,7 +53,7 @@ async fn float16_and_bytes_with_channels_last_give_the_results_of_float32() {
         assert_the_box(&detected(&detector, [204, 51, 0]).await, 0, 0.8);
         assert_the_box(&detected(&detector, [0, 153, 0]).await, 1, 0.6);
         let grey = detected(&detector, [90, 90, 90]).await;
-        assert!(grey.detections.is_empty());
+        assert!(grey.output.detections.is_empty());
         assert_eq!(detector.counters().head, Default::default());
     }
 }
@@ -61,7 +67,7 @@ async fn impossible_unknown_and_outside_boxes_are_counted_and_the_valid_one_is_r
     let counts = detector.counters().head;
     let counted = [counts.rejected, counts.unknown_class, counts.outside];
     assert_eq!(counted, [1, 1, 1]);
-    assert_eq!(detector.counters().worker.failed, 0);
+    assert_eq!(detector.counters().failed, 0);
 }
 
 #[tokio::test]
@@ -72,11 +78,11 @@ async fn a_model_that_returns_only_impossible_boxes_is_reported_and_recovers_by_
     // A few bad runs in a row are tolerated, and a good one ends the row.
     for _ in 0..2 {
         for _ in 0..4 {
-            assert!(detected(&detector, DARK).await.detections.is_empty());
+            assert!(detected(&detector, DARK).await.output.detections.is_empty());
         }
         assert_the_box(&detected(&detector, [230, 0, 0]).await, 2, 0.902);
     }
-    assert_eq!(detector.counters().worker.failed, 0);
+    assert_eq!(detector.counters().failed, 0);
     for run in 0..6 {
         let answer = detector.detect(CAMERA, one_colour(DARK)).await;
         let is_ready = matches!(*detector.status().borrow(), DetectorStatus::Ready { .. });
@@ -88,7 +94,7 @@ async fn a_model_that_returns_only_impossible_boxes_is_reported_and_recovers_by_
 
     assert_the_box(&detected(&detector, [230, 0, 0]).await, 2, 0.902);
     assert_eq!(detector.status().borrow().fault(), None);
-    let counts = detector.counters().worker;
+    let counts = detector.counters();
     assert_eq!((counts.failed, counts.rebuilds), (2, 0));
 }
 
@@ -99,7 +105,7 @@ async fn boxes_above_the_cap_are_counted_and_dropped() {
         let capped = changed("crowd.onnx", |config| config.most_detections = most);
         let detector = started(&capped).await;
         let found = detected(&detector, [204, 0, 0]).await;
-        assert_eq!(found.detections.len(), most);
+        assert_eq!(found.output.detections.len(), most);
         assert_eq!(detector.counters().head.over_limit > 0, most < 42);
     }
 }
@@ -121,15 +127,21 @@ async fn a_failed_run_is_explained_and_counted_and_the_next_picture_is_answered(
 ) {
     let dark = [red, 0, 0];
     let detector = started(&changed(file, |config| config.confidence = 0.3)).await;
-    assert_eq!(detected(&detector, dark).await.detections.len(), found);
+    assert_eq!(
+        detected(&detector, dark).await.output.detections.len(),
+        found
+    );
     let bright = detector.detect(CAMERA, one_colour([255, 0, 0])).await;
     let error = bright.unwrap_err();
     assert!(matches!(error, InferenceError::Failed(_)), "{error}");
     assert_contains(&error.to_string(), parts);
     let is_ready = |status: &DetectorStatus| matches!(status, DetectorStatus::Ready { .. });
     detector.status().wait_for(is_ready).await.unwrap();
-    assert_eq!(detected(&detector, dark).await.detections.len(), found);
-    let counts = detector.counters().worker;
+    assert_eq!(
+        detected(&detector, dark).await.output.detections.len(),
+        found
+    );
+    let counts = detector.counters();
     assert_eq!((counts.completed, counts.failed), (2, 1));
     assert_eq!((counts.rebuilds, counts.panicked), (1, 0));
 }

@@ -50,7 +50,7 @@ async fn shared_a_model_finds_the_two_cars_of_its_readme(
     let detected = detector.detect(CAMERA, picture).await.unwrap();
     assert_eq!(detector.model_name(), file);
     for (score, place) in cars {
-        let found = detected.detections.iter().any(|detection| {
+        let found = detected.output.detections.iter().any(|detection| {
             let Corners { x1, y1, x2, y2 } = detection.bounding_box.pixel_corners(size);
             let mut sides = [x1, y1, x2, y2].into_iter().zip(place);
             detector.class_names()[usize::from(detection.class.0)] == "car"
@@ -59,7 +59,7 @@ async fn shared_a_model_finds_the_two_cars_of_its_readme(
         });
         assert!(found, "no {score} {place:?} among {detected:?}");
     }
-    let only_these = detected.detections.len() == 2;
+    let only_these = detected.output.detections.len() == 2;
     assert!(names.is_some() || only_these, "{detected:?}");
     detector.stop().await;
 }

@@ -23,7 +23,7 @@ async fn a_fitting_model_runs_on_the_pixels_of_the_picture_and_one_with_too_few_
     // The class scores are the means of the colour planes; green is the second.
     assert_the_box(&detected(&detector, [51, 204, 0]).await, 1, 0.8);
     let grey = detected(&detector, [100, 100, 100]).await;
-    assert!(grey.detections.is_empty());
+    assert!(grey.output.detections.is_empty());
     let mut short = Arc::unwrap_or_clone(one_colour([51, 204, 0]));
     short.pixels.pop();
     let error = detector.detect(CAMERA, Arc::new(short)).await.unwrap_err();
@@ -31,7 +31,7 @@ async fn a_fitting_model_runs_on_the_pixels_of_the_picture_and_one_with_too_few_
     let is_ready = matches!(*detector.status().borrow(), DetectorStatus::Ready { .. });
     assert!(is_ready);
     assert_the_box(&detected(&detector, [51, 204, 0]).await, 1, 0.8);
-    assert_eq!(detector.counters().worker.completed, 3);
+    assert_eq!(detector.counters().completed, 3);
     detector.stop().await;
 }
 

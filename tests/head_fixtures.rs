@@ -61,7 +61,7 @@ fn spec(name: &str, shape: &[i64]) -> TensorSpec {
 }
 
 /// How the vendors fit a picture into the input, and its range.
-const YOLO_INPUT: (Fit, ValueRange) = (Fit::Centre(114), ValueRange::ToOne);
+const YOLO_INPUT: (Fit, ValueRange) = (Fit::Centre, ValueRange::ToOne);
 const DETR_INPUT: (Fit, ValueRange) = (Fit::Stretch, ValueRange::ImageNet);
 
 #[rstest]

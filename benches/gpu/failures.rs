@@ -117,7 +117,7 @@ async fn out_of_memory_while_it_runs(config: &DetectorConfig) -> anyhow::Result<
     let ready = |status: &DetectorStatus| matches!(status, DetectorStatus::Ready { .. });
     tokio::time::timeout(Duration::from_secs(60), status.wait_for(ready)).await??;
     detector.detect(camera, red(102)).await?;
-    let counters = detector.counters().worker;
+    let counters = detector.counters();
     detector.stop().await;
     anyhow::ensure!(
         (counters.completed, counters.failed, counters.rebuilds) == (2, 1, 1),

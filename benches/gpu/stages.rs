@@ -189,7 +189,10 @@ async fn together(
                 for number in 0..each {
                     let picture = Arc::clone(&own[number % own.len()]);
                     let answer = detector.detect(CameraSlot(camera), picture).await?;
-                    answers.push((answer.model.as_secs_f64() * 1e3, f64::from(answer.pictures)));
+                    answers.push((
+                        answer.output.model.as_secs_f64() * 1e3,
+                        f64::from(answer.pictures),
+                    ));
                 }
                 anyhow::Ok(answers)
             })

@@ -62,7 +62,7 @@ impl Throughput {
                     let mut model = 0.0;
                     for picture in own {
                         let detected = detector.detect(CameraSlot(camera), picture).await?;
-                        model += detected.model.as_secs_f64() * 1e3;
+                        model += detected.output.model.as_secs_f64() * 1e3;
                     }
                     anyhow::Ok(model)
                 })

@@ -13,7 +13,7 @@ use albireo_node::LiveEvidence;
 use albireo_vision::detector::{CameraSlot, DetectorConfig, DetectorHandle};
 use albireo_vision::picture::{EncodedPicture, FrameLimits};
 use albireo_vision::pixel_work::PixelWork;
-use albireo_vision::screen::{CameraScreen, ScreenConfig, ScreenHandle};
+use albireo_vision::screen::{EmptyRun, ScreenConfig, ScreenHandle};
 
 const CAMERA: CameraSlot = CameraSlot(0);
 
@@ -40,11 +40,12 @@ impl Node {
 
     /// The evidence of a camera, as in its loop in the node.
     fn camera(&self) -> LiveEvidence {
-        let screen = CameraScreen::new(&self.screen, self.model.clone());
+        let (detector, screen) = (self.detector.clone(), self.model.clone());
+        let empty_run = EmptyRun::new(self.screen.longest_empty_run);
         let preparation = self.detector.preparation().clone();
         let pixels = PixelWork::new(preparation, FrameLimits::default(), 1);
         let never = tokio_util::sync::CancellationToken::new();
-        LiveEvidence::new(self.detector.clone(), screen, CAMERA, pixels, never)
+        LiveEvidence::new(detector, screen, empty_run, CAMERA, pixels, never)
     }
 
     /// The detections of evaluated classes, with the evaluation's class numbers.

@@ -46,8 +46,9 @@ pub(crate) async fn detected(detector: &DetectorHandle, color: [u8; 3]) -> Detec
 /// Asserts that the only detection is the fixtures' box in a picture of size [`PICTURE`].
 #[track_caller]
 pub(crate) fn assert_the_box(found: &Detected, class: u16, confidence: f64) {
-    assert_eq!(found.detections.len(), 1, "{found:?}");
-    let detection = &found.detections[0];
+    let found = &found.output.detections;
+    assert_eq!(found.len(), 1, "{found:?}");
+    let detection = &found[0];
     assert_eq!(detection.class.0, class);
     let off = (detection.confidence - confidence).abs();
     assert!(off < 2e-3, "{detection:?}");

@@ -43,8 +43,6 @@ pub(crate) struct StoredEvidence<'a> {
     screen: ScreenRule,
     /// The node's limit on empty frames in a row, for recorded verdicts.
     run: EmptyRun,
-    /// The current frame.
-    frame: usize,
 }
 
 impl<'a> StoredEvidence<'a> {
@@ -75,7 +73,6 @@ impl<'a> StoredEvidence<'a> {
             detections: stored.iter().map(normalised).collect(),
             screen: settings.screen,
             run: EmptyRun::new(settings.longest_empty_run),
-            frame: 0,
         })
     }
 
@@ -99,10 +96,6 @@ impl<'a> StoredEvidence<'a> {
     /// # Errors
     /// When the policy needs pictures that the clip does not have.
     pub(crate) fn evidence(&mut self, frame: usize, need: Need) -> Result<Evidence<'_>, EvalError> {
-        if self.frame != frame {
-            self.frame = frame;
-            self.run.next_frame();
-        }
         let found = self.detections.get(frame).map_or(&[][..], Vec::as_slice);
         let verdict = |empty| Evidence::Screen { empty };
         Ok(match (need, self.screen) {

@@ -23,7 +23,7 @@ mod status;
 pub use config::{ClassNames, DetectorConfig, ExecutionProvider};
 pub use error::{InferenceError, StartError};
 pub use gpu::GpuConfig;
-pub use handle::{Detected, DetectorCounts, DetectorHandle, DetectorMeter, SpareTurn};
+pub use handle::{Detected, DetectorHandle, SpareTurn};
 pub use head_name::HeadName;
 pub use metadata::Metadata;
 pub use network::{DetectorNetwork, Found};

@@ -77,15 +77,15 @@ pub(crate) struct WorkerSettings {
 
 /// An answered picture.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Answer<T> {
+pub struct Answer<T> {
     /// The model's result.
-    pub(crate) output: T,
+    pub output: T,
     /// The time from the request to the start of the run.
-    pub(crate) queued: Duration,
+    pub queued: Duration,
     /// The duration of the run.
-    pub(crate) took: Duration,
+    pub took: Duration,
     /// The number of pictures in the run: this picture's share of the run is `took` divided by it.
-    pub(crate) pictures: u32,
+    pub pictures: u32,
 }
 
 /// A handle to a running worker, which stops when its last handle is dropped.
@@ -115,12 +115,13 @@ impl<I, T> Clone for Worker<I, T> {
 
 impl<I: Send + 'static, T: Send + 'static> Worker<I, T> {
     /// Builds the model on its thread and waits for it; also returns the model's facts. Calls `build` again after each
-    /// failure. Needs a tokio runtime with timers.
+    /// failure. Counts with `meter`. Needs a tokio runtime with timers.
     ///
     /// # Errors
     /// If the first model cannot be built.
     pub(crate) async fn start<M: Model<Input = I, Output = T>>(
         settings: WorkerSettings,
+        meter: WorkerMeter,
         build: impl Fn() -> Result<M, StartError> + Send + 'static,
     ) -> Result<(Self, M::Facts), StartError> {
         let thread = ModelThread::spawn(settings.name, build)
@@ -129,7 +130,6 @@ impl<I: Send + 'static, T: Send + 'static> Worker<I, T> {
         let (status, watched) = watch::channel(DetectorStatus::Starting);
         let (idle, is_idle) = watch::channel(false);
         let (end, ended) = watch::channel(None);
-        let meter = WorkerMeter::default();
         let stop = CancellationToken::new();
         let mut task = Task {
             settings,
@@ -182,28 +182,12 @@ impl<I: Send + 'static, T: Send + 'static> Worker<I, T> {
         Err(refusal)
     }
 
-    /// Runs the model on a camera's `picture`. Waits for its turn and for the run. When this returns `Ok`, the worker
-    /// no longer holds the picture.
+    /// Runs the model on a camera's `picture`, or, without a camera, on one when no camera waits. Waits for its turn and
+    /// for the run. When this returns `Ok`, the worker no longer holds the picture. May be cancelled at any time.
     ///
     /// # Errors
     /// See [`InferenceError`]; a run that takes too long is answered at its deadline, not later.
     pub(crate) async fn run(
-        &self,
-        camera: CameraSlot,
-        picture: I,
-    ) -> Result<Answer<T>, InferenceError> {
-        self.ask(Some(camera), picture).await
-    }
-
-    /// Runs the model on `picture` when no camera waits. May be cancelled at any time.
-    ///
-    /// # Errors
-    /// Same as [`run`](Self::run).
-    pub(crate) async fn run_spare(&self, picture: I) -> Result<Answer<T>, InferenceError> {
-        self.ask(None, picture).await
-    }
-
-    async fn ask(
         &self,
         camera: Option<CameraSlot>,
         picture: I,

@@ -120,7 +120,8 @@ impl ModelRunner {
         let start = Instant::now();
         let run = self.detector.detect(CAMERA, Arc::clone(&self.picture));
         let found = (self.runtime.block_on(run))
-            .map_err(|error| EvalError::new(format!("the detector failed: {error}")))?;
+            .map_err(|error| EvalError::new(format!("the detector failed: {error}")))?
+            .output;
         times.detector = milliseconds(start);
 
         let mut empty = None;

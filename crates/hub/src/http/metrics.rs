@@ -57,7 +57,7 @@ fn presence(page: &mut MetricsPage, view: &HubView) {
             return;
         }
         let desired = view.desires.get(&node.node);
-        behind += u32::from(desired.is_some_and(|desired| node.at.ask.revision < desired.revision));
+        behind += u32::from(desired.is_some_and(|desired| node.revision < desired.at.ask.revision));
         if let Some(target) = node.status.as_ref().and_then(|status| status.target) {
             targets[target.status.unwrap_or(TargetStatus::Measuring) as usize] += 1;
         }

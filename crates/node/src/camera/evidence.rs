@@ -9,8 +9,9 @@ use albireo_service::clock::milliseconds;
 use albireo_vision::detector::{CameraSlot, Detected, DetectorHandle};
 use albireo_vision::picture::{EncodedPicture, FrameFault};
 use albireo_vision::pixel_work::{PixelWork, PreparedFrame, Source, Stage};
-use albireo_vision::screen::CameraScreen;
+use albireo_vision::screen::{EmptyRun, ScreenHandle, decoding_target};
 use albireo_wire::Latency;
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
@@ -39,7 +40,9 @@ pub(crate) struct DetectorRun {
 /// One camera's evidence, from its pictures, the screen and the detector.
 pub struct LiveEvidence {
     detector: DetectorHandle,
-    screen: CameraScreen,
+    /// The model shared by all cameras, if there is one.
+    screen: Option<ScreenHandle>,
+    empty_run: EmptyRun,
     slot: CameraSlot,
     pixels: PixelWork,
     /// The current frame.
@@ -67,7 +70,8 @@ impl LiveEvidence {
     /// `pixels`. Once `give_up` is cancelled, no answer is awaited: the node is stopping and must not wait for a frame.
     pub fn new(
         detector: DetectorHandle,
-        screen: CameraScreen,
+        screen: Option<ScreenHandle>,
+        empty_run: EmptyRun,
         slot: CameraSlot,
         pixels: PixelWork,
         give_up: CancellationToken,
@@ -76,6 +80,7 @@ impl LiveEvidence {
             pixels,
             detector,
             screen,
+            empty_run,
             slot,
             give_up,
             current: Current::default(),
@@ -84,16 +89,12 @@ impl LiveEvidence {
 
     /// Resets for the next frame. Call it at the end of a frame: others wait for its decoding place.
     pub fn next_frame(&mut self) {
-        self.screen.next_frame();
         self.current = Current::default();
     }
 
     /// The times of the current frame so far.
     pub(crate) fn times(&self) -> Times {
-        Times {
-            overruled: self.screen.is_overruled(),
-            ..self.current.times
-        }
+        self.current.times
     }
 
     /// Fetches `need` for the current frame, whose picture is `encoded`. [`fetched`](Self::fetched) returns the result.
@@ -128,7 +129,7 @@ impl LiveEvidence {
             }
             Need::Detections => {
                 let detected = self.current.detected.as_ref();
-                detected.map(|detected| Evidence::Detections(&detected.detections))
+                detected.map(|detected| Evidence::Detections(&detected.output.detections))
             }
         };
         known.unwrap_or(Evidence::Unavailable)
@@ -143,17 +144,23 @@ impl LiveEvidence {
             return Ok(None);
         }
         self.look(encoded, Stage::Picture).await?;
-        let Some(picture) = &self.current.frame.picture else {
+        let (Some(screen), Some(picture)) = (&self.screen, &self.current.frame.picture) else {
             return Ok(None);
         };
         let start = Instant::now();
-        let empty = tokio::select! {
+        let verdict = tokio::select! {
             biased;
-            empty = self.screen.ask(self.slot, picture.shared()) => empty,
+            // The screen counts and logs its failures itself.
+            verdict = screen.ask(self.slot, Arc::clone(picture.shared())) => verdict.ok(),
             () = self.give_up.cancelled() => None,
         };
-        self.current.times.latency.screen = Some(milliseconds(start.elapsed()));
-        Ok(empty)
+        let times = &mut self.current.times;
+        times.latency.screen = Some(milliseconds(start.elapsed()));
+        Ok(verdict.map(|verdict| {
+            let empty = self.empty_run.limit(verdict.empty);
+            times.overruled = verdict.empty && !empty;
+            empty
+        }))
     }
 
     /// Returns the detected boxes; `None` if the detector is not available for this frame.
@@ -184,14 +191,14 @@ impl LiveEvidence {
                 end,
                 used: detected.took / detected.pictures.max(1),
             });
-            self.screen.detector_ran();
+            self.empty_run.detector_ran();
         }
         Ok(answer)
     }
 
     /// True if the detector is called for this frame because the screen reported "empty" too often in a row.
     pub fn screen_is_overruled(&self) -> bool {
-        self.screen.is_overruled()
+        self.current.times.overruled
     }
 
     /// Prepares the pixels for `stage`, unless that is done or `give_up` is cancelled. The screen and the detector
@@ -208,8 +215,9 @@ impl LiveEvidence {
                 self.current.place += start.elapsed();
             }
             let input = self.detector.preparation().format();
+            let screen = self.screen.as_ref().map(ScreenHandle::input_format);
             let source = Source {
-                target: self.screen.decoding_target(input, encoded.size),
+                target: decoding_target(input, screen, encoded.size),
                 encoded: encoded.clone(),
             };
             let frame = std::mem::take(&mut self.current.frame);

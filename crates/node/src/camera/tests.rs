@@ -13,7 +13,7 @@ use albireo_scene::BoxScene;
 use albireo_vision::detector::{CameraSlot, DetectorConfig, DetectorHandle};
 use albireo_vision::picture::{EncodedPicture, FrameLimits, PictureFormat};
 use albireo_vision::pixel_work::PixelWork;
-use albireo_vision::screen::{CameraScreen, ScreenConfig};
+use albireo_vision::screen::EmptyRun;
 use albireo_wire::{AuditReport, ClipEnd, DetectionsMessage};
 use futures_util::FutureExt;
 use std::path::Path;
@@ -38,9 +38,9 @@ pub(super) fn pixels(detector: &DetectorHandle) -> PixelWork {
 /// The evidence of a camera without a screen.
 pub(super) fn live_evidence(detector: &DetectorHandle, pixels: &PixelWork) -> LiveEvidence {
     let (slot, pixels) = (CameraSlot(0), pixels.clone());
-    let screen = CameraScreen::new(&ScreenConfig::default(), None);
+    let run = EmptyRun::new(100);
     let never = CancellationToken::new();
-    LiveEvidence::new(detector.clone(), screen, slot, pixels, never)
+    LiveEvidence::new(detector.clone(), None, run, slot, pixels, never)
 }
 
 pub(super) fn picture(index: u64) -> EncodedPicture {

@@ -18,7 +18,7 @@ use albireo_power::PowerHandle;
 use albireo_service::supervise::Supervisor;
 use albireo_vision::detector::{CameraSlot, DetectorHandle};
 use albireo_vision::pixel_work::PixelWork;
-use albireo_vision::screen::{CameraScreen, ScreenHandle};
+use albireo_vision::screen::{EmptyRun, ScreenHandle};
 use albireo_wire::{HealthState, stream_of_token, stream_token};
 use futures_util::FutureExt;
 use std::any::Any;
@@ -201,7 +201,8 @@ impl Cameras {
         };
         let evidence = LiveEvidence::new(
             self.detector.clone(),
-            CameraScreen::new(&self.config.screen, self.screen.clone()),
+            self.screen.clone(),
+            EmptyRun::new(self.config.screen.longest_empty_run),
             slot,
             self.pixels.clone(),
             self.give_up.clone(),

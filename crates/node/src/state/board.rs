@@ -24,7 +24,7 @@ pub use albireo_power::PowerSnapshot;
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::readiness::{Fault, Readiness};
 use albireo_service::supervise::TaskFailures;
-use albireo_vision::detector::{DetectorCounts, DetectorMeter, DetectorStatus, ExecutionProvider};
+use albireo_vision::detector::{DetectorStatus, ExecutionProvider};
 use albireo_vision::worker::{WorkerCounts, WorkerMeter};
 use albireo_wire::{AuditReport, ClipReport, CountersMessage, SettingSource};
 use camera::Shared;
@@ -72,7 +72,7 @@ pub struct Board {
     events: broadcast::Sender<Arc<Event>>,
     detector: Arc<Mutex<DetectorStatus>>,
     /// The meters of the detector and the screen, once these have started.
-    pub(crate) meters: OnceLock<(DetectorMeter, Option<WorkerMeter>)>,
+    pub(crate) meters: OnceLock<(WorkerMeter, Option<WorkerMeter>)>,
     power: Mutex<PowerPast>,
     started_ms: i64,
     today: Mutex<Today>,
@@ -151,7 +151,7 @@ impl Board {
     }
 
     /// The counts of the detector and the screen: zero before they start, and without a screen.
-    pub(crate) fn worker_counts(&self) -> (DetectorCounts, WorkerCounts) {
+    pub(crate) fn worker_counts(&self) -> (WorkerCounts, WorkerCounts) {
         let meters = self.meters.get();
         let screen = meters.and_then(|(_, screen)| screen.as_ref());
         (

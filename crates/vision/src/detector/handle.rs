@@ -2,32 +2,18 @@
 
 use super::network::DetectorNetwork;
 use super::preparation::prepare_off_thread;
-use super::reader::HeadCounters;
 use super::{
-    CameraSlot, DetectorConfig, DetectorStatus, ExecutionProvider, Found, HeadCounts,
-    InferenceError, Preparation, PreparedPicture, StartError,
+    CameraSlot, DetectorConfig, DetectorStatus, ExecutionProvider, Found, InferenceError,
+    Preparation, PreparedPicture, StartError,
 };
 use crate::picture::Picture;
 use crate::worker::{Answer, Worker, WorkerCounts, WorkerMeter, WorkerSettings};
-use albireo_core::detection::Detection;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 
 /// The detector's answer for one picture.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Detected {
-    /// Best first, normalised to the source picture, above the configured confidence, overlaps suppressed.
-    pub detections: Vec<Detection>,
-    /// The time from the request to the start of the run.
-    pub queued: Duration,
-    /// The duration of the run.
-    pub took: Duration,
-    /// The duration of the model alone; for a batch, that of all its pictures.
-    pub model: Duration,
-    /// The number of pictures in the run; this picture's share of the time is `took` divided by it.
-    pub pictures: u32,
-}
+pub type Detected = Answer<Found>;
 
 /// A detector on its own thread: cheap to clone, shared by all cameras, stopped when the last handle is dropped.
 #[derive(Clone)]
@@ -36,38 +22,11 @@ pub struct DetectorHandle {
     model_name: Arc<str>,
     class_names: Arc<[String]>,
     preparation: Preparation,
-    head: Arc<HeadCounters>,
     spare: Arc<Semaphore>,
 }
 
 /// The right to have one picture answered while no camera waits.
 pub type SpareTurn = OwnedSemaphorePermit;
-
-/// The detector's counts since it started.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct DetectorCounts {
-    /// Runs and rebuilds.
-    pub worker: WorkerCounts,
-    /// Rows and boxes of the model's output that were not reported.
-    pub head: HeadCounts,
-}
-
-/// The detector's counters for metrics; does not keep the detector running.
-#[derive(Clone, Debug)]
-pub struct DetectorMeter {
-    worker: WorkerMeter,
-    head: Arc<HeadCounters>,
-}
-
-impl DetectorMeter {
-    /// Returns the counts since the detector started.
-    pub fn read(&self) -> DetectorCounts {
-        DetectorCounts {
-            worker: self.worker.read(),
-            head: *self.head.lock(),
-        }
-    }
-}
 
 impl DetectorHandle {
     /// Loads the model on its own thread, checks that it fits its head, and warms it up.
@@ -76,7 +35,6 @@ impl DetectorHandle {
     /// If the library, the model, its head or the execution provider is not as configured.
     pub async fn start(config: &DetectorConfig) -> Result<Self, StartError> {
         config.check()?;
-        let head = Arc::new(HeadCounters::default());
         let settings = WorkerSettings {
             name: "detector",
             timeout: Duration::from_millis(config.timeout_ms),
@@ -85,15 +43,15 @@ impl DetectorHandle {
         };
         let model_name = config.model.file_name().unwrap_or_default();
         let model_name = model_name.to_string_lossy().into();
-        let (config, counters) = (config.clone(), head.clone());
-        let build = move || DetectorNetwork::open_counting(&config, counters.clone());
-        let (worker, (class_names, input)) = Worker::start(settings, build).await?;
+        let (config, meter) = (config.clone(), WorkerMeter::default());
+        let counting = meter.clone();
+        let build = move || DetectorNetwork::open_counting(&config, counting.clone());
+        let (worker, (class_names, input)) = Worker::start(settings, meter, build).await?;
         Ok(Self {
             worker,
             model_name,
             class_names: class_names.into(),
             preparation: Preparation::new(input),
-            head,
             spare: Arc::new(Semaphore::new(1)),
         })
     }
@@ -128,7 +86,7 @@ impl DetectorHandle {
         camera: CameraSlot,
         picture: PreparedPicture,
     ) -> Result<Detected, InferenceError> {
-        self.worker.run(camera, picture).await.map(detected)
+        self.worker.run(Some(camera), picture).await
     }
 
     /// Waits until the model has nothing to do; returns the right to call [`detect_spare`](Self::detect_spare), one at
@@ -149,7 +107,7 @@ impl DetectorHandle {
         _turn: SpareTurn,
         picture: PreparedPicture,
     ) -> Result<Detected, InferenceError> {
-        self.worker.run_spare(picture).await.map(detected)
+        self.worker.run(None, picture).await
     }
 
     /// Checks that a picture would be accepted now. Counts a refusal: call this before decoding a picture.
@@ -166,16 +124,13 @@ impl DetectorHandle {
     }
 
     /// Returns the counts since the detector started.
-    pub fn counters(&self) -> DetectorCounts {
-        self.meter().read()
+    pub fn counters(&self) -> WorkerCounts {
+        self.worker.meter.read()
     }
 
     /// Counters for metrics; does not keep the detector running.
-    pub fn meter(&self) -> DetectorMeter {
-        DetectorMeter {
-            worker: self.worker.meter.clone(),
-            head: self.head.clone(),
-        }
+    pub fn meter(&self) -> WorkerMeter {
+        self.worker.meter.clone()
     }
 
     /// The names of the reported classes, by class number.
@@ -206,15 +161,5 @@ impl DetectorHandle {
     /// Accepts no more pictures and returns when the run in progress has ended or exceeded its deadline.
     pub async fn stop(&self) {
         self.worker.stop().await;
-    }
-}
-
-fn detected(answer: Answer<Found>) -> Detected {
-    Detected {
-        detections: answer.output.detections,
-        queued: answer.queued,
-        took: answer.took,
-        model: answer.output.model,
-        pictures: answer.pictures,
     }
 }

@@ -9,7 +9,7 @@ mod suppression;
 mod yolo;
 mod yolox;
 
-pub use recognise::{Unrecognised, recognise};
+pub use recognise::recognise;
 pub use suppression::{Suppression, keep_best, suppress};
 
 use super::{HeadName, PictureInput, Signature};
@@ -95,28 +95,17 @@ pub fn bind(name: HeadName, signature: &Signature, input: PictureInput) -> Resul
     let size = input.size;
     let (bound, fit, color_order, value_range, overlaps) = match name {
         HeadName::Auto => return Err("the model was not recognised before".to_owned()),
-        HeadName::Yolo => (yolo::bind(signature), Centre(114), Rgb, ToOne, true),
-        HeadName::EndToEnd => (end_to_end::bind(signature), Centre(114), Rgb, ToOne, false),
+        HeadName::Yolo => (yolo::bind(signature), Centre, Rgb, ToOne, true),
+        HeadName::EndToEnd => (end_to_end::bind(signature), Centre, Rgb, ToOne, false),
         HeadName::Detr => (detr::bind(signature, size), Stretch, Rgb, ImageNet, false),
-        HeadName::Yolox => (yolox::bind(signature, size), TopLeft(114), Bgr, To255, true),
+        HeadName::Yolox => (yolox::bind(signature, size), TopLeft, Bgr, To255, true),
         HeadName::FastestDet => (fastestdet::bind(signature, size), Stretch, Bgr, ToOne, true),
     };
     let (classes, reader) = bound?;
     Ok(Head {
         name,
         classes,
-        input_format: InputFormat {
-            size,
-            fit,
-            color_order,
-            // A model that takes bytes normalises them itself.
-            value_range: if input.takes_bytes {
-                To255
-            } else {
-                value_range
-            },
-            layout: input.layout,
-        },
+        input_format: input.format(fit, color_order, value_range),
         overlaps,
         reader,
     })

@@ -45,13 +45,13 @@ impl Metadata {
 
     /// The input size of the export: `imgsz`, rows first.
     pub fn image_size(&self) -> Option<PictureSize> {
-        let numbers: Vec<u32> = self
-            .get("imgsz")?
-            .trim_matches(['[', ']', '(', ')', ' '])
-            .split(',')
-            .map(|number| number.trim().parse().ok())
-            .collect::<Option<_>>()?;
-        match *numbers.as_slice() {
+        let text = self.get("imgsz")?.trim();
+        let list = [('[', ']'), ('(', ')')]
+            .into_iter()
+            .find_map(|(open, close)| text.strip_prefix(open)?.strip_suffix(close));
+        let numbers = list.unwrap_or(text).split(',');
+        let numbers: Option<Vec<u32>> = numbers.map(|side| side.trim().parse().ok()).collect();
+        match *numbers?.as_slice() {
             [side] => Some(PictureSize::new(side, side)),
             [rows, columns] => Some(PictureSize::new(columns, rows)),
             _ => None,
@@ -239,7 +239,10 @@ pub(super) mod tests {
         for (text, size) in [
             ("[384, 640]", Some((640, 384))),
             ("640", Some((640, 640))),
-            ("[640", Some((640, 640))),
+            ("(384, 640)", Some((640, 384))),
+            ("[640", None),
+            ("640]", None),
+            ("[384, 640)", None),
             ("a", None),
             ("[1, 2, 3]", None),
             ("", None),

@@ -1,16 +1,15 @@
 //! The real detector: runs the session and then the head on the worker's thread, for one picture or all of a run.
 
 use super::classes::Classes;
-use super::head::{self, Head, TensorView, Unrecognised};
-use super::reader::{HeadCounters, HeadCounts, Parts, Reader};
+use super::head::{self, Head, TensorView};
+use super::reader::{HeadCounts, Parts, Reader};
 use super::{
     DetectorConfig, ExecutionProvider, HeadName, InferenceError, OnnxSession, Preparation,
     PreparedPicture, Signature, StartError, TensorSpec, class_names,
 };
 use crate::picture::{InputFormat, Picture};
-use crate::worker::Model;
+use crate::worker::{Model, WorkerMeter};
 use albireo_core::detection::Detection;
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// The detections in one picture, and the duration of each step.
@@ -46,12 +45,12 @@ impl DetectorNetwork {
     /// If the library, the model, its head or the execution provider is not as configured.
     pub fn open(config: &DetectorConfig) -> Result<Self, StartError> {
         config.check()?;
-        Self::open_counting(config, Arc::default())
+        Self::open_counting(config, WorkerMeter::default())
     }
 
     pub(super) fn open_counting(
         config: &DetectorConfig,
-        counters: Arc<HeadCounters>,
+        meter: WorkerMeter,
     ) -> Result<Self, StartError> {
         let session = OnnxSession::open(config)?;
         check_batch(config, session.signature())?;
@@ -73,7 +72,7 @@ impl DetectorNetwork {
             .warm_up(config.batch_size)
             .map_err(|reason| StartError::first_run(&config.model, reason))?;
         // Counting begins with the first picture.
-        network.reader.counters = counters;
+        network.reader.meter = meter;
         network.impossible_runs = 0;
         Ok(network)
     }
@@ -140,7 +139,7 @@ impl DetectorNetwork {
 
     /// Rows and boxes of the model's output that were not reported.
     pub fn counts(&self) -> HeadCounts {
-        *self.reader.counters.lock()
+        self.reader.meter.read().head
     }
 }
 
@@ -169,12 +168,11 @@ fn head_for(config: &DetectorConfig, signature: &Signature) -> Result<Head, Star
         let expected = "one picture input [1, 3, rows, columns] or [1, rows, columns, 3]";
         does_not_fit(config.head, expected, reason)
     })?;
-    let not_recognised = |Unrecognised { reason, looked_for }| {
+    let not_recognised = |reason: String| {
         StartError(format!(
-            "the model {} is not recognised: {reason}. The model has {signature}. Looked for {}. If you know how to \
-             read it, set detector.head",
-            config.model.display(),
-            looked_for.join("; ")
+            "the model {} is not recognised: {reason}. The model has {signature}. If you know how to read it, set \
+             detector.head",
+            config.model.display()
         ))
     };
     let name = match config.head {

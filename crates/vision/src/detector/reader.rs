@@ -4,10 +4,9 @@ use super::classes::Classes;
 use super::head::{Candidate, Head, Suppression, TensorView, keep_best, suppress};
 use super::{DetectorConfig, InferenceError, shape_text};
 use crate::picture::InputMapping;
+use crate::worker::WorkerMeter;
 use albireo_core::detection::Detection;
 use albireo_core::geometry::PictureSize;
-use parking_lot::Mutex;
-use std::sync::Arc;
 
 /// Rows and boxes of the model's output that were not reported.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -23,9 +22,6 @@ pub struct HeadCounts {
     pub over_limit: u64,
 }
 
-/// The same counts while they are updated; outlives the session.
-pub(super) type HeadCounters = Mutex<HeadCounts>;
-
 /// The results in the output for one picture.
 pub(super) struct ReadOut {
     pub(super) detections: Vec<Detection>,
@@ -40,11 +36,11 @@ pub(super) struct Reader {
     suppression: Suppression,
     pub(super) classes: Classes,
     candidates: Vec<Candidate>,
-    pub(super) counters: Arc<HeadCounters>,
+    pub(super) meter: WorkerMeter,
 }
 
 impl Reader {
-    /// Creates a reader for a model with this head and these classes. It has its own counters until it is given others.
+    /// Creates a reader for a model with this head and these classes. It counts by itself until it is given a meter.
     pub(super) fn new(head: Head, classes: Classes, config: &DetectorConfig) -> Self {
         Self {
             head,
@@ -56,7 +52,7 @@ impl Reader {
             },
             classes,
             candidates: Vec::new(),
-            counters: Arc::default(),
+            meter: WorkerMeter::default(),
         }
     }
 
@@ -107,12 +103,12 @@ impl Reader {
             .filter_map(|candidate| detection(candidate, mapping))
             .collect();
         counts.outside = (self.candidates.len() - detections.len()) as u64;
-        let mut total = self.counters.lock();
-        total.rejected += counts.rejected;
-        total.outside += counts.outside;
-        total.unknown_class += counts.unknown_class;
-        total.over_limit += counts.over_limit;
-        drop(total);
+        self.meter.update(|total| {
+            total.head.rejected += counts.rejected;
+            total.head.outside += counts.outside;
+            total.head.unknown_class += counts.unknown_class;
+            total.head.over_limit += counts.over_limit;
+        });
         let some_are_impossible = counts.rejected + counts.outside > 0;
         ReadOut {
             is_impossible: some_are_impossible && are_all_reported && detections.is_empty(),

@@ -189,12 +189,6 @@ fn metadata(session: &Session) -> Metadata {
     )
 }
 
-fn terminate(options: &RunOptions) {
-    if let Err(error) = options.terminate() {
-        warn!(%error, "a run could not be interrupted");
-    }
-}
-
 fn build(
     environment: &Environment,
     settings: &DetectorConfig,
@@ -221,7 +215,9 @@ fn build(
             if let Err(error) = canceler.cancel() {
                 warn!(%error, "the loading of a model could not be interrupted");
             }
-            terminate(&options);
+            if let Err(error) = options.terminate() {
+                warn!(%error, "a run could not be interrupted");
+            }
         })
     });
     let session = builder.commit_from_file(&settings.model)?;

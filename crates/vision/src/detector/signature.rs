@@ -1,7 +1,7 @@
 //! The signature of a model: names, element types and shapes of its inputs and outputs, and metadata.
 
 use super::Metadata;
-use crate::picture::TensorLayout;
+use crate::picture::{ColorOrder, Fit, InputFormat, TensorLayout, ValueRange};
 use albireo_core::geometry::PictureSize;
 use std::fmt;
 
@@ -52,6 +52,28 @@ pub struct PictureInput {
     pub layout: TensorLayout,
     /// True if it takes bytes, which are then pixel values from 0 to 255.
     pub takes_bytes: bool,
+}
+
+impl PictureInput {
+    /// The input of a network that is made for pictures of this kind.
+    pub(crate) fn format(
+        self,
+        fit: Fit,
+        color_order: ColorOrder,
+        value_range: ValueRange,
+    ) -> InputFormat {
+        InputFormat {
+            size: self.size,
+            fit,
+            color_order,
+            // A model that takes bytes normalises them itself.
+            value_range: match self.takes_bytes {
+                true => ValueRange::To255,
+                false => value_range,
+            },
+            layout: self.layout,
+        }
+    }
 }
 
 impl Signature {

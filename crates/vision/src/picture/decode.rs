@@ -63,18 +63,8 @@ pub fn decode(
     }
 }
 
-/// A buffer is kept if it is at most this many times too large; otherwise its memory is released.
-const KEPT_TIMES: usize = 4;
-
-/// A buffer of at most this many bytes is always kept.
-const KEPT_BYTES: usize = 16 << 20;
-
-/// Makes `buffer` as long as a picture needs it. After one huge picture the memory is released; if there is none for
-/// this picture, only this one is lost.
+/// Makes `buffer` as long as a picture needs it. If there is no memory for this picture, only this one is lost.
 pub(super) fn make_room(buffer: &mut Vec<u8>, length: usize) -> Result<(), FrameFault> {
-    if buffer.capacity() > KEPT_BYTES && buffer.capacity() / KEPT_TIMES > length {
-        *buffer = Vec::new();
-    }
     let more = length.saturating_sub(buffer.len());
     buffer.try_reserve_exact(more).map_err(|_| {
         FrameFault::oversized(format!(
@@ -196,17 +186,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_memory_of_a_huge_picture_is_released_and_one_too_large_for_memory_is_a_fault() {
+    fn a_picture_too_large_for_memory_is_a_fault() {
         let mut buffer = vec![1; 8];
         let fault = make_room(&mut buffer, isize::MAX as usize).unwrap_err();
         assert_eq!(fault.kind(), "oversized");
         make_room(&mut buffer, 16).unwrap();
         assert_eq!(buffer.len(), 16);
-        make_room(&mut buffer, 100 << 20).unwrap();
-        make_room(&mut buffer, 1 << 20).unwrap();
-        assert!(buffer.capacity() < 2 << 20, "{}", buffer.capacity());
-        make_room(&mut buffer, 8 << 20).unwrap();
-        make_room(&mut buffer, 1 << 20).unwrap();
-        assert!(buffer.capacity() >= 8 << 20, "{}", buffer.capacity());
     }
 }

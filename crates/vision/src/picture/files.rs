@@ -1,32 +1,24 @@
 //! Pictures from files: finds and orders the pictures of a folder, and reads one of them as a camera would send it.
 
-use super::{EncodedPicture, FrameFault, FrameLimits, picture_of_file};
+use super::{EncodedPicture, FrameLimits, picture_of_file};
 use bytes::Bytes;
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 
-/// The reason why no picture can be read from a file or folder.
+/// The file or folder from which no picture can be read, and why.
 #[derive(Debug, Error)]
-pub enum PictureFileError {
-    /// It cannot be read.
-    #[error("{}: cannot be read", path.display())]
-    Unreadable {
-        /// The file or folder.
-        path: PathBuf,
-        /// The system's error.
-        source: std::io::Error,
-    },
-    /// The folder has no pictures.
-    #[error("{}: no .jpg, .jpeg or .png files in it", .0.display())]
-    NoPictures(PathBuf),
-    /// The file contains nothing that a node accepts.
-    #[error("{}: not a picture that can be sent", path.display())]
-    NotAPicture {
-        /// The file.
-        path: PathBuf,
-        /// The fault that a node would report.
-        source: FrameFault,
-    },
+#[error("{0}")]
+pub struct PictureFileError(String);
+
+impl PictureFileError {
+    fn new(path: &Path, reason: impl Display) -> Self {
+        Self(format!("{}: {reason}", path.display()))
+    }
+
+    fn unreadable(path: &Path) -> impl Fn(std::io::Error) -> Self {
+        move |error| Self::new(path, format_args!("cannot be read: {error}"))
+    }
 }
 
 /// True if the file's name is that of a JPEG or PNG file.
@@ -49,19 +41,17 @@ pub fn picture_files(path: &Path) -> Result<Vec<PathBuf>, PictureFileError> {
     if !path.is_dir() {
         return Ok(vec![path.to_path_buf()]);
     }
-    let unreadable = |source| PictureFileError::Unreadable {
-        path: path.to_path_buf(),
-        source,
-    };
+    let unreadable = PictureFileError::unreadable(path);
     let mut files = Vec::new();
-    for entry in std::fs::read_dir(path).map_err(unreadable)? {
-        let file = entry.map_err(unreadable)?.path();
+    for entry in std::fs::read_dir(path).map_err(&unreadable)? {
+        let file = entry.map_err(&unreadable)?.path();
         if is_picture_file(&file) && file.is_file() {
             files.push(file);
         }
     }
     if files.is_empty() {
-        return Err(PictureFileError::NoPictures(path.to_path_buf()));
+        let reason = "no .jpg, .jpeg or .png files in it";
+        return Err(PictureFileError::new(path, reason));
     }
     files.sort_by_cached_key(|file| natural_key(file));
     Ok(files)
@@ -87,15 +77,12 @@ fn natural_key(file: &Path) -> (String, PathBuf) {
 /// # Errors
 /// If it cannot be read, or is not a picture that a node accepts.
 pub fn read_picture_file(path: &Path) -> Result<EncodedPicture, PictureFileError> {
-    let bytes = std::fs::read(path).map_err(|source| PictureFileError::Unreadable {
-        path: path.to_path_buf(),
-        source,
-    })?;
-    picture_of_file(Bytes::from(bytes), &FrameLimits::default()).map_err(|source| {
-        PictureFileError::NotAPicture {
-            path: path.to_path_buf(),
-            source,
-        }
+    let bytes = std::fs::read(path).map_err(PictureFileError::unreadable(path))?;
+    picture_of_file(Bytes::from(bytes), &FrameLimits::default()).map_err(|fault| {
+        PictureFileError::new(
+            path,
+            format_args!("not a picture that can be sent: {fault}"),
+        )
     })
 }
 

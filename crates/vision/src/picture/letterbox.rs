@@ -19,13 +19,16 @@ pub enum ColorOrder {
     Bgr,
 }
 
+/// The grey of the margin, the same for YOLOX and Ultralytics.
+const MARGIN: f32 = 114.0;
+
 /// The way a picture is fitted to the network's input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fit {
-    /// Aspect ratio kept, in the top-left corner, the rest filled with grey of this value (YOLOX: 114).
-    TopLeft(u8),
-    /// Aspect ratio kept, in the middle, the rest filled with grey of this value (Ultralytics: 114).
-    Centre(u8),
+    /// Aspect ratio kept, in the top-left corner, the rest filled with grey (YOLOX).
+    TopLeft,
+    /// Aspect ratio kept, in the middle, the rest filled with grey (Ultralytics).
+    Centre,
     /// Both sides stretched to those of the input.
     Stretch,
 }
@@ -201,14 +204,8 @@ impl Letterbox {
 
     /// Sets every pixel to the margin's value.
     fn fill_margin(&mut self) {
-        let fill = match self.format.fit {
-            Fit::TopLeft(fill) | Fit::Centre(fill) => f32::from(fill),
-            Fit::Stretch => 0.0,
-        };
-        let values = self
-            .format
-            .factors()
-            .map(|(_, factor, offset)| fill * factor + offset);
+        let factors = self.format.factors();
+        let values = factors.map(|(_, factor, offset)| MARGIN * factor + offset);
         match self.format.layout {
             TensorLayout::Nchw => {
                 let plane = self.tensor.len() / 3;
@@ -290,14 +287,14 @@ fn place(size: PictureSize, format: InputFormat) -> (Placement, InputMapping) {
     let scale = (columns / width).min(rows / height);
     let (scaled_width, scaled_height) = match format.fit {
         Fit::Stretch => (columns, rows),
-        Fit::TopLeft(_) | Fit::Centre(_) => (scale * width, scale * height),
+        Fit::TopLeft | Fit::Centre => (scale * width, scale * height),
     };
     // Ultralytics rounds. YOLOX truncates, even 415.999…, the result for 720 columns at a scale of 416/720: one column
     // less moves boxes by up to 3 pixels and scores by 0.02, so truncation is kept.
     let whole = |value: f64, most: u32| {
         let value = match format.fit {
-            Fit::Centre(_) => value.round(),
-            Fit::TopLeft(_) | Fit::Stretch => value.floor(),
+            Fit::Centre => value.round(),
+            Fit::TopLeft | Fit::Stretch => value.floor(),
         };
         (value as u32).clamp(1, most)
     };
@@ -307,11 +304,11 @@ fn place(size: PictureSize, format: InputFormat) -> (Placement, InputMapping) {
     );
     // An odd margin has its larger part at the right and bottom, as in Ultralytics.
     let (left, top) = match format.fit {
-        Fit::Centre(_) => (
+        Fit::Centre => (
             (input.width - used_width) / 2,
             (input.height - used_height) / 2,
         ),
-        Fit::TopLeft(_) | Fit::Stretch => (0, 0),
+        Fit::TopLeft | Fit::Stretch => (0, 0),
     };
     let placement = Placement {
         left,

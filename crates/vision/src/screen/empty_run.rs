@@ -7,28 +7,17 @@ pub struct EmptyRun {
     /// The longest run; 0 for no limit.
     longest: u32,
     run: u32,
-    is_overruled: bool,
 }
 
 impl EmptyRun {
     /// Allows at most `longest` consecutive empty frames; 0 for no limit.
     pub const fn new(longest: u32) -> Self {
-        Self {
-            longest,
-            run: 0,
-            is_overruled: false,
-        }
-    }
-
-    /// Begins a new frame.
-    pub fn next_frame(&mut self) {
-        self.is_overruled = false;
+        Self { longest, run: 0 }
     }
 
     /// Limits the screen's verdict `empty`: returns false if the run would be too long.
     pub fn limit(&mut self, empty: bool) -> bool {
-        self.is_overruled = empty && self.longest != 0 && self.run >= self.longest;
-        let empty = empty && !self.is_overruled;
+        let empty = empty && (self.longest == 0 || self.run < self.longest);
         self.run = if empty { self.run.saturating_add(1) } else { 0 };
         empty
     }
@@ -37,11 +26,6 @@ impl EmptyRun {
     pub fn detector_ran(&mut self) {
         self.run = 0;
     }
-
-    /// True if the detector runs on this frame although the screen answered "empty".
-    pub const fn is_overruled(&self) -> bool {
-        self.is_overruled
-    }
 }
 
 #[cfg(test)]
@@ -49,7 +33,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_verdict_beyond_the_longest_run_since_the_detector_ran_is_overruled_for_its_frame() {
+    fn a_verdict_beyond_the_longest_run_since_the_detector_ran_is_overruled() {
         let mut run = EmptyRun::new(2);
         for (frame, (verdict, is_overruled)) in (1..).zip([
             (true, false),
@@ -62,14 +46,10 @@ mod tests {
             (true, false),
             (true, true),
         ]) {
-            run.next_frame();
             assert_eq!(run.limit(verdict), verdict && !is_overruled, "{frame}");
-            assert_eq!(run.is_overruled(), is_overruled, "{frame}");
         }
-        run.next_frame();
-        assert!(!run.is_overruled());
         let mut unlimited = EmptyRun::new(0);
-        assert!((0..1000).all(|_| unlimited.limit(true) && !unlimited.is_overruled()));
+        assert!((0..1000).all(|_| unlimited.limit(true)));
         for _ in 0..10 {
             assert!(run.limit(true));
             run.detector_ran();

@@ -52,7 +52,7 @@ impl ScreenHandle {
             batch_size: 1,
             batch_wait: Duration::ZERO,
         };
-        let (worker, input) = Worker::start(settings, build).await?;
+        let (worker, input) = Worker::start(settings, WorkerMeter::default(), build).await?;
         Ok(Some(Self {
             worker,
             preparation: Preparation::new(input),
@@ -75,7 +75,7 @@ impl ScreenHandle {
         picture: Arc<Picture>,
     ) -> Result<ScreenVerdict, InferenceError> {
         let prepared = prepare_off_thread(self.preparation.clone(), picture).await?;
-        let logits = self.worker.run(camera, prepared).await?.output;
+        let logits = self.worker.run(Some(camera), prepared).await?.output;
         let [first, second] = logits;
         let empty = match self.empty_is_second {
             true => second > first,

@@ -38,17 +38,7 @@ impl ScreenNetwork {
         let input = picture_input(signature).map_err(|reason| {
             StartError::does_not_fit(model, signature, ("screen", EXPECTED), reason)
         })?;
-        let format = InputFormat {
-            size: input.size,
-            fit: Fit::Stretch,
-            color_order: config.color_order,
-            value_range: if input.takes_bytes {
-                ValueRange::To255
-            } else {
-                ValueRange::ToOne
-            },
-            layout: input.layout,
-        };
+        let format = input.format(Fit::Stretch, config.color_order, ValueRange::ToOne);
         let mut network = Self { session, format };
         let black = Preparation::new(format).prepare(&Picture::black(format.size));
         let black = black.map_err(|error| StartError::first_run(model, error))?;

@@ -1,5 +1,6 @@
 //! The counters of a worker.
 
+use crate::detector::HeadCounts;
 use parking_lot::Mutex;
 use std::sync::Arc;
 
@@ -28,6 +29,8 @@ pub struct WorkerCounts {
     pub waiting: u64,
     /// Pictures answered on behalf of no frame, while no camera waited; not included in the other counts.
     pub spare: u64,
+    /// What a detector found in the model's output and did not report.
+    pub head: HeadCounts,
 }
 
 /// A worker's counters for metrics; does not keep the worker running.
@@ -40,7 +43,7 @@ impl WorkerMeter {
         *self.0.lock()
     }
 
-    pub(super) fn update(&self, update: impl FnOnce(&mut WorkerCounts)) {
+    pub(crate) fn update(&self, update: impl FnOnce(&mut WorkerCounts)) {
         update(&mut self.0.lock());
     }
 }

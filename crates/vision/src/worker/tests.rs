@@ -122,8 +122,9 @@ async fn stage(settings: WorkerSettings) -> Stage {
         Some(reason) => Err(StartError::first_run("scripted.onnx".as_ref(), reason)),
         None => Ok(Scripted(followed.clone())),
     };
+    let worker = Worker::start(settings, WorkerMeter::default(), factory).await;
     Stage {
-        worker: Worker::start(settings, factory).await.unwrap().0,
+        worker: worker.unwrap().0,
         started,
         ended,
         steps,
@@ -148,7 +149,8 @@ impl Stage {
         let (worker, camera) = (self.worker.clone(), CameraSlot(camera));
         tokio::spawn(async move {
             let shared = Arc::new(());
-            let answer = worker.run(camera, (camera, Arc::clone(&shared))).await;
+            let picture = (camera, Arc::clone(&shared));
+            let answer = worker.run(Some(camera), picture).await;
             let is_mine_again = Arc::strong_count(&shared) == 1;
             assert!(answer.is_err() || is_mine_again, "the worker holds it");
             answer
@@ -552,9 +554,8 @@ async fn a_picture_whose_caller_is_gone_is_not_run() {
 #[tokio::test(start_paused = true)]
 async fn a_panic_while_the_first_model_is_built_is_an_error() {
     let _held = hold_time();
-    let panicking = Worker::start(settings(), || -> Result<Scripted, _> {
-        panic!("scripted panic")
-    });
+    let panics = || -> Result<Scripted, _> { panic!("scripted panic") };
+    let panicking = Worker::start(settings(), WorkerMeter::default(), panics);
     let error = panicking.await.err().unwrap().to_string();
     assert!(error.contains("scripted panic"), "{error}");
 }

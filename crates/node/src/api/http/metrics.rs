@@ -101,16 +101,16 @@ fn node(page: &mut MetricsPage, board: &Board) {
 /// The counts of the detector and of the empty-scene screen.
 fn detector(page: &mut MetricsPage, board: &Board) {
     let (counts, screen) = board.worker_counts();
-    let (worker, head) = (&counts.worker, &counts.head);
+    let head = &counts.head;
     page.counter(
         "albireo_detector_batches_total",
         "Completed runs of the model: fewer than completed pictures where cameras share a run",
-        worker.batches as f64,
+        counts.batches as f64,
     );
     page.gauge(
         "albireo_detector_queue",
         "Pictures that wait for the detector",
-        worker.waiting as f64,
+        counts.waiting as f64,
     );
     let dropped = [
         ("impossible", head.rejected),
@@ -124,7 +124,7 @@ fn detector(page: &mut MetricsPage, board: &Board) {
         dropped.map(|(reason, count)| ([("reason", reason)], count as f64)),
     );
     for (prefix, what, counts) in [
-        ("detector", "detector", &counts.worker),
+        ("detector", "detector", &counts),
         ("screen", "empty-scene screen", &screen),
     ] {
         let runs = [

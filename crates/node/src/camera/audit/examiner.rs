@@ -45,7 +45,7 @@ impl Examiner {
             detector_us: u64::try_from(detected.took.as_micros()).unwrap_or(u64::MAX),
             ..AuditReport::default()
         };
-        found.sums.add(&frame.shown, &detected.detections);
+        found.sums.add(&frame.shown, &detected.output.detections);
         Some(found)
     }
 }

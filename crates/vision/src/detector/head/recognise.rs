@@ -10,24 +10,20 @@ const YOLO_STRIDES: [&[u32]; 3] = [&STRIDES, &[4, 8, 16, 32], &[8, 16, 32, 64]];
 /// The maximum number of boxes of end-to-end models. More rows of six numbers are cells of something else.
 const MOST_BOXES: i64 = 1000;
 
-/// The reason why no head was recognised.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Unrecognised {
-    /// The reason.
-    pub reason: String,
-    /// Each head that was tried, the outputs it needs, and why the model does not fit.
-    pub looked_for: Vec<String>,
-}
-
 /// Returns the head for a model with this signature and picture input. Never [`HeadName::Auto`].
 ///
 /// # Errors
-/// If no head fits, if several do, or if the metadata describe a model that is not a detector.
-pub fn recognise(signature: &Signature, input: PictureInput) -> Result<HeadName, Unrecognised> {
+/// If no head fits, if several do, or if the metadata describe a model that is not a detector: the reason, and each head
+/// that was tried, the outputs it needs, and why the model does not fit.
+pub fn recognise(signature: &Signature, input: PictureInput) -> Result<HeadName, String> {
     let metadata = &signature.metadata;
-    let refused = |reason: String| Unrecognised {
-        reason,
-        looked_for: looked_for(signature, input),
+    let refused = |reason: String| {
+        let looked_for = HeadName::RECOGNISED.map(|head| {
+            let found = looks_like(head, signature, input).err();
+            let found = found.unwrap_or_else(|| "it could be".to_owned());
+            format!("{}: {} ({found})", head.as_str(), head.looks_for())
+        });
+        format!("{reason}. Looked for {}", looked_for.join("; "))
     };
     if let Some(task) = metadata.get("task").filter(|&task| task != "detect") {
         return Err(refused(format!(
@@ -63,19 +59,6 @@ pub fn recognise(signature: &Signature, input: PictureInput) -> Result<HeadName,
             )))
         }
     }
-}
-
-fn looked_for(signature: &Signature, input: PictureInput) -> Vec<String> {
-    HeadName::RECOGNISED
-        .into_iter()
-        .map(|head| {
-            let found = match looks_like(head, signature, input) {
-                Ok(()) => "it could be".to_owned(),
-                Err(reason) => reason,
-            };
-            format!("{}: {} ({found})", head.as_str(), head.looks_for())
-        })
-        .collect()
 }
 
 /// Checks that a model without metadata looks like one for `head`. Stricter than binding, which is for a user who knows

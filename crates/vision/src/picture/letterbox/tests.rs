@@ -4,7 +4,7 @@ use super::super::PixelLayout;
 use super::*;
 use proptest::prelude::*;
 
-const FITS: [Fit; 3] = [Fit::TopLeft(114), Fit::Centre(114), Fit::Stretch];
+const FITS: [Fit; 3] = [Fit::TopLeft, Fit::Centre, Fit::Stretch];
 
 fn picture(width: u32, height: u32) -> Picture {
     let size = PictureSize::new(width, height);
@@ -101,7 +101,7 @@ fn compare(picture: &Picture, format: InputFormat, top: u32, used: PictureSize) 
 
 #[test]
 fn each_fit_puts_a_picture_scaled_by_bilinear_interpolation_in_its_place() {
-    let (corner, centre) = (Fit::TopLeft(114), Fit::Centre(114));
+    let (corner, centre) = (Fit::TopLeft, Fit::Centre);
     for (source, input, fit, top, used) in [
         ((72, 58), (42, 42), corner, 0, (42, 33)),
         ((30, 90), (64, 64), corner, 0, (21, 64)),
@@ -126,7 +126,7 @@ fn colour_order_range_and_layout_are_as_configured() {
                     color_order,
                     value_range,
                     layout,
-                    ..format(32, 32, Fit::TopLeft(114))
+                    ..format(32, 32, Fit::TopLeft)
                 };
                 compare(&picture, format, 0, PictureSize::new(32, 16));
             }
@@ -155,7 +155,7 @@ fn a_picture_scaled_by_the_decoder_has_the_place_of_the_whole_one() {
 #[test]
 fn the_fraction_is_truncated_as_in_yolox() {
     // In double precision 720 * (416 / 720) is just below 416.
-    let format = format(416, 416, Fit::TopLeft(114));
+    let format = format(416, 416, Fit::TopLeft);
     let (placement, mapping) = place(PictureSize::new(720, 576), format);
     assert_eq!((placement.width, placement.height), (415, 332));
     assert!((mapping.width - 416.0).abs() < 1e-9 && (mapping.height - 332.8).abs() < 1e-9);
@@ -196,7 +196,7 @@ proptest! {
         let scale = (f64::from(columns) / f64::from(width)).min(f64::from(rows) / f64::from(height));
         let (scale_x, scale_y) = match fit {
             Fit::Stretch => (f64::from(columns) / f64::from(width), f64::from(rows) / f64::from(height)),
-            Fit::TopLeft(_) | Fit::Centre(_) => (scale, scale),
+            Fit::TopLeft | Fit::Centre => (scale, scale),
         };
         let to_input = |x: f64, y: f64| (
             x * f64::from(width) * scale_x + f64::from(placement.left),

@@ -43,7 +43,7 @@ async fn play(script: Vec<Happens>) {
             Happens::AskSpare => {
                 let worker = stage.worker.clone();
                 let picture = (CameraSlot(SPARE), Arc::default());
-                let spare = tokio::spawn(async move { worker.run_spare(picture).await });
+                let spare = tokio::spawn(async move { worker.run(None, picture).await });
                 asked.push((SPARE, spare));
             }
             Happens::GiveUp(which) if !asked.is_empty() => which.get(&asked).1.abort(),

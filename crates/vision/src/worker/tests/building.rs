@@ -14,14 +14,16 @@ async fn a_slow_build_is_logged_periodically_and_waited_for_and_its_failure_is_a
     let (building, mut is_building) = mpsc::unbounded_channel();
     let (go_on, may_go_on) = blocking::channel::<()>();
     let may_go_on = Mutex::new(may_go_on);
-    let starting = tokio::spawn(Worker::start(settings(), move || -> Result<Scripted, _> {
+    let build = move || -> Result<Scripted, _> {
         building.send(()).unwrap();
         may_go_on.lock().recv().unwrap();
         Err(StartError::first_run(
             "scripted.onnx".as_ref(),
             "scripted end",
         ))
-    }));
+    };
+    let starting = Worker::start(settings(), WorkerMeter::default(), build);
+    let starting = tokio::spawn(starting);
     is_building.recv().await.unwrap();
     settle().await;
     for (seconds, expected) in [

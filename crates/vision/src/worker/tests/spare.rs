@@ -9,7 +9,7 @@ impl Stage {
         tokio::spawn(async move {
             let answer = async {
                 worker.idle().await?;
-                Some(worker.run_spare((camera, Arc::default())).await)
+                Some(worker.run(None, (camera, Arc::default())).await)
             };
             tokio::time::timeout(wait, answer).await.ok()?
         })
