@@ -75,7 +75,7 @@ async fn a_stall_lowers_the_coverage_and_adds_no_energy() {
 fn a_slow_first_line_is_not_a_stall() {
     let task = json!({"curve": [[0, 30], [1, 30]], "stall": [0, 1.5]});
     let (_folder, config) = stand_in(&task);
-    let mut meter = power::open(&config).unwrap();
+    let (_, mut meter) = power::open(&config).unwrap();
     let _no_line_yet = meter.poll(Instant::now()).unwrap();
 }
 

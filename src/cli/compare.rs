@@ -192,14 +192,12 @@ fn prepare(arguments: &Arguments) -> anyhow::Result<(NodeConfig, Vec<PolicySpec>
 async fn choose_meter(config: &mut PowerConfig) -> anyhow::Result<String> {
     let wanted = config.clone();
     let opened = tokio::task::spawn_blocking(move || {
-        albireo_power::open(&wanted).map(|meter| (meter.source().to_owned(), meter.quality()))
+        albireo_power::open(&wanted).map(|(source, meter)| (source, meter.quality()))
     });
-    let (name, quality) = opened.await.context("the power meter")??;
-    if let Ok(source) = serde_json::from_value(name.as_str().into()) {
-        config.source = source;
-    }
+    let (source, quality) = opened.await.context("the power meter")??;
+    config.source = source;
     Ok(match quality {
-        EnergyQuality::Measured => format!("{name} (measured)"),
+        EnergyQuality::Measured => format!("{} (measured)", source.as_str()),
         EnergyQuality::Estimated => "no meter, estimated".to_owned(),
         _ => "no meter".to_owned(),
     })

@@ -18,12 +18,12 @@ pub(crate) const BEST_FIRST: [PowerSource; 5] = [
     PowerSource::Estimate,
 ];
 
-/// Opens the configured meter. May block for a fraction of a second, with `tegrastats` for some seconds.
+/// Opens the configured meter; also returns which one it is. May block for a fraction of a second, with `tegrastats` for some seconds.
 ///
 /// # Errors
 /// [`MeterError`] if the configuration is invalid or a meter requested by name cannot be used here.
 /// `auto` falls back to the estimate, which works wherever `/proc/stat` exists, then to none, and logs the fallback.
-pub fn open(config: &PowerConfig) -> Result<Box<dyn Meter>, MeterError> {
+pub fn open(config: &PowerConfig) -> Result<(PowerSource, Box<dyn Meter>), MeterError> {
     if let Some((key, reason)) = config.problems().into_iter().next() {
         return Err(MeterError::Failed(format!("power.{key}: {reason}")));
     }
@@ -34,28 +34,29 @@ pub fn open(config: &PowerConfig) -> Result<Box<dyn Meter>, MeterError> {
 pub(crate) fn open_source(
     source: PowerSource,
     config: &PowerConfig,
-) -> Result<Box<dyn Meter>, MeterError> {
-    Ok(match source {
-        PowerSource::Auto => automatic(config),
+) -> Result<(PowerSource, Box<dyn Meter>), MeterError> {
+    let meter: Box<dyn Meter> = match source {
+        PowerSource::Auto => return Ok(automatic(config)),
         PowerSource::Ina => Box::new(Ina::open(config)?),
         PowerSource::Tegrastats => Box::new(Tegrastats::open(config)?),
         PowerSource::Rapl => Box::new(Rapl::open(config)?),
         PowerSource::Nvml => Box::new(Nvml::open()?),
         PowerSource::Estimate => Box::new(Estimate::open(config)?),
         PowerSource::None => Box::new(NoMeter),
-    })
+    };
+    Ok((source, meter))
 }
 
-fn automatic(config: &PowerConfig) -> Box<dyn Meter> {
+fn automatic(config: &PowerConfig) -> (PowerSource, Box<dyn Meter>) {
     for source in BEST_FIRST {
         match open_source(source, config) {
-            Ok(meter) => {
+            Ok(opened) => {
                 if source == PowerSource::Estimate {
                     tracing::info!(
                         "no power meter: energy is estimated from utilisation (see `albireo power`)"
                     );
                 }
-                return meter;
+                return opened;
             }
             Err(error) => match error.of(source) {
                 // Warn only about a meter that exists but cannot be read.
@@ -65,7 +66,7 @@ fn automatic(config: &PowerConfig) -> Box<dyn Meter> {
         }
     }
     tracing::warn!("no power meter and no estimate: no energy figures");
-    Box::new(NoMeter)
+    (PowerSource::None, Box::new(NoMeter))
 }
 
 #[cfg(test)]
@@ -76,11 +77,11 @@ mod tests {
     #[test]
     fn auto_prefers_the_board_monitor_then_counters_then_the_estimate() {
         let tree = Tree::default();
-        let chosen = || open(&tree.config()).unwrap().source().to_owned();
+        let chosen = || open(&tree.config()).unwrap().0.as_str();
         // NVML sees the cards of the machine that runs the test, so `nvml` may come before an entry of the tree.
-        assert!(["none", "nvml"].contains(&&*chosen()));
+        assert!(["none", "nvml"].contains(&chosen()));
         tree.write("proc/stat", "cpu 1 2 3 4 5 6 7 8");
-        assert!(["estimate", "nvml"].contains(&&*chosen()));
+        assert!(["estimate", "nvml"].contains(&chosen()));
         tree.rapl("intel-rapl:0", "package-0", 1);
         assert_eq!(chosen(), "rapl");
         tree.ina3221("hwmon1", &[("VDD_IN", 5000, 1000)]);

@@ -88,30 +88,25 @@ impl PowerConfig {
     /// Returns all invalid values: the key, and what is wrong and what is allowed.
     pub fn problems(&self) -> Vec<(&'static str, String)> {
         let mut found = Vec::new();
-        let mut add = |key, reason| found.push((key, reason));
-        let (interval, idle, busy) = (self.interval_ms, self.idle_watts, self.busy_watts);
-        if !(10..=10_000).contains(&interval) {
-            let reason = format!("must be from 10 to 10000, not {interval}");
-            add("interval_ms", reason);
-        }
-        if self.tegrastats.as_os_str().is_empty() {
-            let reason = "is empty; leave the key out instead".to_owned();
-            add("tegrastats", reason);
-        }
-        for (key, watts) in [("idle_watts", idle), ("busy_watts", busy)] {
-            // Written so that NaN is rejected.
-            if !(0.0..=1e5).contains(&watts) {
-                let reason = format!("must be a number from 0 to 100000, not {watts}");
-                add(key, reason);
+        let mut check = |key, is_wrong: bool, reason: String| {
+            if is_wrong {
+                found.push((key, reason));
             }
+        };
+        let (interval, idle, busy) = (self.interval_ms, self.idle_watts, self.busy_watts);
+        let reason = format!("must be from 10 to 10000, not {interval}");
+        check("interval_ms", !(10..=10_000).contains(&interval), reason);
+        let reason = "is empty; leave the key out instead".to_owned();
+        check("tegrastats", self.tegrastats.as_os_str().is_empty(), reason);
+        for (key, watts) in [("idle_watts", idle), ("busy_watts", busy)] {
+            let reason = format!("must be a number from 0 to 100000, not {watts}");
+            // Written so that NaN is rejected.
+            check(key, !(0.0..=1e5).contains(&watts), reason);
         }
-        if busy < idle {
-            let reason = format!("is {busy}, below idle_watts ({idle})");
-            add("busy_watts", reason);
-        }
-        if let Some(fault) = self.rails.as_ref().and_then(RailTable::fault) {
-            add("rails", fault);
-        }
+        let reason = format!("is {busy}, below idle_watts ({idle})");
+        check("busy_watts", busy < idle, reason);
+        let fault = self.rails.as_ref().and_then(RailTable::fault);
+        check("rails", fault.is_some(), fault.unwrap_or_default());
         found
     }
 }

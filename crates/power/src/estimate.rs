@@ -60,10 +60,6 @@ impl Estimate {
 }
 
 impl Meter for Estimate {
-    fn source(&self) -> &str {
-        "estimate"
-    }
-
     fn quality(&self) -> EnergyQuality {
         EnergyQuality::Estimated
     }

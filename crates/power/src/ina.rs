@@ -94,10 +94,6 @@ fn channels(chip: &Path) -> Vec<Channel> {
 }
 
 impl Meter for Ina {
-    fn source(&self) -> &str {
-        "ina"
-    }
-
     /// Omits a rail that cannot be read now; fails if none can be read.
     fn poll(&mut self, _now: Instant) -> Result<Vec<Reading>, MeterError> {
         let mut rails = Vec::with_capacity(self.channels.len());

@@ -8,9 +8,6 @@ use tokio::time::Instant;
 
 /// A power meter. Reading may block for some milliseconds, so the sampler calls it outside the async threads.
 pub trait Meter: Send {
-    /// The source's name in reports: `rapl`, `estimate`, …
-    fn source(&self) -> &str;
-
     /// [`EnergyQuality::Measured`] or [`EnergyQuality::Estimated`]; [`EnergyQuality::Unavailable`] without a meter.
     fn quality(&self) -> EnergyQuality {
         EnergyQuality::Measured
@@ -39,10 +36,6 @@ pub trait Meter: Send {
 pub(crate) struct NoMeter;
 
 impl Meter for NoMeter {
-    fn source(&self) -> &str {
-        "none"
-    }
-
     fn quality(&self) -> EnergyQuality {
         EnergyQuality::Unavailable
     }

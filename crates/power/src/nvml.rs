@@ -96,10 +96,6 @@ fn unreadable(card: u32, reason: String) -> MeterError {
 }
 
 impl Meter for Nvml {
-    fn source(&self) -> &str {
-        "nvml"
-    }
-
     fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
         let mut rails = Vec::with_capacity(self.cards.len());
         let mut sum = 0.0;

@@ -149,10 +149,6 @@ fn find(root: &Path) -> Result<Vec<Zone>, MeterError> {
 }
 
 impl Meter for Rapl {
-    fn source(&self) -> &str {
-        "rapl"
-    }
-
     fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
         read(&mut self.zones, now)?;
         let mut sums = [None; Domain::ALL.len()];

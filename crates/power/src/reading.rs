@@ -48,14 +48,6 @@ pub enum Value {
 }
 
 impl Value {
-    /// The power in watts, if this is a power.
-    pub const fn watts(self) -> Option<f64> {
-        match self {
-            Self::Power(watts) => Some(watts),
-            Self::Counter(_) => None,
-        }
-    }
-
     /// Mean power from `before`, read `seconds` earlier, until this value; for a power, the last value.
     pub(crate) fn mean_watts(self, before: Option<Self>, seconds: f64) -> Option<f64> {
         match (before, self) {

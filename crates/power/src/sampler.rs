@@ -3,7 +3,7 @@
 use crate::account::Account;
 use crate::choose;
 use crate::condition::combined;
-use crate::config::PowerConfig;
+use crate::config::{PowerConfig, PowerSource};
 use crate::error::MeterError;
 use crate::machine::Machine;
 use crate::meter::{Meter, NoMeter};
@@ -105,13 +105,18 @@ pub struct PowerHandle {
 impl PowerHandle {
     /// Returns a handle without a meter or a sampler, which never has figures.
     pub fn none() -> Self {
-        Self::new(&NoMeter, Duration::from_millis(100)).0
+        let source = PowerSource::None.as_str();
+        Self::new(source, &NoMeter, Duration::from_millis(100)).0
     }
 
-    fn new(meter: &dyn Meter, interval: Duration) -> (Self, watch::Sender<Option<Instant>>) {
+    fn new(
+        source: &str,
+        meter: &dyn Meter,
+        interval: Duration,
+    ) -> (Self, watch::Sender<Option<Instant>>) {
         let interval = interval.max(Duration::from_millis(1));
         let (announce, newest) = watch::channel(None);
-        let account = Account::new(meter.source(), meter.quality(), interval);
+        let account = Account::new(source, meter.quality(), interval);
         let account = Arc::new(Mutex::new(account));
         (Self { account, newest }, announce)
     }
@@ -169,31 +174,34 @@ pub async fn start(
 ) -> Result<(PowerHandle, JoinHandle<()>), MeterError> {
     let wanted = config.clone();
     let opened = tokio::task::spawn_blocking(move || {
-        choose::open(&wanted).map(|meter| (meter, Machine::new(&wanted)))
+        choose::open(&wanted).map(|opened| (opened, Machine::new(&wanted)))
     });
-    let (meter, machine) = opened
+    let ((source, meter), machine) = opened
         .await
         .map_err(|error| MeterError::Failed(format!("the meter cannot be opened: {error}")))??;
     let interval = Duration::from_millis(config.interval_ms);
-    Ok(launch(meter, Some(machine), interval, shutdown))
+    let source = source.as_str();
+    Ok(launch(source, meter, Some(machine), interval, shutdown))
 }
 
-/// Like [`start`], with a meter that is already open, and without the machine's condition.
+/// Like [`start`], with a meter that is already open and called `source`, and without the machine's condition.
 pub fn start_with(
+    source: &str,
     meter: Box<dyn Meter>,
     interval: Duration,
     shutdown: CancellationToken,
 ) -> (PowerHandle, JoinHandle<()>) {
-    launch(meter, None, interval, shutdown)
+    launch(source, meter, None, interval, shutdown)
 }
 
 fn launch(
+    source: &str,
     meter: Box<dyn Meter>,
     machine: Option<Machine>,
     interval: Duration,
     shutdown: CancellationToken,
 ) -> (PowerHandle, JoinHandle<()>) {
-    let (handle, announce) = PowerHandle::new(&*meter, interval);
+    let (handle, announce) = PowerHandle::new(source, &*meter, interval);
     let sensors = Sensors {
         meter,
         machine,
@@ -283,8 +291,7 @@ async fn sample(
 /// CPU time of the calling thread since it started.
 pub(crate) fn thread_cpu() -> Duration {
     let time = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
-    let seconds = u64::try_from(time.tv_sec).unwrap_or(0);
-    Duration::new(seconds, u32::try_from(time.tv_nsec).unwrap_or(0))
+    Duration::try_from(time).unwrap_or_default()
 }
 
 #[cfg(test)]

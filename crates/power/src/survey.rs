@@ -58,7 +58,7 @@ pub fn survey(config: &PowerConfig) -> Vec<SourceSurvey> {
             automatic: opened.is_ok() && !found.iter().any(|better| better.automatic),
             ..SourceSurvey::default()
         };
-        let watched = opened.and_then(|mut meter| one.watch(meter.as_mut(), config));
+        let watched = opened.and_then(|(_, mut meter)| one.watch(meter.as_mut(), config));
         one.why_not = watched.err().map(|error| error.of(source).to_string());
         found.push(one);
     }

@@ -75,10 +75,6 @@ impl Tegrastats {
 }
 
 impl Meter for Tegrastats {
-    fn source(&self) -> &str {
-        "tegrastats"
-    }
-
     fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
         let mut readings = Vec::new();
         for (at, text) in self.child.take(self.longest_silence) {

@@ -126,24 +126,23 @@ impl History {
     /// Adds a value to one domain and returns its power.
     fn advance(&mut self, domain: Domain, at: Instant, value: Value) -> Option<f64> {
         let index = domain as usize;
-        let Some((then, before)) = self.last[index].replace((at, value)) else {
-            return value.watts();
-        };
-        let seconds = (at - then).as_secs_f64();
-        let watts = value.mean_watts(Some(before), seconds);
+        let (then, before) = self.last[index].replace((at, value)).unzip();
+        let seconds = then.map_or(0.0, |then| (at - then).as_secs_f64());
         let (joules, longest) = match (before, value) {
-            (Value::Power(then), Value::Power(now)) => (0.5 * (then + now) * seconds, self.gap_s),
-            (Value::Counter(then), Value::Counter(now)) => {
+            (Some(Value::Power(then)), Value::Power(now)) => {
+                (0.5 * (then + now) * seconds, self.gap_s)
+            }
+            (Some(Value::Counter(then)), Value::Counter(now)) => {
                 (now - then, self.gap_s.max(LONGEST_COUNTED_S))
             }
-            _ => return watts,
+            _ => (0.0, 0.0),
         };
         if seconds <= longest {
             let sum = &mut self.totals.sums[index];
             sum.joules += joules;
             sum.seconds += seconds;
         }
-        watts
+        value.mean_watts(before, seconds)
     }
 
     /// True if the source has ever read `domain`.

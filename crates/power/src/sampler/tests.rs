@@ -1,5 +1,4 @@
 use super::*;
-use crate::config::PowerSource;
 use crate::reading::{Reading, Value};
 use crate::tests::{Tree, reading, total};
 use albireo_wire::ClipEnergy;
@@ -9,10 +8,6 @@ use rstest::rstest;
 struct Curve<F>(Instant, F);
 
 impl<F: FnMut(f64) -> Option<f64> + Send> Meter for Curve<F> {
-    fn source(&self) -> &str {
-        "curve"
-    }
-
     fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
         let watts = self.1(now.duration_since(self.0).as_secs_f64());
         let watts = watts.ok_or_else(|| MeterError::Failed("stalled".to_owned()))?;
@@ -26,7 +21,7 @@ fn sampled_every(
 ) -> (PowerHandle, Instant) {
     let start = Instant::now();
     let (interval, never) = (Duration::from_millis(interval_ms), CancellationToken::new());
-    let (handle, _task) = start_with(Box::new(Curve(start, curve)), interval, never);
+    let (handle, _task) = start_with("curve", Box::new(Curve(start, curve)), interval, never);
     (handle, start)
 }
 
@@ -39,7 +34,8 @@ async fn energy(handle: &PowerHandle, start: Instant, end: Instant) -> ClipEnerg
 async fn a_span_is_measured_to_its_ends_and_the_sampler_stops_on_cancellation() {
     let (start, stop) = (Instant::now(), CancellationToken::new());
     let meter = Curve(start, |t| Some(10.0 + t));
-    let (handle, task) = start_with(Box::new(meter), Duration::from_millis(100), stop.clone());
+    let interval = Duration::from_millis(100);
+    let (handle, task) = start_with("curve", Box::new(meter), interval, stop.clone());
     let end = start + Duration::from_millis(8_250);
     tokio::time::sleep_until(end).await;
     let found = energy(&handle, start + Duration::from_millis(250), end).await;
@@ -56,7 +52,7 @@ async fn a_span_is_measured_to_its_ends_and_the_sampler_stops_on_cancellation() 
 #[tokio::test(start_paused = true)]
 async fn without_a_meter_energy_is_unavailable_at_once() {
     let (interval, never) = (Duration::from_millis(100), CancellationToken::new());
-    let (handle, _task) = start_with(Box::new(NoMeter), interval, never);
+    let (handle, _task) = start_with("none", Box::new(NoMeter), interval, never);
     let start = Instant::now();
     tokio::time::sleep(Duration::from_secs(2)).await;
     let asked = Instant::now();

@@ -17,10 +17,6 @@ pub(crate) async fn report(closed: Clip) -> ClipReport {
 pub(crate) struct FakeMeter<F>(pub(crate) F);
 
 impl<F: FnMut(Instant) -> Option<Value> + Send> Meter for FakeMeter<F> {
-    fn source(&self) -> &str {
-        "fake"
-    }
-
     fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
         let reading = |total| Reading {
             at: Some(now),

@@ -49,7 +49,8 @@ fn without_frames_a_meter_or_whole_energy_there_is_no_product() {
 async fn the_last_report_waits_no_longer_than_the_node_may_take_to_stop() {
     // Like tegrastats between two lines.
     let meter = FakeMeter(|_: Instant| None::<Value>);
-    let (power, _task) = start_with(Box::new(meter), ms(10_000), CancellationToken::new());
+    let never = CancellationToken::new();
+    let (power, _task) = start_with("fake", Box::new(meter), ms(10_000), never);
     let mut tracker = ClipTracker::new(ClipConfig::default(), power.camera(), None);
     tracker.arrive(0, Some("last"), Instant::now());
     tokio::time::sleep(ms(500)).await;

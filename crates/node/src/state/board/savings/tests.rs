@@ -131,7 +131,7 @@ async fn run(policy: &str, cameras: usize, rate: f64) -> (f64, PowerHandle, Vec<
     let plug = FakeMeter(move |now: Instant| Some(Value::Counter(plug(now))));
     let stop = CancellationToken::new();
     let interval = Duration::from_millis(100);
-    let (power, sampler) = start_with(Box::new(plug), interval, stop.clone());
+    let (power, sampler) = start_with("fake", Box::new(plug), interval, stop.clone());
     let loops: Vec<_> = (0..cameras)
         .map(|camera| {
             let (policy, detector) = (config.build().unwrap(), Arc::clone(&detector));
