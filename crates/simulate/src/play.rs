@@ -8,6 +8,7 @@ use albireo_wire::{
     BatchCompression, ConfigChanged, Desired, NodeKeys, PullRequest, RefusalReason, ReportAnswer,
     ReportRefusal, VERSION, read,
 };
+use serde::de::DeserializeOwned;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::Notify;
@@ -34,14 +35,15 @@ const FIRST_STATUSES: Duration = Duration::from_secs(5);
 /// The time after the start at which the initial flood of all nodes is over; a third of a short run.
 const SETTLED: Duration = Duration::from_secs(20);
 
-/// A request to the hub with its answer, good or error, if one was received.
-enum Asked {
-    Desired(Option<Answer>),
-    /// A batch with its number of reports and the time until the answer.
-    Batch(u64, Duration, Option<Answer>),
-}
+/// The answer to a request; else the refusal, if one was received.
+type Answer<T> = Result<T, Option<ReportRefusal>>;
 
-type Answer = Result<Vec<u8>, Vec<u8>>;
+/// A request to the hub with its answer.
+enum Asked {
+    Desired(Answer<Desired>),
+    /// A batch with its number of reports and the time until the answer.
+    Batch(u64, Duration, Answer<ReportAnswer>),
+}
 
 /// Opens a client session to the endpoint, with the buffers of a node's uplink.
 pub(crate) async fn open(options: &Options, index: usize) -> Result<Session, SimulateError> {
@@ -190,24 +192,13 @@ impl Player {
 
     fn answered(&mut self, asked: Asked, began: Instant) {
         match asked {
-            Asked::Desired(answer) => {
-                if let Some(Ok(answer)) = answer
-                    && let Ok(desired) = read::<Desired>(&answer)
-                {
-                    self.take(&desired);
-                }
-            }
+            Asked::Desired(Ok(desired)) => self.take(&desired),
+            Asked::Desired(Err(_)) => {}
             Asked::Batch(reports, took, answer) => {
                 self.sending = false;
-                let good = answer.as_ref().and_then(|answer| answer.as_ref().ok());
-                match good.and_then(|good| read::<ReportAnswer>(good).ok()) {
-                    Some(answer) => self.acknowledged(reports, took, &answer, began),
-                    None => {
-                        let Some(Ok(refusal) | Err(refusal)) = answer else {
-                            return self.send_later(None);
-                        };
-                        self.send_later(read::<ReportRefusal>(&refusal).ok());
-                    }
+                match answer {
+                    Ok(answer) => self.acknowledged(reports, took, &answer, began),
+                    Err(refusal) => self.send_later(refusal),
                 }
             }
         }
@@ -308,19 +299,23 @@ impl Player {
     }
 }
 
-/// Sends a query with a payload and returns its first answer, good or error.
-async fn ask(session: Session, key: String, payload: Vec<u8>) -> Option<Answer> {
-    let replies = session
+/// Sends a query with a payload and returns its first answer.
+async fn ask<T: DeserializeOwned>(session: Session, key: String, payload: Vec<u8>) -> Answer<T> {
+    let asked = session
         .get(key)
         .payload(payload)
         .encoding(Encoding::APPLICATION_JSON)
         .congestion_control(CongestionControl::Drop)
         .timeout(ANSWER_WITHIN)
-        .await
-        .ok()?;
-    let reply = replies.recv_async().await.ok()?;
-    Some(match reply.result() {
-        Ok(sample) => Ok(sample.payload().to_bytes().into_owned()),
-        Err(error) => Err(error.payload().to_bytes().into_owned()),
-    })
+        .await;
+    let Ok(replies) = asked else {
+        return Err(None);
+    };
+    let Ok(reply) = replies.recv_async().await else {
+        return Err(None);
+    };
+    match reply.result() {
+        Ok(sample) => read(&sample.payload().to_bytes()).map_err(|_| None),
+        Err(error) => Err(read(&error.payload().to_bytes()).ok()),
+    }
 }
