@@ -166,7 +166,7 @@ impl Command {
             Self::Compare(arguments) => block_on(compare::run(arguments))?,
             #[cfg(feature = "eval")]
             Self::Replay(arguments) => block_on(async {
-                let shutdown = albireo_service::signals::shutdown()?;
+                let shutdown = albireo_service::signals::shutdown(None)?;
                 replay::run(arguments, shutdown).await.map(drop)
             })?,
             #[cfg(feature = "eval")]
@@ -204,7 +204,7 @@ fn in_words(error: &anyhow::Error) -> String {
             text.push_str(&cause);
         }
     }
-    albireo_service::session::without_places(&text)
+    albireo_service::session::plain(&text)
 }
 
 /// Runs an asynchronous subcommand.

@@ -114,7 +114,7 @@ pub(super) struct Arguments {
 pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let (mut config, variants) = prepare(&arguments)?;
     logging::start(&config.log)?;
-    let shutdown = signals::shutdown()?;
+    let shutdown = signals::shutdown(None)?;
     let meter = choose_meter(&mut config.power).await?;
     eprintln!("Reading the clip …");
     let source = (arguments.clip)

@@ -77,7 +77,7 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
             .to_owned(),
         ..LogConfig::default()
     })?;
-    let shutdown = signals::shutdown()?;
+    let shutdown = signals::shutdown(None)?;
     let listener = listen(arguments.port).await?;
     let endpoint = format!("tcp/127.0.0.1:{}", listen(7447).await?.local_addr()?.port());
     let config = configuration(&arguments, &endpoint)?;

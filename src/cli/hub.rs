@@ -58,7 +58,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let config: HubConfig = config::load(arguments.config.as_deref())?;
     logging::start(&config.log)?;
     block_on(async {
-        let shutdown = signals::shutdown()?;
+        let shutdown = signals::shutdown(None)?;
         let listener = listen("http.listen", config.http.listen).await?;
         Ok(albireo_hub::run(&config, listener, shutdown).await?)
     })

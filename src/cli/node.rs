@@ -32,7 +32,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     tracing::info!(version = env!("CARGO_PKG_VERSION"), configuration = %file, "starting");
     block_on(async {
         let limit = config.node.stop_timeout;
-        let shutdown = signals::shutdown_within(Some(limit))?;
+        let shutdown = signals::shutdown(Some(limit))?;
         let listener = listen("http.listen", config.http.listen).await?;
         Ok(albireo_node::run(&config, listener, shutdown).await?)
     })

@@ -45,7 +45,7 @@ pub(super) fn run(arguments: Arguments) -> anyhow::Result<()> {
     let mut findings = Findings::default();
     http.check(&[], &mut findings);
     log.check(&mut findings);
-    if let Some(finding) = findings.into_vec().first() {
+    if let Some(finding) = findings.0.first() {
         bail!("{finding}");
     }
     if arguments.check {
@@ -55,7 +55,7 @@ pub(super) fn run(arguments: Arguments) -> anyhow::Result<()> {
     }
     logging::start(&log)?;
     block_on(async {
-        let shutdown = signals::shutdown()?;
+        let shutdown = signals::shutdown(None)?;
         let listener = listen("--http", http.listen).await?;
         Ok(albireo_router::run(&options, listener, shutdown).await?)
     })

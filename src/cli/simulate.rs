@@ -31,7 +31,7 @@ pub(super) struct Arguments {
 }
 
 pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
-    let shutdown = signals::shutdown()?;
+    let shutdown = signals::shutdown(None)?;
     let progress = |line| eprintln!("{line}");
     let summary = albireo_simulate::run(arguments.options, shutdown, progress).await?;
     if arguments.json {

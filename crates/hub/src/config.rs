@@ -119,6 +119,6 @@ impl Configuration for HubConfig {
         let apply_s = self.tuning.apply_within_s;
         findings.above_zero("tuning.apply_within_s", apply_s, DAY_S);
         self.log.check(&mut findings);
-        findings.into_vec()
+        findings.0
     }
 }

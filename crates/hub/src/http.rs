@@ -25,7 +25,7 @@ use crate::presence::{Fleet, Notifier};
 use crate::store::{EnergyBy, Sort, Store, StoreError, StoredEvent};
 use crate::tuning::Tuner;
 use crate::tuning::run::Command;
-use albireo_service::http::{self, Problem, TokenSecurity};
+use albireo_service::http::{self, Problem, Route};
 use albireo_service::readiness::Readiness;
 use albireo_wire::{CountersMessage, Desired};
 use axum::http::StatusCode;
@@ -159,7 +159,6 @@ impl From<StoreError> for Problem {
         Sort,
         Command
     )),
-    modifiers(&TokenSecurity),
     security((), ("token" = []))
 )]
 struct Description;
@@ -193,7 +192,7 @@ fn described() -> (Router<HubView>, OpenApi) {
         .routes(routes!(runs::one_trial))
         .routes(routes!(runs::end_trial));
     let (router, mut openapi) = routes.split_for_parts();
-    http::describe_problems(&mut openapi);
+    http::describe(&mut openapi);
     (router, openapi)
 }
 

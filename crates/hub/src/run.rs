@@ -8,10 +8,10 @@ use crate::presence::{NOTICES, NodeView, follow_today, listen, send_notices, wat
 use crate::store::{Store, StoreError};
 use crate::tuning::{self, Tuner};
 use albireo_service::config::ZenohMode;
-use albireo_service::notify::{self, ServiceState};
+use albireo_service::notify;
 use albireo_service::supervise::{Supervisor, TaskFailures};
 use albireo_service::{logging, session};
-use albireo_wire::NodeKeys;
+use albireo_wire::{HealthStatus, NodeKeys};
 use axum::http::Method;
 use parking_lot::Mutex;
 use std::sync::Arc;
@@ -104,7 +104,7 @@ pub async fn run(
 
 /// Returns the hub's state for the service manager: not ready while the router or the database is absent, and stuck if
 /// the writer does nothing while batches wait.
-fn service_state(view: HubView) -> impl Fn() -> ServiceState {
+fn service_state(view: HubView) -> impl Fn() -> (HealthStatus, Option<String>) {
     let moved = Mutex::new((0, Instant::now()));
     move || {
         let health = view.readiness.health();
@@ -115,11 +115,8 @@ fn service_state(view: HubView) -> impl Fn() -> ServiceState {
             *moved = (tried, Instant::now());
         }
         let stuck = moved.1.elapsed() >= STUCK_AFTER;
-        ServiceState {
-            ready: health.is_ready(),
-            reasons: health.status().text(),
-            stuck: stuck.then(|| "batches wait and the writer does nothing".to_owned()),
-        }
+        let stuck = stuck.then(|| "batches wait and the writer does nothing".to_owned());
+        (health.status(), stuck)
     }
 }
 

@@ -145,10 +145,9 @@ async fn try_router(config: &NodeConfig) -> Result<String, Failure> {
 
 /// Tries to find a hub that accepts reports behind its router.
 async fn try_hub(config: &NodeConfig) -> Result<String, Failure> {
-    let uplink = config.uplink.clone();
-    let opening = tokio::task::spawn_blocking(move || session::open_uplink(&uplink));
+    let opening = session::open_uplink(&config.uplink);
     let session = in_time(&config.uplink.connect, async {
-        opening.await?.map_err(Into::into)
+        opening.await.map_err(Into::into)
     });
     let (session, key) = (session.await?, config.keys()?.report());
     let found = hub_behind(&session, key.clone()).await;

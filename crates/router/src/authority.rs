@@ -177,7 +177,7 @@ impl Authority {
             key: self.folder.join(entry.certificate()).with_extension("key"),
             entry,
         };
-        create_folder(&self.folder.join(issued.entry.role.as_str()))?;
+        create_folder(&self.folder.join(issued.entry.role.to_string()))?;
         // The key first: a certificate with the wrong key is worse than a key without its certificate.
         write(&issued.key, &key.serialize_pem(), PRIVATE)?;
         write(&issued.certificate, &certificate.pem(), PUBLIC)?;

@@ -1,6 +1,6 @@
 //! Defines the errors of certificates, rules and routers.
 
-use albireo_service::http::HttpError;
+use albireo_service::ServiceError;
 use albireo_wire::KeyError;
 use std::fmt::Display;
 use std::path::Path;
@@ -16,7 +16,7 @@ pub enum RouterError {
     Certificate(#[from] rcgen::Error),
     /// The HTTP interface is not allowed as configured.
     #[error("[http] {0}")]
-    Http(#[from] HttpError),
+    Http(#[from] ServiceError),
     /// Another reason, as text.
     #[error("{0}")]
     Other(String),

@@ -6,7 +6,6 @@ use parking_lot::Mutex;
 use serde_json::json;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-use tokio_util::sync::CancellationToken;
 use zenoh::{Config, Wait};
 
 /// The time limit of an attempt.
@@ -65,15 +64,9 @@ impl Probes {
         }
     }
 
-    /// Opens a session to `router` every `period`, until `shutdown`.
-    pub(crate) async fn run(
-        self,
-        router: Config,
-        endpoint: String,
-        period: Duration,
-        shutdown: CancellationToken,
-    ) {
-        let client = match client(&router, &endpoint) {
+    /// Opens a session to `router` every `period`, for as long as it is polled.
+    pub(crate) async fn run(&self, router: &Config, endpoint: &str, period: Duration) {
+        let client = match client(router, endpoint) {
             Ok(client) => client,
             Err(error) => {
                 tracing::warn!(error, "the router cannot be probed");
@@ -83,10 +76,7 @@ impl Probes {
         let mut ticks = tokio::time::interval(period);
         ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
         loop {
-            tokio::select! {
-                () = shutdown.cancelled() => return,
-                _ = ticks.tick() => {}
-            }
+            ticks.tick().await;
             let (client, begun) = (client.clone(), Instant::now());
             let attempt = tokio::task::spawn_blocking(move || {
                 let session = zenoh::open(client).wait()?;
@@ -94,11 +84,7 @@ impl Probes {
                 session.close().wait()?;
                 Ok::<_, zenoh::Error>(took)
             });
-            let outcome = tokio::select! {
-                () = shutdown.cancelled() => return,
-                outcome = tokio::time::timeout(LIMIT, attempt) => outcome,
-            };
-            self.record(match outcome {
+            self.record(match tokio::time::timeout(LIMIT, attempt).await {
                 Ok(Ok(Ok(took))) => Ok(took),
                 Ok(Ok(Err(error))) => Err(session::plain(&error)),
                 Ok(Err(error)) => Err(error.to_string()),

@@ -4,8 +4,9 @@ use crate::error::{RouterError, at, other};
 use crate::http::{self, RouterView};
 use crate::probe::Probes;
 use albireo_service::config::HttpConfig;
-use albireo_service::notify::{self, ServiceState};
-use albireo_service::session::plain;
+use albireo_service::notify;
+use albireo_service::readiness::{Fault, Readiness};
+use albireo_service::session::{self, plain};
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
@@ -106,14 +107,13 @@ pub async fn run(
         max_sessions,
     };
     let serving = CancellationToken::new();
-    let stopping = serving.clone().drop_guard();
     let routes = http::routes(view.clone());
     let methods = [axum::http::Method::GET];
     let served =
         albireo_service::http::run(&http, &[], &methods, routes, listener, serving.clone());
     let routing = async {
         let routed = route(config, options, &view, &shutdown).await;
-        drop(stopping);
+        serving.cancel();
         routed
     };
     let (served, routed) = tokio::join!(
@@ -136,10 +136,8 @@ async fn route(
     shutdown: &CancellationToken,
 ) -> Result<(), RouterError> {
     let of_router = config.clone();
-    let session = tokio::task::spawn_blocking(move || zenoh::open(config).wait())
+    let session = session::attempt(config)
         .await
-        .map_err(|error| error.to_string())
-        .and_then(|opened| opened.map_err(|error| plain(&error)))
         .map_err(|reason| RouterError::Other(format!("the router cannot be opened: {reason}")))?;
     let endpoints = session.info().locators().await;
     let endpoints: Vec<String> = endpoints.iter().map(ToString::to_string).collect();
@@ -151,19 +149,16 @@ async fn route(
         access_control = !options.no_access_control,
         "ready"
     );
-    let notified_view = view.clone();
+    let (readiness, probed, probes) = (Readiness::default(), view.clone(), view.probes.clone());
+    readiness.probe("router", "", move || probed.reason().map(Fault::not_ready));
     let notifier = tokio::spawn(notify::run(
-        move || ServiceState {
-            ready: notified_view.reason().is_none(),
-            reasons: notified_view.reason().unwrap_or_default(),
-            stuck: notified_view.probes.seen().stuck(),
-        },
+        move || (readiness.health().status(), probes.seen().stuck()),
         shutdown.clone(),
     ));
     if let Some(endpoint) = endpoints.first() {
         let period = Duration::from_secs(options.probe_s);
-        let probes = view.probes.clone();
-        tokio::spawn(probes.run(of_router, endpoint.clone(), period, shutdown.clone()));
+        let probing = view.probes.run(&of_router, endpoint, period);
+        shutdown.run_until_cancelled(probing).await;
     }
     shutdown.cancelled().await;
     let _ = notifier.await;

@@ -1,7 +1,6 @@
 //! Configuration: one TOML file, overridden by environment variables and checked as a whole before anything
 //! starts; and the sections that all services share.
 
-mod error;
 mod findings;
 mod http;
 mod load;
@@ -11,8 +10,7 @@ mod tokens;
 mod uplink;
 mod zenoh;
 
-pub use error::{ConfigError, Finding};
-pub use findings::{DAY_S, Findings};
+pub use findings::{ConfigError, DAY_S, Finding, Findings};
 pub use http::{HttpConfig, Token};
 pub use load::{Configuration, examine, examine_text, load};
 pub(crate) use log::check_level;

@@ -12,5 +12,5 @@ pub use auth::{Caller, read_token};
 pub use caller::*;
 pub use index::{Route, routes};
 pub use page::with_page;
-pub use problem::{Problem, describe_problems, response};
-pub use serve::{BODY_LIMIT, HttpError, run};
+pub use problem::{Problem, describe, response};
+pub use serve::{BODY_LIMIT, run};

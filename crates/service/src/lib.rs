@@ -15,3 +15,8 @@ pub mod readiness;
 pub mod session;
 pub mod signals;
 pub mod supervise;
+
+/// The reason a part of a service cannot be started.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub struct ServiceError(String);

@@ -4,6 +4,7 @@ mod tail;
 
 pub use tail::{LogLine, conceal, lines_after};
 
+use crate::ServiceError;
 use crate::config::{LogConfig, LogFormat, check_level};
 use std::io::IsTerminal;
 use tracing::Subscriber;
@@ -22,26 +23,21 @@ const QUIET: [&str; 6] = [
     "hyper=warn",
 ];
 
-/// The reason the log cannot be set up.
-#[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-pub struct LogError(String);
-
 /// Sends the log and panics to standard error, as configured. `RUST_LOG`, common to many programs, takes precedence
 /// over `log.level`. The last lines from level `info` on are kept in memory, even if standard error has
 /// fewer.
 ///
 /// # Errors
-/// [`LogError`] if the level is invalid or a log was already set up.
-pub fn start(config: &LogConfig) -> Result<(), LogError> {
+/// [`ServiceError`] if the level is invalid or a log was already set up.
+pub fn start(config: &LogConfig) -> Result<(), ServiceError> {
     let variable = std::env::var("RUST_LOG").unwrap_or_default();
     let (source, level) = match variable.as_str() {
         "" => ("log.level", config.level.as_str()),
         level => ("environment variable RUST_LOG", level),
     };
-    check_level(level).map_err(|why| LogError(format!("{source}: {why}")))?;
+    check_level(level).map_err(|why| ServiceError(format!("{source}: {why}")))?;
     let log = subscriber(level, config.format).try_init();
-    log.map_err(|why| LogError(format!("the log cannot be set up: {why}")))?;
+    log.map_err(|why| ServiceError(format!("the log cannot be set up: {why}")))?;
     crate::panics::log_panics();
     Ok(())
 }

@@ -6,21 +6,12 @@
 //! runs on: hung workers, a lock that is never released, or a part that has been broken for too long all stop the
 //! feeding, and the manager restarts the service.
 
+use crate::readiness::sentence;
+use albireo_wire::{HealthState, HealthStatus};
 use sd_notify::NotifyState;
 use std::time::Duration;
 use tokio::time::{Instant, MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
-
-/// The state of the service at one moment.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct ServiceState {
-    /// True if the service does its work.
-    pub ready: bool,
-    /// The faults of its parts; empty if every part works.
-    pub reasons: String,
-    /// A fault that only a restart can repair: the watchdog is not fed while it lasts.
-    pub stuck: Option<String>,
-}
 
 /// The time after which a service counts as started although it still waits for others.
 const STARTED_AFTER: Duration = Duration::from_secs(30);
@@ -31,9 +22,13 @@ const CHECK_INTERVAL: Duration = Duration::from_secs(5);
 /// The maximum length of a text, characters.
 const LONGEST: usize = 400;
 
-/// Reports the service's state to the service manager until `shutdown`, then that it is stopping. `read` is called at
-/// least once per half of the watchdog's period; it must not block.
-pub async fn run(read: impl Fn() -> ServiceState + Send, shutdown: CancellationToken) {
+/// Reports the service's state to the service manager until `shutdown`, then that it is stopping. `read` returns the
+/// health, and the fault that only a restart can repair, if there is one: the watchdog is not fed while it lasts. It is
+/// called at least once per half of the watchdog's period, and must not block.
+pub async fn run(
+    read: impl Fn() -> (HealthStatus, Option<String>) + Send,
+    shutdown: CancellationToken,
+) {
     if std::env::var_os("NOTIFY_SOCKET").is_none() {
         return;
     }
@@ -52,7 +47,7 @@ pub async fn run(read: impl Fn() -> ServiceState + Send, shutdown: CancellationT
 async fn watch_state(
     mut send: impl FnMut(&[NotifyState<'_>]),
     watchdog: Option<Duration>,
-    read: impl Fn() -> ServiceState,
+    read: impl Fn() -> (HealthStatus, Option<String>),
     shutdown: CancellationToken,
 ) {
     let period = watchdog.unwrap_or(CHECK_INTERVAL);
@@ -67,32 +62,31 @@ async fn watch_state(
             () = shutdown.cancelled() => break,
             _ = ticks.tick() => {}
         }
-        let state = read();
-        let status = status(&state);
+        let (health, stuck) = read();
+        let status = status(&health, stuck.as_deref());
         let mut messages = vec![NotifyState::Status(&status)];
-        if !started && (state.ready || begun.elapsed() >= STARTED_AFTER) {
+        let is_ready = health.state != HealthState::NotReady;
+        if !started && (is_ready || begun.elapsed() >= STARTED_AFTER) {
             started = true;
             messages.push(NotifyState::Ready);
         }
-        if watchdog.is_some() && state.stuck.is_none() {
+        if watchdog.is_some() && stuck.is_none() {
             messages.push(NotifyState::Watchdog);
         }
-        if let (Some(reason), false) = (&state.stuck, starving) {
+        if let (Some(reason), false) = (&stuck, starving) {
             tracing::error!(reason, "no longer feeding the watchdog");
         }
-        starving = state.stuck.is_some();
+        starving = stuck.is_some();
         send(&messages);
     }
     send(&[NotifyState::Stopping, NotifyState::Status("stopping")]);
 }
 
 /// The status line for `systemctl status`.
-fn status(state: &ServiceState) -> String {
-    let text = match (&state.stuck, state.ready, state.reasons.as_str()) {
-        (Some(reason), ..) => format!("stuck: {reason}"),
-        (None, true, "") => "every part works".to_owned(),
-        (None, true, reasons) => format!("degraded: {reasons}"),
-        (None, false, reasons) => format!("not ready: {reasons}"),
+fn status(health: &HealthStatus, stuck: Option<&str>) -> String {
+    let text = match stuck {
+        Some(reason) => format!("stuck: {reason}"),
+        None => sentence(health),
     };
     // A line break would end the message.
     let line = text.chars().map(|c| if c.is_control() { ' ' } else { c });
@@ -108,10 +102,11 @@ mod tests {
     #[tokio::test(start_paused = true)]
     async fn a_waiting_service_is_ready_after_30_seconds_and_feeds_the_watchdog_unless_it_is_stuck()
     {
-        let state = Arc::new(Mutex::new(ServiceState {
-            reasons: "zenoh: no\nrouter".to_owned(),
-            ..ServiceState::default()
-        }));
+        let waiting = HealthStatus {
+            state: HealthState::NotReady,
+            reasons: [("zenoh".to_owned(), "no\nrouter".to_owned())].into(),
+        };
+        let state = Arc::new(Mutex::new((waiting, None)));
         let sent = Arc::<Mutex<Vec<String>>>::default();
         let (read, messages) = (Arc::clone(&state), Arc::clone(&sent));
         tokio::spawn(async move {
@@ -131,16 +126,13 @@ mod tests {
         assert!(count("STATUS=not ready: zenoh: no router") > 0);
         tokio::time::sleep(Duration::from_secs(1)).await;
         assert_eq!(count("READY=1"), 1);
-        *state.lock() = ServiceState {
-            ready: true,
-            stuck: Some("the detector".to_owned()),
-            ..ServiceState::default()
-        };
+        let stuck = Some("the detector".to_owned());
+        *state.lock() = (HealthStatus::default(), stuck);
         let fed = count("WATCHDOG=1");
         tokio::time::sleep(Duration::from_secs(5)).await;
         assert_eq!(count("WATCHDOG=1"), fed);
         assert!(count("STATUS=stuck: the detector") > 0);
-        state.lock().stuck = None;
+        state.lock().1 = None;
         tokio::time::sleep(Duration::from_secs(2)).await;
         assert_eq!((count("READY=1"), count("WATCHDOG=1")), (1, fed + 2));
     }

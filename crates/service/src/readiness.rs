@@ -27,18 +27,17 @@ pub struct Fault {
 impl Fault {
     /// Creates a fault in spite of which the service works.
     pub fn degraded(reason: impl Into<String>) -> Self {
-        Self {
-            effect: HealthState::Degraded,
-            reason: reason.into(),
-        }
+        Self::new(HealthState::Degraded, reason)
     }
 
     /// Creates a fault that keeps the service from its work.
     pub fn not_ready(reason: impl Into<String>) -> Self {
-        Self {
-            effect: HealthState::NotReady,
-            reason: reason.into(),
-        }
+        Self::new(HealthState::NotReady, reason)
+    }
+
+    pub(crate) fn new(effect: HealthState, reason: impl Into<String>) -> Self {
+        let reason = reason.into();
+        Self { effect, reason }
     }
 }
 
@@ -185,7 +184,13 @@ impl Readiness {
         loop {
             tokio::select! {
                 _ = ticks.tick() => drop(self.health()),
-                Ok(()) = changes.changed() => log(&changes.borrow_and_update()),
+                Ok(()) = changes.changed() => {
+                    let status = changes.borrow_and_update();
+                    match status.state {
+                        HealthState::Ready => tracing::info!("{}", sentence(&status)),
+                        _ => tracing::warn!("{}", sentence(&status)),
+                    }
+                }
             }
         }
     }
@@ -209,12 +214,12 @@ fn put(faults: &mut BTreeMap<Key, (Fault, Instant)>, key: Key, fault: Option<Fau
     }
 }
 
-fn log(status: &HealthStatus) {
-    let reasons = status.text();
+/// The state of a service in words.
+pub(crate) fn sentence(status: &HealthStatus) -> String {
     match status.state {
-        HealthState::Ready => tracing::info!("every part works"),
-        HealthState::Degraded => tracing::warn!("degraded: {reasons}"),
-        HealthState::NotReady => tracing::warn!("not ready: {reasons}"),
+        HealthState::Ready => "every part works".to_owned(),
+        HealthState::Degraded => format!("degraded: {}", status.text()),
+        HealthState::NotReady => format!("not ready: {}", status.text()),
     }
 }
 

@@ -1,7 +1,8 @@
 //! Opens the Zenoh sessions of a service or a tool. Opening waits for the network, so it never runs on an async
 //! worker.
 
-use super::config::{UplinkConfig, ZenohConfig};
+use crate::ServiceError;
+use crate::config::{UplinkConfig, ZenohConfig};
 use std::fmt::Display;
 use std::hash::{BuildHasher, RandomState};
 use std::time::Duration;
@@ -9,17 +10,6 @@ use zenoh::{Session, Wait};
 
 /// The first and longest pause between a client's attempts to reach its router, without jitter.
 const RETRY: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(15));
-
-/// The reason a session cannot be opened.
-#[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-pub struct SessionError(String);
-
-impl From<tokio::task::JoinError> for SessionError {
-    fn from(error: tokio::task::JoinError) -> Self {
-        Self(format!("opening the Zenoh session failed: {error}"))
-    }
-}
 
 /// Inserts settings by Zenoh's names, such as `("transport/link/tx/lease", 60000)`, into a Zenoh configuration.
 ///
@@ -39,15 +29,15 @@ pub fn set<V: Display>(config: &mut zenoh::Config, settings: &[(&str, V)]) -> Re
 /// `failed` receives the error of each failed attempt.
 ///
 /// # Errors
-/// [`SessionError`] if Zenoh rejects the configuration, or cannot listen on an endpoint and does not retry.
+/// [`ServiceError`] if Zenoh rejects the configuration, or cannot listen on an endpoint and does not retry.
 pub async fn open(
     config: &ZenohConfig,
     max_payload_bytes: usize,
     settings: &[(&str, &str)],
     patient: bool,
-    mut failed: impl FnMut(&SessionError),
-) -> Result<Session, SessionError> {
-    let malformed = |reason: String| SessionError(format!("[zenoh] {reason}"));
+    mut failed: impl FnMut(&ServiceError),
+) -> Result<Session, ServiceError> {
+    let malformed = |reason: String| ServiceError(format!("[zenoh] {reason}"));
     let mut zenoh = config.to_zenoh(max_payload_bytes).map_err(malformed)?;
     set(&mut zenoh, settings).map_err(malformed)?;
     // From the final configuration, because a Zenoh configuration file sets its own mode.
@@ -59,12 +49,11 @@ pub async fn open(
     };
     let mut pause = RETRY.0;
     loop {
-        let attempt = zenoh.clone();
-        let error = match tokio::task::spawn_blocking(|| zenoh::open(attempt).wait()).await? {
+        let error = match attempt(zenoh.clone()).await {
             Ok(session) => return Ok(session),
-            Err(error) => plain(&error),
+            Err(error) => error,
         };
-        let error = SessionError(format!("Zenoh session not opened ({place}): {error}"));
+        let error = ServiceError(format!("Zenoh session not opened ({place}): {error}"));
         if !retries {
             return Err(error);
         }
@@ -75,16 +64,27 @@ pub async fn open(
     }
 }
 
-/// Opens the session to the hub: one attempt. Blocks.
+/// Makes one attempt to open a session, on a thread that may wait.
 ///
 /// # Errors
-/// [`SessionError`] if no router can be reached or Zenoh rejects the configuration.
-pub fn open_uplink(uplink: &UplinkConfig) -> Result<Session, SessionError> {
+/// The reason it cannot be opened.
+pub async fn attempt(config: zenoh::Config) -> Result<Session, String> {
+    match tokio::task::spawn_blocking(|| zenoh::open(config).wait()).await {
+        Ok(opened) => opened.map_err(|error| plain(&error)),
+        Err(error) => Err(error.to_string()),
+    }
+}
+
+/// Opens the session to the hub: one attempt.
+///
+/// # Errors
+/// [`ServiceError`] if no router can be reached or Zenoh rejects the configuration.
+pub async fn open_uplink(uplink: &UplinkConfig) -> Result<Session, ServiceError> {
     let config = uplink.to_zenoh(jittered(Duration::from_millis(1000)));
-    let config = config.map_err(|reason| SessionError(format!("[uplink] {reason}")))?;
-    zenoh::open(config).wait().map_err(|error| {
-        let (place, reason) = (uplink.connect.join(", "), plain(&error));
-        SessionError(format!(
+    let config = config.map_err(|reason| ServiceError(format!("[uplink] {reason}")))?;
+    attempt(config).await.map_err(|reason| {
+        let place = uplink.connect.join(", ");
+        ServiceError(format!(
             "the hub's router cannot be reached ({place}): {reason}"
         ))
     })
@@ -96,14 +96,10 @@ pub fn jittered(pause: Duration) -> Duration {
     pause.mul_f64(0.5 + random as f64 / 1000.0)
 }
 
-/// Zenoh's error without its source locations, which are paths on the machine that built it.
-pub fn plain(error: &zenoh::Error) -> String {
-    without_places(&error.to_string())
-}
-
-/// A text from Zenoh without its source locations.
-pub fn without_places(text: &str) -> String {
-    let (mut plain, mut rest) = (String::new(), text);
+/// A text or an error from Zenoh without its source locations, which are paths on the machine that built it.
+pub fn plain(error: &impl Display) -> String {
+    let text = error.to_string();
+    let (mut plain, mut rest) = (String::new(), text.as_str());
     while let Some((before, after)) = rest.split_once(".rs:") {
         plain.push_str(before.rsplit_once(" at ").map_or(before, |(said, _)| said));
         rest = after.trim_start_matches(|c: char| c.is_ascii_digit());
@@ -121,8 +117,8 @@ mod tests {
     fn a_zenoh_error_is_shown_without_source_paths() {
         let error = "Can not create listener [Address in use at /home/x/.cargo/src/a-1/b.rs:75.] at /y/o.rs:910.";
         let expected = "Can not create listener [Address in use.].";
-        assert_eq!(without_places(error), expected);
-        assert_eq!(without_places("nothing to hide"), "nothing to hide");
+        assert_eq!(plain(&error), expected);
+        assert_eq!(plain(&"nothing to hide"), "nothing to hide");
     }
 
     #[tokio::test(flavor = "multi_thread")]

@@ -11,19 +11,11 @@ use tokio_util::sync::CancellationToken;
 const ONE_REQUEST: Duration = Duration::from_secs(1);
 
 /// Returns a token that the first Ctrl-C or SIGTERM cancels. A second one, at least a second later, ends the program at
-/// once, with exit code 130.
+/// once, with exit code 130; it also ends, with exit code 1, if it still runs `limit` after the first signal.
 ///
 /// # Errors
 /// An I/O error if the signal handlers cannot be installed.
-pub fn shutdown() -> io::Result<CancellationToken> {
-    shutdown_within(None)
-}
-
-/// Like [`shutdown`]; the program also ends, with exit code 1, if it still runs `limit` after the first signal.
-///
-/// # Errors
-/// Same as [`shutdown`].
-pub fn shutdown_within(limit: Option<Duration>) -> io::Result<CancellationToken> {
+pub fn shutdown(limit: Option<Duration>) -> io::Result<CancellationToken> {
     let token = CancellationToken::new();
     let cancelled = token.clone();
     let failed = |error: io::Error| {

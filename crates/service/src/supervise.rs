@@ -111,8 +111,10 @@ impl Supervisor {
                     return end;
                 }
                 let reason = failed(&failures, &name, end);
-                let reason = format!("{reason}; it will be restarted");
-                part.fault(Fault { effect, reason });
+                part.fault(Fault::new(
+                    effect,
+                    format!("{reason}; it will be restarted"),
+                ));
                 let waited = shutdown.run_until_cancelled(sleep(pause)).await;
                 if waited.is_none() {
                     return TaskEnd::default();

@@ -131,3 +131,10 @@ fn a_desired_setting_is_a_threshold_a_target_or_a_null_target() {
     }
     assert!(read::<Desired>(br#"{"v":1,"revision":7,"setting":{"other":1}}"#).is_err());
 }
+
+#[test]
+fn figures_are_rounded_to_significant_digits() {
+    assert_eq!(significant(1.912_345_678e-4, 6), 1.912_35e-4);
+    assert_eq!(significant(0.0, 6), 0.0);
+    assert!(significant(f64::NAN, 6).is_nan());
+}

@@ -21,7 +21,7 @@ pub(crate) use health::alive;
 use crate::config::NodeConfig;
 use crate::state::board::{Board, CameraBoard, DetectorEvent, FrameEvent, ThresholdEvent};
 use albireo_service::config::without_secrets;
-use albireo_service::http::{self, Problem, Route, TokenSecurity};
+use albireo_service::http::{self, Problem, Route};
 use albireo_vision::picture::FrameLimits;
 use albireo_wire::{
     ConfigChanged, CountersMessage, Desired, DetectionsMessage, FrameAnswer, FrameAttachment,
@@ -130,7 +130,6 @@ fn bad_request(detail: String) -> Problem {
         ThresholdEvent,
         DetectorEvent
     )),
-    modifiers(&TokenSecurity),
     security((), ("token" = []))
 )]
 struct Description;
@@ -160,7 +159,7 @@ fn described() -> (Router<RouteState>, OpenApi) {
         .routes(routes!(diag::archive))
         .routes(routes!(metrics::text));
     let (router, mut openapi) = routes.split_for_parts();
-    http::describe_problems(&mut openapi);
+    http::describe(&mut openapi);
     (router, openapi)
 }
 

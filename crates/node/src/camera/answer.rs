@@ -3,8 +3,7 @@
 use crate::input::Frame;
 use albireo_core::geometry::{BoundingBox, PictureSize};
 use albireo_core::policy::{Outcome, OutputBox};
-use albireo_service::clock::significant;
-use albireo_wire::{BoxMessage, DetectionsMessage, Latency, VERSION};
+use albireo_wire::{BoxMessage, DetectionsMessage, Latency, VERSION, significant};
 
 /// The message for a frame of `clip` with its final answer, without threshold and latency. Its figures are rounded to
 /// significant digits: corners to a hundredth of a pixel, confidence to four digits, τ to six. Boxes are clipped to

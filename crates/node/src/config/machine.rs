@@ -34,7 +34,7 @@ impl NodeConfig {
             let found = settings.map(LiveSource::find).transpose();
             findings.check(format!("camera.{}.source", camera.name), found);
         }
-        findings.into_vec()
+        findings.0
     }
 
     /// Finds obstacles that may be temporary: ports in use, perhaps by this very node.
@@ -58,7 +58,7 @@ impl NodeConfig {
                 findings.check("zenoh.listen", bound);
             }
         }
-        findings.into_vec()
+        findings.0
     }
 
     fn check_library(&self, findings: &mut Findings) {

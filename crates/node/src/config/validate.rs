@@ -40,7 +40,7 @@ impl Configuration for NodeConfig {
         self.check_answers(policy, &mut findings);
         self.check_target(spec, &mut findings);
         self.check_cameras(spec, &mut findings);
-        findings.into_vec()
+        findings.0
     }
 }
 

@@ -146,12 +146,11 @@ impl Worker {
             let session = match &self.setup.local {
                 Some(session) => Ok(session.clone()),
                 None => {
-                    let uplink = self.setup.config.uplink.clone();
-                    let opening = spawn_blocking(move || session::open_uplink(&uplink));
+                    let opening = session::open_uplink(&self.setup.config.uplink);
                     let Some(opened) = self.stop.run_until_cancelled(opening).await else {
                         return;
                     };
-                    opened.unwrap_or_else(|failed| Err(failed.into()))
+                    opened
                 }
             };
             let failed = match session {

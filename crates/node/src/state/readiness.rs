@@ -15,10 +15,9 @@
 use crate::delivery::outbox::OutboxCounts;
 use crate::state::board::Board;
 use albireo_power::PowerHandle;
-use albireo_service::notify::ServiceState;
 use albireo_service::readiness::{Fault, Readiness};
 use albireo_vision::detector::DetectorStatus;
-use albireo_wire::{EnergyQuality, HealthState};
+use albireo_wire::{EnergyQuality, HealthState, HealthStatus};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -61,7 +60,7 @@ pub(crate) fn service_state(
     readiness: &Readiness,
     detector: &DetectorStatus,
     stuck_after_s: f64,
-) -> ServiceState {
+) -> (HealthStatus, Option<String>) {
     let health = readiness.health();
     let lost = match detector {
         DetectorStatus::Lost { reason, .. } => Some(format!("{DETECTOR}: {reason}")),
@@ -79,12 +78,8 @@ pub(crate) fn service_state(
         };
         own && fault.fault.effect == HealthState::NotReady && fault.since_s >= stuck_after_s
     });
-    ServiceState {
-        ready: health.is_ready(),
-        reasons: health.status().text(),
-        stuck: lost
-            .or_else(|| stuck.map(|fault| format!("{}: {}", fault.part, fault.fault.reason))),
-    }
+    let stuck = stuck.map(|fault| format!("{}: {}", fault.part, fault.fault.reason));
+    (health.status(), lost.or(stuck))
 }
 
 /// The fault of the node if the detector has this status: without the detector there are only predictions.
@@ -165,7 +160,7 @@ mod tests {
         let limit = Duration::from_secs(60);
         let state =
             |status: &DetectorStatus| service_state(&readiness, status, limit.as_secs_f64());
-        let stuck = |status: &DetectorStatus| state(status).stuck.unwrap_or_default();
+        let stuck = |status: &DetectorStatus| state(status).1.unwrap_or_default();
         let starting = DetectorStatus::Starting;
         let failed = DetectorStatus::Degraded {
             reason: "the run does not come back".to_owned(),
@@ -173,7 +168,7 @@ mod tests {
         };
         let detector = readiness.part(DETECTOR);
         detector.not_ready("it is broken");
-        assert!(!state(&starting).ready);
+        assert_eq!(state(&starting).0.state, HealthState::NotReady);
         tokio::time::advance(Duration::from_secs(59)).await;
         assert_eq!(stuck(&starting), "");
         tokio::time::advance(Duration::from_secs(1)).await;
@@ -199,9 +194,9 @@ mod tests {
         session.works();
         readiness.part(UPLINK).degraded("the hub is away");
         tokio::time::advance(limit).await;
-        let state = state(&failed);
-        assert_eq!((state.ready, state.stuck), (true, None));
-        let reasons = state.reasons;
+        let (health, stuck) = state(&failed);
+        assert_eq!((health.state, stuck), (HealthState::Degraded, None));
+        let reasons = health.text();
         assert!(reasons.contains("uplink: the hub is away"), "{reasons}");
     }
 
@@ -211,8 +206,8 @@ mod tests {
             reason: "the GPU is lost to this process".to_owned(),
             provider: ExecutionProvider::Cuda,
         };
-        let state = service_state(&Readiness::default(), &lost, 900.0);
-        let stuck = state.stuck.unwrap();
+        let (_, stuck) = service_state(&Readiness::default(), &lost, 900.0);
+        let stuck = stuck.unwrap();
         assert!(stuck.starts_with("detector: the GPU is lost"), "{stuck}");
         let fault = of_detector(&lost).unwrap();
         assert_eq!(fault.effect, HealthState::NotReady);

@@ -26,20 +26,13 @@ pub enum Role {
     Router,
 }
 
-impl Role {
-    /// Its name.
-    pub const fn as_str(self) -> &'static str {
-        match self {
+impl fmt::Display for Role {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
             Self::Node => "node",
             Self::Hub => "hub",
             Self::Router => "router",
-        }
-    }
-}
-
-impl fmt::Display for Role {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.as_str())
+        })
     }
 }
 
@@ -70,7 +63,7 @@ impl Entry {
 
     /// The path of the newest certificate in the authority's folder.
     pub(crate) fn certificate(&self) -> PathBuf {
-        Path::new(self.role.as_str()).join(format!("{}.pem", self.name))
+        format!("{}/{}.pem", self.role, self.name).into()
     }
 }
 

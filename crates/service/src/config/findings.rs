@@ -1,15 +1,63 @@
-//! Collects errors in the values of a configuration, beyond their types.
+//! The errors in a configuration: the source, the key, and the reason.
 
-use super::Finding;
-use std::fmt::Display;
+use std::fmt::{self, Display};
 use std::path::Path;
 
 /// Seconds per day: longer timeouts and windows are mistakes.
 pub const DAY_S: f64 = 86_400.0;
 
-/// Collects errors.
+/// One error in a configuration.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Finding {
+    /// The key, such as `http.listen` or `camera.cabin.source`; empty if the error is not about one key.
+    pub key: String,
+    /// The error, and what is allowed.
+    pub reason: String,
+}
+
+impl Finding {
+    /// Creates a finding about the value of `key`.
+    pub fn new(key: impl Into<String>, reason: impl Into<String>) -> Self {
+        Self {
+            key: key.into(),
+            reason: reason.into(),
+        }
+    }
+}
+
+impl Display for Finding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if !self.key.is_empty() {
+            write!(f, "{}: ", self.key)?;
+        }
+        f.write_str(&self.reason)
+    }
+}
+
+/// An invalid configuration, with all its errors, not only the first.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub struct ConfigError {
+    /// The file, or `built-in defaults` if none was given.
+    pub file: String,
+    /// The errors; never empty.
+    pub findings: Vec<Finding>,
+}
+
+impl Display for ConfigError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} cannot be used:", self.file)?;
+        for finding in &self.findings {
+            // A TOML syntax error has several lines, with the position underlined.
+            let text = finding.to_string();
+            write!(f, "\n  {}", text.trim_end().replace('\n', "\n  "))?;
+        }
+        Ok(())
+    }
+}
+
+/// Collects errors, in the order in which they are added.
 #[derive(Debug, Default)]
-pub struct Findings(Vec<Finding>);
+pub struct Findings(pub Vec<Finding>);
 
 impl Findings {
     /// Adds an error about `key`.
@@ -51,10 +99,5 @@ impl Findings {
         if path.is_some_and(|path| path.as_os_str().is_empty()) {
             self.add(key, "is empty; leave the key out instead");
         }
-    }
-
-    /// All errors, in the order in which they were added.
-    pub fn into_vec(self) -> Vec<Finding> {
-        self.0
     }
 }

@@ -25,19 +25,17 @@ impl Token {
         &self.0
     }
 
-    /// Returns the reason it cannot be used as a bearer token (RFC 6750, section 2.1); `None` if it can.
-    pub(crate) fn fault(&self) -> Option<&'static str> {
-        if self.0.is_empty() {
-            Some("is empty; leave it out for no authentication")
+    /// Checks that it can be used as a bearer token (RFC 6750, section 2.1).
+    pub(crate) fn check(&self) -> Result<(), &'static str> {
+        Err(if self.0.is_empty() {
+            "is empty; leave it out for no authentication"
         } else if !self.0.bytes().all(|byte| byte.is_ascii_graphic()) {
-            Some("must be printable ASCII without spaces")
+            "must be printable ASCII without spaces"
         } else if self.0.len() < LEAST_TOKEN {
-            Some(
-                "has fewer than 16 characters, which can be guessed; `openssl rand -hex 16` makes one",
-            )
+            "has fewer than 16 characters, which can be guessed; `openssl rand -hex 16` makes one"
         } else {
-            None
-        }
+            return Ok(());
+        })
     }
 }
 
@@ -101,9 +99,8 @@ impl HttpConfig {
     /// Adds the errors in the section, checked together with the named tokens.
     pub fn check(&self, tokens: &[NamedToken], findings: &mut Findings) {
         NamedToken::check(tokens, findings);
-        if let Some(fault) = self.token.as_ref().and_then(Token::fault) {
-            findings.add("http.token", fault);
-        }
+        let checked = self.token.iter().try_for_each(Token::check);
+        findings.check("http.token", checked);
         findings.path("http.token_file", self.token_file.as_deref());
         if self.token.is_some() && self.token_file.is_some() {
             findings.add(

@@ -150,22 +150,17 @@ fn by_name(figment: &Figment, key: &str) -> String {
 /// Reports variables that look like a key with one underscore instead of two: they would silently have no
 /// effect.
 fn misspelt_variables(sections: &[&str]) -> Vec<Finding> {
-    std::env::vars_os()
-        .filter_map(|(name, _)| {
-            let name = name.into_string().ok()?;
-            let rest = name.strip_prefix(PREFIX)?;
-            let (section, key) = rest.split_once('_')?;
-            (sections.contains(&section) && !key.starts_with('_')).then(|| {
-                Finding::new(
-                    "",
-                    format!(
-                        "environment variable {name} names no key; between section and key belong two \
-                         underscores: {PREFIX}{section}__{key}"
-                    ),
-                )
-            })
-        })
-        .collect()
+    let names = std::env::vars_os().filter_map(|(name, _)| name.into_string().ok());
+    let misspelt = names.filter_map(|name| {
+        let (section, key) = name.strip_prefix(PREFIX)?.split_once('_')?;
+        let reason = format!(
+            "environment variable {name} names no key; between section and key belong two underscores: \
+             {PREFIX}{section}__{key}"
+        );
+        let is_misspelt = sections.contains(&section) && !key.starts_with('_');
+        is_misspelt.then(|| Finding::new("", reason))
+    });
+    misspelt.collect()
 }
 
 /// The error about the value at `path`.

@@ -39,9 +39,7 @@ impl Default for LogConfig {
 impl LogConfig {
     /// Adds the errors in the section.
     pub fn check(&self, findings: &mut Findings) {
-        if let Err(reason) = check_level(&self.level) {
-            findings.add("log.level", reason);
-        }
+        findings.check("log.level", check_level(&self.level));
     }
 }
 

@@ -127,7 +127,7 @@ mod tests {
         };
         let mut findings = Findings::default();
         zenoh.check(&mut findings);
-        let findings = findings.into_vec();
+        let findings = findings.0;
         assert_eq!(findings.len(), 3, "{findings:?}");
         let first = findings[0].to_string();
         assert!(first.contains("`quic`, which is not built in"), "{first}");

@@ -1,7 +1,7 @@
 //! Authenticates callers: by bearer token (RFC 6750), or without one only from this machine.
 
-use super::HttpError;
 use super::Problem;
+use crate::ServiceError;
 use crate::config::{HttpConfig, NamedToken, Role, Token};
 use crate::rate_limit::RateLimit;
 use axum::extract::{Request, State};
@@ -52,10 +52,8 @@ pub struct Caller {
     pub role: Role,
 }
 
-impl Caller {
-    /// Name of a caller without a token.
-    pub(super) const ANONYMOUS: &str = "anonymous";
-}
+/// Name of a caller without a token.
+pub(super) const ANONYMOUS: &str = "anonymous";
 
 /// The interval at which the token files are read again.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
@@ -76,16 +74,16 @@ impl Guard {
     /// The rule for this configuration and this listener.
     ///
     /// # Errors
-    /// [`HttpError`] if the token file cannot be used, or if other machines can reach the listener without a
+    /// [`ServiceError`] if the token file cannot be used, or if other machines can reach the listener without a
     /// token.
     pub(crate) fn new(
         config: &HttpConfig,
         named: &[NamedToken],
         listener: &TcpListener,
-    ) -> Result<Self, HttpError> {
+    ) -> Result<Self, ServiceError> {
         let address = (listener.local_addr())
-            .map_err(|error| HttpError(format!("the HTTP listener failed: {error}")))?;
-        let tokens = read_tokens(config, named).map_err(HttpError)?;
+            .map_err(|error| ServiceError(format!("the HTTP listener failed: {error}")))?;
+        let tokens = read_tokens(config, named).map_err(ServiceError)?;
         let rule = if !tokens.is_empty() {
             Rule::Tokens(RwLock::new(tokens))
         } else if config.allow_unauthenticated {
@@ -94,7 +92,7 @@ impl Guard {
             Rule::ThisMachine
         } else {
             let reason = HttpConfig::unprotected(address);
-            return Err(HttpError(format!("http.listen: {reason}")));
+            return Err(ServiceError(format!("http.listen: {reason}")));
         };
         Ok(Self {
             rule: Arc::new(rule),
@@ -140,7 +138,7 @@ impl Guard {
     fn admit(&self, request: &Request) -> Result<Caller, Problem> {
         let (headers, method) = (request.headers(), request.method());
         let anonymous = |role| Caller {
-            name: Caller::ANONYMOUS.into(),
+            name: ANONYMOUS.into(),
             role,
         };
         let looks = matches!(*method, Method::GET | Method::HEAD | Method::OPTIONS);
@@ -245,10 +243,9 @@ pub fn read_token(file: &Path) -> Result<Token, String> {
     let wrong = |fault: &dyn std::fmt::Display| format!("token_file {}: {fault}", file.display());
     let text = std::fs::read_to_string(file).map_err(|error| wrong(&error))?;
     let token = Token::new(text.lines().next().unwrap_or_default().trim());
-    match token.fault() {
-        None => Ok(token),
-        Some(fault) => Err(wrong(&format!("the first line {fault}"))),
-    }
+    let checked = token.check();
+    checked.map_err(|fault| wrong(&format!("the first line {fault}")))?;
+    Ok(token)
 }
 
 fn carries(headers: &HeaderMap, token: &Token) -> bool {

@@ -2,12 +2,11 @@
 //! token allows, without provoking a refusal.
 
 use super::Caller;
+use super::auth::ANONYMOUS;
 use crate::config::Role;
 use axum::{Extension, Json};
 use serde::Serialize;
-use utoipa::openapi::OpenApi;
-use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityScheme};
-use utoipa::{Modify, ToSchema};
+use utoipa::ToSchema;
 
 /// The caller.
 #[derive(Debug, Serialize, ToSchema)]
@@ -29,22 +28,8 @@ pub async fn caller(Extension(caller): Extension<Caller>) -> Json<WhoAsks> {
     let tunes = caller.role == Role::Tune;
     Json(WhoAsks {
         // If no token is needed, everybody may do everything.
-        token_needed: !tunes && &*caller.name == Caller::ANONYMOUS,
+        token_needed: !tunes && &*caller.name == ANONYMOUS,
         may_tune: tunes,
         name: caller.name.to_string(),
     })
-}
-
-/// Describes the bearer token in an OpenAPI document.
-#[derive(Debug)]
-pub struct TokenSecurity;
-
-impl Modify for TokenSecurity {
-    fn modify(&self, openapi: &mut OpenApi) {
-        let token = HttpBuilder::new().scheme(HttpAuthScheme::Bearer).build();
-        openapi
-            .components
-            .get_or_insert_default()
-            .add_security_scheme("token", SecurityScheme::Http(token));
-    }
 }

@@ -17,8 +17,7 @@ pub struct Route {
 
 /// The routes in `document`, by path.
 pub fn routes(document: &OpenApi) -> Vec<Route> {
-    let paths = document.paths.paths.iter();
-    paths
+    (document.paths.paths.iter())
         .flat_map(|(path, item)| {
             let methods = [
                 ("GET", &item.get),

@@ -1,6 +1,6 @@
 //! Errors as problem documents (RFC 9457), including the framework's own errors.
 
-use albireo_wire::{InvalidThreshold, ThresholdSpec};
+use albireo_wire::ThresholdSpec;
 use axum::body::to_bytes;
 use axum::extract::{Request, State};
 use axum::http::StatusCode;
@@ -10,6 +10,7 @@ use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 use std::time::Duration;
 use utoipa::ToSchema;
+use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityScheme};
 use utoipa::openapi::{ContentBuilder, OpenApi, Ref, ResponseBuilder};
 
 /// The media type of a problem document.
@@ -60,19 +61,14 @@ impl Problem {
         self.threshold_spec = spec.map(Box::new);
         self
     }
-
-    /// Converts a threshold error.
-    pub fn from_invalid_threshold(error: &InvalidThreshold, spec: Option<ThresholdSpec>) -> Self {
-        let status = match error {
-            InvalidThreshold::Absent { .. } => StatusCode::CONFLICT,
-            InvalidThreshold::OutOfRange { .. } => StatusCode::UNPROCESSABLE_ENTITY,
-        };
-        Self::new(status, error.to_string()).with_threshold_spec(spec)
-    }
 }
 
-/// Describes problem documents as the answers to requests that fail, in every operation of an OpenAPI document.
-pub fn describe_problems(openapi: &mut OpenApi) {
+/// Adds to an OpenAPI document what the server adds to every operation: the bearer token, and problem documents as the
+/// answers to requests that fail.
+pub fn describe(openapi: &mut OpenApi) {
+    let token = HttpBuilder::new().scheme(HttpAuthScheme::Bearer).build();
+    let components = openapi.components.get_or_insert_default();
+    components.add_security_scheme("token", SecurityScheme::Http(token));
     let problem = ContentBuilder::new().schema(Some(Ref::from_schema_name("Problem")));
     let problem = ResponseBuilder::new()
         .content(MEDIA_TYPE, problem.build())

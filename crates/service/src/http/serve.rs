@@ -2,6 +2,7 @@
 
 use super::auth::{Guard, guard};
 use super::problem;
+use crate::ServiceError;
 use crate::config::{HttpConfig, NamedToken};
 use axum::Router;
 use axum::body::Body;
@@ -25,11 +26,6 @@ use tower_service::Service;
 /// The largest request body, bytes. The largest legitimate one has about thirty.
 pub const BODY_LIMIT: usize = 16 << 10;
 
-/// The reason the interface cannot be served.
-#[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-pub struct HttpError(pub(super) String);
-
 /// The time for requests in progress to end after the shutdown.
 const GRACE: Duration = Duration::from_secs(1);
 
@@ -45,7 +41,7 @@ const NO_DESCRIPTORS: Duration = Duration::from_millis(100);
 /// `tokens`, or of the configuration's token, apply within a second or two.
 ///
 /// # Errors
-/// [`HttpError`] if a token cannot be read, or if other machines can reach the listener and neither a token nor
+/// [`ServiceError`] if a token cannot be read, or if other machines can reach the listener and neither a token nor
 /// `allow_unauthenticated` is set.
 pub async fn run(
     config: &HttpConfig,
@@ -54,7 +50,7 @@ pub async fn run(
     router: Router,
     listener: TcpListener,
     shutdown: CancellationToken,
-) -> Result<(), HttpError> {
+) -> Result<(), ServiceError> {
     let allowed = Guard::new(config, tokens, &listener)?;
     let follower = allowed.clone();
     let following = tokio::spawn(follower.follow_files(config.clone(), tokens.to_vec()));

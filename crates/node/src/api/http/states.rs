@@ -2,10 +2,10 @@
 
 use super::RouteState;
 use crate::state::board::{CameraBoard, CameraSnapshot};
-use albireo_service::clock::{seconds, significant};
+use albireo_service::clock::seconds;
 use albireo_service::http::Problem;
 use albireo_wire::{
-    AuditFigures, AuditReport, DetectorCalls, DroppedFrames, FrameStates, Threshold,
+    AuditFigures, AuditReport, DetectorCalls, DroppedFrames, FrameStates, Threshold, significant,
 };
 use axum::Json;
 use axum::extract::{Path, State};

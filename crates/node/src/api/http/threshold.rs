@@ -5,7 +5,7 @@ use super::change::{message, off_the_runtime};
 use crate::state::board::{Board, CameraBoard, ThresholdError, set_thresholds};
 use albireo_core::policy::{ThresholdSpec, short};
 use albireo_service::http::Problem;
-use albireo_wire::{SettingSource, Threshold, VERSION, check_version};
+use albireo_wire::{InvalidThreshold, SettingSource, Threshold, VERSION, check_version};
 use axum::Json;
 use axum::body::Bytes;
 use axum::extract::rejection::BytesRejection;
@@ -112,7 +112,13 @@ async fn put(
         .await?
         .map_err(|error| match error {
             ThresholdError::Name(error) => fault(&error),
-            ThresholdError::Value(error) => Problem::from_invalid_threshold(&error, spec),
+            ThresholdError::Value(error) => {
+                let status = match error {
+                    InvalidThreshold::Absent { .. } => StatusCode::CONFLICT,
+                    InvalidThreshold::OutOfRange { .. } => StatusCode::UNPROCESSABLE_ENTITY,
+                };
+                Problem::new(status, error.to_string()).with_threshold_spec(spec)
+            }
         })
 }
 
