@@ -6,8 +6,9 @@ use albireo_node::FrameRecord;
 use albireo_node::api::http::router;
 use albireo_node::config::{CameraConfig, NodeConfig};
 use albireo_node::state::board::{Board, CameraBoard, LatestFrame};
+use albireo_service::ServiceError;
 use albireo_service::config::HttpConfig;
-use albireo_service::http::{self, HttpError};
+use albireo_service::http;
 use albireo_vision::detector::{DetectorStatus, ExecutionProvider};
 use albireo_vision::picture::{EncodedPicture, PictureFormat};
 use albireo_wire::{CallCause, ClipReport, DetectionsMessage};
@@ -28,7 +29,7 @@ pub(crate) struct Served {
     pub address: SocketAddr,
     pub client: Client,
     pub shutdown: CancellationToken,
-    pub task: JoinHandle<Result<(), HttpError>>,
+    pub task: JoinHandle<Result<(), ServiceError>>,
 }
 
 pub(crate) fn board(policy: &str, state_dir: Option<&Path>) -> Arc<Board> {
