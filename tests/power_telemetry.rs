@@ -1,7 +1,7 @@
 //! Every recorded line of `tegrastats` is read as an independent reader does.
 
 use crate::support::{shared, text};
-use albireo_power::{Domain, RailMap, Value, tegrastats_rails};
+use albireo_power::{Domain, RailMap, tegrastats_rails};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 
@@ -26,7 +26,7 @@ fn check(name: &str, text: &str, expected: &BTreeMap<String, Expected>) {
     assert_eq!(rails.len(), read.len(), "{name}: a rail is there twice");
     let reading = RailMap::new(None).unwrap().reading(&read);
     let total = (reading.value(Domain::Total))
-        .and_then(Value::watts)
+        .and_then(|total| total.mean_watts(None, 0.0))
         .map(|watts| (watts * 1e3).round());
     assert_eq!(total, expected.total_mw, "{name}");
     if let Some(rule) = &expected.total_from {

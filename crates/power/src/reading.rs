@@ -49,7 +49,7 @@ pub enum Value {
 
 impl Value {
     /// Mean power from `before`, read `seconds` earlier, until this value; for a power, the last value.
-    pub(crate) fn mean_watts(self, before: Option<Self>, seconds: f64) -> Option<f64> {
+    pub fn mean_watts(self, before: Option<Self>, seconds: f64) -> Option<f64> {
         match (before, self) {
             (_, Self::Power(watts)) => Some(watts),
             (Some(Self::Counter(then)), Self::Counter(now)) if seconds > 0.0 => {

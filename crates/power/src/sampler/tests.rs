@@ -205,7 +205,7 @@ fn each_file_source_uses_under_half_a_percent_of_a_core_at_ten_samples_per_secon
         source,
         ..tree.config()
     };
-    let mut meter = choose::open(&config).unwrap();
+    let (_, mut meter) = choose::open(&config).unwrap();
     let mut machine = Machine::new(&config);
     let seconds = 30;
     let before = thread_cpu();
