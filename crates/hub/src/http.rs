@@ -25,7 +25,7 @@ use crate::presence::{Fleet, Notifier};
 use crate::store::{EnergyBy, Sort, Store, StoreError, StoredEvent};
 use crate::tuning::Tuner;
 use crate::tuning::run::Command;
-use albireo_service::http::{self, Problem, Route};
+use albireo_service::http::{self, Problem};
 use albireo_service::readiness::Readiness;
 use albireo_wire::{CountersMessage, Desired};
 use axum::http::StatusCode;
