@@ -6,7 +6,7 @@ use crate::api::keys::{KeyValue, NodeKeyValues};
 use crate::api::name::NodeName;
 use crate::config::NodeConfig;
 use crate::delivery::outbox::retry_disk;
-use crate::delivery::uplink::{DesiredKeeper, Uplink, UplinkSetup};
+use crate::delivery::uplink::{Uplink, UplinkSetup};
 use crate::error::NodeError;
 use crate::state::board::{Board, provider};
 use crate::state::{counters, readiness};
@@ -188,16 +188,17 @@ impl PreparedNode {
         let counting = counters::run(Arc::clone(&board), power, outlets, shutdown.clone());
         tasks.essential("counters", counting);
         let mut values = NodeKeyValues::new();
-        let thresholds = (board.cameras.iter())
-            .map(|camera| (camera.keys.threshold(), KeyValue::Threshold(camera.clone())));
+        let thresholds = board.cameras.iter().map(|camera| {
+            let value = KeyValue::Threshold(Arc::clone(&board), Arc::clone(camera));
+            (camera.keys.threshold(), value)
+        });
         let target = (keys.target(), KeyValue::Target(Arc::clone(&board)));
         for (key, value) in thresholds.chain([target]) {
             let refused = NodeError::refused(format!("`{key}` cannot be served"));
             (values.add(session, key, value).await).map_err(refused)?;
         }
         tasks.essential("requests", values.run(shutdown.clone()));
-        let disk = retry_disk(board.outbox.clone(), board.settings.clone());
-        tasks.until_shutdown("disk", disk);
+        tasks.until_shutdown("disk", retry_disk(Arc::clone(&board)));
         let name = NodeName::default();
         let holding = name.clone().hold(
             session.clone(),
@@ -209,7 +210,6 @@ impl PreparedNode {
             board: Arc::clone(&board),
             config: config.clone(),
             keys,
-            desired: DesiredKeeper::open(&board.settings),
             local: (!config.uplink.is_set()).then(|| session.clone()),
         });
         tasks.until_shutdown("uplink", ended);

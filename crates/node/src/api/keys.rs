@@ -1,6 +1,6 @@
 //! Serves the node's values on Zenoh keys: a query reads a value, a put or a query with a payload changes it.
 
-use crate::state::board::{Board, CameraBoard, set_thresholds};
+use crate::state::board::{Board, CameraBoard};
 use albireo_service::rate_limit::RateLimit;
 use albireo_wire::{SettingSource, TargetMessage, ThresholdMessage, VERSION, check_version};
 use serde::de::DeserializeOwned;
@@ -27,7 +27,7 @@ const LOG_PERIOD: Duration = Duration::from_secs(10);
 /// The value on a key.
 pub(crate) enum KeyValue {
     /// A camera's threshold.
-    Threshold(Arc<CameraBoard>),
+    Threshold(Arc<Board>, Arc<CameraBoard>),
     /// The node's target.
     Target(Arc<Board>),
 }
@@ -35,19 +35,22 @@ pub(crate) enum KeyValue {
 impl KeyValue {
     /// Changes the value to the one in `payload`. Writes a file.
     fn change(&self, payload: &[u8]) -> Result<(), String> {
+        let local = SettingSource::Local;
         match self {
-            Self::Threshold(camera) => {
+            Self::Threshold(board, camera) => {
                 let example = r#"{"threshold":{"name":"u","value":3e-4}}"#;
                 let message: ThresholdMessage = read(payload, example)?;
                 check_version(message.v).map_err(|error| error.to_string())?;
-                let camera = std::slice::from_ref(camera);
-                set_thresholds(camera, message.threshold, SettingSource::Local)
+                let (cameras, threshold) = (std::slice::from_ref(camera), message.threshold);
+                (board.settings)
+                    .change(|kept| board.set_thresholds(cameras, threshold, local, kept))
                     .map_err(|error| error.to_string())
             }
             Self::Target(board) => {
                 let message: TargetMessage = read(payload, r#"{"target":{"skip_rate":0.5}}"#)?;
                 check_version(message.v).map_err(|error| error.to_string())?;
-                (board.set_target(message.target, SettingSource::Local))
+                (board.settings)
+                    .change(|kept| board.set_target(message.target, local, kept))
                     .map_err(|error| error.to_string())
             }
         }
@@ -56,7 +59,7 @@ impl KeyValue {
     /// Returns the value in force, as JSON.
     fn in_force(&self) -> Result<Vec<u8>, String> {
         let json = match self {
-            Self::Threshold(camera) => serde_json::to_vec(&ThresholdMessage {
+            Self::Threshold(_, camera) => serde_json::to_vec(&ThresholdMessage {
                 v: VERSION,
                 threshold: (camera.threshold_in_force())
                     .ok_or("the policy in use has no threshold")?,

@@ -14,7 +14,7 @@ mod waiting;
 pub use config::OutboxConfig;
 
 use crate::error::NodeError;
-use crate::state::settings::Settings;
+use crate::state::board::Board;
 use albireo_service::clock::Now;
 use albireo_wire::{ClipReport, OutboxStatus, ReportAnswer, ReportBatch};
 use disk::Disk;
@@ -156,13 +156,13 @@ impl Outbox {
 }
 
 /// Retries a failed disk, for reports and settings, for as long as it is polled.
-pub(crate) async fn retry_disk(outbox: Outbox, settings: Settings) {
+pub(crate) async fn retry_disk(board: Arc<Board>) {
     loop {
         tokio::time::sleep(RETRY_EVERY).await;
-        let (outbox, settings) = (outbox.clone(), settings.clone());
+        let board = Arc::clone(&board);
         let tried = tokio::task::spawn_blocking(move || {
-            outbox.retry_disk(Now::system());
-            settings.retry();
+            board.outbox.retry_disk(Now::system());
+            board.settings.retry();
         });
         let _ = tried.await;
     }

@@ -10,7 +10,7 @@ mod schedule;
 mod status;
 mod watched;
 
-pub(crate) use desired::DesiredKeeper;
+pub(super) use desired::{known, take};
 
 use crate::config::NodeConfig;
 use crate::delivery::outbox::Outbox;
@@ -64,8 +64,6 @@ pub(crate) struct UplinkSetup {
     pub config: NodeConfig,
     /// The keys toward the hub.
     pub keys: NodeKeys,
-    /// The desired setting, and the revision in force.
-    pub desired: DesiredKeeper,
     /// The local session, if it reaches the hub; otherwise a separate one is opened, and reopened when stale.
     pub local: Option<Session>,
 }
@@ -243,10 +241,7 @@ impl Worker {
             }
             match last_try {
                 None => {
-                    let due = self
-                        .status_sender
-                        .due(Now::system(), &setup.board, &setup.desired);
-                    if let Some(payload) = due {
+                    if let Some(payload) = self.status_sender.due(Now::system(), &setup.board) {
                         status.put(payload).await?;
                     }
                     self.watched.serve(session, &setup).await?;
@@ -294,8 +289,8 @@ impl Worker {
             self.watched.extend(seconds);
         }
         // On a blocking thread, because it writes a file.
-        let setup = Arc::clone(&self.setup);
-        let taken = spawn_blocking(move || (setup.desired).take(&desired, &setup.board));
+        let board = Arc::clone(&self.setup.board);
+        let taken = spawn_blocking(move || take(&desired, &board));
         if taken.await.unwrap_or(false) {
             self.status_sender.full_is_due();
         }
@@ -342,7 +337,7 @@ pub(crate) fn conclude(
 async fn pull(setup: &UplinkSetup, pulls: &Querier<'_>) -> Ended {
     let request = PullRequest {
         v: VERSION,
-        revision: setup.desired.kept().revision,
+        revision: known(&setup.board).revision,
     };
     let payload = serde_json::to_vec(&request).unwrap_or_default();
     let desired = ask::<Desired>(pulls, payload).await;
@@ -364,7 +359,6 @@ mod tests {
         let (uplink, _ended) = Uplink::start(UplinkSetup {
             board: Arc::clone(&board),
             keys: config.keys().unwrap(),
-            desired: DesiredKeeper::open(&board.settings),
             local: Some(closed),
             config,
         });

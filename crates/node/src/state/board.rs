@@ -11,13 +11,13 @@ pub(crate) use event::provider;
 pub use event::{DetectorEvent, Event, FrameEvent, News, ThresholdEvent};
 pub(crate) use history::{CameraPiece, Clock, FRAMES, PastFrame, PowerPiece, SLOT_S, SkipEstimate};
 pub(crate) use savings::{Savings, Totals};
-pub(crate) use threshold::{ThresholdError, set_thresholds};
+pub(crate) use threshold::ThresholdError;
 
 use crate::config::NodeConfig;
 use crate::delivery::outbox::Outbox;
 use crate::error::NodeError;
 use crate::state::readiness;
-use crate::state::settings::Settings;
+use crate::state::settings::{Settings, Values};
 use crate::state::target::NodeTarget;
 use albireo_core::target::{Target, TargetError};
 pub use albireo_power::PowerSnapshot;
@@ -66,7 +66,7 @@ pub struct Board {
     /// Keeps changed settings over restarts.
     pub(crate) settings: Settings,
     /// The target, which moves the thresholds while one is set.
-    pub(crate) target: Arc<NodeTarget>,
+    pub(crate) target: NodeTarget,
     started: Instant,
     clips: Mutex<VecDeque<Arc<ClipReport>>>,
     events: broadcast::Sender<Arc<Event>>,
@@ -93,21 +93,20 @@ impl Board {
         let (events, _) = broadcast::channel(EVENT_BACKLOG);
         let started = Instant::now();
         let begin = config.cameras.first().and_then(|camera| camera.threshold);
-        let target = Arc::new(NodeTarget::open(
+        let target = NodeTarget::open(
             config.target,
             policy.name(),
             policy.threshold_spec(),
             begin.or_else(|| policy.threshold()),
-            settings.clone(),
-        ));
+            &settings,
+        );
         let shared = Shared {
             started,
             events: events.clone(),
-            settings: settings.clone(),
-            target: Arc::clone(&target),
         };
-        let cameras = (config.cameras.iter())
-            .map(|camera| CameraBoard::new(config, camera, &*policy, shared.clone()).map(Arc::new));
+        let cameras = config.cameras.iter().map(|camera| {
+            CameraBoard::new(config, camera, &*policy, shared.clone(), &settings).map(Arc::new)
+        });
         let cameras = cameras.collect::<Result<_, _>>().map_err(NodeError::new)?;
         let readiness = Readiness::default();
         let detector = Arc::new(Mutex::new(DetectorStatus::Starting));
@@ -264,7 +263,7 @@ impl Board {
         }
     }
 
-    /// Holds `target` from now on, or none: the threshold then keeps its value, which is saved. Writes small files.
+    /// Holds `target` from now on, or none: the threshold then keeps its value. Sets what `kept` is to have of it.
     ///
     /// # Errors
     /// [`TargetError`] if it cannot be held; then nothing changes.
@@ -272,13 +271,14 @@ impl Board {
         &self,
         target: Option<Target>,
         source: SettingSource,
+        kept: &mut Values,
     ) -> Result<(), TargetError> {
         let has_target = self.target.is_on();
         let threshold = self.cameras.first().and_then(|camera| camera.threshold());
-        self.target.set(target, threshold, source)?;
+        self.target.set(target, threshold, source, kept)?;
         if has_target && target.is_none() {
             for camera in &self.cameras {
-                camera.keep_threshold(source);
+                camera.keep_threshold(source, kept);
             }
         }
         Ok(())

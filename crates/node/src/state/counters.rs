@@ -57,10 +57,10 @@ pub(crate) async fn run(
         if second.is_multiple_of(KEEP_EVERY) {
             // Not awaited: the disk may stall.
             let board = Arc::clone(&board);
-            spawn_blocking(move || board.target.keep_place());
+            spawn_blocking(move || board.keep_place());
         }
     }
     // The figures at the end are the last ones visible.
     board.set_power(meter.snapshot());
-    let _ = spawn_blocking(move || board.target.keep_place()).await;
+    let _ = spawn_blocking(move || board.keep_place()).await;
 }

@@ -9,30 +9,23 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{ErrorKind, Write as _};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 /// The file in the state directory.
 const FILE: &str = "settings.json";
 
-/// The settings; clones share them.
-#[derive(Clone, Debug)]
-pub(crate) struct Settings(Arc<Shared>);
-
+/// The settings of a node.
 #[derive(Debug)]
-struct Shared {
+pub(crate) struct Settings {
     directory: Option<PathBuf>,
-    /// Held while the disk is read or written: no async worker locks it.
-    state: Mutex<State>,
+    /// Never held while the disk is read or written.
+    values: Mutex<Values>,
+    /// What the file has; `None` until it was read. Held while the disk is read or written: no async worker locks it.
+    stored: Mutex<Option<Values>>,
 }
 
-#[derive(Debug, Default)]
-struct State {
-    values: BTreeMap<String, Value>,
-    /// True once the file was read or found missing.
-    read: bool,
-    /// True if something is not in the file yet.
-    unwritten: bool,
-}
+/// Settings by name.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Values(BTreeMap<String, Value>);
 
 /// A value set at run time instead of a configured one.
 #[derive(Serialize, Deserialize)]
@@ -43,48 +36,54 @@ struct SetValue<T, C> {
     configured: C,
 }
 
+impl Values {
+    /// Replaces a setting.
+    pub(crate) fn set(&mut self, name: &str, setting: &impl Serialize) {
+        // Cannot fail: settings hold numbers and text.
+        if let Ok(value) = serde_json::to_value(setting) {
+            self.0.insert(name.to_owned(), value);
+        }
+    }
+
+    /// Replaces a setting by a value set at run time.
+    pub(crate) fn keep(
+        &mut self,
+        name: &str,
+        value: impl Serialize,
+        source: SettingSource,
+        configured: impl Serialize,
+    ) {
+        let kept = SetValue {
+            value,
+            source,
+            configured,
+        };
+        self.set(name, &kept);
+    }
+}
+
 impl Settings {
     /// Opens the settings in `directory`, or in memory without one. An unreadable file is tried again later.
     pub(crate) fn open(directory: Option<&Path>) -> Self {
-        let mut state = State::default();
-        match directory {
-            Some(directory) => {
-                if let Err(error) = state.read(directory) {
-                    tracing::error!(%error, "the kept settings cannot be read");
-                }
-            }
-            None => state.read = true,
-        }
-        Self(Arc::new(Shared {
+        let stored = (directory.map(read).transpose()).unwrap_or_else(|error| {
+            tracing::error!(%error, "the kept settings cannot be read");
+            None
+        });
+        Self {
             directory: directory.map(Path::to_owned),
-            state: Mutex::new(state),
-        }))
+            values: Mutex::new(stored.clone().unwrap_or_default()),
+            stored: Mutex::new(stored),
+        }
     }
 
     /// The setting kept under `name`.
     pub(crate) fn get<T: DeserializeOwned>(&self, name: &str) -> Option<T> {
-        let value = self.0.state.lock().values.get(name)?.clone();
+        let value = self.values.lock().0.get(name)?.clone();
         serde_json::from_value(value)
             .inspect_err(|error| {
                 tracing::warn!(name, %error, "a kept setting cannot be read and is not used");
             })
             .ok()
-    }
-
-    /// Keeps a setting and syncs the file. Returns true if it survives a restart. If it cannot be written now, it is
-    /// written when the disk works again.
-    pub(crate) fn set<T: Serialize>(&self, name: &str, setting: &T) -> bool {
-        let Ok(value) = serde_json::to_value(setting) else {
-            return false;
-        };
-        let mut state = self.0.state.lock();
-        state.values.insert(name.to_owned(), value);
-        state.unwritten = true;
-        let is_kept = self.0.write(&mut state);
-        if !is_kept && self.0.directory.is_some() {
-            tracing::warn!(name, "a setting is not kept: it will not survive a restart");
-        }
-        is_kept
     }
 
     /// The value last kept under `name` and its source. If the configured value was edited since, that takes precedence,
@@ -99,79 +98,65 @@ impl Settings {
         is_current.then_some((kept.value, kept.source))
     }
 
-    /// Keeps a value set at run time, as [`set`](Self::set) does.
-    pub(crate) fn keep(
-        &self,
-        name: &str,
-        value: impl Serialize,
-        source: SettingSource,
-        configured: impl Serialize,
-    ) {
-        let kept = SetValue {
-            value,
-            source,
-            configured,
-        };
-        self.set(name, &kept);
+    /// Makes a change: `change` puts it in force, at once and before any other change, and sets what is to be kept of it.
+    /// That is written to the file together, or not at all. If it cannot be written now, it is written when the disk works
+    /// again. Writes a small file.
+    pub(crate) fn change<T>(&self, change: impl FnOnce(&mut Values) -> T) -> T {
+        let changed = change(&mut self.values.lock());
+        if let Err(error) = self.save() {
+            tracing::error!(%error, "a setting is not kept: it will not survive a restart");
+        }
+        changed
     }
 
     /// Retries failed reads and writes. Settings that are read only now apply from the next start, except those set in
     /// the meantime.
     pub(crate) fn retry(&self) {
-        let (mut state, directory) = (self.0.state.lock(), &self.0.directory);
-        if !state.read
-            && let Some(directory) = directory
-        {
-            let set_since = std::mem::take(&mut state.values);
-            if state.read(directory).is_ok() {
-                tracing::warn!(
-                    "the kept settings could be read only now: they apply from the next start"
-                );
-            }
-            state.values.extend(set_since);
-        }
-        if state.unwritten {
-            self.0.write(&mut state);
-        }
+        // The failure was logged.
+        let _ = self.save();
     }
-}
 
-impl Shared {
-    fn write(&self, state: &mut State) -> bool {
-        let Some(directory) = self.directory.as_ref().filter(|_| state.read) else {
-            return false;
+    /// Writes the file if it differs from the settings.
+    fn save(&self) -> std::io::Result<()> {
+        let Some(directory) = &self.directory else {
+            return Ok(());
         };
-        match write(directory, &state.values) {
-            Ok(()) => state.unwritten = false,
-            Err(error) => tracing::error!(%error, "settings cannot be written"),
+        let mut stored = self.stored.lock();
+        if stored.is_none() {
+            *stored = Some(read(directory)?);
+            tracing::warn!(
+                "the kept settings could be read only now: they apply from the next start"
+            );
         }
-        !state.unwritten
-    }
-}
-
-impl State {
-    fn read(&mut self, directory: &Path) -> std::io::Result<()> {
-        std::fs::create_dir_all(directory)?;
-        let file = directory.join(FILE);
-        self.values = match std::fs::read(&file) {
-            Ok(bytes) => serde_json::from_slice(&bytes).or_else(|error| {
-                let aside = file.with_extension("json.damaged");
-                tracing::error!(
-                    file = %file.display(), %error, aside = %aside.display(),
-                    "kept settings cannot be read and were set aside; the configured ones are used"
-                );
-                std::fs::rename(&file, aside).map(|()| BTreeMap::new())
-            })?,
-            Err(error) if error.kind() == ErrorKind::NotFound => BTreeMap::new(),
-            Err(error) => return Err(error),
-        };
-        self.read = true;
+        let mut values = stored.clone().unwrap_or_default();
+        values.0.extend(self.values.lock().0.clone());
+        if stored.as_ref() != Some(&values) {
+            write(directory, &values)?;
+            *stored = Some(values);
+        }
         Ok(())
     }
 }
 
+fn read(directory: &Path) -> std::io::Result<Values> {
+    std::fs::create_dir_all(directory)?;
+    let file = directory.join(FILE);
+    match std::fs::read(&file) {
+        Ok(bytes) => serde_json::from_slice(&bytes).or_else(|error| {
+            let aside = file.with_extension("json.damaged");
+            tracing::error!(
+                file = %file.display(), %error, aside = %aside.display(),
+                "kept settings cannot be read and were set aside; the configured ones are used"
+            );
+            std::fs::rename(&file, aside).map(|()| Values::default())
+        }),
+        Err(error) if error.kind() == ErrorKind::NotFound => Ok(Values::default()),
+        Err(error) => Err(error),
+    }
+}
+
 /// Writes a new file beside the old one, syncs it, and then replaces the old one.
-fn write(directory: &Path, values: &BTreeMap<String, Value>) -> std::io::Result<()> {
+fn write(directory: &Path, values: &Values) -> std::io::Result<()> {
     let (file, fresh) = (directory.join(FILE), directory.join("settings.json.new"));
     let mut written = File::create(&fresh)?;
     written.write_all(&serde_json::to_vec(values)?)?;
@@ -187,7 +172,13 @@ mod tests {
     impl Settings {
         /// Stalls the disk until the result is dropped.
         pub(crate) fn stall(&self) -> impl Sized {
-            self.0.state.lock()
+            self.stored.lock()
+        }
+
+        /// Keeps a setting. Returns true if it survives a restart.
+        fn set(&self, name: &str, setting: impl Serialize) -> bool {
+            self.change(|values| values.set(name, &setting));
+            self.save().is_ok()
         }
     }
 
@@ -200,7 +191,7 @@ mod tests {
             let settings = Settings::open(Some(folder.path()));
             assert!(!file.exists());
             assert_eq!(settings.get::<f64>("threshold/front"), None);
-            assert!(settings.set("threshold/front", &9e-4));
+            assert!(settings.set("threshold/front", 9e-4));
             let again = Settings::open(Some(folder.path()));
             assert_eq!(again.get("threshold/front"), Some(9e-4));
         }
@@ -211,11 +202,11 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let state = folder.path().join("disk/state");
         let first = Settings::open(Some(&state));
-        assert!(first.set("target", &1) && first.set("threshold/front", &5));
+        assert!(first.set("target", 1) && first.set("threshold/front", 5));
         std::fs::rename(folder.path().join("disk"), folder.path().join("away")).unwrap();
         std::fs::write(folder.path().join("disk"), b"").unwrap();
         let settings = Settings::open(Some(&state));
-        assert!(!settings.set("target", &2));
+        assert!(!settings.set("target", 2));
         settings.retry();
         std::fs::remove_file(folder.path().join("disk")).unwrap();
         std::fs::rename(folder.path().join("away"), folder.path().join("disk")).unwrap();

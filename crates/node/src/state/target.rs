@@ -4,14 +4,14 @@
 mod tests;
 
 use crate::state::board::{Board, Totals};
-use crate::state::settings::Settings;
+use crate::state::settings::{Settings, Values};
 use albireo_core::audit::AuditSums;
 use albireo_core::policy::ThresholdSpec;
 use albireo_core::target::{
     Measured, Target, TargetController, TargetError, TargetState, ThresholdRange,
 };
 use albireo_wire::{SettingSource, TargetReport, Threshold, VERSION};
-use parking_lot::{Mutex, MutexGuard};
+use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
@@ -50,11 +50,6 @@ pub(crate) struct NodeTarget {
     config: TargetConfig,
     policy: &'static str,
     spec: Option<ThresholdSpec>,
-    settings: Settings,
-    /// Serialises kept changes, so that the file matches the last one. Held during disk writes: no async worker locks
-    /// it.
-    changing: Mutex<()>,
-    /// Never held during disk writes.
     state: Mutex<State>,
 }
 
@@ -66,7 +61,7 @@ impl NodeTarget {
         policy: &'static str,
         spec: Option<ThresholdSpec>,
         begin: Option<f64>,
-        settings: Settings,
+        settings: &Settings,
     ) -> Self {
         let kept = settings.kept::<Kept, _>(SETTING, &config.hold);
         let ((target, threshold), source) =
@@ -76,8 +71,6 @@ impl NodeTarget {
             config,
             policy,
             spec,
-            settings,
-            changing: Mutex::default(),
             state: Mutex::new(State {
                 controller: None,
                 source,
@@ -112,8 +105,8 @@ impl NodeTarget {
         TargetController::new(target, range, threshold.unwrap_or(range.least)).map(Some)
     }
 
-    /// Holds `target` from now on, beginning at `threshold`; or none, and the threshold stays.
-    /// Writes a small file.
+    /// Holds `target` from now on, beginning at `threshold`; or none, and the threshold stays. Sets what `kept` is to have
+    /// of it.
     ///
     /// # Errors
     /// [`TargetError`] if its value is invalid or the policy has no threshold; then nothing changes.
@@ -122,9 +115,9 @@ impl NodeTarget {
         target: Option<Target>,
         threshold: Option<f64>,
         source: SettingSource,
+        kept: &mut Values,
     ) -> Result<(), TargetError> {
         let controller = self.controller(target, threshold)?;
-        let _changing = self.changing.lock();
         let mut state = self.state.lock();
         // Setting the same target again keeps what the controller has learnt.
         let same = state.controller.as_ref().map(TargetController::target) == target;
@@ -139,7 +132,7 @@ impl NodeTarget {
             state.controller = controller;
         }
         state.source = source;
-        self.keep(state);
+        self.keep(&state, kept);
         match target {
             Some(target) => tracing::info!(%target, ?source, "target set"),
             None => tracing::info!(?source, "target switched off"),
@@ -147,9 +140,8 @@ impl NodeTarget {
         Ok(())
     }
 
-    /// Ends the target, because somebody turns the threshold by hand. Writes a small file if there was a target.
-    pub(crate) fn turned_by_hand(&self, source: SettingSource) {
-        let _changing = self.changing.lock();
+    /// Ends the target, if there is one, because somebody turns the threshold by hand.
+    pub(crate) fn turned_by_hand(&self, source: SettingSource, kept: &mut Values) {
         let mut state = self.state.lock();
         let Some(controller) = state.controller.take() else {
             return;
@@ -163,7 +155,7 @@ impl NodeTarget {
         state.off = Some(off);
         state.last = None;
         state.source = source;
-        self.keep(state);
+        self.keep(&state, kept);
     }
 
     /// Runs a step of the controller; then `apply` gets the threshold's value, before anybody can turn it by hand.
@@ -203,22 +195,10 @@ impl NodeTarget {
         }
     }
 
-    /// Keeps the threshold's value, so that a restart continues from there. Writes a small file if a target is held.
-    pub(crate) fn keep_place(&self) {
-        let _changing = self.changing.lock();
-        let state = self.state.lock();
-        if state.controller.is_some() {
-            self.keep(state);
-        }
-    }
-
-    /// Writes the held target; unlocks the state first, because a disk may stall.
-    fn keep(&self, state: MutexGuard<'_, State>) {
+    fn keep(&self, state: &State, kept: &mut Values) {
         let target = state.controller.as_ref().map(TargetController::target);
-        let kept: Kept = (target, self.threshold(&state));
-        let source = state.source;
-        drop(state);
-        (self.settings).keep(SETTING, kept, source, self.config.hold);
+        let setting: Kept = (target, self.threshold(state));
+        kept.keep(SETTING, setting, state.source, self.config.hold);
     }
 
     /// The threshold that the controller wants.
@@ -229,6 +209,14 @@ impl NodeTarget {
 }
 
 impl Board {
+    /// Keeps the threshold's value while a target is held, so that a restart continues from there. Writes a small file.
+    pub(crate) fn keep_place(&self) {
+        if self.target.is_on() {
+            let target = &self.target;
+            (self.settings).change(|kept| target.keep(&target.state.lock(), kept));
+        }
+    }
+
     /// Passes the counts of the last second to the controller, and the threshold's new value to the cameras.
     pub(crate) fn step_target(&self, since: &Totals, time: Duration) {
         let mut audit = AuditSums::default();

@@ -2,7 +2,7 @@
 
 use super::RouteState;
 use super::change::{message, off_the_runtime};
-use crate::state::board::{Board, CameraBoard, ThresholdError, set_thresholds};
+use crate::state::board::{Board, CameraBoard, ThresholdError};
 use albireo_core::policy::{ThresholdSpec, short};
 use albireo_service::http::Problem;
 use albireo_wire::{InvalidThreshold, SettingSource, Threshold, VERSION, check_version};
@@ -90,6 +90,7 @@ fn thresholds(board: &Board) -> Thresholds {
 
 /// Sets the threshold of these cameras to the value in a request.
 async fn put(
+    board: &Arc<Board>,
     cameras: Vec<Arc<CameraBoard>>,
     headers: &HeaderMap,
     body: Result<Bytes, BytesRejection>,
@@ -107,19 +108,21 @@ async fn put(
     let (Some((name, value)), None) = (values.next(), values.next()) else {
         return Err(fault(&"it must have exactly one value"));
     };
-    let threshold = Threshold::new(&name, value);
-    off_the_runtime(move || set_thresholds(&cameras, threshold, SettingSource::Local))
-        .await?
-        .map_err(|error| match error {
-            ThresholdError::Name(error) => fault(&error),
-            ThresholdError::Value(error) => {
-                let status = match error {
-                    InvalidThreshold::Absent { .. } => StatusCode::CONFLICT,
-                    InvalidThreshold::OutOfRange { .. } => StatusCode::UNPROCESSABLE_ENTITY,
-                };
-                Problem::new(status, error.to_string()).with_threshold_spec(spec)
-            }
-        })
+    let (threshold, local) = (Threshold::new(&name, value), SettingSource::Local);
+    let board = Arc::clone(board);
+    let set = move || {
+        (board.settings).change(|kept| board.set_thresholds(&cameras, threshold, local, kept))
+    };
+    off_the_runtime(set).await?.map_err(|error| match error {
+        ThresholdError::Name(error) => fault(&error),
+        ThresholdError::Value(error) => {
+            let status = match error {
+                InvalidThreshold::Absent { .. } => StatusCode::CONFLICT,
+                InvalidThreshold::OutOfRange { .. } => StatusCode::UNPROCESSABLE_ENTITY,
+            };
+            Problem::new(status, error.to_string()).with_threshold_spec(spec)
+        }
+    })
 }
 
 fn expected(spec: Option<ThresholdSpec>) -> String {
@@ -156,7 +159,7 @@ pub(super) async fn put_all(
     headers: HeaderMap,
     body: Result<Bytes, BytesRejection>,
 ) -> Result<Json<Thresholds>, Problem> {
-    put(shared.board.cameras.to_vec(), &headers, body).await?;
+    put(&shared.board, shared.board.cameras.to_vec(), &headers, body).await?;
     Ok(Json(thresholds(&shared.board)))
 }
 
@@ -192,6 +195,6 @@ pub(super) async fn put_one(
     body: Result<Bytes, BytesRejection>,
 ) -> Result<Json<CameraThreshold>, Problem> {
     let camera = shared.camera(&camera)?;
-    put(vec![Arc::clone(camera)], &headers, body).await?;
+    put(&shared.board, vec![Arc::clone(camera)], &headers, body).await?;
     Ok(Json(of(&shared.board, camera)))
 }

@@ -12,7 +12,7 @@ use albireo_hub::tuning::selector::Selector;
 use albireo_wire::{DesiredSetting, Target, Threshold};
 use hub::Hub;
 use node::Node;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::rc::Rc;
 use tempfile::TempDir;
 
@@ -70,8 +70,6 @@ pub(super) struct Settings {
     /// The highest revision that was ordered, whatever the hub forgot since.
     highest: u64,
     restored_ms: i64,
-    /// The nodes that lost power between the two writes of a setting and of its revision.
-    torn: BTreeSet<usize>,
     _folder: TempDir,
 }
 
@@ -92,7 +90,6 @@ impl Settings {
             taken: BTreeMap::new(),
             highest: 0,
             restored_ms: -1,
-            torn: BTreeSet::new(),
             _folder: folder,
             time,
         };
@@ -231,16 +228,10 @@ impl Settings {
         let known = *self.taken.entry((at, revision)).or_insert(setting);
         assert_eq!(known, setting, "revision {revision} twice at node {at}");
         if self.time.unlucky(30) {
-            // The thresholds reach the disk before what is known of the hub, or neither does.
-            let after = self.nodes[at].state();
+            // What was taken is written as a whole, or not at all.
             self.node_crash(at);
-            match self.time.below(3) {
-                0 => self.nodes[at].put_state(before),
-                1 => {
-                    self.nodes[at].put_state(node::between(before, after));
-                    self.torn.insert(at);
-                }
-                _ => {}
+            if self.time.below(3) == 0 {
+                self.nodes[at].put_state(before);
             }
         }
     }
@@ -446,7 +437,7 @@ impl Settings {
             };
             let (revision, setting) = (node.revision(), desired.setting);
             // What the hub forgot with its database may be in force; a setting ordered since must not be skipped.
-            let is_newer = revision > desired.revision || self.torn.contains(&at);
+            let is_newer = revision > desired.revision;
             let is_forgotten = is_newer && desired.at_ms <= self.restored_ms;
             let is_replaced = revision == desired.revision && node.deviates(setting);
             if !is_forgotten && !is_replaced && !node.has(setting) {

@@ -1,17 +1,15 @@
 //! Applies and acknowledges the hub's desired setting.
 
-use crate::state::board::{Board, set_thresholds};
-use crate::state::settings::Settings;
+use crate::state::board::Board;
 use albireo_wire::{Desired, DesiredSetting, RefusedDesired, SettingSource};
-use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 
 const SETTING: &str = "desired";
 
-/// The part kept in the state file.
+/// What a node knows of its desired setting, over restarts.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
-pub(in crate::delivery) struct Kept {
+pub(in crate::delivery) struct Known {
     /// The highest revision seen.
     pub revision: u64,
     /// The highest revision that came into force; 0 for none.
@@ -20,63 +18,51 @@ pub(in crate::delivery) struct Kept {
     pub refused: Option<RefusedDesired>,
 }
 
-/// Applies the desired setting, once per revision.
-#[derive(Debug)]
-pub(crate) struct DesiredKeeper {
-    kept: Mutex<Kept>,
+/// Returns what the node knows.
+pub(in crate::delivery) fn known(board: &Board) -> Known {
+    board.settings.get(SETTING).unwrap_or_default()
 }
 
-impl DesiredKeeper {
-    /// Starts with the state from before the restart.
-    pub(crate) fn open(settings: &Settings) -> Self {
-        Self {
-            kept: Mutex::new(settings.get(SETTING).unwrap_or_default()),
-        }
+/// Applies `desired`, once per revision, and returns true if anything changed. A lower revision never replaces a higher
+/// one. The setting and its revision are kept by one write: a power loss leaves both or none.
+pub(in crate::delivery) fn take(desired: &Desired, board: &Board) -> bool {
+    let (mut known, revision) = (known(board), desired.revision);
+    if revision < known.revision {
+        let known = known.revision;
+        tracing::warn!(
+            revision,
+            known,
+            "ignored a desired setting older than the known one"
+        );
     }
-
-    /// Returns the kept state.
-    pub(in crate::delivery) fn kept(&self) -> Kept {
-        self.kept.lock().clone()
+    if revision <= known.revision {
+        return false;
     }
-
-    /// Applies `desired` and returns true if anything changed. A lower revision never replaces a higher one.
-    pub(in crate::delivery) fn take(&self, desired: &Desired, board: &Board) -> bool {
-        let (mut kept, revision) = (self.kept.lock(), desired.revision);
-        if revision < kept.revision {
-            let known = kept.revision;
-            tracing::warn!(
-                revision,
-                known,
-                "ignored a desired setting older than the known one"
-            );
-        }
-        if revision <= kept.revision {
-            return false;
-        }
-        kept.revision = revision;
+    board.settings.change(|kept| {
+        let hub = SettingSource::Hub;
         let applied = match desired.setting {
             None => Ok(()),
-            Some(DesiredSetting::Threshold(threshold)) => {
-                set_thresholds(&board.cameras, threshold, SettingSource::Hub)
-                    .map_err(|error| error.to_string())
-            }
-            Some(DesiredSetting::Target(target)) => {
-                (board.set_target(target, SettingSource::Hub)).map_err(|error| error.to_string())
-            }
+            Some(DesiredSetting::Threshold(threshold)) => board
+                .set_thresholds(&board.cameras, threshold, hub, kept)
+                .map_err(|error| error.to_string()),
+            Some(DesiredSetting::Target(target)) => board
+                .set_target(target, hub, kept)
+                .map_err(|error| error.to_string()),
         };
+        known.revision = revision;
         match applied {
             Ok(()) => {
-                kept.in_force = revision;
-                kept.refused = None;
+                known.in_force = revision;
+                known.refused = None;
             }
             Err(reason) => {
                 tracing::warn!(revision, reason, "rejected a desired setting");
-                kept.refused = Some(RefusedDesired { revision, reason });
+                known.refused = Some(RefusedDesired { revision, reason });
             }
         }
-        board.settings.set(SETTING, &*kept);
-        true
-    }
+        kept.set(SETTING, &known);
+    });
+    true
 }
 
 #[cfg(test)]
@@ -91,14 +77,12 @@ mod tests {
 
     struct Node {
         board: Arc<Board>,
-        keeper: DesiredKeeper,
     }
 
     impl Node {
         fn start(state: &Path) -> Self {
             let board = board_of(&config(Some(state), "albireo"));
-            let keeper = DesiredKeeper::open(&board.settings);
-            Self { board, keeper }
+            Self { board }
         }
 
         fn take(&self, revision: u64, setting: DesiredSetting) -> bool {
@@ -107,7 +91,11 @@ mod tests {
                 setting: Some(setting),
                 ..Desired::nothing()
             };
-            self.keeper.take(&desired, &self.board)
+            take(&desired, &self.board)
+        }
+
+        fn known(&self) -> Known {
+            known(&self.board)
         }
 
         fn target(&self) -> Option<Target> {
@@ -122,16 +110,16 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let node = Node::start(folder.path());
         assert!(node.take(3, half));
-        assert_eq!((node.target(), node.keeper.kept().in_force), (HALF, 3));
+        assert_eq!((node.target(), node.known().in_force), (HALF, 3));
         // An older value, and the same target again, change nothing.
         assert!(!node.take(2, value));
         assert!(!node.take(3, half));
         assert_eq!(node.target(), HALF);
         drop(node);
         let node = Node::start(folder.path());
-        assert_eq!((node.target(), node.keeper.kept().revision), (HALF, 3));
+        assert_eq!((node.target(), node.known().revision), (HALF, 3));
         // A threshold turned at the node ends it, until the hub desires something new.
-        set_by_hand(&node.board.cameras[1..], 0.01).unwrap();
+        set_by_hand(&node.board, &node.board.cameras[1..], 0.01).unwrap();
         assert!(!node.take(3, half));
         assert_eq!(node.target(), None);
         assert!(node.take(4, half));
@@ -143,9 +131,9 @@ mod tests {
         // What cannot be held is refused and changes nothing.
         let senseless = DesiredSetting::Target(Some(Target::SkipRate(1.5)));
         assert!(node.take(6, senseless));
-        let kept = node.keeper.kept();
-        let refused = kept.refused.unwrap();
-        assert_eq!((refused.revision, kept.in_force), (6, 5));
+        let known = node.known();
+        let refused = known.refused.unwrap();
+        assert_eq!((refused.revision, known.in_force), (6, 5));
         let said = "`skip_rate` must be";
         assert!(refused.reason.contains(said), "{refused:?}");
         assert_eq!(node.target(), None);
@@ -153,9 +141,9 @@ mod tests {
         // Nothing to hold leaves the threshold where it is.
         assert!(node.take(7, half));
         assert!(node.take(8, DesiredSetting::Target(None)));
-        let kept = node.keeper.kept();
+        let known = node.known();
         assert_eq!(node.target(), None);
-        assert_eq!((kept.in_force, kept.refused), (8, None));
+        assert_eq!((known.in_force, known.refused), (8, None));
         let values = thresholds(&node.board);
         let is_kept = |u: &f64| (1.5e-4..=0.07).contains(u);
         assert!(values.iter().all(is_kept), "{values:?}");

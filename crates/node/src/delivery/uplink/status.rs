@@ -1,10 +1,11 @@
 //! Decides when a status is due, and writes it.
 
-use super::DesiredKeeper;
+use super::desired::known;
 use crate::state::board::{Board, provider};
 use albireo_service::clock::Now;
 use albireo_wire::{
-    CameraState, CameraStatus, Heartbeat, NodeStatus, StatusMessage, TargetStatus, VERSION,
+    CameraState, CameraStatus, Heartbeat, NodeStatus, RefusedDesired, StatusMessage, TargetStatus,
+    VERSION,
 };
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -52,23 +53,19 @@ impl StatusSender {
 
     /// Returns the payload of a message, if one is due: a full status after a change, and at intervals a heartbeat if
     /// only numbers have changed.
-    pub(in crate::delivery) fn due(
-        &mut self,
-        now: Now,
-        board: &Board,
-        desired: &DesiredKeeper,
-    ) -> Option<Vec<u8>> {
+    pub(in crate::delivery) fn due(&mut self, now: Now, board: &Board) -> Option<Vec<u8>> {
         let since = self.sent_at.map(|at| now.at.saturating_duration_since(at));
         if since.is_some_and(|since| since < LEAST_PAUSE) {
             return None;
         }
-        let status = self.status(board, desired);
+        let known = known(board);
+        let status = self.status(board, known.refused);
         let lasting = without_figures(status.clone());
         let changed = self.last.as_ref() != Some(&lasting);
         if !changed && since.is_some_and(|since| since < EVERY) {
             return None;
         }
-        let revision = desired.kept().in_force;
+        let revision = known.in_force;
         let waiting = status.outbox.waiting;
         let short = !changed && self.sent_revision == Some(revision);
         let (run, seq) = (self.run, self.seq);
@@ -94,7 +91,7 @@ impl StatusSender {
         serde_json::to_vec(&message).ok()
     }
 
-    fn status(&self, board: &Board, desired: &DesiredKeeper) -> NodeStatus {
+    fn status(&self, board: &Board, refused: Option<RefusedDesired>) -> NodeStatus {
         let cameras = board.cameras.iter().map(|camera| {
             let state = match camera.snapshot().last_frame_age() {
                 None => CameraState::NeverSeen,
@@ -121,7 +118,7 @@ impl StatusSender {
             power_quality: power.quality,
             health: board.readiness.health().status(),
             outbox: board.outbox.counts().status,
-            refused: desired.kept().refused,
+            refused,
             target: target.status(),
             target_off: target.off,
         }

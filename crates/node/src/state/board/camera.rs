@@ -7,7 +7,6 @@ use crate::camera::FrameRecord;
 use crate::config::{CameraConfig, NodeConfig};
 use crate::state::advice::{Advice, SkipWatch};
 use crate::state::settings::Settings;
-use crate::state::target::NodeTarget;
 use albireo_core::audit::AuditSums;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{BoxSource, FrameState, Policy, Profile, ThresholdSpec, short};
@@ -169,8 +168,6 @@ pub(super) struct Shared {
     /// The node's start, from which times of the past are counted.
     pub started: Instant,
     pub events: broadcast::Sender<Arc<Event>>,
-    pub settings: Settings,
-    pub target: Arc<NodeTarget>,
 }
 
 /// One camera's part of the live board. One lock guards the counters, so every snapshot is consistent.
@@ -196,9 +193,6 @@ pub struct CameraBoard {
     pub(super) configured: Option<f64>,
     pub(super) threshold: watch::Sender<Option<f64>>,
     pub(super) set_by: Mutex<SettingSource>,
-    /// Serialises kept changes of the threshold, so that the file, the loop and events see the same order. Held during
-    /// disk writes: no async worker locks it.
-    pub(super) changing: Mutex<()>,
     counts: Mutex<Counts>,
     history: Mutex<History>,
     latest_frame: Mutex<Option<Arc<LatestFrame>>>,
@@ -210,11 +204,12 @@ impl CameraBoard {
         camera: &CameraConfig,
         policy: &dyn Policy,
         shared: Shared,
+        settings: &Settings,
     ) -> Result<Self, KeyError> {
         let (name, spec) = (camera.name.as_str(), policy.threshold_spec());
         let wanted = camera.threshold.or_else(|| policy.threshold());
         let configured = spec.map(|spec| threshold::configured(name, &spec, wanted));
-        let kept = spec.and_then(|spec| threshold::kept(&shared.settings, name, &spec, configured));
+        let kept = spec.and_then(|spec| threshold::kept(settings, name, &spec, configured));
         let mut counts = Counts::default();
         let share = config.audit.share;
         counts.shown.audit = (share > 0.0).then(|| AuditReport {
@@ -234,7 +229,6 @@ impl CameraBoard {
             configured,
             threshold: watch::Sender::new(kept.map(|(value, _)| value).or(configured)),
             set_by: Mutex::new(kept.map_or(SettingSource::Configuration, |(_, source)| source)),
-            changing: Mutex::default(),
             counts: Mutex::new(counts),
             history: Mutex::default(),
             latest_frame: Mutex::default(),

@@ -27,9 +27,14 @@ pub(crate) fn thresholds(board: &Board) -> Vec<f64> {
 }
 
 /// Sets the threshold on behalf of somebody at the node.
-pub(crate) fn set_by_hand(cameras: &[Arc<CameraBoard>], value: f64) -> Result<(), ThresholdError> {
+pub(crate) fn set_by_hand(
+    board: &Board,
+    cameras: &[Arc<CameraBoard>],
+    value: f64,
+) -> Result<(), ThresholdError> {
     let name = cameras[0].threshold_spec.unwrap().name;
-    set_thresholds(cameras, Threshold::new(name, value), SettingSource::Local)
+    let (threshold, source) = (Threshold::new(name, value), SettingSource::Local);
+    (board.settings).change(|kept| board.set_thresholds(cameras, threshold, source, kept))
 }
 
 fn board(state_dir: Option<&Path>, policy: &str) -> Arc<Board> {
@@ -41,7 +46,7 @@ fn a_changed_threshold_survives_a_restart() {
     let directory = tempfile::tempdir().unwrap();
     let restarted = |policy: &str| board(Some(&directory.path().join("state")), policy);
     let first = restarted("albireo");
-    set_by_hand(&first.cameras[..1], 5e-4).unwrap();
+    set_by_hand(&first, &first.cameras[..1], 5e-4).unwrap();
     assert!(first.outbox.counts().status.durable);
     drop(first);
     assert_eq!(thresholds(&restarted("albireo")), [5e-4, 3e-4]);
@@ -88,7 +93,7 @@ fn what_is_lost_or_not_stored_degrades_the_node_and_a_threshold_still_applies() 
     std::fs::write(&blocked, b"").unwrap();
     let failing = board(Some(&blocked.join("state")), "albireo");
     assert!(reason(&failing).unwrap().contains("do not survive"));
-    set_by_hand(&failing.cameras, 1e-3).unwrap();
+    set_by_hand(&failing, &failing.cameras, 1e-3).unwrap();
     assert_eq!(thresholds(&failing), [1e-3; 2]);
     assert!(!failing.outbox.counts().status.durable);
     let mut lost = OutboxCounts {

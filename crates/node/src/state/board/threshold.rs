@@ -1,8 +1,9 @@
 //! Sets the threshold of a camera for HTTP, Zenoh and the hub, reports it to subscribers, and keeps it over a restart.
 
+use super::Board;
 use super::camera::CameraBoard;
 use super::event::{Event, News, ThresholdEvent};
-use crate::state::settings::Settings;
+use crate::state::settings::{Settings, Values};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{InvalidThreshold, ThresholdSpec, published_threshold};
 use albireo_wire::{OtherThreshold, SettingSource, Threshold};
@@ -47,30 +48,35 @@ pub(super) fn kept(
     Some((value, source))
 }
 
-/// Sets the threshold of all these cameras or of none: it is checked for all before the first is changed. It applies
-/// from each camera's next frame, is kept in the state directory and reported to subscribers. If it cannot be kept, it
-/// still applies, and the log reports it. Writes small files.
-///
-/// # Errors
-/// [`ThresholdError`] of the first camera that does not allow it; then nothing changes.
-pub(crate) fn set_thresholds(
-    cameras: &[Arc<CameraBoard>],
-    threshold: Threshold,
-    source: SettingSource,
-) -> Result<(), ThresholdError> {
-    let checked = cameras.iter().map(|camera| {
-        let policy = camera.policy;
-        let spec = camera
-            .threshold_spec
-            .ok_or(InvalidThreshold::Absent { policy })?;
-        spec.check(threshold.value_of(&spec)?)?;
-        Ok((camera, spec))
-    });
-    let checked: Vec<_> = checked.collect::<Result<_, ThresholdError>>()?;
-    for (camera, spec) in checked {
-        camera.set_threshold(&spec, threshold.value, source);
+impl Board {
+    /// Sets the threshold of all these cameras or of none: it is checked for all before the first is changed. It applies
+    /// from each camera's next frame, is reported to subscribers, and is set in `kept`.
+    ///
+    /// # Errors
+    /// [`ThresholdError`] of the first camera that does not allow it; then nothing changes.
+    pub(crate) fn set_thresholds(
+        &self,
+        cameras: &[Arc<CameraBoard>],
+        threshold: Threshold,
+        source: SettingSource,
+        kept: &mut Values,
+    ) -> Result<(), ThresholdError> {
+        let checked = cameras.iter().map(|camera| {
+            let policy = camera.policy;
+            let spec = camera
+                .threshold_spec
+                .ok_or(InvalidThreshold::Absent { policy })?;
+            spec.check(threshold.value_of(&spec)?)?;
+            Ok((camera, spec))
+        });
+        let checked: Vec<_> = checked.collect::<Result<_, ThresholdError>>()?;
+        // First, so that the controller no longer moves anything.
+        self.target.turned_by_hand(source, kept);
+        for (camera, spec) in checked {
+            camera.set_threshold(&spec, threshold.value, source, kept);
+        }
+        Ok(())
     }
-    Ok(())
 }
 
 impl CameraBoard {
@@ -118,21 +124,24 @@ impl CameraBoard {
     }
 
     /// Keeps the threshold that the target last set.
-    pub(super) fn keep_threshold(&self, source: SettingSource) {
+    pub(super) fn keep_threshold(&self, source: SettingSource, kept: &mut Values) {
         if let Some((spec, value)) = self.threshold_spec.zip(self.threshold()) {
-            self.set_threshold(&spec, value, source);
+            self.set_threshold(&spec, value, source, kept);
         }
     }
 
-    fn set_threshold(&self, spec: &ThresholdSpec, value: f64, source: SettingSource) {
-        // First, so that the controller no longer moves anything.
-        self.shared.target.turned_by_hand(source);
-        let _changing = self.changing.lock();
+    fn set_threshold(
+        &self,
+        spec: &ThresholdSpec,
+        value: f64,
+        source: SettingSource,
+        kept: &mut Values,
+    ) {
         *self.set_by.lock() = source;
         let before = self.turn(spec, value);
         let (camera, name) = (&*self.name, spec.name);
-        let (settings, kept) = (&self.shared.settings, Threshold::new(name, value));
-        settings.keep(&setting(camera), kept, source, self.configured);
+        let threshold = Threshold::new(name, value);
+        kept.keep(&setting(camera), threshold, source, self.configured);
         tracing::info!(camera, name, ?before, now = value, "threshold changed");
     }
 

@@ -14,8 +14,13 @@ fn board(state: Option<&Path>, policy: &str, configured: Option<Target>) -> Arc<
     board_of(&config)
 }
 
+fn set_target(board: &Board, target: Option<Target>) -> Result<(), TargetError> {
+    let set = |kept: &mut Values| board.set_target(target, SettingSource::Local, kept);
+    board.settings.change(set)
+}
+
 fn hold(board: &Board, target: Option<Target>) {
-    board.set_target(target, SettingSource::Local).unwrap();
+    set_target(board, target).unwrap();
 }
 
 /// Lets `seconds` pass in which fewer frames are skipped than wanted; returns the threshold's value.
@@ -58,7 +63,7 @@ fn a_threshold_set_by_hand_switches_the_target_off_and_reports_it() {
     let board = board(None, "albireo:3e-4", None);
     hold(&board, HALF);
     pass(&board, 10);
-    set_by_hand(&board.cameras[1..], 7e-4).unwrap();
+    set_by_hand(&board, &board.cameras[1..], 7e-4).unwrap();
     let report = board.target.report();
     assert_eq!((report.target, report.state), (None, None));
     assert_eq!(report.off.as_deref(), Some("the threshold was set by hand"));
@@ -84,7 +89,7 @@ fn a_target_survives_a_restart_with_its_value_until_the_configuration_is_edited(
     assert_eq!(first.target.report().source, SettingSource::Configuration);
     hold(&first, HALF);
     let there = pass(&first, 20);
-    first.target.keep_place();
+    first.keep_place();
     drop(first);
 
     let again = open(0.4);
@@ -95,7 +100,7 @@ fn a_target_survives_a_restart_with_its_value_until_the_configuration_is_edited(
     let next = pass(&again, 1);
     assert!((next / there - 1.0).abs() < 0.1, "{next} {there}");
     // A target switched off by hand stays off.
-    set_by_hand(&again.cameras[..1], 0.25).unwrap();
+    set_by_hand(&again, &again.cameras[..1], 0.25).unwrap();
     drop(again);
     let off = open(0.4);
     assert_eq!(off.target.report().target, None);
@@ -157,7 +162,7 @@ fn no_worker_waits_for_a_stalled_disk_and_nothing_is_acknowledged_before_it_is_s
     let is_held = || first.target.report().target == HALF;
     assert_served_while_the_disk_stalls(&first, || hold(&first, HALF), is_held);
     let there = pass(&first, 20);
-    assert_served_while_the_disk_stalls(&first, || first.target.keep_place(), || true);
+    assert_served_while_the_disk_stalls(&first, || first.keep_place(), || true);
     drop(first);
     let second = open();
     let report = second.target.report();
@@ -165,7 +170,10 @@ fn no_worker_waits_for_a_stalled_disk_and_nothing_is_acknowledged_before_it_is_s
     assert!((report.threshold.unwrap().value / there - 1.0).abs() < 0.1);
     // Switching off comes first, and is stored too.
     let front = &second.cameras[..1];
-    let set = |value| move || set_by_hand(front, value).unwrap();
+    let set = |value| {
+        let board = &second;
+        move || set_by_hand(board, front, value).unwrap()
+    };
     let is_off = || !second.target.is_on();
     assert_served_while_the_disk_stalls(&second, set(0.25), is_off);
     let is_set = || front[0].threshold() == Some(0.26);
@@ -180,8 +188,7 @@ fn no_worker_waits_for_a_stalled_disk_and_nothing_is_acknowledged_before_it_is_s
 fn a_policy_without_an_adjustable_threshold_holds_no_target_and_reports_why() {
     for policy in ["vanilla", "ctd"] {
         let board = board(None, policy, None);
-        let refused = board.set_target(HALF, SettingSource::Local);
-        let reason = refused.unwrap_err().to_string();
+        let reason = set_target(&board, HALF).unwrap_err().to_string();
         assert!(reason.contains(policy), "{reason}");
         assert_eq!(board.target.report().target, None);
     }

@@ -2,19 +2,17 @@
 
 use super::super::node::until_unlocked;
 use crate::delivery::outbox::OutboxConfig;
-use crate::delivery::uplink::{DesiredKeeper, Failure, Schedule, StatusSender, read_reply};
+use crate::delivery::uplink::{Failure, Schedule, StatusSender, known, read_reply, take};
 use crate::state::board::Board;
 use crate::state::board::tests::{config, set_by_hand, thresholds};
 use albireo_service::clock::Now;
 use albireo_wire::{Desired, DesiredSetting, SettingSource};
-use serde_json::{Map, Value};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 struct Started {
     board: Arc<Board>,
-    keeper: DesiredKeeper,
     statuses: StatusSender,
     schedule: Schedule,
     asked: Option<u64>,
@@ -25,17 +23,6 @@ pub(super) struct Node {
     folder: PathBuf,
     started: Option<Started>,
     pub(super) kept_state: Option<Vec<u8>>,
-}
-
-/// The disk after the thresholds are written, but before what the node knows of the hub.
-pub(super) fn between(before: Option<Vec<u8>>, after: Option<Vec<u8>>) -> Option<Vec<u8>> {
-    let read = |file: &[u8]| serde_json::from_slice::<Map<String, Value>>(file).unwrap();
-    let mut mixed = read(&after?);
-    match before.and_then(|before| read(&before).remove("desired")) {
-        Some(known) => mixed.insert("desired".to_owned(), known),
-        None => mixed.remove("desired"),
-    };
-    Some(serde_json::to_vec(&mixed).unwrap())
 }
 
 impl Node {
@@ -60,7 +47,6 @@ impl Node {
         let mut schedule = Schedule::new(&OutboxConfig::default(), random, now.at);
         schedule.begin(now.at);
         self.started = Some(Started {
-            keeper: DesiredKeeper::open(&board.settings),
             board,
             statuses: StatusSender::new(BTreeMap::new(), random as u32, now),
             schedule,
@@ -95,7 +81,7 @@ impl Node {
     /// What to send: the status if due, and whether to ask for the settings with request number `question`.
     pub(super) fn look(&mut self, question: u64, now: Now) -> Option<(Option<Vec<u8>>, bool)> {
         let node = self.started.as_mut()?;
-        let status = (node.statuses).due(now, &node.board, &node.keeper);
+        let status = (node.statuses).due(now, &node.board);
         let pulls = node.schedule.next_pull(now.at);
         if pulls {
             node.asked = Some(question);
@@ -125,7 +111,7 @@ impl Node {
         if desired.send_full_status {
             node.statuses.full_is_due();
         }
-        if !(node.keeper).take(&desired, &node.board) {
+        if !take(&desired, &node.board) {
             return None;
         }
         node.statuses.full_is_due();
@@ -135,13 +121,13 @@ impl Node {
     pub(super) fn set_by_hand(&self, value: f64) {
         if let Some(node) = &self.started {
             // A value out of range is refused.
-            let _ = set_by_hand(&node.board.cameras, value);
+            let _ = set_by_hand(&node.board, &node.board.cameras, value);
         }
     }
 
     /// The highest revision that it was given.
     pub(super) fn revision(&self) -> u64 {
-        self.started.as_ref().unwrap().keeper.kept().revision
+        known(&self.started.as_ref().unwrap().board).revision
     }
 
     /// True if the setting is in force.
@@ -159,8 +145,8 @@ impl Node {
     /// True if it refused the setting, or somebody set the threshold at the node since.
     pub(super) fn deviates(&self, setting: DesiredSetting) -> bool {
         let node = self.started.as_ref().unwrap();
-        let kept = node.keeper.kept();
-        let is_refused = (kept.refused).is_some_and(|refused| refused.revision == kept.revision);
+        let known = known(&node.board);
+        let is_refused = (known.refused).is_some_and(|refused| refused.revision == known.revision);
         let mut sources = node.board.cameras.iter().map(|one| one.threshold_source());
         is_refused
             || match setting {
