@@ -2,7 +2,7 @@
 
 mod camera;
 
-use crate::api::keys::{KeyValue, NodeKeyValues};
+use crate::api;
 use crate::api::name::NodeName;
 use crate::config::NodeConfig;
 use crate::delivery::outbox::retry_disk;
@@ -187,17 +187,8 @@ impl PreparedNode {
         let outlets = counters::declare(session, &board).await?;
         let counting = counters::run(Arc::clone(&board), power, outlets, shutdown.clone());
         tasks.essential("counters", counting);
-        let mut values = NodeKeyValues::new();
-        let thresholds = board.cameras.iter().map(|camera| {
-            let value = KeyValue::Threshold(Arc::clone(&board), Arc::clone(camera));
-            (camera.keys.threshold(), value)
-        });
-        let target = (keys.target(), KeyValue::Target(Arc::clone(&board)));
-        for (key, value) in thresholds.chain([target]) {
-            let refused = NodeError::refused(format!("`{key}` cannot be served"));
-            (values.add(session, key, value).await).map_err(refused)?;
-        }
-        tasks.essential("requests", values.run(shutdown.clone()));
+        let requests = api::keys::declare(session, &board, keys.target()).await?;
+        tasks.until_shutdown("requests", requests);
         tasks.until_shutdown("disk", retry_disk(Arc::clone(&board)));
         let name = NodeName::default();
         let holding = name.clone().hold(
@@ -206,13 +197,13 @@ impl PreparedNode {
             board.readiness.part_of(readiness::ZENOH, "name"),
         );
         tasks.until_shutdown("name", holding);
-        let (uplink, ended) = Uplink::start(UplinkSetup {
+        let uplink = Uplink::start(UplinkSetup {
             board: Arc::clone(&board),
             config: config.clone(),
             keys,
             local: (!config.uplink.is_set()).then(|| session.clone()),
         });
-        tasks.until_shutdown("uplink", ended);
+        tasks.until_shutdown("uplink", uplink.ended.clone());
         board.readiness.part(readiness::CAMERAS).works();
         Ok(Node {
             cameras,

@@ -1,15 +1,14 @@
 //! Serves the node's values on Zenoh keys: a query reads a value, a put or a query with a payload changes it.
 
+use crate::error::NodeError;
 use crate::state::board::{Board, CameraBoard};
 use albireo_service::rate_limit::RateLimit;
 use albireo_wire::{SettingSource, TargetMessage, ThresholdMessage, VERSION, check_version};
 use serde::de::DeserializeOwned;
-use std::any::Any;
-use std::io::Read;
+use std::error::Error;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::mpsc;
-use tokio_util::sync::CancellationToken;
 use zenoh::Session;
 use zenoh::Wait;
 use zenoh::bytes::{Encoding, ZBytes};
@@ -24,175 +23,161 @@ const WAITING: usize = 64;
 /// The time between two log lines about requests that are not answered.
 const LOG_PERIOD: Duration = Duration::from_secs(10);
 
-/// The value on a key.
-pub(crate) enum KeyValue {
-    /// A camera's threshold.
-    Threshold(Arc<Board>, Arc<CameraBoard>),
-    /// The node's target.
-    Target(Arc<Board>),
+/// A key, and its value.
+struct Served {
+    key: String,
+    /// The camera whose threshold it is; without one, it is the node's target.
+    camera: Option<Arc<CameraBoard>>,
 }
 
-impl KeyValue {
-    /// Changes the value to the one in `payload`. Writes a file.
-    fn change(&self, payload: &[u8]) -> Result<(), String> {
-        let local = SettingSource::Local;
-        match self {
-            Self::Threshold(board, camera) => {
-                let example = r#"{"threshold":{"name":"u","value":3e-4}}"#;
-                let message: ThresholdMessage = read(payload, example)?;
-                check_version(message.v).map_err(|error| error.to_string())?;
-                let (cameras, threshold) = (std::slice::from_ref(camera), message.threshold);
-                (board.settings)
-                    .change(|kept| board.set_thresholds(cameras, threshold, local, kept))
-                    .map_err(|error| error.to_string())
-            }
-            Self::Target(board) => {
-                let message: TargetMessage = read(payload, r#"{"target":{"skip_rate":0.5}}"#)?;
-                check_version(message.v).map_err(|error| error.to_string())?;
-                (board.settings)
-                    .change(|kept| board.set_target(message.target, local, kept))
-                    .map_err(|error| error.to_string())
-            }
-        }
-    }
-
-    /// Returns the value in force, as JSON.
-    fn in_force(&self) -> Result<Vec<u8>, String> {
-        let json = match self {
-            Self::Threshold(_, camera) => serde_json::to_vec(&ThresholdMessage {
-                v: VERSION,
-                threshold: (camera.threshold_in_force())
-                    .ok_or("the policy in use has no threshold")?,
-            }),
-            Self::Target(board) => serde_json::to_vec(&board.target.report()),
-        };
-        json.map_err(|error| error.to_string())
-    }
+/// A put or a query.
+struct Request {
+    served: Arc<Served>,
+    payload: Option<Vec<u8>>,
+    query: Option<Query>,
 }
 
-/// Answers a put or a query; may write a file.
-type Request = Box<dyn FnOnce() + Send>;
-
-/// The node's keys: requests are received until it is dropped, and are answered while [`run`](Self::run) runs, one at a
-/// time, in the order of arrival.
-pub(crate) struct NodeKeyValues {
-    declared: Vec<Box<dyn Any + Send + Sync>>,
-    requests: mpsc::Sender<Request>,
-    waiting: mpsc::Receiver<Request>,
-    refused: Arc<RateLimit>,
-}
-
-impl NodeKeyValues {
-    pub(crate) fn new() -> Self {
-        let (requests, waiting) = mpsc::channel(WAITING);
-        Self {
-            declared: Vec::new(),
-            requests,
-            waiting,
-            refused: Arc::new(RateLimit::new(LOG_PERIOD)),
-        }
-    }
-
-    /// Declares a key. Zenoh's threads only queue requests, because a change writes a file, which can take a while on
-    /// a slow SD card.
-    ///
-    /// # Errors
-    /// An error if Zenoh rejects the declaration.
-    pub(crate) async fn add(
-        &mut self,
-        session: &Session,
-        key: String,
-        value: KeyValue,
-    ) -> zenoh::Result<()> {
-        let (requests, too_many) = (self.requests.clone(), RateLimit::new(LOG_PERIOD));
-        let (served, value) = (Arc::<str>::from(&*key), Arc::new(value));
-        let refused = Arc::clone(&self.refused);
+/// Declares the keys of the cameras' thresholds, and the key `target`. The returned future answers requests, one at a
+/// time, in the order of arrival, for as long as it is polled.
+///
+/// # Errors
+/// [`NodeError`] if Zenoh rejects a declaration.
+pub(crate) async fn declare(
+    session: &Session,
+    board: &Arc<Board>,
+    target: String,
+) -> Result<impl Future<Output = ()> + use<>, NodeError> {
+    let (requests, mut waiting) = mpsc::channel(WAITING);
+    let mut declared = Vec::new();
+    let cameras = board.cameras.iter();
+    let thresholds = cameras.map(|camera| (camera.keys.threshold(), Some(Arc::clone(camera))));
+    for (key, camera) in thresholds.chain([(target, None)]) {
+        let served = Arc::new(Served {
+            key: key.clone(),
+            camera,
+        });
+        let (requests, too_many) = (requests.clone(), RateLimit::new(LOG_PERIOD));
+        // Zenoh's threads only queue requests, because a change writes a file, which can take a while on a slow SD card.
         let take = Arc::new(move |payload: Option<Vec<u8>>, query: Option<Query>| {
-            let (key, value) = (Arc::clone(&served), Arc::clone(&value));
-            let refused = Arc::clone(&refused);
-            let request = move || serve(&key, &value, payload.as_deref(), query, &refused);
+            let request = Request {
+                served: Arc::clone(&served),
+                payload,
+                query,
+            };
             // A query without room goes unanswered, as if nobody served the key.
-            if requests.try_send(Box::new(request)).is_err() {
+            if requests.try_send(request).is_err() {
                 too_many.log(|held_back| {
-                    tracing::warn!(
-                        key = &*served,
-                        held_back,
-                        "request dropped: too many at once"
-                    );
+                    let key = served.key.as_str();
+                    tracing::warn!(key, held_back, "request dropped: too many at once");
                 });
             }
         });
         let take_put = Arc::clone(&take);
+        let refused = || NodeError::refused(format!("`{key}` cannot be served"));
         let subscriber = session
             .declare_subscriber(key.clone())
             .callback(move |sample| take_put(Some(beginning(sample.payload())), None))
-            .await?;
+            .await
+            .map_err(refused())?;
         let queryable = session
-            .declare_queryable(key)
+            .declare_queryable(key.clone())
             .callback(move |query| {
                 let payload = query.payload().filter(|payload| !payload.is_empty());
                 take(payload.map(beginning), Some(query));
             })
-            .await?;
-        self.declared.push(Box::new((subscriber, queryable)));
-        Ok(())
+            .await
+            .map_err(refused())?;
+        declared.push((subscriber, queryable));
     }
-
-    /// Answers requests until `shutdown`.
-    pub(crate) async fn run(mut self, shutdown: CancellationToken) {
-        while let Some(Some(request)) = shutdown.run_until_cancelled(self.waiting.recv()).await {
-            if let Err(error) = tokio::task::spawn_blocking(request).await {
+    let board = Arc::clone(board);
+    Ok(async move {
+        let _held = (requests, declared);
+        let refused = Arc::new(RateLimit::new(LOG_PERIOD));
+        while let Some(request) = waiting.recv().await {
+            let (board, refused) = (Arc::clone(&board), Arc::clone(&refused));
+            let answering = tokio::task::spawn_blocking(move || request.answer(&board, &refused));
+            if let Err(error) = answering.await {
                 tracing::error!(%error, "request failed");
             }
+        }
+    })
+}
+
+impl Request {
+    /// Changes the value if there is a payload, and replies with the value in force. May write a file.
+    fn answer(self, board: &Board, refused: &RateLimit) {
+        let Served { key, camera } = &*self.served;
+        let key = key.as_str();
+        let changed = match self.payload {
+            Some(payload) => change(board, camera.as_ref(), &payload),
+            None => Ok(()),
+        };
+        let result = changed.and_then(|()| in_force(board, camera.as_deref()));
+        let sent = match (self.query, result) {
+            (None, Ok(_)) => return,
+            (None, Err(reason)) => {
+                return refused.log(|held_back| {
+                    tracing::warn!(key, held_back, "put rejected: {reason}");
+                });
+            }
+            (Some(query), Ok(reply)) => query
+                .reply(key, reply)
+                .encoding(Encoding::APPLICATION_JSON)
+                .wait(),
+            (Some(query), Err(reason)) => query
+                .reply_err(reason.to_string())
+                .encoding(Encoding::TEXT_PLAIN)
+                .wait(),
+        };
+        if let Err(error) = sent {
+            tracing::warn!(key, %error, "query not answered");
         }
     }
 }
 
-fn serve(
-    key: &str,
-    value: &KeyValue,
-    payload: Option<&[u8]>,
-    query: Option<Query>,
-    refused: &RateLimit,
-) {
-    let changed = match payload {
-        Some(payload) if payload.len() > MAX_MESSAGE_BYTES => Err(format!(
-            "a message has at most {MAX_MESSAGE_BYTES} bytes; this one has more"
-        )),
-        Some(payload) => value.change(payload),
-        None => Ok(()),
-    };
-    let result = changed.and_then(|()| value.in_force());
-    let sent = match (query, result) {
-        (None, Ok(_)) => return,
-        (None, Err(reason)) => {
-            return refused.log(|held_back| {
-                tracing::warn!(key, held_back, "put rejected: {reason}");
-            });
-        }
-        (Some(query), Ok(reply)) => query
-            .reply(key, reply)
-            .encoding(Encoding::APPLICATION_JSON)
-            .wait(),
-        (Some(query), Err(reason)) => query
-            .reply_err(reason)
-            .encoding(Encoding::TEXT_PLAIN)
-            .wait(),
-    };
-    if let Err(error) = sent {
-        tracing::warn!(key, %error, "query not answered");
+/// Changes a camera's threshold, or the node's target, to the one in `payload`. Writes a file.
+fn change(
+    board: &Board,
+    camera: Option<&Arc<CameraBoard>>,
+    payload: &[u8],
+) -> Result<(), Box<dyn Error + Send + Sync>> {
+    if payload.len() > MAX_MESSAGE_BYTES {
+        let most = MAX_MESSAGE_BYTES;
+        return Err(format!("a message has at most {most} bytes; this one has more").into());
     }
+    let (settings, local) = (&board.settings, SettingSource::Local);
+    if let Some(camera) = camera {
+        let example = r#"{"threshold":{"name":"u","value":3e-4}}"#;
+        let ThresholdMessage { v, threshold } = read(payload, example)?;
+        check_version(v)?;
+        let cameras = std::slice::from_ref(camera);
+        settings.change(|kept| board.set_thresholds(cameras, threshold, local, kept))?;
+    } else {
+        let TargetMessage { v, target } = read(payload, r#"{"target":{"skip_rate":0.5}}"#)?;
+        check_version(v)?;
+        settings.change(|kept| board.set_target(target, local, kept))?;
+    }
+    Ok(())
+}
+
+/// Returns the camera's threshold in force, or the node's target, as JSON.
+fn in_force(
+    board: &Board,
+    camera: Option<&CameraBoard>,
+) -> Result<Vec<u8>, Box<dyn Error + Send + Sync>> {
+    let Some(camera) = camera else {
+        return Ok(serde_json::to_vec(&board.target.report())?);
+    };
+    let in_force = camera.threshold_in_force();
+    let threshold = in_force.ok_or("the policy in use has no threshold")?;
+    let v = VERSION;
+    Ok(serde_json::to_vec(&ThresholdMessage { v, threshold })?)
 }
 
 /// Copies a payload, or only enough of an oversized one to detect it.
 fn beginning(payload: &ZBytes) -> Vec<u8> {
-    let mut read = Vec::new();
-    // Reading from memory cannot fail.
-    let _ = payload
-        .reader()
-        .take(MAX_MESSAGE_BYTES as u64 + 1)
-        .read_to_end(&mut read);
-    read
+    let bytes = payload.slices().flatten().copied();
+    bytes.take(MAX_MESSAGE_BYTES + 1).collect()
 }
 
 /// Reads a message. `v` may be missing, as in a put typed by hand, so the versioned reader does not fit.

@@ -23,14 +23,13 @@ use albireo_wire::{
     BatchCompression, Desired, NodeKeys, PullRequest, ReportAnswer, ReportBatch, VERSION,
 };
 use backoff::Backoff;
-use futures_util::future::{BoxFuture, FutureExt};
+use futures_util::future::{BoxFuture, FutureExt, Shared};
 use futures_util::stream::{FuturesUnordered, StreamExt};
 use query::ask;
 #[cfg(test)]
 pub(super) use query::read_reply;
 pub(super) use schedule::{Failure, Schedule};
 pub(super) use status::StatusSender;
-use std::future::Future;
 use std::hash::{BuildHasher, RandomState};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -71,29 +70,24 @@ pub(crate) struct UplinkSetup {
 /// The running uplink.
 pub(crate) struct Uplink {
     stop: CancellationToken,
-    ended: CancellationToken,
+    /// Ready once the task has ended.
+    pub ended: Shared<BoxFuture<'static, ()>>,
 }
 
 impl Uplink {
-    /// Starts the task. The returned future is ready once the task has ended.
-    pub(crate) fn start(setup: UplinkSetup) -> (Self, impl Future<Output = ()>) {
+    /// Starts the task.
+    pub(crate) fn start(setup: UplinkSetup) -> Self {
         let stop = CancellationToken::new();
-        let worker = Worker::new(setup, stop.clone());
-        let ended = CancellationToken::new();
-        let running = ended.clone().drop_guard();
-        let run = async move {
-            let _running = running;
-            worker.run().await;
-        };
-        tokio::spawn(run.instrument(tracing::info_span!("uplink")));
-        let waiting = ended.clone().cancelled_owned();
-        (Self { stop, ended }, waiting)
+        let run = Worker::new(setup, stop.clone()).run();
+        let task = tokio::spawn(run.instrument(tracing::info_span!("uplink")));
+        let ended = task.map(drop).boxed().shared();
+        Self { stop, ended }
     }
 
     /// Makes the task try to deliver once more, and waits until it has ended.
     pub(crate) async fn stop(self) {
         self.stop.cancel();
-        self.ended.cancelled().await;
+        self.ended.await;
     }
 }
 
@@ -120,7 +114,7 @@ enum Asked {
 }
 
 /// The outcome of a query, with the desired setting, if the answer has one.
-type Ended = (Asked, Result<Option<Desired>, Failure>);
+type Ended = Result<Option<Desired>, Failure>;
 
 impl Worker {
     fn new(setup: UplinkSetup, stop: CancellationToken) -> Self {
@@ -169,24 +163,23 @@ impl Worker {
                             tracing::warn!(
                                 "the uplink has had no answer for too long: reopening it"
                             );
-                            false
+                            continue;
                         }
                         Err(error) => {
                             let error = session::plain(&error);
                             tracing::error!(error, "cannot communicate with the hub");
-                            part.degraded("cannot communicate with the hub");
-                            true
+                            "cannot communicate with the hub"
                         }
                     }
                 }
                 Err(error) => {
                     tracing::warn!("{error:#}");
-                    part.degraded("the hub's router cannot be reached");
-                    true
+                    "the hub's router cannot be reached"
                 }
             };
-            let pause = self.reconnect.next(None);
-            if failed && (self.stop.run_until_cancelled(sleep(pause)).await).is_none() {
+            part.degraded(failed);
+            let pause = sleep(self.reconnect.next(None));
+            if self.stop.run_until_cancelled(pause).await.is_none() {
                 return;
             }
         }
@@ -227,7 +220,7 @@ impl Worker {
         };
         let stale = if own { STALE } else { Duration::MAX };
         let mut last_try = None;
-        let mut asked = FuturesUnordered::<BoxFuture<'_, Ended>>::new();
+        let mut asked = FuturesUnordered::<BoxFuture<'_, (Asked, Ended)>>::new();
         self.watched.begin();
         self.schedule.begin(Instant::now());
         part.works();
@@ -237,7 +230,8 @@ impl Worker {
             let watched = self.watched.is_on(now);
             let connected = reports.matching_status().await?.matching();
             if connected && let Some(again) = self.schedule.next_batch(&counts, watched, now) {
-                asked.push(send_batch(&setup, &reports, again).boxed());
+                let sending = send_batch(&setup, &reports, again);
+                asked.push(sending.map(|ended| (Asked::Batch, ended)).boxed());
             }
             match last_try {
                 None => {
@@ -246,7 +240,8 @@ impl Worker {
                     }
                     self.watched.serve(session, &setup).await?;
                     if pulls.matching_status().await?.matching() && self.schedule.next_pull(now) {
-                        asked.push(pull(&setup, &pulls).boxed());
+                        let pulling = pull(&setup, &pulls);
+                        asked.push(pulling.map(|ended| (Asked::Pull, ended)).boxed());
                     }
                 }
                 Some(until) => {
@@ -266,7 +261,7 @@ impl Worker {
                     last_try = Some(now + LAST_TRY);
                     self.schedule.send_now(now);
                 }
-                Some(ended) = asked.next() => self.take(ended).await,
+                Some((query, ended)) = asked.next() => self.take(query, ended).await,
                 () = outbox.changed() => {}
                 () = found.notified() => {}
                 () = news.notified() => self.schedule.want_pull(),
@@ -275,7 +270,7 @@ impl Worker {
         }
     }
 
-    async fn take(&mut self, (asked, ended): Ended) {
+    async fn take(&mut self, asked: Asked, ended: Ended) {
         let now = Instant::now();
         match asked {
             Asked::Batch => self.schedule.batch_ended(&ended, now),
@@ -307,17 +302,16 @@ async fn send_batch(setup: &Arc<UplinkSetup>, reports: &Querier<'_>, again: bool
     });
     let (batch, payload) = match prepared.await {
         Ok(Some((batch, Ok(payload)))) => (batch, payload),
-        Ok(None) => return (Asked::Batch, Ok(None)),
+        Ok(None) => return Ok(None),
         failed => {
             tracing::error!(?failed, "clip reports cannot be written");
-            return (Asked::Batch, Err(Failure::Unanswered));
+            return Err(Failure::Unanswered);
         }
     };
     let reply = ask::<ReportAnswer>(reports, payload).await;
     let board = Arc::clone(&setup.board);
     let taken = spawn_blocking(move || conclude(&board.outbox, &batch, reply, Now::system()));
-    let ended = taken.await.unwrap_or(Err(Failure::Unanswered));
-    (Asked::Batch, ended)
+    taken.await.unwrap_or(Err(Failure::Unanswered))
 }
 
 /// Applies the outcome of `batch` to the outbox and returns the desired setting, if the answer has one. Writes a file.
@@ -326,7 +320,7 @@ pub(crate) fn conclude(
     batch: &ReportBatch,
     reply: Result<ReportAnswer, Failure>,
     now: Now,
-) -> Result<Option<Desired>, Failure> {
+) -> Ended {
     let answer = reply?;
     let stored = outbox.answered(batch, &answer, now);
     tracing::debug!(stored, "clip reports acknowledged");
@@ -340,8 +334,7 @@ async fn pull(setup: &UplinkSetup, pulls: &Querier<'_>) -> Ended {
         revision: known(&setup.board).revision,
     };
     let payload = serde_json::to_vec(&request).unwrap_or_default();
-    let desired = ask::<Desired>(pulls, payload).await;
-    (Asked::Pull, desired.map(Some))
+    ask::<Desired>(pulls, payload).await.map(Some)
 }
 
 #[cfg(test)]
@@ -356,7 +349,7 @@ mod tests {
         let closed = crate::api::name::tests::session(&[("listen/endpoints", "[]")]).await;
         closed.close().await.unwrap();
         let mut health = board.readiness.subscribe();
-        let (uplink, _ended) = Uplink::start(UplinkSetup {
+        let uplink = Uplink::start(UplinkSetup {
             board: Arc::clone(&board),
             keys: config.keys().unwrap(),
             local: Some(closed),
