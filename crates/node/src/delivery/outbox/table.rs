@@ -21,11 +21,11 @@ CREATE TABLE counter (name TEXT PRIMARY KEY, value INTEGER NOT NULL) STRICT, WIT
 ";
 
 /// No hub has it.
-const WAITING: i64 = 0;
+pub(super) const WAITING: i64 = 0;
 /// A hub lost it.
-const AGAIN: i64 = 1;
+pub(super) const AGAIN: i64 = 1;
 /// A hub has it.
-const ACKNOWLEDGED: i64 = 2;
+pub(super) const ACKNOWLEDGED: i64 = 2;
 /// Never to be sent again; the last of the states.
 pub(super) const REFUSED: i64 = 3;
 
@@ -61,23 +61,10 @@ impl TableError {
 #[derive(Clone, Debug)]
 pub(super) struct StoredReport {
     pub(super) id: Uuid,
-    count: Option<u64>,
-    state: i64,
-    acknowledged_ms: i64,
+    pub(super) count: Option<u64>,
+    pub(super) state: i64,
+    pub(super) acknowledged_ms: i64,
     pub(super) json: Vec<u8>,
-}
-
-impl StoredReport {
-    /// Creates a report that no hub has.
-    pub(super) fn new(id: Uuid, count: Option<u64>, json: Vec<u8>) -> Self {
-        Self {
-            id,
-            count,
-            state: WAITING,
-            acknowledged_ms: 0,
-            json,
-        }
-    }
 }
 
 /// Counters that continue after a restart.
@@ -100,17 +87,6 @@ impl Counters {
             undeliverable: self.undeliverable.max(other.undeliverable),
         }
     }
-}
-
-/// The changes from a hub's answer.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Answered {
-    /// Stored at the hub.
-    pub(super) acknowledged: Vec<Uuid>,
-    /// Never to be sent again.
-    pub(super) refused: Vec<Uuid>,
-    /// Ranges of running counts whose reports the hub misses.
-    pub(super) missing: Vec<(u64, u64)>,
 }
 
 /// The open table and its counters, which are written with each change.
@@ -205,12 +181,6 @@ impl Table {
         Ok(lost)
     }
 
-    /// The reports to send, oldest first, at most `most`; with `again`, those that a hub has lost follow those that
-    /// none has.
-    pub(super) fn due(&self, again: bool, most: usize) -> Result<Vec<StoredReport>, TableError> {
-        self.reports(if again { AGAIN } else { WAITING }, most)
-    }
-
     /// The reports up to that state, by state and then oldest first, at most `most`.
     pub(super) fn reports(
         &self,
@@ -234,31 +204,27 @@ impl Table {
         Ok(found.take(most).collect::<Result<_, _>>()?)
     }
 
-    /// Applies a hub's answer. Acknowledged reports are kept for `kept_ms` from then on.
-    pub(super) fn answered(
+    /// Sets the states of concluded reports, acknowledged or refused, and sends those again whose running counts are in
+    /// the ranges `missing`. Concluded reports are kept for `kept_ms` from then on, refused ones without their content.
+    pub(super) fn conclude(
         &mut self,
-        answered: &Answered,
+        concluded: &[(Uuid, i64)],
+        missing: &[(u64, u64)],
         now_ms: i64,
         kept_ms: i64,
     ) -> Result<(), TableError> {
         let transaction = self.db.transaction()?;
         {
-            let mut acknowledge = transaction.prepare_cached(
-                "UPDATE report SET state = ?1, acknowledged_ms = ?2 WHERE id = ?3",
+            let mut conclude = transaction.prepare_cached(
+                "UPDATE report SET state = ?1, acknowledged_ms = ?2, json = iif(?1 = ?4, x'', json) WHERE id = ?3",
             )?;
-            for id in &answered.acknowledged {
-                acknowledge.execute(params![ACKNOWLEDGED, now_ms, id.as_bytes()])?;
-            }
-            let mut refuse = transaction.prepare_cached(
-                "UPDATE report SET state = ?1, acknowledged_ms = ?2, json = x'' WHERE id = ?3",
-            )?;
-            for id in &answered.refused {
-                refuse.execute(params![REFUSED, now_ms, id.as_bytes()])?;
+            for (id, state) in concluded {
+                conclude.execute(params![state, now_ms, id.as_bytes(), REFUSED])?;
             }
             let mut again = transaction.prepare_cached(
                 "UPDATE report SET state = ?1 WHERE state = ?2 AND count BETWEEN ?3 AND ?4",
             )?;
-            for (first, last) in &answered.missing {
+            for (first, last) in missing {
                 again.execute(params![AGAIN, ACKNOWLEDGED, signed(*first), signed(*last)])?;
             }
         }

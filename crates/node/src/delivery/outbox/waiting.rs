@@ -2,12 +2,14 @@
 
 use super::OutboxCounts;
 use super::disk::Disk;
-use super::table::{Answered, Counters, REFUSED, StoredReport, Table, TableError};
+use super::table::{
+    ACKNOWLEDGED, AGAIN, Counters, REFUSED, StoredReport, Table, TableError, WAITING,
+};
 use albireo_service::clock::{DAY_MS, Now};
 use albireo_wire::{
     ClipReport, LARGEST_REPORT_BYTES, MOST_REPORTS, ReportAnswer, ReportBatch, VERSION,
 };
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use uuid::Uuid;
 
 /// The time for which acknowledged reports are kept in case a hub loses them, if there is room and a disk.
@@ -91,9 +93,7 @@ impl Waiting {
         self.table = file;
         self.is_on_disk = true;
         self.lose(lost, now);
-        if let Some(reason) = self.counts.failing.take() {
-            tracing::info!(reason, "the state directory can be used again");
-        }
+        self.counts.failing = None;
         Ok(())
     }
 
@@ -107,11 +107,8 @@ impl Waiting {
 
     /// Records that the file cannot be used, and continues in memory.
     fn fail(&mut self, error: &TableError) {
-        let reason = format!("the state directory cannot be used: {error}");
-        if self.counts.failing.as_deref() != Some(reason.as_str()) {
-            tracing::error!("{reason}; clip reports wait in memory");
-        }
-        self.counts.failing = Some(reason);
+        // The readiness logs it.
+        self.counts.failing = Some(format!("the state directory cannot be used: {error}"));
         self.counts.disk_failures += 1;
         self.damaged |= error.is_corruption();
         if std::mem::take(&mut self.is_on_disk)
@@ -125,7 +122,8 @@ impl Waiting {
     fn rescue(&mut self) -> Result<(), TableError> {
         let counters = self.table.counters;
         let file = std::mem::replace(&mut self.table, Table::in_memory(counters)?);
-        let rescued = (file.due(true, MOST_RESCUED)).and_then(|found| self.table.insert(&found));
+        let rescued =
+            (file.reports(AGAIN, MOST_RESCUED)).and_then(|found| self.table.insert(&found));
         // The rest is not lost: it is on the disk, and returns with it.
         self.table.counters = counters;
         rescued.map(drop)
@@ -163,7 +161,13 @@ impl Waiting {
             self.counts.kept += 1;
             // Cannot fail: a report holds numbers and text. An empty row would count as undeliverable.
             let json = serde_json::to_vec(report).unwrap_or_default();
-            rows.push(StoredReport::new(report.id, report.count, json));
+            rows.push(StoredReport {
+                id: report.id,
+                count: report.count,
+                state: WAITING,
+                acknowledged_ms: 0,
+                json,
+            });
         }
         let lost = self.work(|table| table.insert(&rows));
         self.lose(lost, now);
@@ -183,12 +187,7 @@ impl Waiting {
             let (reports, unreadable) = self.work(|table| read(table, node, again));
             let is_end = unreadable.is_empty();
             if !is_end {
-                self.table.counters.undeliverable += unreadable.len() as u64;
-                let refused = Answered {
-                    refused: unreadable,
-                    ..Answered::default()
-                };
-                self.conclude(&refused, now);
+                self.conclude(&unreadable, &[], now);
             }
             if is_end || !reports.is_empty() {
                 return (!reports.is_empty()).then(|| ReportBatch {
@@ -203,29 +202,30 @@ impl Waiting {
 
     /// Applies a hub's answer to `batch` and returns the number of reports it has stored.
     pub(super) fn answered(&mut self, batch: &ReportBatch, answer: &ReportAnswer, now: Now) -> u64 {
-        let sent: BTreeSet<Uuid> = batch.reports.iter().map(|report| report.id).collect();
-        let refused: BTreeSet<Uuid> = (answer.refused.iter())
-            .filter(|refused| sent.contains(&refused.id))
-            .map(|refused| {
-                tracing::error!(id = %refused.id, refused.reason, "the hub rejected a clip report");
-                refused.id
-            })
+        let refused: BTreeMap<Uuid, &str> = (answer.refused.iter())
+            .map(|refused| (refused.id, refused.reason.as_str()))
             .collect();
-        let stored = (sent.len() - refused.len()) as u64;
-        self.table.counters.undeliverable += refused.len() as u64;
+        let ended = batch.reports.iter().map(|report| {
+            let id = report.id;
+            let Some(reason) = refused.get(&id) else {
+                return (id, ACKNOWLEDGED);
+            };
+            tracing::error!(%id, reason, "the hub rejected a clip report");
+            (id, REFUSED)
+        });
+        let stored = self.conclude(&ended.collect::<Vec<_>>(), &answer.missing, now);
         self.counts.acknowledged += stored;
-        let answered = Answered {
-            acknowledged: sent.difference(&refused).copied().collect(),
-            refused: refused.into_iter().collect(),
-            missing: answer.missing.clone(),
-        };
-        self.conclude(&answered, now);
         stored
     }
 
-    fn conclude(&mut self, answered: &Answered, now: Now) {
+    /// Sets the states of reports that are not waiting any more, and returns the number of those that a hub has.
+    fn conclude(&mut self, concluded: &[(Uuid, i64)], missing: &[(u64, u64)], now: Now) -> u64 {
+        let refused = concluded.iter().filter(|(_, state)| *state == REFUSED);
+        let refused = refused.count() as u64;
+        self.table.counters.undeliverable += refused;
         let kept_ms = if self.disk.is_some() { KEPT_MS } else { -1 };
-        self.work(|table| table.answered(answered, now.unix_ms, kept_ms));
+        self.work(|table| table.conclude(concluded, missing, now.unix_ms, kept_ms));
+        concluded.len() as u64 - refused
     }
 
     /// Returns the counts, and the state of the disk.
@@ -238,19 +238,21 @@ impl Waiting {
     }
 }
 
-/// The reports of a batch, and the ids of unreadable ones.
-type Read = (Vec<ClipReport>, Vec<Uuid>);
+/// The reports of a batch, and the unreadable ones with their new state.
+type Read = (Vec<ClipReport>, Vec<(Uuid, i64)>);
 
 fn read(table: &Table, node: &str, again: bool) -> Result<Read, TableError> {
     let (mut reports, mut unreadable, mut bytes) = (Vec::new(), Vec::new(), 0);
-    for report in table.due(again, BATCH_REPORTS)? {
+    // Those that a hub has lost follow those that none has.
+    let last_state = if again { AGAIN } else { WAITING };
+    for report in table.reports(last_state, BATCH_REPORTS)? {
         bytes += report.json.len();
         match readable(&report, node) {
             Ok(_) if bytes > BATCH_BYTES && !reports.is_empty() => break,
             Ok(read) => reports.push(read),
             Err(reason) => {
                 tracing::error!(id = %report.id, reason, "a clip report cannot be sent");
-                unreadable.push(report.id);
+                unreadable.push((report.id, REFUSED));
             }
         }
     }
