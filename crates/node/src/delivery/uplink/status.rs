@@ -27,8 +27,6 @@ pub(in crate::delivery) struct StatusSender {
     seq: u64,
     /// The last full status sent, without figures; `None` if the next must be full.
     last: Option<NodeStatus>,
-    /// The last reported revision: a heartbeat confirms that it is in force.
-    sent_revision: Option<u64>,
     sent_at: Option<Instant>,
 }
 
@@ -41,7 +39,6 @@ impl StatusSender {
             started_ns: nanoseconds(now),
             seq: 0,
             last: None,
-            sent_revision: None,
             sent_at: None,
         }
     }
@@ -65,14 +62,11 @@ impl StatusSender {
         if !changed && since.is_some_and(|since| since < EVERY) {
             return None;
         }
-        let revision = known.in_force;
         let waiting = status.outbox.waiting;
-        let short = !changed && self.sent_revision == Some(revision);
         let (run, seq) = (self.run, self.seq);
         self.seq += 1;
-        self.sent_revision = Some(revision);
         self.sent_at = Some(now.at);
-        if short {
+        if !changed {
             return Heartbeat { run, seq, waiting }.to_payload().ok();
         }
         let message = StatusMessage {
@@ -83,8 +77,8 @@ impl StatusSender {
             t_ns: nanoseconds(now),
             health: status.health.state,
             waiting,
-            revision,
-            full: changed.then(|| Box::new(status)),
+            revision: known.in_force,
+            full: Some(Box::new(status)),
         };
         self.last = Some(lasting);
         // A status can always be serialised.
