@@ -24,7 +24,8 @@ const CHECK_EVERY: Duration = Duration::from_millis(if cfg!(test) { 200 } else {
 /// The interval at which the owner checks the name: separate networks may join.
 const OWNER_CHECK_EVERY: Duration = Duration::from_secs(60);
 
-const CONFLICT: &str = "another node of this name is on the network: both answer its frames";
+const CONFLICT: &str = "another node of this name is on the network, or an earlier run of this one was killed a moment \
+                        ago: both answer its frames; give each node a unique name (node.name)";
 
 /// The tokens of a name, once owned: they last until the session is closed or the last clone is dropped.
 #[derive(Clone, Default)]
@@ -42,23 +43,13 @@ impl NodeName {
 
     async fn try_hold(&self, session: &Session, key: &str, part: &Part) -> zenoh::Result<()> {
         let own = format!("{key}/{}", session.zid());
-        let mut warned = false;
         loop {
             let is_held = self.is_held();
             let is_free = other_claims(session, key, &own).await?.is_empty()
                 && (is_held || self.claim(session, key, &own).await?);
-            if is_free {
-                part.works();
-                warned = false;
-            } else {
-                part.degraded(CONFLICT);
-                if !std::mem::replace(&mut warned, true) {
-                    tracing::warn!(
-                        key,
-                        "another node of this name is on the network, or an earlier run of this one was killed a moment \
-                         ago: give each node a unique name (node.name)"
-                    );
-                }
+            match is_free {
+                true => part.works(),
+                false => part.degraded(CONFLICT),
             }
             let pause = if is_held {
                 OWNER_CHECK_EVERY
