@@ -20,7 +20,7 @@ mod threshold;
 mod version;
 
 pub use albireo_core::audit::{AuditRate, AuditSquares, AuditSums};
-pub use albireo_core::policy::{CallCause, InvalidThreshold, ThresholdSpec};
+pub use albireo_core::policy::{CallCause, ThresholdSpec};
 pub use albireo_core::target::{Target, TargetStatus};
 pub use audit::{AuditFigures, AuditReport};
 pub use clip::{

@@ -11,7 +11,6 @@ pub(crate) use event::provider;
 pub use event::{DetectorEvent, Event, FrameEvent, News, ThresholdEvent};
 pub(crate) use history::{CameraPiece, Clock, FRAMES, PastFrame, PowerPiece, SLOT_S, SkipEstimate};
 pub(crate) use savings::{Savings, Totals};
-pub(crate) use threshold::ThresholdError;
 
 use crate::config::NodeConfig;
 use crate::delivery::outbox::Outbox;
@@ -114,12 +113,12 @@ impl Board {
         readiness.probe(readiness::DETECTOR, "", move || {
             readiness::of_detector(&status.lock())
         });
-        let (disk, reports, has_directory) = (outbox.clone(), outbox.clone(), directory.is_some());
+        let (disk, reports) = (outbox.clone(), outbox.clone());
         readiness.probe(readiness::DISK, "", move || {
             disk.counts().failing.map(Fault::degraded)
         });
         readiness.probe(readiness::OUTBOX, "", move || {
-            readiness::of_outbox(&reports.counts(), has_directory)
+            readiness::of_outbox(&reports.counts())
         });
         let started_ms = unix_milliseconds();
         let model = &config.detector.model;

@@ -95,8 +95,8 @@ pub(crate) fn of_screen(status: &DetectorStatus) -> Option<Fault> {
     of_detector(status).map(|fault| Fault::degraded(fault.reason))
 }
 
-/// The fault shown by the outbox's counts. With a directory (`has_directory`), reports should survive a power loss.
-pub(crate) fn of_outbox(counts: &OutboxCounts, has_directory: bool) -> Option<Fault> {
+/// The fault shown by the outbox's counts.
+pub(crate) fn of_outbox(counts: &OutboxCounts) -> Option<Fault> {
     let lost = counts
         .last_loss
         .is_some_and(|at| at.elapsed() < LOSS_SHOWN_FOR);
@@ -105,12 +105,9 @@ pub(crate) fn of_outbox(counts: &OutboxCounts, has_directory: bool) -> Option<Fa
             "clip reports were lost in the last {} minutes",
             LOSS_SHOWN_FOR.as_secs() / 60
         )))
-    } else if has_directory && !counts.status.durable {
-        Some(Fault::degraded(
-            "clip reports wait in memory and do not survive a power loss",
-        ))
     } else {
-        None
+        let waits = "clip reports wait in memory and do not survive a power loss";
+        counts.failing.as_ref().map(|_| Fault::degraded(waits))
     }
 }
 

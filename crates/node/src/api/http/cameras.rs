@@ -72,10 +72,10 @@ fn entry(board: &Board, camera: &CameraBoard) -> CameraEntry {
         width: picture.map(|picture| picture.width),
         height: picture.map(|picture| picture.height),
         u_as_published: picture.and_then(|picture| camera.published_threshold(picture)),
-        policy: camera.policy,
+        policy: board.policy,
         set_by: camera.threshold_spec.map(|_| camera.threshold_source()),
         threshold_spec: camera.threshold_spec,
-        advice: snapshot.advice,
+        advice: camera.advice(),
     }
 }
 
@@ -121,14 +121,9 @@ pub(super) async fn detections(
 ) -> Result<Json<DetectionsMessage>, Problem> {
     let camera = shared.camera(&camera)?;
     let latest = camera.snapshot().latest.ok_or_else(|| {
-        let name = camera.name();
-        let detail = match camera.source.as_deref() {
-            Some(source) => format!("camera `{name}` has received no frame yet from {source}"),
-            None => format!(
-                "camera `{name}` has received no frame yet; it listens on the Zenoh key {}",
-                camera.key
-            ),
-        };
+        let (name, from) = (camera.name(), camera.source.as_ref());
+        let from = from.unwrap_or(&camera.key);
+        let detail = format!("no frame of camera `{name}` has arrived yet from {from}");
         Problem::new(StatusCode::NOT_FOUND, detail)
     })?;
     Ok(Json(DetectionsMessage::clone(&latest)))

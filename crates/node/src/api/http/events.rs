@@ -15,9 +15,7 @@ use serde_json::json;
 use std::convert::Infallible;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::sync::OwnedSemaphorePermit;
 use tokio::sync::broadcast::{self, error::RecvError};
-use tokio_util::sync::CancellationToken;
 use utoipa::IntoParams;
 
 /// The maximum number of concurrent event streams: each holds a connection.
@@ -38,78 +36,42 @@ pub(super) struct Selection {
     types: Option<String>,
 }
 
-/// The selection and the sources of one stream.
-struct Reader {
-    camera: Option<String>,
-    types: Vec<String>,
-    events: broadcast::Receiver<Arc<Event>>,
-    shutdown: CancellationToken,
-    /// Released when the stream ends.
-    _place: OwnedSemaphorePermit,
-}
-
-impl Reader {
-    fn wants(&self, name: &str) -> bool {
-        self.types.is_empty() || self.types.iter().any(|wanted| wanted == name)
-    }
-
-    fn select(&self, happened: &Event) -> Option<sse::Event> {
-        let (camera, news) = (self.camera.as_deref(), &happened.news);
-        let is_about = camera.is_none() || news.camera().is_none() || camera == news.camera();
-        let name = news.name();
-        if !is_about || !self.wants(name) {
-            return None;
+impl Selection {
+    /// Checks the names.
+    fn check(&self, shared: &RouteState) -> Result<(), Problem> {
+        if let Some(camera) = &self.camera {
+            shared.camera(camera)?;
         }
-        match happened.json() {
-            Ok(json) => Some(sse::Event::default().event(name).data(json)),
-            Err(error) => {
-                tracing::error!(name, error, "an event cannot be written as JSON");
-                None
+        let known = News::NAMES;
+        let mut types = self.types.iter().flat_map(|types| types.split(','));
+        match types.find(|name| !known.contains(name)) {
+            None => Ok(()),
+            Some(name) => {
+                let known_ones = known.join(", ");
+                let detail = format!("there is no event type `{name}`; there are: {known_ones}");
+                Err(bad_request(detail).allowing(known))
             }
         }
     }
 
-    /// The next event to send; `None` when the node stops.
-    async fn next(&mut self) -> Option<sse::Event> {
-        loop {
-            let received = self.shutdown.run_until_cancelled(self.events.recv());
-            match received.await? {
-                Ok(happened) => match self.select(&happened) {
-                    None => {}
-                    event => return event,
-                },
-                Err(RecvError::Lagged(lost)) => {
-                    let lost = json!({ "lost": lost }).to_string();
-                    return Some(sse::Event::default().event(LAGGED).data(lost));
-                }
-                Err(RecvError::Closed) => return None,
-            }
-        }
+    fn wants(&self, news: &News) -> bool {
+        let (camera, of) = (self.camera.as_deref(), news.camera());
+        let types = self.types.as_deref();
+        (camera.is_none() || of.is_none() || camera == of)
+            && types.is_none_or(|types| types.split(',').any(|name| name == news.name()))
     }
 }
 
-fn wanted(
-    selection: Selection,
-    shared: &RouteState,
-) -> Result<(Option<String>, Vec<String>), Problem> {
-    if let Some(camera) = &selection.camera {
-        shared.camera(camera)?;
-    }
-    let types: Vec<String> = selection
-        .types
-        .map(|types| types.split(',').map(str::to_owned).collect())
-        .unwrap_or_default();
-    let known = News::NAMES;
-    match types.iter().find(|name| !known.contains(&name.as_str())) {
-        None => Ok((selection.camera, types)),
-        Some(name) => {
-            let detail = format!(
-                "there is no event type `{name}`; there are: {}",
-                known.join(", ")
-            );
-            Err(bad_request(detail).allowing(known))
-        }
-    }
+/// The next event, or the number of lost ones.
+async fn next(
+    mut events: broadcast::Receiver<Arc<Event>>,
+) -> Option<(Result<Arc<Event>, u64>, broadcast::Receiver<Arc<Event>>)> {
+    let next = match events.recv().await {
+        Ok(event) => Ok(event),
+        Err(RecvError::Lagged(lost)) => Err(lost),
+        Err(RecvError::Closed) => return None,
+    };
+    Some((next, events))
 }
 
 /// The node's events, as server-sent events
@@ -129,7 +91,7 @@ pub(super) async fn stream(
     selection: Result<Query<Selection>, QueryRejection>,
 ) -> Result<Sse<impl Stream<Item = Result<sse::Event, Infallible>>>, Problem> {
     let selection = query(selection, &["camera", "types"])?;
-    let (camera, types) = wanted(selection, &shared)?;
+    selection.check(&shared)?;
     let place = Arc::clone(&shared.streams)
         .try_acquire_owned()
         .map_err(|_| {
@@ -137,25 +99,20 @@ pub(super) async fn stream(
                 format!("all {MOST_STREAMS} event streams are in use; close one and try again");
             Problem::new(StatusCode::SERVICE_UNAVAILABLE, detail)
         })?;
-    let board = &shared.board;
-    let reader = Reader {
-        camera,
-        types,
-        // Subscribes before the present state is read, so that no change is missed in between.
-        events: board.subscribe(),
-        shutdown: shared.shutdown.clone(),
-        _place: place,
-    };
-    let current = board.current(unix_nanoseconds());
-    let current: Vec<_> = (current
-        .iter()
-        .filter_map(|happened| reader.select(happened)))
-    .map(Ok)
-    .collect();
-    let events = stream::unfold(reader, |mut reader| async move {
-        let event = reader.next().await?;
-        Some((Ok(event), reader))
+    // Subscribes before the present state is read, so that no change is missed in between.
+    let changes = stream::unfold(shared.board.subscribe(), next);
+    let current = shared.board.current(unix_nanoseconds());
+    let events = stream::iter(current).map(Ok).chain(changes);
+    let events = events.filter_map(move |event| {
+        // Released when the stream ends.
+        let _place = &place;
+        let sent = sse::Event::default();
+        std::future::ready(match event {
+            Ok(event) if !selection.wants(&event.news) => None,
+            Ok(event) => Some(sent.event(event.news.name()).data(event.json())),
+            Err(lost) => Some(sent.event(LAGGED).data(json!({ "lost": lost }).to_string())),
+        })
     });
-    let events = stream::iter(current).chain(events);
+    let events = events.map(Ok).take_until(shared.shutdown.cancelled_owned());
     Ok(Sse::new(events).keep_alive(KeepAlive::new().interval(Duration::from_secs(15))))
 }

@@ -2,10 +2,10 @@
 
 use super::RouteState;
 use super::change::{message, off_the_runtime};
-use crate::state::board::{Board, CameraBoard, ThresholdError};
+use crate::state::board::{Board, CameraBoard};
 use albireo_core::policy::{ThresholdSpec, short};
 use albireo_service::http::Problem;
-use albireo_wire::{InvalidThreshold, SettingSource, Threshold, VERSION, check_version};
+use albireo_wire::{SettingSource, Threshold, VERSION, check_version};
 use axum::Json;
 use axum::body::Bytes;
 use axum::extract::rejection::BytesRejection;
@@ -113,15 +113,9 @@ async fn put(
     let set = move || {
         (board.settings).change(|kept| board.set_thresholds(&cameras, threshold, local, kept))
     };
-    off_the_runtime(set).await?.map_err(|error| match error {
-        ThresholdError::Name(error) => fault(&error),
-        ThresholdError::Value(error) => {
-            let status = match error {
-                InvalidThreshold::Absent { .. } => StatusCode::CONFLICT,
-                InvalidThreshold::OutOfRange { .. } => StatusCode::UNPROCESSABLE_ENTITY,
-            };
-            Problem::new(status, error.to_string()).with_threshold_spec(spec)
-        }
+    off_the_runtime(set).await?.map_err(|error| match spec {
+        Some(_) => fault(&error),
+        None => Problem::new(StatusCode::CONFLICT, error.to_string()),
     })
 }
 

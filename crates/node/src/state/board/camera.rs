@@ -92,8 +92,6 @@ pub struct CameraSnapshot {
     pub last_frame: Option<Instant>,
     /// Messages about it that were not published.
     pub unpublished: u64,
-    /// Suggested value if nothing is skipped although objects are tracked.
-    pub advice: Option<Advice>,
 }
 
 impl CameraSnapshot {
@@ -153,7 +151,7 @@ const fn source_name(source: BoxSource) -> &'static str {
 
 #[derive(Debug, Default)]
 struct Counts {
-    /// The counts that are shown, without the advice.
+    /// The counts that are shown.
     shown: CameraSnapshot,
     /// Dropped frames and audit results that are in no clip yet.
     unreported: (DroppedFrames, AuditReport),
@@ -180,8 +178,6 @@ pub struct CameraBoard {
     pub(crate) key: String,
     /// The source that the node opens for it, without credentials.
     pub(crate) source: Option<String>,
-    /// Name of its policy.
-    pub(crate) policy: &'static str,
     /// The policy's threshold, if it has one.
     pub threshold_spec: Option<ThresholdSpec>,
     /// True if `u` is independent of the picture size, as with the filter of the profile `paper`. The published code,
@@ -207,8 +203,7 @@ impl CameraBoard {
         settings: &Settings,
     ) -> Result<Self, KeyError> {
         let (name, spec) = (camera.name.as_str(), policy.threshold_spec());
-        let wanted = camera.threshold.or_else(|| policy.threshold());
-        let configured = spec.map(|spec| threshold::configured(name, &spec, wanted));
+        let configured = spec.and_then(|_| camera.threshold.or_else(|| policy.threshold()));
         let kept = spec.and_then(|spec| threshold::kept(settings, name, &spec, configured));
         let mut counts = Counts::default();
         let share = config.audit.share;
@@ -221,7 +216,6 @@ impl CameraBoard {
             keys: config.keys()?.camera(name)?,
             key: config.frame_key(camera)?,
             source: camera.source.as_ref().map(ToString::to_string),
-            policy: policy.name(),
             threshold_spec: spec,
             is_sizeless: config.policy.profile == Profile::Paper,
             longest_pause: policy.longest_pause(),
@@ -265,11 +259,10 @@ impl CameraBoard {
         let mut counts = self.counts.lock();
         counts.shown.count(frame);
         let clear = counts.watch.count(&frame.detections);
-        let advice = clear.then(|| self.advice(&counts)).flatten();
         drop(counts);
         let at = self.shared.started.elapsed();
         self.history.lock().add(&frame.detections, at);
-        if let Some(advice) = advice {
+        if clear && let Some(advice) = self.advice() {
             tracing::warn!(camera = %self.name, "{advice}");
         }
     }
@@ -281,7 +274,16 @@ impl CameraBoard {
         let before = counts.shown.latest.replace(Arc::clone(&detections));
         drop(counts);
         if before.is_none() {
-            self.log_first_frame(&detections);
+            let picture = PictureSize::new(detections.width, detections.height);
+            let published = self.published_threshold(picture);
+            tracing::info!(
+                camera = %self.name,
+                from = self.source.as_deref().unwrap_or(&self.key),
+                picture = %picture,
+                threshold = detections.threshold.map(|threshold| threshold.to_string()),
+                as_published = published.map(short),
+                "first frame"
+            );
         }
         self.send_event(News::Frame, detections);
     }
@@ -301,21 +303,9 @@ impl CameraBoard {
         }
     }
 
-    fn advice(&self, counts: &Counts) -> Option<Advice> {
-        counts.watch.advice(self.threshold_spec.as_ref()?)
-    }
-
-    fn log_first_frame(&self, first: &DetectionsMessage) {
-        let picture = PictureSize::new(first.width, first.height);
-        let published = self.published_threshold(picture);
-        tracing::info!(
-            camera = %self.name,
-            from = self.source.as_deref().unwrap_or(&self.key),
-            picture = %picture,
-            threshold = first.threshold.map(|threshold| threshold.to_string()),
-            as_published = published.map(short),
-            "first frame"
-        );
+    /// Suggests a value of the threshold if nothing is skipped although objects are tracked.
+    pub(crate) fn advice(&self) -> Option<Advice> {
+        (self.counts.lock().watch).advice(self.threshold_spec.as_ref()?)
     }
 
     /// Counts a message about it that was not published.
@@ -339,11 +329,7 @@ impl CameraBoard {
 
     /// The camera's state.
     pub fn snapshot(&self) -> CameraSnapshot {
-        let counts = self.counts.lock();
-        CameraSnapshot {
-            advice: self.advice(&counts),
-            ..counts.shown.clone()
-        }
+        self.counts.lock().shown.clone()
     }
 
     /// The last `frames` frames, oldest first, the pieces of the last hour, and the present time.

@@ -10,7 +10,7 @@ use std::sync::{Arc, OnceLock};
 pub struct Event {
     /// The content.
     pub news: News,
-    json: OnceLock<Result<String, String>>,
+    json: OnceLock<String>,
 }
 
 impl Event {
@@ -20,13 +20,10 @@ impl Event {
     }
 
     /// The event as JSON.
-    ///
-    /// # Errors
-    /// The reason it cannot be serialised.
-    pub(crate) fn json(&self) -> Result<&str, &str> {
-        let write = || serde_json::to_string(&self.news).map_err(|error| error.to_string());
-        let written = self.json.get_or_init(write);
-        written.as_ref().map(String::as_str).map_err(String::as_str)
+    pub(crate) fn json(&self) -> &str {
+        // News can always be serialised.
+        let write = || serde_json::to_string(&self.news).unwrap_or_default();
+        self.json.get_or_init(write)
     }
 }
 

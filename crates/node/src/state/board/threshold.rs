@@ -6,32 +6,13 @@ use super::event::{Event, News, ThresholdEvent};
 use crate::state::settings::{Settings, Values};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{InvalidThreshold, ThresholdSpec, published_threshold};
-use albireo_wire::{OtherThreshold, SettingSource, Threshold};
+use albireo_wire::{SettingSource, Threshold};
+use std::error::Error;
 use std::sync::Arc;
 use tokio::sync::watch;
 
-/// The reason a threshold cannot be set.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub(crate) enum ThresholdError {
-    /// Its name is not the policy's.
-    #[error(transparent)]
-    Name(#[from] OtherThreshold),
-    /// The policy has no threshold, or does not allow that value.
-    #[error(transparent)]
-    Value(#[from] InvalidThreshold),
-}
-
 fn setting(camera: &str) -> String {
     format!("threshold/{camera}")
-}
-
-/// The wanted value; the threshold's default if there is none or the threshold does not allow it.
-pub(super) fn configured(camera: &str, spec: &ThresholdSpec, wanted: Option<f64>) -> f64 {
-    let checked = spec.check(wanted.unwrap_or(spec.default));
-    checked.unwrap_or_else(|error| {
-        tracing::error!(camera, %error, "the configured threshold is not used");
-        spec.default
-    })
 }
 
 /// The value kept for a camera and its source, if it still fits the threshold and the configuration.
@@ -49,31 +30,27 @@ pub(super) fn kept(
 }
 
 impl Board {
-    /// Sets the threshold of all these cameras or of none: it is checked for all before the first is changed. It applies
-    /// from each camera's next frame, is reported to subscribers, and is set in `kept`.
+    /// Sets the threshold of these cameras: it applies from each one's next frame, is reported to subscribers, and is set
+    /// in `kept`.
     ///
     /// # Errors
-    /// [`ThresholdError`] of the first camera that does not allow it; then nothing changes.
+    /// The reason why the policy does not allow it; then nothing changes.
     pub(crate) fn set_thresholds(
         &self,
         cameras: &[Arc<CameraBoard>],
         threshold: Threshold,
         source: SettingSource,
         kept: &mut Values,
-    ) -> Result<(), ThresholdError> {
-        let checked = cameras.iter().map(|camera| {
-            let policy = camera.policy;
-            let spec = camera
-                .threshold_spec
-                .ok_or(InvalidThreshold::Absent { policy })?;
-            spec.check(threshold.value_of(&spec)?)?;
-            Ok((camera, spec))
-        });
-        let checked: Vec<_> = checked.collect::<Result<_, ThresholdError>>()?;
+    ) -> Result<(), Box<dyn Error + Send + Sync>> {
+        // All cameras have the node's policy.
+        let spec = cameras.first().and_then(|camera| camera.threshold_spec);
+        let policy = self.policy;
+        let spec = spec.ok_or(InvalidThreshold::Absent { policy })?;
+        let value = spec.check(threshold.value_of(&spec)?)?;
         // First, so that the controller no longer moves anything.
         self.target.turned_by_hand(source, kept);
-        for (camera, spec) in checked {
-            camera.set_threshold(&spec, threshold.value, source, kept);
+        for camera in cameras {
+            camera.set_threshold(&spec, value, source, kept);
         }
         Ok(())
     }

@@ -46,17 +46,14 @@ impl SkipEstimate {
         values: &[f64],
     ) -> Option<Self> {
         let frames = aged(frames);
-        let record = Record {
-            growth: Growth::of(&frames),
-            longest_pause: longest_pause.unwrap_or(u32::MAX),
-            frames: &frames,
-        };
+        let growth = Growth::of(&frames);
+        let longest_pause = longest_pause.unwrap_or(u32::MAX);
         let (first, last) = (frames.first()?.frame, frames.last()?.frame);
         let share = |skipped: usize| skipped as f64 / frames.len() as f64;
         let is_skipped = |aged: &&Aged| aged.frame.state.is_skipped() && !aged.frame.degraded;
         let skipped = frames.iter().filter(is_skipped).count();
         let values = values.iter().map(|value| {
-            let skipped = record.skipped_at(*value);
+            let skipped = skipped_at(*value, &frames, &growth, longest_pause);
             ValueEstimate {
                 value: *value,
                 skipped,
@@ -73,37 +70,29 @@ impl SkipEstimate {
     }
 }
 
-struct Record<'a> {
-    frames: &'a [Aged],
-    growth: Growth,
-    longest_pause: u32,
-}
-
-impl Record<'_> {
-    /// The number of frames that would have been answered without the detector under the threshold `u`.
-    fn skipped_at(&self, u: f64) -> usize {
-        let limit = u.ln();
-        let mut pause: u32 = 0;
-        let mut skipped = 0;
-        for aged in self.frames {
-            pause = pause.saturating_add(aged.step);
-            let calls = match (aged.frame.cause, aged.frame.tau_max) {
-                // Independent of the threshold.
-                (Some(cause), _) if !of_objects(cause) => true,
-                (_, None) => false,
-                (_, Some(tau)) => {
-                    let grown = self.growth.log(pause) - self.growth.log(aged.age);
-                    pause >= self.longest_pause || f64::from(tau).ln() + grown >= limit
-                }
-            };
-            if calls {
-                pause = 0;
-            } else {
-                skipped += 1;
+/// The number of frames that would have been answered without the detector under the threshold `u`.
+fn skipped_at(u: f64, frames: &[Aged], growth: &Growth, longest_pause: u32) -> usize {
+    let limit = u.ln();
+    let mut pause: u32 = 0;
+    let mut skipped = 0;
+    for aged in frames {
+        pause = pause.saturating_add(aged.step);
+        let calls = match (aged.frame.cause, aged.frame.tau_max) {
+            // Independent of the threshold.
+            (Some(cause), _) if !of_objects(cause) => true,
+            (_, None) => false,
+            (_, Some(tau)) => {
+                let grown = growth.log(pause) - growth.log(aged.age);
+                pause >= longest_pause || f64::from(tau).ln() + grown >= limit
             }
+        };
+        if calls {
+            pause = 0;
+        } else {
+            skipped += 1;
         }
-        skipped
     }
+    skipped
 }
 
 /// True if the detector was called because of the tracked objects.
