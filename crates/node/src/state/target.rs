@@ -47,8 +47,9 @@ struct State {
 /// The target of one node: its source, and the part that survives a restart.
 #[derive(Debug)]
 pub(crate) struct NodeTarget {
-    config: TargetConfig,
-    policy: &'static str,
+    configured: Option<Target>,
+    /// The range in which the threshold may move, or why there is none.
+    range: Result<ThresholdRange, TargetError>,
     spec: Option<ThresholdSpec>,
     state: Mutex<State>,
 }
@@ -68,8 +69,8 @@ impl NodeTarget {
             kept.unwrap_or(((config.hold, None), SettingSource::Configuration));
         let place = (threshold.zip(spec)).and_then(|(kept, spec)| kept.value_of(&spec).ok());
         let mut opened = Self {
-            config,
-            policy,
+            configured: config.hold,
+            range: ThresholdRange::of(policy, spec.as_ref(), config.least, config.most),
             spec,
             state: Mutex::new(State {
                 controller: None,
@@ -88,11 +89,6 @@ impl NodeTarget {
         opened
     }
 
-    fn range(&self) -> Result<ThresholdRange, TargetError> {
-        let TargetConfig { least, most, .. } = self.config;
-        ThresholdRange::of(self.policy, self.spec.as_ref(), least, most)
-    }
-
     fn controller(
         &self,
         target: Option<Target>,
@@ -101,7 +97,7 @@ impl NodeTarget {
         let Some(target) = target else {
             return Ok(None);
         };
-        let range = self.range()?;
+        let range = self.range.clone()?;
         TargetController::new(target, range, threshold.unwrap_or(range.least)).map(Some)
     }
 
@@ -120,15 +116,9 @@ impl NodeTarget {
         let controller = self.controller(target, threshold)?;
         let mut state = self.state.lock();
         // Setting the same target again keeps what the controller has learnt.
-        let same = state.controller.as_ref().map(TargetController::target) == target;
-        if !(same && target.is_some()) {
-            let had_one = state.controller.is_some();
+        if target != state.controller.as_ref().map(TargetController::target) {
             state.last = None;
-            state.off = match target {
-                None if had_one => Some("it was switched off".to_owned()),
-                None => state.off.take(),
-                Some(_) => None,
-            };
+            state.off = target.is_none().then(|| "it was switched off".to_owned());
             state.controller = controller;
         }
         state.source = source;
@@ -188,7 +178,7 @@ impl NodeTarget {
             target: controller.map(TargetController::target),
             source: state.source,
             off: state.off.clone(),
-            range: controller.and_then(|_| self.range().ok()),
+            range: controller.and_then(|_| self.range.clone().ok()),
             threshold: self.threshold(&state),
             state: last,
             why: last.map(|last| last.status.as_str().to_owned()),
@@ -198,7 +188,7 @@ impl NodeTarget {
     fn keep(&self, state: &State, kept: &mut Values) {
         let target = state.controller.as_ref().map(TargetController::target);
         let setting: Kept = (target, self.threshold(state));
-        kept.keep(SETTING, setting, state.source, self.config.hold);
+        kept.keep(SETTING, setting, state.source, self.configured);
     }
 
     /// The threshold that the controller wants.

@@ -9,7 +9,7 @@ use crate::state::advice::{Advice, SkipWatch};
 use crate::state::settings::Settings;
 use albireo_core::audit::AuditSums;
 use albireo_core::geometry::PictureSize;
-use albireo_core::policy::{BoxSource, FrameState, Policy, Profile, ThresholdSpec, short};
+use albireo_core::policy::{BoxSource, Policy, Profile, ThresholdSpec, short};
 use albireo_service::metrics::LatencyHistogram;
 use albireo_vision::picture::{EncodedPicture, FrameLimits, PictureFormat, to_jpeg};
 use albireo_wire::{
@@ -82,7 +82,7 @@ pub struct CameraSnapshot {
     pub detector_us: u64,
     /// Reported boxes, by class and origin.
     pub boxes: BTreeMap<(Arc<str>, &'static str), u64>,
-    /// Time from reception to publication, by frame state in the order of [`FrameState::ALL`].
+    /// Time from reception to publication, by frame state in the order of `FrameState::ALL`.
     pub total_latency: [LatencyHistogram; 5],
     /// Detector time, for the frames on which it ran.
     pub detector_latency: LatencyHistogram,
@@ -108,10 +108,8 @@ impl CameraSnapshot {
     /// Counts a frame with its final answer.
     fn count(&mut self, frame: &FrameRecord) {
         let detections = &frame.detections;
-        let mut states = FrameState::ALL.iter().zip(&mut self.total_latency);
-        if let Some((_, times)) = states.find(|(state, _)| **state == detections.state) {
-            times.observe(frame.first_answer.as_secs_f64());
-        }
+        let times = &mut self.total_latency[detections.state as usize];
+        times.observe(frame.first_answer.as_secs_f64());
         if let Some(detector) = detections.latency_ms.detector {
             self.detector_latency.observe(detector / 1e3);
         }

@@ -96,51 +96,49 @@ impl Clock {
     }
 }
 
-/// The non-empty pieces of the last hour.
+/// The last hour in pieces.
 #[derive(Debug)]
 struct Hour<T> {
     ended: VecDeque<(u64, T)>,
-    /// The number of the open piece, counted from the node's start.
-    open: u64,
+    /// The open piece, and its number, counted from the node's start.
+    open: (u64, T),
 }
 
-impl<T> Default for Hour<T> {
+impl<T: Default> Default for Hour<T> {
     fn default() -> Self {
         Self {
             ended: VecDeque::with_capacity(SLOTS),
-            open: 0,
+            open: Default::default(),
         }
     }
 }
 
-impl<T: Clone> Hour<T> {
-    /// True if the open piece is over at `at` after the node's start. Then it must be ended.
+impl<T: Clone + Default> Hour<T> {
+    /// True if the open piece is over at `at` after the node's start.
     fn is_over(&self, at: Duration) -> bool {
-        at.as_secs() / SLOT_S != self.open
+        at.as_secs() / SLOT_S != self.open.0
     }
 
-    /// Ends the open piece, keeping its content if there is any, and opens the next.
-    fn end(&mut self, held: Option<T>, at: Duration) {
-        if let Some(held) = held {
-            if self.ended.len() == SLOTS {
-                self.ended.pop_front();
-            }
-            self.ended.push_back((self.open, held));
+    /// Ends the open piece and opens the next.
+    fn turn(&mut self, at: Duration) {
+        if self.ended.len() == SLOTS {
+            self.ended.pop_front();
         }
-        self.open = at.as_secs() / SLOT_S;
+        let next = (at.as_secs() / SLOT_S, T::default());
+        self.ended
+            .push_back(std::mem::replace(&mut self.open, next));
     }
 
-    /// The pieces of the last hour, oldest first, then the open one, each converted by `shown` with its start time.
-    fn read<S>(&self, open: Option<T>, now: &Clock, shown: impl Fn(T, i64) -> S) -> Vec<S> {
+    /// The pieces of the last hour with their starts, oldest first, the open one last.
+    fn read(&self, now: &Clock) -> Vec<(i64, T)> {
         let oldest = (now.age.as_secs() / SLOT_S).saturating_sub(SLOTS as u64 - 1);
-        let ended = self.ended.iter().cloned();
-        let pieces = ended.chain(open.map(|open| (self.open, open)));
-        pieces
-            .filter(|(slot, _)| *slot >= oldest)
-            .map(|(slot, held)| {
+        let pieces = self.ended.iter().chain([&self.open]);
+        let recent = pieces.filter(|(slot, _)| *slot >= oldest);
+        recent
+            .map(|(slot, piece)| {
                 let before = now.before_now_ms(slot.saturating_mul(SLOT_S * 1000));
                 let at_ms = now.now_ms - i64::try_from(before).unwrap_or(i64::MAX);
-                shown(held, at_ms)
+                (at_ms, piece.clone())
             })
             .collect()
     }
@@ -168,12 +166,21 @@ pub(crate) struct CameraPiece {
     pub detector_p99_ms: Option<f32>,
 }
 
+impl CameraPiece {
+    /// Sets the percentiles of these detector times.
+    fn set_percentiles(&mut self, times: &[f32]) {
+        let mut sorted = times.to_vec();
+        sorted.sort_unstable_by(f32::total_cmp);
+        self.detector_p50_ms = percentile(&sorted, 50);
+        self.detector_p99_ms = percentile(&sorted, 99);
+    }
+}
+
 /// The past of one camera.
 #[derive(Debug)]
 pub(crate) struct History {
     frames: VecDeque<PastFrame>,
     hour: Hour<CameraPiece>,
-    open: CameraPiece,
     /// Detector times in the open piece.
     times: Vec<f32>,
     /// The number of detector times in the open piece.
@@ -185,7 +192,6 @@ impl Default for History {
         Self {
             frames: VecDeque::with_capacity(FRAMES),
             hour: Hour::default(),
-            open: CameraPiece::default(),
             times: Vec::with_capacity(TIMES),
             timed: 0,
         }
@@ -200,15 +206,16 @@ impl History {
         }
         self.frames.push_back(PastFrame::of(frame, at));
         if self.hour.is_over(at) {
-            self.hour.end(self.ended(), at);
-            self.open = CameraPiece::default();
+            self.hour.open.1.set_percentiles(&self.times);
+            self.hour.turn(at);
             self.times.clear();
             self.timed = 0;
         }
-        self.open.frames += 1;
-        self.open.skipped += u32::from(frame.state.is_skipped() && !frame.degraded);
-        self.open.degraded += u32::from(frame.degraded);
-        self.open.calls += u32::from(frame.cause.is_some());
+        let open = &mut self.hour.open.1;
+        open.frames += 1;
+        open.skipped += u32::from(frame.state.is_skipped() && !frame.degraded);
+        open.degraded += u32::from(frame.degraded);
+        open.calls += u32::from(frame.cause.is_some());
         if let Some(time) = frame.latency_ms.detector {
             let time = time as f32;
             match self.times.get_mut(self.timed % TIMES) {
@@ -219,17 +226,6 @@ impl History {
         }
     }
 
-    /// The open piece with its percentiles; `None` without a frame.
-    fn ended(&self) -> Option<CameraPiece> {
-        let mut sorted = self.times.clone();
-        sorted.sort_unstable_by(f32::total_cmp);
-        (self.open.frames > 0).then(|| CameraPiece {
-            detector_p50_ms: percentile(&sorted, 50),
-            detector_p99_ms: percentile(&sorted, 99),
-            ..self.open.clone()
-        })
-    }
-
     /// The last frames, oldest first, at most `most`.
     pub(crate) fn frames(&self, most: usize) -> Vec<PastFrame> {
         let first = self.frames.len().saturating_sub(most);
@@ -238,16 +234,18 @@ impl History {
 
     /// The pieces of the last hour, oldest first, with the open one; pieces without a frame are left out.
     pub(crate) fn slots(&self, now: &Clock) -> Vec<CameraPiece> {
-        self.hour
-            .read(self.ended(), now, |held, at_ms| CameraPiece {
-                at_ms,
-                ..held
-            })
+        let mut pieces = self.hour.read(now);
+        if let Some((_, open)) = pieces.last_mut() {
+            open.set_percentiles(&self.times);
+        }
+        let pieces = pieces.into_iter().filter(|(_, piece)| piece.frames > 0);
+        let pieces = pieces.map(|(at_ms, piece)| CameraPiece { at_ms, ..piece });
+        pieces.collect()
     }
 }
 
 /// Power of a piece of the last hour.
-#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, ToSchema)]
 pub(crate) struct PowerPiece {
     /// Its start, milliseconds since the Unix epoch.
     pub at_ms: i64,
@@ -268,32 +266,25 @@ pub(super) struct PowerPast {
 }
 
 impl PowerPast {
-    /// Adds the figures at `at` after the node's start.
+    /// Adds the figures at `at` after the node's start. Means are only over the time that samples cover.
     pub(super) fn add(&mut self, power: PowerSnapshot, at: Duration) {
         if self.hour.is_over(at) {
-            let ended = self.ended();
-            self.hour.end(ended, at);
+            self.hour.turn(at);
             self.began = std::mem::take(&mut self.newest);
             self.worst = None;
         }
         self.worst = self.worst.max(Some(power.quality));
         self.newest = power;
-    }
-
-    /// The open piece, with means only over the time that samples cover; `None` without samples.
-    fn ended(&self) -> Option<PowerPiece> {
         let piece = self.newest.clone().since(&self.began);
-        let watts: BTreeMap<_, _> = (piece.joules.keys())
-            .filter_map(|domain| {
-                let (joules, seconds) = piece.energy(domain)?;
-                Some((domain.clone(), (joules / seconds) as f32))
-            })
-            .collect();
-        (!watts.is_empty()).then(|| PowerPiece {
+        let watts = piece.joules.keys().filter_map(|domain| {
+            let (joules, seconds) = piece.energy(domain)?;
+            Some((domain.clone(), (joules / seconds) as f32))
+        });
+        self.hour.open.1 = PowerPiece {
             at_ms: 0,
-            quality: self.worst.unwrap_or(EnergyQuality::Unavailable),
-            watts,
-        })
+            quality: self.worst.unwrap_or_default(),
+            watts: watts.collect(),
+        };
     }
 
     /// The newest figures.
@@ -303,8 +294,14 @@ impl PowerPast {
 
     /// The ended pieces of the last hour, oldest first; pieces without a figure are left out.
     pub(super) fn slots(&self, now: &Clock) -> Vec<PowerPiece> {
-        self.hour
-            .read(None, now, |held, at_ms| PowerPiece { at_ms, ..held })
+        let mut pieces = self.hour.read(now);
+        // The open one.
+        pieces.pop();
+        let pieces = pieces
+            .into_iter()
+            .filter(|(_, piece)| !piece.watts.is_empty());
+        let pieces = pieces.map(|(at_ms, piece)| PowerPiece { at_ms, ..piece });
+        pieces.collect()
     }
 }
 
