@@ -57,8 +57,8 @@ impl Problem {
     }
 
     /// Adds the range of the threshold.
-    pub fn with_threshold_spec(mut self, spec: Option<ThresholdSpec>) -> Self {
-        self.threshold_spec = spec.map(Box::new);
+    pub fn with_threshold_spec(mut self, spec: ThresholdSpec) -> Self {
+        self.threshold_spec = Some(Box::new(spec));
         self
     }
 }

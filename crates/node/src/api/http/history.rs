@@ -156,19 +156,16 @@ const MOST_VALUES: usize = 64;
 
 fn thresholds(text: &str) -> Result<Vec<f64>, Problem> {
     let values: Result<Vec<f64>, _> = text.split(',').map(|value| value.trim().parse()).collect();
-    match values {
-        Ok(values)
-            if values.len() <= MOST_VALUES && values.iter().all(|v| *v > 0.0 && v.is_finite()) =>
-        {
-            Ok(values)
-        }
-        _ => {
-            let detail = format!(
-                "`values` must be at most {MOST_VALUES} numbers above 0, separated by commas"
-            );
-            Err(bad_request(detail))
-        }
-    }
+    let is_positive = |value: &f64| *value > 0.0 && value.is_finite();
+    let values = values
+        .ok()
+        .filter(|values| values.len() <= MOST_VALUES && values.iter().all(is_positive));
+    values.ok_or_else(|| {
+        let most = MOST_VALUES;
+        bad_request(format!(
+            "`values` must be at most {most} numbers above 0, separated by commas"
+        ))
+    })
 }
 
 /// The frames that other thresholds would have skipped over the last minutes

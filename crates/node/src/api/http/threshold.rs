@@ -3,7 +3,7 @@
 use super::RouteState;
 use super::change::{message, off_the_runtime};
 use crate::state::board::{Board, CameraBoard};
-use albireo_core::policy::{ThresholdSpec, short};
+use albireo_core::policy::{InvalidThreshold, ThresholdSpec, short};
 use albireo_service::http::Problem;
 use albireo_wire::{SettingSource, Threshold, VERSION, check_version};
 use axum::Json;
@@ -96,7 +96,13 @@ async fn put(
     body: Result<Bytes, BytesRejection>,
 ) -> Result<(), Problem> {
     let spec = cameras.first().and_then(|camera| camera.threshold_spec);
-    let expected = expected(spec);
+    let spec = spec.ok_or_else(|| {
+        let policy = board.policy;
+        let absent = InvalidThreshold::Absent { policy }.to_string();
+        Problem::new(StatusCode::CONFLICT, absent)
+    })?;
+    let (name, default, range) = (spec.name, short(spec.default), spec.range());
+    let expected = format!("a JSON object such as {{\"{name}\": {default}}} with {range}");
     let fault = |what: &dyn Display| {
         let detail = format!("the body must be {expected}: {what}");
         Problem::new(StatusCode::UNPROCESSABLE_ENTITY, detail).with_threshold_spec(spec)
@@ -113,22 +119,7 @@ async fn put(
     let set = move || {
         (board.settings).change(|kept| board.set_thresholds(&cameras, threshold, local, kept))
     };
-    off_the_runtime(set).await?.map_err(|error| match spec {
-        Some(_) => fault(&error),
-        None => Problem::new(StatusCode::CONFLICT, error.to_string()),
-    })
-}
-
-fn expected(spec: Option<ThresholdSpec>) -> String {
-    match spec {
-        Some(spec) => format!(
-            "a JSON object such as {{\"{}\": {}}} with {}",
-            spec.name,
-            short(spec.default),
-            spec.range()
-        ),
-        None => "a JSON object such as {\"u\": 0.0003}".to_owned(),
-    }
+    off_the_runtime(set).await?.map_err(|error| fault(&error))
 }
 
 /// The thresholds in force
