@@ -43,7 +43,7 @@ use zenoh::Session;
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::Querier;
 
-/// The interval at which the status is compared with the last sent one.
+/// The interval at which the status is compared with the last sent one, and a hub is looked for.
 const POLL_EVERY: Duration = Duration::from_secs(1);
 
 /// The time without any answer to waiting reports after which the node reopens its uplink.
@@ -77,9 +77,19 @@ pub(crate) struct Uplink {
 impl Uplink {
     /// Starts the task.
     pub(crate) fn start(setup: UplinkSetup) -> Self {
-        let stop = CancellationToken::new();
-        let run = Worker::new(setup, stop.clone()).run();
-        let task = tokio::spawn(run.instrument(tracing::info_span!("uplink")));
+        // The operating system provides random keys for each `RandomState`.
+        let random = RandomState::new().hash_one("uplink");
+        let (config, stop) = (&setup.config.outbox, CancellationToken::new());
+        let (run, labels) = ((random >> 32) as u32, setup.config.node.labels.clone());
+        let worker = Worker {
+            status_sender: StatusSender::new(labels, run, Now::system()),
+            watched: Watched::new(),
+            schedule: Schedule::new(config, random, Instant::now()),
+            reconnect: Backoff::new(config.retry_min_ms, config.retry_max_ms, random),
+            setup: Arc::new(setup),
+            stop: stop.clone(),
+        };
+        let task = tokio::spawn(worker.run().instrument(tracing::info_span!("uplink")));
         let ended = task.map(drop).boxed().shared();
         Self { stop, ended }
     }
@@ -117,21 +127,6 @@ enum Asked {
 type Ended = Result<Option<Desired>, Failure>;
 
 impl Worker {
-    fn new(setup: UplinkSetup, stop: CancellationToken) -> Self {
-        // The operating system provides random keys for each `RandomState`.
-        let random = RandomState::new().hash_one("uplink");
-        let config = &setup.config.outbox;
-        let run = (random >> 32) as u32;
-        Self {
-            status_sender: StatusSender::new(setup.config.node.labels.clone(), run, Now::system()),
-            watched: Watched::new(),
-            schedule: Schedule::new(config, random, Instant::now()),
-            reconnect: Backoff::new(config.retry_min_ms, config.retry_max_ms, random),
-            setup: Arc::new(setup),
-            stop,
-        }
-    }
-
     async fn run(mut self) {
         let part = self.setup.board.readiness.part(readiness::UPLINK);
         loop {
@@ -198,12 +193,8 @@ impl Worker {
         };
         let reports = querier(keys.report()).await?;
         let pulls = querier(keys.pull()).await?;
-        let (found, news) = (Arc::new(Notify::new()), Arc::new(Notify::new()));
-        let (finds, hears) = (Arc::clone(&found), Arc::clone(&news));
-        let _hub = reports
-            .matching_listener()
-            .callback(move |_| finds.notify_one())
-            .await?;
+        let news = Arc::new(Notify::new());
+        let hears = Arc::clone(&news);
         let status = session
             .declare_publisher(keys.status())
             .congestion_control(CongestionControl::Drop)
@@ -263,7 +254,6 @@ impl Worker {
                 }
                 Some((query, ended)) = asked.next() => self.take(query, ended).await,
                 () = outbox.changed() => {}
-                () = found.notified() => {}
                 () = news.notified() => self.schedule.want_pull(),
                 () = tokio::time::sleep_until(look.into()) => {}
             }
