@@ -194,7 +194,7 @@ async fn cameras_show_in_configuration_order_policy_threshold_detections_and_adv
     let node = Served::start().await;
     let rear = node.board.camera("rear").unwrap();
     for seq in 0..300 {
-        assert_eq!(rear.snapshot().advice, None);
+        assert_eq!(rear.advice(), None);
         let mut message = frame(seq, FrameState::I);
         message.tau_max = Some(3.77e-4);
         answered(rear, message);

@@ -302,7 +302,7 @@ impl CameraBoard {
     }
 
     /// Suggests a value of the threshold if nothing is skipped although objects are tracked.
-    pub(crate) fn advice(&self) -> Option<Advice> {
+    pub fn advice(&self) -> Option<Advice> {
         (self.counts.lock().watch).advice(self.threshold_spec.as_ref()?)
     }
 
