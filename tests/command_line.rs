@@ -1,6 +1,6 @@
 //! The command line: `check` and environment variables.
 
-use crate::support::fleet::{HubProcess, settings, sqlite};
+use crate::support::fleet::HubProcess;
 use crate::support::{Ended, assert_contains, free_port, run};
 use rstest::rstest;
 
@@ -76,10 +76,7 @@ fn check_online(uplink: &str, more: (&str, &str)) -> Ended {
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
 async fn check_online_reports_the_running_provider_and_that_the_hub_accepts_reports() {
-    let folder = tempfile::tempdir().unwrap();
-    let (zenoh, settings) = settings(&sqlite(folder.path()));
-    let hub = HubProcess::start(&settings);
-    hub.until_ready().await;
+    let (zenoh, _hub) = HubProcess::fresh(vec![]).await;
     let said = check_online(&zenoh, ("ALBIREO_NODE__PREFIX", "albireo")).succeeds();
     let uplink = "works  uplink.connect: the router answers, and a hub accepts reports";
     assert_contains(&said, &["works  detector: runs on cpu, ", uplink]);

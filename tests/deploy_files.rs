@@ -1,8 +1,9 @@
 //! The shipped files: manual pages, completions, packages, containers, proxies.
 
-use crate::support::fleet::{HubProcess, settings, sqlite};
+use crate::support::fleet::HubProcess;
 use crate::support::{assert_contains, free_port, project, run, run_command, text, until};
 use clap::CommandFactory;
+use rstest::rstest;
 use std::path::Path;
 use std::process::Command;
 
@@ -59,18 +60,18 @@ fn scripts_outside_the_packages_parse_and_stop_at_the_first_error() {
     }
 }
 
-#[test]
+/// An attribute belongs to the case below it.
+#[rstest]
 #[ignore = "needs shellcheck"]
-fn shellcheck_accepts_the_scripts() {
-    let check = "shellcheck --severity=warning deploy/*.sh deploy/debian/*/*";
-    accepts("sh", &["-c", check]);
-}
-
-#[test]
+#[case::shellcheck("shellcheck --severity=warning deploy/*.sh deploy/debian/*/*")]
 #[ignore = "needs hadolint"]
-fn hadolint_accepts_the_images() {
-    let images = ["deploy/docker/Dockerfile", "deploy/docker/Dockerfile.l4t"];
-    accepts("hadolint", &images);
+#[case::hadolint("hadolint deploy/docker/Dockerfile deploy/docker/Dockerfile.l4t")]
+#[ignore = "needs Docker Compose"]
+#[case::docker(
+    "docker compose -f deploy/docker/compose.yml config --quiet || docker-compose -f deploy/docker/compose.yml config --quiet"
+)]
+fn the_shipped_files_are_valid_for_the_tools_that_read_them(#[case] check: &str) {
+    accepts("sh", &["-c", check]);
 }
 
 /// Runs a maintainer script of `package` with `folder` as its root, and with fake user commands.
@@ -215,22 +216,12 @@ fn every_command_in_the_compose_file_parses() {
     }
 }
 
-#[test]
-#[ignore = "needs Docker Compose"]
-fn the_compose_file_is_valid() {
-    let check = "-f deploy/docker/compose.yml config --quiet";
-    let plugin_or_program = format!("docker compose {check} || docker-compose {check}");
-    accepts("sh", &["-c", &plugin_or_program]);
-}
-
 #[tokio::test]
 #[ignore = "needs Caddy and curl"]
 async fn the_proxy_adds_tls_and_forwards_the_token_and_the_event_stream() {
     let folder = tempfile::tempdir().unwrap();
-    let (_, mut settings) = settings(&sqlite(folder.path()));
-    settings.push(("ALBIREO_HTTP__TOKEN", "a-long-random-secret".to_owned()));
-    let hub = HubProcess::start(&settings);
-    hub.until_ready().await;
+    let token = ("ALBIREO_HTTP__TOKEN", "a-long-random-secret".to_owned());
+    let (_, hub) = HubProcess::fresh(vec![token]).await;
     let port = free_port();
     let site = format!("https://localhost:{port} {{\n\ttls internal");
     let caddyfile = text("deploy/proxy/Caddyfile")

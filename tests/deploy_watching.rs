@@ -2,7 +2,7 @@
 //! rule or a dashboard names.
 
 use crate::http_api::served::Served;
-use crate::support::fleet::{HubProcess, router_config, settings, sqlite};
+use crate::support::fleet::{HubProcess, router_config};
 use crate::support::{albireo, free_port, project, run_command, text_at, until_ready};
 use albireo_node::state::board::PowerSnapshot;
 use serde_json::Value;
@@ -56,9 +56,7 @@ async fn every_query_names_metrics_of_ours_and_every_metric_in_a_rule_or_dashboa
         ..node.board.power()
     });
     let folder = tempfile::tempdir().unwrap();
-    let (_, settings) = settings(&sqlite(folder.path()));
-    let hub = HubProcess::start(&settings);
-    hub.until_ready().await;
+    let (_, hub) = HubProcess::fresh(vec![]).await;
     let http = format!("127.0.0.1:{}", free_port());
     let _router = albireo()
         .args(["router", "--http", &http, "--config"])

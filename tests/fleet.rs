@@ -2,9 +2,7 @@
 //! stored twice when they are killed or frozen, or their disks are full.
 
 use crate::support::camera::Camera;
-use crate::support::fleet::{
-    HubProcess, Router, Settings, behind, from_environment, settings, sqlite,
-};
+use crate::support::fleet::{HubProcess, Settings, behind, from_environment, router, sqlite};
 use crate::support::postgres::Postgres;
 use crate::support::{
     Node, PATIENCE, albireo_on_a_disk_that_fills, free_port, limit, metric, project, signal,
@@ -14,6 +12,7 @@ use rand_core::{RngCore, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
+use tokio::process::Child;
 
 /// A node and its camera, through kills and restarts.
 pub(crate) struct Car {
@@ -116,10 +115,7 @@ async fn every_report_once(hub: &HubProcess, mut car: Car) -> u64 {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_node_sends_counters_and_pictures_over_its_uplink_only_while_somebody_watches() {
-    let folder = tempfile::tempdir().unwrap();
-    let (endpoint, configured) = settings(&sqlite(folder.path()));
-    let hub = HubProcess::start(&configured);
-    hub.until_ready().await;
+    let (endpoint, hub) = HubProcess::fresh(vec![]).await;
     let mut car = Car::new("vanilla", "car-1", &endpoint);
     car.settings += "uplink.pictures = true\n";
     car.start().await;
@@ -174,7 +170,7 @@ struct Fleet {
     /// A server, or `None` for a SQLite file of the hub.
     database: Option<Postgres>,
     database_up: bool,
-    router: Option<Router>,
+    router: Option<Child>,
     hub: Option<HubProcess>,
     cars: Vec<Car>,
 }
@@ -187,7 +183,7 @@ impl Fleet {
                 self.database.as_ref().unwrap().up();
                 self.database_up = true;
             }
-            ROUTER if self.router.is_none() => self.router = Some(Router::start(&self.endpoint)),
+            ROUTER if self.router.is_none() => self.router = Some(router(&self.endpoint)),
             HUB if self.hub.is_none() => {
                 let mut command = albireo_on_a_disk_that_fills();
                 command.arg("hub");
@@ -204,7 +200,7 @@ impl Fleet {
                 self.database.as_ref().unwrap().kill();
                 self.database_up = false;
             }
-            ROUTER => self.router.take().unwrap().kill().await,
+            ROUTER => self.router.take().unwrap().kill().await.unwrap(),
             HUB => self.hub.take().unwrap().kill().await,
             _ => self.cars[part].kill(after).await,
         }
@@ -229,7 +225,7 @@ impl Fleet {
     /// The process of a car, the hub or the router.
     fn process(&self, part: usize) -> u32 {
         match part {
-            ROUTER => self.router.as_ref().unwrap().id(),
+            ROUTER => self.router.as_ref().unwrap().id().unwrap(),
             HUB => self.hub.as_ref().unwrap().id(),
             _ => self.cars[part].node.as_ref().unwrap().id(),
         }

@@ -1,7 +1,7 @@
 //! A target set with `albireo fleet`: held by a real node, switched off by hand, refused with a reason.
 
 use crate::fleet::Car;
-use crate::support::fleet::{HubProcess, settings, sqlite};
+use crate::support::fleet::HubProcess;
 use crate::support::{assert_contains, assert_has, json_at, run, until};
 use serde_json::{Value, json};
 
@@ -19,10 +19,7 @@ async fn at_node(car: &Car) -> Value {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_target_set_at_the_hub_is_held_by_the_node_until_its_threshold_is_set_by_hand() {
-    let folder = tempfile::tempdir().unwrap();
-    let (endpoint, configured) = settings(&sqlite(folder.path()));
-    let hub = HubProcess::start(&configured);
-    hub.until_ready().await;
+    let (endpoint, hub) = HubProcess::fresh(vec![]).await;
     let mut car = Car::new("expected-loss", "car-1", &endpoint);
     let mut plain = Car::new("vanilla", "car-2", &endpoint);
     for car in [&mut car, &mut plain] {

@@ -137,13 +137,10 @@ async fn flood(
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_flooding_node_costs_the_hub_little_memory_and_delays_nobody() {
     const OTHERS: usize = 100;
-    let folder = tempfile::tempdir().unwrap();
-    let (zenoh, mut settings) = settings(&sqlite(folder.path()));
     // Without a limit on its share, so that the hub has to process everything.
     let unlimited = (1_u64 << 40).to_string();
-    settings.push(("ALBIREO_INGEST__CAMERA_BYTES_PER_DAY", unlimited));
-    let hub = HubProcess::start(&settings);
-    hub.until_ready().await;
+    let unlimited = ("ALBIREO_INGEST__CAMERA_BYTES_PER_DAY", unlimited);
+    let (zenoh, hub) = HubProcess::fresh(vec![unlimited]).await;
     let (stop, mut floods) = (CancellationToken::new(), JoinSet::new());
     for (kind, payload) in hostile_payloads() {
         floods.spawn(flood(uplink(&zenoh).await, kind, payload, stop.clone()));

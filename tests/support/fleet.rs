@@ -17,6 +17,8 @@ pub(crate) struct HubProcess {
     child: Child,
     pub(crate) http: String,
     log: tempfile::NamedTempFile,
+    /// A database of its own, removed with the hub.
+    _database: Option<tempfile::TempDir>,
 }
 
 /// A number from the environment, for longer runs by hand.
@@ -51,6 +53,17 @@ pub(crate) fn behind(router: &str, database: &str) -> Settings {
 }
 
 impl HubProcess {
+    /// The Zenoh endpoint of a ready hub with a new database and these further settings, and the hub.
+    pub(crate) async fn fresh(more: Settings) -> (String, Self) {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (zenoh, mut settings) = settings(&sqlite(folder.path()));
+        settings.extend(more);
+        let mut hub = Self::start(&settings);
+        hub._database = Some(folder);
+        hub.until_ready().await;
+        (zenoh, hub)
+    }
+
     /// Starts a hub without waiting until it is ready.
     pub(crate) fn start(settings: &[(&'static str, String)]) -> Self {
         let mut command = albireo();
@@ -73,6 +86,7 @@ impl HubProcess {
             child: command.spawn().expect("the hub starts"),
             http: format!("http://{}", http.expect("an address of its own").1),
             log,
+            _database: None,
         }
     }
 
@@ -134,32 +148,18 @@ impl HubProcess {
     }
 }
 
-/// A Zenoh router as a process: Zenoh's Python binding, which shares no code with this project.
-pub(crate) struct Router(Child);
-
-impl Router {
-    /// Starts a router without waiting until it listens.
-    pub(crate) fn start(endpoint: &str) -> Self {
-        let child = Command::new(python())
-            .arg(project("tests/clients/router.py"))
-            .arg(endpoint)
-            .arg(project("config/zenoh-router.json5"))
-            .kill_on_drop(true)
-            .stdin(Stdio::null())
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .spawn()
-            .expect("Python starts: `make python`");
-        Self(child)
-    }
-
-    pub(crate) fn id(&self) -> u32 {
-        self.0.id().expect("the router runs")
-    }
-
-    pub(crate) async fn kill(mut self) {
-        self.0.kill().await.expect("the router is killed");
-    }
+/// Starts a Zenoh router without waiting until it listens: Zenoh's Python binding, which shares no code with this project.
+pub(crate) fn router(endpoint: &str) -> Child {
+    Command::new(python())
+        .arg(project("tests/clients/router.py"))
+        .arg(endpoint)
+        .arg(project("config/zenoh-router.json5"))
+        .kill_on_drop(true)
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("Python starts: `make python`")
 }
 
 /// Writes a configuration of `albireo router` without access control to `folder`.

@@ -4,7 +4,7 @@ use crate::support::{Hub, assert_has, config, full_status, now_ns, on_both};
 use crate::tuning::{SimulatedFleet, begin, fleet, put, put_at, send, values};
 use albireo_hub::config::LocalChange;
 use albireo_wire::StatusMessage;
-use reqwest::Method;
+use reqwest::{Method, StatusCode};
 use serde_json::{Value, json};
 
 /// Sets a target, or none, with these outcomes.
@@ -159,7 +159,8 @@ async fn a_node_changed_repeatedly_is_set_back_three_times_and_then_left_alone()
     // Without waiting for the node.
     let order = async |u: f64| {
         let body = json!({"u": u, "select": "car-1", "wait_s": 0});
-        let (_, answer) = send(&hub, Method::PUT, "/api/v1/threshold", body).await;
+        let (path, ok) = ("/api/v1/threshold", StatusCode::OK);
+        let answer = send(&hub, Method::PUT, path, body, ok).await;
         answer["revision"].as_u64().unwrap()
     };
     report(0, 3e-4).await;

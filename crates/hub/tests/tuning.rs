@@ -62,37 +62,32 @@ pub(crate) async fn put(hub: &Hub, body: Value, counts: Value) -> Value {
 }
 
 pub(crate) async fn put_at(hub: &Hub, path: &str, body: Value, counts: Value) -> Value {
-    let (status, answer) = send(hub, Method::PUT, path, body).await;
-    assert_eq!(status, StatusCode::OK, "{answer}");
+    let answer = send(hub, Method::PUT, path, body, StatusCode::OK).await;
     assert_eq!(answer["counts"], counts, "{answer}");
     answer
 }
 
 pub(crate) async fn begin(hub: &Hub, path: &str, plan: Value) -> Value {
-    let (status, begun) = post(hub, path, plan).await;
-    assert_eq!(status, StatusCode::CREATED, "{begun}");
-    begun
+    send(hub, Method::POST, path, plan, StatusCode::CREATED).await
 }
 
 async fn command(hub: &Hub, path: &str, expected: StatusCode) -> Value {
-    let (status, answer) = post(hub, path, json!({})).await;
-    assert_eq!(status, expected, "{path}: {answer}");
-    answer
+    send(hub, Method::POST, path, json!({}), expected).await
 }
 
-async fn post(hub: &Hub, path: &str, body: Value) -> (StatusCode, Value) {
-    send(hub, Method::POST, path, body).await
-}
-
+/// The answer to a request, which must have this status.
 pub(crate) async fn send(
     hub: &Hub,
     method: Method,
     path: &str,
     body: Value,
-) -> (StatusCode, Value) {
+    expected: StatusCode,
+) -> Value {
     let request = reqwest::Client::new().request(method, format!("{}{path}", hub.http));
     let response = request.json(&body).send().await.unwrap();
-    (response.status(), response.json().await.unwrap())
+    let (status, answer) = (response.status(), response.json().await.unwrap());
+    assert_eq!(status, expected, "{path} {body}: {answer}");
+    answer
 }
 
 /// The order of a `u` for all nodes.
@@ -186,7 +181,8 @@ async fn an_offline_node_can_be_forgotten_with_its_desired_setting(database: &st
     .await;
     // A change requested while it is offline is dropped with it.
     let change = json!({"u": 5e-4, "select": ["sim-000001"], "wait_s": 0});
-    let (_, answer) = send(&hub, Method::PUT, "/api/v1/threshold", change).await;
+    let (path, ok) = ("/api/v1/threshold", StatusCode::OK);
+    let answer = send(&hub, Method::PUT, path, change, ok).await;
     let change = answer["revision"].as_u64().unwrap();
     assert_eq!(forget(&hub, "sim-000001").await, StatusCode::NO_CONTENT);
     assert_eq!(forget(&hub, "sim-000001").await, StatusCode::NOT_FOUND);
@@ -380,8 +376,8 @@ async fn postgres_a_node_in_a_rollout_of_one_hub_is_changed_by_no_other_hub() {
 
     let by_hand = json!({"u": 1e-4, "select": ["all"], "wait_s": 8});
     put(&two, by_hand.clone(), json!({"refused": 4})).await;
-    let (status, _) = post(&two, "/api/v1/rollouts", plan).await;
-    assert_eq!(status, StatusCode::UNPROCESSABLE_ENTITY);
+    let refused = StatusCode::UNPROCESSABLE_ENTITY;
+    send(&two, Method::POST, "/api/v1/rollouts", plan, refused).await;
     command(&two, &format!("{path}/pause"), StatusCode::CONFLICT).await;
 
     command(&one, &format!("{path}/stop"), StatusCode::OK).await;
@@ -450,8 +446,8 @@ async fn an_invalid_request_is_rejected_with_a_remedy() {
             _ => Method::POST,
         };
         let body = serde_json::from_str(body).unwrap();
-        let (status, answer) = send(&hub, method, &format!("/api/v1/{path}"), body).await;
-        assert_eq!(status, StatusCode::UNPROCESSABLE_ENTITY, "{case}: {answer}");
+        let (path, refused) = (format!("/api/v1/{path}"), StatusCode::UNPROCESSABLE_ENTITY);
+        let answer = send(&hub, method, &path, body, refused).await;
         let detail = answer["detail"].as_str().unwrap();
         assert!(detail.contains(expected), "{case}: {answer}");
         if expected.contains("target") {
