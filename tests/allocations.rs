@@ -168,8 +168,7 @@ fn check(asked: &str, profile: Profile, states: &[FrameState], late: bool) {
             0 => first += allocations,
             1 | 2 => {}
             _ => {
-                let entry = least.entry((offset, outcome.state));
-                let entry = entry.or_insert(allocations);
+                let entry = least.entry((offset, outcome.state)).or_insert(allocations);
                 *entry = allocations.min(*entry);
             }
         }

@@ -2,7 +2,7 @@
 
 use crate::node_frames::{Bench, CAMERA, configuration, pictures};
 use crate::support::detectors::model;
-use crate::support::{PATIENCE, grey_jpeg, next, until_read};
+use crate::support::{grey_jpeg, in_time, next, until_read};
 use albireo_core::policy::FrameState;
 use albireo_node::camera::AnswerTime;
 use albireo_node::config::NodeConfig;
@@ -10,7 +10,7 @@ use albireo_wire::{ClipReport, DetectionsMessage, SettledMessage};
 use std::collections::BTreeMap;
 use std::time::Duration;
 use tokio::sync::mpsc::UnboundedReceiver;
-use tokio::time::{interval, timeout};
+use tokio::time::interval;
 
 /// The time between two frames, a fifth of a detector run.
 const PERIOD: Duration = Duration::from_millis(20);
@@ -94,7 +94,7 @@ impl Drive {
     async fn stop(mut self) -> (Self, Vec<SettledMessage>, Vec<ClipReport>) {
         let board = self.bench.board.clone();
         self.bench.shutdown.cancel();
-        let stopped = timeout(PATIENCE, &mut self.bench.stopped).await.unwrap();
+        let stopped = in_time("the node's end", &mut self.bench.stopped).await;
         stopped.unwrap().unwrap();
         let mut settled: Vec<SettledMessage> = Vec::new();
         while settled.len() < self.live.len() {

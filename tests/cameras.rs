@@ -3,7 +3,7 @@
 use crate::node_frames::{attachment, put};
 use crate::support::live_camera::{MotionJpegCamera, RtspCamera};
 use crate::support::{
-    Node, PATIENCE, albireo, assert_contains, collected, json_at, listening_peer, memory_mb, next,
+    Node, albireo, assert_contains, collected, in_time, json_at, listening_peer, memory_mb, next,
     replay, run, signal, subscribe, test_video, until, zenoh_client,
 };
 use albireo_core::geometry::PictureSize;
@@ -17,7 +17,6 @@ use std::time::{Duration, Instant};
 use tokio::io::{AsyncBufReadExt, BufReader};
 use tokio::process::Child;
 use tokio::sync::mpsc::UnboundedReceiver;
-use tokio::time::timeout;
 use zenoh::sample::Sample;
 
 const USER: &str = "viewer";
@@ -85,7 +84,7 @@ impl Publisher {
 
     async fn stop(mut self) -> String {
         signal(self.child.id().unwrap(), "-TERM");
-        let status = timeout(PATIENCE, self.child.wait()).await.unwrap().unwrap();
+        let status = in_time("its end", self.child.wait()).await.unwrap();
         let log = self.log.await.unwrap();
         assert!(status.success(), "{log}");
         self.session.close().await.unwrap();

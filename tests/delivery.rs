@@ -64,8 +64,7 @@ impl Hub {
         assert!(payload.len() < 1 << 20, "a batch is below 1 MiB");
         let reports = ReportBatch::from_payload(&payload).unwrap().reports;
         let reports = reports.iter().map(|one| (one.id, one.count.unwrap()));
-        let reports = reports.collect();
-        (query, reports)
+        (query, reports.collect())
     }
 
     /// Acknowledges everything until it has exactly the first `reports` reports, each once and in order.

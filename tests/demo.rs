@@ -3,11 +3,13 @@
 use crate::support::{
     Ended, PATIENCE, albireo, assert_contains, collected, json_at, signal, until,
 };
+use rstest::rstest;
 use serde_json::Value;
 use std::process::Stdio;
 use tokio::io::{AsyncBufReadExt, BufReader};
-use tokio::time::timeout;
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn the_demo_has_a_hub_that_receives_its_clips_and_shows_its_node() {
@@ -22,7 +24,7 @@ async fn the_demo_has_a_hub_that_receives_its_clips_and_shows_its_node() {
         .unwrap();
     let mut lines = BufReader::new(demo.stdout.take().unwrap()).lines();
     let hub = loop {
-        let line = timeout(PATIENCE, lines.next_line()).await.unwrap().unwrap();
+        let line = lines.next_line().await.unwrap();
         let line = line.expect("the demonstration prints where its hub is");
         if let Some(rest) = line.split("hub      curl ").nth(1) {
             break rest.trim_end_matches("/api/v1/clips").to_owned();
@@ -43,10 +45,8 @@ async fn the_demo_has_a_hub_that_receives_its_clips_and_shows_its_node() {
     .await;
 
     signal(demo.id().unwrap(), "-TERM");
-    let rest = timeout(PATIENCE, collected(lines)).await;
-    let said = rest.unwrap().unwrap();
-    let ended = timeout(PATIENCE, demo.wait_with_output()).await.unwrap();
-    let ended = Ended::from(ended.unwrap());
+    let said = collected(lines).await.unwrap();
+    let ended = Ended::from(demo.wait_with_output().await.unwrap());
     let code = (ended.code, &*ended.err);
     assert_eq!(code, (Some(0), ""), "nothing interrupts the table");
     assert_contains(&said, &["detector skipped on"]);

@@ -8,6 +8,7 @@ use crate::support::{
     until_ready, value_of, zenoh_session,
 };
 use albireo_router::authority::{Authority, DAY, Role};
+use rstest::rstest;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
@@ -141,6 +142,8 @@ async fn acknowledged(session: &Session, node: &str, number: u64, limit: Duratio
 /// Long enough for an allowed message, on a router that has just answered others.
 const NOBODY: Duration = Duration::from_secs(3);
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn members_with_a_valid_certificate_work_and_every_intruder_is_rejected() {
     let (fleet, _router, hub) = Fleet::started().await;
@@ -221,6 +224,8 @@ async fn members_with_a_valid_certificate_work_and_every_intruder_is_rejected() 
     assert_eq!(value("probes_failed_total"), 0.0);
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn a_revoked_node_is_locked_out_by_the_new_rules_until_it_has_a_new_certificate() {
     let (fleet, mut router, _hub) = Fleet::started().await;
@@ -241,8 +246,8 @@ async fn a_revoked_node_is_locked_out_by_the_new_rules_until_it_has_a_new_certif
         assert!(lines.any(|line| line.contains(state)), "{list}");
     }
     signal(router.id().unwrap(), "-TERM");
-    let ended = timeout(PATIENCE, router.wait()).await.unwrap();
-    assert!(ended.unwrap().success(), "{}", fleet.log());
+    let ended = router.wait().await.unwrap();
+    assert!(ended.success(), "{}", fleet.log());
     let _router = fleet.start_router().await;
 
     // Its certificate is still valid, so it gets a session, and nothing else.

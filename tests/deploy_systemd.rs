@@ -1,7 +1,9 @@
 //! The systemd units are valid, as restricted as promised, and work with the real programs.
 
 use crate::support::fleet::{behind, router_config, settings, sqlite};
-use crate::support::{PATIENCE, albireo, free_port, pipe, project, run_command, signal, text};
+use crate::support::{
+    PATIENCE, albireo, free_port, in_time, pipe, project, run_command, signal, text,
+};
 use std::path::Path;
 use std::process::Command;
 use std::time::Duration;
@@ -106,7 +108,7 @@ impl Service {
     async fn until(&mut self, message: &str, times: usize) {
         while self.count(message) < times {
             let mut buffer = [0; 4096];
-            let received = timeout(PATIENCE, self.socket.recv(&mut buffer)).await;
+            let received = timeout(PATIENCE / 3, self.socket.recv(&mut buffer)).await;
             let missing = |_| panic!("no {message}: {:?}\n{}", self.heard, self.log());
             let length = received.unwrap_or_else(missing).unwrap();
             let text = String::from_utf8(buffer[..length].to_vec()).unwrap();
@@ -122,7 +124,7 @@ impl Service {
     async fn ends_well(&mut self) {
         signal(self.child.id().unwrap(), "-TERM");
         self.until("STOPPING=1", 1).await;
-        let status = timeout(PATIENCE, self.child.wait()).await.unwrap().unwrap();
+        let status = in_time("its end", self.child.wait()).await.unwrap();
         assert!(status.success(), "{status}\n{}", self.log());
     }
 

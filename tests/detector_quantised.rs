@@ -58,8 +58,7 @@ fn a_quantised_export_is_read_like_its_original_and_finds_what_that_finds() {
     let road = Pictures::of_archive(&project("demo/road.tar"), 10.0);
     let clips = road.unwrap().into_clips();
     // It is outside the calibration data.
-    let clip = clips.into_iter().find(|clip| clip.name() == "busy");
-    let mut clip = clip.unwrap();
+    let mut clip = clips.into_iter().find(|one| one.name() == "busy").unwrap();
     let encoded = std::iter::from_fn(|| clip.next().unwrap());
     for encoded in encoded.step_by(3) {
         let picture = decoded(&encoded);

@@ -36,8 +36,7 @@ async fn shared_every_frame_of_a_clip_is_answered_or_reported_as_dropped() {
     assert_eq!(numbers.len(), answered, "every frame is answered once");
 
     for (state, count) in report["states"].as_object().expect("five counters") {
-        let detections = detections.iter();
-        let found = detections.filter(|message| message["state"] == **state);
+        let found = detections.iter().filter(|one| one["state"] == **state);
         let found = found.count();
         assert_eq!(*count, found, "{state}");
         let may_lack = ["E", "E+I"].contains(&&**state);

@@ -10,6 +10,7 @@ use crate::support::{
 };
 use rand_core::{RngCore, SeedableRng};
 use rand_pcg::Pcg64Mcg;
+use rstest::rstest;
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 use tokio::process::Child;
@@ -112,6 +113,8 @@ async fn every_report_once(hub: &HubProcess, mut car: Car) -> u64 {
     made
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_node_sends_counters_and_pictures_over_its_uplink_only_while_somebody_watches() {
@@ -137,8 +140,8 @@ async fn a_node_sends_counters_and_pictures_over_its_uplink_only_while_somebody_
     let mut live = live.await.unwrap();
     let mut text = String::new();
     while !text.contains("\"camera\":\"front\"") {
-        let chunk = tokio::time::timeout(PATIENCE, live.chunk()).await.unwrap();
-        text.push_str(&String::from_utf8_lossy(&chunk.unwrap().unwrap()));
+        let chunk = live.chunk().await.unwrap().unwrap();
+        text.push_str(&String::from_utf8_lossy(&chunk));
     }
     assert!(text.contains("event: counters"), "{text}");
     counters.recv_async().await.unwrap();
@@ -264,8 +267,16 @@ impl Fleet {
     }
 }
 
-/// Kills, freezes and full disks in any order, of cars, hub, router and database server.
-async fn no_fault_loses_or_duplicates_a_report(database: Option<Postgres>) {
+#[rstest]
+#[ignore = "needs ONNX Runtime and Python"]
+#[case::sqlite(None)]
+#[ignore = "needs ONNX Runtime and Python and PostgreSQL"]
+#[case::postgresql(Some(Postgres::start()))]
+#[timeout(10 * PATIENCE)]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn kills_freezes_and_full_disks_in_any_order_lose_and_duplicate_no_report(
+    #[case] database: Option<Postgres>,
+) {
     // More by hand: ALBIREO_KILLS=240; another order: ALBIREO_SEED=7.
     let kills = from_environment("ALBIREO_KILLS", 12);
     let mut random = Pcg64Mcg::seed_from_u64(from_environment("ALBIREO_SEED", 1));
@@ -338,16 +349,4 @@ async fn no_fault_loses_or_duplicates_a_report(database: Option<Postgres>) {
          {stored} reports, each stored once"
     );
     assert!(stored > kills);
-}
-
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-#[ignore = "needs ONNX Runtime and Python"]
-async fn no_fault_of_nodes_hub_and_router_loses_or_duplicates_a_report() {
-    no_fault_loses_or_duplicates_a_report(None).await;
-}
-
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-#[ignore = "needs ONNX Runtime and Python and PostgreSQL"]
-async fn no_fault_of_nodes_hub_router_and_postgresql_loses_or_duplicates_a_report() {
-    no_fault_loses_or_duplicates_a_report(Some(Postgres::start())).await;
 }

@@ -38,8 +38,7 @@ async fn a_full_disk_delays_acknowledgements_and_loses_nothing() {
     };
     assert_eq!(refusal.reason, RefusalReason::Unavailable, "{refusal:?}");
     assert!(refusal.retry_after_ms.is_some(), "{refusal:?}");
-    let ready = hub.until("/readyz", |answer| answer["ready"] == false);
-    let ready = ready.await;
+    let ready = hub.until("/readyz", |page| page["ready"] == false).await;
     let reason = ready["reasons"]["database"].as_str().unwrap();
     assert_contains(reason, &["cannot be used now"]);
     assert!(metric(&hub.http, "albireo_hub_database_errors_total").await > 0.0);

@@ -65,4 +65,5 @@ async fn a_hub_killed_during_ingest_loses_and_duplicates_no_report(database: &st
     assert_eq!(energy["joules"], total as f64 * 10.0);
 }
 
-on_both!(a_hub_killed_during_ingest_loses_and_duplicates_no_report);
+// Ten times the limit, for the kills by hand.
+on_both! { a_hub_killed_during_ingest_loses_and_duplicates_no_report, 10 }

@@ -1,7 +1,7 @@
 //! A node in this process, with a real Zenoh session, ONNX Runtime and a detector of coloured boxes, handles good and bad
 //! frames, thresholds and its own shutdown.
 
-use crate::support::{PATIENCE, next, project, subscribe, until_connected, zenoh_client};
+use crate::support::{PATIENCE, in_time, next, project, subscribe, until_connected, zenoh_client};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::FrameState;
 use albireo_node::config::{CameraConfig, NodeConfig};
@@ -15,7 +15,6 @@ use serde_json::Value;
 use std::sync::Arc;
 use tokio::sync::mpsc::UnboundedReceiver;
 use tokio::task::JoinHandle;
-use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 use zenoh::Session;
 use zenoh::bytes::{Encoding, ZBytes};
@@ -106,7 +105,7 @@ impl Bench {
 
     pub(crate) async fn stop(self) {
         self.shutdown.cancel();
-        let stopped = timeout(PATIENCE, self.stopped).await.unwrap();
+        let stopped = in_time("the node's end", self.stopped).await;
         stopped.unwrap().unwrap();
         self.session.close().await.unwrap();
     }
@@ -269,8 +268,8 @@ async fn ask(session: &Session, payload: Option<&str>) -> Result<f64, String> {
         query = query.payload(payload);
     }
     let replies = query.await.unwrap();
-    let reply = timeout(PATIENCE, replies.recv_async()).await.unwrap();
-    let sample = reply.unwrap().into_result().map_err(|error| {
+    let reply = in_time("a reply", replies.recv_async()).await.unwrap();
+    let sample = reply.into_result().map_err(|error| {
         let reason = error.payload().try_to_string().unwrap();
         reason.into_owned()
     })?;

@@ -6,9 +6,9 @@ use crate::support::{
     Client, Node, PATIENCE, albireo, assert_has, fake_nvpmodel, fake_tegrastats, metric, replay,
     script, value_of,
 };
+use rstest::rstest;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
-use tokio::time::timeout;
 
 /// A sysfs tree with 24 W on three rails and a temperature sensor.
 pub(crate) fn board(root: &Path) -> PathBuf {
@@ -85,6 +85,8 @@ fn watts(message: &Value, domain: &str) -> f64 {
     entry.map_or(0.0, |entry| entry["watts"].as_f64().unwrap())
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime and Python"]
 async fn measured_watts_are_reported_everywhere_and_nothing_waits_for_a_meter_that_then_hangs() {
@@ -164,6 +166,8 @@ async fn measured_watts_are_reported_everywhere_and_nothing_waits_for_a_meter_th
     assert!(took.as_secs_f64() < 10.0, "ended after {took:?}");
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test]
 async fn the_survey_lists_every_source_and_runs_tegrastats_through_a_configured_script() {
     let folder = tempfile::tempdir().unwrap();
@@ -183,7 +187,7 @@ async fn the_survey_lists_every_source_and_runs_tegrastats_through_a_configured_
             .env("ALBIREO_POWER__TEGRASTATS", started)
             .env("ALBIREO_DEVELOPMENT", format!("sysfs={}", sysfs.display()))
             .output();
-        let output = timeout(PATIENCE, output).await.unwrap().unwrap();
+        let output = output.await.unwrap();
         let found: Value = serde_json::from_slice(&output.stdout).unwrap();
         let sources = found.as_array().unwrap();
         let names = sources.iter().map(|one| one["source"].as_str().unwrap());

@@ -1,7 +1,7 @@
 //! `albireo replay` acts as a camera: every frame arrives, in order, with its number, time and clip.
 
 use crate::support::{
-    PATIENCE, assert_contains, free_port, grey_jpeg, jpeg, listening_peer, script, test_video,
+    assert_contains, free_port, grey_jpeg, in_time, jpeg, listening_peer, script, test_video,
 };
 use albireo::cli::replay::{self, ReplayArguments, Sent};
 use albireo_core::geometry::PictureSize;
@@ -15,7 +15,6 @@ use rand_pcg::Pcg64Mcg;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tokio::sync::mpsc::unbounded_channel;
-use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 
 #[derive(Parser)]
@@ -51,8 +50,8 @@ async fn replayed(source: &Path, more: &str, wait: Duration) -> (Vec<Frame>, Sen
     });
     let connect = format!("--connect {endpoint} --wait-for-subscriber --every {more}");
     let arguments = arguments(source, &connect);
-    let sent = timeout(PATIENCE, replay::run(arguments, CancellationToken::new())).await;
-    let sent = sent.expect("the replay ends").unwrap();
+    let replay = replay::run(arguments, CancellationToken::new());
+    let sent = in_time("the end of the replay", replay).await.unwrap();
     let frames = std::iter::from_fn(|| receiver.try_recv().ok()).collect();
     (frames, sent)
 }

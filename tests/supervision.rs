@@ -6,14 +6,15 @@ use crate::node_frames::{
 };
 use crate::support::detectors::model;
 use crate::support::{
-    Node, PATIENCE, assert_contains, grey_jpeg, metric, next, run_command, until, until_read,
-    zenoh_client,
+    Node, PATIENCE, assert_contains, grey_jpeg, in_time, metric, next, run_command, until,
+    until_read, zenoh_client,
 };
 use albireo_core::policy::{Evidence, FrameHead, Need, Outcome, Policy, PolicyConfig};
 use albireo_node::PreparedNode;
 use albireo_node::config::CameraConfig;
 use albireo_node::input::Delivery;
 use albireo_wire::{ClipEnd, ClipReport, HealthState, HealthStatus};
+use rstest::rstest;
 use std::process::{Command, Stdio};
 use std::sync::mpsc::channel;
 use std::sync::{Arc, Mutex};
@@ -55,8 +56,8 @@ async fn status(
     changes: &mut watch::Receiver<HealthStatus>,
     wanted: impl FnMut(&HealthStatus) -> bool,
 ) -> HealthStatus {
-    let status = timeout(PATIENCE, changes.wait_for(wanted)).await;
-    status.expect("the status changes in time").unwrap().clone()
+    let status = in_time("the status", changes.wait_for(wanted)).await;
+    status.unwrap().clone()
 }
 
 fn settings(detector: &str, more: &str) -> String {
@@ -121,6 +122,8 @@ async fn a_panicking_camera_loop_is_counted_reported_and_restarted_and_no_frame_
 
 const TAPES: [&str; 2] = ["tape-a", "tape-b"];
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 #[ignore = "needs ONNX Runtime"]
 async fn cameras_that_slow_down_their_senders_slow_down_nobody_else() {
@@ -180,7 +183,7 @@ async fn cameras_that_slow_down_their_senders_slow_down_nobody_else() {
     assert!(senders.iter().all(|sender| !sender.is_finished()));
     drop(shut);
     for sender in senders {
-        timeout(PATIENCE, sender).await.unwrap().unwrap();
+        sender.await.unwrap();
     }
     let mut seen = Vec::new();
     for _ in 0..24 {
@@ -198,6 +201,8 @@ async fn cameras_that_slow_down_their_senders_slow_down_nobody_else() {
     bench.stop().await;
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn stopping_takes_at_most_the_configured_time_when_the_detector_hangs_and_keeps_the_clip() {
@@ -221,9 +226,8 @@ async fn stopping_takes_at_most_the_configured_time_when_the_detector_hangs_and_
     let board = Arc::clone(&bench.board);
     let start = Instant::now();
     bench.shutdown.cancel();
-    let stopped = timeout(PATIENCE, &mut bench.stopped).await.unwrap();
+    (&mut bench.stopped).await.unwrap().unwrap();
     let took = start.elapsed();
-    stopped.unwrap().unwrap();
     assert!(took < Duration::from_secs(4), "it took {took:?}");
     let report = next(&mut reports).await;
     assert_eq!((report.clip.as_str(), report.frames), ("last", 2));
@@ -334,6 +338,8 @@ async fn a_node_whose_model_never_finishes_loading_stops_on_request() {
     assert!(!log.contains("GetElementType"), "{log}");
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_disk_that_stalls_at_start_delays_no_health_check() {
@@ -364,5 +370,5 @@ async fn a_disk_that_stalls_at_start_delays_no_health_check() {
     until("the node continues", continues).await;
     assert_eq!(status("/healthz").await, 200);
     shutdown.cancel();
-    timeout(PATIENCE, running).await.unwrap().unwrap().unwrap();
+    running.await.unwrap().unwrap();
 }

@@ -1,10 +1,9 @@
 use super::served::{Served, answered, clip, frame};
-use crate::support::{PATIENCE, assert_has, until};
+use crate::support::{assert_has, in_time, until};
 use albireo_core::policy::FrameState;
 use albireo_vision::detector::{DetectorStatus, ExecutionProvider};
 use reqwest::Response;
 use serde_json::{Value, json};
-use tokio::time::timeout;
 
 pub(crate) struct Events {
     response: Response,
@@ -30,8 +29,7 @@ impl Events {
                     return Some((name, serde_json::from_str(&data).unwrap()));
                 }
             }
-            let chunk = timeout(PATIENCE, self.response.chunk()).await;
-            let chunk = chunk.expect("no event came").unwrap()?;
+            let chunk = in_time("an event", self.response.chunk()).await.unwrap()?;
             self.text.push_str(std::str::from_utf8(&chunk).unwrap());
         }
     }

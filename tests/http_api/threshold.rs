@@ -200,7 +200,7 @@ async fn frames_and_requests_continue_while_a_change_waits_for_a_stalled_disk() 
     let node = Served::kept_in(directory.path()).await;
     let body = r#"{"target": {"skip_rate": 0.5}}"#;
     let change = tokio::spawn(node.request(Method::PUT, TARGET).body(body).send());
-    let served = tokio::time::timeout(PATIENCE, async {
+    let served = tokio::time::timeout(PATIENCE / 3, async {
         while node.json(TARGET).await["target"] != json!({"skip_rate": 0.5}) {}
         for path in "/api/v1/threshold /api/v1/cameras /metrics /readyz".split(' ') {
             node.get(path).await.text().await.unwrap();

@@ -107,7 +107,7 @@ impl HubProcess {
     }
 
     pub(crate) async fn until(&self, path: &str, wanted: impl Fn(&Value) -> bool) -> Value {
-        let until = Instant::now() + PATIENCE;
+        let until = Instant::now() + PATIENCE / 3;
         loop {
             let answer = self.get(path).await;
             if wanted(&answer) {
@@ -120,8 +120,7 @@ impl HubProcess {
     }
 
     pub(crate) async fn until_ready(&self) {
-        self.until("/readyz", |answer| answer["ready"] == true)
-            .await;
+        self.until("/readyz", |page| page["ready"] == true).await;
     }
 
     pub(crate) async fn clips(&self, node: &str) -> Vec<Value> {
@@ -189,7 +188,7 @@ pub(crate) async fn deliver(
     numbers: std::ops::RangeInclusive<u64>,
     begun_ns: u64,
 ) {
-    let until = Instant::now() + PATIENCE;
+    let until = Instant::now() + PATIENCE / 3;
     loop {
         let reply = send(session, node, numbers.clone(), begun_ns).await;
         if matches!(reply, Reply::Answer(_)) {

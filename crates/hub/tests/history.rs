@@ -4,6 +4,7 @@ use crate::support::postgres::Postgres;
 use crate::support::{Hub, PATIENCE, assert_has, config, now_ns, on_both, sqlite};
 use crate::tuning::{SimulatedFleet, fleet, put};
 use albireo_hub::store::{Store, StoreError, transfer};
+use rstest::rstest;
 use serde_json::json;
 use std::collections::BTreeMap;
 
@@ -105,6 +106,8 @@ async fn sums_match_the_clips_and_never_mix_energy_qualities(database: &str) {
 
 on_both!(sums_match_the_clips_and_never_mix_energy_qualities);
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn a_reconnecting_reader_gets_the_events_it_missed_or_a_resync() {
     let hub = Hub::fresh().await;
@@ -120,8 +123,8 @@ async fn a_reconnecting_reader_gets_the_events_it_missed_or_a_resync() {
         let (mut response, mut text) = (response.unwrap(), String::new());
         // An event ends with an empty line.
         while !(text.contains(wanted) && text.ends_with("\n\n")) {
-            let chunk = tokio::time::timeout(PATIENCE, response.chunk()).await;
-            text.push_str(&String::from_utf8_lossy(&chunk.unwrap().unwrap().unwrap()));
+            let chunk = response.chunk().await.unwrap().unwrap();
+            text.push_str(&String::from_utf8_lossy(&chunk));
         }
         assert!(parts.iter().all(|part| text.contains(part)), "{text}");
     }

@@ -134,8 +134,7 @@ async fn a_hub_restored_from_a_backup_asks_each_node_for_what_it_lost(database: 
     for (node, next, lost, missing) in [("car-1", 11, (6, 10), 5), ("car-2", 5, (1, 4), 0)] {
         // The next report shows that earlier ones are missing; the hub repeats an answer that was lost.
         for _ in 0..2 {
-            let answer = hub.deliver(&batch(node, next..=next)).await;
-            let answer = answer.answer();
+            let answer = hub.deliver(&batch(node, next..=next)).await.answer();
             assert_eq!(answer.missing, [lost]);
         }
         let path = format!("/api/v1/nodes/{node}");
@@ -206,8 +205,7 @@ async fn postgres_a_lost_database_delays_acknowledgements_and_loses_nothing() {
         }
         reply => panic!("{reply:?}"),
     }
-    hub.until("/readyz", |answer| answer["ready"] == false)
-        .await;
+    hub.until("/readyz", |page| page["ready"] == false).await;
     server.up();
     loop {
         match hub.deliver(&batch("car-7", 3..=4)).await {

@@ -1,12 +1,15 @@
 //! Watching one node through the hub: the node sends only while it is watched.
 
 use crate::support::{Hub, PATIENCE, assert_has, batch_of, full_status, names, now_ns};
+use rstest::rstest;
 use serde_json::{Value, json};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::time::timeout;
 use zenoh::Wait;
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_watched_node_learns_it_and_its_counters_and_pictures_reach_the_watcher() {
     let hub = Hub::fresh().await;
@@ -22,8 +25,7 @@ async fn a_watched_node_learns_it_and_its_counters_and_pictures_reach_the_watche
 
     let mut live = reqwest::get(live).await.unwrap();
     assert_eq!(live.status(), 200);
-    let notice = timeout(PATIENCE, notices.recv_async()).await;
-    notice.unwrap().unwrap();
+    notices.recv_async().await.unwrap();
     let lease = hub.pull("car-7").await.watched_for_s.unwrap();
     assert!((1..=31).contains(&lease), "{lease}");
 
@@ -36,16 +38,12 @@ async fn a_watched_node_learns_it_and_its_counters_and_pictures_reach_the_watche
         "power_quality": "unavailable",
     });
     let mut text = String::new();
-    timeout(PATIENCE, async {
-        while !text.contains("event: counters") {
-            publisher.put(counters.to_string()).await.unwrap();
-            if let Ok(chunk) = timeout(Duration::from_millis(100), live.chunk()).await {
-                text.push_str(&String::from_utf8_lossy(&chunk.unwrap().unwrap()));
-            }
+    while !text.contains("event: counters") {
+        publisher.put(counters.to_string()).await.unwrap();
+        if let Ok(chunk) = timeout(Duration::from_millis(100), live.chunk()).await {
+            text.push_str(&String::from_utf8_lossy(&chunk.unwrap().unwrap()));
         }
-    })
-    .await
-    .unwrap();
+    }
     let data = text.lines().find_map(|line| line.strip_prefix("data: "));
     let heard: Value = serde_json::from_str(data.unwrap()).unwrap();
     assert_has(&heard, &json!({"frames": 7, "calls": {"uncertain": 4}}));

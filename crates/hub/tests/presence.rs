@@ -1,8 +1,9 @@
 //! The hub knows which nodes exist and their state.
 
-use crate::support::{Hub, assert_has, free_port, full_status, names, open, status};
+use crate::support::{Hub, PATIENCE, assert_has, free_port, full_status, names, open, status};
 use albireo_service::config::ZenohMode;
 use albireo_wire::ConfigChanged;
+use rstest::rstest;
 use serde_json::json;
 use std::time::Duration;
 
@@ -29,6 +30,8 @@ async fn a_node_is_online_then_degraded_with_its_reason_then_silent_then_offline
     hub.stop().await;
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn a_gap_in_the_numbers_makes_the_hub_ask_for_the_full_status_which_survives_a_restart() {
     let hub = Hub::fresh().await;
@@ -38,8 +41,7 @@ async fn a_gap_in_the_numbers_makes_the_hub_ask_for_the_full_status_which_surviv
     hub.until_state("car-2", "online").await;
     assert!(!hub.pull("car-2").await.send_full_status);
     hub.put_status("car-2", &status(11, 5)).await;
-    let notice = tokio::time::timeout(Duration::from_secs(30), notices.recv_async()).await;
-    let notice = notice.unwrap().unwrap();
+    let notice = notices.recv_async().await.unwrap();
     albireo_wire::read::<ConfigChanged>(&notice.payload().to_bytes()).unwrap();
     assert!(hub.pull("car-2").await.send_full_status);
     let full = full_status(11, 6, &[("power", "no meter")]);
@@ -113,8 +115,7 @@ async fn a_hub_without_its_router_is_not_ready_and_declares_nobody_silent() {
     hub.until_state("car-9", "online").await;
 
     first.close().await.unwrap();
-    let held = hub.until("/readyz", |answer| answer["ready"] == false);
-    let held = held.await;
+    let held = hub.until("/readyz", |page| page["ready"] == false).await;
     assert!(held["reasons"]["zenoh"].is_string(), "{held}");
     // Longer than the time after which a node is offline.
     tokio::time::sleep(Duration::from_secs(5)).await;

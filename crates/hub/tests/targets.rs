@@ -178,8 +178,7 @@ async fn a_node_changed_repeatedly_is_set_back_three_times_and_then_left_alone()
         report(revision, 5e-4).await;
         if times == 1 {
             // The node applies the value, and the drift is over.
-            hub.until("/api/v1/drift", |drift| *drift == json!([]))
-                .await;
+            hub.until("/api/v1/drift", |all| *all == json!([])).await;
         }
     }
     report(revision, 9e-4).await;

@@ -33,8 +33,8 @@ use std::time::{Duration, Instant};
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
-/// The limit of any single wait on a busy machine.
-pub const PATIENCE: Duration = Duration::from_secs(60);
+/// The limit of a test on a busy machine. A wait that says what it waits for ends earlier, so that it is heard.
+pub const PATIENCE: Duration = Duration::from_secs(360);
 
 pub struct Hub {
     pub http: String,
@@ -129,7 +129,7 @@ impl Hub {
     }
 
     pub async fn until(&self, path: &str, wanted: impl Fn(&Value) -> bool) -> Value {
-        let until = Instant::now() + PATIENCE;
+        let until = Instant::now() + PATIENCE / 6;
         loop {
             let answer = self.get(path).await;
             if wanted(&answer) {
@@ -151,7 +151,7 @@ impl Hub {
 
     /// Sends a batch until the hub answers.
     pub async fn deliver(&self, batch: &ReportBatch) -> Reply {
-        let until = Instant::now() + PATIENCE;
+        let until = Instant::now() + PATIENCE / 6;
         let payload = batch.to_payload(BatchCompression::Best).unwrap();
         loop {
             match self.send(&batch.node, payload.clone()).await {

@@ -11,14 +11,18 @@ pub(crate) fn sqlite(folder: &Path) -> String {
 }
 
 macro_rules! on_both {
-    ($test:ident) => {
+    ($test:ident $(, $times:literal)?) => {
         mod $test {
+            #[rstest::rstest]
+            #[timeout(crate::support::PATIENCE $(* $times)?)]
             #[tokio::test(flavor = "multi_thread")]
             async fn sqlite() {
                 let folder = tempfile::tempdir().unwrap();
                 super::$test(&crate::support::postgres::sqlite(folder.path())).await;
             }
 
+            #[rstest::rstest]
+            #[timeout(crate::support::PATIENCE $(* $times)?)]
             #[tokio::test(flavor = "multi_thread")]
             #[ignore = "needs PostgreSQL"]
             async fn postgres() {
