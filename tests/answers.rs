@@ -2,11 +2,12 @@
 
 use crate::node_frames::{Bench, CAMERA, configuration, pictures};
 use crate::support::detectors::model;
-use crate::support::{grey_jpeg, in_time, next, until_read};
+use crate::support::{PATIENCE, grey_jpeg, next, until_read};
 use albireo_core::policy::FrameState;
 use albireo_node::camera::AnswerTime;
 use albireo_node::config::NodeConfig;
 use albireo_wire::{ClipReport, DetectionsMessage, SettledMessage};
+use rstest::rstest;
 use std::collections::BTreeMap;
 use std::time::Duration;
 use tokio::sync::mpsc::UnboundedReceiver;
@@ -94,8 +95,7 @@ impl Drive {
     async fn stop(mut self) -> (Self, Vec<SettledMessage>, Vec<ClipReport>) {
         let board = self.bench.board.clone();
         self.bench.shutdown.cancel();
-        let stopped = in_time("the node's end", &mut self.bench.stopped).await;
-        stopped.unwrap().unwrap();
+        (&mut self.bench.stopped).await.unwrap().unwrap();
         let mut settled: Vec<SettledMessage> = Vec::new();
         while settled.len() < self.live.len() {
             settled.push(next(&mut self.settled).await);
@@ -136,6 +136,8 @@ impl Drive {
     }
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn every_frame_is_answered_at_once_while_the_detector_is_slow_late_or_failing() {
@@ -168,6 +170,8 @@ async fn every_frame_is_answered_at_once_while_the_detector_is_slow_late_or_fail
     }
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_clip_is_reported_once_its_pending_frame_has_its_final_answer() {

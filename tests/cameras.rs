@@ -3,7 +3,7 @@
 use crate::node_frames::{attachment, put};
 use crate::support::live_camera::{MotionJpegCamera, RtspCamera};
 use crate::support::{
-    Node, albireo, assert_contains, collected, in_time, json_at, listening_peer, memory_mb, next,
+    Node, PATIENCE, albireo, assert_contains, collected, json_at, listening_peer, memory_mb, next,
     replay, run, signal, subscribe, test_video, until, zenoh_client,
 };
 use albireo_core::geometry::PictureSize;
@@ -84,7 +84,7 @@ impl Publisher {
 
     async fn stop(mut self) -> String {
         signal(self.child.id().unwrap(), "-TERM");
-        let status = in_time("its end", self.child.wait()).await.unwrap();
+        let status = self.child.wait().await.unwrap();
         let log = self.log.await.unwrap();
         assert!(status.success(), "{log}");
         self.session.close().await.unwrap();
@@ -130,6 +130,8 @@ fn source(address: &str, more: &str) -> String {
     format!("{head}source = \"{address}\"\n{more}\n")
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ONNX Runtime and ffmpeg and RTSP server"]
 async fn a_camera_opened_by_the_node_reconnects_and_its_password_never_leaks() {
@@ -172,6 +174,8 @@ async fn a_camera_opened_by_the_node_reconnects_and_its_password_never_leaks() {
     }
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ffmpeg and RTSP server"]
 async fn a_published_camera_reconnects_and_restarts_its_numbering() {
@@ -201,6 +205,8 @@ async fn a_published_camera_reconnects_and_restarts_its_numbering() {
     assert_hidden(&log);
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ffmpeg and RTSP server"]
 async fn a_gstreamer_pipeline_is_a_camera_and_motion_jpeg_over_rtsp_is_not_encoded_again() {
@@ -225,6 +231,8 @@ async fn a_gstreamer_pipeline_is_a_camera_and_motion_jpeg_over_rtsp_is_not_encod
     }
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ONNX Runtime and ffmpeg"]
 async fn a_video_file_is_a_camera_that_never_ends() {
@@ -240,6 +248,8 @@ async fn a_video_file_is_a_camera_that_never_ends() {
     node.stop().await;
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ONNX Runtime"]
 async fn a_sender_that_restarts_loses_no_frame() {
@@ -271,6 +281,8 @@ fn a_source_that_cannot_be_opened_is_named_with_a_remedy(
     assert_contains(&said, parts);
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ONNX Runtime and ffmpeg and RTSP server"]
 async fn a_failed_source_reports_why_and_when_it_retries() {
@@ -292,6 +304,8 @@ async fn a_failed_source_reports_why_and_when_it_retries() {
     assert_hidden(&log);
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ffmpeg"]
 async fn broken_pictures_are_dropped_and_a_stream_of_them_is_not_reopened_endlessly() {
@@ -316,6 +330,8 @@ async fn broken_pictures_are_dropped_and_a_stream_of_them_is_not_reopened_endles
     publisher.stop().await;
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ffmpeg"]
 async fn motion_jpeg_is_forwarded_unchanged_at_the_rate_with_options_that_leak_nowhere() {
@@ -352,6 +368,8 @@ async fn motion_jpeg_is_forwarded_unchanged_at_the_rate_with_options_that_leak_n
     assert!(!log.contains("opened by"), "{log}");
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn cameras_that_come_and_go_leak_no_memory() {

@@ -258,6 +258,8 @@ async fn a_revoked_node_is_locked_out_by_the_new_rules_until_it_has_a_new_certif
     assert!(taken, "{}", fleet.log());
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ONNX Runtime"]
 async fn a_real_node_reports_through_the_router_with_its_certificate() {

@@ -1,9 +1,8 @@
 //! The systemd units are valid, as restricted as promised, and work with the real programs.
 
 use crate::support::fleet::{behind, router_config, settings, sqlite};
-use crate::support::{
-    PATIENCE, albireo, free_port, in_time, pipe, project, run_command, signal, text,
-};
+use crate::support::{PATIENCE, albireo, free_port, pipe, project, run_command, signal, text};
+use rstest::rstest;
 use std::path::Path;
 use std::process::Command;
 use std::time::Duration;
@@ -124,7 +123,7 @@ impl Service {
     async fn ends_well(&mut self) {
         signal(self.child.id().unwrap(), "-TERM");
         self.until("STOPPING=1", 1).await;
-        let status = in_time("its end", self.child.wait()).await.unwrap();
+        let status = self.child.wait().await.unwrap();
         assert!(status.success(), "{status}\n{}", self.log());
     }
 
@@ -137,6 +136,8 @@ impl Service {
     }
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test]
 async fn hub_and_router_notify_ready_once_feed_their_watchdogs_and_notify_their_stop() {
     let folder = tempfile::tempdir().unwrap();
@@ -150,6 +151,8 @@ async fn hub_and_router_notify_ready_once_feed_their_watchdogs_and_notify_their_
     Service::start(&arguments, &[]).works().await;
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
 async fn a_node_feeds_its_watchdog_while_its_detector_works() {
@@ -158,6 +161,8 @@ async fn a_node_feeds_its_watchdog_while_its_detector_works() {
     Service::node(folder.path(), &model).works().await;
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test]
 async fn a_hub_without_its_router_feeds_its_watchdog_and_reports_what_it_waits_for() {
     let folder = tempfile::tempdir().unwrap();
@@ -170,6 +175,8 @@ async fn a_hub_without_its_router_feeds_its_watchdog_and_reports_what_it_waits_f
     hub.ends_well().await;
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
 async fn a_node_whose_detector_never_loads_starves_its_watchdog_and_reports_why() {

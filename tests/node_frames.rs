@@ -1,7 +1,7 @@
 //! A node in this process, with a real Zenoh session, ONNX Runtime and a detector of coloured boxes, handles good and bad
 //! frames, thresholds and its own shutdown.
 
-use crate::support::{PATIENCE, in_time, next, project, subscribe, until_connected, zenoh_client};
+use crate::support::{PATIENCE, next, project, subscribe, until_connected, zenoh_client};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::FrameState;
 use albireo_node::config::{CameraConfig, NodeConfig};
@@ -10,6 +10,7 @@ use albireo_node::state::board::{Board, CameraSnapshot};
 use albireo_node::{Node, NodeError, PreparedNode};
 use albireo_scene::BoxScene;
 use albireo_wire::{DetectionsMessage, FrameAnswer, FrameAttachment, VERSION, read};
+use rstest::rstest;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 use std::sync::Arc;
@@ -105,8 +106,7 @@ impl Bench {
 
     pub(crate) async fn stop(self) {
         self.shutdown.cancel();
-        let stopped = in_time("the node's end", self.stopped).await;
-        stopped.unwrap().unwrap();
+        self.stopped.await.unwrap().unwrap();
         self.session.close().await.unwrap();
     }
 }
@@ -175,6 +175,8 @@ pub(crate) fn pictures(count: u64) -> Vec<Vec<u8>> {
         .collect()
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn every_kind_of_dropped_frame_is_counted_under_its_own_name_and_the_next_one_is_answered() {
@@ -207,6 +209,8 @@ async fn every_kind_of_dropped_frame_is_counted_under_its_own_name_and_the_next_
     bench.stop().await;
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_predicted_frame_is_never_decoded() {
@@ -229,6 +233,8 @@ async fn a_predicted_frame_is_never_decoded() {
     bench.stop().await;
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_threshold_over_zenoh_applies_from_the_next_frame_and_is_validated() {
@@ -268,7 +274,7 @@ async fn ask(session: &Session, payload: Option<&str>) -> Result<f64, String> {
         query = query.payload(payload);
     }
     let replies = query.await.unwrap();
-    let reply = in_time("a reply", replies.recv_async()).await.unwrap();
+    let reply = replies.recv_async().await.unwrap();
     let sample = reply.into_result().map_err(|error| {
         let reason = error.payload().try_to_string().unwrap();
         reason.into_owned()
@@ -277,6 +283,8 @@ async fn ask(session: &Session, payload: Option<&str>) -> Result<f64, String> {
     Ok(message["threshold"]["value"].as_f64().unwrap())
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_ros_2_camera_beside_another_is_answered_under_its_own_key() {

@@ -1,7 +1,7 @@
 //! `albireo replay` acts as a camera: every frame arrives, in order, with its number, time and clip.
 
 use crate::support::{
-    assert_contains, free_port, grey_jpeg, in_time, jpeg, listening_peer, script, test_video,
+    PATIENCE, assert_contains, free_port, grey_jpeg, jpeg, listening_peer, script, test_video,
 };
 use albireo::cli::replay::{self, ReplayArguments, Sent};
 use albireo_core::geometry::PictureSize;
@@ -12,6 +12,7 @@ use albireo_wire::{FrameAnswer, VERSION};
 use clap::Parser;
 use rand_core::{RngCore, SeedableRng};
 use rand_pcg::Pcg64Mcg;
+use rstest::rstest;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tokio::sync::mpsc::unbounded_channel;
@@ -51,7 +52,7 @@ async fn replayed(source: &Path, more: &str, wait: Duration) -> (Vec<Frame>, Sen
     let connect = format!("--connect {endpoint} --wait-for-subscriber --every {more}");
     let arguments = arguments(source, &connect);
     let replay = replay::run(arguments, CancellationToken::new());
-    let sent = in_time("the end of the replay", replay).await.unwrap();
+    let sent = replay.await.unwrap();
     let frames = std::iter::from_fn(|| receiver.try_recv().ok()).collect();
     (frames, sent)
 }
@@ -76,6 +77,8 @@ fn pictures(count: u32) -> tempfile::TempDir {
     folder
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn a_folder_arrives_complete_in_order_and_with_its_clips() {
     let folder = pictures(12);
@@ -92,6 +95,8 @@ async fn a_folder_arrives_complete_in_order_and_with_its_clips() {
     }
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn a_slow_receiver_slows_down_the_sender_and_loses_nothing() {
     // 300 frames of several 100 kB: far more than the rings, queues and sockets hold.
@@ -115,6 +120,8 @@ async fn refusal(frames: u32, more: &str) -> String {
     format!("{:#}", error.unwrap_err())
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn a_missing_subscriber_or_node_is_a_clear_error() {
     let (session, endpoint) = listening_peer().await;
@@ -217,6 +224,8 @@ fn ffmpeg_is_killed_with_the_program_even_while_it_is_silent() {
     }
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ffmpeg"]
 async fn a_real_video_arrives_frame_by_frame() {

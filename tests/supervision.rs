@@ -6,8 +6,8 @@ use crate::node_frames::{
 };
 use crate::support::detectors::model;
 use crate::support::{
-    Node, PATIENCE, assert_contains, grey_jpeg, in_time, metric, next, run_command, until,
-    until_read, zenoh_client,
+    Node, PATIENCE, assert_contains, grey_jpeg, metric, next, run_command, until, until_read,
+    zenoh_client,
 };
 use albireo_core::policy::{Evidence, FrameHead, Need, Outcome, Policy, PolicyConfig};
 use albireo_node::PreparedNode;
@@ -56,8 +56,7 @@ async fn status(
     changes: &mut watch::Receiver<HealthStatus>,
     wanted: impl FnMut(&HealthStatus) -> bool,
 ) -> HealthStatus {
-    let status = in_time("the status", changes.wait_for(wanted)).await;
-    status.unwrap().clone()
+    changes.wait_for(wanted).await.unwrap().clone()
 }
 
 fn settings(detector: &str, more: &str) -> String {
@@ -67,6 +66,8 @@ fn settings(detector: &str, more: &str) -> String {
     )
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_panicking_camera_loop_is_counted_reported_and_restarted_and_no_frame_vanishes() {
@@ -238,6 +239,8 @@ async fn stopping_takes_at_most_the_configured_time_when_the_detector_hangs_and_
     assert_eq!(board.camera(CAMERA).unwrap().snapshot().dropped.stopped, 2);
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_second_node_with_the_same_name_is_degraded_until_the_first_stops() {
@@ -257,6 +260,8 @@ async fn a_second_node_with_the_same_name_is_degraded_until_the_first_stops() {
     second.stop().await;
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_second_signal_ends_a_node_at_once_whatever_hangs() {
@@ -289,6 +294,8 @@ async fn a_second_signal_ends_a_node_at_once_whatever_hangs() {
     assert!(took < Duration::from_secs(5), "{took:?}");
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
 async fn two_signals_at_once_are_one_request_for_an_orderly_stop() {
@@ -306,6 +313,8 @@ fn solid(value: u8) -> Vec<u8> {
     grey_jpeg(value, [64, 32])
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_detector_run_that_never_returns_ends_the_node_with_an_error() {
@@ -318,6 +327,8 @@ async fn a_detector_run_that_never_returns_ends_the_node_with_an_error() {
     assert_contains(&log, &[said]);
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
 async fn a_node_whose_model_never_finishes_loading_stops_on_request() {

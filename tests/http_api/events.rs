@@ -1,8 +1,9 @@
 use super::served::{Served, answered, clip, frame};
-use crate::support::{assert_has, in_time, until};
+use crate::support::{PATIENCE, assert_has, until};
 use albireo_core::policy::FrameState;
 use albireo_vision::detector::{DetectorStatus, ExecutionProvider};
 use reqwest::Response;
+use rstest::rstest;
 use serde_json::{Value, json};
 
 pub(crate) struct Events {
@@ -29,7 +30,7 @@ impl Events {
                     return Some((name, serde_json::from_str(&data).unwrap()));
                 }
             }
-            let chunk = in_time("an event", self.response.chunk()).await.unwrap()?;
+            let chunk = self.response.chunk().await.unwrap()?;
             self.text.push_str(std::str::from_utf8(&chunk).unwrap());
         }
     }
@@ -41,6 +42,8 @@ impl Events {
     }
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test]
 async fn a_threshold_change_is_sent_to_listeners() {
     let node = Served::start().await;
@@ -56,6 +59,8 @@ async fn a_threshold_change_is_sent_to_listeners() {
     assert_eq!(event, json!({"camera": "rear", "threshold": threshold}));
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test]
 async fn the_current_state_comes_first_and_then_each_event_in_order_until_the_node_stops() {
     let node = Served::start().await;
@@ -86,6 +91,8 @@ async fn the_current_state_comes_first_and_then_each_event_in_order_until_the_no
     node.task.await.unwrap().unwrap();
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test]
 async fn a_slow_reader_learns_how_many_events_it_lost() {
     let node = Served::start().await;
@@ -99,6 +106,8 @@ async fn a_slow_reader_learns_how_many_events_it_lost() {
     assert_eq!(events.expect("frame").await["seq"], lost);
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test]
 async fn invalid_filters_and_too_many_streams_are_rejected() {
     let node = Served::start().await;

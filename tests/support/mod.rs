@@ -79,18 +79,14 @@ pub(crate) fn assert_contains(said: &str, parts: &[&str]) {
     }
 }
 
-pub(crate) async fn in_time<T>(what: &str, waiting: impl Future<Output = T>) -> T {
-    let ended = timeout(PATIENCE / 3, waiting).await;
-    ended.unwrap_or_else(|_| panic!("not in time: {what}"))
-}
-
 pub(crate) async fn until(what: &str, mut condition: impl AsyncFnMut() -> bool) {
-    in_time(what, async {
+    let waiting = async {
         while !condition().await {
             tokio::time::sleep(Duration::from_millis(10)).await;
         }
-    })
-    .await;
+    };
+    let in_time = timeout(PATIENCE / 3, waiting).await;
+    in_time.unwrap_or_else(|_| panic!("not in time: {what}"));
 }
 
 pub(crate) async fn until_ready(http: &str) {
@@ -160,7 +156,7 @@ pub(crate) async fn subscribe<T: Send + 'static>(
 }
 
 pub(crate) async fn next<T>(messages: &mut UnboundedReceiver<T>) -> T {
-    in_time("a message", messages.recv()).await.unwrap()
+    messages.recv().await.unwrap()
 }
 
 pub(crate) async fn listening_peer() -> (Session, String) {
@@ -370,7 +366,7 @@ impl Node {
         Self {
             child,
             folder,
-            http: in_time("the node's HTTP address", http_address(&mut lines)).await,
+            http: http_address(&mut lines).await,
             zenoh,
             log: collected(lines),
         }
@@ -393,7 +389,7 @@ impl Node {
     /// Waits until the node exits, and returns its status, the time that took, its log and its folder.
     pub(crate) async fn ended(mut self) -> (ExitStatus, Duration, String, tempfile::TempDir) {
         let start = std::time::Instant::now();
-        let status = in_time("the node's end", self.child.wait()).await.unwrap();
+        let status = self.child.wait().await.unwrap();
         let took = start.elapsed();
         (status, took, self.log.await.unwrap(), self.folder)
     }
@@ -448,8 +444,7 @@ pub(crate) async fn until_connected(session: &Session, node: &str, camera: &str)
 pub(crate) async fn until_read(session: &Session, node: &str, camera: &str) {
     let replies = session.get(format!("albireo/{node}/{camera}/threshold"));
     let replies = replies.await.expect("a query");
-    let answered = async { while replies.recv_async().await.is_ok() {} };
-    in_time("an answer", answered).await;
+    while replies.recv_async().await.is_ok() {}
 }
 
 /// Runs `albireo replay --every` to the camera `front` of a node, to its end.
@@ -457,8 +452,7 @@ pub(crate) async fn replay(node: &Node, source: &str, more: &[&str]) {
     let every = ["--every", "--wait-for-subscriber", "--connect", &node.zenoh];
     let mut command = albireo();
     command.args(["replay", source]).args(every).args(more);
-    let output = in_time("the end of the replay", command.output()).await;
-    Ended::from(output.unwrap()).succeeds();
+    Ended::from(command.output().await.unwrap()).succeeds();
 }
 
 /// Starts a script of `tests/clients` and waits until it is ready: its process and its further output.
@@ -476,7 +470,7 @@ pub(crate) async fn client(
         .spawn()
         .expect("Python starts: `make python` and `make debian` set it up");
     let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
-    let line = in_time("it is ready", lines.next_line()).await.unwrap();
+    let line = lines.next_line().await.unwrap();
     assert_eq!(line.as_deref(), Some("ready"), "{script}: `make debian`?");
     (child, lines)
 }
@@ -503,7 +497,7 @@ impl Client {
 
     /// The key and content of the next message; `None` once the client has exited.
     pub(crate) async fn next(&mut self) -> Option<(String, Value)> {
-        let line = in_time("a message", self.lines.next_line()).await;
+        let line = self.lines.next_line().await;
         let mut entry: Value = serde_json::from_str(&line.unwrap()?).expect("a JSON line");
         let key = entry["key"].as_str().expect("a key").to_owned();
         Some((key, entry["message"].take()))

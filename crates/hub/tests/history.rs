@@ -131,6 +131,8 @@ async fn a_reconnecting_reader_gets_the_events_it_missed_or_a_resync() {
     hub.stop().await;
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn newer_tables_and_a_file_of_another_program_are_rejected_and_the_file_is_unchanged() {
     let letter = "Dear reader, this is no database, and it has enough words to be one.";
@@ -159,6 +161,8 @@ async fn newer_tables_and_a_file_of_another_program_are_rejected_and_the_file_is
     }
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn the_diagnostic_archive_describes_the_hub() {
     let hub = Hub::fresh().await;
@@ -179,6 +183,8 @@ async fn the_diagnostic_archive_describes_the_hub() {
     hub.stop().await;
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs PostgreSQL"]
 async fn postgres_imports_a_sqlite_file_with_history_report_ids_and_revisions() {

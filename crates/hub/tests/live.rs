@@ -74,6 +74,8 @@ async fn a_watched_node_learns_it_and_its_counters_and_pictures_reach_the_watche
     hub.stop().await;
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn nodes_are_sorted_by_todays_energy_even_after_a_restart() {
     let mut hub = Hub::fresh().await;
@@ -108,6 +110,8 @@ async fn nodes_are_sorted_by_todays_energy_even_after_a_restart() {
     hub.stop().await;
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_index_lists_every_documented_route() {
     let hub = Hub::fresh().await;

@@ -7,6 +7,8 @@ use rstest::rstest;
 use serde_json::json;
 use std::time::Duration;
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn a_node_is_online_then_degraded_with_its_reason_then_silent_then_offline() {
     let hub = Hub::fresh_with(|config| {
@@ -57,6 +59,8 @@ async fn a_gap_in_the_numbers_makes_the_hub_ask_for_the_full_status_which_surviv
     hub.stop().await;
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn paging_returns_each_node_once_in_every_order() {
     let hub = Hub::fresh().await;
@@ -97,6 +101,8 @@ async fn router(endpoint: &str) -> zenoh::Session {
     open(&[("mode", json!("router")), listen]).await
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn a_hub_without_its_router_is_not_ready_and_declares_nobody_silent() {
     let endpoint = format!("tcp/127.0.0.1:{}", free_port());

@@ -6,6 +6,7 @@ use crate::support::{Hub, PATIENCE, assert_has, config, full_status, names, on_b
 use albireo_service::config::{NamedToken, Role, Token};
 use albireo_simulate::Options;
 use reqwest::{Method, Response, StatusCode};
+use rstest::rstest;
 use serde_json::{Value, json};
 use std::time::Duration;
 use tokio::task::JoinHandle;
@@ -52,8 +53,7 @@ impl SimulatedFleet {
 
     pub(crate) async fn end(self) {
         drop(self.stop);
-        let ended = tokio::time::timeout(PATIENCE / 6, self.task).await;
-        ended.expect("the nodes end in time").unwrap().unwrap();
+        self.task.await.unwrap().unwrap();
     }
 }
 
@@ -107,6 +107,8 @@ async fn all_have(hub: &Hub, nodes: usize, u: f64) {
     hub.until("/api/v1/nodes?limit=1000", have).await;
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn nodes_with_old_revisions_obey_a_hub_with_an_empty_database_and_outcomes_are_streamed() {
     let hub = Hub::fresh().await;
@@ -217,6 +219,8 @@ async fn ask(hub: &Hub, method: &Method, path: &str, headers: &[(&str, &str)]) -
     request.body(body).send().await.unwrap()
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn a_page_of_another_site_changes_nothing_without_a_token() {
     let hub = Hub::fresh().await;
@@ -335,6 +339,8 @@ async fn a_harmful_rollout_and_a_trial_restore_the_old_value_and_are_each_number
 
 on_both!(a_harmful_rollout_and_a_trial_restore_the_old_value_and_are_each_numbered_from_one);
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn a_rollout_resumes_after_a_hub_restart_and_reaches_all_nodes() {
     let hub = Hub::fresh().await;
@@ -358,6 +364,8 @@ async fn a_rollout_resumes_after_a_hub_restart_and_reaches_all_nodes() {
     hub.stop().await;
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs PostgreSQL"]
 async fn postgres_a_node_in_a_rollout_of_one_hub_is_changed_by_no_other_hub() {
@@ -389,6 +397,8 @@ async fn postgres_a_node_in_a_rollout_of_one_hub_is_changed_by_no_other_hub() {
     }
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn a_read_token_cannot_tune_and_a_tune_token_can() {
     let token = |role, secret: &str| NamedToken {
@@ -420,6 +430,8 @@ async fn a_read_token_cannot_tune_and_a_tune_token_can() {
     hub.stop().await;
 }
 
+#[rstest]
+#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn an_invalid_request_is_rejected_with_a_remedy() {
     let hub = Hub::fresh().await;
