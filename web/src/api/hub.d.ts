@@ -1170,7 +1170,8 @@ export interface paths {
         /**
          * Sets a target on selected nodes instead of a threshold
          * @description A node has the target once it **reports** the target; its status says whether the target is met. A threshold that is
-         *     set later, here or at the node, switches the target off. Otherwise this works like `/api/v1/threshold`.
+         *     set later, here or at the node, switches the target off; `"target": null` does so and keeps the threshold. Otherwise
+         *     this works like `/api/v1/threshold`.
          *     `curl -X PUT -d '{"target": {"skip_rate": 0.5}, "select": ["cam-*"]}' http://127.0.0.1:8090/api/v1/target`
          */
         put: {
@@ -1182,7 +1183,7 @@ export interface paths {
             };
             requestBody: {
                 content: {
-                    "application/json": components["schemas"]["NewTarget"];
+                    "application/json": components["schemas"]["NewChange"];
                 };
             };
             responses: {
@@ -2303,9 +2304,8 @@ export interface components {
             group: number;
             /** @description Its name. */
             node: string;
-            /** @description True if it is in reach. */
+            /** @description True if it was in reach when the run was stored. */
             reachable: boolean;
-            wanted?: components["schemas"]["Threshold"] | null;
             /** @description True if it was in reach when the present stage began. */
             was_reachable: boolean;
         };
@@ -2325,10 +2325,6 @@ export interface components {
             wait_s?: number | null;
             /** @description The reason, for the history. */
             why?: string;
-        };
-        /** @description A target for selected nodes. */
-        NewTarget: components["schemas"]["NewChange"] & {
-            target: components["schemas"]["Target"] | null;
         };
         /** @description A node with the counts of its reports. */
         NodeDetail: components["schemas"]["NodeView"] & {
@@ -2598,8 +2594,8 @@ export interface components {
              */
             soak_s: number;
             /**
-             * @description The number of nodes that have the new value in each stage, earlier stages included. Nodes that the last stage leaves
-             *     out keep the old value, and the last stage is compared with them.
+             * @description The number of nodes that have the new value in each stage, earlier stages included: `1`, `10%`, `all`. Nodes that the
+             *     last stage leaves out keep the old value, and the last stage is compared with them.
              * @default [
              *       "1",
              *       "10%",
@@ -3050,10 +3046,10 @@ export interface components {
             values: components["schemas"]["ArmResult"][];
         };
         /**
-         * @description The verdict of a gate or a stage.
+         * @description The verdict of a gate or a stage, the best first.
          * @enum {string}
          */
-        Verdict: "passed" | "failed" | "undecided" | "not_measured";
+        Verdict: "passed" | "not_measured" | "undecided" | "failed";
         /**
          * @description The kind of an entry.
          * @enum {string}

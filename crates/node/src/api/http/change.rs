@@ -1,12 +1,13 @@
 //! Reads the body of a change request, and makes the change outside the async workers.
 
 use albireo_service::http::{BODY_LIMIT, Problem};
-use axum::Json;
 use axum::body::Bytes;
 use axum::extract::rejection::BytesRejection;
 use axum::http::header::CONTENT_TYPE;
 use axum::http::{HeaderMap, StatusCode};
 use serde::de::DeserializeOwned;
+use serde_json::Value;
+use std::fmt::Display;
 
 /// Reads the message in a request. `expected` describes it for the error text.
 pub(super) fn message<T: DeserializeOwned>(
@@ -46,16 +47,18 @@ pub(super) fn message<T: DeserializeOwned>(
         };
         Problem::new(status, detail)
     })?;
-    let fault =
-        |status, what: &str| Problem::new(status, format!("the body must be {expected}: {what}"));
-    let message = Json::from_bytes(&body);
-    let Json(message) = message.map_err(|error| fault(error.status(), &error.body_text()))?;
-    // Serde also accepts a list of the fields' values.
+    let fault = |status, what: &dyn Display| {
+        Problem::new(status, format!("the body must be {expected}: {what}"))
+    };
+    let no_json = |error| fault(StatusCode::BAD_REQUEST, &error);
+    serde_json::from_slice::<Value>(&body).map_err(no_json)?;
+    // From here on it is JSON, and only its content can be wrong.
+    let not_this = |what: &dyn Display| fault(StatusCode::UNPROCESSABLE_ENTITY, what);
+    // Serde would also accept a list of the fields' values.
     if !body.trim_ascii_start().starts_with(b"{") {
-        let what = "it is not a JSON object";
-        return Err(fault(StatusCode::UNPROCESSABLE_ENTITY, what));
+        return Err(not_this(&"it is not a JSON object"));
     }
-    Ok(message)
+    serde_json::from_slice(&body).map_err(|error| not_this(&error))
 }
 
 /// Runs a change on a blocking thread, because it writes a file, which can take a while on a slow SD card.
