@@ -1,4 +1,5 @@
-//! Keeps the desired setting of each node in memory, for answering pulls, and what became of it at the node.
+//! Keeps the desired setting of each node in memory, for answering pulls, and what became of it at the node. Notifies nodes
+//! that they should pull.
 
 use crate::store::row::json_text;
 use crate::tuning::member::{ChangeNode, Millis};
@@ -6,6 +7,7 @@ use albireo_wire::{Desired, DesiredSetting};
 use parking_lot::RwLock;
 use serde::Deserialize;
 use std::collections::{BTreeMap, HashMap};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::time::{Duration, Instant};
 
 /// The desired setting of a node: a threshold or a target.
@@ -24,14 +26,31 @@ pub(crate) struct Wanted {
     pub(crate) drifted_ms: Option<Millis>,
 }
 
+/// Most notices that may wait. Further ones are dropped: later notices, and the answers to reports, have the same
+/// effect.
+const NOTICES: usize = 65_536;
+
 /// The desired setting of each node, as in the database, and the nodes that somebody watches.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Desires {
     nodes: RwLock<BTreeMap<String, Wanted>>,
     watched: RwLock<HashMap<String, Instant>>,
+    /// Queues notices: a node, and the revision that it may pull.
+    notifier: SyncSender<(String, u64)>,
 }
 
 impl Desires {
+    /// Creates it without a desired setting. Also returns the notices to send.
+    pub fn new() -> (Self, Receiver<(String, u64)>) {
+        let (notifier, notices) = sync_channel(NOTICES);
+        let desires = Self {
+            nodes: RwLock::default(),
+            watched: RwLock::default(),
+            notifier,
+        };
+        (desires, notices)
+    }
+
     /// Replaces the desired setting of a node by one with a higher revision. With `keeps_drift` the node stays listed as
     /// drifted until it has its setting again.
     pub(crate) fn set(&self, mut wanted: Wanted, keeps_drift: bool) {
@@ -87,12 +106,20 @@ impl Desires {
         }
     }
 
-    /// Marks `node` as watched for `time`, during which it sends counters once per second.
-    pub fn watch(&self, node: &str, time: Duration) {
+    /// Notifies `node` that it should pull. If too many notices wait, drops it.
+    pub(crate) fn notify(&self, node: &str) {
+        let notice = (node.to_owned(), self.of(node).revision);
+        let _ = self.notifier.try_send(notice);
+    }
+
+    /// Marks `node` as watched for `time`, during which it sends counters once per second, and notifies it.
+    pub(crate) fn watch(&self, node: &str, time: Duration) {
         let now = Instant::now();
         let mut watched = self.watched.write();
         watched.retain(|_, until| *until > now);
         watched.insert(node.to_owned(), now + time);
+        drop(watched);
+        self.notify(node);
     }
 }
 
@@ -106,7 +133,7 @@ mod tests {
     proptest! {
         #[test]
         fn a_lower_revision_never_replaces_a_higher(revisions in prop::collection::vec(0u64..20, 1..30)) {
-            let values = Desires::default();
+            let (values, _notices) = Desires::new();
             let mut highest = None;
             for revision in revisions {
                 let value = revision as f64;

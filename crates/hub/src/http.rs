@@ -7,7 +7,6 @@ mod diag;
 mod energy;
 mod events;
 mod health;
-mod index;
 mod live;
 mod metrics;
 mod nodes;
@@ -21,7 +20,7 @@ pub use runs::Runs;
 use crate::config::HubConfig;
 use crate::desired::Desires;
 use crate::ingest::IngestCounters;
-use crate::presence::{Fleet, Notifier};
+use crate::presence::Fleet;
 use crate::store::{EnergyBy, Sort, Store, StoreError, StoredEvent};
 use crate::tuning::Tuner;
 use crate::tuning::run::Command;
@@ -54,8 +53,6 @@ pub struct HubView {
     pub ingest: Arc<IngestCounters>,
     /// Cancelled when the hub stops.
     pub shutdown: CancellationToken,
-    /// Sends notices to nodes.
-    pub(crate) notifier: Notifier,
     /// The tuner, once the database is open.
     pub(crate) opened: Arc<OnceLock<Arc<Tuner>>>,
     /// The Zenoh session, once it is open.
@@ -71,18 +68,13 @@ pub struct HubView {
 
 impl HubView {
     /// A hub that knows no node yet.
-    pub(crate) fn new(
-        config: &HubConfig,
-        notifier: Notifier,
-        shutdown: CancellationToken,
-    ) -> Self {
+    pub(crate) fn new(config: &HubConfig, desires: Desires, shutdown: CancellationToken) -> Self {
         Self {
             readiness: Readiness::default(),
             fleet: Arc::new(Fleet::new(&config.presence)),
-            desires: Arc::default(),
+            desires: Arc::new(desires),
             ingest: Arc::default(),
             shutdown,
-            notifier,
             opened: Arc::default(),
             session: Arc::default(),
             prefix: config.hub.prefix.as_str().into(),
@@ -98,12 +90,6 @@ impl HubView {
             send_full_status: self.fleet.needs_full_status(node),
             ..self.desires.of(node)
         }
-    }
-
-    /// Notifies `node` that it should pull.
-    pub(crate) fn notify(&self, node: &str) {
-        let notice = (node.to_owned(), self.desires.of(node).revision);
-        let _ = self.notifier.try_send(notice);
     }
 
     /// The tuner.
@@ -132,10 +118,9 @@ fn attached<'a, T>(part: &'a OnceLock<T>, name: &str) -> Result<&'a T, Problem> 
 
 impl From<StoreError> for Problem {
     fn from(error: StoreError) -> Self {
-        let status = if error.passes() {
-            StatusCode::SERVICE_UNAVAILABLE
-        } else {
-            StatusCode::INTERNAL_SERVER_ERROR
+        let status = match error.passes() {
+            true => StatusCode::SERVICE_UNAVAILABLE,
+            false => StatusCode::INTERNAL_SERVER_ERROR,
         };
         Self::new(status, error.to_string())
     }
@@ -168,7 +153,7 @@ fn described() -> (Router<HubView>, OpenApi) {
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))
         .routes(routes!(http::caller))
-        .routes(routes!(index::index))
+        .routes(routes!(health::index))
         .routes(routes!(metrics::text))
         .routes(routes!(nodes::list))
         .routes(routes!(nodes::one, nodes::forget))

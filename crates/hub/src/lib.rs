@@ -3,7 +3,6 @@
 
 pub mod config;
 pub mod desired;
-mod error;
 pub mod http;
 pub mod ingest;
 mod named;
@@ -13,5 +12,18 @@ mod run;
 pub mod store;
 pub mod tuning;
 
-pub use error::HubError;
 pub use run::run;
+
+use std::fmt::Display;
+
+/// The reason that a hub cannot start or that it stopped, as text.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub struct HubError(String);
+
+impl HubError {
+    /// Prefixes an error with the operation that failed.
+    pub(crate) fn at<E: Display>(what: &str) -> impl Fn(E) -> Self {
+        move |error| Self(format!("{what}: {error}"))
+    }
+}

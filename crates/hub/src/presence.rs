@@ -3,16 +3,13 @@
 mod entry;
 mod fleet;
 mod listen;
-mod news;
 mod node;
 #[cfg(test)]
 mod tests;
 mod today;
 
 pub use fleet::Fleet;
-pub use listen::Notifier;
-pub(crate) use listen::{NOTICES, listen, send_notices, watch};
-pub use news::News;
+pub(crate) use listen::{listen, send_notices, watch};
 #[cfg(test)]
 pub(crate) use node::tests::reported;
 pub use node::{NodeView, PresenceState};

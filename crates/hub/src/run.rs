@@ -1,10 +1,11 @@
 //! Runs a hub and its HTTP interface.
 
+use crate::HubError;
 use crate::config::{HubConfig, MAX_PAYLOAD_BYTES};
-use crate::error::HubError;
+use crate::desired::Desires;
 use crate::http::{self, HubView};
 use crate::ingest::{self, Replies};
-use crate::presence::{NOTICES, NodeView, follow_today, listen, send_notices, watch};
+use crate::presence::{NodeView, follow_today, listen, send_notices, watch};
 use crate::store::{Store, StoreError};
 use crate::tuning::{self, Tuner};
 use albireo_service::config::ZenohMode;
@@ -15,7 +16,7 @@ use albireo_wire::{HealthStatus, NodeKeys};
 use axum::http::Method;
 use parking_lot::Mutex;
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, sync_channel};
+use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 use tokio::net::TcpListener;
 use tokio::task::spawn_blocking;
@@ -63,8 +64,8 @@ pub async fn run(
         .local_addr()
         .map_err(HubError::at("the listener has no address"))?;
     config.database.passwords().for_each(logging::conceal);
-    let (notifier, notices) = sync_channel(NOTICES);
-    let view = HubView::new(config, notifier, shutdown.clone());
+    let (desires, notices) = Desires::new();
+    let view = HubView::new(config, desires, shutdown.clone());
     (view.readiness.part("zenoh")).not_ready("the session is not open yet");
     (view.readiness.part("database")).not_ready("it is not open yet");
     // HTTP stops last, so that the state can be read until the end.
@@ -109,7 +110,7 @@ fn service_state(view: HubView) -> impl Fn() -> (HealthStatus, Option<String>) {
     move || {
         let health = view.readiness.health();
         let all = view.ingest.counts();
-        let tried = all.commits + all.database_errors + all.refused_unavailable + all.batches;
+        let tried = all.commits + all.database_errors;
         let mut moved = moved.lock();
         if view.ingest.queued() == 0 || tried != moved.0 {
             *moved = (tried, Instant::now());
@@ -128,7 +129,7 @@ async fn parts(
 ) -> Result<(), HubError> {
     let (readiness, shutdown) = (&view.readiness, &view.shutdown);
     let (database, zenoh) = (readiness.part("database"), readiness.part("zenoh"));
-    let (store, tuner) = loop {
+    let tuner = loop {
         let error = match open(config, view).await {
             Ok(opened) => break opened,
             Err(error) => error,
@@ -144,6 +145,7 @@ async fn parts(
             return Ok(());
         }
     };
+    let store = tuner.store.clone();
     tracing::info!(database = store.kind(), "database opened");
     let _ = view.opened.set(Arc::clone(&tuner));
     database.works();
@@ -160,7 +162,7 @@ async fn parts(
     spawn_blocking(move || send_notices(&notified, &prefix, &notices));
 
     let (replies, replier) = Replies::start(Arc::clone(&view.ingest));
-    let (queue, written) = ingest::start(config, view, &store, &replies);
+    let (take, written) = ingest::start(config, view, &store, &replies);
     // A hub that lost a task would look healthy and do half of its work. So the hub stops when a task ends, and the
     // service manager restarts it.
     let mut tasks = Supervisor::new(readiness.clone(), TaskFailures::default(), shutdown.clone());
@@ -176,12 +178,12 @@ async fn parts(
     let reports = session
         .declare_queryable(keys.report())
         .complete(true)
-        .callback(move |query| queue.take(query))
+        .callback(take)
         .await
         .map_err(HubError::at("reports cannot be received"))?;
     tasks.essential("tuning", tuning::follow(tuner, shutdown.clone()));
     // Known nodes report their state now instead of at their next interval.
-    (view.fleet).each(|NodeView { node, .. }| view.notify(node));
+    (view.fleet).each(|NodeView { node, .. }| view.desires.notify(node));
     zenoh.works();
     let locators = session.info().locators().await;
     tracing::info!(zenoh = ?locators, "ready");
@@ -209,16 +211,15 @@ async fn parts(
 }
 
 /// Opens the database, and reads from it the nodes and what was ordered.
-async fn open(config: &HubConfig, view: &HubView) -> Result<(Store, Arc<Tuner>), StoreError> {
+async fn open(config: &HubConfig, view: &HubView) -> Result<Arc<Tuner>, StoreError> {
     let store = Store::open(&config.database).await?;
-    view.fleet.read(&store, Instant::now()).await?;
+    (view.fleet).remember(store.nodes().await?, Instant::now());
     let tuner = Tuner::open(
-        store.clone(),
+        store,
         Arc::clone(&view.fleet),
         Arc::clone(&view.desires),
-        view.notifier.clone(),
         config.tuning.clone(),
         Uuid::now_v7().to_string(),
     );
-    Ok((store, Arc::new(tuner.await?)))
+    Ok(Arc::new(tuner.await?))
 }

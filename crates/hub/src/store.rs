@@ -6,6 +6,7 @@
 mod database;
 mod error;
 mod migrate;
+mod nodes;
 mod postgres;
 mod read;
 pub(crate) mod retention;
@@ -14,7 +15,7 @@ mod sqlite;
 pub mod transfer;
 mod tuning;
 
-pub(crate) use database::{Database, EventRow, MOST_CAMERAS, ReportKey};
+pub(crate) use database::{Database, MOST_CAMERAS, ReportKey};
 pub use error::StoreError;
 pub(crate) use read::audit_figures;
 pub use read::{
@@ -75,9 +76,7 @@ struct Shared {
 
 impl std::fmt::Debug for Store {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Store")
-            .field("kind", &self.0.kind)
-            .finish_non_exhaustive()
+        f.write_str(self.kind())
     }
 }
 

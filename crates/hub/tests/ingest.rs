@@ -294,7 +294,6 @@ async fn a_batch_that_would_be_written_too_late_is_answered_busy_and_the_others_
 #[ignore = "needs PostgreSQL"]
 async fn postgres_days_are_partitions_and_are_dropped_whole() {
     use albireo_hub::ingest::{Recorder, decode};
-    use albireo_hub::presence::News;
     use albireo_hub::store::Store;
     use albireo_service::clock::Now;
     use sqlx::Connection as _;
@@ -307,10 +306,12 @@ async fn postgres_days_are_partitions_and_are_dropped_whole() {
         tokio::task::spawn_blocking(move || {
             let now = Now::system();
             let mut recorder = Recorder::new(&store, &history, now);
-            for (number, days) in numbers {
+            for (minute, (number, days)) in (0..).zip(numbers) {
                 let payload = aged("car-1", *number, *days).to_payload(BatchCompression::Best);
                 let batch = decode("car-1", &payload.unwrap(), now.unix_ms).unwrap();
-                let recorded = recorder.record(&[batch], &News::default(), true, Now::system());
+                // Old rows are deleted once a minute.
+                let at = now.at + std::time::Duration::from_secs(61) * minute;
+                let recorded = recorder.record(&[batch], &[], Now { at, ..now });
                 assert!(recorded.unwrap().answers[0].refused.is_empty());
             }
         })

@@ -5,7 +5,7 @@ pub use crate::tuning::change::OrderAnswer;
 
 use super::{HubView, body};
 use crate::tuning::change::NewChange;
-use crate::tuning::member::{ChangeNode, counts};
+use crate::tuning::member::ChangeNode;
 use crate::tuning::plan::check_why;
 use crate::tuning::tuner::Drift;
 use albireo_service::clock::unix_milliseconds;
@@ -17,7 +17,7 @@ use axum::extract::{Extension, Path, Query, State};
 use axum::http::header::{ACCEPT, CONTENT_TYPE};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
-use futures_util::{StreamExt, stream};
+use futures_util::stream;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use std::time::Duration;
@@ -117,7 +117,7 @@ async fn carry_out(
         )));
     }
     let tuner = Arc::clone(view.tuner()?);
-    let change = tuner
+    let mut change = tuner
         .change(setting, request, &caller.name, unix_milliseconds())
         .await?;
     if change.nodes.is_empty() {
@@ -127,32 +127,21 @@ async fn carry_out(
         ));
     }
     let until = Instant::now() + Duration::from_secs_f64(wait);
-    let revision = change.revision;
-    let outcomes = stream::unfold((tuner, change), move |(tuner, mut change)| async move {
-        let lines = tuner.outcomes(&mut change, until).await;
-        (!lines.is_empty()).then_some((lines, (tuner, change)))
-    });
     if !streams {
-        let mut nodes = outcomes.concat().await;
-        nodes.sort_by(|a, b| a.node.cmp(&b.node));
-        let answer = OrderAnswer {
-            revision,
-            counts: counts(nodes.iter().map(|line| line.ask.outcome)),
-            nodes,
-        };
-        return Ok(Json(answer).into_response());
-    }
-    let mut known = Vec::new();
-    let texts = (outcomes.map(Some).chain(stream::iter([None]))).map(move |lines| {
-        if let Some(lines) = lines {
-            known.extend(lines.iter().map(|line| line.ask.outcome));
-            return written(&lines);
+        let mut nodes = Vec::new();
+        while !change.nodes.is_empty() {
+            nodes.extend(tuner.outcomes(&mut change, until).await);
         }
-        written(&[OrderAnswer {
-            revision,
-            counts: counts(known.drain(..)),
-            nodes: Vec::new(),
-        }])
+        nodes.sort_by(|a, b| a.node.cmp(&b.node));
+        return Ok(Json(OrderAnswer { nodes, ..change }).into_response());
+    }
+    let texts = stream::unfold((tuner, Some(change)), move |(tuner, change)| async move {
+        let mut change = change?;
+        if change.nodes.is_empty() {
+            return Some((written(&[change]), (tuner, None)));
+        }
+        let lines = tuner.outcomes(&mut change, until).await;
+        Some((written(&lines), (tuner, Some(change))))
     });
     Ok(([(CONTENT_TYPE, LINES)], Body::from_stream(texts)).into_response())
 }

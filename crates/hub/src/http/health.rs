@@ -1,7 +1,7 @@
-//! Serves liveness and readiness of the hub.
+//! Serves what the hub is: its version and its routes, whether it answers, and whether it is ready.
 
 use super::HubView;
-use albireo_service::http::{self, Problem};
+use albireo_service::http::{self, Problem, Route};
 use axum::Json;
 use axum::extract::State;
 use axum::http::StatusCode;
@@ -9,6 +9,32 @@ use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use utoipa::ToSchema;
+
+/// Service, version and list of routes.
+#[derive(Serialize, ToSchema)]
+pub(super) struct Index {
+    /// Always `hub`.
+    service: &'static str,
+    /// The program's version.
+    version: &'static str,
+    /// The path of the full description.
+    openapi: &'static str,
+    /// All routes.
+    routes: Vec<Route>,
+}
+
+/// Service, version and list of routes
+///
+/// `curl http://127.0.0.1:8090/api/v1`
+#[utoipa::path(get, path = "/api/v1", tag = "health", responses((status = 200, body = Index)))]
+pub(super) async fn index() -> Json<Index> {
+    Json(Index {
+        service: "hub",
+        version: env!("CARGO_PKG_VERSION"),
+        openapi: "/openapi.json",
+        routes: http::routes(&super::openapi()),
+    })
+}
 
 /// The process answers.
 #[derive(Serialize, ToSchema)]

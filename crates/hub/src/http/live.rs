@@ -15,9 +15,10 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::MissedTickBehavior;
 use zenoh::Session;
-use zenoh::handlers::RingChannel;
+use zenoh::handlers::{IntoHandler, RingChannel};
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::{Reply, ReplyError};
+use zenoh::sample::Sample;
 
 /// Most readers of live counters at a time.
 pub(super) const MOST_LIVE: usize = 64;
@@ -29,6 +30,8 @@ const RENEW: Duration = Duration::from_secs(10);
 const PICTURE_WITHIN: Duration = Duration::from_secs(8);
 /// Messages that wait for a slow reader. The oldest ones are dropped: counters are cumulative.
 const WAITING: usize = 64;
+/// Largest message of counters, bytes, so that a node cannot fill the memory of a hub whose reader is slow.
+const LARGEST: usize = 16 << 10;
 /// The header with the sequence number of a picture's frame.
 const FRAME: HeaderName = HeaderName::from_static("albireo-frame");
 
@@ -39,12 +42,6 @@ impl HubView {
         self.fleet.view(node).ok_or_else(|| unknown(node))?;
         let keys = NodeKeys::new(&self.prefix, node).map_err(|_| unknown(node))?;
         Ok((session, keys))
-    }
-
-    /// Renews the node's lease, and notifies it.
-    fn watch(&self, node: &str) {
-        self.desires.watch(node, LEASE);
-        self.notify(node);
     }
 }
 
@@ -66,9 +63,15 @@ pub(super) async fn live(
         let detail = format!("{MOST_LIVE} nodes are being watched; close one and try again");
         Problem::new(StatusCode::SERVICE_UNAVAILABLE, detail)
     })?;
+    let (ring, waiting) = RingChannel::new(WAITING).into_handler();
+    let take = move |sample: Sample| {
+        if sample.payload().len() <= LARGEST {
+            ring.call(sample);
+        }
+    };
     let counters = session
         .declare_subscriber(keys.all_counters())
-        .with(RingChannel::new(WAITING))
+        .with((take, waiting))
         .await
         .map_err(unavailable)?;
     let mut renew = tokio::time::interval(RENEW);
@@ -80,7 +83,7 @@ pub(super) async fn live(
         loop {
             let sample = tokio::select! {
                 _ = renew.tick() => {
-                    view.watch(node);
+                    view.desires.watch(node, LEASE);
                     continue;
                 }
                 sample = counters.recv_async() => sample.ok()?,
@@ -129,7 +132,7 @@ pub(super) async fn picture(
     let key = (keys.camera(&camera))
         .map_err(|error| Problem::new(StatusCode::NOT_FOUND, error.to_string()))?
         .picture();
-    view.watch(&node);
+    view.desires.watch(&node, LEASE);
     let asking = async {
         loop {
             let replies = session

@@ -4,7 +4,6 @@ use super::HubView;
 use super::body;
 use crate::tuning::plan::{RolloutPlan, TrialPlan};
 use crate::tuning::run::{Command, Kind, Run};
-use crate::tuning::runs::RunError;
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::http::{Caller, Problem};
 use axum::Json;
@@ -17,18 +16,6 @@ use utoipa::{IntoParams, ToSchema};
 
 /// Most rollouts or trials per answer.
 const MOST: i64 = 200;
-
-impl From<RunError> for Problem {
-    fn from(error: RunError) -> Self {
-        let status = match &error {
-            RunError::Plan(_) => StatusCode::UNPROCESSABLE_ENTITY,
-            RunError::Conflict(_) => StatusCode::CONFLICT,
-            RunError::Unknown(..) => StatusCode::NOT_FOUND,
-            RunError::Store(_) => StatusCode::SERVICE_UNAVAILABLE,
-        };
-        Self::new(status, error.to_string())
-    }
-}
 
 /// Selects rollouts or trials.
 #[derive(Debug, Deserialize, IntoParams)]
@@ -63,12 +50,6 @@ async fn page(view: &HubView, kind: &str, which: &Which) -> Result<Json<Runs>, P
     Ok(Json(Runs { runs, next }))
 }
 
-/// A run with its record and its nodes.
-async fn one(view: &HubView, kind: &'static str, id: i64) -> Result<Json<Run>, Problem> {
-    let run = view.store()?.run(kind, id).await?;
-    Ok(Json(run.ok_or(RunError::Unknown(kind, id))?))
-}
-
 async fn begin(
     view: &HubView,
     kind: Kind,
@@ -82,15 +63,14 @@ async fn begin(
 /// Executes a command, and shows the run after it.
 async fn order(
     view: &HubView,
-    kind: &'static str,
+    kind: &str,
     id: i64,
     command: Command,
     caller: &Caller,
 ) -> Result<Json<Run>, Problem> {
-    view.tuner()?
-        .command(kind, id, command, &caller.name, unix_milliseconds())
-        .await?;
-    one(view, kind, id).await
+    let (tuner, now) = (view.tuner()?, unix_milliseconds());
+    tuner.command(kind, id, command, &caller.name, now).await?;
+    tuner.run(kind, id).await.map(Json)
 }
 
 /// Begins a rollout
@@ -131,7 +111,7 @@ pub(super) async fn one_rollout(
     State(view): State<HubView>,
     Path(id): Path<i64>,
 ) -> Result<Json<Run>, Problem> {
-    one(&view, "rollout", id).await
+    view.tuner()?.run("rollout", id).await.map(Json)
 }
 
 /// Pauses, resumes, advances, returns or stops a rollout
@@ -196,7 +176,7 @@ pub(super) async fn one_trial(
     State(view): State<HubView>,
     Path(id): Path<i64>,
 ) -> Result<Json<Run>, Problem> {
-    one(&view, "trial", id).await
+    view.tuner()?.run("trial", id).await.map(Json)
 }
 
 /// Ends a trial before its time

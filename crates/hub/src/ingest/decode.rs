@@ -4,15 +4,13 @@
 use super::clip::{Clip, clip};
 use super::plan::{Present, key};
 use crate::store::ReportKey;
+use crate::store::row::beginning;
 use albireo_wire::{
     ClipReport, MOST_REPORTS, VERSION, check_segment, check_version, decompress_batch,
 };
 use serde::Deserialize;
 use serde_json::value::RawValue;
 use uuid::Uuid;
-
-/// Most bytes of an invalid report that are kept.
-const KEPT: usize = 2 << 10;
 
 /// A parsed batch.
 #[derive(Debug)]
@@ -103,13 +101,13 @@ fn parse(node: &str, raw: &str, present: Present) -> Received {
             return Received {
                 id: known.id,
                 count: known.count,
-                content: Err(invalid(error.to_string(), raw)),
+                content: Err(invalid(&error.to_string(), raw)),
             };
         }
     };
     let clip = check(node, &report).and_then(|()| clip(&report, present));
     let content = match (clip, key(report.id, present)) {
-        (Err(reason), _) => Err(invalid(reason, raw)),
+        (Err(reason), _) => Err(invalid(&reason, raw)),
         (_, Err(reason)) => Err(Rejected { reason, text: None }),
         (Ok(clip), Ok(key)) => Ok((key, Box::new(clip))),
     };
@@ -133,8 +131,9 @@ fn check(node: &str, report: &ClipReport) -> Result<(), String> {
     check_segment("camera name", &report.camera).map_err(|error| error.to_string())
 }
 
-fn invalid(mut reason: String, raw: &str) -> Rejected {
-    reason.truncate(reason.floor_char_boundary(KEPT));
-    let text = Some(raw[..raw.floor_char_boundary(KEPT)].to_owned());
-    Rejected { reason, text }
+fn invalid(reason: &str, raw: &str) -> Rejected {
+    Rejected {
+        reason: beginning(reason),
+        text: Some(beginning(raw)),
+    }
 }

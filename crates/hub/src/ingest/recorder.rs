@@ -2,13 +2,13 @@
 
 use super::counters::IngestCounts;
 use super::decode::{Batch, Rejected};
-use super::limits::{ClockCheck, EVENTS, EntryLimit, SET_ASIDE};
+use super::limits::{ClockCheck, EVENTS, EntryLimit, PRESENCE, SET_ASIDE};
 use super::plan::Seen;
 use crate::config::HistoryConfig;
-use crate::presence::News;
+use crate::presence::NodeView;
 use crate::store::retention::retain;
-use crate::store::row::Row;
-use crate::store::{Access, Database, EventRow, MOST_CAMERAS, Store, StoreError};
+use crate::store::row::{Row, beginning, event};
+use crate::store::{Access, Database, MOST_CAMERAS, Store, StoreError};
 use albireo_service::clock::{DAY_MS, Now};
 use albireo_wire::{RefusedReport, ReportAnswer};
 use serde_json::{Value, json};
@@ -18,12 +18,18 @@ use std::time::{Duration, Instant};
 /// Interval between two searches for old rows, after one that found none.
 const RETENTION: Duration = Duration::from_secs(60);
 
+/// Most events of unreadable batches that wait for the database; further ones are dropped.
+const MOST_EVENTS: usize = 1000;
+
 /// Stores batches in a database.
 pub struct Recorder {
     store: Store,
     database: Option<Box<dyn Database>>,
     history: HistoryConfig,
-    pub(super) event_limit: EntryLimit,
+    /// Events of unreadable batches, which the next commit writes.
+    events: Vec<Value>,
+    event_limit: EntryLimit,
+    presence_limit: EntryLimit,
     aside_limit: EntryLimit,
     clock: ClockCheck,
     retention_due: Instant,
@@ -47,30 +53,36 @@ impl Recorder {
             store: store.clone(),
             database: None,
             history: history.clone(),
+            events: Vec::new(),
             event_limit: EntryLimit::new(EVENTS),
+            presence_limit: EntryLimit::new(PRESENCE),
             aside_limit: EntryLimit::new(SET_ASIDE),
             clock: ClockCheck::new(now.at, now.unix_ms),
             retention_due: now.at,
         }
     }
 
-    /// True if it is time to delete old rows.
-    pub fn retention_is_due(&self, now: Instant) -> bool {
-        self.retention_due <= now
+    /// Notes that a batch of a node cannot be read.
+    pub(super) fn unreadable(&mut self, node: &str, reason: &str, now_ms: i64) {
+        if self.events.len() < MOST_EVENTS && self.event_limit.allows(node, "refused", now_ms) {
+            let reason = beginning(reason);
+            tracing::warn!(node, reason, "a batch cannot be read");
+            let detail = json!({ "reason": reason });
+            (self.events).push(event(now_ms, "refused", node, detail));
+        }
     }
 
-    /// Stores batches and `news` in one transaction. If `retention` is due, first deletes some old rows.
+    /// Stores batches, and the states of `nodes`, in one transaction. If it is time, first deletes some old rows.
     ///
     /// # Errors
     /// When the database refuses the transaction: then nothing is stored.
     pub fn record(
         &mut self,
         batches: &[Batch],
-        news: &News,
-        retention: bool,
+        nodes: &[NodeView],
         now: Now,
     ) -> Result<Recorded, StoreError> {
-        if retention {
+        if self.retention_due <= now.at {
             let more = self.retain(now).unwrap_or_else(|error| {
                 tracing::warn!(%error, "old rows were not deleted; trying again in a minute");
                 false
@@ -81,7 +93,12 @@ impl Recorder {
         // After an error the connection is dropped, which rolls the transaction back.
         let mut database = self.store.connect(Access::Write, self.database.take())?;
         database.begin()?;
-        let mut events = news.write(&mut *database)?;
+        let mut events = database.write_nodes(nodes)?;
+        events.retain(|event| {
+            let node = event["node"].as_str().unwrap_or_default();
+            self.presence_limit.allows(node, "node", now.unix_ms)
+        });
+        events.extend_from_slice(&self.events);
         let recorded = match batches {
             [] => Recorded::default(),
             _ => self.write(&mut *database, batches, now.unix_ms, &mut events)?,
@@ -89,6 +106,7 @@ impl Recorder {
         database.insert("events", &events, "")?;
         database.commit()?;
         self.database = Some(database);
+        self.events.clear();
         for batch in batches {
             self.clock.note(&batch.node, batch.clocks_agree);
         }
@@ -110,7 +128,7 @@ impl Recorder {
         database: &mut dyn Database,
         batches: &[Batch],
         now_ms: i64,
-        events: &mut Vec<EventRow>,
+        events: &mut Vec<Value>,
     ) -> Result<Recorded, StoreError> {
         let names: BTreeSet<&str> = batches.iter().map(|batch| batch.node.as_str()).collect();
         let names: Vec<&str> = names.into_iter().collect();
@@ -129,9 +147,9 @@ impl Recorder {
         let (mut clips, mut aside) = (Vec::new(), Vec::new());
         let mut recorded = Recorded::default();
         let counts = &mut recorded.counts;
-        let mut event = |node: &str, kind: &'static str, detail: Value| {
+        let mut note = |node: &str, kind: &'static str, detail: Value| {
             if self.event_limit.allows(node, kind, now_ms) {
-                events.push(EventRow::new(now_ms, kind, node, detail));
+                events.push(event(now_ms, kind, node, detail));
             }
         };
         for batch in batches {
@@ -198,7 +216,7 @@ impl Recorder {
                 let seen = report.count.map(|count| node.counts.see(count, is_new));
                 let (kind, detail) = match seen {
                     Some(Seen::Gap(first, last)) => {
-                        counts.missing += last - first + 1;
+                        counts.missing = counts.missing.saturating_add(last - first + 1);
                         ("gap", json!({ "first": first, "last": last }))
                     }
                     Some(Seen::Reset) => {
@@ -208,7 +226,7 @@ impl Recorder {
                     }
                     Some(Seen::Expected) | None => continue,
                 };
-                event(&batch.node, kind, detail);
+                note(&batch.node, kind, detail);
             }
             counts.set_aside += invalid;
             counts.clock_off += clocks_off;
@@ -219,7 +237,7 @@ impl Recorder {
                 ("clock_off", "clips", clocks_off),
             ] {
                 if count > 0 {
-                    event(&batch.node, kind, json!({ what: count }));
+                    note(&batch.node, kind, json!({ what: count }));
                 }
             }
             node.totals.missing = node.counts.missing();

@@ -2,6 +2,7 @@
 
 use super::IngestCounters;
 use crate::per_node::{PerNode, Place};
+use crate::store::row::beginning;
 use albireo_wire::{NodeKeys, RefusalReason, ReportRefusal, VERSION};
 use serde::Serialize;
 use std::sync::Arc;
@@ -51,13 +52,13 @@ impl Replies {
         &self,
         query: Query,
         reason: RefusalReason,
-        why: impl Into<String>,
+        why: &str,
         wait: Option<Duration>,
     ) {
         let refusal = ReportRefusal {
             v: VERSION,
             reason,
-            detail: why.into(),
+            detail: beginning(why),
             retry_after_ms: wait.and_then(|wait| u64::try_from(wait.as_millis()).ok()),
         };
         self.hand_over(query, serde_json::to_vec(&refusal).map(Err));

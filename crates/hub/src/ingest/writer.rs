@@ -56,7 +56,7 @@ struct Waiting {
     _places: [Place; 3],
 }
 
-/// What the queue and the thread share.
+/// What Zenoh's threads, which put batches into the queue, and the thread that writes them share.
 #[derive(Clone)]
 struct Shared {
     limits: Arc<NodeLimits>,
@@ -66,29 +66,14 @@ struct Shared {
 
 impl Shared {
     /// Refuses a batch; the node may retry after `wait`.
-    fn refuse(
-        &self,
-        query: Query,
-        reason: RefusalReason,
-        why: impl Into<String>,
-        wait: Option<Duration>,
-    ) {
+    fn refuse(&self, query: Query, reason: RefusalReason, why: &str, wait: Option<Duration>) {
         self.view.ingest.refuse(reason);
         self.replies.refuse(query, reason, why, wait);
     }
-}
 
-/// The queue into which Zenoh's threads put batches.
-pub(crate) struct ReportQueue {
-    queue: Sender<Waiting>,
-    shared: Shared,
-}
-
-impl ReportQueue {
     /// Queues a batch, or refuses it. Never waits.
-    pub(crate) fn take(&self, mut query: Query) {
-        let (now, shared) = (Instant::now(), &self.shared);
-        let counters = &shared.view.ingest;
+    fn take(&self, mut query: Query, queue: &Sender<Waiting>) {
+        let (now, counters) = (Instant::now(), &self.view.ingest);
         let node = NodeKeys::node_of(query.key_expr().as_str()).map(str::to_owned);
         let payload = query.payload_mut().map(std::mem::take);
         let (Some(node), Some(payload)) = (node, payload) else {
@@ -97,14 +82,14 @@ impl ReportQueue {
         };
         if payload.len() > LARGEST_PAYLOAD {
             let detail = format!("the batch has more than {LARGEST_PAYLOAD} bytes");
-            return shared.refuse(query, RefusalReason::Unreadable, detail, None);
+            return self.refuse(query, RefusalReason::Unreadable, &detail, None);
         }
-        let place = match shared.limits.admit(&node, now) {
+        let place = match self.limits.admit(&node, now) {
             Ok(place) => place,
-            Err((wait, why)) => return shared.refuse(query, RefusalReason::Busy, why, Some(wait)),
+            Err((wait, why)) => return self.refuse(query, RefusalReason::Busy, why, Some(wait)),
         };
         let Some([batch, bytes]) = counters.queue(payload.len()) else {
-            return shared.refuse(query, RefusalReason::Busy, FULL, Some(BUSY_RETRY));
+            return self.refuse(query, RefusalReason::Busy, FULL, Some(BUSY_RETRY));
         };
         // A copy, so that a waiting batch holds no network buffers.
         let payload = Bytes::copy_from_slice(&payload.to_bytes());
@@ -116,17 +101,18 @@ impl ReportQueue {
             node,
         };
         // Without a writer the hub is stopping: the node gets no answer, and sends the batch again.
-        let _ = self.queue.send(waiting);
+        let _ = queue.send(waiting);
     }
 }
 
-/// Starts the thread. It ends once the queue is dropped and empty; then the returned future completes.
+/// Starts the thread, and returns what queues a batch for it. Once that is dropped and the queue is empty, the thread ends
+/// and the returned future completes.
 pub(crate) fn start(
     config: &HubConfig,
     view: &HubView,
     store: &Store,
     replies: &Replies,
-) -> (ReportQueue, impl Future<Output = ()> + use<>) {
+) -> (impl Fn(Query) + use<>, impl Future<Output = ()> + use<>) {
     // It is bounded by the places in `IngestCounters`.
     let (queue, waiting) = channel();
     let shared = Shared {
@@ -143,7 +129,7 @@ pub(crate) fn start(
     let ended = async move {
         let _ = writing.await;
     };
-    (ReportQueue { queue, shared }, ended)
+    (move |query| shared.take(query, &queue), ended)
 }
 
 /// Commits batches and changes of presence.
@@ -175,7 +161,7 @@ impl Writer {
                         waiting.push(one);
                         batches.push(batch);
                     }
-                    Err(error) => self.unreadable(one, error),
+                    Err(error) => self.unreadable(one, &error),
                 }
                 let full = reports >= COMMIT_REPORTS || bytes >= COMMIT_BYTES;
                 next = if full { None } else { queue.try_recv().ok() };
@@ -189,23 +175,18 @@ impl Writer {
         }
     }
 
-    fn unreadable(&mut self, Waiting { node, query, .. }: Waiting, error: String) {
-        let (shared, now_ms) = (&self.shared, unix_milliseconds());
-        shared.limits.charge(&node, UNREADABLE_COST);
-        if self.recorder.event_limit.allows(&node, "refused", now_ms) {
-            tracing::warn!(node, error, "a batch cannot be read");
-            shared.view.fleet.unreadable(&node, &error, now_ms);
-        }
-        shared.refuse(query, RefusalReason::Unreadable, error, None);
+    fn unreadable(&mut self, Waiting { node, query, .. }: Waiting, error: &str) {
+        self.shared.limits.charge(&node, UNREADABLE_COST);
+        (self.recorder).unreadable(&node, error, unix_milliseconds());
+        (self.shared).refuse(query, RefusalReason::Unreadable, error, None);
     }
 
     /// Commits a group of batches. If the database refuses the group, commits each batch separately.
     fn commit(&mut self, waiting: Vec<Waiting>, batches: &[Batch]) {
         let view = &self.shared.view;
-        let retention = self.recorder.retention_is_due(Instant::now());
-        // Also without batches and news: it shows whether the database can be written.
-        let (begun, news) = (Instant::now(), view.fleet.take_news());
-        let done = (self.recorder).record(batches, &news, retention, Now::system());
+        // Also without batches and nodes: it shows whether the database can be written.
+        let (begun, nodes) = (Instant::now(), view.fleet.take_dirty());
+        let done = (self.recorder).record(batches, &nodes, Now::system());
         let error = match done {
             Ok(recorded) => {
                 if !batches.is_empty() {
@@ -218,7 +199,7 @@ impl Writer {
         };
         view.ingest.count(|counts| counts.database_errors += 1);
         tracing::error!(%error, batches = batches.len(), "nothing was committed");
-        view.fleet.give_back(news);
+        view.fleet.give_back(nodes);
         if !error.passes() && batches.len() > 1 {
             for (waiting, batch) in waiting.into_iter().zip(batches) {
                 self.commit(vec![waiting], std::slice::from_ref(batch));
@@ -227,7 +208,7 @@ impl Writer {
         }
         let (reason, retry) = (RefusalReason::Unavailable, Some(UNAVAILABLE_RETRY));
         for waiting in waiting {
-            (self.shared).refuse(waiting.query, reason, error.to_string(), retry);
+            (self.shared).refuse(waiting.query, reason, &error.to_string(), retry);
         }
         if error.passes() {
             (view.readiness.part("database")).not_ready(error.to_string());

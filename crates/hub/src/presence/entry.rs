@@ -2,6 +2,7 @@
 
 use super::node::{NodeView, PresenceState};
 use crate::config::PresenceConfig;
+use crate::store::row::beginning;
 use albireo_wire::HealthState;
 use std::time::{Duration, Instant};
 
@@ -111,7 +112,7 @@ impl Entry {
             (HealthState::Ready, _) => return (PresenceState::Online, String::new()),
             (HealthState::Degraded, "") => "a part does not work".to_owned(),
             (HealthState::NotReady, "") => "it does not answer frames".to_owned(),
-            _ => reasons,
+            _ => beginning(&reasons),
         };
         (PresenceState::Degraded, why)
     }

@@ -1,15 +1,12 @@
 //! Keeps the states of all nodes in memory.
 
 use super::entry::Entry;
-use super::news::News;
 use super::node::{NodeView, PresenceState};
 use super::today::TodaysEnergy;
 use crate::config::PresenceConfig;
-use crate::store::{EventRow, Store, StoreError};
 use albireo_service::clock::Now;
 use albireo_wire::{Heartbeat, NodeStatus, StatusMessage};
 use parking_lot::{Mutex, RwLock};
-use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -17,18 +14,15 @@ use std::time::{Duration, Instant};
 /// Shortest time between two notices to a node.
 const NOTIFY_EVERY: Duration = Duration::from_secs(5);
 /// Most nodes written in one transaction.
-const MOST_NEWS: usize = 2000;
-/// Most events that wait for the database; further ones are dropped.
-const MOST_EVENTS: usize = 1000;
+const MOST_WRITTEN: usize = 2000;
 
 /// All nodes.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Fleet {
     config: PresenceConfig,
     nodes: RwLock<BTreeMap<String, Entry>>,
     /// Nodes whose rows wait to be written.
     dirty: Mutex<BTreeSet<String>>,
-    events: Mutex<Vec<EventRow>>,
 }
 
 impl Fleet {
@@ -36,22 +30,12 @@ impl Fleet {
     pub fn new(config: &PresenceConfig) -> Self {
         Self {
             config: config.clone(),
-            nodes: RwLock::default(),
-            dirty: Mutex::default(),
-            events: Mutex::default(),
+            ..Self::default()
         }
     }
 
-    /// Loads the nodes from the database. The time limits of a node that was online begin at `now`.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
-    pub async fn read(&self, store: &Store, now: Instant) -> Result<(), StoreError> {
-        self.remember(store.nodes().await?, now);
-        Ok(())
-    }
-
-    pub(super) fn remember(&self, nodes: Vec<NodeView>, now: Instant) {
+    /// Adds nodes that were read from the database. The time limits of a node that was online begin at `now`.
+    pub fn remember(&self, nodes: Vec<NodeView>, now: Instant) {
         let entries = nodes
             .into_iter()
             .map(|node| (node.node.clone(), Entry::remembered(node, now)));
@@ -135,9 +119,7 @@ impl Fleet {
     /// Adds a node that has sent reports and no status yet.
     pub(crate) fn reported(&self, node: &str, now_ms: i64) {
         let mut nodes = self.nodes.write();
-        if !nodes.contains_key(node) {
-            nodes.insert(node.to_owned(), Entry::new(node, now_ms));
-        }
+        (nodes.entry(node.to_owned())).or_insert_with(|| Entry::new(node, now_ms));
     }
 
     /// Sets the energy of the nodes' clips of today; a node that is absent used none.
@@ -194,32 +176,19 @@ impl Fleet {
         nodes.get(node).is_some_and(|entry| entry.needs_full)
     }
 
-    /// Notes that a batch of a node cannot be read.
-    pub(crate) fn unreadable(&self, node: &str, reason: &str, now_ms: i64) {
-        let detail = json!({ "reason": reason });
-        let mut events = self.events.lock();
-        if events.len() < MOST_EVENTS {
-            events.push(EventRow::new(now_ms, "refused", node, detail));
-        }
-    }
-
-    /// Takes the waiting rows, at most as many as one transaction may have.
-    pub fn take_news(&self) -> News {
+    /// Takes the nodes whose rows wait to be written, at most as many as one transaction may have.
+    pub fn take_dirty(&self) -> Vec<NodeView> {
         let nodes = self.nodes.read();
         let mut dirty = self.dirty.lock();
-        let names = std::iter::from_fn(|| dirty.pop_first()).take(MOST_NEWS);
+        let names = std::iter::from_fn(|| dirty.pop_first()).take(MOST_WRITTEN);
         let node = |name| Some(nodes.get(&name)?.node.clone());
-        News {
-            nodes: names.filter_map(node).collect(),
-            events: std::mem::take(&mut *self.events.lock()),
-        }
+        names.filter_map(node).collect()
     }
 
-    /// Queues rows again that were not written.
-    pub fn give_back(&self, news: News) {
-        let names = news.nodes.into_iter().map(|node| node.node);
+    /// Queues nodes again that were not written.
+    pub fn give_back(&self, nodes: Vec<NodeView>) {
+        let names = nodes.into_iter().map(|node| node.node);
         self.dirty.lock().extend(names);
-        self.events.lock().extend(news.events);
     }
 
     /// The number of nodes in each state, also where it is 0.
@@ -231,11 +200,8 @@ impl Fleet {
 
     /// The number of names that more than one node uses.
     pub(crate) fn twins(&self) -> usize {
-        let nodes = self.nodes.read();
-        nodes
-            .values()
-            .filter(|entry| entry.identity.is_some())
-            .count()
+        let has_twin = |entry: &&Entry| entry.identity.is_some();
+        self.nodes.read().values().filter(has_twin).count()
     }
 
     /// One node.

@@ -3,14 +3,14 @@
 //! Zenoh's threads apply a status to the fleet themselves, which takes microseconds. What may block, such as an answer
 //! or a notice, is left to other threads.
 
-use crate::error::HubError;
+use crate::HubError;
 use crate::http::HubView;
 use crate::ingest::Replies;
 use albireo_service::clock::Now;
 use albireo_wire::{
     ConfigChanged, Heartbeat, NodeKeys, PullRequest, RefusalReason, StatusMessage, VERSION,
 };
-use std::sync::mpsc::{Receiver, SyncSender};
+use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 use zenoh::bytes::ZBytes;
 use zenoh::pubsub::Subscriber;
@@ -21,17 +21,11 @@ use zenoh::{Session, Wait};
 
 /// Largest status, bytes: twice the size of a status with as many cameras as a node may have.
 const LARGEST_STATUS: usize = 64 << 10;
-/// Most notices that may wait. Further ones are dropped: later notices, and the answers to reports, have the same
-/// effect.
-pub(crate) const NOTICES: usize = 65_536;
 /// Interval at which the nodes are checked.
 const SWEEP: Duration = Duration::from_secs(1);
 /// The number of notices after which there is a pause: thousands of nodes must not pull at the same time.
 const NOTICES_AT_ONCE: usize = 50;
 const NOTICE_PAUSE: Duration = Duration::from_millis(10);
-
-/// Sends notices to nodes: the node, and the revision that it may pull.
-pub type Notifier = SyncSender<(String, u64)>;
 
 /// Receives the statuses and tokens of the nodes with these keys, and answers their pulls, until the returned
 /// declarations are dropped.
@@ -67,10 +61,11 @@ pub(crate) async fn listen(
     let pulls = session
         .declare_queryable(keys.pull())
         .complete(true)
-        .callback(move |query| {
+        .callback(move |mut query| {
             hub.ingest.count(|counts| counts.pulls += 1);
-            let payload = query.payload().map(ZBytes::to_bytes).unwrap_or_default();
-            match albireo_wire::read::<PullRequest>(&payload) {
+            // The query waits for its answer without it.
+            let payload = query.payload_mut().map(std::mem::take);
+            match albireo_wire::read::<PullRequest>(&payload.unwrap_or_default().to_bytes()) {
                 Ok(_) => {
                     let node = NodeKeys::node_of(query.key_expr().as_str());
                     let desired = hub.desired(node.unwrap_or_default());
@@ -78,7 +73,7 @@ pub(crate) async fn listen(
                 }
                 Err(error) => {
                     let reason = RefusalReason::Unreadable;
-                    replies.refuse(query, reason, error.to_string(), None);
+                    replies.refuse(query, reason, &error.to_string(), None);
                 }
             }
         })
@@ -103,7 +98,7 @@ fn hear(hub: &HubView, node: &str, payload: &ZBytes) {
         Ok(is_full_due) => {
             hub.ingest.count(|counts| counts.statuses += 1);
             if is_full_due {
-                hub.notify(node);
+                hub.desires.notify(node);
             }
         }
         Err(error) => {

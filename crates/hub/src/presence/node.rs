@@ -58,11 +58,6 @@ impl NodeView {
         matches!(self.state, PresenceState::Online | PresenceState::Degraded)
     }
 
-    /// True if it has sent a full status.
-    pub(crate) const fn is_known(&self) -> bool {
-        self.status.is_some()
-    }
-
     /// Its labels.
     pub(crate) fn labels(&self) -> &BTreeMap<String, String> {
         static NONE: BTreeMap<String, String> = BTreeMap::new();
@@ -90,7 +85,7 @@ impl NodeView {
 
     /// True if it reported that setting. A threshold does not count while a target moves it.
     pub(crate) fn has(&self, setting: DesiredSetting) -> bool {
-        self.is_known()
+        self.status.is_some()
             && match setting {
                 DesiredSetting::Threshold(wanted) => {
                     self.threshold() == Some(wanted) && self.target().is_none()
@@ -107,24 +102,20 @@ impl NodeView {
         target.or_else(|| self.threshold().map(DesiredSetting::Threshold))
     }
 
-    /// The node's reason why it no longer holds a target.
-    pub(crate) fn target_off(&self) -> Option<String> {
-        self.status.as_ref()?.target_off.clone()
-    }
-
-    /// The revision that it refused, and the reason.
-    pub(crate) fn refused(&self) -> Option<(u64, String)> {
-        let refused = self.status.as_ref()?.refused.as_ref()?;
-        Some((refused.revision, refused.reason.clone()))
-    }
-
-    /// The reason that it cannot hold a target, as far as its status shows.
-    pub(crate) fn cannot_hold(&self) -> Option<String> {
+    /// The reason that it cannot have the setting, as far as its status shows; `None` if it can.
+    pub(crate) fn unable(&self, setting: DesiredSetting) -> Option<String> {
         // Until its cameras have reported a threshold, only the node itself knows.
         let name = self.threshold_name()?;
         let policy = &self.status.as_ref()?.policy;
-        (!matches!(name.as_str(), "u" | "lambda"))
-            .then(|| format!("a target moves `u` or `lambda`, and policy `{policy}` has `{name}`"))
+        match setting {
+            DesiredSetting::Threshold(Threshold { name: wanted, .. }) if wanted != name => Some(
+                format!("the threshold of its policy is `{name}`, not `{wanted}`"),
+            ),
+            DesiredSetting::Target(Some(_)) if !matches!(name.as_str(), "u" | "lambda") => Some(
+                format!("a target moves `u` or `lambda`, and policy `{policy}` has `{name}`"),
+            ),
+            _ => None,
+        }
     }
 }
 

@@ -4,7 +4,6 @@ use super::read::ReportCounts;
 use super::row::{Row, read_all, row};
 use super::{Kind, StoreError};
 use crate::ingest::Counts;
-use crate::presence::PresenceState;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use std::collections::{BTreeSet, HashMap, HashSet};
@@ -69,27 +68,6 @@ pub(crate) struct ReportKey {
     pub(crate) id: Uuid,
     /// The identity's own day, believed or not.
     pub(crate) own_day: i64,
-}
-
-/// An event.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct EventRow {
-    pub(crate) at_ms: i64,
-    pub(crate) kind: String,
-    pub(crate) node: Option<String>,
-    pub(crate) detail: String,
-}
-
-impl EventRow {
-    /// An event of a node.
-    pub(crate) fn new(at_ms: i64, kind: &str, node: &str, detail: Value) -> Self {
-        Self {
-            at_ms,
-            kind: kind.to_owned(),
-            node: Some(node.to_owned()),
-            detail: detail.to_string(),
-        }
-    }
 }
 
 /// Counts of a node's reports.
@@ -167,10 +145,9 @@ impl dyn Database + '_ {
         let mut nodes = self.among(text, names)?;
         if nodes.len() < names.len() {
             let add = "INSERT INTO nodes (name, state, since_ms, why) \
-                       VALUES ($1, $2, $3, 'no status was received yet') ON CONFLICT (name) DO NOTHING";
-            let silent = PresenceState::Silent.name();
+                       VALUES ($1, 'silent', $2, 'no status was received yet') ON CONFLICT (name) DO NOTHING";
             for name in names {
-                self.query(add, &[(*name).into(), silent.into(), now_ms.into()])?;
+                self.query(add, &[(*name).into(), now_ms.into()])?;
             }
             nodes = self.among(text, names)?;
         }

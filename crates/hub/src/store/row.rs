@@ -3,7 +3,7 @@
 use super::StoreError;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
-use serde_json::{Map, Value};
+use serde_json::{Map, Value, json};
 
 /// A row: its columns by name. The id of a report is an array of 16 bytes.
 pub(crate) type Row = Map<String, Value>;
@@ -26,6 +26,11 @@ pub(crate) fn row(of: &impl Serialize) -> Result<Row, StoreError> {
     }
 }
 
+/// The row of an event of a node.
+pub(crate) fn event(at_ms: i64, kind: &str, node: &str, detail: Value) -> Value {
+    json!({ "at_ms": at_ms, "kind": kind, "node": node, "detail": detail })
+}
+
 /// The bytes of an id.
 pub(super) fn bytes(numbers: &[Value]) -> Vec<u8> {
     let byte = |number: &Value| u8::try_from(number.as_u64()?).ok();
@@ -35,6 +40,12 @@ pub(super) fn bytes(numbers: &[Value]) -> Vec<u8> {
 /// Replaces NUL characters, which PostgreSQL cannot store.
 pub(crate) fn text(text: &str) -> String {
     text.replace('\0', "\u{fffd}")
+}
+
+/// The beginning of a text that a node may have made long: of an invalid report, or of a reason, which may quote what is
+/// invalid.
+pub(crate) fn beginning(text: &str) -> String {
+    text[..text.floor_char_boundary(2 << 10)].to_owned()
 }
 
 /// Reads and writes a text column that holds JSON.

@@ -99,21 +99,6 @@ impl dyn Database + '_ {
         Ok(nodes)
     }
 
-    /// Removes a node from the list, and drops its desired setting; its clips and its history stay.
-    pub(crate) fn forget(&mut self, node: &str, now_ms: i64) -> Result<(), StoreError> {
-        self.query(
-            "UPDATE order_nodes SET outcome = 'missed', at_ms = $2, detail = 'the node was forgotten' \
-             WHERE node = $1 AND outcome IN ('pending', 'waiting', 'timed_out')",
-            &[node.into(), now_ms.into()],
-        )?;
-        self.query("DELETE FROM desired WHERE node = $1", &[node.into()])?;
-        self.query(
-            "UPDATE nodes SET state = 'forgotten', since_ms = $2, status = NULL, heard_ms = NULL WHERE name = $1",
-            &[node.into(), now_ms.into()],
-        )?;
-        Ok(())
-    }
-
     /// Stores outcomes of orders. An order that has ended since then, for example because its node was forgotten, keeps
     /// its outcome.
     pub(crate) fn outcomes(&mut self, nodes: &[Wanted]) -> Result<(), StoreError> {

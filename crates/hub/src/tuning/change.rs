@@ -73,7 +73,7 @@ impl Tuner {
             let taken = (taken.get(&node.node))
                 .map(|other| format!("takes part in {other}: end or return that first"));
             let refused = taken.or_else(|| self.implausible(node.revision));
-            let (outcome, detail) = match refused.or_else(|| unable(&node, setting)) {
+            let (outcome, detail) = match refused.or_else(|| node.unable(setting)) {
                 Some(detail) => (Outcome::Refused, detail),
                 None if self.has_it(&node, setting) => (Outcome::Unchanged, String::new()),
                 None if !request.dry_run => (Outcome::Pending, String::new()),
@@ -109,8 +109,8 @@ impl Tuner {
         Ok(change)
     }
 
-    /// Waits for outcomes that were not returned yet; at `until` all other nodes get the outcome "pending". Returns nothing once
-    /// every node was returned.
+    /// Waits for outcomes of nodes that `change` still has, counts them, and moves their nodes out of it. At `until` it returns
+    /// all other nodes with the outcome "pending".
     pub(crate) async fn outcomes(
         &self,
         change: &mut OrderAnswer,
@@ -136,7 +136,10 @@ impl Tuner {
             }
             let is_known = |line: &mut ChangeNode| is_over || line.ask.outcome != Outcome::Pending;
             let mut lines: Vec<_> = change.nodes.extract_if(.., is_known).collect();
-            if !lines.is_empty() || change.nodes.is_empty() {
+            if is_over || !lines.is_empty() {
+                for line in &lines {
+                    *change.counts.entry(line.ask.outcome).or_default() += 1;
+                }
                 lines.sort_by(|a, b| a.node.cmp(&b.node));
                 return lines;
             }
@@ -155,20 +158,5 @@ impl Tuner {
             _ => desired == Some(setting),
         };
         wanted && node.has(setting)
-    }
-}
-
-/// The reason that the node cannot have the setting, according to its status; `None` if it can.
-pub(super) fn unable(node: &NodeView, setting: DesiredSetting) -> Option<String> {
-    match setting {
-        DesiredSetting::Threshold(wanted) => {
-            let name = node.threshold_name().filter(|name| *name != wanted.name)?;
-            let wanted = wanted.name;
-            Some(format!(
-                "the threshold of its policy is `{name}`, not `{wanted}`"
-            ))
-        }
-        DesiredSetting::Target(Some(_)) => node.cannot_hold(),
-        DesiredSetting::Target(None) => None,
     }
 }

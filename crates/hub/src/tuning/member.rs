@@ -7,7 +7,6 @@ use albireo_wire::{DesiredSetting, Threshold};
 use rand_core::{RngCore, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
 use utoipa::ToSchema;
 
 /// Milliseconds since the Unix epoch, by the hub's clock.
@@ -44,20 +43,6 @@ impl Outcome {
     pub(crate) const fn is_open(self) -> bool {
         matches!(self, Self::Pending | Self::Waiting | Self::TimedOut)
     }
-}
-
-/// The number of nodes by outcome.
-pub(crate) type Counts = BTreeMap<Outcome, usize>;
-
-/// Counts nodes by outcome, without those that got no order.
-pub(crate) fn counts(outcomes: impl IntoIterator<Item = Outcome>) -> Counts {
-    let mut counts = Counts::new();
-    for outcome in outcomes {
-        if outcome != Outcome::Untouched {
-            *counts.entry(outcome).or_default() += 1;
-        }
-    }
-    counts
 }
 
 /// An order to one node, and its outcome.
@@ -100,13 +85,14 @@ impl Ask {
         }
         // A node whose policy has no targets accepts the revision and ignores the target.
         let unable = match wanted {
-            DesiredSetting::Target(Some(_)) if node.is_reachable() => node.cannot_hold(),
+            DesiredSetting::Target(Some(_)) if node.is_reachable() => node.unable(wanted),
             _ => None,
         };
-        let refused = node.refused().filter(|refused| refused.0 == self.revision);
+        let refused = (node.status.as_ref()).and_then(|status| status.refused.as_ref());
+        let refused = refused.filter(|refused| refused.revision == self.revision);
         let next = if node.revision >= self.revision && node.has(wanted) {
             Outcome::Applied
-        } else if let Some(reason) = unable.or(refused.map(|(_, reason)| reason)) {
+        } else if let Some(reason) = unable.or_else(|| Some(refused?.reason.clone())) {
             self.detail = reason;
             Outcome::Refused
         } else if !node.is_reachable() {

@@ -16,7 +16,7 @@ pub use record::{Entry, LeftOut, StageView, What};
 
 use super::effect::FEWEST_NODES;
 use super::gate::Verdict;
-use super::member::{Ask, Member, Millis, Outcome, counts, shuffle};
+use super::member::{Ask, Member, Millis, Outcome, shuffle};
 use super::metric::BeforeAfter;
 use super::plan::{Basics, OnFailure, RolloutPlan, TrialPlan};
 use crate::named::named;
@@ -344,16 +344,20 @@ impl Run {
         self.members = members;
     }
 
-    /// Counts the nodes of its stages or groups by outcome.
+    /// Counts the nodes of its stages or groups by outcome, without those that got no order.
     pub(crate) fn count_stages(&mut self) {
-        let stage = |group: usize| {
-            let members = self.members.iter().filter(|member| member.group == group);
-            StageView {
-                nodes: members.clone().count(),
-                counts: counts(members.map(|member| member.ask.outcome)),
+        let mut stages = vec![StageView::default(); self.stage_count()];
+        for member in &self.members {
+            // Nodes that a rollout leaves out are in no stage.
+            let Some(stage) = stages.get_mut(member.group) else {
+                continue;
+            };
+            stage.nodes += 1;
+            if member.ask.outcome != Outcome::Untouched {
+                *stage.counts.entry(member.ask.outcome).or_default() += 1;
             }
-        };
-        self.stages = (0..self.stage_count()).map(stage).collect();
+        }
+        self.stages = stages;
     }
 
     /// The number of its stages or groups.

@@ -1,12 +1,14 @@
 //! Drives rollouts and trials: orders their values, measures the clips, and stores their state in the database.
 
-use super::change::unable;
 use super::member::{Member, Millis};
 use super::run::{Command, Kind, LeftOut, Run};
 use super::tuner::Tuner;
 use crate::presence::NodeView;
-use crate::store::{ChangeRow, EventRow, StoreError};
+use crate::store::row::event;
+use crate::store::{ChangeRow, StoreError};
+use albireo_service::http::Problem;
 use albireo_wire::{DesiredSetting, Threshold};
+use axum::http::StatusCode;
 use serde::Deserialize;
 use serde_json::json;
 use std::collections::{BTreeMap, HashMap};
@@ -39,21 +41,9 @@ pub(crate) struct Runs {
     claimed_ms: Millis,
 }
 
-/// The reason that a rollout or trial cannot be begun or commanded.
-#[derive(Debug, thiserror::Error)]
-pub enum RunError {
-    /// The plan is invalid.
-    #[error("{0}")]
-    Plan(String),
-    /// It is not possible now.
-    #[error("{0}")]
-    Conflict(String),
-    /// It does not exist.
-    #[error("there is no {0} {1}")]
-    Unknown(&'static str, i64),
-    /// The database cannot be used.
-    #[error(transparent)]
-    Store(#[from] StoreError),
+/// The problem of a request that is not possible now.
+fn conflict(detail: String) -> Problem {
+    Problem::new(StatusCode::CONFLICT, detail)
 }
 
 impl Tuner {
@@ -72,16 +62,15 @@ impl Tuner {
     ///
     /// # Errors
     /// While it takes part in a rollout or trial, and when the database cannot be written.
-    pub(crate) async fn forget(&self, node: &str, who: &str, now: Millis) -> Result<(), RunError> {
+    pub(crate) async fn forget(&self, node: &str, who: &str, now: Millis) -> Result<(), Problem> {
         // Held to the end, so that no rollout or trial begins with the node before it is forgotten.
         let _runs = self.runs.lock().await;
         if self.taken().await?.contains_key(node) {
-            let text = format!("the node {node} takes part in a rollout or trial");
-            return Err(RunError::Conflict(format!(
-                "{text}: end or return that first"
+            return Err(conflict(format!(
+                "the node {node} takes part in a rollout or trial: end or return that first"
             )));
         }
-        let event = EventRow::new(now, "forgotten", node, json!({ "who": who }));
+        let event = event(now, "forgotten", node, json!({ "who": who }));
         let forgotten = node.to_owned();
         let written = self.store.write(move |writing| {
             writing.forget(&forgotten, now)?;
@@ -89,6 +78,7 @@ impl Tuner {
         });
         written.await?;
         self.desires.remove(node);
+        self.fleet.forget(node);
         Ok(())
     }
 
@@ -96,7 +86,7 @@ impl Tuner {
     ///
     /// # Errors
     /// When its plan is invalid, too few nodes can take part, or the database cannot be written.
-    pub async fn begin(&self, kind: Kind, who: &str, now: Millis) -> Result<Run, RunError> {
+    pub async fn begin(&self, kind: Kind, who: &str, now: Millis) -> Result<Run, Problem> {
         let mut runs = self.runs.lock().await;
         let taken = self.taken().await?;
         let (mut candidates, mut left_out) = (Vec::new(), Vec::new());
@@ -112,11 +102,21 @@ impl Tuner {
             }
         }
         let seed = kind.basics().seed.unwrap_or(now.unsigned_abs());
-        let mut run = Run::begin(kind, candidates, seed, who, now).map_err(RunError::Plan)?;
+        let mut run = Run::begin(kind, candidates, seed, who, now)
+            .map_err(|error| Problem::new(StatusCode::UNPROCESSABLE_ENTITY, error))?;
         self.save(&mut run, now).await?;
         runs.running.insert(run.key(), run.clone());
         run.left_out = left_out;
         Ok(run)
+    }
+
+    /// A rollout or trial, of any hub, with its record and its nodes.
+    ///
+    /// # Errors
+    /// When there is none with that number, or the database cannot be read.
+    pub(crate) async fn run(&self, kind: &str, id: i64) -> Result<Run, Problem> {
+        let run = self.store.run(kind, id).await?;
+        run.ok_or_else(|| Problem::new(StatusCode::NOT_FOUND, format!("there is no {kind} {id}")))
     }
 
     /// Executes a command on a rollout; a trial knows only the return of its values, and has the measurements until now. A
@@ -126,15 +126,14 @@ impl Tuner {
     /// When it is not possible in its phase, another hub drives it, or the database cannot be used.
     pub async fn command(
         &self,
-        kind: &'static str,
+        kind: &str,
         id: i64,
         command: Command,
         who: &str,
         now: Millis,
-    ) -> Result<(), RunError> {
+    ) -> Result<(), Problem> {
         let mut runs = self.runs.lock().await;
-        let found = self.store.run(kind, id).await?;
-        let mut run = found.ok_or(RunError::Unknown(kind, id))?;
+        let mut run = self.run(kind, id).await?;
         let is_rollout = matches!(run.kind, Kind::Rollout { .. });
         if let Some(driven) = runs.running.get(&run.key()) {
             run = driven.clone();
@@ -146,12 +145,12 @@ impl Tuner {
                     || desired.is_some_and(|wanted| wanted.at.ask.revision != member.ask.revision)
             });
         } else {
-            return Err(RunError::Conflict(format!(
+            return Err(conflict(format!(
                 "the {kind} {id} is driven by another hub on the same database, or has ended"
             )));
         }
         if is_rollout {
-            run.command(command, who, now).map_err(RunError::Conflict)?;
+            run.command(command, who, now).map_err(conflict)?;
         } else {
             let found = self.store.measure(&run.windows(now)).await?;
             run.end_trial(&found, Some(who), now);
@@ -274,8 +273,7 @@ fn able(
         Kind::Rollout { to, .. } => Some(to),
         Kind::Trial { plan } => plan.values.first(),
     };
-    let why = value.and_then(|value| unable(node, DesiredSetting::Threshold(*value)));
-    if let Some(why) = why {
+    if let Some(why) = value.and_then(|value| node.unable(DesiredSetting::Threshold(*value))) {
         return Err(why);
     }
     match (node.threshold(), kind) {

@@ -4,8 +4,9 @@ use super::member::{Ask, ChangeNode, Millis, Outcome};
 use super::run::milliseconds;
 use crate::config::{LocalChange, TuningConfig};
 use crate::desired::{Desires, Wanted};
-use crate::presence::{Fleet, Notifier};
-use crate::store::{ChangeRow, EventRow, Store, StoreError};
+use crate::presence::Fleet;
+use crate::store::row::event;
+use crate::store::{ChangeRow, Store, StoreError};
 use albireo_service::clock::unix_milliseconds;
 use albireo_wire::DesiredSetting;
 use serde::{Deserialize, Serialize};
@@ -51,7 +52,6 @@ pub struct Tuner {
     pub(super) fleet: Arc<Fleet>,
     /// The desired settings that answers to nodes contain.
     pub(super) desires: Arc<Desires>,
-    notifier: Notifier,
     pub(super) config: TuningConfig,
     /// The name of this hub among several on one database.
     pub(super) driver: String,
@@ -109,7 +109,6 @@ impl Tuner {
         store: Store,
         fleet: Arc<Fleet>,
         desires: Arc<Desires>,
-        notifier: Notifier,
         config: TuningConfig,
         driver: String,
     ) -> Result<Self, StoreError> {
@@ -117,7 +116,6 @@ impl Tuner {
             store,
             fleet,
             desires,
-            notifier,
             config,
             driver,
             learned: AtomicU64::new(0),
@@ -190,9 +188,9 @@ impl Tuner {
         let mut revision = 0;
         for wanted in written.await? {
             revision = wanted.at.ask.revision;
-            let notice = (wanted.at.node.clone(), revision);
+            let node = wanted.at.node.clone();
             self.desires.set(wanted, is_set_back);
-            let _ = self.notifier.try_send(notice);
+            self.desires.notify(&node);
         }
         Ok(revision)
     }
@@ -232,19 +230,19 @@ impl Tuner {
         for mut wanted in self.desires.list(|_| true) {
             let (node, revision) = (&wanted.at.node, wanted.at.ask.revision);
             if wanted.at.ask.outcome == Outcome::Pending {
-                let _ = self.notifier.try_send((node.clone(), revision));
+                self.desires.notify(node);
             }
             let Some(view) = self.fleet.view(node) else {
                 continue;
             };
-            if view.is_known() && view.revision == revision && !view.has(wanted.setting) {
+            if view.status.is_some() && view.revision == revision && !view.has(wanted.setting) {
                 if wanted.drifted_ms.is_none() {
                     let detail = serde_json::json!({
                         "revision": revision,
                         "desired": wanted.setting,
                         "in_force": view.setting(),
                     });
-                    events.push(EventRow::new(now, "drift", node, detail));
+                    events.push(event(now, "drift", node, detail));
                     wanted.drifted_ms = Some(now);
                 }
                 drifted.push(wanted);
@@ -290,7 +288,7 @@ impl Tuner {
                 since_ms: wanted.drifted_ms?,
                 desired: wanted.setting,
                 in_force: view.setting(),
-                why: view.target_off(),
+                why: (view.status.as_ref()).and_then(|status| status.target_off.clone()),
                 set_back: wanted.set_back,
                 node: wanted.at.node,
             })

@@ -2,7 +2,6 @@
 
 use crate::config::{DatabaseConfig, HistoryConfig};
 use crate::ingest::{Recorder, decode};
-use crate::presence::News;
 use crate::store::Store;
 use albireo_service::clock::Now;
 use albireo_wire::{REPORT_DICTIONARY, VERSION};
@@ -144,7 +143,7 @@ async fn hostile_batches_break_nothing_and_every_acknowledged_report_is_accounte
             continue;
         }
         let group = std::mem::take(&mut group);
-        let done = recorder.record(&group, &News::default(), false, now);
+        let done = recorder.record(&group, &[], now);
         let done = done.expect("the database accepts the rows of any batch");
         clips += done.counts.clips;
         again += done.counts.again;

@@ -65,7 +65,7 @@ pub struct Entry {
 }
 
 /// A stage of a rollout, or a group of a trial.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct StageView {
     /// The number of nodes that it adds.
     pub nodes: usize,

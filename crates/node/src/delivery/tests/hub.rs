@@ -3,7 +3,6 @@
 use super::node::{frames, image, put};
 use albireo_hub::config::{DatabaseConfig, HistoryConfig};
 use albireo_hub::ingest::{Batch, Recorder};
-use albireo_hub::presence::News;
 use albireo_hub::store::Store;
 use albireo_service::clock::Now;
 use albireo_wire::{RefusalReason, ReportRefusal, VERSION};
@@ -170,8 +169,7 @@ impl Hub {
         };
         let (from, batches): (Vec<_>, Vec<_>) =
             std::mem::take(&mut process.waiting).into_iter().unzip();
-        let retention = recorder.retention_is_due(now.at);
-        let recorded = recorder.record(&batches, &News::default(), retention, now);
+        let recorded = recorder.record(&batches, &[], now);
         let replies: Vec<Reply> = match recorded {
             Ok(recorded) => {
                 let answers = recorded.answers.iter().map(serde_json::to_vec);

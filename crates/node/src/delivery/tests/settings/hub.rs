@@ -17,7 +17,7 @@ use albireo_wire::{DesiredSetting, Heartbeat, StatusMessage};
 use std::future::Future;
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, sync_channel};
+use std::sync::mpsc::Receiver;
 use tokio::runtime::{Builder, Runtime};
 
 struct Running {
@@ -67,17 +67,16 @@ impl Hub {
             return true;
         }
         let config = self.file.config();
-        let (sender, notices) = sync_channel(1000);
         let fleet = Arc::new(Fleet::new(&PresenceConfig::default()));
-        let desires = Arc::new(Desires::default());
+        let (desires, notices) = Desires::new();
+        let desires = Arc::new(desires);
         let opened = async {
             let store = Store::open(&config).await?;
-            fleet.read(&store, now.at).await?;
+            fleet.remember(store.nodes().await?, now.at);
             let tuner = Tuner::open(
                 store.clone(),
                 Arc::clone(&fleet),
                 Arc::clone(&desires),
-                sender,
                 TuningConfig::default(),
                 "hub".to_owned(),
             );
@@ -129,10 +128,10 @@ impl Hub {
         nodes
     }
 
-    fn work<T, E: std::fmt::Display>(&self, work: impl Future<Output = Result<T, E>>) {
+    fn work<T, E: std::fmt::Debug>(&self, work: impl Future<Output = Result<T, E>>) {
         // An order that cannot be carried out now is refused or carried out later.
         if let Err(error) = self.runtime.block_on(work) {
-            tracing::debug!(%error, "not done");
+            tracing::debug!(?error, "not done");
         }
     }
 
@@ -141,9 +140,9 @@ impl Hub {
             return;
         };
         hub.fleet.sweep(now);
-        let news = hub.fleet.take_news();
-        if hub.recorder.record(&[], &news, false, now).is_err() {
-            hub.fleet.give_back(news);
+        let nodes = hub.fleet.take_dirty();
+        if hub.recorder.record(&[], &nodes, now).is_err() {
+            hub.fleet.give_back(nodes);
         }
         let at_ms = now.unix_ms;
         self.work(hub.tuner.look(at_ms));

@@ -1,0 +1,114 @@
+//! Stores and reads the state of each node.
+
+use super::row::{Row, event, read, read_all};
+use super::{Database, Store, StoreError};
+use crate::presence::{NodeView, PresenceState, TodaysEnergy};
+use serde::Deserialize;
+use serde_json::{Value, json};
+use std::collections::HashMap;
+
+impl dyn Database + '_ {
+    /// Writes nodes, and returns the events to write with them. If several hubs see the same change of a node, only one
+    /// of them writes the event.
+    pub(crate) fn write_nodes(&mut self, nodes: &[NodeView]) -> Result<Vec<Value>, StoreError> {
+        #[derive(Deserialize)]
+        struct Before {
+            name: String,
+            state: String,
+            since_ms: i64,
+        }
+        if nodes.is_empty() {
+            return Ok(Vec::new());
+        }
+        let names: Vec<&str> = nodes.iter().map(|node| node.node.as_str()).collect();
+        let text = "SELECT name, state, since_ms FROM nodes WHERE name IN";
+        let before: Vec<Before> = read_all(self.among(text, &names)?)?;
+        let before: HashMap<&str, &Before> = (before.iter())
+            .map(|node| (node.name.as_str(), node))
+            .collect();
+        let (mut rows, mut events) = (Vec::new(), Vec::new());
+        for node in nodes {
+            let row = before.get(node.node.as_str());
+            // A node that was forgotten since then stays forgotten.
+            if row.is_some_and(|row| row.state == "forgotten" && row.since_ms >= node.since_ms) {
+                continue;
+            }
+            rows.push(json!({
+                "name": node.node,
+                "state": node.state,
+                "since_ms": node.since_ms,
+                "why": node.why,
+                "heard_ms": node.heard_ms,
+                "revision": i64::try_from(node.revision).unwrap_or(i64::MAX),
+                "status": node.status,
+            }));
+            let from = row.map_or(PresenceState::Silent.name(), |row| &row.state);
+            if from != node.state.name() {
+                let detail = json!({ "from": from, "to": node.state, "why": node.why });
+                events.push(event(node.since_ms, "node", &node.node, detail));
+            }
+        }
+        self.insert(
+            "nodes",
+            &rows,
+            // Columns without a new value keep their old one.
+            "ON CONFLICT (name) DO UPDATE SET state = excluded.state, \
+             since_ms = CASE WHEN nodes.state = excluded.state THEN nodes.since_ms ELSE excluded.since_ms END, \
+             why = excluded.why, heard_ms = COALESCE(excluded.heard_ms, nodes.heard_ms), \
+             revision = excluded.revision, status = COALESCE(excluded.status, nodes.status)",
+        )?;
+        Ok(events)
+    }
+
+    /// Removes a node from the list, and drops its desired setting; its clips and its history stay.
+    pub(crate) fn forget(&mut self, node: &str, now_ms: i64) -> Result<(), StoreError> {
+        self.query(
+            "UPDATE order_nodes SET outcome = 'missed', at_ms = $2, detail = 'the node was forgotten' \
+             WHERE node = $1 AND outcome IN ('pending', 'waiting', 'timed_out')",
+            &[node.into(), now_ms.into()],
+        )?;
+        self.query("DELETE FROM desired WHERE node = $1", &[node.into()])?;
+        self.query(
+            "UPDATE nodes SET state = 'forgotten', since_ms = $2, status = NULL, heard_ms = NULL WHERE name = $1",
+            &[node.into(), now_ms.into()],
+        )?;
+        Ok(())
+    }
+}
+
+impl Store {
+    /// The last known state of every node.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
+    pub async fn nodes(&self) -> Result<Vec<NodeView>, StoreError> {
+        let text = "SELECT name AS node, state, since_ms, why, heard_ms, revision, status, 0 AS waiting \
+                    FROM nodes WHERE state <> 'forgotten'";
+        let node = |mut row: Row| {
+            row.insert("today".to_owned(), json!(TodaysEnergy::default()));
+            // The status may be of another version of the program; the node will send a new one.
+            read(row.clone()).or_else(|_| {
+                row.remove("status");
+                read(row)
+            })
+        };
+        let rows = self.query(text, Vec::new()).await?;
+        rows.into_iter().map(node).collect()
+    }
+
+    /// The energy and skip rate of the clips of the day that begins at `since_s`, by node.
+    pub(crate) async fn today(
+        &self,
+        since_s: i64,
+    ) -> Result<HashMap<String, TodaysEnergy>, StoreError> {
+        #[derive(Deserialize)]
+        struct Used {
+            node: String,
+            #[serde(flatten)]
+            today: TodaysEnergy,
+        }
+        let rows = self.query(include_str!("sql/today.sql"), vec![since_s.into()]);
+        let used: Vec<Used> = read_all(rows.await?)?;
+        Ok(used.into_iter().map(|one| (one.node, one.today)).collect())
+    }
+}
