@@ -1,8 +1,8 @@
 //! Serves the hub's diagnostics as one archive.
 
 use super::HubView;
-use super::nodes::{self, Order, Selection};
 use crate::config::HubConfig;
+use crate::presence::PresenceState;
 use crate::store::Store;
 use albireo_service::archive;
 use albireo_service::clock::unix_milliseconds;
@@ -12,6 +12,7 @@ use axum::extract::State;
 use axum::response::Response;
 use serde::Serialize;
 use serde_json::{Value, json};
+use std::cmp::Reverse;
 
 /// Most nodes that are not online, most events and most changes in the archive.
 const MOST_NODES: usize = 1000;
@@ -43,18 +44,13 @@ pub(super) async fn archive(State(view): State<HubView>) -> Response {
         Ok(store.events_after(last - MOST_EVENTS, MOST_EVENTS).await?)
     };
     let changes = async {
-        let changes = view.store()?.changes(i64::MAX, None, MOST_CHANGES);
-        Ok(changes.await?)
+        let store = view.store()?;
+        Ok(store.changes(i64::MAX, None, MOST_CHANGES).await?)
     };
+    let mut unwell = (view.fleet).views(|node| node.state != PresenceState::Online);
     // The worst states come first.
-    let unwell = Selection {
-        state: Some("degraded,silent,offline".to_owned()),
-        sort: Order::State,
-        down: true,
-        limit: Some(MOST_NODES),
-        ..Selection::default()
-    };
-    let unwell = nodes::page(&view, unwell);
+    unwell.sort_by_key(|node| Reverse(node.state));
+    unwell.truncate(MOST_NODES);
     let about = json!({
         "program": "albireo hub",
         "version": env!("CARGO_PKG_VERSION"),
@@ -69,7 +65,7 @@ pub(super) async fn archive(State(view): State<HubView>) -> Response {
     let files = [
         ("about.json", text(Ok(about))),
         ("configuration.json", text(Ok(&*view.config))),
-        ("nodes-not-online.json", text(unwell.map(|page| page.nodes))),
+        ("nodes-not-online.json", text(Ok(unwell))),
         ("events.json", text(events.await)),
         ("changes.json", text(changes.await)),
         ("metrics.txt", metrics.into_text().into_bytes()),

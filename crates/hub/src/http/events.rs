@@ -60,8 +60,11 @@ pub(super) async fn stream(
     let last = last_id.unwrap_or(newest);
     let missed = if last > newest {
         Some("the event is from another database".to_owned())
-    } else if newest - last > MOST_REPLAYED {
-        Some(format!("{} events were missed", newest - last))
+    } else if newest.saturating_sub(last) > MOST_REPLAYED {
+        Some(format!(
+            "{} events were missed",
+            newest.saturating_sub(last)
+        ))
     } else {
         None
     };

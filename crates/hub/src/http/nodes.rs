@@ -22,7 +22,7 @@ const MOST: usize = 1000;
 /// The sort order of rows; equal rows are in the order of their names.
 #[derive(Clone, Copy, Debug, Default, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
-pub(super) enum Order {
+enum Order {
     /// Name.
     #[default]
     Name,
@@ -39,28 +39,28 @@ pub(super) enum Order {
 }
 
 /// Selects and sorts nodes.
-#[derive(Default, Deserialize, IntoParams)]
+#[derive(Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct Selection {
     /// Only nodes in these states, separated by commas: `degraded,silent`.
-    pub(super) state: Option<String>,
+    state: Option<String>,
     /// Only nodes with this text in the name.
-    pub(super) search: Option<String>,
+    search: Option<String>,
     /// Only nodes that match these names, globs and labels, separated by commas: `cam-*,region=north`.
-    pub(super) select: Option<String>,
+    select: Option<String>,
     /// The sort order.
     #[serde(default)]
     #[param(inline)]
-    pub(super) sort: Order,
+    sort: Order,
     /// Reverses the order.
     #[serde(default)]
-    pub(super) down: bool,
+    down: bool,
     /// The number of rows to skip.
     #[serde(default)]
-    pub(super) offset: usize,
+    offset: usize,
     /// Maximum number, up to 1000; 100 by default.
-    pub(super) limit: Option<usize>,
+    limit: Option<usize>,
 }
 
 /// A page of nodes.
@@ -89,11 +89,6 @@ pub(super) async fn list(
     State(view): State<HubView>,
     Query(selection): Query<Selection>,
 ) -> Result<Json<NodeList>, Problem> {
-    page(&view, selection).map(Json)
-}
-
-/// The selected nodes.
-pub(super) fn page(view: &HubView, selection: Selection) -> Result<NodeList, Problem> {
     let names = selection.state.as_deref().unwrap_or_default().split(',');
     let wanted = names.filter(|name| !name.is_empty()).map(|name| {
         PresenceState::named(name).ok_or_else(|| {
@@ -136,7 +131,7 @@ pub(super) fn page(view: &HubView, selection: Selection) -> Result<NodeList, Pro
     }
     let limit = selection.limit.unwrap_or(100).min(MOST);
     let nodes = found.iter().skip(selection.offset).take(limit);
-    Ok(NodeList {
+    Ok(Json(NodeList {
         counts: view.fleet.by_state(),
         waiting,
         total: found.len(),
@@ -144,7 +139,7 @@ pub(super) fn page(view: &HubView, selection: Selection) -> Result<NodeList, Pro
         nodes: nodes
             .filter_map(|(_, name)| view.fleet.view(name))
             .collect(),
-    })
+    }))
 }
 
 /// A node with the counts of its reports.
@@ -204,9 +199,7 @@ pub(super) async fn forget(
         );
         return Err(Problem::new(StatusCode::CONFLICT, detail));
     }
-    (view.tuner()?)
-        .forget(&node, &caller.name, unix_milliseconds())
-        .await?;
-    view.fleet.forget(&node);
+    let (tuner, now) = (view.tuner()?, unix_milliseconds());
+    tuner.forget(&node, &caller.name, now).await?;
     Ok(StatusCode::NO_CONTENT)
 }
