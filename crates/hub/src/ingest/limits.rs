@@ -19,10 +19,11 @@ pub(super) const BUSY_RETRY: Duration = Duration::from_secs(2);
 /// The longest wait for a node that has used up its share.
 const LONGEST_WAIT: Duration = Duration::from_secs(3600);
 
-/// Most events of a node and kind that are kept, apart from those of its state, which also a bad connection changes; most
-/// changes of its state; and most of its invalid reports. Further ones are only counted.
+/// Most events of a node and kind, and in how many milliseconds; further ones are only counted.
 pub(super) const EVENTS: (u32, i64) = (1, 60_000);
+/// Most events of a node's state, which changes often where the connection is bad.
 pub(super) const PRESENCE: (u32, i64) = (60, 3_600_000);
+/// Most invalid reports of a node that are kept.
 pub(super) const SET_ASIDE: (u32, i64) = (100, DAY_MS);
 
 /// The share of each node: the bytes that it may still send.

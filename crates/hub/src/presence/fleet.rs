@@ -5,7 +5,7 @@ use super::node::{NodeView, PresenceState};
 use super::today::TodaysEnergy;
 use crate::config::PresenceConfig;
 use albireo_service::clock::Now;
-use albireo_wire::{Heartbeat, NodeStatus, StatusMessage};
+use albireo_wire::{Heartbeat, StatusMessage};
 use parking_lot::{Mutex, RwLock};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
@@ -43,7 +43,7 @@ impl Fleet {
     }
 
     /// Applies a status. Returns true if the node should be asked for a full status.
-    pub fn apply_status(&self, node: &str, message: &StatusMessage, now: Now) -> bool {
+    pub fn apply_status(&self, node: &str, message: StatusMessage, now: Now) -> bool {
         self.heard(node, now, |entry| {
             if entry.run != Some(message.run) {
                 let silent = Duration::from_secs_f64(self.config.silent_after_s);
@@ -52,11 +52,11 @@ impl Fleet {
                 entry.note_seq(message.seq)?;
             }
             let mut changed = entry.node.revision != message.revision;
-            if let Some(full) = &message.full {
+            if let Some(full) = message.full {
                 entry.needs_full = false;
-                if entry.node.status.as_deref() != Some(&**full) {
+                if entry.node.status.as_deref() != Some(&*full) {
                     changed = true;
-                    entry.node.status = Some(Arc::new(NodeStatus::clone(full)));
+                    entry.node.status = Some(Arc::from(full));
                 }
             }
             entry.health = message.health;

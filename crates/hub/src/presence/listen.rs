@@ -91,7 +91,7 @@ fn hear(hub: &HubView, node: &str, payload: &ZBytes) {
             .map(|heartbeat| hub.fleet.alive(node, heartbeat, now))
             .map_err(|error| error.to_string()),
         status => albireo_wire::read::<StatusMessage>(status)
-            .map(|status| hub.fleet.apply_status(node, &status, now))
+            .map(|status| hub.fleet.apply_status(node, status, now))
             .map_err(|error| error.to_string()),
     };
     match heard {

@@ -90,7 +90,7 @@ fn a_node_silent_at_a_hub_restart_becomes_offline_in_time_and_returns() {
     fleet.sweep(at(2, 700_000));
     assert_eq!(state(), PresenceState::Offline);
     assert_eq!(fleet.view("a").unwrap().since_ms, 700_000);
-    fleet.apply_status("a", &life(0), at(3, 701_000));
+    fleet.apply_status("a", life(0), at(3, 701_000));
     assert_eq!(state(), PresenceState::Online);
 }
 
@@ -99,7 +99,7 @@ fn a_restart_is_no_conflict_but_two_nodes_with_the_same_name_are_reported() {
     let fleet = Fleet::new(&PresenceConfig::default());
     let states = [7, 8, 7].map(|run| {
         let status = StatusMessage { run, ..life(0) };
-        fleet.apply_status("a", &status, Now::system());
+        fleet.apply_status("a", status, Now::system());
         fleet.view("a").unwrap().state
     });
     use PresenceState::{Degraded, Online};
@@ -112,9 +112,9 @@ fn a_restart_is_no_conflict_but_two_nodes_with_the_same_name_are_reported() {
 fn a_notice_for_a_lost_status_is_sent_at_most_every_few_seconds() {
     let fleet = Fleet::new(&PresenceConfig::default());
     let start = Instant::now();
-    assert!(fleet.apply_status("a", &life(0), after(start, 0)));
-    assert!(!fleet.apply_status("a", &life(3), after(start, 1)));
-    assert!(fleet.apply_status("a", &life(9), after(start, 6)));
+    assert!(fleet.apply_status("a", life(0), after(start, 0)));
+    assert!(!fleet.apply_status("a", life(3), after(start, 1)));
+    assert!(fleet.apply_status("a", life(9), after(start, 6)));
     assert!(fleet.needs_full_status("a"));
 }
 
@@ -129,8 +129,8 @@ fn a_heartbeat_confirms_the_last_status_of_its_run_and_another_run_requests_the_
         full: Some(Box::new(STATUS.clone())),
         ..life(0)
     };
-    assert!(!fleet.apply_status("a", &first, at(0)));
     let (run, waiting) = (first.run, 3);
+    assert!(!fleet.apply_status("a", first, at(0)));
     let sign = |seq| Heartbeat { run, seq, waiting };
     assert!(!fleet.alive("a", sign(1), at(90)));
     fleet.sweep(at(180));

@@ -2,6 +2,7 @@
 
 use crate::config::{DatabaseConfig, HistoryConfig};
 use crate::ingest::{Recorder, decode};
+use crate::presence::{NodeView, PresenceState};
 use crate::store::Store;
 use albireo_service::clock::Now;
 use albireo_wire::{REPORT_DICTIONARY, VERSION};
@@ -10,6 +11,7 @@ use rand_pcg::Pcg64Mcg;
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use std::io::Write as _;
+use tempfile::TempDir;
 use uuid::{Builder, Uuid};
 
 const BATCHES_PER_TRANSACTION: usize = 250;
@@ -111,22 +113,56 @@ fn zstd(text: &[u8]) -> Vec<u8> {
     encoder.finish().unwrap()
 }
 
-#[tokio::test]
-async fn hostile_batches_break_nothing_and_every_acknowledged_report_is_accounted_for() {
-    // More by hand: ALBIREO_BATCHES=100000.
-    let batches: u64 =
-        std::env::var("ALBIREO_BATCHES").map_or(10_000, |text| text.parse().unwrap());
-    let folder = tempfile::tempdir().unwrap();
+/// A recorder of a new database.
+async fn recorder(folder: &TempDir, now: Now) -> (Store, Recorder) {
     let config = DatabaseConfig {
         url: format!("sqlite:{}", folder.path().join("hub.db").display()),
         ..DatabaseConfig::default()
     };
     let store = Store::open(&config).await.unwrap();
-    let now = Now {
+    let recorder = Recorder::new(&store, &HistoryConfig::default(), now);
+    (store, recorder)
+}
+
+fn now() -> Now {
+    Now {
         unix_ms: NOW_MS,
         ..Now::system()
-    };
-    let mut recorder = Recorder::new(&store, &HistoryConfig::default(), now);
+    }
+}
+
+#[tokio::test]
+async fn what_a_node_can_repeat_fills_no_table_with_events() {
+    let (folder, now) = (tempfile::tempdir().unwrap(), now());
+    let (store, mut recorder) = recorder(&folder, now).await;
+    for round in 0..100 {
+        let state = [PresenceState::Online, PresenceState::Silent][round % 2];
+        let node = NodeView {
+            node: "car-1".to_owned(),
+            state,
+            ..NodeView::default()
+        };
+        recorder.unreadable("car-2", &"x".repeat(1 << 20), NOW_MS);
+        recorder.record(&[], &[node], now).unwrap();
+    }
+    let events = store.events_after(0, 1000).await.unwrap();
+    let of = |kind: &str| events.iter().filter(|event| event.kind == kind).count();
+    assert_eq!((of("node"), of("refused")), (60, 1));
+    assert!(
+        events
+            .iter()
+            .all(|event| event.detail.to_string().len() < 3000)
+    );
+    store.close().await;
+}
+
+#[tokio::test]
+async fn hostile_batches_break_nothing_and_every_acknowledged_report_is_accounted_for() {
+    // More by hand: ALBIREO_BATCHES=100000.
+    let batches: u64 =
+        std::env::var("ALBIREO_BATCHES").map_or(10_000, |text| text.parse().unwrap());
+    let (folder, now) = (tempfile::tempdir().unwrap(), now());
+    let (store, mut recorder) = recorder(&folder, now).await;
     let mut random = Pcg64Mcg::seed_from_u64(20_261_122);
     let (mut unreadable, mut group) = (0_u64, Vec::new());
     let (mut clips, mut again, mut aside, mut refused) = (0, 0, 0, 0);

@@ -109,7 +109,7 @@ impl Hub {
             return hub.fleet.alive(node, sign, now);
         }
         let message: StatusMessage = albireo_wire::read(payload).unwrap();
-        hub.fleet.apply_status(node, &message, now)
+        hub.fleet.apply_status(node, message, now)
     }
 
     pub(super) fn answer(&self, node: &str) -> Option<Vec<u8>> {
