@@ -1,12 +1,13 @@
 //! The history of a hub: sums of energy, pages of clips, events, database files.
 
 use crate::support::postgres::Postgres;
-use crate::support::{Hub, PATIENCE, assert_has, config, now_ns, on_both, sqlite};
+use crate::support::{Hub, PATIENCE, assert_has, batch, config, now_ns, on_both, sqlite};
 use crate::tuning::{SimulatedFleet, fleet, put};
 use albireo_hub::store::{Store, StoreError, transfer};
+use albireo_wire::{Target, Threshold};
 use rstest::rstest;
 use serde_json::json;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 async fn sums_match_the_clips_and_never_mix_energy_qualities(database: &str) {
     let hub = Hub::start(config(database)).await;
@@ -105,6 +106,26 @@ async fn sums_match_the_clips_and_never_mix_energy_qualities(database: &str) {
 }
 
 on_both!(sums_match_the_clips_and_never_mix_energy_qualities);
+
+async fn clips_under_a_target_are_summed_under_the_target(database: &str) {
+    let hub = Hub::start(config(database)).await;
+    let mut batch = batch("car-1", 1..=20);
+    for (index, report) in batch.reports.iter_mut().enumerate() {
+        report.target = Some(Target::SkipRate(0.5));
+        report.threshold = Some(Threshold::new("u", 1e-4 + index as f64 * 1e-6));
+    }
+    hub.deliver(&batch).await.assert_stored();
+    let sums = hub.get("/api/v1/energy?by=threshold").await;
+    let groups = sums["groups"].as_array().unwrap().iter();
+    let groups: BTreeSet<_> = groups.map(|one| one["group"].as_str().unwrap()).collect();
+    assert_eq!(groups, BTreeSet::from(["albireo skip_rate=0.5"]));
+    let clips = hub.get("/api/v1/clips?limit=1").await;
+    let expected = json!({"threshold": "skip_rate", "value": 0.5});
+    assert_has(&clips["clips"][0], &expected);
+    hub.stop().await;
+}
+
+on_both!(clips_under_a_target_are_summed_under_the_target);
 
 #[rstest]
 #[timeout(PATIENCE)]

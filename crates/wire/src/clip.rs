@@ -1,6 +1,6 @@
 //! The report of one clip: frames, latencies, energy.
 
-use crate::{AuditReport, DroppedFrames, FrameStates, Threshold, ThresholdChange};
+use crate::{AuditReport, DroppedFrames, FrameStates, Target, Threshold, ThresholdChange};
 use serde::{Deserialize, Serialize};
 use serde_with::skip_serializing_none;
 use utoipa::ToSchema;
@@ -167,6 +167,8 @@ pub struct ClipReport {
     pub threshold: Option<Threshold>,
     /// All thresholds in force during the clip, in order: the initial one, then the changes.
     pub threshold_changes: Vec<ThresholdChange>,
+    /// The target that moves the threshold; absent without one.
+    pub target: Option<Target>,
     /// File name of the detector model.
     pub model: String,
     /// Execution provider that ran the model.

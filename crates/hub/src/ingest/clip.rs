@@ -149,18 +149,17 @@ pub(crate) fn clip(report: &ClipReport, present: Present) -> Result<Clip, String
     ] {
         row.insert(column.to_owned(), value);
     }
-    let threshold = report.threshold.as_ref();
-    // A missing text is empty. The value is the shortest text that parses to the same number.
+    // A target moves the threshold with every clip, so it names the setup in its place. A missing text is empty. The value is
+    // the shortest text that parses to the same number.
+    let (setting, value) = match (report.target, &report.threshold) {
+        (Some(target), _) => (target.name().to_owned(), target.value().to_string()),
+        (None, Some(threshold)) => (threshold.name.to_string(), threshold.value.to_string()),
+        (None, None) => Default::default(),
+    };
     let setup = [
         ("policy", name("policy", &report.policy)?),
-        (
-            "threshold",
-            threshold.map_or_else(String::new, |threshold| threshold.name.to_string()),
-        ),
-        (
-            "value",
-            threshold.map_or_else(String::new, |threshold| threshold.value.to_string()),
-        ),
+        ("threshold", setting),
+        ("value", value),
         ("model", name("model", &report.model)?),
         ("provider", name("provider", &report.provider)?),
         ("power_source", name("energy.source", &energy.source)?),

@@ -44,6 +44,7 @@ impl Reporter {
         let (board, camera) = (Arc::clone(&self.board), Arc::clone(&self.camera));
         let kept = tokio::task::spawn_blocking(move || {
             let provider = provider(&board.detector_status()).unwrap_or("none");
+            let target = board.target.report().target;
             let report = |(clip, energy): (Clip, Measured)| {
                 let mut report = ClipReport {
                     node: board.node.clone(),
@@ -51,6 +52,7 @@ impl Reporter {
                     policy: board.policy.to_owned(),
                     model: board.model.clone(),
                     provider: provider.to_owned(),
+                    target,
                     ..clip.into_report(energy)
                 };
                 report.round();

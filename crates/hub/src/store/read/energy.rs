@@ -24,7 +24,7 @@ pub enum EnergyBy {
     Day,
     /// Policy.
     Policy,
-    /// Policy and value of its threshold.
+    /// Policy and value of its threshold, or of the target that moves it.
     Threshold,
     /// Camera and name of the clip; the parts of a long clip are added. Only clips that are still kept individually.
     Clip,

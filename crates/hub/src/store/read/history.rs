@@ -82,9 +82,9 @@ pub struct StoredClip {
     pub detector_mean_ms: f64,
     /// Policy.
     pub policy: String,
-    /// Name of its threshold; empty without one.
+    /// Name of its threshold, or of the target that moves it; empty without one.
     pub threshold: String,
-    /// The threshold's value at the end of the clip.
+    /// The value of the threshold at the end of the clip, or of the target.
     #[serde(deserialize_with = "json_text::deserialize")]
     pub value: Option<f64>,
     /// Detector model.
