@@ -2,7 +2,7 @@
 
 use crate::node_frames::{Bench, CAMERA, configuration, pictures};
 use crate::support::detectors::model;
-use crate::support::{PATIENCE, grey_jpeg, next, until_read};
+use crate::support::{grey_jpeg, next, until_read};
 use albireo_core::policy::FrameState;
 use albireo_node::camera::AnswerTime;
 use albireo_node::config::NodeConfig;
@@ -137,7 +137,6 @@ impl Drive {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn every_frame_is_answered_at_once_while_the_detector_is_slow_late_or_failing() {
@@ -171,7 +170,6 @@ async fn every_frame_is_answered_at_once_while_the_detector_is_slow_late_or_fail
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_clip_is_reported_once_its_pending_frame_has_its_final_answer() {

@@ -3,8 +3,8 @@
 use crate::node_frames::{attachment, put};
 use crate::support::live_camera::{MotionJpegCamera, RtspCamera};
 use crate::support::{
-    Node, PATIENCE, albireo, assert_contains, collected, json_at, listening_peer, memory_mb, next,
-    replay, run, signal, subscribe, test_video, until, zenoh_client,
+    Node, albireo, assert_contains, collected, json_at, listening_peer, memory_mb, next, replay,
+    run, signal, subscribe, test_video, until, zenoh_client,
 };
 use albireo_core::geometry::PictureSize;
 use albireo_scene::BoxScene;
@@ -131,7 +131,6 @@ fn source(address: &str, more: &str) -> String {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ONNX Runtime and ffmpeg and RTSP server"]
 async fn a_camera_opened_by_the_node_reconnects_and_its_password_never_leaks() {
@@ -175,7 +174,6 @@ async fn a_camera_opened_by_the_node_reconnects_and_its_password_never_leaks() {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ffmpeg and RTSP server"]
 async fn a_published_camera_reconnects_and_restarts_its_numbering() {
@@ -206,7 +204,6 @@ async fn a_published_camera_reconnects_and_restarts_its_numbering() {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ffmpeg and RTSP server"]
 async fn a_gstreamer_pipeline_is_a_camera_and_motion_jpeg_over_rtsp_is_not_encoded_again() {
@@ -232,7 +229,6 @@ async fn a_gstreamer_pipeline_is_a_camera_and_motion_jpeg_over_rtsp_is_not_encod
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ONNX Runtime and ffmpeg"]
 async fn a_video_file_is_a_camera_that_never_ends() {
@@ -249,7 +245,6 @@ async fn a_video_file_is_a_camera_that_never_ends() {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ONNX Runtime"]
 async fn a_sender_that_restarts_loses_no_frame() {
@@ -282,7 +277,6 @@ fn a_source_that_cannot_be_opened_is_named_with_a_remedy(
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ONNX Runtime and ffmpeg and RTSP server"]
 async fn a_failed_source_reports_why_and_when_it_retries() {
@@ -305,7 +299,6 @@ async fn a_failed_source_reports_why_and_when_it_retries() {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ffmpeg"]
 async fn broken_pictures_are_dropped_and_a_stream_of_them_is_not_reopened_endlessly() {
@@ -331,7 +324,6 @@ async fn broken_pictures_are_dropped_and_a_stream_of_them_is_not_reopened_endles
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ffmpeg"]
 async fn motion_jpeg_is_forwarded_unchanged_at_the_rate_with_options_that_leak_nowhere() {
@@ -369,7 +361,6 @@ async fn motion_jpeg_is_forwarded_unchanged_at_the_rate_with_options_that_leak_n
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn cameras_that_come_and_go_leak_no_memory() {

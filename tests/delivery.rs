@@ -2,8 +2,8 @@
 
 use crate::support::camera::Camera;
 use crate::support::{
-    Client, Node, PATIENCE, assert_contains, free_port, metric, next, project, run, until,
-    until_ready, zenoh_client, zenoh_session,
+    Client, Node, assert_contains, free_port, metric, next, project, run, until, until_ready,
+    zenoh_client, zenoh_session,
 };
 use albireo_wire::{RefusalReason, ReportAnswer, ReportBatch, ReportRefusal, VERSION};
 use rstest::rstest;
@@ -84,7 +84,6 @@ impl Hub {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn closed_clips_survive_kills_the_open_one_a_stop_and_all_wait_for_the_answer_of_a_hub() {
@@ -125,7 +124,6 @@ async fn closed_clips_survive_kills_the_open_one_a_stop_and_all_wait_for_the_ans
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_busy_hub_is_asked_again_after_the_time_it_names_or_when_the_node_stops() {
@@ -175,7 +173,6 @@ fn median(times: &[Duration]) -> Duration {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime and Python"]
 async fn a_stalled_subscriber_slows_neither_detections_nor_http() {
@@ -197,7 +194,6 @@ async fn a_stalled_subscriber_slows_neither_detections_nor_http() {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_second_node_with_the_same_state_directory_is_rejected_with_a_reason() {
@@ -209,7 +205,6 @@ async fn a_second_node_with_the_same_state_directory_is_rejected_with_a_reason()
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_node_starts_without_its_router_answers_health_and_survives_a_router_restart() {

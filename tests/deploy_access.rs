@@ -143,7 +143,6 @@ async fn acknowledged(session: &Session, node: &str, number: u64, limit: Duratio
 const NOBODY: Duration = Duration::from_secs(3);
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn members_with_a_valid_certificate_work_and_every_intruder_is_rejected() {
     let (fleet, _router, hub) = Fleet::started().await;
@@ -225,7 +224,6 @@ async fn members_with_a_valid_certificate_work_and_every_intruder_is_rejected() 
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn a_revoked_node_is_locked_out_by_the_new_rules_until_it_has_a_new_certificate() {
     let (fleet, mut router, _hub) = Fleet::started().await;
@@ -259,7 +257,6 @@ async fn a_revoked_node_is_locked_out_by_the_new_rules_until_it_has_a_new_certif
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ONNX Runtime"]
 async fn a_real_node_reports_through_the_router_with_its_certificate() {

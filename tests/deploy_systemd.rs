@@ -137,7 +137,6 @@ impl Service {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test]
 async fn hub_and_router_notify_ready_once_feed_their_watchdogs_and_notify_their_stop() {
     let folder = tempfile::tempdir().unwrap();
@@ -152,7 +151,6 @@ async fn hub_and_router_notify_ready_once_feed_their_watchdogs_and_notify_their_
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
 async fn a_node_feeds_its_watchdog_while_its_detector_works() {
@@ -162,7 +160,6 @@ async fn a_node_feeds_its_watchdog_while_its_detector_works() {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test]
 async fn a_hub_without_its_router_feeds_its_watchdog_and_reports_what_it_waits_for() {
     let folder = tempfile::tempdir().unwrap();
@@ -176,7 +173,6 @@ async fn a_hub_without_its_router_feeds_its_watchdog_and_reports_what_it_waits_f
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
 async fn a_node_whose_detector_never_loads_starves_its_watchdog_and_reports_why() {

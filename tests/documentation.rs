@@ -299,7 +299,6 @@ async fn the_documented_commands_run_in_order() {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime and Python"]
 async fn the_python_examples_publish_and_listen() {
@@ -327,7 +326,6 @@ async fn the_python_examples_publish_and_listen() {
 
 /// The configuration and commands of the camera page, with real camera servers in place of its addresses.
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime and ffmpeg and RTSP server"]
 async fn the_camera_page_opens_a_camera_with_a_password_and_publishes_one_to_a_remote_node() {

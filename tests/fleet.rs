@@ -114,7 +114,6 @@ async fn every_report_once(hub: &HubProcess, mut car: Car) -> u64 {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_node_sends_counters_and_pictures_over_its_uplink_only_while_somebody_watches() {

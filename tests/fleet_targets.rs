@@ -2,7 +2,7 @@
 
 use crate::fleet::Car;
 use crate::support::fleet::HubProcess;
-use crate::support::{PATIENCE, assert_contains, assert_has, json_at, run, until};
+use crate::support::{assert_contains, assert_has, json_at, run, until};
 use rstest::rstest;
 use serde_json::{Value, json};
 
@@ -18,7 +18,6 @@ async fn at_node(car: &Car) -> Value {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_target_set_at_the_hub_is_held_by_the_node_until_its_threshold_is_set_by_hand() {

@@ -176,7 +176,6 @@ pub(crate) fn pictures(count: u64) -> Vec<Vec<u8>> {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn every_kind_of_dropped_frame_is_counted_under_its_own_name_and_the_next_one_is_answered() {
@@ -210,7 +209,6 @@ async fn every_kind_of_dropped_frame_is_counted_under_its_own_name_and_the_next_
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_predicted_frame_is_never_decoded() {
@@ -234,7 +232,6 @@ async fn a_predicted_frame_is_never_decoded() {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_threshold_over_zenoh_applies_from_the_next_frame_and_is_validated() {
@@ -284,7 +281,6 @@ async fn ask(session: &Session, payload: Option<&str>) -> Result<f64, String> {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_ros_2_camera_beside_another_is_answered_under_its_own_key() {

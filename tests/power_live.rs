@@ -3,8 +3,8 @@
 
 use crate::http_api::events::Events;
 use crate::support::{
-    Client, Node, PATIENCE, albireo, assert_has, fake_nvpmodel, fake_tegrastats, metric, replay,
-    script, value_of,
+    Client, Node, albireo, assert_has, fake_nvpmodel, fake_tegrastats, metric, replay, script,
+    value_of,
 };
 use rstest::rstest;
 use serde_json::{Value, json};
@@ -86,7 +86,6 @@ fn watts(message: &Value, domain: &str) -> f64 {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime and Python"]
 async fn measured_watts_are_reported_everywhere_and_nothing_waits_for_a_meter_that_then_hangs() {
@@ -167,7 +166,6 @@ async fn measured_watts_are_reported_everywhere_and_nothing_waits_for_a_meter_th
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test]
 async fn the_survey_lists_every_source_and_runs_tegrastats_through_a_configured_script() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,7 +1,7 @@
 //! `albireo replay` acts as a camera: every frame arrives, in order, with its number, time and clip.
 
 use crate::support::{
-    PATIENCE, assert_contains, free_port, grey_jpeg, jpeg, listening_peer, script, test_video,
+    assert_contains, free_port, grey_jpeg, jpeg, listening_peer, script, test_video,
 };
 use albireo::cli::replay::{self, ReplayArguments, Sent};
 use albireo_core::geometry::PictureSize;
@@ -78,7 +78,6 @@ fn pictures(count: u32) -> tempfile::TempDir {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn a_folder_arrives_complete_in_order_and_with_its_clips() {
     let folder = pictures(12);
@@ -96,7 +95,6 @@ async fn a_folder_arrives_complete_in_order_and_with_its_clips() {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn a_slow_receiver_slows_down_the_sender_and_loses_nothing() {
     // 300 frames of several 100 kB: far more than the rings, queues and sockets hold.
@@ -121,7 +119,6 @@ async fn refusal(frames: u32, more: &str) -> String {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn a_missing_subscriber_or_node_is_a_clear_error() {
     let (session, endpoint) = listening_peer().await;
@@ -225,7 +222,6 @@ fn ffmpeg_is_killed_with_the_program_even_while_it_is_silent() {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ffmpeg"]
 async fn a_real_video_arrives_frame_by_frame() {

@@ -6,8 +6,7 @@ use crate::node_frames::{
 };
 use crate::support::detectors::model;
 use crate::support::{
-    Node, PATIENCE, assert_contains, grey_jpeg, metric, next, run_command, until, until_read,
-    zenoh_client,
+    Node, assert_contains, grey_jpeg, metric, next, run_command, until, until_read, zenoh_client,
 };
 use albireo_core::policy::{Evidence, FrameHead, Need, Outcome, Policy, PolicyConfig};
 use albireo_node::PreparedNode;
@@ -67,7 +66,6 @@ fn settings(detector: &str, more: &str) -> String {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_panicking_camera_loop_is_counted_reported_and_restarted_and_no_frame_vanishes() {
@@ -124,7 +122,6 @@ async fn a_panicking_camera_loop_is_counted_reported_and_restarted_and_no_frame_
 const TAPES: [&str; 2] = ["tape-a", "tape-b"];
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 #[ignore = "needs ONNX Runtime"]
 async fn cameras_that_slow_down_their_senders_slow_down_nobody_else() {
@@ -203,7 +200,6 @@ async fn cameras_that_slow_down_their_senders_slow_down_nobody_else() {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn stopping_takes_at_most_the_configured_time_when_the_detector_hangs_and_keeps_the_clip() {
@@ -240,7 +236,6 @@ async fn stopping_takes_at_most_the_configured_time_when_the_detector_hangs_and_
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_second_node_with_the_same_name_is_degraded_until_the_first_stops() {
@@ -261,7 +256,6 @@ async fn a_second_node_with_the_same_name_is_degraded_until_the_first_stops() {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_second_signal_ends_a_node_at_once_whatever_hangs() {
@@ -295,7 +289,6 @@ async fn a_second_signal_ends_a_node_at_once_whatever_hangs() {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
 async fn two_signals_at_once_are_one_request_for_an_orderly_stop() {
@@ -314,7 +307,6 @@ fn solid(value: u8) -> Vec<u8> {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_detector_run_that_never_returns_ends_the_node_with_an_error() {
@@ -328,7 +320,6 @@ async fn a_detector_run_that_never_returns_ends_the_node_with_an_error() {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
 async fn a_node_whose_model_never_finishes_loading_stops_on_request() {
@@ -350,7 +341,6 @@ async fn a_node_whose_model_never_finishes_loading_stops_on_request() {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_disk_that_stalls_at_start_delays_no_health_check() {

@@ -1,7 +1,7 @@
 //! Connections that send or read nothing are closed, and never block other clients.
 
 use super::served::{Served, answered, frame};
-use crate::support::{Node, PATIENCE, limit};
+use crate::support::{Node, limit};
 use albireo_core::policy::FrameState;
 use albireo_service::config::HttpConfig;
 use reqwest::StatusCode;
@@ -21,7 +21,6 @@ async fn served(idle_timeout_ms: u64, max_connections: usize) -> Served {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test]
 async fn a_connection_without_a_complete_request_is_closed() {
     let node = served(300, 256).await;
@@ -39,7 +38,6 @@ async fn a_connection_without_a_complete_request_is_closed() {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test]
 async fn at_the_connection_limit_the_oldest_connection_is_closed_for_a_new_one() {
     // A process may often have no more than 1024 descriptors.
@@ -62,7 +60,6 @@ async fn at_the_connection_limit_the_oldest_connection_is_closed_for_a_new_one()
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test]
 async fn an_event_stream_that_is_not_read_is_closed() {
     let node = served(300, 256).await;
@@ -97,7 +94,6 @@ async fn an_event_stream_that_is_not_read_is_closed() {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_thousand_idle_connections_block_no_health_check_and_hold_few_descriptors() {

@@ -1,5 +1,5 @@
 use super::served::{Served, answered, clip, frame};
-use crate::support::{PATIENCE, assert_has, until};
+use crate::support::{assert_has, until};
 use albireo_core::policy::FrameState;
 use albireo_vision::detector::{DetectorStatus, ExecutionProvider};
 use reqwest::Response;
@@ -43,7 +43,6 @@ impl Events {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test]
 async fn a_threshold_change_is_sent_to_listeners() {
     let node = Served::start().await;
@@ -60,7 +59,6 @@ async fn a_threshold_change_is_sent_to_listeners() {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test]
 async fn the_current_state_comes_first_and_then_each_event_in_order_until_the_node_stops() {
     let node = Served::start().await;
@@ -92,7 +90,6 @@ async fn the_current_state_comes_first_and_then_each_event_in_order_until_the_no
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test]
 async fn a_slow_reader_learns_how_many_events_it_lost() {
     let node = Served::start().await;
@@ -107,7 +104,6 @@ async fn a_slow_reader_learns_how_many_events_it_lost() {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test]
 async fn invalid_filters_and_too_many_streams_are_rejected() {
     let node = Served::start().await;

@@ -1,7 +1,7 @@
 //! The history of a hub: sums of energy, pages of clips, events, database files.
 
 use crate::support::postgres::Postgres;
-use crate::support::{Hub, PATIENCE, assert_has, batch, config, now_ns, on_both, sqlite};
+use crate::support::{Hub, assert_has, batch, config, now_ns, on_both, sqlite};
 use crate::tuning::{SimulatedFleet, fleet, put};
 use albireo_hub::store::{Store, StoreError, transfer};
 use albireo_wire::{Target, Threshold};
@@ -128,7 +128,6 @@ async fn clips_under_a_target_are_summed_under_the_target(database: &str) {
 on_both!(clips_under_a_target_are_summed_under_the_target);
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn a_reconnecting_reader_gets_the_events_it_missed_or_a_resync() {
     let hub = Hub::fresh().await;
@@ -153,7 +152,6 @@ async fn a_reconnecting_reader_gets_the_events_it_missed_or_a_resync() {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn newer_tables_and_a_file_of_another_program_are_rejected_and_the_file_is_unchanged() {
     let letter = "Dear reader, this is no database, and it has enough words to be one.";
@@ -183,7 +181,6 @@ async fn newer_tables_and_a_file_of_another_program_are_rejected_and_the_file_is
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn the_diagnostic_archive_describes_the_hub() {
     let hub = Hub::fresh().await;
@@ -205,7 +202,6 @@ async fn the_diagnostic_archive_describes_the_hub() {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs PostgreSQL"]
 async fn postgres_imports_a_sqlite_file_with_history_report_ids_and_revisions() {

@@ -2,7 +2,7 @@
 
 use crate::support::postgres::Postgres;
 use crate::support::{
-    Hub, PATIENCE, Reply, YESTERDAY, assert_has, batch, batch_of, config, id, now_ns, on_both,
+    Hub, Reply, YESTERDAY, assert_has, batch, batch_of, config, id, now_ns, on_both,
 };
 use albireo_wire::{BatchCompression, RefusalReason, ReportBatch};
 use futures_util::stream::{FuturesUnordered, StreamExt as _};
@@ -41,7 +41,6 @@ async fn a_batch_sent_again_in_any_split_is_stored_once(database: &str) {
 on_both!(a_batch_sent_again_in_any_split_is_stored_once);
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn an_unreadable_report_is_set_aside_with_its_cause_and_rejected() {
     let hub = Hub::fresh().await;
@@ -75,7 +74,6 @@ async fn an_unreadable_report_is_set_aside_with_its_cause_and_rejected() {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn a_node_with_restored_state_or_a_wrong_clock_loses_and_duplicates_nothing_and_is_shown() {
     let hub = Hub::fresh().await;
@@ -195,7 +193,6 @@ async fn ids_are_remembered_for_thirty_days_and_older_reports_are_rejected_by_id
 on_both!(ids_are_remembered_for_thirty_days_and_older_reports_are_rejected_by_id);
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs PostgreSQL"]
 async fn postgres_a_lost_database_delays_acknowledgements_and_loses_nothing() {
@@ -231,7 +228,6 @@ async fn postgres_a_lost_database_delays_acknowledgements_and_loses_nothing() {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs PostgreSQL"]
 async fn postgres_two_hubs_on_one_database_store_a_report_once() {
@@ -251,7 +247,6 @@ async fn postgres_two_hubs_on_one_database_store_a_report_once() {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn a_batch_that_would_be_written_too_late_is_answered_busy_and_the_others_are_stored() {
     let hub = Hub::fresh_with(|config| config.database.timeout_ms = 600_000).await;
@@ -289,7 +284,6 @@ async fn a_batch_that_would_be_written_too_late_is_answered_busy_and_the_others_
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs PostgreSQL"]
 async fn postgres_days_are_partitions_and_are_dropped_whole() {

@@ -1,6 +1,6 @@
 //! Watching one node through the hub: the node sends only while it is watched.
 
-use crate::support::{Hub, PATIENCE, assert_has, batch_of, full_status, names, now_ns};
+use crate::support::{Hub, assert_has, batch_of, full_status, names, now_ns};
 use rstest::rstest;
 use serde_json::{Value, json};
 use std::sync::{Arc, OnceLock};
@@ -9,7 +9,6 @@ use tokio::time::timeout;
 use zenoh::Wait;
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_watched_node_learns_it_and_its_counters_and_pictures_reach_the_watcher() {
     let hub = Hub::fresh().await;
@@ -75,7 +74,6 @@ async fn a_watched_node_learns_it_and_its_counters_and_pictures_reach_the_watche
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn nodes_are_sorted_by_todays_energy_even_after_a_restart() {
     let mut hub = Hub::fresh().await;
@@ -111,7 +109,6 @@ async fn nodes_are_sorted_by_todays_energy_even_after_a_restart() {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_index_lists_every_documented_route() {
     let hub = Hub::fresh().await;

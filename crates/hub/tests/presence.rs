@@ -1,6 +1,6 @@
 //! The hub knows which nodes exist and their state.
 
-use crate::support::{Hub, PATIENCE, assert_has, free_port, full_status, names, open, status};
+use crate::support::{Hub, assert_has, free_port, full_status, names, open, status};
 use albireo_service::config::ZenohMode;
 use albireo_wire::ConfigChanged;
 use rstest::rstest;
@@ -8,7 +8,6 @@ use serde_json::json;
 use std::time::Duration;
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn a_node_is_online_then_degraded_with_its_reason_then_silent_then_offline() {
     let hub = Hub::fresh_with(|config| {
@@ -33,7 +32,6 @@ async fn a_node_is_online_then_degraded_with_its_reason_then_silent_then_offline
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn a_gap_in_the_numbers_makes_the_hub_ask_for_the_full_status_which_survives_a_restart() {
     let hub = Hub::fresh().await;
@@ -60,7 +58,6 @@ async fn a_gap_in_the_numbers_makes_the_hub_ask_for_the_full_status_which_surviv
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn paging_returns_each_node_once_in_every_order() {
     let hub = Hub::fresh().await;
@@ -102,7 +99,6 @@ async fn router(endpoint: &str) -> zenoh::Session {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn a_hub_without_its_router_is_not_ready_and_declares_nobody_silent() {
     let endpoint = format!("tcp/127.0.0.1:{}", free_port());

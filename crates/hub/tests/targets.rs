@@ -1,6 +1,6 @@
 //! Targets reach nodes as values do, and replace them; a target that a node cannot hold is refused with a reason.
 
-use crate::support::{Hub, PATIENCE, assert_has, config, full_status, now_ns, on_both};
+use crate::support::{Hub, assert_has, config, full_status, now_ns, on_both};
 use crate::tuning::{SimulatedFleet, begin, fleet, put, put_at, send, values};
 use albireo_hub::config::LocalChange;
 use albireo_wire::StatusMessage;
@@ -142,7 +142,6 @@ async fn a_value_or_target_reaches_the_selected_nodes_and_replaces_the_one_befor
 on_both!(a_value_or_target_reaches_the_selected_nodes_and_replaces_the_one_before);
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn a_node_changed_repeatedly_is_set_back_three_times_and_then_left_alone() {
     let hub = Hub::fresh_with(|config| config.tuning.local_change = LocalChange::SetBack).await;

@@ -2,7 +2,7 @@
 //! real sessions.
 
 use crate::support::postgres::Postgres;
-use crate::support::{Hub, PATIENCE, assert_has, config, full_status, names, on_both, sqlite};
+use crate::support::{Hub, assert_has, config, full_status, names, on_both, sqlite};
 use albireo_service::config::{NamedToken, Role, Token};
 use albireo_simulate::Options;
 use reqwest::{Method, Response, StatusCode};
@@ -108,7 +108,6 @@ async fn all_have(hub: &Hub, nodes: usize, u: f64) {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn nodes_with_old_revisions_obey_a_hub_with_an_empty_database_and_outcomes_are_streamed() {
     let hub = Hub::fresh().await;
@@ -220,7 +219,6 @@ async fn ask(hub: &Hub, method: &Method, path: &str, headers: &[(&str, &str)]) -
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn a_page_of_another_site_changes_nothing_without_a_token() {
     let hub = Hub::fresh().await;
@@ -340,7 +338,6 @@ async fn a_harmful_rollout_and_a_trial_restore_the_old_value_and_are_each_number
 on_both!(a_harmful_rollout_and_a_trial_restore_the_old_value_and_are_each_numbered_from_one);
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn a_rollout_resumes_after_a_hub_restart_and_reaches_all_nodes() {
     let hub = Hub::fresh().await;
@@ -365,7 +362,6 @@ async fn a_rollout_resumes_after_a_hub_restart_and_reaches_all_nodes() {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs PostgreSQL"]
 async fn postgres_a_node_in_a_rollout_of_one_hub_is_changed_by_no_other_hub() {
@@ -398,7 +394,6 @@ async fn postgres_a_node_in_a_rollout_of_one_hub_is_changed_by_no_other_hub() {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn a_read_token_cannot_tune_and_a_tune_token_can() {
     let token = |role, secret: &str| NamedToken {
@@ -431,7 +426,6 @@ async fn a_read_token_cannot_tune_and_a_tune_token_can() {
 }
 
 #[rstest]
-#[timeout(PATIENCE)]
 #[tokio::test(flavor = "multi_thread")]
 async fn an_invalid_request_is_rejected_with_a_remedy() {
     let hub = Hub::fresh().await;

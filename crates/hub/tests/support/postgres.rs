@@ -14,7 +14,7 @@ macro_rules! on_both {
     ($test:ident $(, $times:literal)?) => {
         mod $test {
             #[rstest::rstest]
-            #[timeout(crate::support::PATIENCE $(* $times)?)]
+            $(#[timeout($times * crate::support::PATIENCE)])?
             #[tokio::test(flavor = "multi_thread")]
             async fn sqlite() {
                 let folder = tempfile::tempdir().unwrap();
@@ -22,7 +22,7 @@ macro_rules! on_both {
             }
 
             #[rstest::rstest]
-            #[timeout(crate::support::PATIENCE $(* $times)?)]
+            $(#[timeout($times * crate::support::PATIENCE)])?
             #[tokio::test(flavor = "multi_thread")]
             #[ignore = "needs PostgreSQL"]
             async fn postgres() {
