@@ -118,8 +118,7 @@ impl Drive {
             assert!(!live.degraded && live.cause.is_none(), "{live:?}");
             assert_eq!(live.pending, self.finals.contains_key(&live.seq));
         }
-        let took = self.live.iter().map(|live| live.latency_ms.total);
-        let mut took: Vec<_> = took.collect();
+        let mut took: Vec<_> = self.live.iter().map(|live| live.latency_ms.total).collect();
         took.sort_by(f64::total_cmp);
         // Half a detector run; a busy machine may delay single answers.
         let half = took[took.len() / 2];

@@ -137,8 +137,7 @@ async fn a_camera_opened_by_the_node_reconnects_and_its_password_never_leaks() {
     let camera = RtspCamera::start("h264", &LOGIN).await;
     let (port, address) = (camera.port, with_login(&camera));
     let settings = source(&address, "# development: source_timeout_s=20");
-    let folder = tempfile::tempdir().unwrap();
-    let node = Node::start_with(folder, &settings, &ENVIRONMENT).await;
+    let node = Node::start_with(tempfile::tempdir().unwrap(), &settings, &ENVIRONMENT).await;
     until_processed(&node, 20).await;
     let programs = children(node.id());
     let lines: Vec<_> = programs.iter().map(|id| command_line(*id)).collect();
@@ -152,8 +151,7 @@ async fn a_camera_opened_by_the_node_reconnects_and_its_password_never_leaks() {
     until("it is reported", async || ready().await.contains(failed)).await;
     let mut shown = ready().await;
     let _camera = RtspCamera::start_at(port, "h264", &LOGIN).await;
-    let subject = "\"subject\":\"front\"";
-    let is_ready = async || !ready().await.contains(subject);
+    let is_ready = async || !ready().await.contains("\"subject\":\"front\"");
     until("the node is ready again", is_ready).await;
     // More frames than the ring may still hold from before.
     until_processed(&node, processed(&node).await + 70).await;

@@ -59,8 +59,7 @@ fn without_a_meter_cpu_time_and_detector_calls_are_compared_and_energy_is_marked
     assert!(calls < 0.0, "{verdict}");
     assert_eq!(verdict["energy"], "estimated", "{verdict}");
 
-    let runs = found["comparison"]["runs"].as_array().unwrap();
-    for run in runs {
+    for run in found["comparison"]["runs"].as_array().unwrap() {
         let report = report(run);
         let frames = report.frames + report.dropped.total();
         assert_eq!(frames, 20, "the warm-up is not counted: {report:?}");
@@ -88,8 +87,7 @@ fn without_a_meter_cpu_time_and_detector_calls_are_compared_and_energy_is_marked
 #[ignore = "needs ONNX Runtime"]
 fn the_boards_own_meter_is_read_in_every_run() {
     let folder = tempfile::tempdir().unwrap();
-    let task = json!({"curve": [[0, 21.5], [1, 21.5]]});
-    let program = fake_tegrastats(folder.path(), &task);
+    let program = fake_tegrastats(folder.path(), &json!({"curve": [[0, 21.5], [1, 21.5]]}));
     let power = format!("source = \"tegrastats\"\ntegrastats = {program:?}");
     let sysfs = board(folder.path());
     let nvpmodel = fake_nvpmodel(folder.path());

@@ -76,8 +76,7 @@ impl Hub {
             new.retain(|(id, _)| known.insert(*id));
             stored.extend(new.into_iter().map(|(_, count)| count));
             let answer = serde_json::to_vec(&ReportAnswer::default()).unwrap();
-            let reply = query.reply(query.key_expr().clone(), answer);
-            reply.await.unwrap();
+            query.reply(query.key_expr().clone(), answer).await.unwrap();
         }
         assert_eq!(stored, (1..=reports).collect::<Vec<_>>());
     }

@@ -53,8 +53,7 @@ async fn the_demo_has_a_hub_that_receives_its_clips_and_shows_its_node() {
     assert_eq!(after.next().unwrap(), "");
     assert!(after.next().unwrap().starts_with("clip "), "{said}");
     let table = after.take_while(|line| !line.is_empty());
-    let clips = table.map(|line| line.split_whitespace().next());
-    let clips: Vec<_> = clips.collect();
+    let clips: Vec<_> = table.map(|line| line.split_whitespace().next()).collect();
     assert!(clips.len() >= 2, "{said}");
     let road = ["busy", "sparse", "empty-then-car", "night"];
     for (number, clip) in clips.iter().enumerate() {
@@ -64,7 +63,6 @@ async fn the_demo_has_a_hub_that_receives_its_clips_and_shows_its_node() {
     // ONNX Runtime leaves a file there.
     for left in std::fs::read_dir(temporary.path()).unwrap() {
         let name = left.unwrap().file_name().into_string().unwrap();
-        let is_ours = name.starts_with("albireo");
-        assert!(!is_ours, "the demo leaves {name}");
+        assert!(!name.starts_with("albireo"), "the demo leaves {name}");
     }
 }

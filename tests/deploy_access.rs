@@ -197,8 +197,7 @@ async fn members_with_a_valid_certificate_work_and_every_intruder_is_rejected() 
     // Its own status, sent later, arrives: the earlier messages were denied, not delayed.
     loop {
         car_7.put("albireo/@status/car-7", "{}").await.unwrap();
-        let next = timeout(Duration::from_millis(200), said.recv()).await;
-        if let Ok(Some(key)) = next {
+        if let Ok(Some(key)) = timeout(Duration::from_millis(200), said.recv()).await {
             assert_eq!(key, "albireo/@status/car-7", "{}", fleet.log());
             break;
         }
@@ -215,8 +214,7 @@ async fn members_with_a_valid_certificate_work_and_every_intruder_is_rejected() 
     }
     let nothing = matches!(queries.try_recv(), Ok(None)) && overheard.try_recv().is_err();
     assert!(nothing, "{}", fleet.log());
-    let stored = hub.clips("car-8").await.len();
-    assert_eq!(stored, 5, "its own reports only");
+    assert_eq!(hub.clips("car-8").await.len(), 5, "its own reports only");
     let metrics = text_at(&format!("http://{}/metrics", fleet.http)).await;
     let value = |name: &str| value_of(&metrics, &format!("albireo_router_{name}"));
     assert!(value("sessions") >= 3.0 && value("probe_seconds") > 0.0);
@@ -244,8 +242,7 @@ async fn a_revoked_node_is_locked_out_by_the_new_rules_until_it_has_a_new_certif
         assert!(lines.any(|line| line.contains(state)), "{list}");
     }
     signal(router.id().unwrap(), "-TERM");
-    let ended = router.wait().await.unwrap();
-    assert!(ended.success(), "{}", fleet.log());
+    assert!(router.wait().await.unwrap().success(), "{}", fleet.log());
     let _router = fleet.start_router().await;
 
     // Its certificate is still valid, so it gets a session, and nothing else.

@@ -256,8 +256,7 @@ async fn the_proxy_adds_tls_and_forwards_the_token_and_the_event_stream() {
     let both = [&status[..], &token].concat();
     assert_eq!(asks("/api/v1/nodes", &both), "200");
     // The first bytes of the stream arrive although it does not end.
-    let included = ["--no-buffer", "--include", "--max-time", "3"];
-    let included = [&token[..], &included].concat();
+    let included = [&token[..], &["--no-buffer", "--include", "--max-time", "3"]].concat();
     let stream = asks("/api/v1/events", &included).to_lowercase();
     assert_contains(&stream, &["text/event-stream", "strict-transport-security"]);
 }

@@ -164,8 +164,7 @@ async fn a_node_feeds_its_watchdog_while_its_detector_works() {
 async fn a_hub_without_its_router_feeds_its_watchdog_and_reports_what_it_waits_for() {
     let folder = tempfile::tempdir().unwrap();
     let router = format!("tcp/127.0.0.1:{}", free_port());
-    let settings = behind(&router, &sqlite(folder.path()));
-    let mut hub = Service::start(&["hub"], &settings);
+    let mut hub = Service::start(&["hub"], &behind(&router, &sqlite(folder.path())));
     hub.until("STATUS=not ready: zenoh", 1).await;
     hub.until_fed(5).await;
     assert_eq!(hub.count("READY=1"), 0, "{:?}", hub.heard);

@@ -24,15 +24,9 @@ async fn a_dynamic_export_has_the_size_and_classes_of_its_metadata_reported_as_c
     assert_the_box(&detected(&detector, [51, 204, 0]).await, 1, 0.8);
     // By default only the classes of BDD100K are reported, without traffic lights.
     let detector = started(&config("yolo_open.onnx")).await;
-    assert!(
-        detected(&detector, [0, 204, 0])
-            .await
-            .output
-            .detections
-            .is_empty()
-    );
+    assert_eq!(detected(&detector, [0, 204, 0]).await, []);
     let class = async |detector: &DetectorHandle, color| {
-        let found = detected(detector, color).await.output.detections[0].class;
+        let found = detected(detector, color).await[0].class;
         detector.class_names()[usize::from(found.0)].to_owned()
     };
     assert_eq!(class(&detector, [204, 0, 0]).await, "car");
@@ -52,8 +46,7 @@ async fn float16_and_bytes_with_channels_last_give_the_results_of_float32() {
         let detector = started(&named).await;
         assert_the_box(&detected(&detector, [204, 51, 0]).await, 0, 0.8);
         assert_the_box(&detected(&detector, [0, 153, 0]).await, 1, 0.6);
-        let grey = detected(&detector, [90, 90, 90]).await;
-        assert!(grey.output.detections.is_empty());
+        assert_eq!(detected(&detector, [90, 90, 90]).await, []);
         assert_eq!(detector.counters().head, Default::default());
     }
 }
@@ -62,8 +55,7 @@ async fn float16_and_bytes_with_channels_last_give_the_results_of_float32() {
 #[ignore = "needs ONNX Runtime"]
 async fn impossible_unknown_and_outside_boxes_are_counted_and_the_valid_one_is_reported() {
     let detector = started(&config("end_to_end.onnx")).await;
-    let found = detected(&detector, [230, 0, 0]).await;
-    assert_the_box(&found, 2, 0.902);
+    assert_the_box(&detected(&detector, [230, 0, 0]).await, 2, 0.902);
     let counts = detector.counters().head;
     let counted = [counts.rejected, counts.unknown_class, counts.outside];
     assert_eq!(counted, [1, 1, 1]);
@@ -78,7 +70,7 @@ async fn a_model_that_returns_only_impossible_boxes_is_reported_and_recovers_by_
     // A few bad runs in a row are tolerated, and a good one ends the row.
     for _ in 0..2 {
         for _ in 0..4 {
-            assert!(detected(&detector, DARK).await.output.detections.is_empty());
+            assert_eq!(detected(&detector, DARK).await, []);
         }
         assert_the_box(&detected(&detector, [230, 0, 0]).await, 2, 0.902);
     }
@@ -104,8 +96,7 @@ async fn boxes_above_the_cap_are_counted_and_dropped() {
     for most in [42, 10] {
         let capped = changed("crowd.onnx", |config| config.most_detections = most);
         let detector = started(&capped).await;
-        let found = detected(&detector, [204, 0, 0]).await;
-        assert_eq!(found.output.detections.len(), most);
+        assert_eq!(detected(&detector, [204, 0, 0]).await.len(), most);
         assert_eq!(detector.counters().head.over_limit > 0, most < 42);
     }
 }
@@ -127,20 +118,14 @@ async fn a_failed_run_is_explained_and_counted_and_the_next_picture_is_answered(
 ) {
     let dark = [red, 0, 0];
     let detector = started(&changed(file, |config| config.confidence = 0.3)).await;
-    assert_eq!(
-        detected(&detector, dark).await.output.detections.len(),
-        found
-    );
+    assert_eq!(detected(&detector, dark).await.len(), found);
     let bright = detector.detect(CAMERA, one_colour([255, 0, 0])).await;
     let error = bright.unwrap_err();
     assert!(matches!(error, InferenceError::Failed(_)), "{error}");
     assert_contains(&error.to_string(), parts);
     let is_ready = |status: &DetectorStatus| matches!(status, DetectorStatus::Ready { .. });
     detector.status().wait_for(is_ready).await.unwrap();
-    assert_eq!(
-        detected(&detector, dark).await.output.detections.len(),
-        found
-    );
+    assert_eq!(detected(&detector, dark).await.len(), found);
     let counts = detector.counters();
     assert_eq!((counts.completed, counts.failed), (2, 1));
     assert_eq!((counts.rebuilds, counts.panicked), (1, 0));

@@ -16,8 +16,7 @@ fn frame(clip: &str, number: usize) -> Arc<Picture> {
     let file = file.to_str().unwrap();
     let mut video = Video::open(file, None, VideoEncoding::Png, Ffmpeg::default()).unwrap();
     let mut frames = std::iter::from_fn(|| video.next().unwrap());
-    let encoded = frames.nth(number).unwrap();
-    Arc::new(decoded(&encoded))
+    Arc::new(decoded(&frames.nth(number).unwrap()))
 }
 
 #[rstest]
@@ -82,8 +81,7 @@ async fn shared_the_upstream_screen_gives_the_logits_of_its_readme() {
         let verdict = screen.ask(CAMERA, picture).await.unwrap();
         assert_eq!(verdict.empty, number == 5);
         for (logit, expected) in verdict.logits.into_iter().zip(expected) {
-            let allowed = 0.05 + 0.01 * f32::abs(expected);
-            let close = (logit - expected).abs() <= allowed;
+            let close = (logit - expected).abs() <= 0.05 + 0.01 * f32::abs(expected);
             assert!(close, "frame {number}: {logit} instead of {expected}");
         }
     }

@@ -252,14 +252,12 @@ fn node_of(folder: &Path, command: &str) -> (Child, String, String) {
     let http = format!("127.0.0.1:{}", free_port());
     let zenoh = format!("tcp/127.0.0.1:{}", free_port());
     let ports = format!("ALBIREO_HTTP__LISTEN={http} ALBIREO_ZENOH__LISTEN='[\"{zenoh}\"]'");
-    let node = shell(folder, &format!("{ports} {command}"));
-    (node, http, zenoh)
+    (shell(folder, &format!("{ports} {command}")), http, zenoh)
 }
 
 async fn run_line(folder: &Path, line: &str) -> String {
     println!("$ {line}");
-    let output = shell(folder, line).wait_with_output().await;
-    Ended::from(output.unwrap()).succeeds()
+    Ended::from(shell(folder, line).wait_with_output().await.unwrap()).succeeds()
 }
 
 #[rstest]
@@ -332,8 +330,7 @@ async fn the_camera_page_opens_a_camera_with_a_password_and_publishes_one_to_a_r
     let page = text("docs/cameras.md");
     let commands = commands_to_run(|page| page == "docs/cameras.md");
     let command = |begins: &str| {
-        let mut commands = commands.iter();
-        let found = commands.find(|command| command.starts_with(begins));
+        let found = commands.iter().find(|command| command.starts_with(begins));
         found.unwrap_or_else(|| panic!("docs/cameras.md has no command `{begins}`"))
     };
     let replaced = |text: &str, theirs: &str, ours: &str| {
@@ -354,8 +351,7 @@ async fn the_camera_page_opens_a_camera_with_a_password_and_publishes_one_to_a_r
     let (_, config) = page.split_once("```toml\n").unwrap();
     let (config, _) = config.split_once("```").unwrap();
     let folder = workshop();
-    let config = to_camera(config, &camera);
-    std::fs::write(folder.path().join("node.toml"), config).unwrap();
+    std::fs::write(folder.path().join("node.toml"), to_camera(config, &camera)).unwrap();
     let (mut node, http, _) = node_of(folder.path(), command("GATE_USER="));
     until_frames(&format!("http://{http}")).await;
     node.kill().await.unwrap();

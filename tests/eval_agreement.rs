@@ -40,8 +40,7 @@ fn shared_every_policy_of_the_published_summary_gives_the_published_figures() {
             interpolation: Interpolation::AllPoints,
             ..Settings::default()
         };
-        let results = run(&clips.clips, &policies, &settings, &|| ()).expect("it runs");
-        for result in results {
+        for result in run(&clips.clips, &policies, &settings, &|| ()).expect("it runs") {
             let expected = &summary[&(result.clip.clone(), result.policy.clone())];
             let [e, p, ei, i, ai] = result.state_shares();
             let mut figures = vec![

@@ -24,8 +24,7 @@ fn recording() -> TempDir {
         let x = 20 + 10 * frame;
         let (right, wobble) = (x + 80, frame % 3);
         if frame % 9 != 4 {
-            let row = format!("{frame},{},200.5,{right},260,0.9,2\n", x + wobble);
-            detections.push_str(&row);
+            detections.push_str(&format!("{frame},{},200.5,{right},260,0.9,2\n", x + wobble));
         }
         truth.push_str(&format!("{frame},{x},200,{right},260,2,1\n"));
     }

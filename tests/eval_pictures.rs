@@ -325,6 +325,5 @@ fn shared_a_real_clip_is_decided_alike_live_replayed_and_from_stored_detections(
     video.rewind().unwrap();
     // One policy each that uses the detector, the screen and pixels; the fixtures test all policies.
     let policies = "albireo erd-only statues:25";
-    let node = (&detector, &screen, 0.5);
-    live::assert_live_alike(&mut video, node, &pictured, policies);
+    live::assert_live_alike(&mut video, (&detector, &screen, 0.5), &pictured, policies);
 }

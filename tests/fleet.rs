@@ -53,8 +53,7 @@ impl Car {
 
     pub(crate) async fn start(&mut self) {
         let folder = self.folder.take().unwrap();
-        let command = albireo_on_a_disk_that_fills();
-        let node = Node::start_as(command, folder, &self.settings).await;
+        let node = Node::start_as(albireo_on_a_disk_that_fills(), folder, &self.settings).await;
         let mut camera = Camera::at(&node.zenoh, &self.name).await;
         camera.seq = self.seq;
         (self.node, self.camera) = (Some(node), Some(camera));
@@ -252,8 +251,7 @@ impl Fleet {
                 "\"outbox\"",
             ),
         };
-        let path = format!("{http}/readyz");
-        let faulty = async || text_at(&path).await.contains(reason);
+        let faulty = async || text_at(&format!("{http}/readyz")).await.contains(reason);
         until("it works", async || !faulty().await).await;
         limit(self.process(part), "--fsize=4096:");
         until("its disk is full", async || {

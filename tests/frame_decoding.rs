@@ -226,8 +226,7 @@ fn nv12_is_limited_range_bt601() {
     ] {
         let mut bytes = vec![luma; 9];
         bytes.extend([cb, cr].repeat(4));
-        let picture = encoded(PictureFormat::Nv12, 3, 3, bytes);
-        let pixels = rgb(&picture);
+        let pixels = rgb(&encoded(PictureFormat::Nv12, 3, 3, bytes));
         let difference = largest_difference(&pixels, &expected.repeat(9));
         assert!(difference <= 2, "{pixels:?}, not {expected:?}");
     }
@@ -327,8 +326,7 @@ proptest! {
         let mut picture = specimens().swap_remove(specimen);
         let mut bytes = picture.bytes.to_vec();
         for (at, value) in flips {
-            let at = at.index(bytes.len());
-            bytes[at] = value;
+            bytes[at.index(bytes.len())] = value;
         }
         if let Some(cut) = cut {
             bytes.truncate(cut.index(bytes.len()));

@@ -132,8 +132,7 @@ pub(crate) async fn ask_frame(
 
 /// The reason for which a node refused a frame, if it did.
 pub(crate) fn refused(reply: Reply) -> Option<String> {
-    let sample = reply.into_result().unwrap();
-    let answer: FrameAnswer = read(&sample.payload().to_bytes()).unwrap();
+    let answer: FrameAnswer = read(&reply.into_result().unwrap().payload().to_bytes()).unwrap();
     answer.refused
 }
 
@@ -270,12 +269,10 @@ async fn ask(session: &Session, payload: Option<&str>) -> Result<f64, String> {
     if let Some(payload) = payload {
         query = query.payload(payload);
     }
-    let replies = query.await.unwrap();
-    let reply = replies.recv_async().await.unwrap();
-    let sample = reply.into_result().map_err(|error| {
-        let reason = error.payload().try_to_string().unwrap();
-        reason.into_owned()
-    })?;
+    let reply = query.await.unwrap().recv_async().await.unwrap();
+    let sample = reply
+        .into_result()
+        .map_err(|error| error.payload().try_to_string().unwrap().into_owned())?;
     let message: Value = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
     Ok(message["threshold"]["value"].as_f64().unwrap())
 }

@@ -185,8 +185,7 @@ async fn the_survey_lists_every_source_and_runs_tegrastats_through_a_configured_
             .env("ALBIREO_POWER__TEGRASTATS", started)
             .env("ALBIREO_DEVELOPMENT", format!("sysfs={}", sysfs.display()))
             .output();
-        let output = output.await.unwrap();
-        let found: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let found: Value = serde_json::from_slice(&output.await.unwrap().stdout).unwrap();
         let sources = found.as_array().unwrap();
         let names = sources.iter().map(|one| one["source"].as_str().unwrap());
         let names: Vec<_> = names.collect();

@@ -73,8 +73,7 @@ async fn a_stall_lowers_the_coverage_and_adds_no_energy() {
 
 #[test]
 fn a_slow_first_line_is_not_a_stall() {
-    let task = json!({"curve": [[0, 30], [1, 30]], "stall": [0, 1.5]});
-    let (_folder, config) = stand_in(&task);
+    let (_folder, config) = stand_in(&json!({"curve": [[0, 30], [1, 30]], "stall": [0, 1.5]}));
     let (_, mut meter) = power::open(&config).unwrap();
     let _no_line_yet = meter.poll(Instant::now()).unwrap();
 }
@@ -88,7 +87,6 @@ fn missing_rails_are_explained_by_missing_root_rights_and_another_program_is_rej
         ("hello", &["its output is not that of tegrastats"]),
     ] {
         let (_folder, config) = stand_in(&json!({"lines": [line]}));
-        let error = power::open(&config).err().unwrap();
-        assert_contains(&error.to_string(), said);
+        assert_contains(&power::open(&config).err().unwrap().to_string(), said);
     }
 }

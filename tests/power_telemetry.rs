@@ -55,8 +55,7 @@ fn shared_every_recorded_line_is_read_as_expected() {
     let boards = "agx_orin_jp5 agx_orin_jp6 agx_orin_jp7 agx_thor edited_by_test_authors orin_nano orin_nx xavier_and_older";
     for board in boards.split(' ') {
         let file = shared(&format!("telemetry/tegrastats_{board}.txt"));
-        let text = std::fs::read_to_string(file).unwrap();
-        for (number, line) in (1..).zip(text.lines()) {
+        for (number, line) in (1..).zip(std::fs::read_to_string(file).unwrap().lines()) {
             check(&format!("{board}:{number}"), line, &expected);
         }
     }

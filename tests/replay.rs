@@ -50,8 +50,7 @@ async fn replayed(source: &Path, more: &str, wait: Duration) -> (Vec<Frame>, Sen
         }
     });
     let connect = format!("--connect {endpoint} --wait-for-subscriber --every {more}");
-    let arguments = arguments(source, &connect);
-    let replay = replay::run(arguments, CancellationToken::new());
+    let replay = replay::run(arguments(source, &connect), CancellationToken::new());
     let sent = replay.await.unwrap();
     let frames = std::iter::from_fn(|| receiver.try_recv().ok()).collect();
     (frames, sent)
@@ -101,8 +100,7 @@ async fn a_slow_receiver_slows_down_the_sender_and_loses_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let mut noise = vec![0_u8; 3 * 640 * 480];
     Pcg64Mcg::seed_from_u64(1).fill_bytes(&mut noise);
-    let file = folder.path().join("noise.jpg");
-    std::fs::write(file, jpeg(&noise, [640, 480])).unwrap();
+    std::fs::write(folder.path().join("noise.jpg"), jpeg(&noise, [640, 480])).unwrap();
     let (more, wait) = ("--rate max --loop --frames 300", Duration::from_millis(2));
     let (frames, sent) = replayed(folder.path(), more, wait).await;
     assert_eq!(sent.frames, 300);
@@ -113,8 +111,7 @@ async fn a_slow_receiver_slows_down_the_sender_and_loses_nothing() {
 /// The error of a replay of that many frames.
 async fn refusal(frames: u32, more: &str) -> String {
     let folder = pictures(frames);
-    let arguments = arguments(folder.path(), more);
-    let error = replay::run(arguments, CancellationToken::new()).await;
+    let error = replay::run(arguments(folder.path(), more), CancellationToken::new()).await;
     format!("{:#}", error.unwrap_err())
 }
 
@@ -122,8 +119,7 @@ async fn refusal(frames: u32, more: &str) -> String {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_missing_subscriber_or_node_is_a_clear_error() {
     let (session, endpoint) = listening_peer().await;
-    let waiting = format!("--connect {endpoint} --wait-for-subscriber=1");
-    let error = refusal(1, &waiting).await;
+    let error = refusal(1, &format!("--connect {endpoint} --wait-for-subscriber=1")).await;
     let nobody = "no node took frames on `albireo/node/front/frame`";
     assert_contains(&error, &[nobody]);
     let _other = session.declare_subscriber("albireo/node/front/frame").await;

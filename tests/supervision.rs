@@ -155,8 +155,7 @@ async fn cameras_that_slow_down_their_senders_slow_down_nobody_else() {
     let mut senders = Vec::new();
     for tape in TAPES {
         for seq in 0..4 {
-            let attached = attachment(seq, None, None);
-            put(&bench.session, tape, &picture, attached).await;
+            put(&bench.session, tape, &picture, attachment(seq, None, None)).await;
         }
         // As `albireo replay --every` does: each frame after the previous one was accepted.
         let (session, picture) = (bench.session.clone(), picture.clone());

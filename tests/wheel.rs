@@ -86,8 +86,7 @@ fn decided(
             numbers.extend(<[f64; 4]>::from(object.bounding_box));
             numbers.push(object.tau);
             let since = [object.since_update, object.since_infer];
-            let counters = [object.hits, since[0], since[1], object.misses];
-            numbers.extend(counters.map(f64::from));
+            numbers.extend([object.hits, since[0], since[1], object.misses].map(f64::from));
         }
     }
     numbers.into_iter().flat_map(f64::to_ne_bytes).collect()

@@ -291,8 +291,7 @@ fn rollout(data: &[u8]) -> bool {
 /// A router's access rules, and the list of certificates that they are generated from.
 fn access(data: &[u8]) -> bool {
     let text = String::from_utf8_lossy(data);
-    let mut router = zenoh::Config::default();
-    let taken = router.insert_json5("access_control", &text);
+    let taken = zenoh::Config::default().insert_json5("access_control", &text);
     json::<Vec<Entry>>(data) || taken.is_ok()
 }
 

@@ -150,8 +150,7 @@ async fn every_documented_command_works() {
         let curl = format!("exec curl -sSf --max-time {limit} ");
         let mut shell = tokio::process::Command::new("sh");
         shell.args(["-c", &here.replace("curl ", &curl)]);
-        let output = shell.current_dir(directory.path()).output().await;
-        let ended = Ended::from(output.unwrap());
+        let ended = Ended::from(shell.current_dir(directory.path()).output().await.unwrap());
         assert_eq!(ended.code, Some(code), "{command}: {}", ended.err);
         assert!(ended.out.starts_with(begin), "{command}: {}", ended.out);
     }

@@ -49,8 +49,7 @@ async fn a_threshold_change_is_sent_to_listeners() {
     let mut events = Events::new(node.get("/api/v1/events?types=threshold&camera=rear").await);
     assert_eq!(events.expect("threshold").await["threshold"]["value"], 3e-4);
     for path in ["/api/v1/cameras/front/threshold", "/api/v1/threshold"] {
-        let response = node.put(path, r#"{"u": 5e-4}"#).await;
-        assert!(response.status().is_success());
+        assert!(node.put(path, r#"{"u": 5e-4}"#).await.status().is_success());
     }
     // A change of the other camera alone is not sent.
     let event = events.expect("threshold").await;

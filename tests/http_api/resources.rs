@@ -181,8 +181,7 @@ async fn an_unfinished_request_times_out_with_an_answer() {
 
 #[tokio::test]
 async fn the_page_loads_nothing_from_other_hosts() {
-    let node = Served::start().await;
-    let page = node.get("/").await.text().await.unwrap();
+    let page = Served::start().await.get("/").await.text().await.unwrap();
     assert!(page.contains("<html lang=\"en\">"));
     for outside in ["http://", "https://", "src=\"//", "href=\"//"] {
         assert!(!page.contains(outside), "{outside}");

@@ -54,8 +54,7 @@ impl Served {
     }
 
     pub(crate) async fn kept_in(state_dir: &Path) -> Self {
-        let board = board("albireo", Some(state_dir));
-        Self::over(HttpConfig::default(), board).await
+        Self::over(HttpConfig::default(), board("albireo", Some(state_dir))).await
     }
 
     pub(crate) async fn over(http: HttpConfig, board: Arc<Board>) -> Self {

@@ -1,7 +1,8 @@
 //! The tiny models of tests/fixtures/models, and pictures for them.
 
+use albireo_core::detection::Detection;
 use albireo_core::geometry::{Corners, PictureSize};
-use albireo_vision::detector::{CameraSlot, Detected, DetectorConfig, DetectorHandle};
+use albireo_vision::detector::{CameraSlot, DetectorConfig, DetectorHandle};
 use albireo_vision::picture::{EncodedPicture, FrameLimits, Picture, PixelLayout, decode};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -39,16 +40,17 @@ pub(crate) async fn refusal(config: &DetectorConfig) -> String {
     refused.unwrap_or_else(|| panic!("{config:?} was accepted"))
 }
 
-pub(crate) async fn detected(detector: &DetectorHandle, color: [u8; 3]) -> Detected {
-    detector.detect(CAMERA, one_colour(color)).await.unwrap()
+pub(crate) async fn detected(detector: &DetectorHandle, color: [u8; 3]) -> Vec<Detection> {
+    let detected = detector.detect(CAMERA, one_colour(color)).await;
+    detected.unwrap().output.detections
 }
 
 /// Asserts that the only detection is the fixtures' box in a picture of size [`PICTURE`].
 #[track_caller]
-pub(crate) fn assert_the_box(found: &Detected, class: u16, confidence: f64) {
-    let found = &found.output.detections;
-    assert_eq!(found.len(), 1, "{found:?}");
-    let detection = &found[0];
+pub(crate) fn assert_the_box(found: &[Detection], class: u16, confidence: f64) {
+    let [detection] = found else {
+        panic!("not one box: {found:?}");
+    };
     assert_eq!(detection.class.0, class);
     let off = (detection.confidence - confidence).abs();
     assert!(off < 2e-3, "{detection:?}");

@@ -200,8 +200,7 @@ pub(crate) async fn deliver(
 }
 
 pub(crate) fn report(node: &str, number: u64, begun_ns: u64) -> ClipReport {
-    let id = reports::id(node, number, begun_ns);
-    let mut report = clip_report(node, "front", number, id);
+    let mut report = clip_report(node, "front", number, reports::id(node, number, begun_ns));
     report.started_ns = begun_ns + number * 1_000_000;
     report
 }

@@ -98,8 +98,7 @@ pub(crate) async fn until_ready(http: &str) {
 }
 
 pub(crate) fn signal(process: u32, signal: &str) {
-    let mut kill = std::process::Command::new("kill");
-    run_command(kill.args([signal, &process.to_string()])).succeeds();
+    run_command(std::process::Command::new("kill").args([signal, &process.to_string()])).succeeds();
 }
 
 /// Sets a limit of a process with `prlimit` (Debian package `util-linux`).

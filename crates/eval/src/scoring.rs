@@ -135,10 +135,8 @@ pub(crate) mod tests {
 
     #[test]
     fn an_objects_box_is_cut_and_clamped_to_the_last_pixel() {
-        let object = object([0.95, 0.2, 0.3, 0.6]);
-        let cut = score_object(&object, PictureSize::new(100, 50)).corners;
-        let edges = [cut.x1, cut.y1, cut.x2, cut.y2];
-        assert_eq!(edges, [80.0, 0.0, 99.0, 25.0]);
+        let cut = score_object(&object([0.95, 0.2, 0.3, 0.6]), PictureSize::new(100, 50)).corners;
+        assert_eq!([cut.x1, cut.y1, cut.x2, cut.y2], [80.0, 0.0, 99.0, 25.0]);
     }
 
     #[test]

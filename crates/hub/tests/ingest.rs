@@ -17,8 +17,7 @@ async fn a_batch_sent_again_in_any_split_is_stored_once(database: &str) {
     assert_eq!((answer.refused.len(), answer.missing.len()), (0, 0));
     // The answer was lost: the same reports come again, then split differently, then with more behind them.
     for numbers in [1..=8, 3..=5, 6..=12] {
-        let sent = batch("car-1", numbers);
-        let again = hub.deliver(&sent).await.answer();
+        let again = hub.deliver(&batch("car-1", numbers)).await.answer();
         assert!(again.refused.is_empty(), "{again:?}");
     }
     // One batch has the same report twice.

@@ -209,8 +209,7 @@ const JSON: (&str, &str) = ("content-type", "application/json");
 
 /// The answer to a change of all nodes with these headers.
 async fn ask(hub: &Hub, method: &Method, path: &str, headers: &[(&str, &str)]) -> Response {
-    let url = format!("{}{path}", hub.http);
-    let mut request = reqwest::Client::new().request(method.clone(), url);
+    let mut request = reqwest::Client::new().request(method.clone(), format!("{}{path}", hub.http));
     for (name, value) in headers {
         request = request.header(*name, *value);
     }
@@ -237,8 +236,7 @@ async fn a_page_of_another_site_changes_nothing_without_a_token() {
             (&[JSON], &[404, 422]),
         ] {
             let status = ask(&hub, &method, path, headers).await.status().as_u16();
-            let is_right = expected.contains(&status);
-            assert!(is_right, "{path} {headers:?}: {status}");
+            assert!(expected.contains(&status), "{path} {headers:?}: {status}");
         }
     }
     hub.stop().await;
@@ -460,8 +458,7 @@ async fn an_invalid_request_is_rejected_with_a_remedy() {
         }
     }
     command(&hub, "/api/v1/rollouts/77/next", StatusCode::NOT_FOUND).await;
-    let unknown = "/api/v1/rollouts/77/hurry";
-    let answer = command(&hub, unknown, StatusCode::NOT_FOUND).await;
+    let answer = command(&hub, "/api/v1/rollouts/77/hurry", StatusCode::NOT_FOUND).await;
     assert_eq!(answer["allowed"].as_array().unwrap().len(), 5);
     hub.stop().await;
 }

@@ -195,8 +195,7 @@ mod tests {
         assert!(!text.contains("picture"), "nobody asked for pictures");
         let with_pictures = rules(&all, "fleet/north", true).unwrap();
         for (access, shows) in [(access, false), (with_pictures, true)] {
-            let policies = access["policies"].as_array().unwrap();
-            let mut policies = policies.iter();
+            let mut policies = access["policies"].as_array().unwrap().iter();
             let own = policies.find(|one| one["subjects"][0] == "node/car-7/2");
             let own = own.unwrap()["rules"].to_string();
             assert!(!own.contains("hub "), "{own}");

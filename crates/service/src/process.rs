@@ -71,7 +71,6 @@ mod tests {
         }
         let figures = figures();
         assert_eq!(figures.len(), 6, "{figures:?}");
-        let are_positive = figures.iter().all(|value| *value > 0.0);
-        assert!(are_positive, "{figures:?}");
+        assert!(figures.iter().all(|value| *value > 0.0), "{figures:?}");
     }
 }

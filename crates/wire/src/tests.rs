@@ -66,8 +66,7 @@ fn a_corrupt_batch_and_an_unknown_dictionary_are_rejected() {
 
 #[test]
 fn unknown_fields_and_values_in_a_report_are_tolerated() {
-    let report = &example().reports[0];
-    let mut json = serde_json::to_value(report).unwrap();
+    let mut json = serde_json::to_value(&example().reports[0]).unwrap();
     json["ended_by"] = "eclipse".into();
     json["energy"]["quality"] = "guessed".into();
     json["of_a_later_version"] = 7.into();
@@ -99,8 +98,7 @@ fn call_causes_serialise_by_name_and_unknown_ones_are_ignored() {
         assert_eq!(calls.get(cause), 0);
         calls.count(cause);
         assert_eq!(calls.get(cause), 1);
-        let written = serde_json::to_value(cause).unwrap();
-        assert_eq!(written, cause.as_str());
+        assert_eq!(serde_json::to_value(cause).unwrap(), cause.as_str());
     }
     let json = serde_json::to_string(&calls).unwrap();
     assert_eq!(serde_json::from_str::<DetectorCalls>(&json).unwrap(), calls);

@@ -6,8 +6,7 @@ use std::time::{Duration, SystemTime};
 use uuid::{Builder, Uuid};
 
 pub(crate) fn now_ns() -> u64 {
-    let since = SystemTime::UNIX_EPOCH.elapsed().unwrap();
-    u64::try_from(since.as_nanos()).unwrap()
+    u64::try_from(SystemTime::UNIX_EPOCH.elapsed().unwrap().as_nanos()).unwrap()
 }
 
 /// An id that is unique per node, time and number.

@@ -159,8 +159,7 @@ fn intervals_cover_the_full_comparison_at_their_rate() {
 
 #[test]
 fn fields_of_later_versions_are_ignored_and_zeros_are_not_written() {
-    let text = serde_json::to_string(&AuditSums::default()).unwrap();
-    assert_eq!(text, "{}");
+    assert_eq!(serde_json::to_string(&AuditSums::default()).unwrap(), "{}");
     let later = r#"{"missed":3,"by_weather":{"rain":{}},"frames":2,"squares":{"hue":1}}"#;
     let sums: AuditSums = serde_json::from_str(later).unwrap();
     assert_eq!((sums.missed, sums.frames, sums.drawn()), (3, 2, 5));

@@ -101,7 +101,6 @@ mod tests {
             one(0.54, 1, 0.55, BoxSource::Detected),
         ];
         assert_eq!(published(None, &row), [0.6, 0.55, 0.4]);
-        let same = [row[2], row[2]];
-        assert_eq!(published(None, &same), [0.4]);
+        assert_eq!(published(None, &[row[2], row[2]]), [0.4]);
     }
 }

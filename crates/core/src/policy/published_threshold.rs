@@ -92,8 +92,7 @@ mod tests {
     #[test]
     fn the_equivalent_lets_the_published_filter_predict_for_as_many_frames() {
         let frames = |model: &FilterModel, u: f64| {
-            let taus = curve(model);
-            taus[1..].iter().take_while(|tau| **tau < u).count()
+            curve(model)[1..].iter().take_while(|tau| **tau < u).count()
         };
         for size in SIZES {
             let published = FilterModel::new(&AlbireoSettings::reference().objects.filter, size);
@@ -116,7 +115,6 @@ mod tests {
         // Below the first a seen object calls the detector on every frame.
         assert!(spec.useful_minimum <= taus[1] && taus[1] <= 1.5 * spec.useful_minimum);
         let most = spec.useful_maximum;
-        let predicted = taus[1..].iter().take_while(|tau| **tau < most);
-        assert_eq!(predicted.count(), 6);
+        assert_eq!(taus[1..].iter().take_while(|tau| **tau < most).count(), 6);
     }
 }

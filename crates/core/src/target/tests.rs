@@ -87,10 +87,7 @@ impl Plant {
 /// Lets `seconds` pass; returns every state.
 fn run(controller: &mut TargetController, plant: &mut Plant, seconds: u32) -> Vec<TargetState> {
     (0..seconds)
-        .map(|_| {
-            let measured = plant.second(controller.threshold());
-            controller.step(&measured)
-        })
+        .map(|_| controller.step(&plant.second(controller.threshold())))
         .collect()
 }
 
@@ -179,16 +176,14 @@ fn an_overload_is_reported_counted_and_left_within_a_minute_of_its_end() {
     plant.detector_ms = 40.0;
     plant.busy = 0.6;
     settles(&mut controller, &mut plant, "after");
-    let after = run(&mut controller, &mut plant, 1);
-    assert_eq!(after[0].unmet, 1);
+    assert_eq!(run(&mut controller, &mut plant, 1)[0].unmet, 1);
 }
 
 #[test]
 fn a_load_below_the_target_at_the_accurate_end_counts_as_met() {
     let mut plant = Plant::new(31);
     plant.busy = 0.0;
-    let target = Target::Watts(7.5);
-    let mut controller = TargetController::new(target, RANGE, 0.3).unwrap();
+    let mut controller = TargetController::new(Target::Watts(7.5), RANGE, 0.3).unwrap();
     let last = *run(&mut controller, &mut plant, 120).last().unwrap();
     assert_eq!(last.status, TargetStatus::MoreThanKept, "{last:?}");
     assert!((last.threshold - RANGE.least).abs() < 1e-9);

@@ -67,8 +67,7 @@ fn without_ground_truth_accuracy_is_undefined_and_without_predictions_it_is_zero
     let nothing = accuracy(&[vec![at(0.0, 0.9)]], &[vec![]], Classes::Pooled, area);
     assert_eq!(nothing, None);
     let result = pooled(&[], &[vec![at(0.0, 1.0)]]);
-    let figures = [result.ap50, result.precision, result.recall];
-    assert_eq!(figures, [0.0; 3]);
+    assert_eq!([result.ap50, result.precision, result.recall], [0.0; 3]);
 }
 
 #[test]

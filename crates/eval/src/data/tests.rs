@@ -53,8 +53,7 @@ fn recorded_detections_truth_and_ignored_regions_are_read_frame_by_frame_and_wri
     assert_eq!(counts, [1, 0, 1]);
     assert_eq!(detections[0][0].corners.x2, 3.5);
     assert_eq!(detections[0][0].class, CAR);
-    let truth = clip.truth.as_ref().unwrap();
-    assert_eq!(truth[1][0].object, Some(7));
+    assert_eq!(clip.truth.as_ref().unwrap()[1][0].object, Some(7));
     let regions: Vec<usize> = clip.ignored.iter().map(Vec::len).collect();
     assert_eq!((regions, clip.ignored[1][0].y2), (vec![0, 1, 0], 20.5));
     let copy = tempfile::tempdir().unwrap();
@@ -125,8 +124,7 @@ fn missing_parts_of_a_clip_are_named_and_an_empty_clip_is_counted() {
     assert!(clips.report.lines()[0].contains("no ground truth"));
     // The index counts boxes.
     let counted = INDEX.replace("\"frames\"", "\"ground_truth_boxes\": 4, \"frames\"");
-    let missing = recorded(&counted, Some(""), None);
-    assert_refused(missing, &["groundtruth/a.csv"]);
+    assert_refused(recorded(&counted, Some(""), None), &["groundtruth/a.csv"]);
     let empty = INDEX.replace("\"frames\": 3", "\"frames\": 0");
     assert_refused(recorded(&empty, Some(""), None), &["clip without frames"]);
 }
@@ -158,8 +156,7 @@ fn mot_challenge_counts_frames_and_pixels_from_one_and_knows_both_releases() {
     assert!(truth[1].is_empty());
     assert_eq!(clips.report.left_out[&LeftOut::IgnoredRegion].0, 2);
     assert_eq!(clips.report.unmapped_classes["6"], 1);
-    let detections = clip.detections.as_ref().unwrap();
-    assert_eq!(detections[1][0].confidence, 0.8);
+    assert_eq!(clip.detections.as_ref().unwrap()[1][0].confidence, 0.8);
     let broken = folder(&[("seqinfo.ini", SEQINFO), ("gt/gt.txt", "1,4,11\n")]);
     assert_refused(mot_challenge::read(broken.path()), &["gt.txt:1: "]);
 }
@@ -206,8 +203,7 @@ fn bdd100k_reads_both_spellings_and_maps_seven_classes_to_six() {
     let clips = bdd100k::read(&source(Some(&truth), Some(&found))).unwrap();
     let clip = &clips.clips[0];
     assert_eq!((clip.name.as_str(), clip.frames), ("v", 3));
-    let boxes = clip.truth.as_ref().unwrap();
-    let rider = boxes[0][0];
+    let rider = clip.truth.as_ref().unwrap()[0][0];
     assert_eq!((rider.class, rider.object), (PERSON, Some(122_062)));
     assert_eq!(clip.detections.as_ref().unwrap()[1].len(), 1);
     assert_eq!(clips.clips[1].detections, None, "no predictions for `w`");

@@ -46,8 +46,7 @@ fn policies(asked: &[&str]) -> Vec<PolicySpec> {
 
 fn published(clip: &Clip, policy: &str, stream: Stream) -> Published {
     let specs = policies(&[policy]);
-    let spec = specs.last().unwrap();
-    let policy = spec.config.build().unwrap();
+    let policy = specs.last().unwrap().config.build().unwrap();
     let mut evidence = StoredEvidence::new(clip, &Settings::default()).unwrap();
     publish(clip, policy, &mut evidence, &stream).unwrap()
 }

@@ -189,8 +189,7 @@ impl Hub {
         let query = self.uplink.get(format!("albireo/@pull/{node}"));
         let query = query.payload(request);
         let replies = query.timeout(Duration::from_secs(20)).await.unwrap();
-        let reply = replies.recv_async().await.unwrap();
-        let sample = reply.into_result().unwrap();
+        let sample = replies.recv_async().await.unwrap().into_result().unwrap();
         albireo_wire::read(&sample.payload().to_bytes()).unwrap()
     }
 }

@@ -98,8 +98,7 @@ impl Postgres {
 
     /// Kills the server with SIGKILL: changes not yet in its log are lost.
     pub fn kill(&self) {
-        let file = format!("{}/postmaster.pid", self.data());
-        let first = std::fs::read_to_string(file).unwrap();
+        let first = std::fs::read_to_string(format!("{}/postmaster.pid", self.data())).unwrap();
         let id = first.lines().next().unwrap().to_owned();
         let kill = |signal: &str| {
             Command::new("kill")

@@ -107,8 +107,7 @@ fn a_span_older_than_the_history_is_reported_as_not_covered() {
     let found = bench.energy(0, 200_000);
     assert_eq!(found.quality, EnergyQuality::Partial);
     assert!((found.coverage - 0.51).abs() < 0.01, "{}", found.coverage);
-    let found = bench.energy(0, 50_000);
-    assert_eq!(found.quality, EnergyQuality::Unavailable);
+    assert_eq!(bench.energy(0, 50_000).quality, EnergyQuality::Unavailable);
 }
 
 #[test]

@@ -3,8 +3,7 @@ use crate::tests::assert_contains;
 use std::path::Path;
 
 fn shell(script: &str) -> LineChild {
-    let arguments = ["-c".to_owned(), script.to_owned()];
-    LineChild::start(Path::new("/bin/sh"), &arguments).unwrap()
+    LineChild::start(Path::new("/bin/sh"), &["-c".to_owned(), script.to_owned()]).unwrap()
 }
 
 const LONG: Duration = Duration::from_secs(60);
@@ -63,8 +62,7 @@ fn a_silent_child_is_killed_and_restarted() {
     assert_eq!(texts(&mut child, 1), ["here"]);
     assert_ne!(child.process(), Some(stalled));
     assert!(!exists(stalled));
-    let trouble = child.trouble.as_deref().unwrap();
-    assert_contains(trouble, &["printed nothing"]);
+    assert_contains(child.trouble.as_deref().unwrap(), &["printed nothing"]);
 }
 
 #[test]

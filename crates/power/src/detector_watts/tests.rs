@@ -28,8 +28,7 @@ impl Machine {
                 learnt.called(end, ms(self.call));
             }
             if (now + 1).is_multiple_of(self.interval) {
-                let counted = reading(Value::Counter(joules));
-                history.add(end, &counted, |_, _| Vec::new());
+                history.add(end, &reading(Value::Counter(joules)), |_, _| Vec::new());
                 learnt.learn(&history);
             }
         }

@@ -91,8 +91,7 @@ fn a_psys_counter_below_its_packages_is_not_trusted() {
     }
     for (platform, total) in [(false, 10.0), (true, 12.0)] {
         let mut meter = Rapl { zones, platform };
-        let readings = meter.poll(start + Duration::from_secs(3)).unwrap();
-        let found = readings[0].value(Domain::Total);
+        let found = meter.poll(start + Duration::from_secs(3)).unwrap()[0].value(Domain::Total);
         assert_eq!(found, Some(Value::Counter(total)));
         zones = meter.zones;
     }

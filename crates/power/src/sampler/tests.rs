@@ -81,8 +81,7 @@ async fn energy_is_exact_from_the_shortest_to_the_longest_interval() {
                 counted = joules;
                 assert!((joules - 10.0 * so_far.covered_s["total"]).abs() < 1e-6);
             }
-            let powers = so_far.watts.len();
-            assert_eq!(powers, 1, "after {second} s at {interval} ms");
+            assert_eq!(so_far.watts.len(), 1, "after {second} s at {interval} ms");
         }
         let at_most_missing = 10.0 * (interval as f64 / 1e3 + 0.1);
         let is_enough = counted > 400.0 - at_most_missing;
@@ -112,8 +111,7 @@ async fn a_stalled_meter_makes_energy_partial_at_short_and_long_intervals() {
         assert!(is_enough, "{failed} failed at {interval} ms");
         let is_right = (spent.coverage - 0.7).abs() < 0.06;
         assert!(is_right, "{spent:?} at {interval} ms");
-        let joules = total(&spent);
-        assert!((joules - 2000.0 * spent.coverage).abs() < 1e-6);
+        assert!((total(&spent) - 2000.0 * spent.coverage).abs() < 1e-6);
     }
 }
 
@@ -179,8 +177,7 @@ fn tree() -> Tree {
     for (package, name) in [("intel-rapl:0", "package-0"), ("intel-rapl:1", "package-1")] {
         tree.rapl(package, name, 123_456_789_012);
         for (sub, name) in ["core", "uncore", "dram"].into_iter().enumerate() {
-            let zone = format!("{package}/{package}:{sub}");
-            tree.rapl(&zone, name, 123_456_789_012);
+            tree.rapl(&format!("{package}/{package}:{sub}"), name, 123_456_789_012);
         }
     }
     for zone in 0..10 {

@@ -53,8 +53,7 @@ mod tests {
             ("FUTURE_TOKEN value", None),
         ] {
             let rails = tegrastats_rails(&format!("RAM 1/2MB {text}")).unwrap();
-            let found = rails.first().map(|rail| rail.watts);
-            assert_eq!(found, watts, "{text}");
+            assert_eq!(rails.first().map(|rail| rail.watts), watts, "{text}");
         }
     }
 

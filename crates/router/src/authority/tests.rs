@@ -57,8 +57,7 @@ fn openssl_accepts_the_chain_for_the_intended_purposes() {
     let is_router = verifies("sslserver", &node.certificate);
     assert!(!is_router, "a node is no router");
     let show = ["x509", "-noout", "-ext", "subjectAltName", "-in"];
-    let shown = openssl(&show, &router.certificate).stdout;
-    let shown = String::from_utf8(shown).unwrap();
+    let shown = String::from_utf8(openssl(&show, &router.certificate).stdout).unwrap();
     for part in ["DNS:router.example", "IP Address:127.0.0.1"] {
         assert!(shown.contains(part), "{shown}");
     }
@@ -100,8 +99,7 @@ fn renewal_keeps_the_name_and_replaces_key_and_expiry() {
 fn unsafe_names_and_impossible_lifetimes_are_rejected() {
     let (_folder, mut authority) = authority();
     for name in ["", "a/b", "*", "../x", "a b"] {
-        let refused = issue(&mut authority, Role::Node, name);
-        assert_refused(refused, "name");
+        assert_refused(issue(&mut authority, Role::Node, name), "name");
     }
     for lasts in [YEAR * 1_000_000, Duration::MAX] {
         let refused = authority.issue(Role::Node, "car-7", &[], lasts);
@@ -118,8 +116,7 @@ fn neither_a_second_authority_nor_an_unreadable_list_overwrites_the_first() {
     let list = folder.path().join("list.json");
     for text in ["{", r#"{"v": 9, "issued": []}"#] {
         std::fs::write(&list, text).unwrap();
-        let refused = Authority::open(folder.path());
-        assert_refused(refused.map(drop), "list.json");
+        assert_refused(Authority::open(folder.path()).map(drop), "list.json");
         assert_eq!(std::fs::read_to_string(&list).unwrap(), text);
     }
 }

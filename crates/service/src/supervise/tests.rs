@@ -81,8 +81,7 @@ async fn a_task_that_panics_or_ends_too_early_is_counted_reported_and_restarted(
     assert_eq!(bench.failures(), 1);
     assert_eq!(bench.readiness.health().state(), HealthState::Degraded);
     // It ends after a pause, and the next one is twice as long.
-    let last = bench.starts.recv().await.unwrap();
-    assert_eq!(last - again, 3 * FIRST_PAUSE);
+    assert_eq!(bench.starts.recv().await.unwrap() - again, 3 * FIRST_PAUSE);
     assert_eq!(bench.failures(), 2);
     tokio::time::sleep(CALM).await;
     tokio::task::yield_now().await;
@@ -109,8 +108,7 @@ async fn the_restart_pause_doubles_to_a_limit_and_resets_after_a_calm_run() {
     for _ in 0..20 {
         last = bench.starts.recv().await.unwrap();
     }
-    let start = bench.starts.recv().await.unwrap();
-    assert_eq!(start - last, LONGEST_PAUSE);
+    assert_eq!(bench.starts.recv().await.unwrap() - last, LONGEST_PAUSE);
     let reported = &bench.readiness.health().status().reasons[PART];
     assert!(reported.contains("camera/front: "), "{reported}");
     bench.shutdown.cancel();

@@ -161,8 +161,7 @@ mod tests {
         assert_eq!(read_part(&mut reader, 9).unwrap().unwrap(), b"d");
         assert!(read_part(&mut reader, 9).unwrap().is_none());
         assert!(read_part(&mut &stream[..60], 9).is_err());
-        let refused = read_part(&mut &stream[..], 4);
-        let error = refused.unwrap_err().to_string();
+        let error = read_part(&mut &stream[..], 4).unwrap_err().to_string();
         assert_eq!(error, "a picture has 5 bytes; at most 4 are accepted");
         let mut raw = &b"--b\r\nContent-Type: video/x-raw\r\nContent-Length: 1\r\n\r\nd\r\n"[..];
         let error = read_part(&mut raw, 9).unwrap_err().to_string();

@@ -169,8 +169,7 @@ fn a_new_threshold_applies_from_the_next_frame() {
     let mut run = watching(AlbireoSettings::paper());
     assert_eq!(run.begin(1), Need::Detections);
     run.policy.set_threshold(1.0).unwrap();
-    let found = [seen(0.5, 0.9)];
-    run.policy.answer(Evidence::Detections(&found));
+    run.policy.answer(Evidence::Detections(&[seen(0.5, 0.9)]));
     run.policy.finish(&mut run.outcome);
     assert_eq!(run.outcome.state, FrameState::I);
     assert_eq!(run.begin(1), Need::Nothing);

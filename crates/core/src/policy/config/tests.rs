@@ -64,8 +64,7 @@ fn the_baselines_have_their_own_tables() {
     assert_eq!(read.ctd.longest_skip, 4);
     assert_eq!(read.statues.component_size, 75.0);
     assert_eq!(read.build().unwrap().threshold(), Some(0.7));
-    let written = toml::to_string(&read).unwrap();
-    assert_eq!(config(&written), read);
+    assert_eq!(config(&toml::to_string(&read).unwrap()), read);
     let wrong = config("name = 'statues'\n[statues]\npixel_difference = 0");
     let message = wrong.build().err().unwrap().to_string();
     let expected = "policy.statues: `pixel_difference`";

@@ -238,10 +238,8 @@ mod tests {
     fn an_unpredictable_box_is_followed_and_calls_the_detector_once_it_cannot_be() {
         let (flow, calls) = ride("expected-loss+flow:1", usize::MAX);
         let (blind, more_calls) = ride("expected-loss:1", usize::MAX);
-        let worst = |skipped: &[(BoxSource, f64)]| {
-            let off = skipped.iter().map(|(_, off)| *off);
-            off.fold(0.0, f64::max)
-        };
+        let worst =
+            |skipped: &[(BoxSource, f64)]| skipped.iter().map(|(_, off)| *off).fold(0.0, f64::max);
         // It reads every picture, and its error is always smaller than that of prediction.
         let followed = |(source, _): &(BoxSource, f64)| *source == BoxSource::Followed;
         assert!(flow.iter().any(followed));

@@ -36,8 +36,7 @@ fn the_published_code_decays_predicted_confidences() {
     assert_eq!(run.see(&[]), P);
     let (source, _, confidence) = run.reported()[0];
     assert_eq!(source, Predicted);
-    let tau = run.records()[0].tau;
-    assert!((confidence - 0.9 * (1.0 - tau / 3e-4)).abs() < 1e-12);
+    assert!((confidence - 0.9 * (1.0 - run.records()[0].tau / 3e-4)).abs() < 1e-12);
 }
 
 #[test]

@@ -183,8 +183,7 @@ fn a_late_answer_still_settles_later_frames() {
     assert_eq!(stream.given, [(0, false, predicted.boxes.clone())]);
     stream.late(0, &detected(0.1));
     stream.frame(3, &detected(0.4), false);
-    let settled = stream.of_each(|given| given.1);
-    assert_eq!(settled, [false, true, true, true]);
+    assert_eq!(stream.of_each(|given| given.1), [false, true, true, true]);
     assert!((stream.given[2].2[0].bounding_box.center_x - 0.3).abs() < 1e-12);
 }
 
@@ -228,8 +227,7 @@ proptest! {
         for event in &script {
             index += 1 + event.2;
             let last = outcome(event);
-            let pending = event.1 && waits.is_none();
-            if pending {
+            if event.1 && waits.is_none() {
                 stream.frame(index, &answer(FrameState::P, &[]), true);
                 waits = Some((index, index + late, last));
             } else {

@@ -93,8 +93,7 @@ fn an_unreachable_target_is_reported_without_a_proposal() {
 #[test]
 fn a_recording_without_boxes_and_a_policy_without_a_threshold_are_rejected() {
     let refused = |policy: &str, settings: &Settings| {
-        let target = Target::Recall(0.9);
-        let error = advise(&recordings(), target, policy, settings);
+        let error = advise(&recordings(), Target::Recall(0.9), policy, settings);
         error.unwrap_err().to_string()
     };
     let sure = Settings {

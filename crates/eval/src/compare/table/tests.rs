@@ -85,8 +85,7 @@ fn no_line_is_wider_than_a_hundred_columns() {
         run.report.energy.joules = run.report.energy.joules.map(|joules| joules * 12_345.6);
         run.report.energy.edp = run.report.energy.edp.map(|product| product * 12_345.6);
     }
-    let found = text(&comparison);
-    for line in found.lines() {
+    for line in text(&comparison).lines() {
         assert!(line.chars().count() <= 100, "{line}");
     }
 }

@@ -58,8 +58,7 @@ fn read(head: &Head, outputs: &[(&[i64], &[f32])]) -> (u64, Vec<Candidate>) {
     let views = views.map(|&(shape, values)| TensorView { shape, values });
     let views: Vec<_> = views.collect();
     let mut candidates = Vec::new();
-    let rejected = head.read(&views, 0.5, &mut candidates).unwrap();
-    (rejected, candidates)
+    (head.read(&views, 0.5, &mut candidates).unwrap(), candidates)
 }
 
 /// What one of the [`heads`] with one output reads from these rows of numbers, all others being 0. The numbers of a row

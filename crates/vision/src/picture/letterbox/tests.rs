@@ -27,8 +27,7 @@ fn reference(picture: &Picture, channel: usize, column: u32, row: u32, to: Pictu
     let at = |x: f64, y: f64| {
         let x = x.clamp(0.0, f64::from(picture.size.width - 1)) as usize;
         let y = y.clamp(0.0, f64::from(picture.size.height - 1)) as usize;
-        let index = (y * picture.size.width as usize + x) * 3 + channel;
-        f64::from(picture.pixels[index])
+        f64::from(picture.pixels[(y * picture.size.width as usize + x) * 3 + channel])
     };
     let source = |position: u32, from: u32, to: u32| {
         (f64::from(position) + 0.5) * f64::from(from) / f64::from(to) - 0.5
@@ -155,8 +154,7 @@ fn a_picture_scaled_by_the_decoder_has_the_place_of_the_whole_one() {
 #[test]
 fn the_fraction_is_truncated_as_in_yolox() {
     // In double precision 720 * (416 / 720) is just below 416.
-    let format = format(416, 416, Fit::TopLeft);
-    let (placement, mapping) = place(PictureSize::new(720, 576), format);
+    let (placement, mapping) = place(PictureSize::new(720, 576), format(416, 416, Fit::TopLeft));
     assert_eq!((placement.width, placement.height), (415, 332));
     assert!((mapping.width - 416.0).abs() < 1e-9 && (mapping.height - 332.8).abs() < 1e-9);
 }
@@ -166,8 +164,7 @@ fn a_picture_of_any_shape_is_taken_unless_it_is_empty_too_short_or_grey() {
     for fit in FITS {
         let mut letterbox = Letterbox::new(format(32, 32, fit));
         for (width, height) in [(1, 1), (4000, 1), (1, 4000), (33, 32)] {
-            let picture = picture(width, height);
-            letterbox.fill(&picture).unwrap();
+            letterbox.fill(&picture(width, height)).unwrap();
         }
         let error = letterbox.fill(&Picture::default()).unwrap_err().to_string();
         assert!(error.contains("the picture is empty (0x0)"), "{error}");

@@ -22,8 +22,7 @@ async fn a_slow_build_is_logged_periodically_and_waited_for_and_its_failure_is_a
             "scripted end",
         ))
     };
-    let starting = Worker::start(settings(), WorkerMeter::default(), build);
-    let starting = tokio::spawn(starting);
+    let starting = tokio::spawn(Worker::start(settings(), WorkerMeter::default(), build));
     is_building.recv().await.unwrap();
     settle().await;
     for (seconds, expected) in [

@@ -67,8 +67,7 @@ fn a_change_of_more_pixels_than_the_component_size_runs_the_detector() {
         ("statues", 20, 20, 71, P),
         ("statues", 20, 20, 70, I),
     ] {
-        let mut run = watching(asked);
-        let state = see(&mut run, &picture(width, height, value), 0.7);
+        let state = see(&mut watching(asked), &picture(width, height, value), 0.7);
         assert_eq!(state, expected, "{asked}: {width}x{height} of {value}");
     }
 }
