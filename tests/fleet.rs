@@ -186,8 +186,7 @@ impl Fleet {
             }
             ROUTER if self.router.is_none() => self.router = Some(router(&self.endpoint)),
             HUB if self.hub.is_none() => {
-                let mut command = albireo_on_a_disk_that_fills();
-                command.arg("hub");
+                let command = albireo_on_a_disk_that_fills();
                 self.hub = Some(HubProcess::start_as(command, &self.settings));
             }
             0 | 1 if self.cars[part].node.is_none() => self.cars[part].start().await,

@@ -17,9 +17,7 @@ const NODE: &str = "car-1";
 async fn a_full_disk_delays_acknowledgements_and_loses_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let (zenoh, settings) = settings(&sqlite(folder.path()));
-    let mut command = albireo_on_a_disk_that_fills();
-    command.arg("hub");
-    let hub = HubProcess::start_as(command, &settings);
+    let hub = HubProcess::start_as(albireo_on_a_disk_that_fills(), &settings);
     hub.until_ready().await;
     limit(hub.id(), "--fsize=1048576:");
     let session = uplink(&zenoh).await;
@@ -39,8 +37,7 @@ async fn a_full_disk_delays_acknowledgements_and_loses_nothing() {
     assert_eq!(refusal.reason, RefusalReason::Unavailable, "{refusal:?}");
     assert!(refusal.retry_after_ms.is_some(), "{refusal:?}");
     let ready = hub.until("/readyz", |page| page["ready"] == false).await;
-    let reason = ready["reasons"]["database"].as_str().unwrap();
-    assert_contains(reason, &["cannot be used now"]);
+    assert_contains(&ready["reasons"]["database"], &["cannot be used now"]);
     assert!(metric(&hub.http, "albireo_hub_database_errors_total").await > 0.0);
 
     // There is space again.
@@ -246,7 +243,7 @@ async fn reports_are_synced_to_disk_before_they_are_acknowledged() {
         .arg("trace=pwrite64,fsync,fdatasync,write,writev,sendto,sendmsg")
         .arg("-o")
         .arg(&trace)
-        .args([env!("CARGO_BIN_EXE_albireo"), "hub"]);
+        .arg(env!("CARGO_BIN_EXE_albireo"));
     let hub = HubProcess::start_as(command, &settings);
     hub.until_ready().await;
     let session = uplink(&zenoh).await;

@@ -1,6 +1,15 @@
-//! Assertions about JSON values.
+//! Assertions about texts and JSON values.
 
 use serde_json::Value;
+use std::fmt::Display;
+
+#[track_caller]
+pub(crate) fn assert_contains(said: &(impl Display + ?Sized), parts: &[&str]) {
+    let said = said.to_string();
+    for part in parts {
+        assert!(said.contains(part), "no `{part}` in: {said}");
+    }
+}
 
 /// Asserts that `found` contains `expected`: its objects may have more members.
 #[track_caller]

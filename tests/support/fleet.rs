@@ -3,9 +3,9 @@
 mod reports;
 
 pub(crate) use super::postgres::{on_both, sqlite};
-pub(crate) use reports::{Reply, in_batch, now_ns, uplink, zenoh_session};
+pub(crate) use reports::{Reply, clip_report, in_batch, now_ns, uplink, zenoh_session};
 
-use super::{PATIENCE, albireo, clip_report, free_port, json_at, project, python, text_at};
+use super::{PATIENCE, albireo, free_port, json_at, project, python, text_at};
 use albireo_wire::{BatchCompression, ClipReport};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -66,17 +66,16 @@ impl HubProcess {
 
     /// Starts a hub without waiting until it is ready.
     pub(crate) fn start(settings: &[(&'static str, String)]) -> Self {
-        let mut command = albireo();
-        command.arg("hub");
-        Self::start_as(command, settings)
+        Self::start_as(albireo(), settings)
     }
 
-    /// Starts a hub with a command that wraps it in another program.
+    /// Starts a hub with a command that wraps the program.
     pub(crate) fn start_as(mut command: Command, settings: &[(&'static str, String)]) -> Self {
         let mut named = settings.iter();
         let http = named.find(|(name, _)| *name == "ALBIREO_HTTP__LISTEN");
         let log = tempfile::NamedTempFile::new().expect("a log");
         command
+            .arg("hub")
             .envs(settings.iter().map(|(name, value)| (*name, value)))
             .kill_on_drop(true)
             .stdin(Stdio::null())

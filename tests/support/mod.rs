@@ -10,15 +10,14 @@ mod ports;
 #[allow(unreachable_pub)]
 pub(crate) mod postgres;
 
-pub(crate) use assertions::assert_has;
-pub(crate) use fleet::zenoh_session;
+pub(crate) use assertions::{assert_contains, assert_has};
+pub(crate) use fleet::{clip_report, zenoh_session};
 pub(crate) use ports::free_port;
 
 use albireo::cli::frames::{FrameSender, Pacing, open_session};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::Corners;
 use albireo_eval::average_precision::ScoredBox;
-use albireo_wire::{ClipReport, ReportBatch};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::{ExitStatus, Stdio};
@@ -70,13 +69,6 @@ pub(crate) fn ask_script(script: &mut std::process::Command, request: &Value) ->
     let output = child.wait_with_output().unwrap();
     assert!(output.status.success(), "{script:?} failed, see above");
     serde_json::from_slice(&output.stdout).expect("it answers in JSON")
-}
-
-#[track_caller]
-pub(crate) fn assert_contains(said: &str, parts: &[&str]) {
-    for part in parts {
-        assert!(said.contains(part), "no `{part}` in: {said}");
-    }
 }
 
 pub(crate) async fn until(what: &str, mut condition: impl AsyncFnMut() -> bool) {
@@ -509,22 +501,4 @@ pub(crate) fn memory_mb(process: u32, figure: &str) -> f64 {
     let line = status.lines().find(|line| line.starts_with(figure));
     let kb = line.and_then(|line| line.split_whitespace().nth(1));
     kb.map_or(0.0, |kb| kb.parse::<f64>().unwrap() / 1024.0)
-}
-
-/// A report of 10 J, otherwise as in the example of `albireo_wire`.
-pub(crate) fn clip_report(node: &str, camera: &str, number: u64, id: uuid::Uuid) -> ClipReport {
-    let example = include_bytes!("../../crates/wire/src/report/dictionary-1.json");
-    let mut example: ReportBatch = albireo_wire::read(example).expect("a batch");
-    let mut report = example.reports.remove(0);
-    report.energy.joules = Some(10.0);
-    ClipReport {
-        id,
-        node: node.to_owned(),
-        camera: camera.to_owned(),
-        clip: format!("window-{number}"),
-        count: Some(number),
-        board: None,
-        audit: None,
-        ..report
-    }
 }

@@ -1,7 +1,7 @@
 //! The history of a hub: sums of energy, pages of clips, events, database files.
 
 use crate::support::postgres::Postgres;
-use crate::support::{Hub, assert_has, batch, config, now_ns, on_both, sqlite};
+use crate::support::{Hub, assert_contains, assert_has, batch, config, now_ns, on_both, sqlite};
 use crate::tuning::{SimulatedFleet, fleet, put};
 use albireo_hub::store::{Store, StoreError, transfer};
 use albireo_wire::{Target, Threshold};
@@ -188,15 +188,15 @@ async fn the_diagnostic_archive_describes_the_hub() {
     let archive = answer.unwrap().bytes().await.unwrap();
     let text = String::from_utf8_lossy(&archive);
     let files = "about.json configuration.json nodes-not-online.json events.json changes.json metrics.txt log.txt";
-    for part in files.split(' ').chain([
+    assert_contains(&text, &files.split(' ').collect::<Vec<_>>());
+    let lines = [
         "\"commit_ms\": 20",
         "albireo_hub_clips_total 1",
         "albireo_hub_sessions 1",
         "albireo_hub_queue_batches 0",
         "no status was received yet",
-    ]) {
-        assert!(text.contains(part), "no {part} in {text}");
-    }
+    ];
+    assert_contains(&text, &lines);
     hub.stop().await;
 }
 

@@ -1,6 +1,6 @@
 //! Targets reach nodes as values do, and replace them; a target that a node cannot hold is refused with a reason.
 
-use crate::support::{Hub, assert_has, config, full_status, now_ns, on_both};
+use crate::support::{Hub, assert_contains, assert_has, config, full_status, now_ns, on_both};
 use crate::tuning::{SimulatedFleet, begin, fleet, put, put_at, send, values};
 use albireo_hub::config::LocalChange;
 use albireo_wire::StatusMessage;
@@ -100,8 +100,7 @@ async fn a_value_or_target_reaches_the_selected_nodes_and_replaces_the_one_befor
     // A value out of range is refused by the node, with its reason.
     let last = |u: f64| json!({"u": u, "select": ["sim-000005"]});
     let answer = put(&hub, last(7.0), json!({"refused": 1})).await;
-    let detail = answer["nodes"][0]["detail"].as_str().unwrap();
-    assert!(detail.contains("from 1e-9 to 1"), "{detail}");
+    assert_contains(&answer["nodes"][0]["detail"], &["from 1e-9 to 1"]);
     let answer = put(&hub, last(5e-4), applied.clone()).await;
     let revision = answer["revision"].as_u64();
     simulated.end().await;
@@ -132,8 +131,7 @@ async fn a_value_or_target_reaches_the_selected_nodes_and_replaces_the_one_befor
     let begun = begin(&hub, "/api/v1/rollouts", plan).await;
     let left_out = &begun["left_out"][0];
     assert_eq!(left_out["node"], "sim-000001", "{begun}");
-    let why = left_out["why"].as_str().unwrap();
-    assert!(why.contains("holds the target skip_rate 0.6"), "{why}");
+    assert_contains(&left_out["why"], &["holds the target skip_rate 0.6"]);
     hold(&hub, &wanted, "sim-000005", json!({"refused": 1})).await;
     simulated.end().await;
     hub.stop().await;

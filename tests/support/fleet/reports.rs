@@ -20,6 +20,24 @@ pub(crate) fn id(node: &str, number: u64, made_ns: u64) -> Uuid {
     Builder::from_unix_timestamp_millis(made_ns / 1_000_000, &random).into_uuid()
 }
 
+/// A report of 10 J, otherwise as in the example of `albireo_wire`.
+pub(crate) fn clip_report(node: &str, camera: &str, number: u64, id: Uuid) -> ClipReport {
+    let example = include_bytes!("../../../crates/wire/src/report/dictionary-1.json");
+    let mut example: ReportBatch = read(example).expect("a batch");
+    let mut report = example.reports.remove(0);
+    report.energy.joules = Some(10.0);
+    ClipReport {
+        id,
+        node: node.to_owned(),
+        camera: camera.to_owned(),
+        clip: format!("window-{number}"),
+        count: Some(number),
+        board: None,
+        audit: None,
+        ..report
+    }
+}
+
 /// The batch of a node's reports, sent now.
 pub(crate) fn in_batch(node: &str, reports: Vec<ClipReport>) -> ReportBatch {
     ReportBatch {

@@ -15,15 +15,15 @@ pub mod postgres;
 #[path = "../../../../tests/support/fleet/reports.rs"]
 mod reports;
 
-pub(crate) use assertions::assert_has;
+pub(crate) use assertions::{assert_contains, assert_has};
 pub(crate) use ports::free_port;
 pub(crate) use postgres::{on_both, sqlite};
 pub(crate) use reports::{Reply, id, now_ns, open};
 
 use albireo_hub::config::HubConfig;
 use albireo_wire::{
-    BatchCompression, ClipReport, Desired, HealthState, OutboxStatus, ReportBatch, StatusMessage,
-    VERSION,
+    BatchCompression, ClipReport, Desired, EnergyQuality, HealthState, OutboxStatus, ReportBatch,
+    StatusMessage, Threshold, VERSION,
 };
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -116,10 +116,7 @@ impl Hub {
 
     pub async fn assert_metrics(&self, lines: &[&str]) {
         let response = reqwest::get(format!("{}/metrics", self.http)).await;
-        let metrics = response.unwrap().text().await.unwrap();
-        for line in lines {
-            assert!(metrics.contains(line), "{line}: {metrics}");
-        }
+        assert_contains(&response.unwrap().text().await.unwrap(), lines);
     }
 
     pub async fn clips_with_energy(&self) -> i64 {
@@ -200,37 +197,28 @@ pub static YESTERDAY: LazyLock<u64> = LazyLock::new(|| now_ns() - 90_000_000_000
 /// The report of clip `number` of a node, which began `number` × 40 s after `started_ns`. Every second one has an audit:
 /// ten boxes of the detector in four frames, of which nine or eight were shown.
 pub fn report(node: &str, number: u64, started_ns: u64) -> ClipReport {
+    use EnergyQuality::{Estimated, Measured, Partial};
     let begun_ns = started_ns + number * 40_000_000_000;
-    let joules = 100.1 + number as f64 / 3.0;
-    let times = |count: u64, mean: f64| {
-        let (p95, p99) = (mean * 2.0, mean * 3.0);
-        json!({"count": count, "mean": mean, "p50": mean, "p95": p95, "p99": p99})
-    };
-    let quality = ["measured", "partial", "estimated"][number as usize % 3];
-    let paired = if number.is_multiple_of(4) { 9 } else { 8 };
-    let audit = json!({
-        "share": 0.02, "calls": 4, "detector_us": 120_000, "joules": 0.5,
-        "sums": {
-            "missed": 1, "missed_boxes": 3, "frames": 4, "detected": 10, "shown": 12, "paired": paired,
-            "squares": {"detected": 30, "paired": 24, "detected_paired": 26},
-        },
-    });
-    let report = json!({
-        "v": VERSION, "id": id(node, number, begun_ns + 40_000_000_000), "node": node, "camera": "front",
-        "clip": format!("window-{number}"), "count": number, "ended_by": "window", "started_ns": begun_ns,
-        "duration_s": 40.0, "frames": 1200, "states": {"E": 100, "P": 700, "E+I": 50, "I": 300, "AI": 50},
-        "skip_rate": 800.0 / 1200.0, "degraded_frames": 20, "dropped": {}, "policy": "albireo",
-        "threshold": {"name": "u", "value": 3e-4}, "threshold_changes": [], "model": "detector.onnx", "provider": "cpu",
-        "total_latency_ms": times(1200, 11.3), "detector_latency_ms": times(400, 30.7),
-        "energy": {
-            "joules": joules, "node_joules": joules * 2.0, "saved_joules_estimated": 12.5,
-            "edp": joules * 40_000.0 / 1200.0, "quality": quality,
-            "source": "rapl", "total_from": "input_rail", "samples": 400, "coverage": 1.0,
-            "domains": [{"domain": "cpu", "joules": joules * 1.5, "mean_watts": 3.0}],
-        },
-        "audit": number.is_multiple_of(2).then_some(audit),
-    });
-    serde_json::from_value(report).unwrap()
+    let id = id(node, number, begun_ns + 40_000_000_000);
+    let mut report = reports::clip_report(node, "front", number, id);
+    report.started_ns = begun_ns;
+    report.policy = "albireo".to_owned();
+    report.threshold = Some(Threshold::new("u", 3e-4));
+    report.energy.joules = Some(100.1 + number as f64 / 3.0);
+    report.energy.saved_joules_estimated = Some(12.5);
+    report.energy.quality = [Measured, Partial, Estimated][number as usize % 3];
+    if number.is_multiple_of(2) {
+        let paired = if number.is_multiple_of(4) { 9 } else { 8 };
+        let audit = json!({
+            "share": 0.02, "calls": 4, "detector_us": 120_000, "joules": 0.5,
+            "sums": {
+                "missed": 1, "missed_boxes": 3, "frames": 4, "detected": 10, "shown": 12, "paired": paired,
+                "squares": {"detected": 30, "paired": 24, "detected_paired": 26},
+            },
+        });
+        report.audit = Some(serde_json::from_value(audit).unwrap());
+    }
+    report
 }
 
 pub fn batch(node: &str, numbers: RangeInclusive<u64>) -> ReportBatch {
