@@ -127,11 +127,9 @@ fn no_frame_allocates_once_the_buffers_have_grown() {
 }
 
 fn check(asked: &str, profile: Profile, states: &[FrameState], late: bool) {
-    let mut config = PolicyConfig {
-        profile,
-        ..PolicyConfig::default()
-    };
+    let mut config = PolicyConfig::default();
     config.select(asked).unwrap();
+    config.profile = profile;
     let mut policy = config.build().unwrap();
     let mut outcome = Outcome::default();
     let picture = match asked.contains("+flow") {

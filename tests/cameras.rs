@@ -137,7 +137,9 @@ async fn a_camera_opened_by_the_node_reconnects_and_its_password_never_leaks() {
     let camera = RtspCamera::start("h264", &LOGIN).await;
     let (port, address) = (camera.port, with_login(&camera));
     let settings = source(&address, "# development: source_timeout_s=20");
-    let node = Node::start_with(tempfile::tempdir().unwrap(), &settings, &ENVIRONMENT).await;
+    let mut command = albireo();
+    command.envs(ENVIRONMENT);
+    let node = Node::spawn(command, tempfile::tempdir().unwrap(), &settings).await;
     until_processed(&node, 20).await;
     let programs = children(node.id());
     let lines: Vec<_> = programs.iter().map(|id| command_line(*id)).collect();

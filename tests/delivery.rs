@@ -2,8 +2,8 @@
 
 use crate::support::camera::Camera;
 use crate::support::{
-    Client, Node, assert_contains, free_port, metric, next, project, run, until, until_ready,
-    zenoh_client, zenoh_session,
+    Client, Node, albireo, assert_contains, free_port, metric, next, project, run, until,
+    until_ready, zenoh_client, zenoh_session,
 };
 use albireo_wire::{RefusalReason, ReportAnswer, ReportBatch, ReportRefusal, VERSION};
 use rstest::rstest;
@@ -210,8 +210,9 @@ async fn a_node_starts_without_its_router_answers_health_and_survives_a_router_r
     let endpoint = format!("tcp/127.0.0.1:{}", free_port());
     let connect = format!("zenoh.mode = \"client\"\nzenoh.connect = [\"{endpoint}\"]\n");
     let settings = connect + &settings();
-    let client = [("ALBIREO_ZENOH__LISTEN", "[]")];
-    let node = Node::start_with(tempfile::tempdir().unwrap(), &settings, &client).await;
+    let mut client = albireo();
+    client.env("ALBIREO_ZENOH__LISTEN", "[]");
+    let node = Node::spawn(client, tempfile::tempdir().unwrap(), &settings).await;
     assert_contains(&node.text("/healthz").await, &["ok"]);
     until("its router is missed", async || {
         let ready = node.text("/readyz").await;

@@ -1,7 +1,7 @@
 //! The shipped files: manual pages, completions, packages, containers, proxies.
 
 use crate::support::fleet::HubProcess;
-use crate::support::{assert_contains, free_port, project, run, run_command, text, until};
+use crate::support::{assert_contains, free_port, process, project, run, run_command, text, until};
 use clap::CommandFactory;
 use rstest::rstest;
 use std::path::Path;
@@ -230,14 +230,13 @@ async fn the_proxy_adds_tls_and_forwards_the_token_and_the_event_stream() {
     let file = folder.path().join("Caddyfile");
     let here = "{\n\tadmin off\n\tauto_https disable_redirects\n\tskip_install_trust\n}\n";
     std::fs::write(&file, here.to_owned() + &caddyfile).unwrap();
-    let _caddy = tokio::process::Command::new("caddy")
+    let _caddy = process("caddy")
         .args(["run", "--adapter", "caddyfile", "--config"])
         .arg(&file)
         .env("XDG_DATA_HOME", folder.path())
         .env("XDG_CONFIG_HOME", folder.path())
         .env("HOME", folder.path())
         .stderr(std::fs::File::create(folder.path().join("caddy.log")).unwrap())
-        .kill_on_drop(true)
         .spawn()
         .unwrap();
     // Caddy creates its authority at the first start; curl trusts it and checks the name.

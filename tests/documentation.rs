@@ -6,8 +6,8 @@
 
 use crate::support::live_camera::RtspCamera;
 use crate::support::{
-    Ended, Node, PATIENCE, assert_contains, free_port, json_at, project, python, text, until,
-    until_ready,
+    Ended, Node, PATIENCE, assert_contains, free_port, json_at, process, project, python, text,
+    until, until_ready,
 };
 use albireo_node::state::board::ThresholdEvent;
 use albireo_wire::{
@@ -21,7 +21,7 @@ use serde::de::DeserializeOwned;
 use serde_json::Value;
 use std::path::Path;
 use std::process::Stdio;
-use tokio::process::{Child, Command};
+use tokio::process::Child;
 
 #[derive(Debug)]
 struct Block {
@@ -234,13 +234,11 @@ fn shell(folder: &Path, line: &str) -> Child {
     let library = std::env::var_os("ORT_DYLIB_PATH");
     let library = library.unwrap_or_else(|| project(".cache/onnxruntime").into_os_string());
     // `env` sets the variables before the command, and `exec` replaces the shell with it.
-    Command::new("sh")
+    process("sh")
         .args(["-c", &format!("exec env {line}")])
         .current_dir(folder)
         .env("PATH", format!("{}:{path}", programs.display()))
         .env("ORT_DYLIB_PATH", library)
-        .kill_on_drop(true)
-        .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn()

@@ -326,7 +326,8 @@ proptest! {
         let mut picture = specimens().swap_remove(specimen);
         let mut bytes = picture.bytes.to_vec();
         for (at, value) in flips {
-            bytes[at.index(bytes.len())] = value;
+            let at = at.index(bytes.len());
+            bytes[at] = value;
         }
         if let Some(cut) = cut {
             bytes.truncate(cut.index(bytes.len()));

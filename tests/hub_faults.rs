@@ -3,11 +3,12 @@
 use crate::support::fleet::{
     HubProcess, Reply, deliver, in_batch, now_ns, report, send, settings, sqlite, uplink,
 };
-use crate::support::{albireo_on_a_disk_that_fills, assert_contains, limit, memory_mb, metric};
+use crate::support::{
+    albireo_on_a_disk_that_fills, assert_contains, limit, memory_mb, metric, process,
+};
 use albireo_wire::{BatchCompression, LARGEST_BATCH_BYTES, RefusalReason};
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
-use tokio::process::Command;
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
@@ -236,7 +237,7 @@ async fn reports_are_synced_to_disk_before_they_are_acknowledged() {
     let folder = tempfile::tempdir().unwrap();
     let trace = folder.path().join("trace");
     let (zenoh, settings) = settings(&sqlite(folder.path()));
-    let mut command = Command::new("strace");
+    let mut command = process("strace");
     command
         // With -D the hub is the child process, so that it always ends with the test, and strace with it.
         .args(["-D", "-f", "-y", "-s", "4096", "-e"])

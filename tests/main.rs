@@ -2,6 +2,9 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+/// The limit of each test by rstest; cargo has it only in this project's folder.
+const _: &str = env!("RSTEST_TIMEOUT");
+
 mod support;
 
 mod answers;

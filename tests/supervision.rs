@@ -6,7 +6,8 @@ use crate::node_frames::{
 };
 use crate::support::detectors::model;
 use crate::support::{
-    Node, assert_contains, grey_jpeg, metric, next, run_command, until, until_read, zenoh_client,
+    Node, albireo, assert_contains, grey_jpeg, metric, next, run_command, until, until_read,
+    zenoh_client,
 };
 use albireo_core::policy::{Evidence, FrameHead, Need, Outcome, Policy, PolicyConfig};
 use albireo_node::PreparedNode;
@@ -323,7 +324,7 @@ async fn a_detector_run_that_never_returns_ends_the_node_with_an_error() {
 #[ignore = "needs ONNX Runtime"]
 async fn a_node_whose_model_never_finishes_loading_stops_on_request() {
     let folder = tempfile::tempdir().unwrap();
-    let node = Node::start_with(folder, &settings("endless.onnx", ""), &[]).await;
+    let node = Node::spawn(albireo(), folder, &settings("endless.onnx", "")).await;
     let ready = reqwest::get(format!("{}/readyz", node.http)).await.unwrap();
     assert_eq!(ready.status(), 503);
     until("the model is being loaded", async || {

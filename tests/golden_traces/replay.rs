@@ -30,11 +30,9 @@ pub(crate) enum Screen {
 
 /// The policy `asked`, `NAME[:ARGUMENT]`.
 pub(crate) fn policy(asked: &str, profile: Profile) -> Box<dyn Policy> {
-    let mut config = PolicyConfig {
-        profile,
-        ..PolicyConfig::default()
-    };
+    let mut config = PolicyConfig::default();
     config.select(asked).unwrap();
+    config.profile = profile;
     config.build().unwrap()
 }
 

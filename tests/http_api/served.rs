@@ -33,11 +33,9 @@ pub(crate) struct Served {
 }
 
 pub(crate) fn board(policy: &str, state_dir: Option<&Path>) -> Arc<Board> {
-    let mut config = NodeConfig {
-        cameras: ["front", "rear"].map(CameraConfig::named).to_vec(),
-        ..NodeConfig::default()
-    };
+    let mut config = NodeConfig::default();
     config.policy.select(policy).unwrap();
+    config.cameras = ["front", "rear"].map(CameraConfig::named).to_vec();
     config.node.name = "car-7".to_owned();
     config.node.state_dir = state_dir.map(Path::to_owned);
     config.detector.providers = vec![ExecutionProvider::Cuda, ExecutionProvider::Cpu];

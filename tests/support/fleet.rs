@@ -5,7 +5,7 @@ mod reports;
 pub(crate) use super::postgres::{on_both, sqlite};
 pub(crate) use reports::{Reply, clip_report, in_batch, now_ns, uplink, zenoh_session};
 
-use super::{PATIENCE, albireo, free_port, json_at, project, python, text_at};
+use super::{PATIENCE, albireo, free_port, json_at, process, python, text_at};
 use albireo_wire::{BatchCompression, ClipReport};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -77,8 +77,6 @@ impl HubProcess {
         command
             .arg("hub")
             .envs(settings.iter().map(|(name, value)| (*name, value)))
-            .kill_on_drop(true)
-            .stdin(Stdio::null())
             .stdout(Stdio::null())
             .stderr(log.reopen().expect("the log is there"));
         Self {
@@ -148,12 +146,9 @@ impl HubProcess {
 
 /// Starts a Zenoh router without waiting until it listens: Zenoh's Python binding, which shares no code with this project.
 pub(crate) fn router(endpoint: &str) -> Child {
-    Command::new(python())
-        .arg(project("tests/clients/router.py"))
-        .arg(endpoint)
-        .arg(project("config/zenoh-router.json5"))
-        .kill_on_drop(true)
-        .stdin(Stdio::null())
+    process(python())
+        .args(["tests/clients/router.py", endpoint])
+        .arg("config/zenoh-router.json5")
         .stdout(Stdio::null())
         .stderr(Stdio::null())
         .spawn()

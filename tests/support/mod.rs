@@ -7,7 +7,6 @@ pub(crate) mod fleet;
 pub(crate) mod live_camera;
 mod ports;
 #[path = "../../crates/hub/tests/support/postgres.rs"]
-#[allow(unreachable_pub)]
 pub(crate) mod postgres;
 
 pub(crate) use assertions::{assert_contains, assert_has};
@@ -19,6 +18,7 @@ use albireo_core::detection::ClassId;
 use albireo_core::geometry::Corners;
 use albireo_eval::average_precision::ScoredBox;
 use serde_json::Value;
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::{ExitStatus, Stdio};
 use std::time::Duration;
@@ -208,23 +208,22 @@ pub(crate) fn run_command(command: &mut std::process::Command) -> Ended {
 }
 
 pub(crate) fn albireo() -> Command {
-    in_project(Command::new(env!("CARGO_BIN_EXE_albireo")))
+    process(env!("CARGO_BIN_EXE_albireo"))
 }
 
 /// The program where a limit on the size of files, which can be set and lifted while it runs, acts like a full disk.
 pub(crate) fn albireo_on_a_disk_that_fills() -> Command {
-    let mut command = Command::new("sh");
+    let mut command = process("sh");
+    command.args(["-c", "trap '' XFSZ; exec \"$0\" \"$@\""]);
+    command.arg(env!("CARGO_BIN_EXE_albireo"));
     command
-        .args(["-c", "trap '' XFSZ; exec \"$0\" \"$@\""])
-        .arg(env!("CARGO_BIN_EXE_albireo"));
-    in_project(command)
 }
 
-fn in_project(mut command: Command) -> Command {
-    command
-        .current_dir(env!("CARGO_MANIFEST_DIR"))
-        .kill_on_drop(true)
-        .stdin(Stdio::null());
+/// A command in the project's folder that reads nothing and ends with its test.
+pub(crate) fn process(program: impl AsRef<OsStr>) -> Command {
+    let mut command = Command::new(program);
+    command.current_dir(env!("CARGO_MANIFEST_DIR"));
+    command.kill_on_drop(true).stdin(Stdio::null());
     command
 }
 
@@ -328,17 +327,12 @@ impl Node {
         node
     }
 
-    pub(crate) async fn start_with(
+    /// Like [`start_as`](Self::start_as), without waiting until it is ready.
+    pub(crate) async fn spawn(
+        mut command: Command,
         folder: tempfile::TempDir,
         settings: &str,
-        environment: &[(&str, &str)],
     ) -> Self {
-        let mut command = albireo();
-        command.envs(environment.iter().copied());
-        Self::spawn(command, folder, settings).await
-    }
-
-    async fn spawn(mut command: Command, folder: tempfile::TempDir, settings: &str) -> Self {
         let zenoh = format!("tcp/127.0.0.1:{}", free_port());
         let file = folder.path().join("node.toml");
         // Each report is sent at once.
@@ -452,10 +446,9 @@ pub(crate) async fn client(
     script: &str,
     arguments: &[&str],
 ) -> (Child, Lines<BufReader<ChildStdout>>) {
-    let mut child = Command::new(python)
+    let mut child = process(python)
         .arg(project("tests/clients").join(script))
         .args(arguments)
-        .kill_on_drop(true)
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .spawn()

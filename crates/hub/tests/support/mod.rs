@@ -1,17 +1,10 @@
 //! A hub with a real database, and the messages of nodes over real Zenoh sessions.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    unreachable_pub
-)]
-
 #[path = "../../../../tests/support/assertions.rs"]
 mod assertions;
 #[path = "../../../../tests/support/ports.rs"]
 mod ports;
-pub mod postgres;
+pub(crate) mod postgres;
 #[path = "../../../../tests/support/fleet/reports.rs"]
 mod reports;
 
@@ -34,9 +27,9 @@ use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
 /// The limit of a test on a busy machine. A wait that says what it waits for ends earlier, so that it is heard.
-pub const PATIENCE: Duration = Duration::from_secs(360);
+pub(crate) const PATIENCE: Duration = Duration::from_secs(360);
 
-pub struct Hub {
+pub(crate) struct Hub {
     pub http: String,
     pub zenoh: String,
     pub uplink: zenoh::Session,
@@ -48,7 +41,7 @@ pub struct Hub {
 }
 
 /// A configuration with a free Zenoh address.
-pub fn config(database: &str) -> HubConfig {
+pub(crate) fn config(database: &str) -> HubConfig {
     let mut config = HubConfig::default();
     config.zenoh.listen = vec![format!("tcp/127.0.0.1:{}", free_port())];
     config.database.url = database.to_owned();
@@ -59,11 +52,11 @@ pub fn config(database: &str) -> HubConfig {
 
 impl Hub {
     /// A hub with a new SQLite file.
-    pub async fn fresh() -> Self {
+    pub(crate) async fn fresh() -> Self {
         Self::fresh_with(|_| ()).await
     }
 
-    pub async fn fresh_with(change: impl FnOnce(&mut HubConfig)) -> Self {
+    pub(crate) async fn fresh_with(change: impl FnOnce(&mut HubConfig)) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let mut config = config(&sqlite(folder.path()));
         change(&mut config);
@@ -73,7 +66,7 @@ impl Hub {
         }
     }
 
-    pub async fn start(config: HubConfig) -> Self {
+    pub(crate) async fn start(config: HubConfig) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let http = format!("http://{}", listener.local_addr().unwrap());
         let shutdown = CancellationToken::new();
@@ -94,13 +87,13 @@ impl Hub {
     }
 
     /// Stops the hub as a signal does.
-    pub async fn stop(self) {
+    pub(crate) async fn stop(self) {
         self.uplink.close().await.unwrap();
         self.shutdown.cancel();
         self.task.await.unwrap().unwrap();
     }
 
-    pub async fn restart(mut self) -> Self {
+    pub(crate) async fn restart(mut self) -> Self {
         let (config, folder) = (self.config.clone(), self.folder.take());
         self.stop().await;
         Self {
@@ -109,23 +102,23 @@ impl Hub {
         }
     }
 
-    pub async fn get(&self, path: &str) -> Value {
+    pub(crate) async fn get(&self, path: &str) -> Value {
         let response = reqwest::get(format!("{}{path}", self.http)).await.unwrap();
         response.json().await.unwrap()
     }
 
-    pub async fn assert_metrics(&self, lines: &[&str]) {
+    pub(crate) async fn assert_metrics(&self, lines: &[&str]) {
         let response = reqwest::get(format!("{}/metrics", self.http)).await;
         assert_contains(&response.unwrap().text().await.unwrap(), lines);
     }
 
-    pub async fn clips_with_energy(&self) -> i64 {
+    pub(crate) async fn clips_with_energy(&self) -> i64 {
         let energy = self.get("/api/v1/energy?by=node").await;
         let groups = energy["groups"].as_array().unwrap().iter();
         groups.map(|group| group["clips"].as_i64().unwrap()).sum()
     }
 
-    pub async fn until(&self, path: &str, wanted: impl Fn(&Value) -> bool) -> Value {
+    pub(crate) async fn until(&self, path: &str, wanted: impl Fn(&Value) -> bool) -> Value {
         let until = Instant::now() + PATIENCE / 6;
         loop {
             let answer = self.get(path).await;
@@ -137,17 +130,17 @@ impl Hub {
         }
     }
 
-    pub async fn until_state(&self, node: &str, state: &str) -> Value {
+    pub(crate) async fn until_state(&self, node: &str, state: &str) -> Value {
         let path = format!("/api/v1/nodes/{node}");
         self.until(&path, |node| node["state"] == state).await
     }
 
-    pub async fn send(&self, node: &str, payload: Vec<u8>) -> Reply {
+    pub(crate) async fn send(&self, node: &str, payload: Vec<u8>) -> Reply {
         reports::send(&self.uplink, node, payload, Duration::from_secs(20)).await
     }
 
     /// Sends a batch until the hub answers.
-    pub async fn deliver(&self, batch: &ReportBatch) -> Reply {
+    pub(crate) async fn deliver(&self, batch: &ReportBatch) -> Reply {
         let until = Instant::now() + PATIENCE / 6;
         let payload = batch.to_payload(BatchCompression::Best).unwrap();
         loop {
@@ -161,11 +154,11 @@ impl Hub {
     }
 
     /// Delivers the batch of these reports, all of which must be stored.
-    pub async fn store(&self, node: &str, numbers: RangeInclusive<u64>) {
+    pub(crate) async fn store(&self, node: &str, numbers: RangeInclusive<u64>) {
         self.deliver(&batch(node, numbers)).await.assert_stored();
     }
 
-    pub async fn counts(&self, node: &str) -> Vec<u64> {
+    pub(crate) async fn counts(&self, node: &str) -> Vec<u64> {
         let path = format!("/api/v1/clips?node={node}&limit=1000");
         let clips = self.get(&path).await;
         let clips = clips["clips"].as_array().unwrap().iter();
@@ -174,14 +167,14 @@ impl Hub {
         counts
     }
 
-    pub async fn put_status(&self, node: &str, status: &StatusMessage) {
+    pub(crate) async fn put_status(&self, node: &str, status: &StatusMessage) {
         let payload = serde_json::to_vec(status).unwrap();
         let key = format!("albireo/@status/{node}");
         self.uplink.put(key, payload).await.unwrap();
     }
 
     /// The desired setting that the hub answers to a node's query.
-    pub async fn pull(&self, node: &str) -> Desired {
+    pub(crate) async fn pull(&self, node: &str) -> Desired {
         let request = json!({"v": VERSION, "revision": 0}).to_string();
         let query = self.uplink.get(format!("albireo/@pull/{node}"));
         let query = query.payload(request);
@@ -192,11 +185,11 @@ impl Hub {
 }
 
 /// A day before the tests, when their reports begin.
-pub static YESTERDAY: LazyLock<u64> = LazyLock::new(|| now_ns() - 90_000_000_000_000);
+pub(crate) static YESTERDAY: LazyLock<u64> = LazyLock::new(|| now_ns() - 90_000_000_000_000);
 
 /// The report of clip `number` of a node, which began `number` × 40 s after `started_ns`. Every second one has an audit:
 /// ten boxes of the detector in four frames, of which nine or eight were shown.
-pub fn report(node: &str, number: u64, started_ns: u64) -> ClipReport {
+pub(crate) fn report(node: &str, number: u64, started_ns: u64) -> ClipReport {
     use EnergyQuality::{Estimated, Measured, Partial};
     let begun_ns = started_ns + number * 40_000_000_000;
     let id = id(node, number, begun_ns + 40_000_000_000);
@@ -221,22 +214,22 @@ pub fn report(node: &str, number: u64, started_ns: u64) -> ClipReport {
     report
 }
 
-pub fn batch(node: &str, numbers: RangeInclusive<u64>) -> ReportBatch {
+pub(crate) fn batch(node: &str, numbers: RangeInclusive<u64>) -> ReportBatch {
     batch_of(node, numbers, *YESTERDAY)
 }
 
 /// The batch of reports of a node that began its first clip at another time.
-pub fn batch_of(node: &str, numbers: RangeInclusive<u64>, started_ns: u64) -> ReportBatch {
+pub(crate) fn batch_of(node: &str, numbers: RangeInclusive<u64>, started_ns: u64) -> ReportBatch {
     let reports = numbers.map(|number| report(node, number, started_ns));
     reports::in_batch(node, reports.collect())
 }
 
-pub fn names(page: &Value) -> Vec<&str> {
+pub(crate) fn names(page: &Value) -> Vec<&str> {
     let nodes = page["nodes"].as_array().unwrap().iter();
     nodes.map(|node| node["node"].as_str().unwrap()).collect()
 }
 
-pub fn status(run: u32, seq: u64) -> StatusMessage {
+pub(crate) fn status(run: u32, seq: u64) -> StatusMessage {
     let status = json!({
         "v": VERSION, "run": run, "started_ns": 1, "seq": seq, "t_ns": now_ns(), "health": "ready", "waiting": 0,
         "revision": 0,
@@ -244,11 +237,10 @@ pub fn status(run: u32, seq: u64) -> StatusMessage {
     serde_json::from_value(status).unwrap()
 }
 
-pub fn full_status(run: u32, seq: u64, reasons: &[(&str, &str)]) -> StatusMessage {
-    let state = if reasons.is_empty() {
-        HealthState::Ready
-    } else {
-        HealthState::Degraded
+pub(crate) fn full_status(run: u32, seq: u64, reasons: &[(&str, &str)]) -> StatusMessage {
+    let state = match reasons {
+        [] => HealthState::Ready,
+        _ => HealthState::Degraded,
     };
     let reasons: BTreeMap<_, _> = reasons.iter().copied().collect();
     let full = json!({

@@ -34,7 +34,7 @@ macro_rules! on_both {
 }
 pub(crate) use on_both;
 
-pub struct Postgres {
+pub(crate) struct Postgres {
     folder: tempfile::TempDir,
     port: u16,
     tools: PathBuf,
@@ -54,7 +54,7 @@ fn tools() -> PathBuf {
 }
 
 impl Postgres {
-    pub fn start() -> Self {
+    pub(crate) fn start() -> Self {
         let server = Self {
             folder: tempfile::Builder::new().prefix("hub-pg").tempdir().unwrap(),
             port: super::free_port(),
@@ -78,7 +78,7 @@ impl Postgres {
     }
 
     /// Starts the server, with retries: after a kill its last processes may need a moment to exit.
-    pub fn up(&self) {
+    pub(crate) fn up(&self) {
         let options = format!(
             "-c listen_addresses=127.0.0.1 -c port={} -c unix_socket_directories= -c max_connections=50",
             self.port
@@ -97,7 +97,7 @@ impl Postgres {
     }
 
     /// Kills the server with SIGKILL: changes not yet in its log are lost.
-    pub fn kill(&self) {
+    pub(crate) fn kill(&self) {
         let first = std::fs::read_to_string(format!("{}/postmaster.pid", self.data())).unwrap();
         let id = first.lines().next().unwrap().to_owned();
         let kill = |signal: &str| {
@@ -112,7 +112,7 @@ impl Postgres {
         assert!(kill("-9").success(), "the server's process {id} is killed");
     }
 
-    pub fn url(&self) -> String {
+    pub(crate) fn url(&self) -> String {
         format!("postgres://hub@127.0.0.1:{}/postgres", self.port)
     }
 

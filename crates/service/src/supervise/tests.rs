@@ -1,5 +1,3 @@
-#![allow(clippy::panic, clippy::expect_used)]
-
 use super::*;
 use albireo_wire::HealthState;
 use std::sync::atomic::{AtomicU32, Ordering};

@@ -172,6 +172,12 @@ impl Stage {
         self.steps.send(step).unwrap();
     }
 
+    /// Ends the run well, and returns the answer to one of its callers.
+    async fn answer(&self, asked: Asked) -> Answer<CameraSlot> {
+        self.end(Step::Answer);
+        asked.await.unwrap().unwrap()
+    }
+
     /// Asks for a picture of camera 0 and ends its run. Returns the caller's answer.
     async fn run(&mut self, step: Step) -> Result<Answer<CameraSlot>, InferenceError> {
         let asked = self.begin(0).await;
@@ -285,8 +291,7 @@ async fn a_slow_run_is_answered_at_the_limit_and_keeps_its_session() {
     stage.end(Step::Answer);
     stage.until_ready().await;
     let after = stage.begin(3).await;
-    stage.end(Step::Answer);
-    assert_eq!(after.await.unwrap().unwrap().output, CameraSlot(3));
+    assert_eq!(stage.answer(after).await.output, CameraSlot(3));
     let expected = WorkerCounts {
         completed: 1,
         batches: 1,
@@ -382,8 +387,7 @@ async fn waiting_pictures_share_a_run_and_each_gets_its_own_answer_and_times() {
     let asked: Vec<_> = (1..5).map(|camera| stage.ask(camera)).collect();
     stage.until_waiting(4).await;
     pass(WAITED).await;
-    stage.end(Step::Answer);
-    let first = first.await.unwrap().unwrap();
+    let first = stage.answer(first).await;
     assert_eq!((first.took, first.pictures), (WAITED, 1));
     assert_eq!(stage.next_run().await, [1, 2, 3]);
     pass(RUN).await;
@@ -416,16 +420,14 @@ async fn a_picture_waits_for_others_only_for_the_configured_time_or_until_the_wo
     assert!(stage.started.try_recv().is_err());
     pass(Duration::from_millis(1)).await;
     assert_eq!(stage.next_run().await, [1]);
-    stage.end(Step::Answer);
-    assert_eq!(asked.await.unwrap().unwrap().queued, BATCH_WAIT);
+    assert_eq!(stage.answer(asked).await.queued, BATCH_WAIT);
     // A batch that is complete before the wait is over.
     let one = stage.ask(1);
     stage.until_waiting(1).await;
     pass(BATCH_WAIT / 2).await;
     let other = stage.ask(0);
     assert_eq!(stage.next_run().await, [0, 1]);
-    stage.end(Step::Answer);
-    assert_eq!(one.await.unwrap().unwrap().queued, BATCH_WAIT / 2);
+    assert_eq!(stage.answer(one).await.queued, BATCH_WAIT / 2);
     assert_eq!(other.await.unwrap().unwrap().queued, Duration::ZERO);
     let waiting = stage.ask(1);
     stage.until_waiting(1).await;
@@ -439,8 +441,7 @@ async fn a_late_batch_is_answered_for_all_its_pictures_and_if_it_then_fails_the_
     let first = stage.begin(0).await;
     let asked = [1, 2, 3].map(|camera| stage.ask(camera));
     stage.until_waiting(3).await;
-    stage.end(Step::Answer);
-    first.await.unwrap().unwrap();
+    stage.answer(first).await;
     assert_eq!(stage.next_run().await, [1, 2, 3]);
     pass(TIMEOUT).await;
     for answer in asked {
@@ -502,8 +503,7 @@ async fn stopping_finishes_the_current_run_and_rejects_the_rest_and_spare_pictur
     let refused = stage.ask(2).await.unwrap().unwrap_err();
     assert_eq!(refused, InferenceError::Stopped);
     assert!(!stopping.is_finished());
-    stage.end(Step::Answer);
-    current.await.unwrap().unwrap();
+    stage.answer(current).await;
     stopping.await.unwrap();
     assert!(stage.ended.try_recv().is_ok(), "the model is dropped");
     stage.worker.stop().await;
@@ -544,8 +544,7 @@ async fn a_picture_whose_caller_is_gone_is_not_run() {
     let last = stage.ask(2);
     stage.until_waiting(2).await;
     stage.end(Step::Answer);
-    stage.end(Step::Answer);
-    first.await.unwrap().unwrap();
+    stage.answer(first).await;
     assert_eq!(last.await.unwrap().unwrap().output, CameraSlot(2));
     let counters = stage.counts();
     assert_eq!((counters.completed, counters.cancelled), (2, 1));

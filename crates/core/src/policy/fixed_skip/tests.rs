@@ -45,11 +45,9 @@ fn a_setting_overrides_the_profile() {
         (Profile::Paper, SkippedBoxes::Predict, 1),
         (Profile::Reference, SkippedBoxes::Reuse, 0),
     ] {
-        let mut config = PolicyConfig {
-            name: FixedSkip::NAME.to_owned(),
-            profile,
-            ..PolicyConfig::default()
-        };
+        let mut config = PolicyConfig::default();
+        config.select(FixedSkip::NAME).unwrap();
+        config.profile = profile;
         config.fixed_skip.skipped_boxes = Some(skipped);
         let mut run = Run::with(config.build().unwrap());
         run.see(&[seen(0.5, 0.9)]);

@@ -34,11 +34,9 @@ pub(in crate::policy) fn head(index: u64) -> FrameHead {
 
 /// The policy `asked` for, `NAME[:ARGUMENT]`.
 pub(in crate::policy) fn built(asked: &str, profile: Profile) -> Box<dyn Policy> {
-    let mut config = PolicyConfig {
-        profile,
-        ..PolicyConfig::default()
-    };
+    let mut config = PolicyConfig::default();
     config.select(asked).unwrap();
+    config.profile = profile;
     config.build().unwrap()
 }
 

@@ -24,14 +24,12 @@ async fn frames_precede_a_spare_picture_which_is_dropped_if_too_late_and_fails_a
     // The spare run waits for the run in progress and for the frame that arrives meanwhile.
     let second = stage.ask(1);
     stage.until_waiting(1).await;
-    stage.end(Step::Answer);
-    first.await.unwrap().unwrap();
+    stage.answer(first).await;
     assert_eq!(stage.next_run().await, [1]);
     assert!(!spare.is_finished());
     pass(Duration::from_millis(1500)).await;
     assert!(spare.await.unwrap().is_none());
-    stage.end(Step::Answer);
-    second.await.unwrap().unwrap();
+    stage.answer(second).await;
 
     let spare = stage.ask_spare(8, TIMEOUT);
     assert_eq!(stage.next_run().await, [8]);
@@ -42,8 +40,7 @@ async fn frames_precede_a_spare_picture_which_is_dropped_if_too_late_and_fails_a
     let answer = spare.await.unwrap().unwrap().unwrap();
     assert_eq!((answer.output, answer.pictures), (CameraSlot(8), 1));
     assert_eq!(stage.next_run().await, [2]);
-    stage.end(Step::Answer);
-    third.await.unwrap().unwrap();
+    stage.answer(third).await;
     let counts = stage.counts();
     assert_eq!((counts.completed, counts.batches, counts.spare), (3, 3, 1));
 
