@@ -3,7 +3,6 @@
 use crate::power_live::board;
 use crate::support::{Ended, assert_contains, fake_nvpmodel, fake_tegrastats, project, run};
 use albireo_wire::{ClipReport, EnergyQuality};
-use rstest::rstest;
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -111,7 +110,7 @@ fn the_boards_own_meter_is_read_in_every_run() {
     }
 }
 
-#[rstest]
+#[rstest::rstest]
 #[case(["--policy", "vanila"], "did you mean `vanilla`?")]
 #[case(["--policy", "nobody"], "the policies are `albireo`")]
 #[case(["--policy", "albireo:1e-3"], "no policy of this run has a setting `u` left")]

@@ -16,19 +16,24 @@ use zenoh::query::Query;
 
 const ACKNOWLEDGED: &str = "albireo_outbox_acknowledged_total";
 
-fn settings() -> String {
+fn settings(policy: &str) -> String {
     let model = project("tests/fixtures/models/boxes.onnx");
     format!(
         "detector.model = {model:?}\ndetector.timeout_ms = 60000\n\
-         policy.name = \"vanilla\"\npower.source = \"none\"\n\
+         policy.name = \"{policy}\"\npower.source = \"none\"\n\
          # development: retry_min_ms=50 retry_max_ms=200 answer_timeout_ms=1500\n"
     )
 }
 
-fn folder() -> (tempfile::TempDir, String) {
+/// A folder, and the settings of a node that keeps its state there.
+pub(crate) fn folder(policy: &str) -> (tempfile::TempDir, String) {
     let folder = tempfile::tempdir().unwrap();
     let state = folder.path().join("state");
-    let settings = format!("node.state_dir = \"{}\"\n{}", state.display(), settings());
+    let settings = format!(
+        "node.state_dir = \"{}\"\n{}",
+        state.display(),
+        settings(policy)
+    );
     (folder, settings)
 }
 
@@ -37,7 +42,7 @@ async fn wait_for(node: &Node, name: &str, wanted: f64) {
 }
 
 async fn node_and_camera() -> (Node, Camera) {
-    let (folder, settings) = folder();
+    let (folder, settings) = folder("vanilla");
     let node = Node::start_in(folder, &settings).await;
     let camera = Camera::at(&node.zenoh, "node").await;
     (node, camera)
@@ -86,7 +91,7 @@ impl Hub {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn closed_clips_survive_kills_the_open_one_a_stop_and_all_wait_for_the_answer_of_a_hub() {
-    let (mut folder, settings) = folder();
+    let (mut folder, settings) = folder("vanilla");
     for round in 0..6 {
         let node = Node::start_in(folder, &settings).await;
         let mut camera = Camera::at(&node.zenoh, "node").await;
@@ -209,7 +214,7 @@ async fn a_second_node_with_the_same_state_directory_is_rejected_with_a_reason()
 async fn a_node_starts_without_its_router_answers_health_and_survives_a_router_restart() {
     let endpoint = format!("tcp/127.0.0.1:{}", free_port());
     let connect = format!("zenoh.mode = \"client\"\nzenoh.connect = [\"{endpoint}\"]\n");
-    let settings = connect + &settings();
+    let settings = connect + &settings("vanilla");
     let mut client = albireo();
     client.env("ALBIREO_ZENOH__LISTEN", "[]");
     let node = Node::spawn(client, tempfile::tempdir().unwrap(), &settings).await;

@@ -1,12 +1,11 @@
 //! `albireo demo` with its hub, end to end.
 
 use crate::support::{Ended, albireo, assert_contains, collected, json_at, signal, until};
-use rstest::rstest;
 use serde_json::Value;
 use std::process::Stdio;
 use tokio::io::{AsyncBufReadExt, BufReader};
 
-#[rstest]
+#[rstest::rstest]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn the_demo_has_a_hub_that_receives_its_clips_and_shows_its_node() {

@@ -3,7 +3,6 @@
 use crate::support::fleet::HubProcess;
 use crate::support::{assert_contains, free_port, process, project, run, run_command, text, until};
 use clap::CommandFactory;
-use rstest::rstest;
 use std::path::Path;
 use std::process::Command;
 
@@ -61,7 +60,7 @@ fn scripts_outside_the_packages_parse_and_stop_at_the_first_error() {
 }
 
 /// An attribute belongs to the case below it.
-#[rstest]
+#[rstest::rstest]
 #[ignore = "needs shellcheck"]
 #[case::shellcheck("shellcheck --severity=warning deploy/*.sh deploy/debian/*/*")]
 #[ignore = "needs hadolint"]

@@ -8,7 +8,6 @@ use albireo_core::geometry::PictureSize;
 use albireo_vision::detector::{
     ClassNames, DetectorHandle, DetectorNetwork, DetectorStatus, HeadName, InferenceError,
 };
-use rstest::rstest;
 
 const NAMES: [&str; 2] = ["car", "traffic light"];
 
@@ -103,7 +102,7 @@ async fn boxes_above_the_cap_are_counted_and_dropped() {
 
 /// A model that fails on a bright picture, how red a picture is on which it works, the detections in that one, and
 /// parts of the error.
-#[rstest]
+#[rstest::rstest]
 #[case::too_little_memory("hungry.onnx", 102, 1, &[
     "there is not enough memory", "a smaller model or input size", "562949953421568",
 ])]

@@ -7,7 +7,6 @@ use albireo_eval::footage::{Ffmpeg, FrameSource, Video, VideoEncoding};
 use albireo_vision::detector::{ClassNames, DetectorConfig, DetectorHandle};
 use albireo_vision::picture::{ColorOrder, Picture};
 use albireo_vision::screen::{ScreenConfig, ScreenHandle};
-use rstest::rstest;
 use std::sync::Arc;
 
 /// Frame `number` (from 0) of a clip.
@@ -19,7 +18,7 @@ fn frame(clip: &str, number: usize) -> Arc<Picture> {
     Arc::new(decoded(&frames.nth(number).unwrap()))
 }
 
-#[rstest]
+#[rstest::rstest]
 #[case::yolox("yolox_nano_416.onnx", None, 0.5, [
     (0.88, [554.0, 324.0, 659.0, 396.0]), (0.82, [455.0, 325.0, 528.0, 396.0]),
 ])]

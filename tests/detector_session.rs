@@ -10,7 +10,6 @@ use albireo_vision::detector::{
 };
 use albireo_vision::picture::ColorOrder;
 use albireo_vision::screen::{ScreenConfig, ScreenHandle};
-use rstest::rstest;
 use std::sync::Arc;
 
 #[tokio::test]
@@ -36,7 +35,7 @@ async fn a_fitting_model_runs_on_the_pixels_of_the_picture_and_one_with_too_few_
 
 fn nothing(_: &mut DetectorConfig) {}
 
-#[rstest]
+#[rstest::rstest]
 #[case::no_head("screen.onnx", nothing, &[
     "`logits` float32 [1, 2]", "is not recognised", "yolo: one output [1, 4 + classes, anchors]", "end-to-end:", "detr:",
     "yolox:", "fastestdet:",

@@ -1,10 +1,9 @@
 //! A clip end to end through real processes: `albireo node`, `albireo replay`, and a client that shares no code with them.
 
 use crate::support::{Client, Node, replay, shared, value_of};
-use rstest::rstest;
 use std::collections::BTreeSet;
 
-#[rstest]
+#[rstest::rstest]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ../shared and ONNX Runtime and Python and ffmpeg"]
 async fn shared_every_frame_of_a_clip_is_answered_or_reported_as_dropped() {

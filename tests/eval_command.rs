@@ -4,7 +4,6 @@ use crate::support::{Ended, assert_contains, project, run};
 use albireo_core::policy::FrameState;
 use albireo_eval::energy_model::EnergyModel;
 use albireo_eval::trace;
-use rstest::rstest;
 use std::path::Path;
 use tempfile::TempDir;
 
@@ -107,7 +106,7 @@ fn results_do_not_depend_on_the_number_of_threads() {
 }
 
 /// FOLDER stands for a valid recording.
-#[rstest]
+#[rstest::rstest]
 #[case("recorded /nowhere", &["/nowhere/sequences.json", "sequences.json that lists"])]
 #[case("recorded FOLDER --policy albiro", &["no policy `albiro`", "did you mean `albireo`?"])]
 #[case("recorded FOLDER --policy nobody", &["no policy `nobody`", "`vanilla`"])]

@@ -5,8 +5,8 @@ use crate::support::camera::Camera;
 use crate::support::fleet::{HubProcess, Settings, behind, from_environment, router, sqlite};
 use crate::support::postgres::Postgres;
 use crate::support::{
-    Node, PATIENCE, albireo_on_a_disk_that_fills, free_port, limit, metric, project, signal,
-    text_at, until, zenoh_client,
+    Node, PATIENCE, albireo_on_a_disk_that_fills, free_port, limit, metric, signal, text_at, until,
+    zenoh_client,
 };
 use rand_core::{RngCore, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -30,15 +30,10 @@ pub(crate) struct Car {
 
 impl Car {
     pub(crate) fn new(policy: &str, name: &str, router: &str) -> Self {
-        let folder = tempfile::tempdir().unwrap();
+        let (folder, settings) = crate::delivery::folder(policy);
         let settings = format!(
-            "node.name = \"{name}\"\nnode.state_dir = \"{}\"\n\
-             detector.model = {:?}\ndetector.timeout_ms = 60000\n\
-             policy.name = \"{policy}\"\npower.source = \"none\"\n\
-             # development: retry_min_ms=50 retry_max_ms=200 answer_timeout_ms=1500\n\
-             uplink.connect = [\"{router}\"]\n# development: reconnect_max_ms=500\n",
-            folder.path().join("state").display(),
-            project("tests/fixtures/models/boxes.onnx")
+            "node.name = \"{name}\"\n{settings}uplink.connect = [\"{router}\"]\n\
+             # development: reconnect_max_ms=500\n"
         );
         Self {
             name: name.to_owned(),

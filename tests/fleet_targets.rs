@@ -3,7 +3,6 @@
 use crate::fleet::Car;
 use crate::support::fleet::HubProcess;
 use crate::support::{assert_contains, assert_has, json_at, run, until};
-use rstest::rstest;
 use serde_json::{Value, json};
 
 fn fleet(hub: &HubProcess, words: &str) -> (String, Option<i32>) {
@@ -17,7 +16,7 @@ async fn at_node(car: &Car) -> Value {
     json_at(&format!("{http}/api/v1/target")).await
 }
 
-#[rstest]
+#[rstest::rstest]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_target_set_at_the_hub_is_held_by_the_node_until_its_threshold_is_set_by_hand() {

@@ -7,7 +7,6 @@ use albireo_core::geometry::PictureSize;
 use albireo_eval::trace;
 use replay::Screen::{self, EmptyWithoutDetections, NeverEmpty};
 use replay::{compare, compare_excerpt};
-use rstest::rstest;
 use shared_data::{detections, sequences};
 
 pub(crate) mod replay;
@@ -24,7 +23,7 @@ pub(crate) const RUNS: [(&str, &str, Screen); 5] = [
     ("ctd-0.50", "ctd:0.50", NeverEmpty),
 ];
 
-#[rstest]
+#[rstest::rstest]
 #[case::all_five_frame_states("albireo-u3e-4-erd-detections.kitti-0018", [1238, 374])]
 #[case::runs_of_predicted_frames("albireo-u1e-3-erd-nonempty.kitti-0008", [1242, 375])]
 #[case::rescues_and_removals("albireo-u3e-4-erd-nonempty.PETS09-S2L1", [768, 576])]

@@ -10,7 +10,6 @@ use albireo_core::detection::Detection;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{BoxSource, FrameState, Outcome, Profile};
 use albireo_eval::average_precision::ScoredBox;
-use rstest::rstest;
 use serde_json::json;
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -22,7 +21,7 @@ pub(crate) fn python() -> PathBuf {
 }
 
 /// The promises of its loop, results of the type it is given, and an answer or an error for any input.
-#[rstest]
+#[rstest::rstest]
 #[ignore = "needs the wheel"]
 fn the_package_passes_its_own_tests(
     #[values("test_skipper", "test_results", "test_hostile")] module: &str,

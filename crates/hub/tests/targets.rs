@@ -5,7 +5,6 @@ use crate::tuning::{SimulatedFleet, begin, fleet, put, put_at, send, values};
 use albireo_hub::config::LocalChange;
 use albireo_wire::StatusMessage;
 use reqwest::{Method, StatusCode};
-use rstest::rstest;
 use serde_json::{Value, json};
 
 /// Sets a target, or none, with these outcomes.
@@ -139,7 +138,7 @@ async fn a_value_or_target_reaches_the_selected_nodes_and_replaces_the_one_befor
 
 on_both!(a_value_or_target_reaches_the_selected_nodes_and_replaces_the_one_before);
 
-#[rstest]
+#[rstest::rstest]
 #[tokio::test(flavor = "multi_thread")]
 async fn a_node_changed_repeatedly_is_set_back_three_times_and_then_left_alone() {
     let hub = Hub::fresh_with(|config| config.tuning.local_change = LocalChange::SetBack).await;

@@ -1,6 +1,5 @@
 use super::*;
 use crate::tests::assert_contains;
-use rstest::rstest;
 use std::sync::Mutex;
 use std::time::Duration;
 
@@ -57,7 +56,7 @@ fn counting(mj: u64) -> Fake {
 }
 
 /// The second reading comes 1 s after the first; the first card becomes `next` in between.
-#[rstest]
+#[rstest::rstest]
 #[case::counters_are_used_if_every_card_has_one(
     vec![counting(5_000), counting(7_000)], counting(65_000), Value::Counter(60.0)
 )]

@@ -1,6 +1,5 @@
 use super::*;
 use crate::tests::{Tree, assert_contains};
-use rstest::rstest;
 
 const PACKAGE: &str = "intel-rapl:0";
 const FIRST: &str = "intel-rapl:0/intel-rapl:0:0";
@@ -11,7 +10,7 @@ const MMIO: &str = "intel-rapl-mmio:0";
 
 /// Checks the joules of the total, GPU, CPU and memory over 1 s. Each zone has a path, a name, and its count before and
 /// after.
-#[rstest]
+#[rstest::rstest]
 #[case::subzones_and_the_mmio_duplicate_are_not_added_to_the_package(
     &[
         (PACKAGE, "package-0", 1_000_000, 31_000_000),

@@ -2,7 +2,6 @@ use super::*;
 use crate::reading::{Reading, Value};
 use crate::tests::{Tree, reading, total};
 use albireo_wire::ClipEnergy;
-use rstest::rstest;
 
 /// A meter that follows a power curve over the seconds since its creation.
 struct Curve<F>(Instant, F);
@@ -193,7 +192,7 @@ fn tree() -> Tree {
     tree
 }
 
-#[rstest]
+#[rstest::rstest]
 fn each_file_source_uses_under_half_a_percent_of_a_core_at_ten_samples_per_second(
     #[values(PowerSource::Ina, PowerSource::Rapl, PowerSource::Estimate)] source: PowerSource,
 ) {
