@@ -29,7 +29,7 @@ use tokio::time::timeout;
 use zenoh::Session;
 use zenoh::sample::Sample;
 
-/// The limit of a test on a busy machine. A wait that says what it waits for ends earlier, so that it is heard.
+/// The limit of a test, as in `.cargo/config.toml`. A wait that says what it waits for ends earlier, so that it is heard.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(360);
 
 pub(crate) fn project(path: &str) -> PathBuf {

@@ -26,7 +26,7 @@ use std::time::{Duration, Instant};
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
-/// The limit of a test on a busy machine. A wait that says what it waits for ends earlier, so that it is heard.
+/// The limit of a test, as in `.cargo/config.toml`. A wait that says what it waits for ends earlier, so that it is heard.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(360);
 
 pub(crate) struct Hub {
