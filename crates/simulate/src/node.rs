@@ -296,6 +296,7 @@ impl SimNode {
             dropped: DroppedFrames::default(),
             policy: "albireo".to_owned(),
             threshold: Some(Threshold::new("u", u)),
+            target: None,
             threshold_changes: vec![albireo_wire::ThresholdChange {
                 seq: number * frames as u64,
                 threshold: Threshold::new("u", u),
