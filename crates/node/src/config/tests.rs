@@ -2,6 +2,7 @@
 mod configuration;
 
 use super::*;
+use albireo_service::config::Configuration as _;
 use configuration::{key_of, load, problem, problems};
 
 type Config = NodeConfig;
@@ -25,6 +26,22 @@ fn the_keys_in_comments_can_be_used_unchanged() {
     assert_eq!(config.tokens[0].name, "prometheus");
     let source = config.cameras[0].source.as_ref().unwrap();
     assert_eq!(source.to_string(), "rtsp://192.168.0.20/stream");
+}
+
+#[test]
+fn every_removed_key_is_rejected_with_its_replacement() {
+    for removed in NodeConfig::REMOVED.lines() {
+        let (key, became) = removed.split_once(": ").unwrap();
+        let text = match (key.split_once(" = "), key.split_once('.')) {
+            (Some((key, value)), _) => format!("{key} = \"{value}\"\n"),
+            (None, Some(("policy", _))) => format!("[{key}]\na = 1\n"),
+            (None, Some(("camera", key))) => format!("[[camera]]\nname = \"a\"\n{key} = 1\n"),
+            (None, _) => format!("{key} = 1\n"),
+        };
+        let found = problem(&text);
+        let expected = format!("was removed: {became}");
+        assert!(found.contains(&expected), "{found}");
+    }
 }
 
 #[test]

@@ -24,6 +24,57 @@ impl Configuration for NodeConfig {
         "REPORT", "SETTLE", "AUDIT", "CLIP", "FRAME", "POWER", "LOG", "TOKEN",
     ];
 
+    const REMOVED: &'static str = "\
+node.hub_wins: a value set at the node stays until the hub desires a new one
+node.stop_timeout_s: stopping takes at most 5 s
+node.camera_silence_s: a camera counts as silent after 30 s without a frame
+outbox.max_bytes: the file of reports takes at most 256 MiB
+outbox.gather_reports: 12 reports go together; outbox.gather_s = 0 sends each at once
+outbox.answer_timeout_ms: a hub may take 10 s to answer a batch
+outbox.retry_min_ms: a batch is sent again after 1 s, then after pauses that double up to 60 s
+outbox.retry_max_ms: a batch is sent again after 1 s, then after pauses that double up to 60 s
+outbox.status_s: a heartbeat is sent every 30 s
+uplink.retry_max_ms: the connection to the router is retried after at most 30 s
+uplink.verify_name: the router's certificate is always compared with its name: `albireo certificate` takes \
+    several names and addresses
+uplink.user: a node identifies itself by uplink.certificate, which `albireo certificate` creates
+uplink.password_file: a node identifies itself by uplink.certificate, which `albireo certificate` creates
+http.timeout_ms: a request may take 10 s
+http.idle_timeout_ms: a connection that is silent for 30 s is closed
+http.max_connections: 256 connections may be open at a time
+detector.suppression_per_class: boxes of one class suppress each other
+detector.most_detections: a frame has at most 300 detections
+detector.batch_wait_ms: a frame waits 5 ms for those that share its run
+detector.may_fall_back: each provider in detector.providers replaces those before it if they fail: list a single \
+    one to allow no other
+detector.gpu.device: the environment variable CUDA_VISIBLE_DEVICES chooses the GPU
+detector.gpu.memory_limit_mib: there is no limit but the card's memory
+screen.empty_class: the first of the network's two outputs means \"empty\"
+screen.timeout_ms: a verdict that takes longer than 1 s counts as \"not empty\"
+screen.longest_empty_run: the detector runs after 100 empty frames in a row
+power.sysfs: sysfs is read at /sys
+power.procfs: procfs is read at /proc
+power.nvpmodel: nvpmodel is looked for in PATH
+power.nvml_cards: all cards of the machine count
+power.sudo: power.tegrastats may name a script that runs `exec sudo -n tegrastats \"$@\"`
+camera.ring: two frames may wait
+camera.source_timeout_s: a source without a picture for 15 s is opened again
+policy.albireo: its numbers are those of the paper or of its published code: choose by policy.profile
+policy.expected_loss: its numbers are fitted to recordings and fixed; `expected-loss+flow` in policy.name follows \
+    boxes in pictures
+audit.wait_s: a drawn frame waits 5 s for the detector
+uplink.lease_ms: the lease of the uplink is 120 s
+uplink.reopen_s: after 300 s without an answer the uplink is opened again
+frame.max_width: a picture may have 7680x4320 pixels and 128 MiB when decoded
+frame.max_height: a picture may have 7680x4320 pixels and 128 MiB when decoded
+frame.max_decoded_bytes: a picture may have 7680x4320 pixels and 128 MiB when decoded
+power.source = battery: a battery updates its figures too rarely to measure clips; `estimate` works on every \
+    machine
+power.source = sum: name one meter in power.source: `rapl` for the processor or `nvml` for the cards
+power.sum: name one meter in power.source: `rapl` for the processor or `nvml` for the cards
+power.gpu_idle_watts: the estimate is of the processor alone; a GPU needs a meter (`ina`, `tegrastats`, `nvml`)
+power.gpu_busy_watts: the estimate is of the processor alone; a GPU needs a meter (`ina`, `tegrastats`, `nvml`)";
+
     /// Does not check that files exist: a missing file is reported when it is opened.
     fn findings(&self) -> Vec<Finding> {
         let mut findings = Findings::default();

@@ -24,6 +24,9 @@ pub trait Configuration: DeserializeOwned {
         json!({})
     }
 
+    /// Removed keys and values (`section.key = value`), one per line: the key, `: `, and what replaced it.
+    const REMOVED: &'static str = "";
+
     /// Returns all errors in the values; empty if they are valid.
     fn findings(&self) -> Vec<Finding>;
 }
@@ -104,7 +107,7 @@ fn read<C: Configuration>(figment: &Figment) -> (Option<C>, Vec<Finding>) {
             {
                 path.push(name.clone());
             }
-            findings.push(finding(&error.kind, &path));
+            findings.push(finding(&error.kind, &path, C::REMOVED));
             if !take_out(&mut values, &path) || findings.len() >= MOST_FINDINGS {
                 return (None, findings);
             }
@@ -163,18 +166,29 @@ fn misspelt_variables(sections: &[&str]) -> Vec<Finding> {
     misspelt.collect()
 }
 
-/// The error about the value at `path`.
-fn finding(error: &Kind, path: &[String]) -> Finding {
-    let mut key = String::new();
+/// The error about the value at `path`. For removed keys and values it names the replacement, whichever camera it is:
+/// `camera[1].ring` is `camera.ring`.
+fn finding(error: &Kind, path: &[String], removed: &str) -> Finding {
+    let (mut key, mut of_any) = (String::new(), String::new());
     for part in path {
         if is_index(part) {
             key.push_str(&format!("[{part}]"));
         } else {
             let dot = if key.is_empty() { "" } else { "." };
             key.push_str(&format!("{dot}{part}"));
+            of_any.push_str(&format!("{dot}{part}"));
         }
     }
-    Finding::new(key, reason(error))
+    let gone = match error {
+        Kind::UnknownField(..) => of_any,
+        Kind::UnknownVariant(value, _) => format!("{of_any} = {value}"),
+        _ => String::new(),
+    };
+    let mut removed = removed.lines().filter_map(|line| line.split_once(": "));
+    match removed.find(|(name, _)| *name == gone) {
+        Some((_, became)) => Finding::new(key, format!("was removed: {became}")),
+        None => Finding::new(key, reason(error)),
+    }
 }
 
 /// A readable description of the expected value, if `expected` is the name of a type.
