@@ -35,33 +35,30 @@ impl NodeName {
     /// Declares the token `key` once no other node holds it, and keeps it. Until then, and if another node appears
     /// later, `part` reports that two nodes have the same name: both answer its frames.
     pub(crate) async fn hold(self, session: Session, key: String, part: Part) {
-        while let Err(error) = self.try_hold(&session, &key, &part).await {
-            tracing::warn!(%error, key, "cannot declare the liveliness token; will retry");
-            tokio::time::sleep(CHECK_EVERY).await;
-        }
-    }
-
-    async fn try_hold(&self, session: &Session, key: &str, part: &Part) -> zenoh::Result<()> {
         let own = format!("{key}/{}", session.zid());
         loop {
-            let is_held = self.is_held();
-            let is_free = other_claims(session, key, &own).await?.is_empty()
-                && (is_held || self.claim(session, key, &own).await?);
-            match is_free {
-                true => part.works(),
-                false => part.degraded(CONFLICT),
-            }
-            let pause = if is_held {
-                OWNER_CHECK_EVERY
-            } else {
-                CHECK_EVERY
+            let pause = match self.is_held() {
+                true => OWNER_CHECK_EVERY,
+                false => CHECK_EVERY,
             };
+            match self.claim(&session, &key, &own).await {
+                Ok(true) => part.works(),
+                Ok(false) => part.degraded(CONFLICT),
+                Err(error) => {
+                    tracing::warn!(%error, key, "cannot declare the liveliness token; will retry");
+                }
+            }
             tokio::time::sleep(jittered(pause)).await;
         }
     }
 
-    /// Claims the name, and returns true unless a node with a lower id claims it at the same time.
+    /// Claims the name unless this node has it. Returns true unless another node claims it: without this node, or with a
+    /// lower id at the same time.
     async fn claim(&self, session: &Session, key: &str, own: &str) -> zenoh::Result<bool> {
+        let is_free = other_claims(session, key, own).await?.is_empty();
+        if !is_free || self.is_held() {
+            return Ok(is_free);
+        }
         let claim = session.liveliness().declare_token(own).await?;
         tokio::time::sleep(CLAIM_SPREAD_TIME).await;
         let others = other_claims(session, key, own).await?;
