@@ -13,4 +13,4 @@ pub use caller::*;
 pub use index::{Route, routes};
 pub use page::with_page;
 pub use problem::{Problem, describe, response};
-pub use serve::{BODY_LIMIT, run};
+pub use serve::run;

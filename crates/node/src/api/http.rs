@@ -21,17 +21,15 @@ pub(crate) use health::alive;
 use crate::config::NodeConfig;
 use crate::state::board::{Board, CameraBoard, DetectorEvent, FrameEvent, ThresholdEvent};
 use albireo_service::config::without_secrets;
-use albireo_service::http::{self, Problem, Route};
+use albireo_service::http::{self, Problem};
 use albireo_vision::picture::FrameLimits;
 use albireo_wire::{
     ConfigChanged, CountersMessage, Desired, DetectionsMessage, FrameAnswer, FrameAttachment,
     PullRequest, ReportAnswer, ReportBatch, SettledMessage, StatusMessage, ThresholdMessage,
 };
-use axum::Router;
-use axum::extract::Query;
-use axum::extract::rejection::QueryRejection;
 use axum::http::StatusCode;
 use axum::routing::get;
+use axum::{Json, Router};
 use std::ops::RangeInclusive;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
@@ -57,8 +55,6 @@ struct RouteState {
     /// Permits for event streams.
     streams: Arc<Semaphore>,
     shutdown: CancellationToken,
-    /// The routes listed by the index.
-    routes: Arc<[Route]>,
 }
 
 impl RouteState {
@@ -76,17 +72,6 @@ impl RouteState {
             );
             Problem::new(StatusCode::NOT_FOUND, detail).allowing(names)
         })
-    }
-}
-
-/// Parses the query string of a request; `allowed` are the names that it may contain.
-fn query<T>(
-    query: Result<Query<T>, QueryRejection>,
-    allowed: &[&'static str],
-) -> Result<T, Problem> {
-    match query {
-        Ok(Query(query)) => Ok(query),
-        Err(rejection) => Err(bad_request(rejection.body_text()).allowing(allowed.iter().copied())),
     }
 }
 
@@ -170,20 +155,15 @@ pub fn openapi() -> OpenApi {
 
 /// The router of the node: all routes, their OpenAPI document and the page.
 pub fn router(board: Arc<Board>, config: &NodeConfig, shutdown: CancellationToken) -> Router {
-    let (router, openapi) = described();
+    let (router, _) = described();
     #[cfg(feature = "swagger")]
     let router = router.merge(
         // The document is served below: this only gives its address to the page.
         utoipa_swagger_ui::SwaggerUi::new("/docs")
             .config(utoipa_swagger_ui::Config::new(["/openapi.json"])),
     );
-    let routes = http::routes(&openapi).into();
-    let openapi = Arc::new(openapi);
     http::with_page(router, "node.html")
-        .route(
-            "/openapi.json",
-            get(move || async move { axum::Json(Arc::unwrap_or_clone(openapi)) }),
-        )
+        .route("/openapi.json", get(|| async { Json(openapi()) }))
         .with_state(RouteState {
             board,
             limits: config.frame,
@@ -192,6 +172,5 @@ pub fn router(board: Arc<Board>, config: &NodeConfig, shutdown: CancellationToke
             decoded: Arc::default(),
             streams: Arc::new(Semaphore::new(events::MOST_STREAMS)),
             shutdown,
-            routes,
         })
 }

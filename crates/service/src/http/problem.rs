@@ -1,5 +1,6 @@
 //! Errors as problem documents (RFC 9457), including the framework's own errors.
 
+use super::serve::BODY_LIMIT;
 use albireo_wire::ThresholdSpec;
 use axum::body::to_bytes;
 use axum::extract::{Request, State};
@@ -131,6 +132,9 @@ pub(super) async fn translate(
             format!("{method} is not allowed here; allowed: {allowed}")
         }
         ("", StatusCode::REQUEST_TIMEOUT) => format!("the request did not end within {limit:?}"),
+        (_, StatusCode::PAYLOAD_TOO_LARGE) => {
+            format!("the body must have at most {BODY_LIMIT} bytes")
+        }
         ("", StatusCode::NOT_FOUND) => {
             format!("there is nothing at {path}; /openapi.json lists all paths")
         }

@@ -24,7 +24,7 @@ use tower_http::trace::TraceLayer;
 use tower_service::Service;
 
 /// The largest request body, bytes. The largest legitimate one has about thirty.
-pub const BODY_LIMIT: usize = 16 << 10;
+pub(super) const BODY_LIMIT: usize = 16 << 10;
 
 /// The time for requests in progress to end after the shutdown.
 const GRACE: Duration = Duration::from_secs(1);

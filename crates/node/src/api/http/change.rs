@@ -1,8 +1,7 @@
 //! Reads the body of a change request, and makes the change outside the async workers.
 
-use albireo_service::http::{BODY_LIMIT, Problem};
+use albireo_service::http::Problem;
 use axum::body::Bytes;
-use axum::extract::rejection::BytesRejection;
 use axum::http::header::CONTENT_TYPE;
 use axum::http::{HeaderMap, StatusCode};
 use serde::de::DeserializeOwned;
@@ -12,7 +11,7 @@ use std::fmt::Display;
 /// Reads the message in a request. `expected` describes it for the error text.
 pub(super) fn message<T: DeserializeOwned>(
     headers: &HeaderMap,
-    body: Result<Bytes, BytesRejection>,
+    body: &Bytes,
     expected: &str,
 ) -> Result<T, Problem> {
     let name = headers
@@ -38,27 +37,18 @@ pub(super) fn message<T: DeserializeOwned>(
         )
         .allowing(["application/json"]));
     }
-    let body = body.map_err(|rejection| {
-        let status = rejection.status();
-        let detail = if status == StatusCode::PAYLOAD_TOO_LARGE {
-            format!("the body must have at most {BODY_LIMIT} bytes")
-        } else {
-            rejection.body_text()
-        };
-        Problem::new(status, detail)
-    })?;
     let fault = |status, what: &dyn Display| {
         Problem::new(status, format!("the body must be {expected}: {what}"))
     };
     let no_json = |error| fault(StatusCode::BAD_REQUEST, &error);
-    serde_json::from_slice::<Value>(&body).map_err(no_json)?;
+    serde_json::from_slice::<Value>(body).map_err(no_json)?;
     // From here on it is JSON, and only its content can be wrong.
     let not_this = |what: &dyn Display| fault(StatusCode::UNPROCESSABLE_ENTITY, what);
     // Serde would also accept a list of the fields' values.
     if !body.trim_ascii_start().starts_with(b"{") {
         return Err(not_this(&"it is not a JSON object"));
     }
-    serde_json::from_slice(&body).map_err(|error| not_this(&error))
+    serde_json::from_slice(body).map_err(|error| not_this(&error))
 }
 
 /// Runs a change on a blocking thread, because it writes a file, which can take a while on a slow SD card.

@@ -1,11 +1,10 @@
 //! The route that lists recent clip reports.
 
-use super::{RouteState, query, within};
+use super::{RouteState, within};
 use crate::state::board::RECENT_CLIPS;
 use albireo_service::http::Problem;
 use albireo_wire::ClipReport;
 use axum::Json;
-use axum::extract::rejection::QueryRejection;
 use axum::extract::{Query, State};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -52,9 +51,8 @@ pub(super) struct Clips {
 )]
 pub(super) async fn list(
     State(shared): State<RouteState>,
-    selection: Result<Query<Selection>, QueryRejection>,
+    Query(selection): Query<Selection>,
 ) -> Result<Json<Clips>, Problem> {
-    let selection = query(selection, &["camera", "limit", "before", "after"])?;
     let limit = within("limit", selection.limit.unwrap_or(50), 1..=RECENT_CLIPS)?;
     if let Some(camera) = &selection.camera {
         shared.camera(camera)?;

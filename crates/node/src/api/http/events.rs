@@ -1,10 +1,9 @@
 //! Streams the node's events as server-sent events (WHATWG HTML, section 9.2).
 
-use super::{RouteState, bad_request, query};
+use super::{RouteState, bad_request};
 use crate::state::board::{Event, News};
 use albireo_service::clock::unix_nanoseconds;
 use albireo_service::http::Problem;
-use axum::extract::rejection::QueryRejection;
 use axum::extract::{Query, State};
 use axum::http::StatusCode;
 use axum::response::sse::{self, KeepAlive, Sse};
@@ -88,9 +87,8 @@ async fn next(
 )]
 pub(super) async fn stream(
     State(shared): State<RouteState>,
-    selection: Result<Query<Selection>, QueryRejection>,
+    Query(selection): Query<Selection>,
 ) -> Result<Sse<impl Stream<Item = Result<sse::Event, Infallible>>>, Problem> {
-    let selection = query(selection, &["camera", "types"])?;
     selection.check(&shared)?;
     let place = Arc::clone(&shared.streams)
         .try_acquire_owned()

@@ -1,6 +1,6 @@
 //! Returns the recent past of a node, for a page that was just opened.
 
-use super::{RouteState, bad_request, query, within};
+use super::{RouteState, bad_request, within};
 use crate::state::board::{
     CameraPiece, Clock, FRAMES, PastFrame, PowerPiece, SLOT_S, SkipEstimate,
 };
@@ -8,7 +8,6 @@ use albireo_core::policy::{CallCause, FrameState};
 use albireo_service::http::Problem;
 use albireo_wire::Threshold;
 use axum::Json;
-use axum::extract::rejection::QueryRejection;
 use axum::extract::{Path, Query, State};
 use axum::http::StatusCode;
 use serde::{Deserialize, Serialize};
@@ -92,10 +91,9 @@ fn columns(frames: &[PastFrame], clock: &Clock) -> PastFrames {
 pub(super) async fn camera(
     State(shared): State<RouteState>,
     Path(camera): Path<String>,
-    selection: Result<Query<Selection>, QueryRejection>,
+    Query(selection): Query<Selection>,
 ) -> Result<Json<CameraHistory>, Problem> {
-    let most = query(selection, &["frames"])?.frames.unwrap_or(3000);
-    let most = within("frames", most, 0..=FRAMES)?;
+    let most = within("frames", selection.frames.unwrap_or(3000), 0..=FRAMES)?;
     let camera = shared.camera(&camera)?;
     let (frames, slots, clock) = camera.past(most);
     Ok(Json(CameraHistory {
@@ -181,9 +179,8 @@ fn thresholds(text: &str) -> Result<Vec<f64>, Problem> {
 pub(super) async fn skip_estimate(
     State(shared): State<RouteState>,
     Path(camera): Path<String>,
-    values: Result<Query<Values>, QueryRejection>,
+    Query(values): Query<Values>,
 ) -> Result<Json<SkipEstimates>, Problem> {
-    let values = query(values, &["values"])?;
     let camera = shared.camera(&camera)?;
     let cannot = |why: &str| Problem::new(StatusCode::CONFLICT, why);
     let (Some(threshold), Some(about)) = (camera.threshold_in_force(), camera.threshold_spec)

@@ -1,7 +1,7 @@
 //! The list of routes.
 
 use super::RouteState;
-use albireo_service::http::Route;
+use albireo_service::http::{Route, routes};
 use axum::Json;
 use axum::extract::State;
 use serde::Serialize;
@@ -36,6 +36,6 @@ pub(super) async fn index(State(shared): State<RouteState>) -> Json<Index> {
         policy: board.policy,
         cameras: shared.camera_names(),
         openapi: "/openapi.json",
-        routes: shared.routes.to_vec(),
+        routes: routes(&super::openapi()),
     })
 }

@@ -1,11 +1,10 @@
 //! The route that returns the last log lines.
 
-use super::{query, within};
+use super::within;
 use albireo_service::http::Problem;
 use albireo_service::logging::{self, LogLine};
 use axum::Json;
 use axum::extract::Query;
-use axum::extract::rejection::QueryRejection;
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
@@ -39,10 +38,7 @@ pub(super) struct Log {
     get, operation_id = "log_tail", path = "/api/v1/log", tag = "diagnosis", params(Selection),
     responses((status = 200, body = Log))
 )]
-pub(super) async fn tail(
-    selection: Result<Query<Selection>, QueryRejection>,
-) -> Result<Json<Log>, Problem> {
-    let selection = query(selection, &["after", "limit"])?;
+pub(super) async fn tail(Query(selection): Query<Selection>) -> Result<Json<Log>, Problem> {
     let limit = within("limit", selection.limit.unwrap_or(200), 1..=MOST)?;
     Ok(Json(Log {
         lines: logging::lines_after(selection.after, limit),

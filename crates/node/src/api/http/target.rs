@@ -7,7 +7,6 @@ use albireo_wire::{SettingSource, Target, TargetMessage, TargetReport, check_ver
 use axum::Json;
 use axum::body::Bytes;
 use axum::extract::State;
-use axum::extract::rejection::BytesRejection;
 use axum::http::{HeaderMap, StatusCode};
 use std::sync::Arc;
 
@@ -35,11 +34,11 @@ pub(super) async fn get(State(shared): State<RouteState>) -> Json<TargetReport> 
 pub(super) async fn put(
     State(shared): State<RouteState>,
     headers: HeaderMap,
-    body: Result<Bytes, BytesRejection>,
+    body: Bytes,
 ) -> Result<Json<TargetReport>, Problem> {
     let refused =
         |what: String| Problem::new(StatusCode::UNPROCESSABLE_ENTITY, what).allowing(Target::NAMES);
-    let message: TargetMessage = message(&headers, body, EXPECTED)?;
+    let message: TargetMessage = message(&headers, &body, EXPECTED)?;
     check_version(message.v).map_err(|error| refused(error.to_string()))?;
     let board = Arc::clone(&shared.board);
     let local = SettingSource::Local;

@@ -8,7 +8,6 @@ use albireo_service::http::Problem;
 use albireo_wire::{SettingSource, Threshold, VERSION, check_version};
 use axum::Json;
 use axum::body::Bytes;
-use axum::extract::rejection::BytesRejection;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, StatusCode};
 use serde::{Deserialize, Serialize};
@@ -93,7 +92,7 @@ async fn put(
     board: &Arc<Board>,
     cameras: Vec<Arc<CameraBoard>>,
     headers: &HeaderMap,
-    body: Result<Bytes, BytesRejection>,
+    body: &Bytes,
 ) -> Result<(), Problem> {
     let spec = cameras.first().and_then(|camera| camera.threshold_spec);
     let spec = spec.ok_or_else(|| {
@@ -142,9 +141,15 @@ pub(super) async fn get_all(State(shared): State<RouteState>) -> Json<Thresholds
 pub(super) async fn put_all(
     State(shared): State<RouteState>,
     headers: HeaderMap,
-    body: Result<Bytes, BytesRejection>,
+    body: Bytes,
 ) -> Result<Json<Thresholds>, Problem> {
-    put(&shared.board, shared.board.cameras.to_vec(), &headers, body).await?;
+    put(
+        &shared.board,
+        shared.board.cameras.to_vec(),
+        &headers,
+        &body,
+    )
+    .await?;
     Ok(Json(thresholds(&shared.board)))
 }
 
@@ -177,9 +182,9 @@ pub(super) async fn put_one(
     State(shared): State<RouteState>,
     Path(camera): Path<String>,
     headers: HeaderMap,
-    body: Result<Bytes, BytesRejection>,
+    body: Bytes,
 ) -> Result<Json<CameraThreshold>, Problem> {
     let camera = shared.camera(&camera)?;
-    put(&shared.board, vec![Arc::clone(camera)], &headers, body).await?;
+    put(&shared.board, vec![Arc::clone(camera)], &headers, &body).await?;
     Ok(Json(of(&shared.board, camera)))
 }
