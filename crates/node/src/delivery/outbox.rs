@@ -16,9 +16,8 @@ pub use config::OutboxConfig;
 use crate::error::NodeError;
 use crate::state::board::Board;
 use albireo_service::clock::Now;
-use albireo_wire::{ClipReport, OutboxStatus, ReportAnswer, ReportBatch};
-use disk::Disk;
-use disk::StateFile;
+use albireo_wire::OutboxStatus;
+use disk::{Disk, StateFile};
 use parking_lot::Mutex;
 use std::path::Path;
 use std::sync::Arc;
@@ -47,11 +46,13 @@ pub struct OutboxCounts {
     pub failing: Option<String>,
 }
 
+/// Maximum file size, bytes. Reports that a hub has are deleted first, then the oldest waiting ones, as lost.
+pub(super) const MAX_BYTES: u64 = 256 << 20;
+
 /// The interval at which a failed disk is tried again.
 const RETRY_EVERY: Duration = Duration::from_secs(2);
 
-/// The outbox; clones share it. Methods that may write and sync a file are marked: call them outside async
-/// workers.
+/// The outbox; clones share it.
 #[derive(Clone, Debug)]
 pub struct Outbox(Arc<Shared>);
 
@@ -70,7 +71,7 @@ impl Outbox {
     ///
     /// # Errors
     /// [`NodeError`] if another node uses the directory or its file is not ours; not if the disk fails.
-    pub fn open(config: &OutboxConfig, directory: Option<&Path>) -> Result<Self, NodeError> {
+    pub fn open(directory: Option<&Path>) -> Result<Self, NodeError> {
         let opened = match directory {
             None => {
                 tracing::warn!(
@@ -83,7 +84,7 @@ impl Outbox {
             )),
             Some(directory) => {
                 let file = Box::new(StateFile::new(directory));
-                Self::open_on(file, config.max_bytes, Now::system())
+                Self::open_on(file, MAX_BYTES, Now::system())
             }
         };
         let shown = directory.unwrap_or(Path::new("")).display();
@@ -119,39 +120,18 @@ impl Outbox {
         self.0.counts.lock().clone()
     }
 
-    /// Returns when reports were added since the last call. For a single task; never waits for the disk.
+    /// Returns when there was a change since the last call. For a single task; never waits for the disk.
     pub(crate) async fn changed(&self) {
         self.0.changed.notified().await;
     }
 
-    /// Keeps reports in order and sets their running counts. Writes a file.
-    pub(crate) fn insert(&self, reports: &mut [ClipReport], now: Now) {
-        self.with(|waiting| waiting.insert(reports, now));
-        self.0.changed.notify_one();
-    }
-
-    /// The oldest reports to send, as reports of `node`; with `again`, also those that a hub has lost. Reads, and may
-    /// write, a file.
-    pub(crate) fn batch(&self, node: &str, again: bool, now: Now) -> Option<ReportBatch> {
-        self.with(|waiting| waiting.batch(node, again, now))
-    }
-
-    /// Applies a hub's answer to `batch` and returns the number of reports it has stored. Writes a file.
-    pub(crate) fn answered(&self, batch: &ReportBatch, answer: &ReportAnswer, now: Now) -> u64 {
-        self.with(|waiting| waiting.answered(batch, answer, now))
-    }
-
-    /// Tries a failed disk again. May write a file.
-    pub(crate) fn retry_disk(&self, now: Now) {
-        self.with(|waiting| waiting.retry_disk(now));
-    }
-
-    /// Works on the reports, and updates their counts.
-    fn with<T>(&self, work: impl FnOnce(&mut Waiting) -> T) -> T {
+    /// Reads or changes the reports, and updates their counts. Reads and writes files: call it outside async workers.
+    pub(crate) fn change<T>(&self, change: impl FnOnce(&mut Waiting) -> T) -> T {
         let mut waiting = self.0.waiting.lock();
-        let done = work(&mut waiting);
+        let changed = change(&mut waiting);
         *self.0.counts.lock() = waiting.counts();
-        done
+        self.0.changed.notify_one();
+        changed
     }
 }
 
@@ -161,8 +141,9 @@ pub(crate) async fn retry_disk(board: Arc<Board>) {
         tokio::time::sleep(RETRY_EVERY).await;
         let board = Arc::clone(&board);
         let tried = tokio::task::spawn_blocking(move || {
-            board.outbox.retry_disk(Now::system());
-            board.settings.retry();
+            (board.outbox).change(|waiting| waiting.retry_disk(Now::system()));
+            // The failure was logged when the setting was made.
+            let _ = board.settings.save();
         });
         let _ = tried.await;
     }

@@ -59,7 +59,7 @@ impl Reporter {
                 report
             };
             let mut reports: Vec<_> = measured.into_iter().map(report).collect();
-            board.outbox.insert(&mut reports, Now::system());
+            (board.outbox).change(|waiting| waiting.insert(&mut reports, Now::system()));
             reports
         });
         let camera = self.camera.name();

@@ -85,7 +85,7 @@ impl Uplink {
             status_sender: StatusSender::new(labels, run, Now::system()),
             watched: Watched::new(),
             schedule: Schedule::new(config, random, Instant::now()),
-            reconnect: Backoff::new(config.retry_min_ms, config.retry_max_ms, random),
+            reconnect: Backoff::new(config, random),
             setup: Arc::new(setup),
             stop: stop.clone(),
         };
@@ -109,12 +109,6 @@ struct Worker {
     schedule: Schedule,
     /// The pauses after sessions that could not be opened or failed.
     reconnect: Backoff,
-}
-
-/// The reason serving a session ended.
-enum Served {
-    Stopped,
-    Stale,
 }
 
 /// A query to the hub: to store reports, or for the desired setting.
@@ -152,20 +146,12 @@ impl Worker {
                     {
                         tracing::debug!(%error, "uplink not closed cleanly");
                     }
-                    match served {
-                        Ok(Served::Stopped) => return,
-                        Ok(Served::Stale) => {
-                            tracing::warn!(
-                                "the uplink has had no answer for too long: reopening it"
-                            );
-                            continue;
-                        }
-                        Err(error) => {
-                            let error = session::plain(&error);
-                            tracing::error!(error, "cannot communicate with the hub");
-                            "cannot communicate with the hub"
-                        }
-                    }
+                    let Err(error) = served else {
+                        return;
+                    };
+                    let error = session::plain(&error);
+                    tracing::error!(error, "cannot communicate with the hub");
+                    "cannot communicate with the hub"
                 }
                 Err(error) => {
                     tracing::warn!("{error:#}");
@@ -173,14 +159,18 @@ impl Worker {
                 }
             };
             part.degraded(failed);
-            let pause = sleep(self.reconnect.next(None));
+            let pause = sleep(self.reconnect.next());
             if self.stop.run_until_cancelled(pause).await.is_none() {
                 return;
             }
         }
     }
 
-    async fn serve(&mut self, session: &Session, part: &Part) -> zenoh::Result<Served> {
+    /// Serves the hub over `session` until the node stops.
+    ///
+    /// # Errors
+    /// Zenoh's error, or that the session has had no answer for too long and must be opened again.
+    async fn serve(&mut self, session: &Session, part: &Part) -> zenoh::Result<()> {
         let setup = Arc::clone(&self.setup);
         let (keys, outbox) = (&setup.keys, &setup.board.outbox);
         let timeout = Duration::from_millis(setup.config.outbox.answer_timeout_ms);
@@ -237,12 +227,12 @@ impl Worker {
                 }
                 Some(until) => {
                     if !self.schedule.sends() || now >= until {
-                        return Ok(Served::Stopped);
+                        return Ok(());
                     }
                 }
             }
             if connected && self.schedule.is_stale(stale, now) {
-                return Ok(Served::Stale);
+                return Err("no answer to the waiting reports for too long".into());
             }
             let latest = last_try.unwrap_or(now + POLL_EVERY);
             let look = self.schedule.next_look(latest, now);
@@ -286,7 +276,8 @@ impl Worker {
 async fn send_batch(setup: &Arc<UplinkSetup>, reports: &Querier<'_>, again: bool) -> Ended {
     let board = Arc::clone(&setup.board);
     let prepared = spawn_blocking(move || {
-        let batch = (board.outbox).batch(&board.node, again, Now::system())?;
+        let (node, now) = (&board.node, Now::system());
+        let batch = (board.outbox).change(|waiting| waiting.batch(node, again, now))?;
         let payload = batch.to_payload(BatchCompression::Best);
         Some((batch, payload))
     });
@@ -312,7 +303,7 @@ pub(crate) fn conclude(
     now: Now,
 ) -> Ended {
     let answer = reply?;
-    let stored = outbox.answered(batch, &answer, now);
+    let stored = outbox.change(|waiting| waiting.answered(batch, &answer, now));
     tracing::debug!(stored, "clip reports acknowledged");
     Ok(answer.desired)
 }
@@ -321,7 +312,7 @@ pub(crate) fn conclude(
 async fn pull(setup: &UplinkSetup, pulls: &Querier<'_>) -> Ended {
     let request = PullRequest {
         v: VERSION,
-        revision: known(&setup.board).revision,
+        revision: known(&setup.board).revision(),
     };
     let payload = serde_json::to_vec(&request).unwrap_or_default();
     ask::<Desired>(pulls, payload).await.map(Some)

@@ -66,9 +66,8 @@ pub struct Board {
     pub(crate) settings: Settings,
     /// The target, which moves the thresholds while one is set.
     pub(crate) target: NodeTarget,
-    started: Instant,
+    shared: Shared,
     clips: Mutex<VecDeque<Arc<ClipReport>>>,
-    events: broadcast::Sender<Arc<Event>>,
     detector: Arc<Mutex<DetectorStatus>>,
     /// The meters of the detector and the screen, once these have started.
     pub(crate) meters: OnceLock<(WorkerMeter, Option<WorkerMeter>)>,
@@ -86,22 +85,13 @@ impl Board {
     /// [`NodeError`] if the state directory cannot be used, or for errors that a checked configuration does not have.
     pub fn open(config: &NodeConfig) -> Result<Arc<Self>, NodeError> {
         let directory = config.node.state_dir.as_deref();
-        let outbox = Outbox::open(&config.outbox, directory)?;
+        let outbox = Outbox::open(directory)?;
         let settings = Settings::open(directory);
         let policy = config.policy.build().map_err(NodeError::new)?;
-        let (events, _) = broadcast::channel(EVENT_BACKLOG);
-        let started = Instant::now();
-        let begin = config.cameras.first().and_then(|camera| camera.threshold);
-        let target = NodeTarget::open(
-            config.target,
-            policy.name(),
-            policy.threshold_spec(),
-            begin.or_else(|| policy.threshold()),
-            &settings,
-        );
+        let target = NodeTarget::open(config, &*policy, &settings);
         let shared = Shared {
-            started,
-            events: events.clone(),
+            started: Instant::now(),
+            events: broadcast::channel(EVENT_BACKLOG).0,
         };
         let cameras = config.cameras.iter().map(|camera| {
             CameraBoard::new(config, camera, &*policy, shared.clone(), &settings).map(Arc::new)
@@ -134,9 +124,8 @@ impl Board {
             outbox,
             settings,
             target,
-            started,
+            shared,
             clips: Mutex::default(),
-            events,
             detector,
             meters: OnceLock::new(),
             power: Mutex::default(),
@@ -160,7 +149,7 @@ impl Board {
 
     /// The time since the board was created.
     pub(crate) fn uptime(&self) -> Duration {
-        self.started.elapsed()
+        self.shared.started.elapsed()
     }
 
     /// The camera named `name`.
@@ -171,7 +160,7 @@ impl Board {
     /// Subscribes to events from now on. A reader that falls more than 1024 events behind gets `RecvError::Lagged` with
     /// the number of lost events.
     pub fn subscribe(&self) -> broadcast::Receiver<Arc<Event>> {
-        self.events.subscribe()
+        self.shared.events.subscribe()
     }
 
     /// Keeps a clip's report, counts it for its camera and sends it to subscribers.
@@ -187,7 +176,7 @@ impl Board {
         clips.push_back(Arc::clone(&report));
         drop(clips);
         // An error only means that there are no subscribers.
-        let _ = self.events.send(Event::new(News::Clip(report)));
+        let _ = self.shared.events.send(Event::new(News::Clip(report)));
     }
 
     /// The newest clip reports, newest first, of one camera or of all, at most `limit`: those older than `before` and
@@ -221,7 +210,7 @@ impl Board {
             .map(|camera| {
                 let message = Arc::new(self.counters(camera, t_ns));
                 let news = News::Counters(Arc::clone(&message));
-                let _ = self.events.send(Event::new(news));
+                let _ = self.shared.events.send(Event::new(news));
                 message
             })
             .collect()
@@ -292,7 +281,7 @@ impl Board {
     pub fn set_detector_status(&self, status: DetectorStatus) {
         let news = News::Detector(DetectorEvent::new(&status));
         *self.detector.lock() = status;
-        let _ = self.events.send(Event::new(news));
+        let _ = self.shared.events.send(Event::new(news));
     }
 
     /// Sets the power figures; called by the sampling task.
@@ -302,7 +291,7 @@ impl Board {
 
     /// The power over the last hour, oldest first.
     pub(crate) fn power_past(&self) -> Vec<PowerPiece> {
-        let now = Clock::now(self.started);
+        let now = Clock::now(self.shared.started);
         self.power.lock().slots(&now)
     }
 

@@ -109,15 +109,12 @@ impl Settings {
         changed
     }
 
-    /// Retries failed reads and writes. Settings that are read only now apply from the next start, except those set in
-    /// the meantime.
-    pub(crate) fn retry(&self) {
-        // The failure was logged.
-        let _ = self.save();
-    }
-
-    /// Writes the file if it differs from the settings.
-    fn save(&self) -> std::io::Result<()> {
+    /// Writes the file if it differs from the settings, after reading it if that failed before. Settings that are read
+    /// only now apply from the next start, except those set in the meantime.
+    ///
+    /// # Errors
+    /// The disk's error; call it again later.
+    pub(crate) fn save(&self) -> std::io::Result<()> {
         let Some(directory) = &self.directory else {
             return Ok(());
         };
@@ -207,10 +204,10 @@ mod tests {
         std::fs::write(folder.path().join("disk"), b"").unwrap();
         let settings = Settings::open(Some(&state));
         assert!(!settings.set("target", 2));
-        settings.retry();
+        let _ = settings.save();
         std::fs::remove_file(folder.path().join("disk")).unwrap();
         std::fs::rename(folder.path().join("away"), folder.path().join("disk")).unwrap();
-        settings.retry();
+        let _ = settings.save();
         let again = Settings::open(Some(&state));
         assert_eq!(again.get("target"), Some(2), "the newer value");
         assert_eq!(again.get("threshold/front"), Some(5), "not set meanwhile");

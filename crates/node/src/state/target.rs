@@ -3,10 +3,11 @@
 #[cfg(test)]
 mod tests;
 
+use crate::config::NodeConfig;
 use crate::state::board::{Board, Totals};
 use crate::state::settings::{Settings, Values};
 use albireo_core::audit::AuditSums;
-use albireo_core::policy::ThresholdSpec;
+use albireo_core::policy::{Policy, ThresholdSpec};
 use albireo_core::target::{
     Measured, Target, TargetController, TargetError, TargetState, ThresholdRange,
 };
@@ -56,49 +57,34 @@ pub(crate) struct NodeTarget {
 
 impl NodeTarget {
     /// Starts with the configured or the later kept target. Without a kept value, the controller begins with the
-    /// threshold at `begin`.
-    pub(crate) fn open(
-        config: TargetConfig,
-        policy: &'static str,
-        spec: Option<ThresholdSpec>,
-        begin: Option<f64>,
-        settings: &Settings,
-    ) -> Self {
-        let kept = settings.kept::<Kept, _>(SETTING, &config.hold);
-        let ((target, threshold), source) =
-            kept.unwrap_or(((config.hold, None), SettingSource::Configuration));
+    /// threshold of the first camera.
+    pub(crate) fn open(config: &NodeConfig, policy: &dyn Policy, settings: &Settings) -> Self {
+        let (target, spec) = (config.target, policy.threshold_spec());
+        let kept = settings.kept::<Kept, _>(SETTING, &target.hold);
+        let ((held, threshold), source) =
+            kept.unwrap_or(((target.hold, None), SettingSource::Configuration));
         let place = (threshold.zip(spec)).and_then(|(kept, spec)| kept.value_of(&spec).ok());
-        let mut opened = Self {
-            configured: config.hold,
-            range: ThresholdRange::of(policy, spec.as_ref(), config.least, config.most),
+        let begin = config.cameras.first().and_then(|camera| camera.threshold);
+        let begin = place.or(begin).or_else(|| policy.threshold());
+        let range = ThresholdRange::of(policy.name(), spec.as_ref(), target.least, target.most);
+        let (controller, off) = match controller(&range, held, begin) {
+            Ok(controller) => (controller, None),
+            Err(error) => {
+                tracing::error!(target = ?held, %error, "the target is not held");
+                (None, Some(error.to_string()))
+            }
+        };
+        Self {
+            configured: target.hold,
+            range,
             spec,
             state: Mutex::new(State {
-                controller: None,
+                controller,
                 source,
                 last: None,
-                off: None,
+                off,
             }),
-        };
-        match opened.controller(target, place.or(begin)) {
-            Ok(controller) => opened.state.get_mut().controller = controller,
-            Err(error) => {
-                tracing::error!(?target, %error, "the target is not held");
-                opened.state.get_mut().off = Some(error.to_string());
-            }
         }
-        opened
-    }
-
-    fn controller(
-        &self,
-        target: Option<Target>,
-        threshold: Option<f64>,
-    ) -> Result<Option<TargetController>, TargetError> {
-        let Some(target) = target else {
-            return Ok(None);
-        };
-        let range = self.range.clone()?;
-        TargetController::new(target, range, threshold.unwrap_or(range.least)).map(Some)
     }
 
     /// Holds `target` from now on, beginning at `threshold`; or none, and the threshold stays. Sets what `kept` is to have
@@ -113,7 +99,7 @@ impl NodeTarget {
         source: SettingSource,
         kept: &mut Values,
     ) -> Result<(), TargetError> {
-        let controller = self.controller(target, threshold)?;
+        let controller = controller(&self.range, target, threshold)?;
         let mut state = self.state.lock();
         // Setting the same target again keeps what the controller has learnt.
         if target != state.controller.as_ref().map(TargetController::target) {
@@ -196,6 +182,19 @@ impl NodeTarget {
         let (spec, controller) = self.spec.as_ref().zip(state.controller.as_ref())?;
         Some(Threshold::new(spec.name, controller.threshold()))
     }
+}
+
+/// A controller that holds `target`, beginning at `threshold`.
+fn controller(
+    range: &Result<ThresholdRange, TargetError>,
+    target: Option<Target>,
+    threshold: Option<f64>,
+) -> Result<Option<TargetController>, TargetError> {
+    let Some(target) = target else {
+        return Ok(None);
+    };
+    let range = range.clone()?;
+    TargetController::new(target, range, threshold.unwrap_or(range.least)).map(Some)
 }
 
 impl Board {

@@ -6,9 +6,6 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct OutboxConfig {
-    /// Maximum file size, bytes. Reports that a hub has are deleted first, then the oldest waiting ones, as lost.
-    #[serde(skip)]
-    pub max_bytes: u64,
     /// Longest time a report waits for others, seconds; 0 sends each at once. While somebody watches the node at the
     /// hub, and at the start, reports are always sent at once.
     pub gather_s: u64,
@@ -26,7 +23,6 @@ pub struct OutboxConfig {
 impl Default for OutboxConfig {
     fn default() -> Self {
         Self {
-            max_bytes: 256 << 20,
             gather_s: 600,
             answer_timeout_ms: 10_000,
             retry_min_ms: 1000,

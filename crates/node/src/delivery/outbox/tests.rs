@@ -2,7 +2,9 @@ use super::disk::FILE;
 use super::table::MEMORY_BYTES;
 use super::waiting::BATCH_BYTES;
 use super::*;
-use albireo_wire::{LARGEST_REPORT_BYTES, RefusedReport, VERSION};
+use albireo_wire::{
+    ClipReport, LARGEST_REPORT_BYTES, RefusedReport, ReportAnswer, ReportBatch, VERSION,
+};
 use futures_util::FutureExt;
 use rusqlite::Connection;
 use std::io::{Error, ErrorKind};
@@ -49,11 +51,11 @@ impl Faults {
     pub(in crate::delivery) fn open(
         self: &Arc<Self>,
         directory: &Path,
-        config: &OutboxConfig,
+        max_bytes: u64,
         now: Now,
     ) -> Result<Outbox, TableError> {
         let (file, faults) = (StateFile::new(directory), Arc::clone(self));
-        Outbox::open_on(Box::new(FaultyDisk { file, faults }), config.max_bytes, now)
+        Outbox::open_on(Box::new(FaultyDisk { file, faults }), max_bytes, now)
     }
 
     pub(in crate::delivery) fn fill_disk(&self, is_full: bool) {
@@ -88,7 +90,7 @@ impl Disk for FaultyDisk {
 
 struct Bench {
     folder: tempfile::TempDir,
-    config: OutboxConfig,
+    max_bytes: u64,
     faults: Arc<Faults>,
 }
 
@@ -96,7 +98,7 @@ impl Bench {
     fn new() -> Self {
         Self {
             folder: tempfile::tempdir().unwrap(),
-            config: OutboxConfig::default(),
+            max_bytes: MAX_BYTES,
             faults: Arc::default(),
         }
     }
@@ -110,18 +112,24 @@ impl Bench {
     }
 
     fn open(&self) -> Outbox {
-        let opened = self.faults.open(&self.state(), &self.config, Now::system());
+        let opened = self
+            .faults
+            .open(&self.state(), self.max_bytes, Now::system());
         opened.unwrap()
     }
 }
 
 fn in_memory() -> Outbox {
-    Outbox::open(&OutboxConfig::default(), None).unwrap()
+    Outbox::open(None).unwrap()
+}
+
+fn insert(outbox: &Outbox, report: ClipReport, now: Now) {
+    outbox.change(|waiting| waiting.insert(&mut [report], now));
 }
 
 fn keep(outbox: &Outbox, clips: std::ops::Range<u64>) {
     for clip in clips {
-        outbox.insert(&mut [report(clip)], Now::system());
+        insert(outbox, report(clip), Now::system());
     }
 }
 
@@ -131,11 +139,15 @@ fn keep_large(outbox: &Outbox, clip: u64, bytes: usize) {
         policy,
         ..report(clip)
     };
-    outbox.insert(&mut [report], Now::system());
+    insert(outbox, report, Now::system());
 }
 
 fn batch(outbox: &Outbox) -> Option<ReportBatch> {
-    outbox.batch("n", true, Now::system())
+    outbox.change(|waiting| waiting.batch("n", true, Now::system()))
+}
+
+fn retry_disk(outbox: &Outbox) {
+    outbox.change(|waiting| waiting.retry_disk(Now::system()));
 }
 
 fn clips(batch: &ReportBatch) -> Vec<&str> {
@@ -146,8 +158,12 @@ fn counts_of(batch: &ReportBatch) -> Vec<Option<u64>> {
     batch.reports.iter().map(|r| r.count).collect()
 }
 
+fn conclude(outbox: &Outbox, batch: &ReportBatch, answer: &ReportAnswer, now: Now) -> u64 {
+    outbox.change(|waiting| waiting.answered(batch, answer, now))
+}
+
 fn acknowledge(outbox: &Outbox, batch: &ReportBatch) -> u64 {
-    outbox.answered(batch, &ReportAnswer::default(), Now::system())
+    conclude(outbox, batch, &ReportAnswer::default(), Now::system())
 }
 
 /// The clips that are sent, in bounded batches, to a hub that accepts everything.
@@ -176,7 +192,7 @@ fn reports_are_sent_until_acknowledged_or_refused_and_counted_on_after_a_restart
         }],
         ..ReportAnswer::default()
     };
-    assert_eq!(outbox.answered(&sent, &answer, Now::system()), 1);
+    assert_eq!(conclude(&outbox, &sent, &answer, Now::system()), 1);
     drop(outbox);
     let outbox = bench.open();
     let counts = outbox.counts();
@@ -200,11 +216,12 @@ fn reports_that_a_hub_lost_are_resent_once_after_new_ones() {
         missing: vec![(2, 3), (5, 5), (90, 99)],
         ..ReportAnswer::default()
     };
-    outbox.answered(&sent, &answer, Now::system());
+    conclude(&outbox, &sent, &answer, Now::system());
     let counts = outbox.counts();
     assert_eq!((counts.status.waiting, counts.again), (0, 3));
     keep(&outbox, 7..8);
-    let new = outbox.batch("n", false, Now::system()).unwrap();
+    let new = outbox.change(|waiting| waiting.batch("n", false, Now::system()));
+    let new = new.unwrap();
     assert_eq!(clips(&new), ["window-7"]);
     let sent = batch(&outbox).unwrap();
     let expected = ["window-7", "window-1", "window-2", "window-4"];
@@ -222,14 +239,15 @@ fn a_hub_with_another_database_gets_the_reports_of_the_last_week_once() {
     for clip in 0..24 {
         let mut now = start;
         now.unix_ms += clip.min(19) as i64 * 86_400_000;
-        outbox.insert(&mut [report(clip)], now);
-        let batch = outbox.batch("n", true, now).unwrap();
+        insert(&outbox, report(clip), now);
+        let batch = outbox.change(|waiting| waiting.batch("n", true, now));
+        let batch = batch.unwrap();
         let answer = ReportAnswer {
             // An empty database lacks all reports before the first that it gets.
             missing: (clip == 20).then_some((1, 20)).into_iter().collect(),
             ..ReportAnswer::default()
         };
-        outbox.answered(&batch, &answer, now);
+        conclude(&outbox, &batch, &answer, now);
         let counts = outbox.counts();
         sent.push((batch.reports.len(), counts.status.waiting, counts.again));
     }
@@ -250,7 +268,7 @@ fn a_foreign_file_and_one_of_the_first_version_are_rejected_with_a_reason() {
         let db = Connection::open(bench.file()).unwrap();
         db.execute_batch(statements).unwrap();
         drop(db);
-        let error = Outbox::open(&bench.config, Some(&bench.state())).unwrap_err();
+        let error = Outbox::open(Some(&bench.state())).unwrap_err();
         assert!(error.to_string().contains(wanted), "{error}");
     }
 }
@@ -307,7 +325,7 @@ fn a_failing_disk_delays_no_report_and_its_return_loses_or_repeats_none() {
         // A file that is only read-only works again at the first retry.
         let retries = if fault == "read-only" { 0 } else { 20 };
         for _ in 0..retries {
-            outbox.retry_disk(Now::system());
+            retry_disk(&outbox);
         }
         let counts = outbox.counts();
         assert!(!counts.status.durable, "{fault}");
@@ -328,7 +346,7 @@ fn a_failing_disk_delays_no_report_and_its_return_loses_or_repeats_none() {
             "locked" => other.execute_batch("ROLLBACK").unwrap(),
             _ => {}
         }
-        outbox.retry_disk(Now::system());
+        retry_disk(&outbox);
         let counts = outbox.counts();
         assert!(counts.status.durable, "{fault}: {counts:?}");
         drop(outbox);
@@ -345,7 +363,7 @@ fn reports_in_memory_move_to_another_disk_that_takes_the_place_of_the_first() {
     std::fs::rename(bench.state(), bench.folder.path().join("first")).unwrap();
     keep(&outbox, 3..4);
     std::fs::rename(other.state(), bench.state()).unwrap();
-    outbox.retry_disk(Now::system());
+    retry_disk(&outbox);
     let mut sent = drain(&outbox);
     sent.sort();
     assert_eq!(sent, ["window-10", "window-11", "window-3"]);
@@ -359,7 +377,7 @@ fn reports_made_before_the_disk_is_ready_have_no_count_and_are_delivered() {
     let outbox = bench.open();
     keep(&outbox, 3..4);
     bench.faults.fill_disk(false);
-    outbox.retry_disk(Now::system());
+    retry_disk(&outbox);
     keep(&outbox, 4..5);
     let mut sent = batch(&outbox).unwrap();
     sent.reports.sort_by_key(|report| report.id);
@@ -369,7 +387,7 @@ fn reports_made_before_the_disk_is_ready_have_no_count_and_are_delivered() {
 #[test]
 fn a_full_outbox_drops_acknowledged_reports_first_then_the_oldest_and_counts_them() {
     let mut bench = Bench::new();
-    bench.config.max_bytes = 128 << 10;
+    bench.max_bytes = 128 << 10;
     let outbox = bench.open();
     keep(&outbox, 0..40);
     drain(&outbox);

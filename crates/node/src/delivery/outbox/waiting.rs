@@ -27,7 +27,7 @@ const _: () = assert!(BATCH_REPORTS <= MOST_REPORTS);
 
 /// Reports that no hub has, and acknowledged ones that a hub may lose.
 #[derive(Debug)]
-pub(super) struct Waiting {
+pub(crate) struct Waiting {
     disk: Option<Box<dyn Disk>>,
     most_bytes: u64,
     /// The file, or a table in memory while the file cannot be used. Reports in memory move to the file once that can be
@@ -35,8 +35,6 @@ pub(super) struct Waiting {
     pub(super) table: Table,
     /// True if the table is the file.
     is_on_disk: bool,
-    /// True if the file must be set aside before it is opened again.
-    damaged: bool,
     counts: OutboxCounts,
 }
 
@@ -56,35 +54,26 @@ impl Waiting {
             most_bytes,
             table: Table::in_memory(counters)?,
             is_on_disk: false,
-            damaged: false,
             counts: OutboxCounts::default(),
         })
     }
 
-    /// Opens the file and moves the reports in memory to it. Sets a damaged file aside.
+    /// Opens the file and moves the reports in memory to it. Sets a damaged file aside and begins another.
     pub(super) fn open(&mut self, now: Now) -> Result<(), TableError> {
-        let mut opened = self.open_file(now);
-        if let Err(error) = &opened {
-            self.fail(error);
-            if self.damaged {
-                opened = self.open_file(now);
-            }
+        let Err(error) = self.open_file(now) else {
+            return Ok(());
+        };
+        self.fail(&error);
+        match error.is_corruption() {
+            true => self.open_file(now),
+            false => Err(error),
         }
-        opened
     }
 
     fn open_file(&mut self, now: Now) -> Result<(), TableError> {
         let Some(disk) = &mut self.disk else {
             return Ok(());
         };
-        if self.damaged {
-            let aside = disk.set_aside()?;
-            self.damaged = false;
-            tracing::error!(
-                aside = %aside.display(),
-                "the file of clip reports is damaged and was set aside; the reports in it will not be delivered"
-            );
-        }
         let mut file = Table::new(disk.open()?, self.most_bytes)?;
         // The counts since the start continue the earlier ones.
         file.counters = file.counters.max(self.table.counters);
@@ -97,24 +86,33 @@ impl Waiting {
         Ok(())
     }
 
-    /// Tries a failed disk again.
-    pub(super) fn retry_disk(&mut self, now: Now) {
+    /// Tries a failed disk again. May write a file.
+    pub(crate) fn retry_disk(&mut self, now: Now) {
         if self.counts.failing.is_some() {
             // `open` records the reason.
             let _ = self.open(now);
         }
     }
 
-    /// Records that the file cannot be used, and continues in memory.
+    /// Records that the file cannot be used, continues in memory, and sets a damaged file aside.
     fn fail(&mut self, error: &TableError) {
         // The readiness logs it.
         self.counts.failing = Some(format!("the state directory cannot be used: {error}"));
         self.counts.disk_failures += 1;
-        self.damaged |= error.is_corruption();
         if std::mem::take(&mut self.is_on_disk)
             && let Err(error) = self.rescue()
         {
             tracing::warn!(%error, "clip reports on the disk cannot be read now");
+        }
+        let Some(disk) = self.disk.as_mut().filter(|_| error.is_corruption()) else {
+            return;
+        };
+        match disk.set_aside() {
+            Ok(aside) => tracing::error!(
+                aside = %aside.display(),
+                "the file of clip reports is damaged and was set aside; the reports in it will not be delivered"
+            ),
+            Err(error) => tracing::debug!(%error, "a damaged file cannot be set aside"),
         }
     }
 
@@ -151,8 +149,8 @@ impl Waiting {
         }
     }
 
-    /// Keeps reports in order and sets their running counts.
-    pub(super) fn insert(&mut self, reports: &mut [ClipReport], now: Now) {
+    /// Keeps reports in order and sets their running counts. Writes a file.
+    pub(crate) fn insert(&mut self, reports: &mut [ClipReport], now: Now) {
         let mut rows = Vec::with_capacity(reports.len());
         for report in reports {
             let made = &mut self.table.counters.made;
@@ -181,27 +179,22 @@ impl Waiting {
     }
 
     /// The oldest reports to send, as reports of `node`; with `again`, also those that a hub has lost.
-    /// Unreadable reports are counted as undeliverable.
-    pub(super) fn batch(&mut self, node: &str, again: bool, now: Now) -> Option<ReportBatch> {
-        loop {
-            let (reports, unreadable) = self.work(|table| read(table, node, again));
-            let is_end = unreadable.is_empty();
-            if !is_end {
-                self.conclude(&unreadable, &[], now);
-            }
-            if is_end || !reports.is_empty() {
-                return (!reports.is_empty()).then(|| ReportBatch {
-                    v: VERSION,
-                    node: node.to_owned(),
-                    t_ms: u64::try_from(now.unix_ms).unwrap_or(0),
-                    reports,
-                });
-            }
+    /// Unreadable reports are counted as undeliverable. Reads, and may write, a file.
+    pub(crate) fn batch(&mut self, node: &str, again: bool, now: Now) -> Option<ReportBatch> {
+        let (reports, unreadable) = self.work(|table| read(table, node, again));
+        if !unreadable.is_empty() {
+            self.conclude(&unreadable, &[], now);
         }
+        (!reports.is_empty()).then(|| ReportBatch {
+            v: VERSION,
+            node: node.to_owned(),
+            t_ms: u64::try_from(now.unix_ms).unwrap_or(0),
+            reports,
+        })
     }
 
-    /// Applies a hub's answer to `batch` and returns the number of reports it has stored.
-    pub(super) fn answered(&mut self, batch: &ReportBatch, answer: &ReportAnswer, now: Now) -> u64 {
+    /// Applies a hub's answer to `batch` and returns the number of reports it has stored. Writes a file.
+    pub(crate) fn answered(&mut self, batch: &ReportBatch, answer: &ReportAnswer, now: Now) -> u64 {
         let refused: BTreeMap<Uuid, &str> = (answer.refused.iter())
             .map(|refused| (refused.id, refused.reason.as_str()))
             .collect();

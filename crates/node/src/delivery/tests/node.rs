@@ -3,7 +3,7 @@
 use super::hub::Reply;
 use crate::NodeError;
 use crate::delivery::outbox::tests::{Faults, report};
-use crate::delivery::outbox::{Outbox, OutboxConfig, OutboxCounts};
+use crate::delivery::outbox::{MAX_BYTES, Outbox, OutboxConfig, OutboxCounts};
 use crate::delivery::uplink::{Schedule, conclude, read_reply};
 use albireo_service::clock::Now;
 use albireo_wire::{ClipReport, FrameStates, ReportAnswer, ReportBatch};
@@ -96,7 +96,7 @@ impl Node {
     pub(super) fn switch_on(&mut self, now: Now, random: u64) {
         let config = OutboxConfig::default();
         let outbox = until_unlocked(|| {
-            let opened = self.faults.open(&self.folder, &config, now);
+            let opened = self.faults.open(&self.folder, MAX_BYTES, now);
             opened.map_err(NodeError::new)
         });
         let mut schedule = Schedule::new(&config, random, now.at);
@@ -149,7 +149,7 @@ impl Node {
             },
             ..report(0)
         };
-        outbox.insert(&mut [made], now);
+        outbox.change(|waiting| waiting.insert(&mut [made], now));
         self.in_memory.push(number);
         self.note_durable();
     }
@@ -168,10 +168,10 @@ impl Node {
         now: Now,
     ) -> Option<(Option<Rc<ReportBatch>>, Duration)> {
         let (outbox, schedule) = self.running.as_mut()?;
-        outbox.retry_disk(now);
+        outbox.change(|waiting| waiting.retry_disk(now));
         let mut sent = None;
         if let Some(again) = schedule.next_batch(&outbox.counts(), false, now.at) {
-            match outbox.batch(&self.name, again, now) {
+            match outbox.change(|waiting| waiting.batch(&self.name, again, now)) {
                 Some(batch) => {
                     let batch = Rc::new(batch);
                     self.reply = Some((question, Rc::clone(&batch)));

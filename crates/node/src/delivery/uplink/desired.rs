@@ -10,12 +10,18 @@ const SETTING: &str = "desired";
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub(in crate::delivery) struct Known {
-    /// The highest revision seen.
-    pub revision: u64,
     /// The highest revision that came into force; 0 for none.
     pub in_force: u64,
-    /// The refused desired setting.
+    /// The refused desired setting, if it has a higher revision.
     pub refused: Option<RefusedDesired>,
+}
+
+impl Known {
+    /// The highest revision seen.
+    pub(in crate::delivery) fn revision(&self) -> u64 {
+        let refused = self.refused.as_ref();
+        refused.map_or(self.in_force, |refused| refused.revision)
+    }
 }
 
 /// Returns what the node knows.
@@ -26,40 +32,41 @@ pub(in crate::delivery) fn known(board: &Board) -> Known {
 /// Applies `desired`, once per revision, and returns true if anything changed. A lower revision never replaces a higher
 /// one. The setting and its revision are kept by one write: a power loss leaves both or none.
 pub(in crate::delivery) fn take(desired: &Desired, board: &Board) -> bool {
-    let (mut known, revision) = (known(board), desired.revision);
-    if revision < known.revision {
-        let known = known.revision;
+    let (before, revision) = (known(board), desired.revision);
+    let known = before.revision();
+    if revision < known {
         tracing::warn!(
             revision,
             known,
             "ignored a desired setting older than the known one"
         );
     }
-    if revision <= known.revision {
+    if revision <= known {
         return false;
     }
     board.settings.change(|kept| {
         let hub = SettingSource::Hub;
         let applied = match desired.setting {
             None => Ok(()),
-            Some(DesiredSetting::Threshold(threshold)) => board
-                .set_thresholds(&board.cameras, threshold, hub, kept)
-                .map_err(|error| error.to_string()),
-            Some(DesiredSetting::Target(target)) => board
-                .set_target(target, hub, kept)
-                .map_err(|error| error.to_string()),
+            Some(DesiredSetting::Threshold(threshold)) => {
+                board.set_thresholds(&board.cameras, threshold, hub, kept)
+            }
+            Some(DesiredSetting::Target(target)) => {
+                board.set_target(target, hub, kept).map_err(Into::into)
+            }
         };
-        known.revision = revision;
-        match applied {
-            Ok(()) => {
-                known.in_force = revision;
-                known.refused = None;
-            }
-            Err(reason) => {
+        let known = match applied {
+            Ok(()) => Known {
+                in_force: revision,
+                refused: None,
+            },
+            Err(error) => {
+                let reason = error.to_string();
                 tracing::warn!(revision, reason, "rejected a desired setting");
-                known.refused = Some(RefusedDesired { revision, reason });
+                let refused = Some(RefusedDesired { revision, reason });
+                Known { refused, ..before }
             }
-        }
+        };
         kept.set(SETTING, &known);
     });
     true
@@ -117,7 +124,7 @@ mod tests {
         assert_eq!(node.target(), HALF);
         drop(node);
         let node = Node::start(folder.path());
-        assert_eq!((node.target(), node.known().revision), (HALF, 3));
+        assert_eq!((node.target(), node.known().revision()), (HALF, 3));
         // A threshold turned at the node ends it, until the hub desires something new.
         set_by_hand(&node.board, &node.board.cameras[1..], 0.01).unwrap();
         assert!(!node.take(3, half));

@@ -44,7 +44,6 @@ pub(crate) fn read_reply<T: DeserializeOwned>(reply: Result<&[u8], &[u8]>) -> Re
         return Err(Failure::Unanswered);
     };
     tracing::warn!(reason = ?refusal.reason, refusal.detail, "the hub refused a query");
-    Err(Failure::Refused(
-        refusal.retry_after_ms.map(Duration::from_millis),
-    ))
+    let at_least = Duration::from_millis(refusal.retry_after_ms.unwrap_or(0));
+    Err(Failure::Refused(at_least))
 }

@@ -13,8 +13,8 @@ const GATHERED: u64 = 12;
 /// The reason a query failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Failure {
-    /// The hub refused, possibly with the time until a retry.
-    Refused(Option<Duration>),
+    /// The hub refused, and named the shortest time until a retry.
+    Refused(Duration),
     /// Nobody answered.
     Unanswered,
 }
@@ -32,7 +32,7 @@ impl Attempts {
         Self {
             under_way: false,
             not_before: None,
-            backoff: Backoff::new(config.retry_min_ms, config.retry_max_ms, random),
+            backoff: Backoff::new(config, random),
         }
     }
 
@@ -42,16 +42,14 @@ impl Attempts {
 
     fn ended<T>(&mut self, outcome: &Result<T, Failure>, now: Instant) {
         self.under_way = false;
-        let at_least = match outcome {
+        self.not_before = match outcome {
             Ok(_) => {
                 self.backoff.reset();
-                self.not_before = None;
-                return;
+                None
             }
-            Err(Failure::Refused(at_least)) => *at_least,
-            Err(Failure::Unanswered) => None,
+            Err(Failure::Refused(at_least)) => Some(now + self.backoff.next().max(*at_least)),
+            Err(Failure::Unanswered) => Some(now + self.backoff.next()),
         };
-        self.not_before = Some(now + self.backoff.next(at_least));
     }
 }
 
@@ -281,7 +279,7 @@ mod tests {
                 assert!(within.contains(&pause), "{pause} ms, not {within:?}");
             }
             let named = Duration::from_secs(900);
-            assert_eq!(bench.pause_after(Failure::Refused(Some(named))), named);
+            assert_eq!(bench.pause_after(Failure::Refused(named)), named);
             assert!(bench.schedule.next_pull(bench.at(0)));
             bench.schedule.pull_ended(&DONE, bench.at(0));
             assert!(!bench.schedule.next_pull(bench.at(3_600_000)));

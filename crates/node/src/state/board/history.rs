@@ -55,7 +55,7 @@ impl PastFrame {
         let single = |value: f64| value as f32;
         Self {
             seq: frame.seq,
-            at_ms: milliseconds(at),
+            at_ms: at.as_millis() as u64,
             state: frame.state,
             cause: frame.cause,
             degraded: frame.degraded,
@@ -66,10 +66,6 @@ impl PastFrame {
             total_ms: single(frame.latency_ms.total),
         }
     }
-}
-
-fn milliseconds(time: Duration) -> u64 {
-    u64::try_from(time.as_millis()).unwrap_or(u64::MAX)
 }
 
 /// Converts the node's times to the present wall clock: if that was set in between, all times shift.
@@ -92,7 +88,7 @@ impl Clock {
 
     /// The milliseconds since an event, from its time after the node's start.
     pub(crate) fn before_now_ms(&self, at_ms: u64) -> u64 {
-        milliseconds(self.age).saturating_sub(at_ms)
+        (self.age.as_millis() as u64).saturating_sub(at_ms)
     }
 }
 
@@ -114,19 +110,18 @@ impl<T: Default> Default for Hour<T> {
 }
 
 impl<T: Clone + Default> Hour<T> {
-    /// True if the open piece is over at `at` after the node's start.
-    fn is_over(&self, at: Duration) -> bool {
-        at.as_secs() / SLOT_S != self.open.0
-    }
-
-    /// Ends the open piece and opens the next.
-    fn turn(&mut self, at: Duration) {
+    /// If the open piece is over at `at` after the node's start, opens the next and returns the ended one.
+    fn turn(&mut self, at: Duration) -> Option<&mut T> {
+        let slot = at.as_secs() / SLOT_S;
+        if slot == self.open.0 {
+            return None;
+        }
         if self.ended.len() == SLOTS {
             self.ended.pop_front();
         }
-        let next = (at.as_secs() / SLOT_S, T::default());
-        self.ended
-            .push_back(std::mem::replace(&mut self.open, next));
+        let ended = std::mem::replace(&mut self.open, (slot, T::default()));
+        self.ended.push_back(ended);
+        self.ended.back_mut().map(|(_, piece)| piece)
     }
 
     /// The pieces of the last hour with their starts, oldest first, the open one last.
@@ -136,9 +131,8 @@ impl<T: Clone + Default> Hour<T> {
         let recent = pieces.filter(|(slot, _)| *slot >= oldest);
         recent
             .map(|(slot, piece)| {
-                let before = now.before_now_ms(slot.saturating_mul(SLOT_S * 1000));
-                let at_ms = now.now_ms - i64::try_from(before).unwrap_or(i64::MAX);
-                (at_ms, piece.clone())
+                let before_ms = now.before_now_ms(slot * SLOT_S * 1000);
+                (now.now_ms - before_ms as i64, piece.clone())
             })
             .collect()
     }
@@ -205,9 +199,8 @@ impl History {
             self.frames.pop_front();
         }
         self.frames.push_back(PastFrame::of(frame, at));
-        if self.hour.is_over(at) {
-            self.hour.open.1.set_percentiles(&self.times);
-            self.hour.turn(at);
+        if let Some(ended) = self.hour.turn(at) {
+            ended.set_percentiles(&self.times);
             self.times.clear();
             self.timed = 0;
         }
@@ -268,8 +261,7 @@ pub(super) struct PowerPast {
 impl PowerPast {
     /// Adds the figures at `at` after the node's start. Means are only over the time that samples cover.
     pub(super) fn add(&mut self, power: PowerSnapshot, at: Duration) {
-        if self.hour.is_over(at) {
-            self.hour.turn(at);
+        if self.hour.turn(at).is_some() {
             self.began = std::mem::take(&mut self.newest);
             self.worst = None;
         }

@@ -127,7 +127,7 @@ impl Node {
 
     /// The highest revision that it was given.
     pub(super) fn revision(&self) -> u64 {
-        known(&self.started.as_ref().unwrap().board).revision
+        known(&self.started.as_ref().unwrap().board).revision()
     }
 
     /// True if the setting is in force.
@@ -146,7 +146,7 @@ impl Node {
     pub(super) fn deviates(&self, setting: DesiredSetting) -> bool {
         let node = self.started.as_ref().unwrap();
         let known = known(&node.board);
-        let is_refused = (known.refused).is_some_and(|refused| refused.revision == known.revision);
+        let is_refused = known.refused.is_some();
         let mut sources = node.board.cameras.iter().map(|one| one.threshold_source());
         is_refused
             || match setting {
