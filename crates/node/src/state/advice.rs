@@ -1,7 +1,7 @@
 //! Detects a policy that skips nothing although objects are tracked, and suggests a value for its threshold.
 
 use albireo_core::policy::{ThresholdSpec, short};
-use albireo_wire::{DetectionsMessage, Threshold};
+use albireo_wire::{DetectionsMessage, Threshold, significant};
 use serde::Serialize;
 use utoipa::ToSchema;
 
@@ -126,18 +126,11 @@ fn above_the_median(values: &[f64]) -> Option<f64> {
 
 /// The smallest larger number with one significant digit.
 fn one_digit_above(value: f64) -> f64 {
-    let exponent = value.log10().floor();
-    let unit = 10_f64.powf(exponent);
-    let digit = (value / unit).floor() + 1.0;
-    // Through text, so that the number equals the printed one: 4e-4, not 4.0000000000000003e-4.
-    let round = |digit: f64| format!("{digit}e{exponent}").parse().unwrap_or(value);
-    let above = round(digit);
+    let unit = 10_f64.powf(value.log10().floor());
     // 3e-4 / 1e-4 is slightly less than 3.
-    if above > value {
-        above
-    } else {
-        round(digit + 1.0)
-    }
+    let digit = (value / unit + 1e-9).floor() + 1.0;
+    // Equals the printed number: 4e-4, not 4.0000000000000003e-4.
+    significant(digit * unit, 1)
 }
 
 #[cfg(test)]

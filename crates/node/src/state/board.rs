@@ -31,6 +31,7 @@ use history::PowerPast;
 use parking_lot::Mutex;
 use savings::Today;
 use std::collections::VecDeque;
+use std::slice::from_ref;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::sync::broadcast;
@@ -266,7 +267,10 @@ impl Board {
         self.target.set(target, threshold, source, kept)?;
         if has_target && target.is_none() {
             for camera in &self.cameras {
-                camera.keep_threshold(source, kept);
+                if let Some(threshold) = camera.threshold_in_force() {
+                    // Cannot fail: it is in force.
+                    let _ = self.set_thresholds(from_ref(camera), threshold, source, kept);
+                }
             }
         }
         Ok(())

@@ -178,9 +178,9 @@ pub struct CameraBoard {
     pub(crate) source: Option<String>,
     /// The policy's threshold, if it has one.
     pub threshold_spec: Option<ThresholdSpec>,
-    /// True if `u` is independent of the picture size, as with the filter of the profile `paper`. The published code,
-    /// where it is not, then has a different value for it.
-    pub(super) is_sizeless: bool,
+    /// True if the threshold is a `u` that is independent of the picture size, as with the filter of the profile `paper`.
+    /// The published code, where it is not, then has a different value for it.
+    pub(super) has_sizeless_u: bool,
     /// The most frames its policy lets pass without the detector while objects are tracked.
     longest_pause: Option<u32>,
     pub(super) shared: Shared,
@@ -215,7 +215,8 @@ impl CameraBoard {
             key: config.frame_key(camera)?,
             source: camera.source.as_ref().map(ToString::to_string),
             threshold_spec: spec,
-            is_sizeless: config.policy.profile == Profile::Paper,
+            has_sizeless_u: config.policy.profile == Profile::Paper
+                && spec.is_some_and(|spec| spec.name == "u"),
             longest_pause: policy.longest_pause(),
             shared,
             configured,

@@ -6,7 +6,7 @@ use super::event::{Event, News, ThresholdEvent};
 use crate::state::settings::{Settings, Values};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{InvalidThreshold, ThresholdSpec, published_threshold};
-use albireo_wire::{SettingSource, Threshold};
+use albireo_wire::{SettingSource, Threshold, significant};
 use std::error::Error;
 use std::sync::Arc;
 use tokio::sync::watch;
@@ -50,7 +50,11 @@ impl Board {
         // First, so that the controller no longer moves anything.
         self.target.turned_by_hand(source, kept);
         for camera in cameras {
-            camera.set_threshold(&spec, value, source, kept);
+            *camera.set_by.lock() = source;
+            let before = camera.turn(&spec, value);
+            let threshold = Threshold::new(spec.name, value);
+            kept.keep(&setting(&camera.name), threshold, source, camera.configured);
+            tracing::info!(camera = %camera.name, name = spec.name, ?before, now = value, "threshold changed");
         }
         Ok(())
     }
@@ -80,16 +84,9 @@ impl CameraBoard {
     /// The equivalent of `u` in the published code, for pictures of this size, to three digits; `None` if it is the
     /// same number.
     pub(crate) fn published_threshold(&self, picture: PictureSize) -> Option<f64> {
-        let sizeless = self.is_sizeless;
-        let spec = self
-            .threshold_spec
-            .filter(|spec| sizeless && spec.name == "u")?;
-        let in_force = self
-            .threshold()
-            .filter(|value| spec.check(*value).is_ok())?;
-        let published = published_threshold(in_force, picture);
-        let rounded = format!("{published:.2e}").parse().unwrap_or(published);
-        (rounded != in_force).then_some(rounded)
+        let in_force = self.threshold().filter(|_| self.has_sizeless_u)?;
+        let published = significant(published_threshold(in_force, picture), 3);
+        (published != in_force).then_some(published)
     }
 
     /// The news of a new threshold for subscribers.
@@ -98,28 +95,6 @@ impl CameraBoard {
             camera: Arc::clone(&self.name),
             threshold,
         })
-    }
-
-    /// Keeps the threshold that the target last set.
-    pub(super) fn keep_threshold(&self, source: SettingSource, kept: &mut Values) {
-        if let Some((spec, value)) = self.threshold_spec.zip(self.threshold()) {
-            self.set_threshold(&spec, value, source, kept);
-        }
-    }
-
-    fn set_threshold(
-        &self,
-        spec: &ThresholdSpec,
-        value: f64,
-        source: SettingSource,
-        kept: &mut Values,
-    ) {
-        *self.set_by.lock() = source;
-        let before = self.turn(spec, value);
-        let (camera, name) = (&*self.name, spec.name);
-        let threshold = Threshold::new(name, value);
-        kept.keep(&setting(camera), threshold, source, self.configured);
-        tracing::info!(camera, name, ?before, now = value, "threshold changed");
     }
 
     /// Moves the threshold on behalf of the node's target: it applies from the next frame, and is not kept. A value
