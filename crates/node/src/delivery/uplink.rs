@@ -83,7 +83,7 @@ impl Uplink {
         let (run, labels) = ((random >> 32) as u32, setup.config.node.labels.clone());
         let worker = Worker {
             status_sender: StatusSender::new(labels, run, Now::system()),
-            watched: Watched::new(),
+            watched: Watched::default(),
             schedule: Schedule::new(config, random, Instant::now()),
             reconnect: Backoff::new(config, random),
             setup: Arc::new(setup),

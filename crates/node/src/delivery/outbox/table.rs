@@ -165,9 +165,11 @@ impl Table {
         }
         let (mut lost, mut state) = (0, REFUSED);
         while state >= WAITING && used_bytes(&transaction)? > self.most_bytes {
-            match remove_oldest(&transaction, state, 16)? {
+            let oldest = "DELETE FROM report WHERE rowid IN \
+                          (SELECT rowid FROM report WHERE state = ? ORDER BY count LIMIT 16)";
+            match transaction.execute(oldest, [state])? {
                 0 => state -= 1,
-                deleted if state == WAITING => lost += deleted,
+                deleted if state == WAITING => lost += deleted as u64,
                 _ => {}
             }
         }
@@ -262,14 +264,6 @@ fn write_counters(transaction: &Transaction<'_>, counters: &Counters) -> rusqlit
         write.execute(params![name, signed(value)])?;
     }
     Ok(())
-}
-
-fn remove_oldest(transaction: &Transaction<'_>, state: i64, most: i64) -> rusqlite::Result<u64> {
-    let deleted = transaction.execute(
-        "DELETE FROM report WHERE rowid IN (SELECT rowid FROM report WHERE state = ? ORDER BY count LIMIT ?)",
-        [state, most],
-    )?;
-    Ok(deleted as u64)
 }
 
 /// The size of the used pages, bytes.

@@ -24,25 +24,15 @@ const PERIOD: Duration = Duration::from_millis(950);
 const REFUSED: &str = "the node sends no pictures: its configuration has uplink.pictures = false";
 
 /// Tracks whether somebody watches, and sends counters and pictures while they do.
+#[derive(Default)]
 pub(super) struct Watched {
     until: Option<Instant>,
     counted_at: Option<Instant>,
-    places: Arc<Semaphore>,
     /// Declared while somebody watches; undeclared when dropped.
     pictures: Vec<Queryable<()>>,
 }
 
 impl Watched {
-    /// Starts without a watcher.
-    pub(super) fn new() -> Self {
-        Self {
-            until: None,
-            counted_at: None,
-            places: Arc::new(Semaphore::new(MOST_PICTURES)),
-            pictures: Vec::new(),
-        }
-    }
-
     /// Begins a session: nothing is declared on it yet.
     pub(super) fn begin(&mut self) {
         self.pictures.clear();
@@ -77,10 +67,11 @@ impl Watched {
         // The local session publishes counters anyway.
         let counts = setup.local.is_none() && !self.counted_at.is_some_and(early);
         let declares = self.pictures.is_empty();
+        let places = Arc::new(Semaphore::new(MOST_PICTURES));
         for camera in &setup.board.cameras {
             let keys = &camera.keys;
             if declares {
-                let (places, runtime) = (Arc::clone(&self.places), Handle::current());
+                let (places, runtime) = (Arc::clone(&places), Handle::current());
                 let (setup, camera) = (Arc::clone(setup), Arc::clone(camera));
                 let queryable = session
                     .declare_queryable(keys.picture())
