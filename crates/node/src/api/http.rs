@@ -7,8 +7,6 @@ mod diag;
 mod events;
 mod health;
 mod history;
-mod index;
-mod log;
 mod metrics;
 mod node;
 mod picture;
@@ -130,7 +128,7 @@ fn described() -> (Router<RouteState>, OpenApi) {
         .routes(routes!(target::get, target::put))
         .routes(routes!(states::all))
         .routes(routes!(states::one))
-        .routes(routes!(index::index))
+        .routes(routes!(node::index))
         .routes(routes!(cameras::list))
         .routes(routes!(cameras::one))
         .routes(routes!(cameras::detections))
@@ -140,7 +138,7 @@ fn described() -> (Router<RouteState>, OpenApi) {
         .routes(routes!(picture::jpeg))
         .routes(routes!(clips::list))
         .routes(routes!(events::stream))
-        .routes(routes!(log::tail))
+        .routes(routes!(diag::tail))
         .routes(routes!(diag::archive))
         .routes(routes!(metrics::text));
     let (router, mut openapi) = routes.split_for_parts();

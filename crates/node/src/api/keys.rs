@@ -113,21 +113,23 @@ impl Request {
             None => Ok(()),
         };
         let result = changed.and_then(|()| in_force(board, camera.as_deref()));
-        let sent = match (self.query, result) {
-            (None, Ok(_)) => return,
-            (None, Err(reason)) => {
-                return refused.log(|held_back| {
+        let Some(query) = self.query else {
+            if let Err(reason) = result {
+                refused.log(|held_back| {
                     tracing::warn!(key, held_back, "put rejected: {reason}");
                 });
             }
-            (Some(query), Ok(reply)) => query
-                .reply(key, reply)
-                .encoding(Encoding::APPLICATION_JSON)
-                .wait(),
-            (Some(query), Err(reason)) => query
-                .reply_err(reason.to_string())
-                .encoding(Encoding::TEXT_PLAIN)
-                .wait(),
+            return;
+        };
+        let sent = match result {
+            Ok(reply) => {
+                let reply = query.reply(key, reply);
+                reply.encoding(Encoding::APPLICATION_JSON).wait()
+            }
+            Err(reason) => {
+                let refusal = query.reply_err(reason.to_string());
+                refusal.encoding(Encoding::TEXT_PLAIN).wait()
+            }
         };
         if let Err(error) = sent {
             tracing::warn!(key, %error, "query not answered");

@@ -1,14 +1,16 @@
-//! The route that packs a node's diagnostics into one archive.
+//! The routes for diagnosis: the last log lines, and all of a node's diagnostics in one archive.
 
-use super::{RouteState, cameras, metrics, node, states};
+use super::{RouteState, cameras, metrics, node, states, within};
 use albireo_service::archive;
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::http::Problem;
+use albireo_service::logging::{self, LogLine};
 use axum::Json;
-use axum::extract::State;
+use axum::extract::{Query, State};
 use axum::response::Response;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use serde_json::json;
+use utoipa::{IntoParams, ToSchema};
 
 /// The maximum number of clips in the archive.
 const MOST_CLIPS: usize = 64;
@@ -54,4 +56,41 @@ pub(super) async fn archive(State(shared): State<RouteState>) -> Result<Response
     ];
     let name = format!("albireo-node-{name}");
     Ok(archive::diagnostics(&name, &files, now_s))
+}
+
+/// The maximum number of lines per answer: all that are kept.
+const MOST_LINES: usize = 1000;
+
+/// The selection of lines.
+#[derive(Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct Selection {
+    /// Only lines after the one with this number.
+    #[serde(default)]
+    after: u64,
+    /// Maximum number of lines, the newest ones, 1 to 1000; 200 by default.
+    limit: Option<usize>,
+}
+
+/// Lines of the log.
+#[derive(Serialize, ToSchema)]
+pub(super) struct Log {
+    /// The oldest first.
+    lines: Vec<LogLine>,
+}
+
+/// The last lines of the log
+///
+/// The node keeps the newest 1000 lines of level `info` and above in memory, regardless of the level on standard error.
+/// Configured secrets are masked. `curl 'http://127.0.0.1:8080/api/v1/log?limit=20'`
+#[utoipa::path(
+    get, operation_id = "log_tail", path = "/api/v1/log", tag = "diagnosis", params(Selection),
+    responses((status = 200, body = Log))
+)]
+pub(super) async fn tail(Query(selection): Query<Selection>) -> Result<Json<Log>, Problem> {
+    let limit = within("limit", selection.limit.unwrap_or(200), 1..=MOST_LINES)?;
+    Ok(Json(Log {
+        lines: logging::lines_after(selection.after, limit),
+    }))
 }

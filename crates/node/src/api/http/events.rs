@@ -1,7 +1,7 @@
 //! Streams the node's events as server-sent events (WHATWG HTML, section 9.2).
 
 use super::{RouteState, bad_request};
-use crate::state::board::{Event, News};
+use crate::state::board::News;
 use albireo_service::clock::unix_nanoseconds;
 use albireo_service::http::Problem;
 use axum::extract::{Query, State};
@@ -14,7 +14,7 @@ use serde_json::json;
 use std::convert::Infallible;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::sync::broadcast::{self, error::RecvError};
+use tokio::sync::broadcast::error::RecvError;
 use utoipa::IntoParams;
 
 /// The maximum number of concurrent event streams: each holds a connection.
@@ -61,18 +61,6 @@ impl Selection {
     }
 }
 
-/// The next event, or the number of lost ones.
-async fn next(
-    mut events: broadcast::Receiver<Arc<Event>>,
-) -> Option<(Result<Arc<Event>, u64>, broadcast::Receiver<Arc<Event>>)> {
-    let next = match events.recv().await {
-        Ok(event) => Ok(event),
-        Err(RecvError::Lagged(lost)) => Err(lost),
-        Err(RecvError::Closed) => return None,
-    };
-    Some((next, events))
-}
-
 /// The node's events, as server-sent events
 ///
 /// First the present state (counters, thresholds, detector), then each change. A reader that is too slow
@@ -98,7 +86,14 @@ pub(super) async fn stream(
             Problem::new(StatusCode::SERVICE_UNAVAILABLE, detail)
         })?;
     // Subscribes before the present state is read, so that no change is missed in between.
-    let changes = stream::unfold(shared.board.subscribe(), next);
+    let changes = stream::unfold(shared.board.subscribe(), |mut events| async move {
+        let next = match events.recv().await {
+            Ok(event) => Ok(event),
+            Err(RecvError::Lagged(lost)) => Err(lost),
+            Err(RecvError::Closed) => return None,
+        };
+        Some((next, events))
+    });
     let current = shared.board.current(unix_nanoseconds());
     let events = stream::iter(current).map(Ok).chain(changes);
     let events = events.filter_map(move |event| {

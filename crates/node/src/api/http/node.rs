@@ -1,9 +1,10 @@
-//! Summarises the node in one answer, for the head of the page.
+//! Summarises the node in one answer, for the head of the page, and lists the routes.
 
 use super::RouteState;
 use super::health::{Readiness, readiness};
 use crate::state::board::Savings;
 use albireo_service::clock::seconds;
+use albireo_service::http::{Route, routes};
 use albireo_wire::OutboxStatus;
 use axum::Json;
 use axum::extract::State;
@@ -45,5 +46,38 @@ pub(super) async fn overview(State(shared): State<RouteState>) -> Json<NodeOverv
         power_source: board.power().source,
         since_start,
         today,
+    })
+}
+
+/// Service, version and list of routes.
+#[derive(Serialize, ToSchema)]
+pub(super) struct Index {
+    /// The node's name.
+    node: String,
+    /// The program's version.
+    version: &'static str,
+    /// The policy that decides the frames.
+    policy: &'static str,
+    /// Names of the cameras.
+    cameras: Vec<String>,
+    /// The path of the full description.
+    openapi: &'static str,
+    /// All routes.
+    routes: Vec<Route>,
+}
+
+/// Service, version and list of routes
+///
+/// `curl http://127.0.0.1:8080/api/v1`
+#[utoipa::path(get, path = "/api/v1", tag = "health", responses((status = 200, body = Index)))]
+pub(super) async fn index(State(shared): State<RouteState>) -> Json<Index> {
+    let board = &shared.board;
+    Json(Index {
+        node: board.node.clone(),
+        version: env!("CARGO_PKG_VERSION"),
+        policy: board.policy,
+        cameras: shared.camera_names(),
+        openapi: "/openapi.json",
+        routes: routes(&super::openapi()),
     })
 }
