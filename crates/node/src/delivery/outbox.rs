@@ -52,12 +52,9 @@ pub(super) const MAX_BYTES: u64 = 256 << 20;
 /// The interval at which a failed disk is tried again.
 const RETRY_EVERY: Duration = Duration::from_secs(2);
 
-/// The outbox; clones share it.
-#[derive(Clone, Debug)]
-pub struct Outbox(Arc<Shared>);
-
+/// The outbox.
 #[derive(Debug)]
-struct Shared {
+pub struct Outbox {
     /// Locked while the disk is read or written.
     waiting: Mutex<Waiting>,
     /// The counts after the last change, for readers that must not wait for the disk.
@@ -108,29 +105,29 @@ impl Outbox {
     }
 
     fn of(waiting: Waiting) -> Self {
-        Self(Arc::new(Shared {
+        Self {
             counts: Mutex::new(waiting.counts()),
             waiting: Mutex::new(waiting),
             changed: Notify::new(),
-        }))
+        }
     }
 
     /// Returns the counts without waiting for the disk.
     pub fn counts(&self) -> OutboxCounts {
-        self.0.counts.lock().clone()
+        self.counts.lock().clone()
     }
 
     /// Returns when there was a change since the last call. For a single task; never waits for the disk.
     pub(crate) async fn changed(&self) {
-        self.0.changed.notified().await;
+        self.changed.notified().await;
     }
 
     /// Reads or changes the reports, and updates their counts. Reads and writes files: call it outside async workers.
     pub(crate) fn change<T>(&self, change: impl FnOnce(&mut Waiting) -> T) -> T {
-        let mut waiting = self.0.waiting.lock();
+        let mut waiting = self.waiting.lock();
         let changed = change(&mut waiting);
-        *self.0.counts.lock() = waiting.counts();
-        self.0.changed.notify_one();
+        *self.counts.lock() = waiting.counts();
+        self.changed.notify_one();
         changed
     }
 }

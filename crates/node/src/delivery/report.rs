@@ -78,17 +78,15 @@ impl Reporter {
                 quality = ?report.energy.quality,
                 "clip ended"
             );
-            if let Err(error) = self.publish(&report) {
+            // Cannot fail: a report holds numbers and text.
+            let json = serde_json::to_vec(&report).unwrap_or_default();
+            let put = self.listeners.put(json);
+            if let Err(error) = put.encoding(Encoding::APPLICATION_JSON).wait() {
                 self.camera.count_unpublished();
                 tracing::debug!(camera, %error, "a clip report was not published");
             }
             self.board.record_clip(report);
         }
-    }
-
-    fn publish(&self, report: &ClipReport) -> zenoh::Result<()> {
-        let put = self.listeners.put(serde_json::to_vec(report)?);
-        put.encoding(Encoding::APPLICATION_JSON).wait()
     }
 }
 

@@ -33,13 +33,13 @@ pub(super) use status::StatusSender;
 use std::hash::{BuildHasher, RandomState};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-use tokio::sync::Notify;
 use tokio::task::spawn_blocking;
 use tokio::time::sleep;
 use tokio_util::sync::CancellationToken;
 use tracing::Instrument;
 use watched::Watched;
 use zenoh::Session;
+use zenoh::handlers::RingChannel;
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::Querier;
 
@@ -183,23 +183,20 @@ impl Worker {
         };
         let reports = querier(keys.report()).await?;
         let pulls = querier(keys.pull()).await?;
-        let news = Arc::new(Notify::new());
-        let hears = Arc::clone(&news);
         let status = session
             .declare_publisher(keys.status())
             .congestion_control(CongestionControl::Drop)
             .priority(crate::camera::publishing::COUNTERS)
             .await?;
-        let _pokes = session
+        let news = session
             .declare_subscriber(keys.changed())
-            .callback(move |_| hears.notify_one())
+            .with(RingChannel::new(1))
             .await?;
         let own = setup.local.is_none();
         let _alive = match own && setup.config.uplink.liveliness {
             true => Some(session.liveliness().declare_token(keys.alive()).await?),
             false => None,
         };
-        let stale = if own { STALE } else { Duration::MAX };
         let mut last_try = None;
         let mut asked = FuturesUnordered::<BoxFuture<'_, (Asked, Ended)>>::new();
         self.watched.begin();
@@ -231,7 +228,7 @@ impl Worker {
                     }
                 }
             }
-            if connected && self.schedule.is_stale(stale, now) {
+            if own && connected && self.schedule.is_stale(STALE, now) {
                 return Err("no answer to the waiting reports for too long".into());
             }
             let latest = last_try.unwrap_or(now + POLL_EVERY);
@@ -244,7 +241,7 @@ impl Worker {
                 }
                 Some((query, ended)) = asked.next() => self.take(query, ended).await,
                 () = outbox.changed() => {}
-                () = news.notified() => self.schedule.want_pull(),
+                Ok(_) = news.recv_async() => self.schedule.want_pull(),
                 () = tokio::time::sleep_until(look.into()) => {}
             }
         }

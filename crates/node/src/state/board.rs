@@ -62,7 +62,7 @@ pub struct Board {
     /// Counts the failures of the node's tasks.
     pub tasks: TaskFailures,
     /// Holds reports for a hub.
-    pub(crate) outbox: Outbox,
+    pub(crate) outbox: Arc<Outbox>,
     /// Keeps changed settings over restarts.
     pub(crate) settings: Settings,
     /// The target, which moves the thresholds while one is set.
@@ -86,7 +86,7 @@ impl Board {
     /// [`NodeError`] if the state directory cannot be used, or for errors that a checked configuration does not have.
     pub fn open(config: &NodeConfig) -> Result<Arc<Self>, NodeError> {
         let directory = config.node.state_dir.as_deref();
-        let outbox = Outbox::open(directory)?;
+        let outbox = Arc::new(Outbox::open(directory)?);
         let settings = Settings::open(directory);
         let policy = config.policy.build().map_err(NodeError::new)?;
         let target = NodeTarget::open(config, &*policy, &settings);
@@ -104,7 +104,7 @@ impl Board {
         readiness.probe(readiness::DETECTOR, "", move || {
             readiness::of_detector(&status.lock())
         });
-        let (disk, reports) = (outbox.clone(), outbox.clone());
+        let (disk, reports) = (Arc::clone(&outbox), Arc::clone(&outbox));
         readiness.probe(readiness::DISK, "", move || {
             disk.counts().failing.map(Fault::degraded)
         });
@@ -140,12 +140,11 @@ impl Board {
 
     /// The counts of the detector and the screen: zero before they start, and without a screen.
     pub(crate) fn worker_counts(&self) -> (WorkerCounts, WorkerCounts) {
-        let meters = self.meters.get();
-        let screen = meters.and_then(|(_, screen)| screen.as_ref());
-        (
-            (meters.map(|(detector, _)| detector.read())).unwrap_or_default(),
-            screen.map(WorkerMeter::read).unwrap_or_default(),
-        )
+        let Some((detector, screen)) = self.meters.get() else {
+            return Default::default();
+        };
+        let screen = screen.as_ref().map(WorkerMeter::read);
+        (detector.read(), screen.unwrap_or_default())
     }
 
     /// The time since the board was created.
@@ -295,8 +294,7 @@ impl Board {
 
     /// The power over the last hour, oldest first.
     pub(crate) fn power_past(&self) -> Vec<PowerPiece> {
-        let now = Clock::now(self.shared.started);
-        self.power.lock().slots(&now)
+        (self.power.lock()).slots(&Clock::now(self.shared.started))
     }
 
     /// The counts since the start, with this power.

@@ -16,7 +16,7 @@ use uuid::Uuid;
 impl Outbox {
     /// Stalls the disk until the result is dropped.
     pub(crate) fn stall(&self) -> impl Sized {
-        self.0.waiting.lock()
+        self.waiting.lock()
     }
 }
 
@@ -316,7 +316,7 @@ fn a_failing_disk_delays_no_report_and_its_return_loses_or_repeats_none() {
             }
             "locked" => other.execute_batch("BEGIN IMMEDIATE").unwrap(),
             _ => {
-                let waiting = outbox.0.waiting.lock();
+                let waiting = outbox.waiting.lock();
                 let db = &waiting.table.db;
                 db.pragma_update(None, "query_only", true).unwrap();
             }
@@ -445,7 +445,7 @@ fn counting_and_waking_the_sender_never_wait_for_a_disk() {
     let outbox = in_memory();
     keep(&outbox, 0..1);
     // The lock is held while the disk is written.
-    let writing = outbox.0.waiting.lock();
+    let writing = outbox.waiting.lock();
     assert_eq!(outbox.counts().status.waiting, 1);
     assert!(outbox.changed().now_or_never().is_some());
     drop(writing);

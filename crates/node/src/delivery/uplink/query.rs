@@ -1,7 +1,7 @@
 //! Queries the hub, and reads its reply.
 
 use super::Failure;
-use albireo_wire::{ReportRefusal, read};
+use albireo_wire::{MessageError, ReportRefusal, read};
 use serde::de::DeserializeOwned;
 use std::time::Duration;
 use zenoh::query::Querier;
@@ -29,21 +29,17 @@ pub(super) async fn ask<T: DeserializeOwned>(
 
 /// Reads a reply: an answer, or an error.
 pub(crate) fn read_reply<T: DeserializeOwned>(reply: Result<&[u8], &[u8]>) -> Result<T, Failure> {
-    let refusal = match reply {
-        Ok(answer) => {
-            return read(answer).map_err(|error| {
-                tracing::debug!(%error, "an answer from the hub cannot be read");
-                Failure::Unanswered
-            });
+    let unreadable = |error: MessageError| {
+        tracing::debug!(%error, "a reply from the hub cannot be read");
+        Failure::Unanswered
+    };
+    match reply {
+        Ok(answer) => read(answer).map_err(unreadable),
+        Err(refusal) => {
+            let refusal: ReportRefusal = read(refusal).map_err(unreadable)?;
+            tracing::warn!(reason = ?refusal.reason, refusal.detail, "the hub refused a query");
+            let at_least = Duration::from_millis(refusal.retry_after_ms.unwrap_or(0));
+            Err(Failure::Refused(at_least))
         }
-        Err(refusal) => refusal,
-    };
-    let Ok(refusal) = read::<ReportRefusal>(refusal) else {
-        let reply = String::from_utf8_lossy(refusal);
-        tracing::debug!(%reply, "the hub replied with an unknown error");
-        return Err(Failure::Unanswered);
-    };
-    tracing::warn!(reason = ?refusal.reason, refusal.detail, "the hub refused a query");
-    let at_least = Duration::from_millis(refusal.retry_after_ms.unwrap_or(0));
-    Err(Failure::Refused(at_least))
+    }
 }
