@@ -153,7 +153,7 @@ impl PreparedNode {
         if let Some(worker) = screen.clone() {
             tasks.until_shutdown("screen", async move { worker.ended().await });
         }
-        readiness::look_at_cameras(&board, readiness::CAMERA_SILENCE);
+        readiness::look_at_cameras(&board);
         readiness::look_at_power(&board, &power);
         let watched = board.readiness.clone();
         tasks.until_shutdown("readiness", async move {

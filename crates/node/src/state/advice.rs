@@ -92,9 +92,8 @@ impl SkipWatch {
 
     /// Like [`Self::advice`], from any number of frames: for a finished clip.
     pub fn advice_so_far(&self, spec: &ThresholdSpec) -> Option<Advice> {
-        (!self.skipped && self.followed > 0)
-            .then(|| self.attempt(spec))
-            .flatten()
+        let skips_nothing = !self.skipped && self.followed > 0;
+        self.attempt(spec).filter(|_| skips_nothing)
     }
 
     fn attempt(&self, spec: &ThresholdSpec) -> Option<Advice> {

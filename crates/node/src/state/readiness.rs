@@ -97,38 +97,36 @@ pub(crate) fn of_screen(status: &DetectorStatus) -> Option<Fault> {
 
 /// The fault shown by the outbox's counts.
 pub(crate) fn of_outbox(counts: &OutboxCounts) -> Option<Fault> {
-    let lost = counts
-        .last_loss
-        .is_some_and(|at| at.elapsed() < LOSS_SHOWN_FOR);
-    if lost {
-        Some(Fault::degraded(format!(
-            "clip reports were lost in the last {} minutes",
-            LOSS_SHOWN_FOR.as_secs() / 60
-        )))
-    } else {
-        let waits = "clip reports wait in memory and do not survive a power loss";
-        counts.failing.as_ref().map(|_| Fault::degraded(waits))
-    }
+    let lost = (counts.last_loss).is_some_and(|at| at.elapsed() < LOSS_SHOWN_FOR);
+    let minutes = LOSS_SHOWN_FOR.as_secs() / 60;
+    let reason = match &counts.failing {
+        _ if lost => format!("clip reports were lost in the last {minutes} minutes"),
+        Some(_) => "clip reports wait in memory and do not survive a power loss".to_owned(),
+        None => return None,
+    };
+    Some(Fault::degraded(reason))
 }
 
 /// A camera without a frame for this long makes the node degraded.
-pub(crate) const CAMERA_SILENCE: Duration = Duration::from_secs(30);
+const CAMERA_SILENCE: Duration = Duration::from_secs(30);
 
 /// Adds probes for frames from every camera without a source; a source reports its own faults.
-pub(crate) fn look_at_cameras(board: &Board, silence: Duration) {
+pub(crate) fn look_at_cameras(board: &Board) {
     let start = tokio::time::Instant::now();
     let cameras = board.cameras.iter();
     for camera in cameras.filter(|camera| camera.source.is_none()) {
         let name = camera.name().to_owned();
         let camera = Arc::clone(camera);
         board.readiness.probe(CAMERAS, name, move || {
-            let seconds = silence.as_secs_f64();
-            match camera.snapshot().last_frame_age() {
-                Some(age) => (age > silence)
-                    .then(|| Fault::degraded(format!("no frame for more than {seconds} s"))),
-                None => (start.elapsed() > silence)
-                    .then(|| Fault::degraded("no frame has arrived since the start")),
-            }
+            let limit = CAMERA_SILENCE;
+            let (age, reason) = match camera.snapshot().last_frame_age() {
+                Some(age) => (age, format!("no frame for more than {} s", limit.as_secs())),
+                None => (
+                    start.elapsed(),
+                    "no frame has arrived since the start".to_owned(),
+                ),
+            };
+            (age > limit).then(|| Fault::degraded(reason))
         });
     }
 }

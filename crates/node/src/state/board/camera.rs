@@ -114,8 +114,7 @@ impl CameraSnapshot {
             self.detector_latency.observe(detector / 1e3);
         }
         let run = frame.times.detector_run;
-        let used = run.map_or(0, |run| run.used.as_micros());
-        self.detector_us = (self.detector_us).saturating_add(used.try_into().unwrap_or(u64::MAX));
+        self.detector_us += run.map_or(0, |run| run.used.as_micros() as u64);
         self.states.count(detections.state);
         self.degraded_frames += u64::from(detections.degraded);
         self.count_boxes(&detections.boxes);

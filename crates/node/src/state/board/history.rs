@@ -22,7 +22,7 @@ pub(crate) const FRAMES: usize = 8192;
 pub(crate) const SLOT_S: u64 = 10;
 /// The number of pieces kept: an hour, and the open piece.
 const SLOTS: usize = 361;
-/// The detector times per piece used for its percentiles; beyond them, new ones replace the oldest.
+/// The maximum number of detector times per piece that are used for its percentiles.
 const TIMES: usize = 1024;
 
 /// A kept frame, in single precision because there are many.
@@ -175,10 +175,8 @@ impl CameraPiece {
 pub(crate) struct History {
     frames: VecDeque<PastFrame>,
     hour: Hour<CameraPiece>,
-    /// Detector times in the open piece.
+    /// The first detector times in the open piece.
     times: Vec<f32>,
-    /// The number of detector times in the open piece.
-    timed: usize,
 }
 
 impl Default for History {
@@ -187,7 +185,6 @@ impl Default for History {
             frames: VecDeque::with_capacity(FRAMES),
             hour: Hour::default(),
             times: Vec::with_capacity(TIMES),
-            timed: 0,
         }
     }
 }
@@ -202,20 +199,15 @@ impl History {
         if let Some(ended) = self.hour.turn(at) {
             ended.set_percentiles(&self.times);
             self.times.clear();
-            self.timed = 0;
         }
         let open = &mut self.hour.open.1;
         open.frames += 1;
         open.skipped += u32::from(frame.state.is_skipped() && !frame.degraded);
         open.degraded += u32::from(frame.degraded);
         open.calls += u32::from(frame.cause.is_some());
-        if let Some(time) = frame.latency_ms.detector {
-            let time = time as f32;
-            match self.times.get_mut(self.timed % TIMES) {
-                Some(place) => *place = time,
-                None => self.times.push(time),
-            }
-            self.timed += 1;
+        let time = frame.latency_ms.detector;
+        if let Some(time) = time.filter(|_| self.times.len() < TIMES) {
+            self.times.push(time as f32);
         }
     }
 
