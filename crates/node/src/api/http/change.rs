@@ -14,13 +14,9 @@ pub(super) fn message<T: DeserializeOwned>(
     body: &Bytes,
     expected: &str,
 ) -> Result<T, Problem> {
-    let name = headers
-        .get(CONTENT_TYPE)
-        .map(|value| value.to_str().unwrap_or("unreadable"));
-    let media_type = name
-        .and_then(|name| name.split(';').next())
-        .unwrap_or_default()
-        .trim();
+    let sent = headers.get(CONTENT_TYPE);
+    let sent = sent.map_or("", |value| value.to_str().unwrap_or("unreadable"));
+    let media_type = sent.split(';').next().unwrap_or_default().trim();
     // No content type and curl's default one are also accepted: a page of another origin cannot send a PUT without a
     // preflight, regardless of its content type.
     let accepted = ["", "application/json", "application/x-www-form-urlencoded"];
@@ -28,11 +24,10 @@ pub(super) fn message<T: DeserializeOwned>(
         .iter()
         .any(|accepted| media_type.eq_ignore_ascii_case(accepted))
     {
-        let sent = name.map_or_else(|| "none".to_owned(), |name| format!("`{name}`"));
         return Err(Problem::new(
             StatusCode::UNSUPPORTED_MEDIA_TYPE,
             format!(
-                "the content type must be `application/json`, and is {sent}; with curl: -H 'content-type: application/json'"
+                "the content type must be `application/json`, and is `{sent}`; with curl: -H 'content-type: application/json'"
             ),
         )
         .allowing(["application/json"]));

@@ -44,7 +44,7 @@ pub(super) async fn archive(State(shared): State<RouteState>) -> Result<Response
     let Json(overview) = node::overview(State(shared.clone())).await;
     let Json(cameras) = cameras::list(State(shared.clone())).await;
     let Json(counters) = states::all(State(shared.clone())).await;
-    let metrics = metrics::page(&shared).into_text();
+    let metrics = metrics::text(State(shared.clone())).await.into_text();
     let files = [
         ("about.json", text(&about)),
         ("configuration.json", text(&*shared.config)),

@@ -20,11 +20,6 @@ fn flag(on: bool) -> f64 {
 /// `curl http://127.0.0.1:8080/metrics`
 #[utoipa::path(get, operation_id = "metrics", path = "/metrics", tag = "metrics", responses((status = 200, body = String, content_type = "text/plain")))]
 pub(super) async fn text(State(shared): State<RouteState>) -> MetricsPage {
-    page(&shared)
-}
-
-/// All metrics, read from the board.
-pub(super) fn page(shared: &RouteState) -> MetricsPage {
     let (mut page, board) = (MetricsPage::default(), &shared.board);
     page.process();
     page.counter(
