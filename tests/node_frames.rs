@@ -55,8 +55,7 @@ impl Bench {
     pub(crate) async fn start_prepared(config: &NodeConfig, prepared: PreparedNode) -> Self {
         let shutdown = CancellationToken::new();
         let board = Arc::clone(prepared.board());
-        let node = prepared.start(config, shutdown.clone()).await.unwrap();
-        let node: Node = node.unwrap();
+        let node: Node = prepared.start(config, shutdown.clone()).await.unwrap();
         let endpoints = node.endpoints().await;
         let session = zenoh_client(&endpoints[0]).await;
         let stopped = tokio::spawn(node.stopped());

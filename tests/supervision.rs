@@ -354,7 +354,8 @@ async fn a_disk_that_stalls_at_start_delays_no_health_check() {
     let address = listener.local_addr().unwrap();
     let shutdown = CancellationToken::new();
     let stop = shutdown.clone();
-    let running = tokio::spawn(async move { albireo_node::run(&config, listener, stop).await });
+    let running =
+        tokio::spawn(async move { albireo_node::run(&config, None, listener, stop).await });
     let status = async |path: &str| {
         let answer = reqwest::get(format!("http://{address}{path}")).await;
         answer.map_or(0, |answer| answer.status().as_u16())

@@ -6,8 +6,8 @@ use super::frames::{FrameSender, Pacing, close, open_session};
 use super::replay::{PublishOptions, publish};
 use albireo_eval::footage::{SourceName, VideoEncoding};
 use albireo_hub::config::HubConfig;
+use albireo_node::PreparedNode;
 use albireo_node::config::{CameraConfig, NodeConfig};
-use albireo_node::{PreparedNode, run_prepared};
 use albireo_service::config::{Configuration, LogConfig, ZenohMode};
 use albireo_service::{logging, signals};
 use anyhow::{Context, bail};
@@ -94,7 +94,7 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let hub = tokio::spawn(ending(shutdown.clone(), hub));
     let node = tokio::spawn(ending(shutdown.clone(), {
         let (config, shutdown) = (config.clone(), shutdown.clone());
-        async move { run_prepared(&config, prepared, listener, shutdown).await }
+        async move { albireo_node::run(&config, Some(prepared), listener, shutdown).await }
     }));
     let camera = tokio::spawn(ending(
         shutdown.clone(),

@@ -34,7 +34,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let limit = config.node.stop_timeout;
         let shutdown = signals::shutdown(Some(limit))?;
         let listener = listen("http.listen", config.http.listen).await?;
-        Ok(albireo_node::run(&config, listener, shutdown).await?)
+        Ok(albireo_node::run(&config, None, listener, shutdown).await?)
     })
 }
 

@@ -1,31 +1,21 @@
 //! The error of a node that cannot start or had to stop.
 
-use std::error::Error;
 use std::fmt::Display;
 
 /// A node cannot start or had to stop: names the part and its error.
 #[derive(Debug, thiserror::Error)]
-#[error("{part}{source}")]
-pub struct NodeError {
-    part: String,
-    source: Box<dyn Error + Send + Sync>,
-}
+#[error("{0}")]
+pub struct NodeError(String);
 
 impl NodeError {
     /// Creates an error that already names its part.
-    pub(crate) fn new(source: impl Into<Box<dyn Error + Send + Sync>>) -> Self {
-        let (part, source) = (String::new(), source.into());
-        Self { part, source }
+    pub(crate) fn new(error: impl Display) -> Self {
+        Self(error.to_string())
     }
 
     /// Creates an error of this part.
-    pub(crate) fn of<E: Into<Box<dyn Error + Send + Sync>>>(
-        part: impl Display,
-    ) -> impl FnOnce(E) -> Self {
-        move |error| Self {
-            part: format!("{part}: "),
-            source: error.into(),
-        }
+    pub(crate) fn of<E: Display>(part: impl Display) -> impl FnOnce(E) -> Self {
+        move |error| Self(format!("{part}: {error}"))
     }
 
     /// Creates an error for an operation that Zenoh rejected.

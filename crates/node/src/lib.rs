@@ -15,5 +15,5 @@ pub mod state;
 pub use camera::FrameRecord;
 pub use camera::evidence::LiveEvidence;
 pub use error::NodeError;
-pub use run::{run, run_prepared};
+pub use run::run;
 pub use start::{Node, PolicyMaker, PreparedNode};

@@ -18,7 +18,8 @@ use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 use tower_service::Service;
 
-/// Runs a node and its HTTP interface on `listener` until `shutdown`.
+/// Runs a node and its HTTP interface on `listener` until `shutdown`. The node is `prepared` if others also read its
+/// board.
 ///
 /// HTTP answers first, so that health checks work while the node opens its state file, connects or loads its model; the
 /// node is ready once its cameras' frames can be received.
@@ -28,35 +29,7 @@ use tower_service::Service;
 /// configured.
 pub async fn run(
     config: &NodeConfig,
-    listener: TcpListener,
-    shutdown: CancellationToken,
-) -> Result<(), NodeError> {
-    // On a blocking thread, because opening and checking the state file takes a while on a slow SD card.
-    let opened = config.clone();
-    let opening = async {
-        let opening = tokio::task::spawn_blocking(move || PreparedNode::new(&opened));
-        opening.await.map_err(NodeError::new)?
-    };
-    serve(config, opening, listener, shutdown).await
-}
-
-/// Like [`run`], with a node whose board others also read.
-///
-/// # Errors
-/// Same as [`run`].
-pub async fn run_prepared(
-    config: &NodeConfig,
-    prepared: PreparedNode,
-    listener: TcpListener,
-    shutdown: CancellationToken,
-) -> Result<(), NodeError> {
-    serve(config, async { Ok(prepared) }, listener, shutdown).await
-}
-
-/// Serves HTTP, shows the node once it is opened, and runs it until `shutdown`.
-async fn serve(
-    config: &NodeConfig,
-    opening: impl Future<Output = Result<PreparedNode, NodeError>>,
+    prepared: Option<PreparedNode>,
     listener: TcpListener,
     shutdown: CancellationToken,
 ) -> Result<(), NodeError> {
@@ -75,9 +48,17 @@ async fn serve(
         let methods = [Method::GET, Method::PUT];
         albireo_service::http::run(&http, &tokens, &methods, router, listener, stop).await
     });
-    let opened = shutdown.run_until_cancelled(opening).await;
-    let Some(prepared) = opened.transpose()? else {
-        return Ok(());
+    let prepared = match prepared {
+        Some(prepared) => prepared,
+        None => {
+            // On a blocking thread, because opening and checking the state file takes a while on a slow SD card.
+            let opened = config.clone();
+            let opening = tokio::task::spawn_blocking(move || PreparedNode::new(&opened));
+            let Some(opened) = shutdown.run_until_cancelled(opening).await else {
+                return Ok(());
+            };
+            opened.map_err(NodeError::new)??
+        }
     };
     let board = Arc::clone(prepared.board());
     // Set only here.
@@ -109,15 +90,19 @@ async fn serve(
         "listening"
     );
     let node = async {
-        let node = prepared.start(config, shutdown.clone()).await;
-        let ended = match node {
-            Ok(None) => Ok(()),
-            Ok(Some(node)) => {
+        // Loading a model may take minutes, or hang.
+        let starting = prepared.start(config, shutdown.clone());
+        let ended = match shutdown.run_until_cancelled(starting).await {
+            None => {
+                tracing::info!("stopped before the node was ready");
+                Ok(())
+            }
+            Some(Ok(node)) => {
                 let zenoh = node.endpoints().await;
                 log_start(config, &board, &node, address, &zenoh);
                 node.stopped().await
             }
-            Err(error) => Err(error),
+            Some(Err(error)) => Err(error),
         };
         serving.cancel();
         ended

@@ -81,25 +81,11 @@ impl PreparedNode {
     }
 
     /// Starts the node and returns once its cameras' frames can be received. It runs until `shutdown` is cancelled;
-    /// then call [`Node::stopped`]. `None` if `shutdown` is cancelled earlier: loading a model may take minutes, or
-    /// hang.
+    /// then call [`Node::stopped`]. Loading a model may take minutes, or hang: drop the future to give up.
     ///
     /// # Errors
     /// [`NodeError`] if a part cannot start: the message names the part and the remedy.
     pub async fn start(
-        self,
-        config: &NodeConfig,
-        shutdown: CancellationToken,
-    ) -> Result<Option<Node>, NodeError> {
-        let starting = self.start_parts(config, shutdown.clone());
-        let started = shutdown.run_until_cancelled(starting).await;
-        if started.is_none() {
-            tracing::info!("stopped before the node was ready");
-        }
-        started.transpose()
-    }
-
-    async fn start_parts(
         self,
         config: &NodeConfig,
         shutdown: CancellationToken,

@@ -120,8 +120,9 @@ impl Player {
         let ended = CancellationToken::new();
         let collecting = tokio::spawn(collect(board.subscribe(), ended.clone()));
         let stop = shutdown.child_token();
-        let node = prepared.start(&config, stop.clone()).await?;
-        let node = node.context("stopped")?;
+        let starting = prepared.start(&config, stop.clone());
+        let started = shutdown.run_until_cancelled(starting).await;
+        let node = started.context("stopped")??;
         let endpoints = node.endpoints().await;
         let stopped = tokio::spawn(node.stopped());
         let played = tokio::select! {
