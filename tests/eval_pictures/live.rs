@@ -43,7 +43,8 @@ impl Node {
         let (detector, screen) = (self.detector.clone(), self.model.clone());
         let empty_run = EmptyRun::new(self.screen.longest_empty_run);
         let preparation = self.detector.preparation().clone();
-        let pixels = PixelWork::new(preparation, FrameLimits::default(), 1);
+        let input = screen.as_ref().map(ScreenHandle::input_format);
+        let pixels = PixelWork::new(preparation, input, FrameLimits::default(), 1);
         let never = tokio_util::sync::CancellationToken::new();
         LiveEvidence::new(detector, screen, empty_run, CAMERA, pixels, never)
     }

@@ -15,7 +15,7 @@ pub use config::{AnswerTime, ReportConfig, SettleConfig};
 pub(crate) use tests::answer;
 
 use crate::camera::answer::detections_message;
-use crate::camera::audit::{CameraAudit, DrawnFrame};
+use crate::camera::audit::CameraAudit;
 use crate::camera::clip::{Clip, ClipTracker};
 use crate::camera::decider::{Decided, Decider, Fetched};
 use crate::camera::evidence::{LiveEvidence, Times};
@@ -98,6 +98,8 @@ struct BegunFrame {
     head: FrameHead,
     clip: Arc<str>,
     threshold: Option<Threshold>,
+    /// What the policy needs to know of it.
+    need: Need,
     /// The time at which it was taken from the ring.
     taken: Instant,
     /// The time from reception to its prediction, if that was published before the final answer.
@@ -146,12 +148,10 @@ impl Camera {
         parts.receiver.ring.open();
         let longest = Duration::from_millis(config.settle.longest_ms);
         let settled = (parts.settled.is_some()).then(|| SettledStream::new(longest, &parts));
-        let share = config.audit.share;
-        let audited = (share > 0.0).then_some(share);
         Self {
             decider: Decider::new(policy, evidence),
             settled,
-            tracker: ClipTracker::new(config.clip, parts.energy.clone(), audited),
+            tracker: ClipTracker::new(config.clip, parts.energy.clone(), config.audit.report()),
             audit,
             parts,
             threshold,
@@ -186,7 +186,6 @@ impl Camera {
         if let Some(settled) = &mut self.settled {
             settled.flush();
         }
-        self.end();
     }
 
     fn tick(&mut self) {
@@ -197,7 +196,7 @@ impl Camera {
         }
     }
 
-    /// Stops taking frames, counts the waiting ones as dropped, and ends the open clip. A second call does nothing.
+    /// Stops taking frames, counts the waiting ones as dropped, and ends the open clip.
     fn end(&mut self) {
         let parts = &self.parts;
         for frame in parts.receiver.ring.close() {
@@ -223,13 +222,11 @@ impl Camera {
 
     fn process(&mut self, mut incoming: SequencedFrame) {
         self.parts.receiver.answer(incoming.query.take(), None);
-        let Some(mut frame) = self.begin(incoming) else {
-            return;
-        };
+        let mut frame = self.begin(incoming);
         let deciding = Instant::now();
-        let need = self.decider.policy.frame(frame.head, &mut self.outcome);
+        frame.need = self.decider.policy.frame(frame.head, &mut self.outcome);
         frame.times.latency.policy = milliseconds(deciding.elapsed());
-        if need == Need::Nothing {
+        if frame.need == Need::Nothing {
             return self.conclude(&frame);
         }
         if self.decider.answers_at_once() {
@@ -237,7 +234,7 @@ impl Camera {
             self.tracker.pending(message.seq, frame.threshold);
             frame.first_answer = Some(frame.incoming.frame.received.elapsed());
         }
-        self.decider.fetch(frame, need);
+        self.decider.fetch(frame);
     }
 
     fn deliver(&mut self, fetched: Fetched) {
@@ -271,27 +268,17 @@ impl Camera {
             None => self.tracker.count(&record),
         }
         parts.board.record_frame(&record);
-        let skipped = outcome.state.is_skipped() && !outcome.degraded;
-        if skipped && self.audit.draws(incoming.index) {
-            self.audit.offer(DrawnFrame {
-                picture: incoming.frame.picture.clone(),
-                shown: outcome.boxes.clone(),
-            });
+        if outcome.state.is_skipped() && !outcome.degraded {
+            let picture = &incoming.frame.picture;
+            self.audit.offer(incoming.index, picture, &outcome.boxes);
         }
     }
 
-    /// Prepares a frame: its place in the stream, the threshold in force, its clip. `None` if the frame was overtaken.
-    fn begin(&mut self, incoming: SequencedFrame) -> Option<BegunFrame> {
+    /// Prepares a frame: its place in the stream, the threshold in force, its clip.
+    fn begin(&mut self, incoming: SequencedFrame) -> BegunFrame {
         let taken = Instant::now();
         let frame = &incoming.frame;
-        let before = self.newest;
-        if before.is_some_and(|(index, _)| incoming.index <= index) {
-            let sequence = frame.sequence;
-            let reason = format_args!("sequence number {sequence} was overtaken on its way");
-            (self.parts.receiver).count_dropped(|dropped| &mut dropped.late, 1, &reason);
-            return None;
-        }
-        self.newest = Some((incoming.index, incoming.epoch));
+        let before = self.newest.replace((incoming.index, incoming.epoch));
         let restarted = before.is_some_and(|(_, epoch)| epoch != incoming.epoch);
         let new_clip = frame.clip.is_some() && frame.clip != self.clip;
         if restarted || (new_clip && self.parts.reset_at_clip && self.clip.is_some()) {
@@ -317,15 +304,16 @@ impl Camera {
         parts.hand_over(self.tracker.arrive(frame.time_ns, clip, frame.received));
         let clip = self.tracker.clip().map_or_else(|| "".into(), Arc::clone);
         let spec = (parts.board.threshold_spec).zip(self.decider.policy.policy().threshold());
-        Some(BegunFrame {
+        BegunFrame {
             head,
             clip,
             threshold: spec.map(|(spec, value)| Threshold::new(spec.name, value)),
+            need: Need::Nothing,
             taken,
             incoming,
             first_answer: None,
             times: Times::default(),
-        })
+        }
     }
 
     /// Publishes an answer of a frame: a `pending` one before the final one, or the final one. Leaves only the
@@ -381,7 +369,7 @@ impl Camera {
     }
 }
 
-/// Also runs if the loop panicked or was aborted, so that the counts until then are reported.
+/// Ends the clip even if the loop panicked or was aborted, so that the counts until then are reported.
 impl Drop for Camera {
     fn drop(&mut self) {
         // May panic again for the same cause; a second panic while unwinding must not abort the process.

@@ -153,6 +153,7 @@ impl PreparedNode {
             power: power.clone(),
             pixels: PixelWork::new(
                 detector.preparation().clone(),
+                screen.as_ref().map(ScreenHandle::input_format),
                 config.frame,
                 config.detector.batch_size,
             ),

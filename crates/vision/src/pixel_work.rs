@@ -5,10 +5,10 @@ mod picture_buffers;
 
 use crate::detector::{Preparation, PreparedPicture};
 use crate::picture::{
-    EncodedPicture, FrameFault, FrameLimits, PixelLayout, decode, decode_grey_half,
+    EncodedPicture, FrameFault, FrameLimits, InputFormat, PixelLayout, decode, decode_grey_half,
     decode_small_grey,
 };
-use albireo_core::geometry::PictureSize;
+use crate::screen::decoding_target;
 use picture_buffers::{PictureBuffers, PooledPicture};
 use std::sync::Arc;
 use std::thread::available_parallelism;
@@ -33,15 +33,6 @@ impl Stage {
     pub const fn needs_place(self) -> bool {
         matches!(self, Self::Picture | Self::Prepared)
     }
-}
-
-/// One picture and how to decode it.
-#[derive(Clone)]
-pub struct Source {
-    /// The picture as received.
-    pub encoded: EncodedPicture,
-    /// The smallest size to which decoding may reduce it.
-    pub target: PictureSize,
 }
 
 /// The results made from one picture so far.
@@ -79,12 +70,17 @@ impl PreparedFrame {
         self.grey.as_ref().map(|(_, picture)| picture)
     }
 
-    fn add(&mut self, stage: Stage, source: &Source, pixels: &PixelWork) -> Result<(), FrameFault> {
+    fn add(
+        &mut self,
+        stage: Stage,
+        encoded: &EncodedPicture,
+        pixels: &PixelWork,
+    ) -> Result<(), FrameFault> {
         let start = Instant::now();
-        let Source { encoded, target } = source;
         let State {
             limits,
             preparation,
+            screen,
             pictures,
             greys,
             ..
@@ -110,7 +106,8 @@ impl PreparedFrame {
                     .pixels()
                     .saturating_mul(layout.channels() as u64);
                 let mut picture = pictures.take(usize::try_from(most).unwrap_or(usize::MAX));
-                let made = decode(encoded, limits, layout, Some(*target), &mut picture);
+                let target = decoding_target(preparation.format(), *screen, encoded.size);
+                let made = decode(encoded, limits, layout, Some(target), &mut picture);
                 let picture = pictures.pooled(picture);
                 made?;
                 self.picture = Some(picture);
@@ -118,7 +115,7 @@ impl PreparedFrame {
             }
             Stage::Prepared => {
                 if self.picture.is_none() {
-                    self.add(Stage::Picture, source, pixels)?;
+                    self.add(Stage::Picture, encoded, pixels)?;
                 }
                 let Some(picture) = &self.picture else {
                     return Ok(());
@@ -138,6 +135,8 @@ pub struct PixelWork(Arc<State>);
 struct State {
     limits: FrameLimits,
     preparation: Preparation,
+    /// The screen's input, which pictures are decoded for too.
+    screen: Option<InputFormat>,
     /// Decoded pictures.
     pictures: PictureBuffers,
     /// Grey pictures, much smaller.
@@ -148,16 +147,22 @@ struct State {
 
 impl PixelWork {
     /// Creates the pixel work of a detector that runs on `batch_size` pictures at once, with inputs made by
-    /// `preparation`.
+    /// `preparation`, and of a `screen`, if there is one, with this input.
     ///
     /// At most 2 × `batch_size` + ⌈processors / 2⌉ pictures are decoded at once: those of the current run, those of the
     /// next, and those being prepared. The others wait encoded.
-    pub fn new(preparation: Preparation, limits: FrameLimits, batch_size: usize) -> Self {
+    pub fn new(
+        preparation: Preparation,
+        screen: Option<InputFormat>,
+        limits: FrameLimits,
+        batch_size: usize,
+    ) -> Self {
         let processors = available_parallelism().map_or(1, usize::from);
         let places = (2 * batch_size.max(1)).saturating_add(processors.div_ceil(2));
         Self(Arc::new(State {
             limits,
             preparation,
+            screen,
             pictures: PictureBuffers::new(places),
             greys: PictureBuffers::new(places),
             places: Arc::new(Semaphore::new(places.min(Semaphore::MAX_PERMITS))),
@@ -181,12 +186,12 @@ impl PixelWork {
     pub async fn look(
         &self,
         mut frame: PreparedFrame,
-        source: Source,
+        encoded: EncodedPicture,
         stage: Stage,
     ) -> Result<PreparedFrame, FrameFault> {
         let pixels = self.clone();
         let work = tokio::task::spawn_blocking(move || {
-            frame.add(stage, &source, &pixels)?;
+            frame.add(stage, &encoded, &pixels)?;
             Ok(frame)
         });
         work.await.unwrap_or_else(|error| {
@@ -196,15 +201,10 @@ impl PixelWork {
         })
     }
 
-    /// Returns the detector's input of a picture, decoded to no fewer pixels than `target`; `None` if the picture is
-    /// broken. Takes no place: call it only while no frame waits.
-    pub async fn prepared(
-        &self,
-        encoded: EncodedPicture,
-        target: PictureSize,
-    ) -> Option<PreparedPicture> {
-        let source = Source { encoded, target };
-        let made = self.look(PreparedFrame::default(), source, Stage::Prepared);
+    /// Returns the detector's input of a picture; `None` if the picture is broken. Takes no place: call it only while no
+    /// frame waits.
+    pub async fn prepared(&self, encoded: EncodedPicture) -> Option<PreparedPicture> {
+        let made = self.look(PreparedFrame::default(), encoded, Stage::Prepared);
         made.await.ok()?.prepared
     }
 }

@@ -21,8 +21,8 @@ use std::collections::VecDeque;
 use std::hash::{BuildHasher, RandomState};
 use std::sync::Arc;
 
-/// The maximum number of waiting drawn frames per camera: each holds its encoded picture.
-const MOST_WAITING: usize = 2;
+/// The maximum number of drawn frames per camera that are being examined or wait: each holds its encoded picture.
+const MOST_DRAWN: usize = 3;
 
 /// The `[audit]` section: the share of skipped frames that is examined afterwards.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -39,6 +39,14 @@ impl Default for AuditConfig {
 }
 
 impl AuditConfig {
+    /// An audit without results; `None` without an audit.
+    pub(crate) fn report(self) -> Option<AuditReport> {
+        (self.share > 0.0).then(|| AuditReport {
+            share: self.share,
+            ..AuditReport::default()
+        })
+    }
+
     /// Creates the draw of one camera. Each call returns a different one: frames are counted from 0 at every start, and
     /// a camera that always starts at the same place must not have the same frames drawn each time.
     fn draw(self) -> AuditDraw {
@@ -49,15 +57,6 @@ impl AuditConfig {
     }
 }
 
-/// A drawn frame for the detector.
-#[derive(Clone, Debug)]
-pub(crate) struct DrawnFrame {
-    /// The encoded picture.
-    pub picture: EncodedPicture,
-    /// The boxes published for it.
-    pub shown: Vec<OutputBox>,
-}
-
 /// The result of a drawn frame; `None` if the detector has no time for it or its picture is broken.
 pub(crate) type Examination = BoxFuture<'static, Option<AuditReport>>;
 
@@ -65,10 +64,10 @@ pub(crate) type Examination = BoxFuture<'static, Option<AuditReport>>;
 pub(crate) struct CameraAudit {
     draw: AuditDraw,
     board: Arc<CameraBoard>,
-    examine: Box<dyn Fn(DrawnFrame) -> Examination + Send>,
-    waiting: VecDeque<DrawnFrame>,
-    /// The number of published boxes of the frame that is being examined, and its result.
-    examining: Option<(usize, Examination)>,
+    /// Examines a picture, for which these boxes were published.
+    examine: Box<dyn Fn(EncodedPicture, Vec<OutputBox>) -> Examination + Send>,
+    /// The number of published boxes and the result of each drawn frame. The first is being examined.
+    drawn: VecDeque<(usize, Examination)>,
 }
 
 impl CameraAudit {
@@ -76,57 +75,47 @@ impl CameraAudit {
     pub(crate) fn new(
         config: AuditConfig,
         board: Arc<CameraBoard>,
-        examine: impl Fn(DrawnFrame) -> Examination + Send + 'static,
+        examine: impl Fn(EncodedPicture, Vec<OutputBox>) -> Examination + Send + 'static,
     ) -> Self {
         Self {
             draw: config.draw(),
             board,
             examine: Box::new(examine),
-            waiting: VecDeque::new(),
-            examining: None,
+            drawn: VecDeque::new(),
         }
     }
 
-    /// True if the frame with this number is drawn.
-    pub(crate) const fn draws(&self, frame: u64) -> bool {
-        self.draw.draw(frame)
-    }
-
-    /// Adds a drawn frame. If too many are waiting, it counts as missed.
-    pub(crate) fn offer(&mut self, frame: DrawnFrame) {
-        if self.waiting.len() >= MOST_WAITING {
-            return self.miss(frame.shown.len());
+    /// Adds the frame with this number, for which the boxes `shown` were published, if it is drawn. If too many are
+    /// waiting, it counts as missed.
+    pub(crate) fn offer(&mut self, frame: u64, picture: &EncodedPicture, shown: &[OutputBox]) {
+        if !self.draw.draw(frame) {
+            return;
         }
-        self.waiting.push_back(frame);
+        if self.drawn.len() == MOST_DRAWN {
+            return self.miss(shown.len());
+        }
+        let examination = (self.examine)(picture.clone(), shown.to_vec());
+        self.drawn.push_back((shown.len(), examination));
     }
 
     /// Examines the drawn frames one after the other, and waits forever if there are none. Cancel safe: the next call
     /// continues.
     pub(crate) async fn run(&mut self) {
-        loop {
-            if self.examining.is_none() {
-                let next = self.waiting.pop_front();
-                self.examining = next.map(|frame| (frame.shown.len(), (self.examine)(frame)));
-            }
-            let Some((shown, examination)) = &mut self.examining else {
-                return std::future::pending().await;
-            };
+        while let Some((shown, examination)) = self.drawn.front_mut() {
             let (shown, found) = (*shown, examination.await);
-            self.examining = None;
+            self.drawn.pop_front();
             match found {
                 Some(found) => self.board.record_audit(&found),
                 None => self.miss(shown),
             }
         }
+        std::future::pending().await
     }
 
     /// Gives up the current and the waiting frames: the camera's last clip ends and must include all drawn frames.
     pub(crate) fn give_up(&mut self) {
-        if let Some((shown, _)) = self.examining.take() {
+        for (shown, _) in std::mem::take(&mut self.drawn) {
             self.miss(shown);
-        }
-        for frame in std::mem::take(&mut self.waiting) {
-            self.miss(frame.shown.len());
         }
     }
 

@@ -16,8 +16,8 @@ static BROKEN: RateLimit = RateLimit::new(Duration::from_secs(10));
 /// Decides a camera's frames one at a time, and gives the policy the evidence it needs.
 pub(super) struct Decider {
     pub policy: LatePolicy,
-    /// The frame that waits for evidence, and its need.
-    pending: Option<(BegunFrame, Need)>,
+    /// The frame that waits for evidence.
+    pending: Option<BegunFrame>,
     /// The source of evidence; `None` while it is fetching.
     evidence: Option<LiveEvidence>,
     fetching: Option<Pin<Box<dyn Future<Output = Fetched> + Send>>>,
@@ -29,7 +29,6 @@ pub(super) type Decided = Result<BegunFrame, FrameFault>;
 /// The evidence fetched for frame `index` of the camera.
 pub(super) struct Fetched {
     index: u64,
-    need: Need,
     evidence: LiveEvidence,
     fetched: Result<(), FrameFault>,
 }
@@ -56,26 +55,25 @@ impl Decider {
     }
 
     /// Fetches the evidence for a frame.
-    pub(super) fn fetch(&mut self, frame: BegunFrame, need: Need) {
-        self.pending = Some((frame, need));
+    pub(super) fn fetch(&mut self, frame: BegunFrame) {
+        self.pending = Some(frame);
         self.fetch_next();
     }
 
     /// Starts fetching for the pending frame, unless the previous frame is still being examined.
     fn fetch_next(&mut self) {
-        let Some((frame, need)) = &self.pending else {
+        let Some(frame) = &self.pending else {
             return;
         };
         let Some(mut evidence) = self.evidence.take() else {
             return;
         };
-        let (index, need) = (frame.incoming.index, *need);
+        let (index, need) = (frame.incoming.index, frame.need);
         let picture = frame.incoming.frame.picture.clone();
         self.fetching = Some(Box::pin(async move {
             let fetched = evidence.fetch(need, &picture).await;
             Fetched {
                 index,
-                need,
                 evidence,
                 fetched,
             }
@@ -97,23 +95,24 @@ impl Decider {
     pub(super) fn deliver(&mut self, fetched: Fetched, outcome: &mut Outcome) -> Option<Decided> {
         let Fetched {
             index,
-            need,
             mut evidence,
             fetched,
         } = fetched;
-        let waits = (self.pending.as_ref()).is_some_and(|(frame, _)| frame.incoming.index == index);
-        let mut decided = match fetched {
+        let mut waiting = self.pending.iter();
+        let waits = waiting.find(|frame| frame.incoming.index == index);
+        let need = waits.map(|frame| frame.need);
+        let mut decided = match (need, fetched) {
             // For a frame that was given up. Another one may be waiting.
-            _ if !waits => None,
-            Ok(()) => self.give(evidence.fetched(need), outcome).map(Ok),
-            Err(fault) => self.broken(fault, outcome),
+            (None, _) => None,
+            (Some(need), Ok(())) => self.give(evidence.fetched(need), outcome).map(Ok),
+            (Some(_), Err(fault)) => self.broken(fault, outcome),
         };
         if let Some(Ok(frame)) = &mut decided {
             let policy = frame.times.latency.policy;
             frame.times = evidence.times();
             frame.times.latency.policy = policy;
         }
-        if decided.is_some() || !waits {
+        if decided.is_some() || need.is_none() {
             evidence.next_frame();
         }
         self.evidence = Some(evidence);
@@ -145,16 +144,11 @@ impl Decider {
 
     /// Gives the policy evidence for the pending frame. Returns the frame if it needs nothing more.
     fn give(&mut self, evidence: Evidence<'_>, outcome: &mut Outcome) -> Option<BegunFrame> {
-        let (mut frame, _) = self.pending.take()?;
+        let frame = self.pending.as_mut()?;
         let deciding = Instant::now();
         let delivered = (self.policy).deliver(frame.head.index, evidence, outcome);
         frame.times.latency.policy += milliseconds(deciding.elapsed());
-        match delivered.unwrap_or(Need::Nothing) {
-            Need::Nothing => Some(frame),
-            need => {
-                self.pending = Some((frame, need));
-                None
-            }
-        }
+        frame.need = delivered.unwrap_or(Need::Nothing);
+        (self.pending).take_if(|frame| frame.need == Need::Nothing)
     }
 }

@@ -8,8 +8,8 @@ use albireo_core::policy::{Evidence, GreyPicture, Need};
 use albireo_service::clock::milliseconds;
 use albireo_vision::detector::{CameraSlot, Detected, DetectorHandle};
 use albireo_vision::picture::{EncodedPicture, FrameFault};
-use albireo_vision::pixel_work::{PixelWork, PreparedFrame, Source, Stage};
-use albireo_vision::screen::{EmptyRun, ScreenHandle, decoding_target};
+use albireo_vision::pixel_work::{PixelWork, PreparedFrame, Stage};
+use albireo_vision::screen::{EmptyRun, ScreenHandle};
 use albireo_wire::Latency;
 use std::sync::Arc;
 use std::time::Duration;
@@ -214,14 +214,9 @@ impl LiveEvidence {
                 };
                 self.current.place += start.elapsed();
             }
-            let input = self.detector.preparation().format();
-            let screen = self.screen.as_ref().map(ScreenHandle::input_format);
-            let source = Source {
-                target: decoding_target(input, screen, encoded.size),
-                encoded: encoded.clone(),
-            };
             let frame = std::mem::take(&mut self.current.frame);
-            self.current.frame = self.pixels.look(frame, source, stage).await?;
+            let looked = self.pixels.look(frame, encoded.clone(), stage);
+            self.current.frame = looked.await?;
         }
         self.current.times.latency.decode = self.current.frame.decode.map(milliseconds);
         Ok(())

@@ -14,15 +14,10 @@ use tokio::time::Instant;
 /// The settled frames of one camera.
 pub(super) struct SettledStream {
     settler: Settler,
-    messages: Messages,
-    start: Instant,
-}
-
-/// The messages of the frames held back.
-struct Messages {
-    /// In order, without boxes.
+    /// The messages of the frames held back, in order, without boxes.
     waiting: VecDeque<SettledMessage>,
     parts: Arc<CameraParts>,
+    start: Instant,
 }
 
 impl SettledStream {
@@ -30,10 +25,8 @@ impl SettledStream {
     pub(super) fn new(longest: Duration, parts: &Arc<CameraParts>) -> Self {
         Self {
             settler: Settler::new(longest),
-            messages: Messages {
-                waiting: VecDeque::new(),
-                parts: Arc::clone(parts),
-            },
+            waiting: VecDeque::new(),
+            parts: Arc::clone(parts),
             start: Instant::now(),
         }
     }
@@ -46,13 +39,11 @@ impl SettledStream {
         outcome: &Outcome,
         pending: bool,
     ) {
-        let waiting = &mut self.messages.waiting;
-        if waiting.back().is_some_and(|last| last.clip != clip) {
+        if (self.waiting.back()).is_some_and(|last| last.clip != clip) {
             self.flush();
         }
         let frame = &incoming.frame;
-        let messages = &mut self.messages;
-        messages.waiting.push_back(SettledMessage {
+        self.waiting.push_back(SettledMessage {
             v: VERSION,
             seq: frame.sequence,
             t_ns: frame.time_ns,
@@ -64,13 +55,16 @@ impl SettledStream {
             boxes: Vec::new(),
         });
         let (index, time) = (incoming.index, self.start.elapsed());
-        (self.settler).frame(index, time, outcome, pending, |frame| messages.put(&frame));
+        (self.settler).frame(index, time, outcome, pending, |frame| {
+            release(&mut self.waiting, &self.parts, &frame);
+        });
     }
 
     /// Adds the final answer of a pending frame.
     pub(super) fn late(&mut self, index: u64, outcome: &Outcome) {
-        let messages = &mut self.messages;
-        (self.settler).late(index, outcome, |frame| messages.put(&frame));
+        (self.settler).late(index, outcome, |frame| {
+            release(&mut self.waiting, &self.parts, &frame);
+        });
     }
 
     /// The time to call [`tick`](Self::tick) if no frame arrives before.
@@ -80,30 +74,29 @@ impl SettledStream {
 
     /// Releases the frames that have waited too long.
     pub(super) fn tick(&mut self) {
-        let (messages, time) = (&mut self.messages, self.start.elapsed());
-        self.settler.tick(time, |frame| messages.put(&frame));
+        (self.settler).tick(self.start.elapsed(), |frame| {
+            release(&mut self.waiting, &self.parts, &frame);
+        });
     }
 
     /// Ends the clip: releases all frames held back.
     pub(super) fn flush(&mut self) {
-        let messages = &mut self.messages;
-        self.settler.flush(|frame| messages.put(&frame));
+        (self.settler).flush(|frame| release(&mut self.waiting, &self.parts, &frame));
     }
 }
 
-impl Messages {
-    fn put(&mut self, frame: &SettledFrame<'_>) {
-        let Some(mut message) = self.waiting.pop_front() else {
-            return;
-        };
-        let mut boxes = frame.boxes.to_vec();
-        self.parts.min_confidence.select(&mut boxes);
-        let size = PictureSize::new(message.width, message.height);
-        message.state = frame.state;
-        message.settled = frame.settled;
-        message.boxes = box_messages(&boxes, size, &self.parts.class_names);
-        if let Some(outlet) = &self.parts.settled {
-            outlet.put(&message);
-        }
+/// Publishes the oldest message that waits, with the boxes of `frame`.
+fn release(waiting: &mut VecDeque<SettledMessage>, parts: &CameraParts, frame: &SettledFrame<'_>) {
+    let Some(mut message) = waiting.pop_front() else {
+        return;
+    };
+    let mut boxes = frame.boxes.to_vec();
+    parts.min_confidence.select(&mut boxes);
+    let size = PictureSize::new(message.width, message.height);
+    message.state = frame.state;
+    message.settled = frame.settled;
+    message.boxes = box_messages(&boxes, size, &parts.class_names);
+    if let Some(outlet) = &parts.settled {
+        outlet.put(&message);
     }
 }

@@ -209,12 +209,11 @@ impl Cameras {
         );
         let examiner = Examiner {
             detector: self.detector.clone(),
-            screen: self.screen.as_ref().map(ScreenHandle::input_format),
             pixels: self.pixels.clone(),
             energy: parts.energy.clone(),
         };
         let board = Arc::clone(&parts.board);
-        let examine = move |frame| examiner.clone().look(frame).boxed();
+        let examine = move |picture, shown| examiner.clone().look(picture, shown).boxed();
         let audit = CameraAudit::new(self.config.audit, board, examine);
         Ok(Camera::new(parts, &self.config, policy, evidence, audit))
     }

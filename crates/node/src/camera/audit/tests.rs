@@ -6,13 +6,6 @@ use futures_util::FutureExt;
 use parking_lot::Mutex;
 use tokio::sync::oneshot;
 
-fn frame() -> DrawnFrame {
-    DrawnFrame {
-        picture: picture(0),
-        shown: Vec::new(),
-    }
-}
-
 fn compared() -> AuditReport {
     let mut count = AuditReport {
         calls: 1,
@@ -24,12 +17,13 @@ fn compared() -> AuditReport {
 
 #[test]
 fn every_drawn_frame_is_compared_or_missed_and_counted_once() {
-    let config = NodeConfig::default();
+    let mut config = NodeConfig::default();
+    config.audit.share = 1.0;
     let board = Board::open(&config).unwrap();
     let camera = Arc::clone(&board.cameras[0]);
     let examined = Arc::new(Mutex::new(VecDeque::new()));
     let started = Arc::clone(&examined);
-    let mut audit = CameraAudit::new(config.audit, camera, move |_| {
+    let mut audit = CameraAudit::new(config.audit, camera, move |_, _| {
         let (result, examination) = oneshot::channel();
         started.lock().push_back(result);
         async { examination.await.unwrap() }.boxed()
@@ -37,34 +31,34 @@ fn every_drawn_frame_is_compared_or_missed_and_counted_once() {
     let done = |found| examined.lock().pop_front().unwrap().send(found).is_ok();
     let counts = |audit: &AuditReport| (audit.sums.drawn(), audit.sums.missed, audit.calls);
     let taken = || counts(&board.cameras[0].take_unreported().1);
-    for _ in 0..4 {
-        audit.offer(frame());
-    }
-    // Two frames wait; there is no room for the others.
+    let offer = |audit: &mut CameraAudit| audit.offer(0, &picture(0), &[]);
+    (0..5).for_each(|_| offer(&mut audit));
+    // One frame is examined and two wait; there is no room for the others.
     assert_eq!(taken(), (2, 2, 0));
+    for found in [Some(compared()), None, Some(compared())] {
+        assert!(audit.run().now_or_never().is_none());
+        assert!(done(found));
+    }
     assert!(audit.run().now_or_never().is_none());
-    assert!(done(Some(compared())));
-    assert!(audit.run().now_or_never().is_none());
-    assert!(done(None));
-    assert!(audit.run().now_or_never().is_none());
-    assert_eq!(taken(), (2, 1, 1));
+    assert_eq!(taken(), (3, 1, 2));
 
     // When the camera ends, one frame is being examined and one waits; neither result is counted.
-    audit.offer(frame());
-    audit.offer(frame());
+    (0..2).for_each(|_| offer(&mut audit));
     assert!(audit.run().now_or_never().is_none());
     audit.give_up();
-    assert!(!done(Some(compared())), "nobody waits for it");
+    for _ in 0..2 {
+        assert!(!done(Some(compared())), "nobody waits for it");
+    }
     assert!(audit.run().now_or_never().is_none());
     assert_eq!(taken(), (2, 2, 0));
 
     // Frames are examined afterwards as before.
-    audit.offer(frame());
+    offer(&mut audit);
     assert!(audit.run().now_or_never().is_none());
     assert!(done(Some(compared())));
     assert!(audit.run().now_or_never().is_none());
     let total = board.cameras[0].snapshot().audit.unwrap();
-    assert_eq!(counts(&total), (7, 5, 2));
+    assert_eq!(counts(&total), (8, 5, 3));
 }
 
 #[test]

@@ -3,11 +3,12 @@
 use super::latencies::percentiles;
 use crate::camera::FrameRecord;
 use albireo_power::{Measured, Measurement};
-use albireo_service::clock::{milliseconds, unix_nanoseconds};
+use albireo_service::clock::milliseconds;
 use albireo_wire::{ClipEnd, ClipEnergy, ClipReport, Threshold, ThresholdChange, VERSION};
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::Instant;
-use uuid::{NoContext, Timestamp, Uuid};
+use uuid::Uuid;
 
 /// The time limit for the energy of the last report when the node stops: two samples at usual intervals.
 const PATIENCE_AT_THE_END: Duration = Duration::from_millis(300);
@@ -22,7 +23,8 @@ pub(crate) struct Clip {
     pub report: ClipReport,
     /// The start: the arrival of its first frame, or the end of the previous window.
     pub start: Instant,
-    /// The end; equal to the start while it is open.
+    /// The end; provisional while it is open: one mean frame interval after the last arrival, or the time of its
+    /// answer, if later.
     pub end: Instant,
     /// Latencies from reception to publication, milliseconds. Clips are reported in parts, which bounds their number.
     pub total: Vec<f32>,
@@ -30,12 +32,35 @@ pub(crate) struct Clip {
     pub detector: Vec<f32>,
     /// Its running energy measurement.
     pub energy: Measurement,
+    /// The camera's name for it, or `window-N`.
+    pub name: Arc<str>,
+    /// True if the camera does not name it.
+    pub windowed: bool,
+    /// The arrival of its first frame.
+    pub first_arrival: Instant,
+    /// The arrival of its last frame.
+    pub last_arrival: Instant,
+    /// The time of the last answer, or of the first arrival, if later.
+    pub last_answered: Instant,
+    /// The number of frames that have arrived.
+    pub arrivals: u64,
+    /// True while one of its frames waits for its final answer.
+    pub pending: bool,
 }
 
 impl Clip {
     /// The time from its start to its end.
     pub(crate) fn duration(&self) -> Duration {
         self.end.saturating_duration_since(self.start)
+    }
+
+    /// Moves the provisional end after a frame has arrived or was answered, and keeps the energy up to there.
+    pub(super) fn move_end(&mut self) {
+        let between = (self.last_arrival).saturating_duration_since(self.first_arrival);
+        let intervals = u32::try_from(self.arrivals.saturating_sub(1)).unwrap_or(u32::MAX);
+        let mean = between.checked_div(intervals).unwrap_or_default();
+        self.end = self.last_answered.max(self.last_arrival + mean);
+        self.energy.until(self.end);
     }
 
     /// Counts a frame with its final answer.
@@ -89,7 +114,7 @@ impl Clip {
         }
         ClipReport {
             v: VERSION,
-            id: new_id(),
+            id: Uuid::now_v7(),
             duration_s: duration.as_secs_f64(),
             skip_rate: report.states.skip_rate(report.degraded_frames),
             total_latency_ms: percentiles(self.total),
@@ -102,14 +127,6 @@ impl Clip {
             ..report
         }
     }
-}
-
-/// A unique report id with the present time.
-fn new_id() -> Uuid {
-    let now_ns = unix_nanoseconds();
-    let (seconds, nanoseconds) = (now_ns / 1_000_000_000, now_ns % 1_000_000_000);
-    let nanoseconds = u32::try_from(nanoseconds).unwrap_or(0);
-    Uuid::new_v7(Timestamp::from_unix(NoContext, seconds, nanoseconds))
 }
 
 /// Energy-delay product, J·ms/frame: energy × duration ÷ frames (paper, evaluation). `None` without frames, or if

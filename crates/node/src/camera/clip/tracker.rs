@@ -15,32 +15,17 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// The open clip.
-#[derive(Debug)]
-struct OpenClip {
-    clip: Clip,
-    /// The camera's name for it, or `window-N`.
-    name: Arc<str>,
-    windowed: bool,
-    first_arrival: Instant,
-    last_arrival: Instant,
-    last_answered: Instant,
-    arrivals: u64,
-    /// True while one of its frames waits for its final answer.
-    pending: bool,
-}
-
 /// Counts the open clip of one camera.
 #[derive(Debug)]
 pub(crate) struct ClipTracker {
     energy: CameraEnergy,
-    /// The share of the skipped frames that an audit draws.
-    audit: Option<f64>,
+    /// The audit of a new clip, if there is one.
+    audit: Option<AuditReport>,
     window: Duration,
     longest: Duration,
     silence: Duration,
     windows: u64,
-    open: Option<OpenClip>,
+    open: Option<Clip>,
     /// A clip that ended before the final answer of its last frame.
     ended: Option<Clip>,
     /// The last window or part that ended because it was full: the next begins at its end if frames keep coming.
@@ -57,12 +42,16 @@ struct FullClip {
 }
 
 impl ClipTracker {
-    /// Creates a tracker without a clip. `energy` is the camera's energy, `share` the share that an audit draws.
-    pub(crate) fn new(config: ClipConfig, energy: CameraEnergy, share: Option<f64>) -> Self {
+    /// Creates a tracker without a clip. `energy` is the camera's energy, `audit` the audit of a new clip.
+    pub(crate) fn new(
+        config: ClipConfig,
+        energy: CameraEnergy,
+        audit: Option<AuditReport>,
+    ) -> Self {
         let seconds = |s: f64| Duration::try_from_secs_f64(s.max(0.001)).unwrap_or(Duration::MAX);
         Self {
             energy,
-            audit: share,
+            audit,
             window: seconds(config.window_s),
             longest: seconds(config.longest_s),
             silence: seconds(config.silence_s),
@@ -75,11 +64,11 @@ impl ClipTracker {
 
     /// Adds unprocessed frames and audit results to the open clip, if there is one.
     pub(crate) fn count_others(&mut self, dropped: &DroppedFrames, found: &AuditReport) {
-        let Some(OpenClip { clip, .. }) = &mut self.open else {
+        let Some(open) = &mut self.open else {
             return;
         };
-        clip.report.dropped += dropped;
-        if let Some(audit) = &mut clip.report.audit {
+        open.report.dropped += dropped;
+        if let Some(audit) = &mut open.report.audit {
             audit.merge(found);
         }
     }
@@ -98,8 +87,7 @@ impl ClipTracker {
             Some(open) => {
                 open.arrivals += 1;
                 open.last_arrival = open.last_arrival.max(arrival);
-                open.last_answered = open.last_answered.max(arrival);
-                open.keep_until_its_end();
+                open.move_end();
             }
             None => self.begin(t_ns, clip, arrival),
         }
@@ -112,7 +100,7 @@ impl ClipTracker {
     pub(crate) fn pending(&mut self, seq: u64, threshold: Option<Threshold>) {
         if let Some(open) = &mut self.open {
             open.pending = true;
-            open.clip.note_threshold(seq, threshold);
+            open.note_threshold(seq, threshold);
         }
     }
 
@@ -121,18 +109,17 @@ impl ClipTracker {
         self.count_energy(frame);
         if let Some(open) = &mut self.open {
             let answer = &frame.detections;
-            open.clip.note_threshold(answer.seq, answer.threshold);
-            open.count(frame);
+            open.note_threshold(answer.seq, answer.threshold);
         }
+        self.count_in_open(frame);
     }
 
     /// Counts the outcome of the pending frame. Returns its clip if that has ended.
     pub(crate) fn count_late(&mut self, frame: &FrameRecord) -> Option<Clip> {
         self.count_energy(frame);
-        match (&mut self.ended, &mut self.open) {
-            (Some(ended), _) => ended.count(frame),
-            (None, Some(open)) => open.count(frame),
-            (None, None) => {}
+        match &mut self.ended {
+            Some(ended) => ended.count(frame),
+            None => self.count_in_open(frame),
         }
         self.nothing_is_pending()
     }
@@ -143,6 +130,14 @@ impl ClipTracker {
             open.pending = false;
         }
         self.ended.take()
+    }
+
+    fn count_in_open(&mut self, frame: &FrameRecord) {
+        if let Some(open) = &mut self.open {
+            open.count(frame);
+            open.last_answered = open.last_answered.max(frame.answered);
+            open.move_end();
+        }
     }
 
     fn count_energy(&self, frame: &FrameRecord) {
@@ -162,7 +157,7 @@ impl ClipTracker {
     /// The time to call [`tick`](Self::tick) if no frame arrives before.
     pub(crate) fn deadline(&self) -> Option<Instant> {
         let open = self.open.as_ref()?;
-        Some((open.last_arrival + self.silence).min(open.clip.start + self.limit(open.windowed)))
+        Some((open.last_arrival + self.silence).min(open.start + self.limit(open.windowed)))
     }
 
     /// The longest duration of a window, or of a part of another clip.
@@ -174,7 +169,7 @@ impl ClipTracker {
     /// while no frame is being processed.
     pub(crate) fn tick(&mut self, now: Instant) -> Option<Clip> {
         let open = self.open.as_ref()?;
-        let full = open.clip.start + self.limit(open.windowed);
+        let full = open.start + self.limit(open.windowed);
         // A camera that stopped before ends the clip by its silence, not by the clock.
         if now >= full && full <= open.last_arrival + self.silence {
             let ended_by = if open.windowed {
@@ -185,7 +180,7 @@ impl ClipTracker {
             return self.close(ended_by, full);
         }
         if now >= open.last_arrival + self.silence {
-            let end = open.natural_end().min(now);
+            let end = open.end.min(now);
             return self.close(ClipEnd::Silence, end);
         }
         None
@@ -193,7 +188,7 @@ impl ClipTracker {
 
     /// Ends the open clip because the node stops.
     pub(crate) fn shutdown(&mut self, now: Instant) -> Option<Clip> {
-        let end = self.open.as_ref()?.natural_end().min(now);
+        let end = self.open.as_ref()?.end.min(now);
         self.close(ClipEnd::Shutdown, end)
     }
 
@@ -226,25 +221,19 @@ impl ClipTracker {
         let arrival = arrival.max(start);
         let energy = self.energy.measure(start);
         energy.until(arrival);
-        let audit = self.audit.map(|share| AuditReport {
-            share,
-            ..AuditReport::default()
-        });
-        self.open = Some(OpenClip {
-            clip: Clip {
-                report: ClipReport {
-                    clip: name.clone(),
-                    part,
-                    started_ns: t_ns,
-                    audit,
-                    ..ClipReport::default()
-                },
-                start,
-                end: start,
-                total: Vec::new(),
-                detector: Vec::new(),
-                energy,
+        self.open = Some(Clip {
+            report: ClipReport {
+                clip: name.clone(),
+                part,
+                started_ns: t_ns,
+                audit: self.audit.clone(),
+                ..ClipReport::default()
             },
+            start,
+            end: arrival,
+            total: Vec::new(),
+            detector: Vec::new(),
+            energy,
             name: name.into(),
             windowed,
             first_arrival: arrival,
@@ -257,41 +246,18 @@ impl ClipTracker {
 
     fn close(&mut self, ended_by: ClipEnd, end: Instant) -> Option<Clip> {
         let mut open = self.open.take()?;
-        open.clip.report.ended_by = ended_by;
-        open.clip.end = end;
+        open.report.ended_by = ended_by;
+        open.end = end;
         let full = matches!(ended_by, ClipEnd::Window | ClipEnd::Length);
         self.full = full.then_some(FullClip {
-            named: (!open.windowed).then_some(open.name),
-            part: open.clip.report.part,
+            named: (!open.windowed).then(|| Arc::clone(&open.name)),
+            part: open.report.part,
             end,
         });
         if open.pending {
-            self.ended = Some(open.clip);
+            self.ended = Some(open);
             return None;
         }
-        Some(open.clip)
-    }
-}
-
-impl OpenClip {
-    fn count(&mut self, frame: &FrameRecord) {
-        self.clip.count(frame);
-        self.last_answered = self.last_answered.max(frame.answered);
-        self.keep_until_its_end();
-    }
-
-    /// Keeps the energy up to the clip's provisional end.
-    fn keep_until_its_end(&self) {
-        self.clip.energy.until(self.natural_end());
-    }
-
-    /// One mean frame interval after the last arrival, or the time of its answer, if later.
-    fn natural_end(&self) -> Instant {
-        let between = self
-            .last_arrival
-            .saturating_duration_since(self.first_arrival);
-        let intervals = u32::try_from(self.arrivals.saturating_sub(1)).unwrap_or(u32::MAX);
-        let mean = between.checked_div(intervals).unwrap_or_default();
-        self.last_answered.max(self.last_arrival + mean)
+        Some(open)
     }
 }

@@ -203,11 +203,7 @@ impl CameraBoard {
         let configured = spec.and_then(|_| camera.threshold.or_else(|| policy.threshold()));
         let kept = spec.and_then(|spec| threshold::kept(settings, name, &spec, configured));
         let mut counts = Counts::default();
-        let share = config.audit.share;
-        counts.shown.audit = (share > 0.0).then(|| AuditReport {
-            share,
-            ..AuditReport::default()
-        });
+        counts.shown.audit = config.audit.report();
         Ok(Self {
             name: name.into(),
             keys: config.keys()?.camera(name)?,
