@@ -3,6 +3,7 @@
 
 use crate::config::NodeConfig;
 use crate::input::source::{LiveSource, SourceEvent, SourceSettings};
+use albireo_service::ServiceError;
 use albireo_service::clock::milliseconds;
 use albireo_service::config::{ZenohConfig, ZenohMode};
 use albireo_service::session;
@@ -55,13 +56,12 @@ pub async fn try_all(config: &NodeConfig, mut each: impl FnMut(&str, Result<Stri
 /// Awaits `opening`, with a time limit.
 async fn in_time(
     endpoints: &[String],
-    opening: impl Future<Output = Result<Session, Failure>>,
+    opening: impl Future<Output = Result<Session, ServiceError>>,
 ) -> Result<Session, Failure> {
     let opened = tokio::time::timeout(ANSWER, opening).await;
-    opened.unwrap_or_else(|_| {
-        let (endpoints, seconds) = (endpoints.join(", "), ANSWER.as_secs());
-        Err(format!("{endpoints} did not answer in {seconds} s").into())
-    })
+    let (endpoints, seconds) = (endpoints.join(", "), ANSWER.as_secs());
+    let silent = |_| format!("{endpoints} did not answer in {seconds} s");
+    Ok(opened.map_err(silent)??)
 }
 
 /// Returns the provider that runs the model, and the time of a run.
@@ -139,28 +139,25 @@ async fn try_router(config: &NodeConfig) -> Result<String, Failure> {
     let endpoints = &client.connect;
     let limit = config.frame.max_payload_bytes;
     let opening = session::open(&client, limit, &[], false, |_| {});
-    close(in_time(endpoints, async { Ok(opening.await?) }).await?).await;
+    close(in_time(endpoints, opening).await?).await;
     Ok(format!("{} answers", endpoints.join(", ")))
 }
 
 /// Tries to find a hub that accepts reports behind its router.
 async fn try_hub(config: &NodeConfig) -> Result<String, Failure> {
-    let opening = session::open_uplink(&config.uplink);
-    let session = in_time(&config.uplink.connect, async {
-        opening.await.map_err(Into::into)
-    });
-    let (session, key) = (session.await?, config.keys()?.report());
+    let uplink = &config.uplink;
+    let session = in_time(&uplink.connect, session::open_uplink(uplink)).await?;
+    let key = config.keys()?.report();
     let found = hub_behind(&session, key.clone()).await;
     close(session).await;
-    match found {
-        Ok(true) => Ok("the router answers, and a hub accepts reports".to_owned()),
-        Ok(false) => Err(format!(
-            "the router answers, but no hub accepts reports: is the hub running, with hub.prefix as node.prefix, and does \
-             the router's access control let this node's certificate use `{key}`?"
-        )
-        .into()),
-        Err(error) => Err(session::plain(&error).into()),
+    if found.map_err(|error| session::plain(&error))? {
+        return Ok("the router answers, and a hub accepts reports".to_owned());
     }
+    Err(format!(
+        "the router answers, but no hub accepts reports: is the hub running, with hub.prefix as node.prefix, and does \
+         the router's access control let this node's certificate use `{key}`?"
+    )
+    .into())
 }
 
 /// True if somebody answers queries on `key`. Zenoh learns that a moment after the session is open.

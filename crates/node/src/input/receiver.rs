@@ -78,6 +78,9 @@ pub(crate) struct FrameReceiver {
 /// The camera's number of a sample, and the frame, if it is usable.
 type Read = (FrameNumber, Result<Frame, FrameFault>);
 
+/// The kind of a frame that will not be processed, and the reason.
+type Refused = (DropKind, String);
+
 #[derive(Debug, Default)]
 struct StreamState {
     tracker: SequenceTracker,
@@ -165,7 +168,7 @@ impl FrameReceiver {
     }
 
     /// Numbers the result of `read` and puts it into the ring.
-    fn place(&self, mut query: Option<Query>, read: impl FnOnce(u64) -> Read) {
+    fn place(&self, query: Option<Query>, read: impl FnOnce(u64) -> Read) {
         // One lock over reading, numbering and pushing keeps the order of arrival if Zenoh calls from several
         // threads.
         let mut stream = self.stream.lock();
@@ -174,27 +177,26 @@ impl FrameReceiver {
         {
             return;
         }
-        let refused = self.admit(&mut stream, read).and_then(|mut frame| {
-            frame.query = query.take();
-            let bytes = frame.frame.picture.bytes.len();
-            self.count_pushed(self.ring.push(frame, bytes))
-        });
+        let admitted = self.admit(&mut stream, query.clone(), read);
+        let placed = admitted.and_then(|frame| self.push(frame));
         // The next frame need not wait for this one's answer.
         drop(stream);
-        if let Err(reason) = refused {
+        if let Err((kind, reason)) = placed {
+            self.count_dropped(kind, 1, &reason);
             self.answer(query, Some(&reason));
         }
     }
 
-    /// Counts missing and unusable frames.
+    /// Finds a frame's place in the stream, and counts the missing ones before it.
     ///
     /// # Errors
-    /// The reason the frame is unusable.
+    /// [`Refused`] if the frame is unusable.
     fn admit(
         &self,
         stream: &mut StreamState,
+        query: Option<Query>,
         read: impl FnOnce(u64) -> Read,
-    ) -> Result<SequencedFrame, String> {
+    ) -> Result<SequencedFrame, Refused> {
         let (number, read) = read(stream.arrivals);
         stream.arrivals += 1;
         let arrival = match &read {
@@ -214,7 +216,7 @@ impl FrameReceiver {
                 self.count_dropped(|dropped| &mut dropped.lost, lost, &reason);
             }
         }
-        let frame = read.map_err(|fault| self.refuse(kind_of(&fault), fault.to_string()))?;
+        let frame = read.map_err(|fault| (kind_of(&fault), fault.to_string()))?;
         let sequence = frame.sequence;
         let (kind, reason): (DropKind, _) = match arrival {
             Arrival::New { index, .. } => {
@@ -224,7 +226,7 @@ impl FrameReceiver {
                     frame,
                     index,
                     epoch: stream.epoch,
-                    query: None,
+                    query,
                 });
             }
             Arrival::Duplicate => (|dropped| &mut dropped.duplicate, "has already arrived"),
@@ -234,7 +236,7 @@ impl FrameReceiver {
                 "belongs to a stream other than the camera's current one",
             ),
         };
-        Err(self.refuse(kind, format!("sequence number {sequence} {reason}")))
+        Err((kind, format!("sequence number {sequence} {reason}")))
     }
 
     /// Counts `number` frames that will not be processed, and logs `reason` at limited intervals.
@@ -262,34 +264,29 @@ impl FrameReceiver {
         });
     }
 
-    /// Counts a frame that will not be processed, and returns the reason.
-    fn refuse(&self, kind: DropKind, reason: String) -> String {
-        self.count_dropped(kind, 1, &reason);
-        reason
-    }
-
-    /// Counts the frame that was replaced, or the frame itself if it was not queued.
-    fn count_pushed(&self, pushed: Pushed<SequencedFrame>) -> Result<(), String> {
-        let (frame, kind, reason): (_, DropKind, _) = match pushed {
+    /// Puts a frame into the ring, and counts the one that it replaces.
+    ///
+    /// # Errors
+    /// [`Refused`] if it is not queued.
+    fn push(&self, frame: SequencedFrame) -> Result<(), Refused> {
+        let bytes = frame.frame.picture.bytes.len();
+        let (kind, reason): (DropKind, _) = match self.ring.push(frame, bytes) {
             Pushed::Queued => return Ok(()),
-            Pushed::Replaced(_) => {
+            Pushed::Replaced => {
                 let reason = "a newer frame arrived before its turn (camera.delivery)";
                 self.count_dropped(|dropped| &mut dropped.overrun, 1, &reason);
                 return Ok(());
             }
-            Pushed::Full(frame) => (
-                frame,
+            Pushed::Full => (
                 |dropped| &mut dropped.overrun,
                 "too many frames are waiting: send them as queries, not as puts, to be held back (camera.delivery)",
             ),
-            Pushed::Closed(frame) => (
-                frame,
+            Pushed::Closed => (
                 |dropped| &mut dropped.stopped,
                 "the camera's loop is not running: it has failed, or the node is stopping",
             ),
         };
-        self.answer(frame.query, Some(reason));
-        Err(self.refuse(kind, reason.to_owned()))
+        Err((kind, reason.to_owned()))
     }
 }
 

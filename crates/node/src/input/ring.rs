@@ -11,15 +11,15 @@ const EVERY_FRAMES: usize = 64;
 
 /// The result of a push.
 #[derive(Debug, PartialEq, Eq)]
-pub(crate) enum Pushed<T> {
+pub(crate) enum Pushed {
     /// The item waits for its turn.
     Queued,
-    /// The item waits for its turn; the oldest one, returned here, was dropped: an overrun.
-    Replaced(T),
-    /// There is no room; returns the item.
-    Full(T),
-    /// The ring is closed; returns the item.
-    Closed(T),
+    /// The item waits for its turn; the oldest one was dropped: an overrun.
+    Replaced,
+    /// The item was dropped: there is no room.
+    Full,
+    /// The item was dropped: the ring is closed.
+    Closed,
 }
 
 /// Items on their way to a single consumer task.
@@ -63,19 +63,18 @@ impl<T> Ring<T> {
     }
 
     /// Pushes an item of that size. Never waits.
-    pub(crate) fn push(&self, item: T, bytes: usize) -> Pushed<T> {
+    pub(crate) fn push(&self, item: T, bytes: usize) -> Pushed {
         let mut state = self.state.lock();
         if state.closed {
-            return Pushed::Closed(item);
+            return Pushed::Closed;
         }
         let mut pushed = Pushed::Queued;
         if !self.fits(&state, bytes) {
             if !self.newest_wins {
-                return Pushed::Full(item);
+                return Pushed::Full;
             }
-            if let Some((_, oldest)) = state.items.pop_front() {
-                pushed = Pushed::Replaced(oldest);
-            }
+            state.items.pop_front();
+            pushed = Pushed::Replaced;
         }
         state.items.push_back((bytes, item));
         drop(state);
@@ -147,7 +146,7 @@ mod tests {
     }
 
     impl Ring<u32> {
-        fn put(&self, item: u32) -> Pushed<u32> {
+        fn put(&self, item: u32) -> Pushed {
             self.push(item, item as usize)
         }
     }
@@ -200,12 +199,15 @@ mod tests {
                         let bytes = queue.iter().sum::<u32>() + item;
                         let fits = queue.is_empty() || (queue.len() < items && bytes <= 1000);
                         let expected = match (closed, fits, newest_wins) {
-                            (true, _, _) => Pushed::Closed(item),
+                            (true, _, _) => Pushed::Closed,
                             (_, true, _) => Pushed::Queued,
-                            (_, false, false) => Pushed::Full(item),
-                            (_, false, true) => Pushed::Replaced(queue.pop_front().unwrap()),
+                            (_, false, false) => Pushed::Full,
+                            (_, false, true) => Pushed::Replaced,
                         };
-                        if matches!(expected, Pushed::Queued | Pushed::Replaced(_)) {
+                        if expected == Pushed::Replaced {
+                            queue.pop_front();
+                        }
+                        if matches!(expected, Pushed::Queued | Pushed::Replaced) {
                             queue.push_back(item);
                         }
                         let has_room = closed || newest_wins || fits;

@@ -6,8 +6,7 @@ use albireo_vision::picture::{
     EncodedPicture, FrameFault, FrameLimits, PictureFormat, check_picture, format_of,
     picture_of_kind,
 };
-use bytes::Bytes;
-use std::ops::Range;
+use bytes::{Buf, Bytes};
 
 /// A message's picture, and its header stamp in nanoseconds since the Unix epoch, if that is set.
 pub(super) type StampedPicture = (EncodedPicture, Option<u64>);
@@ -21,7 +20,7 @@ pub(super) fn read_compressed_image(
     let time_ns = cdr.header()?;
     // Free text, such as `jpeg` or `bgr8; jpeg compressed bgr8`.
     let named = cdr.text("format")?;
-    let file = payload.slice(cdr.bytes("data")?);
+    let file = cdr.bytes("data")?;
     let Some(format) = format_of(&file) else {
         let text: String = named.chars().take(48).collect();
         return Err(FrameFault::unknown_format(format!(
@@ -42,11 +41,11 @@ pub(super) fn read_image(
     let height = cdr.u32("height")?;
     let width = cdr.u32("width")?;
     let encoding = cdr.text("encoding")?;
-    cdr.u8("is_bigendian")?;
+    cdr.take(1, "is_bigendian")?;
     let step = cdr.u32("step")? as usize;
-    let data = payload.slice(cdr.bytes("data")?);
+    let data = cdr.bytes("data")?;
     // sensor_msgs/image_encodings.hpp; OpenCV's untyped names are treated like in cv_bridge.
-    let format = match encoding {
+    let format = match encoding.as_str() {
         "rgb8" => PictureFormat::Rgb8,
         "bgr8" | "8UC3" => PictureFormat::Bgr8,
         "rgba8" => PictureFormat::Rgba8,
@@ -114,17 +113,18 @@ fn without_padding(
 }
 
 /// A reader of plain CDR.
-struct Cdr<'a> {
-    payload: &'a [u8],
-    at: usize,
+struct Cdr {
+    rest: Bytes,
+    /// The number of bytes read; alignment counts from the end of the encapsulation header.
+    read: usize,
     little_endian: bool,
 }
 
-/// The length of the encapsulation header; alignment counts from its end.
+/// The length of the encapsulation header.
 const ENCAPSULATION: usize = 4;
 
-impl<'a> Cdr<'a> {
-    fn new(payload: &'a [u8]) -> Result<Self, FrameFault> {
+impl Cdr {
+    fn new(payload: &Bytes) -> Result<Self, FrameFault> {
         let little_endian = match payload.get(..ENCAPSULATION) {
             Some([0, 0, ..]) => false,
             Some([0, 1, ..]) => true,
@@ -137,54 +137,39 @@ impl<'a> Cdr<'a> {
             None => return Err(cut_short("its encapsulation header")),
         };
         Ok(Self {
-            payload,
-            at: ENCAPSULATION,
+            rest: payload.slice(ENCAPSULATION..),
+            read: 0,
             little_endian,
         })
     }
 
-    fn take(&mut self, length: usize, what: &str) -> Result<Range<usize>, FrameFault> {
-        let end = self
-            .at
-            .checked_add(length)
-            .filter(|end| *end <= self.payload.len())
-            .ok_or_else(|| cut_short(what))?;
-        let range = self.at..end;
-        self.at = end;
-        Ok(range)
-    }
-
-    fn u8(&mut self, what: &str) -> Result<u8, FrameFault> {
-        let range = self.take(1, what)?;
-        Ok(self.payload[range.start])
+    fn take(&mut self, length: usize, what: &str) -> Result<Bytes, FrameFault> {
+        if length > self.rest.len() {
+            return Err(cut_short(what));
+        }
+        self.read += length;
+        Ok(self.rest.split_to(length))
     }
 
     fn u32(&mut self, what: &str) -> Result<u32, FrameFault> {
-        let past = (self.at - ENCAPSULATION) % 4;
-        if past != 0 {
-            self.take(4 - past, what)?;
-        }
-        let range = self.take(4, what)?;
-        let mut field = [0; 4];
-        field.copy_from_slice(&self.payload[range]);
-        Ok(if self.little_endian {
-            u32::from_le_bytes(field)
-        } else {
-            u32::from_be_bytes(field)
+        self.take(self.read.next_multiple_of(4) - self.read, what)?;
+        let mut field = self.take(4, what)?;
+        Ok(match self.little_endian {
+            true => field.get_u32_le(),
+            false => field.get_u32(),
         })
     }
 
-    fn bytes(&mut self, what: &str) -> Result<Range<usize>, FrameFault> {
+    fn bytes(&mut self, what: &str) -> Result<Bytes, FrameFault> {
         let length = self.u32(what)? as usize;
         self.take(length, what)
     }
 
     /// Reads a string, whose length includes the NUL at its end.
-    fn text(&mut self, what: &str) -> Result<&'a str, FrameFault> {
-        let range = self.bytes(what)?;
-        let bytes = &self.payload[range];
-        let bytes = bytes.strip_suffix(b"\0").unwrap_or(bytes);
-        std::str::from_utf8(bytes)
+    fn text(&mut self, what: &str) -> Result<String, FrameFault> {
+        let bytes = self.bytes(what)?;
+        let bytes = bytes.strip_suffix(b"\0").unwrap_or(&bytes);
+        String::from_utf8(bytes.to_vec())
             .map_err(|_| FrameFault::undecodable(format!("the ROS message's {what} is not text")))
     }
 

@@ -24,6 +24,9 @@ const MASK: &str = "***";
 
 const CONTROL: &str = "contains a control character";
 
+const LOGIN_AFTER_QUERY: &str =
+    "has an `@` behind a `?`: write a `?` in a password as `%3F`, and an `@` in a query as `%40`";
+
 fn no_control(text: &str) -> Result<(), String> {
     match text.contains(char::is_control) {
         true => Err(CONTROL.to_owned()),
@@ -137,7 +140,7 @@ impl SourceAddress {
 
     /// True if the address itself, not a variable, contains a password.
     pub fn holds_password(&self) -> bool {
-        self.userinfo()
+        login(&self.0)
             .and_then(|login| login.split_once(':'))
             .is_some_and(|(_, password)| !password.is_empty() && !password.starts_with("${"))
     }
@@ -195,16 +198,18 @@ impl SourceAddress {
             filled.push_str(rest);
             Ok::<_, String>(filled)
         };
-        let words = if kind == SourceKind::Pipeline {
-            let words = shlex::split(&self.0);
-            let words = words.ok_or("has a quotation mark that is not closed")?;
-            let filled = words.iter().map(|word| fill(word, false));
-            filled.collect::<Result<Vec<_>, _>>()?
-        } else {
-            let login = self.login_end();
-            let (login, rest) = self.0.split_at(login);
-            vec![fill(login, true)? + &fill(rest, false)?]
+        let written = match kind {
+            SourceKind::Pipeline => shlex::split(&self.0),
+            _ => Some(vec![self.0.clone()]),
         };
+        let mut words = Vec::new();
+        for word in written.ok_or("has a quotation mark that is not closed")? {
+            if query(&word).is_some_and(|query| query.contains('@')) && login(&word).is_none() {
+                return Err(LOGIN_AFTER_QUERY.to_owned());
+            }
+            let (before, after) = word.split_at(login_end(&word));
+            words.push(fill(before, true)? + &fill(after, false)?);
+        }
         if !unset.is_empty() {
             let names = unset.join("`, `");
             return Err(format!(
@@ -213,15 +218,10 @@ impl SourceAddress {
         }
         words.iter().try_for_each(|word| no_control(word))?;
         for word in &words {
-            // A pipeline's locations, and properties such as user-pw=…
-            let (name, value) = match word.split_once('=') {
-                Some(property) if kind == SourceKind::Pipeline => property,
-                _ => ("", word.as_str()),
-            };
-            let address = Self::new(value);
-            secrets.add_login(address.userinfo());
-            secrets.add_query(address.query());
-            if ["user-id", "user-pw", "proxy-pw"].contains(&name) {
+            secrets.add_login(login(word));
+            secrets.add_query(query(word));
+            // A pipeline's property.
+            if let Some(("user-id" | "user-pw" | "proxy-pw", value)) = word.split_once('=') {
                 secrets.add(value);
             }
         }
@@ -231,26 +231,27 @@ impl SourceAddress {
             secrets,
         })
     }
+}
 
-    /// The end of the part with user and password: behind the last `@` before the query, so that a password with a `/`
-    /// in it is also masked.
-    fn login_end(&self) -> usize {
-        let end = self.0.find('?').unwrap_or(self.0.len());
-        let (Some(_), Some(at)) = (self.0.find("://"), self.0[..end].rfind('@')) else {
-            return 0;
-        };
-        at + 1
-    }
+/// The end of the part of an address with user and password: behind the last `@` before the query, so that a password
+/// with a `/` in it is also masked.
+fn login_end(address: &str) -> usize {
+    let end = address.find('?').unwrap_or(address.len());
+    let (Some(_), Some(at)) = (address.find("://"), address[..end].rfind('@')) else {
+        return 0;
+    };
+    at + 1
+}
 
-    fn userinfo(&self) -> Option<&str> {
-        let begin = self.0.find("://")? + 3;
-        self.0.get(begin..self.login_end().checked_sub(1)?)
-    }
+/// The user and password of an address.
+fn login(address: &str) -> Option<&str> {
+    let begin = address.find("://")? + 3;
+    address.get(begin..login_end(address).checked_sub(1)?)
+}
 
-    fn query(&self) -> Option<&str> {
-        self.0.find("://")?;
-        self.0.split_once('?').map(|(_, query)| query)
-    }
+fn query(address: &str) -> Option<&str> {
+    address.find("://")?;
+    address.split_once('?').map(|(_, query)| query)
 }
 
 impl fmt::Display for SourceAddress {
@@ -268,7 +269,7 @@ impl fmt::Display for SourceAddress {
                 Ok(())
             }
             SourceKind::Network(scheme) => {
-                let begin = self.login_end().max(scheme.len() + 3);
+                let begin = login_end(&self.0).max(scheme.len() + 3);
                 let rest = self.0.get(begin..).unwrap_or_default();
                 match rest.split_once('?') {
                     Some((place, _)) => write!(f, "{scheme}://{place}?…"),
@@ -428,6 +429,11 @@ mod tests {
             ("rtsp://cam/${LINES}", CONTROL),
             ("a caps=\"b ! c", "has a quotation mark that is not closed"),
             ("rtps://cam/s", misspelt),
+            ("rtsp://u:p?w@cam/s", LOGIN_AFTER_QUERY),
+            (
+                "rtspsrc location=rtsp://u:p?w@cam/s ! jpegenc",
+                LOGIN_AFTER_QUERY,
+            ),
         ] {
             assert_eq!(resolve(text).err().as_deref(), Some(error), "{text}");
         }

@@ -114,19 +114,20 @@ pub(super) fn ffmpeg(
         packets.max(limits.max_decoded_bytes / 4 * 5)
     } as u64;
 
-    let mut arguments = Arguments::default();
-    arguments.add(&["-hide_banner", "-nostats", "-v", "level+info", "-max_alloc"]);
-    arguments.add(&[&max_block.to_string()]);
+    let mut arguments = Vec::new();
+    let mut add = |words: &[&str]| arguments.extend(words.iter().map(ToString::to_string));
+    add(&["-hide_banner", "-nostats", "-v", "level+info", "-max_alloc"]);
+    add(&[&max_block.to_string()]);
     match settings.hardware.as_deref().filter(|_| !untouched) {
-        Some(name) if is_among(ACCELERATIONS, name) => arguments.add(&["-hwaccel", name]),
-        Some(name) => arguments.add(&["-c:v", name]),
+        Some(name) if is_among(ACCELERATIONS, name) => add(&["-hwaccel", name]),
+        Some(name) => add(&["-c:v", name]),
         None => {}
     }
     // The options with which the camera is opened.
     let mut camera = Vec::new();
     if live {
         // Decoding with several threads, each with its own frame, delays frames.
-        arguments.add(&["-flags", "low_delay"]);
+        add(&["-flags", "low_delay"]);
         camera.push(("analyzeduration", "2000000".to_owned()));
     }
     // In case this process is killed and cannot end ffmpeg.
@@ -149,12 +150,12 @@ pub(super) fn ffmpeg(
             camera.push(("rw_timeout", silence));
         }
         SourceKind::Device => {
-            arguments.add(&["-f", "v4l2"]);
+            add(&["-f", "v4l2"]);
             if untouched {
                 camera.push(("input_format", "mjpeg".to_owned()));
             }
         }
-        SourceKind::File => arguments.add(&["-re", "-stream_loop", "-1"]),
+        SourceKind::File => add(&["-re", "-stream_loop", "-1"]),
         _ => {}
     }
     let mut secrets = settings.options.secrets().peekable();
@@ -166,8 +167,8 @@ pub(super) fn ffmpeg(
         match value {
             Some(value) if scripted && !of_program => camera.push((name, value.to_owned())),
             _ => {
-                arguments.add(&[&format!("-{name}")]);
-                arguments.add(value.as_slice());
+                add(&[&format!("-{name}")]);
+                add(value.as_slice());
             }
         }
     }
@@ -179,8 +180,8 @@ pub(super) fn ffmpeg(
                 settings.address
             ));
         }
-        arguments.add(&["-f", "concat", "-safe", "0"]);
-        arguments.add(&["-protocol_whitelist", PROTOCOLS, "-i", "pipe:0"]);
+        add(&["-f", "concat", "-safe", "0"]);
+        add(&["-protocol_whitelist", PROTOCOLS, "-i", "pipe:0"]);
         let address = address.replace('\\', "%5C").replace('\'', "%27");
         let mut script = format!("ffconcat version 1.0\nfile '{address}'\n");
         for (name, value) in camera.iter().filter(|_| takes_options) {
@@ -190,40 +191,40 @@ pub(super) fn ffmpeg(
         Some(script)
     } else {
         for (name, value) in &camera {
-            arguments.add(&[&format!("-{name}"), value]);
+            add(&[&format!("-{name}"), value]);
         }
         // Otherwise a file name that begins with `-` would be an option.
         let sign = if address.starts_with('-') { "./" } else { "" };
-        arguments.add(&["-nostdin", "-i", &format!("{sign}{address}")]);
+        add(&["-nostdin", "-i", &format!("{sign}{address}")]);
         None
     };
-    arguments.add(&["-map", "0:v:0"]);
+    add(&["-map", "0:v:0"]);
     // Cameras send frames with equal timestamps, which encoders reject.
     let fps_mode = if version >= FPS_MODE {
         "-fps_mode"
     } else {
         "-vsync"
     };
-    arguments.add(&[fps_mode, "vfr"]);
+    add(&[fps_mode, "vfr"]);
     let ppm = !untouched && !settings.as_jpeg;
     if untouched {
-        arguments.add(&["-c:v", "copy", "-f", "mpjpeg"]);
+        add(&["-c:v", "copy", "-f", "mpjpeg"]);
     } else {
         if let Some(rate) = settings.max_rate {
             let filter = format!("select=isnan(prev_t)+gt(floor(t*{rate})\\,floor(prev_t*{rate}))");
-            arguments.add(&["-vf", &filter]);
+            add(&["-vf", &filter]);
         }
         // Fine enough that no two frames have the same tick.
-        arguments.add(&["-enc_time_base", "1/90000"]);
-        arguments.add(match settings.as_jpeg {
+        add(&["-enc_time_base", "1/90000"]);
+        add(match settings.as_jpeg {
             true => &["-c:v", "mjpeg", "-q:v", JPEG_QUALITY, "-f", "mpjpeg"],
             false => &["-c:v", "ppm", "-f", "image2pipe"],
         });
     }
-    arguments.add(&["-flush_packets", "1", "pipe:1"]);
+    add(&["-flush_packets", "1", "pipe:1"]);
     Ok(PictureProgram {
         program: FFMPEG,
-        arguments: arguments.0,
+        arguments,
         input,
         ppm,
         secrets: resolved.secrets,
@@ -254,34 +255,35 @@ pub(super) fn gstreamer(settings: &SourceSettings) -> Result<PictureProgram, Str
         ));
     }
     let text = resolved.text();
-    let mut arguments = Arguments::default();
-    arguments.add(&["-q"]);
+    let mut arguments = Vec::new();
+    let mut add = |words: &[&str]| arguments.extend(words.iter().map(ToString::to_string));
+    add(&["-q"]);
     match kind {
-        SourceKind::Pipeline => arguments.0.extend(words.iter().cloned()),
-        SourceKind::Device => arguments.add(&["v4l2src", &format!("device={text}")]),
-        SourceKind::File => arguments.add(&["filesrc", &format!("location={text}")]),
-        SourceKind::Network(scheme) if scheme.starts_with("rtsp") => arguments.add(&[
+        SourceKind::Pipeline => words.iter().for_each(|word| add(&[word])),
+        SourceKind::Device => add(&["v4l2src", &format!("device={text}")]),
+        SourceKind::File => add(&["filesrc", &format!("location={text}")]),
+        SourceKind::Network(scheme) if scheme.starts_with("rtsp") => add(&[
             "rtspsrc",
             &format!("location={text}"),
             &format!("protocols={}", settings.transport.as_str()),
             "latency=0",
         ]),
-        SourceKind::Network(_) => arguments.add(&["uridecodebin", &format!("uri={text}")]),
+        SourceKind::Network(_) => add(&["uridecodebin", &format!("uri={text}")]),
     }
     if *kind != SourceKind::Pipeline {
         if !matches!(kind, SourceKind::Network(scheme) if !scheme.starts_with("rtsp")) {
-            arguments.add(&["!", "decodebin"]);
+            add(&["!", "decodebin"]);
         }
-        arguments.add(&["!", "videoconvert", "!", "jpegenc"]);
+        add(&["!", "videoconvert", "!", "jpegenc"]);
     }
     // Each picture is preceded by its length.
-    arguments.add(&["!", "multipartmux", "!", "fdsink", "fd=1"]);
+    add(&["!", "multipartmux", "!", "fdsink", "fd=1"]);
     if *kind == SourceKind::File {
-        arguments.add(&["sync=true"]);
+        add(&["sync=true"]);
     }
     Ok(PictureProgram {
         program: GSTREAMER,
-        arguments: arguments.0,
+        arguments,
         secrets: resolved.secrets,
         ..PictureProgram::default()
     })
@@ -290,15 +292,6 @@ pub(super) fn gstreamer(settings: &SourceSettings) -> Result<PictureProgram, Str
 /// True if `name` is one of the `words`.
 fn is_among(words: &str, name: &str) -> bool {
     words.split_whitespace().any(|word| word == name)
-}
-
-#[derive(Default)]
-struct Arguments(Vec<String>);
-
-impl Arguments {
-    fn add(&mut self, words: &[&str]) {
-        self.0.extend(words.iter().map(|word| (*word).to_owned()));
-    }
 }
 
 #[cfg(test)]
