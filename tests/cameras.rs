@@ -136,7 +136,7 @@ fn source(address: &str, more: &str) -> String {
 async fn a_camera_opened_by_the_node_reconnects_and_its_password_never_leaks() {
     let camera = RtspCamera::start("h264", &LOGIN).await;
     let (port, address) = (camera.port, with_login(&camera));
-    let settings = source(&address, "# development: source_timeout_s=20");
+    let settings = source(&address, "");
     let mut command = albireo();
     command.envs(ENVIRONMENT);
     let node = Node::spawn(command, tempfile::tempdir().unwrap(), &settings).await;

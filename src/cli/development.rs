@@ -30,10 +30,6 @@ fn set(config: &mut NodeConfig, pair: &str) -> anyhow::Result<()> {
             let ring = value.parse()?;
             (config.cameras.iter_mut()).for_each(|camera| camera.ring = ring);
         }
-        "source_timeout_s" => {
-            let seconds = value.parse()?;
-            (config.cameras.iter_mut()).for_each(|camera| camera.source_timeout_s = seconds);
-        }
         _ => bail!("is not a constant that tests change"),
     }
     Ok(())

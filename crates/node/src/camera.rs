@@ -17,7 +17,7 @@ pub(crate) use tests::answer;
 use crate::camera::answer::detections_message;
 use crate::camera::audit::CameraAudit;
 use crate::camera::clip::{Clip, ClipTracker};
-use crate::camera::decider::{Decided, Decider, Fetched};
+use crate::camera::decider::{Decider, Fetched};
 use crate::camera::evidence::{LiveEvidence, Times};
 use crate::camera::publishing::Outlet;
 use crate::camera::settled::SettledStream;
@@ -214,10 +214,8 @@ impl Camera {
     /// Adds the counts of others to the open clip: dropped frames and audit results. Without an open clip, they go to
     /// the next one.
     fn count_others(&mut self) {
-        if self.tracker.clip().is_some() {
-            let (dropped, found) = self.parts.board.take_unreported();
-            self.tracker.count_others(&dropped, &found);
-        }
+        let board = &self.parts.board;
+        self.tracker.count_others(|| board.take_unreported());
     }
 
     fn process(&mut self, mut incoming: SequencedFrame) {
@@ -237,14 +235,9 @@ impl Camera {
         self.decider.fetch(frame);
     }
 
+    /// Gives the evidence to the frame that waits for it, and concludes the frame if it needs nothing more.
     fn deliver(&mut self, fetched: Fetched) {
-        let decided = self.decider.deliver(fetched, &mut self.outcome);
-        self.finish(decided);
-    }
-
-    /// Publishes and counts the final answer of a frame that was pending, if there is one.
-    fn finish(&mut self, decided: Option<Decided>) {
-        match decided {
+        match self.decider.deliver(fetched, &mut self.outcome) {
             Some(Ok(frame)) => self.conclude(&frame),
             Some(Err(fault)) => (self.parts.receiver).count_dropped(kind_of(&fault), 1, &fault),
             None => {}
@@ -282,8 +275,9 @@ impl Camera {
         let restarted = before.is_some_and(|(_, epoch)| epoch != incoming.epoch);
         let new_clip = frame.clip.is_some() && frame.clip != self.clip;
         if restarted || (new_clip && self.parts.reset_at_clip && self.clip.is_some()) {
-            let given_up = self.decider.give_up(&mut self.outcome);
-            self.finish(given_up.map(Ok));
+            if let Some(given_up) = self.decider.give_up(&mut self.outcome) {
+                self.conclude(&given_up);
+            }
             self.decider.policy.reset();
             self.first_index = None;
         }

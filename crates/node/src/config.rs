@@ -23,6 +23,10 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+/// A source without a picture for this long is reopened. Not a setting: a camera that records only motion needs a
+/// program that publishes it.
+const SOURCE_SILENCE: Duration = Duration::from_secs(15);
+
 /// All settings of a node.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -186,10 +190,6 @@ pub struct CameraConfig {
     pub hardware: Option<String>,
     /// Options of ffmpeg for the source.
     pub source_options: SourceOptions,
-    /// A source without a picture for this long is reopened, seconds. Not a setting: a camera that records only motion
-    /// needs a program that publishes it.
-    #[serde(skip)]
-    pub source_timeout_s: f64,
     /// Payload format.
     pub format: PayloadFormat,
     /// The frames to process when they arrive faster than the node works.
@@ -215,7 +215,6 @@ impl Default for CameraConfig {
             rtsp_transport: RtspTransport::default(),
             hardware: None,
             source_options: SourceOptions::default(),
-            source_timeout_s: 15.0,
             format: PayloadFormat::default(),
             delivery: Delivery::default(),
             ring: 2,
@@ -243,7 +242,7 @@ impl CameraConfig {
             transport: self.rtsp_transport,
             hardware: self.hardware.clone(),
             options: self.source_options.clone(),
-            silence: Duration::try_from_secs_f64(self.source_timeout_s).unwrap_or(Duration::MAX),
+            silence: SOURCE_SILENCE,
             // Not encoded again: most frames are never examined.
             as_jpeg: false,
             limits,

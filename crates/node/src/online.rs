@@ -108,14 +108,10 @@ async fn try_source(settings: SourceSettings) -> Result<String, Failure> {
         // Only the first event is awaited.
         let _ = sender.try_send(event);
     };
-    let running = source.run(each, stop.clone());
-    let waiting = async {
-        let first = tokio::time::timeout(patience, found.recv()).await;
-        stop.cancel();
-        first
-    };
-    let (ended, first) = tokio::join!(running, waiting);
-    ended?;
+    let running = tokio::spawn(source.run(each, stop.clone()));
+    let first = tokio::time::timeout(patience, found.recv()).await;
+    stop.cancel();
+    running.await??;
     match first {
         Ok(Some(SourceEvent::Picture { picture, .. })) => {
             let unusable = |fault| format!("a picture arrived that cannot be used: {fault}");

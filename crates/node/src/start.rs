@@ -23,7 +23,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch;
 use tokio::time::Instant;
-use tokio_util::sync::CancellationToken;
+use tokio_util::sync::{CancellationToken, DropGuard};
 
 /// The interval at which the state of parts that do not report it themselves is read.
 const POLL_INTERVAL: Duration = Duration::from_secs(1);
@@ -38,7 +38,7 @@ pub struct Node {
     /// All tasks: they end by themselves once the shutdown token is cancelled.
     tasks: Supervisor,
     /// Stops the power sampler, once the last report is out.
-    sampling: CancellationToken,
+    sampling: DropGuard,
     /// Holds the name until the session is closed.
     _name: NodeName,
     uplink: Uplink,
@@ -105,10 +105,10 @@ impl PreparedNode {
         (board.readiness).probe(readiness::ZENOH, readiness::ZENOH_SESSION, move || {
             probed.is_closed().then(|| Fault::not_ready("it is closed"))
         });
-        let sampling = CancellationToken::new();
-        let unless_started = sampling.clone().drop_guard();
-        let (power, sampler) = (albireo_power::start(&config.power, sampling.clone()).await)
-            .map_err(NodeError::of("[power]"))?;
+        let stop = CancellationToken::new();
+        let sampling = stop.clone().drop_guard();
+        let (power, sampler) =
+            (albireo_power::start(&config.power, stop).await).map_err(NodeError::of("[power]"))?;
         tracing::info!(model = %config.detector.model.display(), "loading the detector");
         let detector = DetectorHandle::start(&config.detector)
             .await
@@ -195,7 +195,7 @@ impl PreparedNode {
         Ok(Node {
             cameras,
             tasks,
-            sampling: unless_started.disarm(),
+            sampling,
             _name: name,
             uplink,
             subscriptions,
@@ -247,7 +247,7 @@ impl Node {
             );
         }
         // The sampler stops after the tasks: the clips' energy comes from it.
-        self.sampling.cancel();
+        drop(self.sampling);
         let closed = async {
             self.uplink.stop().await;
             cameras.session.close().await

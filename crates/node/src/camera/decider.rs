@@ -24,7 +24,7 @@ pub(super) struct Decider {
 }
 
 /// A frame that no longer waits: with its final answer, or the fault of a broken picture that gets none.
-pub(super) type Decided = Result<BegunFrame, FrameFault>;
+type Decided = Result<BegunFrame, FrameFault>;
 
 /// The evidence fetched for frame `index` of the camera.
 pub(super) struct Fetched {

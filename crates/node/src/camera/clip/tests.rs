@@ -274,7 +274,7 @@ proptest! {
                 }
                 Event::Dropped { lost, late } => {
                     let more = DroppedFrames { lost, late, ..DroppedFrames::default() };
-                    camera.tracker.count_others(&more, &AuditReport::default());
+                    camera.tracker.count_others(|| (more, AuditReport::default()));
                     if camera.tracker.clip().is_some() {
                         dropped += lost + late;
                     }

@@ -62,14 +62,13 @@ impl ClipTracker {
         }
     }
 
-    /// Adds unprocessed frames and audit results to the open clip, if there is one.
-    pub(crate) fn count_others(&mut self, dropped: &DroppedFrames, found: &AuditReport) {
-        let Some(open) = &mut self.open else {
-            return;
-        };
-        open.report.dropped += dropped;
+    /// Adds the unprocessed frames and audit results that `take` returns to the open clip, if there is one.
+    pub(crate) fn count_others(&mut self, take: impl FnOnce() -> (DroppedFrames, AuditReport)) {
+        let Some(open) = &mut self.open else { return };
+        let (dropped, found) = take();
+        open.report.dropped += &dropped;
         if let Some(audit) = &mut open.report.audit {
-            audit.merge(found);
+            audit.merge(&found);
         }
     }
 
