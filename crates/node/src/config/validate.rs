@@ -220,37 +220,31 @@ impl NodeConfig {
     /// Checks keys: cameras must not share one, and none may be a key that the node itself writes.
     fn check_keys(&self, findings: &mut Findings) {
         let Ok(node) = self.keys() else { return };
-        let mut written = vec![node.target()];
+        // The camera of each key; `None` for the node itself.
+        let mut owners = HashMap::from([(node.target(), None)]);
         for keys in (self.cameras.iter()).filter_map(|camera| node.camera(&camera.name).ok()) {
-            written.extend([
-                keys.detections(),
-                keys.late(),
-                keys.settled(),
-                keys.clip(),
-                keys.counters(),
-                keys.threshold(),
+            owners.extend([
+                (keys.detections(), None),
+                (keys.late(), None),
+                (keys.settled(), None),
+                (keys.clip(), None),
+                (keys.counters(), None),
+                (keys.threshold(), None),
             ]);
         }
-        let mut owners: HashMap<String, &str> = HashMap::new();
         for (index, camera) in self.cameras.iter().enumerate() {
-            let at = format!("camera[{index}].key");
             let Ok(key) = self.frame_key(camera) else {
                 continue;
             };
-            if written.contains(&key) {
-                findings.add(at.clone(), format!("`{key}` {WRITTEN}"));
-            }
-            // Cameras with the same name are already reported.
-            if let Some(other) = owners.insert(key.clone(), &camera.name)
-                && other != camera.name
-            {
-                findings.add(
-                    at,
-                    format!(
-                        "`{key}` is the key of camera `{other}` too; each camera needs its own"
-                    ),
-                );
-            }
+            let reason = match owners.insert(key.clone(), Some(&camera.name)) {
+                Some(None) => format!("`{key}` {WRITTEN}"),
+                Some(Some(other)) if *other != camera.name => {
+                    format!("`{key}` is the key of camera `{other}` too; each camera needs its own")
+                }
+                // Cameras with the same name are already reported.
+                _ => continue,
+            };
+            findings.add(format!("camera[{index}].key"), reason);
         }
     }
 }

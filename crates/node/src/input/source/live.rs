@@ -1,6 +1,6 @@
 //! A source that is reopened whenever it ends, fails or falls silent, with growing pauses, until it is stopped.
 
-use super::address::{SourceAddress, SourceKind};
+use super::address::SourceKind;
 use super::program::{PictureProgram, RunningProgram, output_of};
 use super::templates::{FFMPEG, GSTREAMER, SourceSettings, Version, ffmpeg, gstreamer, version};
 use albireo_vision::picture::{EncodedPicture, FrameFault, picture_of_file, read_part, read_ppm};
@@ -8,11 +8,9 @@ use bytes::Bytes;
 use std::io::BufReader;
 use std::path::Path;
 use std::time::Duration;
-use tokio::net::TcpStream;
 use tokio::task::JoinError;
-use tokio::time::{Instant, timeout};
+use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
-use url::Url;
 
 /// The pause before reopening a source; doubles up to the longest while the source does not stay open.
 const FIRST_PAUSE: Duration = Duration::from_millis(500);
@@ -21,8 +19,6 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(30);
 const STAYED: Duration = Duration::from_secs(10);
 /// The longest silence that can be configured.
 const LONGEST_SILENCE: Duration = Duration::from_secs(86_400);
-/// The time limit for reaching a silent camera, to report the cause.
-const CONNECT_LIMIT: Duration = Duration::from_secs(3);
 /// Motion JPEG is given up once this many first parts are all something else.
 const FIRST_PARTS: u32 = 3;
 /// The size of a read from a program's output, bytes.
@@ -154,10 +150,7 @@ impl LiveSource {
                 pause = FIRST_PAUSE;
             }
             let reason = match read {
-                Err(reason) => tokio::select! {
-                    () = shutdown.cancelled() => return Ok(()),
-                    unreachable = self.unreachable() => Some(unreachable.unwrap_or(reason)),
-                },
+                Err(reason) => Some(reason),
                 Ok(()) => (pause > FIRST_PAUSE)
                     .then(|| "it alternates between motion JPEG and another codec".to_owned()),
             };
@@ -170,33 +163,6 @@ impl LiveSource {
             }
             pause = (pause * 2).min(LONGEST_PAUSE);
         }
-    }
-
-    /// Returns the reason a network camera cannot be reached, which is clearer than the program's own message.
-    async fn unreachable(&self) -> Option<String> {
-        let resolved = self.settings.address.resolved().ok()?;
-        let SourceKind::Network(scheme) = &resolved.kind else {
-            return None;
-        };
-        // Shown without the login, which need not be encoded as in an address.
-        let shown = SourceAddress::new(resolved.text()).to_string();
-        let url = Url::parse(&shown).ok()?;
-        let host = url.host_str()?.trim_matches(['[', ']']);
-        let port = url.port_or_known_default().or(match scheme.as_str() {
-            "rtsp" => Some(554),
-            "rtsps" => Some(322),
-            "rtmp" => Some(1935),
-            _ => None,
-        })?;
-        if ["srt", "udp", "rtp"].contains(&scheme.as_str()) {
-            return None; // These do not connect by TCP.
-        }
-        let reason = match timeout(CONNECT_LIMIT, TcpStream::connect((host, port))).await {
-            Ok(Ok(_)) => return None,
-            Ok(Err(error)) => error.to_string(),
-            Err(_) => format!("no answer in {} s", CONNECT_LIMIT.as_secs()),
-        };
-        Some(format!("{host}:{port} cannot be reached: {reason}"))
     }
 
     /// Opens the source once and reads to its end; returns without an error if it must be read the other way.
