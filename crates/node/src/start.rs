@@ -166,10 +166,10 @@ impl PreparedNode {
         let session = &cameras.session;
         let mut subscriptions = Subscriptions::new();
         for (slot, (camera, board)) in config.cameras.iter().zip(&board.cameras).enumerate() {
-            let added = cameras.add(CameraSlot(slot), camera, board, &mut tasks);
-            let added = added.await;
+            let slot = CameraSlot(slot);
+            let adding = cameras.add(slot, camera, board, &mut tasks, &mut subscriptions);
             let named = NodeError::of(format!("camera `{}`", camera.name));
-            subscriptions.extend(added.map_err(named)?);
+            adding.await.map_err(named)?;
         }
         let outlets = counters::declare(session, &board).await?;
         let counting = counters::run(Arc::clone(&board), power, outlets, shutdown.clone());

@@ -98,9 +98,8 @@ impl Decider {
             mut evidence,
             fetched,
         } = fetched;
-        let mut waiting = self.pending.iter();
-        let waits = waiting.find(|frame| frame.incoming.index == index);
-        let need = waits.map(|frame| frame.need);
+        let waiting = (self.pending.as_ref()).filter(|frame| frame.incoming.index == index);
+        let need = waiting.map(|frame| frame.need);
         let mut decided = match (need, fetched) {
             // For a frame that was given up. Another one may be waiting.
             (None, _) => None,

@@ -58,7 +58,8 @@ impl Cameras {
         config: &CameraConfig,
         board: &Arc<CameraBoard>,
         tasks: &mut Supervisor,
-    ) -> Result<Subscriptions, NodeError> {
+        subscriptions: &mut Subscriptions,
+    ) -> Result<(), NodeError> {
         let keys = &board.keys;
         let name = &config.name;
         let receiver = FrameReceiver::new(Arc::clone(board), config, self.config.frame);
@@ -120,10 +121,8 @@ impl Cameras {
         };
         tasks.essential(format!("reporter {name}"), reporter.run(clips));
 
-        let mut subscriptions = Subscriptions::new();
         if let Some(settings) = config.source_settings(self.config.frame) {
-            self.add_source(name, receiver, settings, tasks).await?;
-            return Ok(subscriptions);
+            return self.add_source(name, receiver, settings, tasks).await;
         }
         let key = &board.key;
         let refused = || NodeError::refused(format!("frames on `{key}` cannot be received"));
@@ -157,7 +156,7 @@ impl Cameras {
             .await
             .map_err(refused())?;
         subscriptions.push(Box::new((tokens, frames)));
-        Ok(subscriptions)
+        Ok(())
     }
 
     /// Feeds the camera from a source that the node keeps open.

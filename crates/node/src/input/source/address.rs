@@ -145,8 +145,8 @@ impl SourceAddress {
             .is_some_and(|(_, password)| !password.is_empty() && !password.starts_with("${"))
     }
 
-    /// Substitutes the variables: percent-encoded in user and password, unchanged elsewhere. An error does not show the
-    /// address.
+    /// Substitutes the variables: percent-encoded in an address's user and password, unchanged elsewhere and in a
+    /// pipeline. An error does not show the address.
     ///
     /// # Errors
     /// The fault of the address, or the variables that are not set.
@@ -208,7 +208,7 @@ impl SourceAddress {
                 return Err(LOGIN_AFTER_QUERY.to_owned());
             }
             let (before, after) = word.split_at(login_end(&word));
-            words.push(fill(before, true)? + &fill(after, false)?);
+            words.push(fill(before, kind != SourceKind::Pipeline)? + &fill(after, false)?);
         }
         if !unset.is_empty() {
             let names = unset.join("`, `");

@@ -8,8 +8,9 @@ use bytes::Bytes;
 use std::io::BufReader;
 use std::path::Path;
 use std::time::Duration;
+use tokio::runtime::Handle;
 use tokio::task::JoinError;
-use tokio::time::Instant;
+use tokio::time::{Instant, sleep};
 use tokio_util::sync::CancellationToken;
 
 /// The pause before reopening a source; doubles up to the longest while the source does not stay open.
@@ -123,28 +124,26 @@ impl LiveSource {
         }
     }
 
-    /// Keeps the source open until `shutdown`, and calls `each` for each of its events. That is on the reading thread
-    /// for pictures, so the source waits while `each` works.
+    /// Keeps the source open until `shutdown`, and calls `each` for each of its events. That is on the reading thread,
+    /// so the source waits while `each` works.
     ///
     /// # Errors
     /// An error if the reading thread fails.
-    pub async fn run<F: FnMut(SourceEvent) + Send + 'static>(
-        mut self,
-        mut each: F,
+    pub async fn run(
+        self,
+        each: impl FnMut(SourceEvent) + Send + 'static,
         shutdown: CancellationToken,
     ) -> Result<(), JoinError> {
+        tokio::task::spawn_blocking(move || self.keep_open(each, &shutdown)).await
+    }
+
+    fn keep_open(mut self, mut each: impl FnMut(SourceEvent), shutdown: &CancellationToken) {
         let mut pause = FIRST_PAUSE;
         loop {
             let begun = Instant::now();
-            let stop = shutdown.clone();
-            let reading = tokio::task::spawn_blocking(move || {
-                let read = self.read(&mut each, stop);
-                (self, each, read)
-            });
-            let read;
-            (self, each, read) = reading.await?;
+            let read = self.read(&mut each, shutdown.clone());
             if shutdown.is_cancelled() {
-                return Ok(());
+                return;
             }
             if begun.elapsed() > STAYED {
                 pause = FIRST_PAUSE;
@@ -157,9 +156,9 @@ impl LiveSource {
             if let Some(reason) = reason {
                 each(SourceEvent::Failed { reason, pause });
             }
-            tokio::select! {
-                () = shutdown.cancelled() => return Ok(()),
-                () = tokio::time::sleep(pause) => {}
+            let waited = shutdown.run_until_cancelled(sleep(pause));
+            if Handle::current().block_on(waited).is_none() {
+                return;
             }
             pause = (pause * 2).min(LONGEST_PAUSE);
         }
