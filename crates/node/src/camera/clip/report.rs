@@ -3,12 +3,12 @@
 use super::latencies::percentiles;
 use crate::camera::FrameRecord;
 use albireo_power::{Measured, Measurement};
-use albireo_service::clock::milliseconds;
+use albireo_service::clock::{milliseconds, unix_nanoseconds};
 use albireo_wire::{ClipEnd, ClipEnergy, ClipReport, Threshold, ThresholdChange, VERSION};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::Instant;
-use uuid::Uuid;
+use uuid::{NoContext, Timestamp, Uuid};
 
 /// The time limit for the energy of the last report when the node stops: two samples at usual intervals.
 const PATIENCE_AT_THE_END: Duration = Duration::from_millis(300);
@@ -114,7 +114,7 @@ impl Clip {
         }
         ClipReport {
             v: VERSION,
-            id: Uuid::now_v7(),
+            id: new_id(),
             duration_s: duration.as_secs_f64(),
             skip_rate: report.states.skip_rate(report.degraded_frames),
             total_latency_ms: percentiles(self.total),
@@ -127,6 +127,14 @@ impl Clip {
             ..report
         }
     }
+}
+
+/// A unique report id with the present time. `Uuid::now_v7` would keep a later time after the clock was set back.
+fn new_id() -> Uuid {
+    let now_ns = unix_nanoseconds();
+    let (seconds, nanoseconds) = (now_ns / 1_000_000_000, now_ns % 1_000_000_000);
+    let nanoseconds = u32::try_from(nanoseconds).unwrap_or(0);
+    Uuid::new_v7(Timestamp::from_unix(NoContext, seconds, nanoseconds))
 }
 
 /// Energy-delay product, J·ms/frame: energy × duration ÷ frames (paper, evaluation). `None` without frames, or if
