@@ -44,7 +44,7 @@ async fn filled() -> Served {
 }
 
 /// The metrics that do not change with the time or the process.
-const SHOWN: &str = "ready detector_ready detector_info detector_batches_total detector_boxes_dropped_total \
+const SHOWN: &str = "ready detector_info detector_batches_total detector_boxes_dropped_total \
     detector_runs_total detector_rebuilds_total frames_total frames_dropped_total frames_skipped_total \
     frames_degraded_total clips_total messages_unpublished_total frame_latency_seconds_count \
     detector_latency_seconds_count threshold tau_max power_info power_watts energy_joules_total \

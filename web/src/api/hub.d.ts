@@ -2815,11 +2815,11 @@ export interface components {
             received_ms: number;
             /** @description Identity of the report. */
             report_id: string;
-            /** @description Name of its threshold; empty without one. */
+            /** @description Name of its threshold, or of the target that moves it; empty without one. */
             threshold: string;
             /**
              * Format: double
-             * @description The threshold's value at the end of the clip.
+             * @description The value of the threshold at the end of the clip, or of the target.
              */
             value?: number | null;
         };

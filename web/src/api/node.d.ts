@@ -1950,6 +1950,7 @@ export interface components {
             started_ns: number;
             /** @description Frame states. */
             states: components["schemas"]["FrameStates"];
+            target?: components["schemas"]["Target"] | null;
             threshold?: components["schemas"]["Threshold"] | null;
             /** @description All thresholds in force during the clip, in order: the initial one, then the changes. */
             threshold_changes: components["schemas"]["ThresholdChange"][];

@@ -6,7 +6,6 @@ use super::RouteState;
 use crate::state::board::{Board, provider};
 use crate::state::readiness::PARTS;
 use albireo_service::metrics::MetricsPage;
-use albireo_vision::detector::DetectorStatus;
 use albireo_wire::{EnergyQuality, TargetStatus};
 use axum::extract::State;
 use std::sync::atomic::Ordering;
@@ -54,11 +53,6 @@ fn node(page: &mut MetricsPage, board: &Board) {
         "albireo_ready",
         "Whether the node works as configured",
         flag(health.is_ready()),
-    );
-    page.gauge(
-        "albireo_detector_ready",
-        "Whether the detector works",
-        flag(matches!(status, DetectorStatus::Ready { .. })),
     );
     let (wanted, runs) = (board.providers.first(), provider(&status));
     let fell_back = runs.is_some_and(|runs| wanted.is_some_and(|wanted| wanted.as_str() != runs));
