@@ -217,43 +217,40 @@ impl Fleet {
         }
     }
 
-    /// The process of a car, the hub or the router.
-    fn process(&self, part: usize) -> u32 {
-        match part {
-            ROUTER => self.router.as_ref().unwrap().id().unwrap(),
-            HUB => self.hub.as_ref().unwrap().id(),
-            _ => self.cars[part].node.as_ref().unwrap().id(),
+    /// The process of a car, the hub or the router, and where it answers.
+    fn process(&self, part: usize) -> (u32, String) {
+        let (car, hub) = (self.cars.get(part), self.hub.as_ref());
+        match (car.and_then(|car| car.node.as_ref()), hub) {
+            (Some(node), _) => (node.id(), node.http.clone()),
+            (None, Some(hub)) if part == HUB => (hub.id(), hub.http.clone()),
+            _ => (self.router.as_ref().unwrap().id().unwrap(), String::new()),
         }
     }
 
     /// Stops a process, and lets it go on later than its peers wait for an answer.
     async fn freeze(&mut self, part: usize, pause: Duration) {
         self.start(part).await;
-        signal(self.process(part), "-STOP");
+        let (process, _) = self.process(part);
+        signal(process, "-STOP");
         self.drive_without(part).await;
         tokio::time::sleep(pause).await;
-        signal(self.process(part), "-CONT");
+        signal(process, "-CONT");
     }
 
     /// Fills the disk of a car or the hub until it says so, and then makes space again.
     async fn fill_disk(&mut self, part: usize) {
         self.heal().await;
-        let (http, reason) = match part {
-            HUB => (self.hub.as_ref().unwrap().http.clone(), "\"database\""),
-            car => (
-                self.cars[car].node.as_ref().unwrap().http.clone(),
-                "\"outbox\"",
-            ),
-        };
+        let (process, http) = self.process(part);
+        let reason = ["\"outbox\"", "\"database\""][usize::from(part == HUB)];
         let faulty = async || text_at(&format!("{http}/readyz")).await.contains(reason);
         until("it works", async || !faulty().await).await;
-        limit(self.process(part), "--fsize=4096:");
+        limit(process, "--fsize=4096:");
         until("its disk is full", async || {
             self.drive_without(DATABASE).await;
             faulty().await
         })
         .await;
-        limit(self.process(part), "--fsize=unlimited:");
+        limit(process, "--fsize=unlimited:");
         until("it writes again", async || !faulty().await).await;
     }
 }
@@ -273,12 +270,9 @@ async fn kills_freezes_and_full_disks_in_any_order_lose_and_duplicate_no_report(
     let mut random = Pcg64Mcg::seed_from_u64(from_environment("ALBIREO_SEED", 1));
     let folder = tempfile::tempdir().unwrap();
     let endpoint = format!("tcp/127.0.0.1:{}", free_port());
-    let url = database
-        .as_ref()
-        .map_or(sqlite(folder.path()), Postgres::url);
-    let (parts, disks) = match database {
-        Some(_) => (5, 2),
-        None => (4, 3),
+    let (url, parts, disks) = match &database {
+        Some(server) => (server.url(), 5, 2),
+        None => (sqlite(folder.path()), 4, 3),
     };
     let mut fleet = Fleet {
         settings: behind(&endpoint, &url),
@@ -292,8 +286,7 @@ async fn kills_freezes_and_full_disks_in_any_order_lose_and_duplicate_no_report(
         hub: None,
     };
     fleet.heal().await;
-    let begun = Instant::now();
-    let (mut killed, mut frozen, mut filled) = ([0; 5], [0; 4], [0; 3]);
+    let (begun, mut killed, mut frozen, mut filled) = (Instant::now(), [0; 5], [0; 4], [0; 3]);
     for kill in 0..kills {
         let mut below = |bound: u64| random.next_u64() % bound;
         let (part, after) = (below(parts) as usize, Duration::from_millis(below(80)));
@@ -309,9 +302,7 @@ async fn kills_freezes_and_full_disks_in_any_order_lose_and_duplicate_no_report(
             fleet.fill_disk(part).await;
         }
         killed[part] += 1;
-        if part >= HUB {
-            tokio::time::sleep(after).await;
-        }
+        tokio::time::sleep(after).await;
         fleet.start(part).await;
         fleet.kill(part, after).await;
         // Often the next part is killed while this one is still down.
@@ -329,9 +320,7 @@ async fn kills_freezes_and_full_disks_in_any_order_lose_and_duplicate_no_report(
         car.drive(2).await;
         car.until_delivered().await;
     }
-    let took = begun.elapsed();
-    let hub = fleet.hub.take().unwrap();
-    let mut stored = 0;
+    let (took, hub, mut stored) = (begun.elapsed(), fleet.hub.take().unwrap(), 0);
     for car in std::mem::take(&mut fleet.cars) {
         stored += every_report_once(&hub, car).await;
     }

@@ -7,7 +7,7 @@ use albireo_hub::store::{Store, StoreError, transfer};
 use albireo_wire::{Target, Threshold};
 use rstest::rstest;
 use serde_json::json;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 async fn sums_match_the_clips_and_never_mix_energy_qualities(database: &str) {
     let hub = Hub::start(config(database)).await;
@@ -116,12 +116,11 @@ async fn clips_under_a_target_are_summed_under_the_target(database: &str) {
     }
     hub.deliver(&batch).await.assert_stored();
     let sums = hub.get("/api/v1/energy?by=threshold").await;
-    let groups = sums["groups"].as_array().unwrap().iter();
-    let groups: BTreeSet<_> = groups.map(|one| one["group"].as_str().unwrap()).collect();
-    assert_eq!(groups, BTreeSet::from(["albireo skip_rate=0.5"]));
-    let clips = hub.get("/api/v1/clips?limit=1").await;
-    let expected = json!({"threshold": "skip_rate", "value": 0.5});
-    assert_has(&clips["clips"][0], &expected);
+    let mut groups = sums["groups"].as_array().unwrap().iter();
+    let is_right = groups.len() == 3 && groups.all(|one| one["group"] == "albireo skip_rate=0.5");
+    assert!(is_right, "{sums}");
+    let clip = &hub.get("/api/v1/clips?limit=1").await["clips"][0];
+    assert_has(clip, &json!({"threshold": "skip_rate", "value": 0.5}));
     hub.stop().await;
 }
 

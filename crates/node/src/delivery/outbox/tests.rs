@@ -112,10 +112,8 @@ impl Bench {
     }
 
     fn open(&self) -> Outbox {
-        let opened = self
-            .faults
-            .open(&self.state(), self.max_bytes, Now::system());
-        opened.unwrap()
+        let (state, now) = (self.state(), Now::system());
+        self.faults.open(&state, self.max_bytes, now).unwrap()
     }
 }
 
