@@ -53,7 +53,7 @@ for day in range(today - days, today):
     db.execute(f"""INSERT INTO clips ({', '.join(columns)})
         {COUNTING.format(nodes)}, d(n) AS (SELECT 0 UNION ALL SELECT n + 1 FROM d WHERE n < {clips - 1}),
         x AS MATERIALIZED (SELECT c, n + {first} AS n, abs(random() % 1000000) AS r,
-            {day} * {DAY_MS} + (c * 7919 % (2160 - {clips}) + n) * 40000 + c % 40000 AS at_ms FROM d, k)
+            {day} * {DAY_MS} + (c * 7919 % (2161 - {clips}) + n) * 40000 + c % 40000 AS at_ms FROM d, k)
         SELECT {', '.join(VALUES[column] for column in columns)} FROM x""")
     print(f"day {day - today + days + 1} of {days}", file=sys.stderr)
 db.execute("INSERT INTO report_ids (day, id) SELECT day, report_id FROM clips ORDER BY 1, 2")
