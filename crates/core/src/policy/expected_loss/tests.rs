@@ -22,11 +22,9 @@ fn detection(x: f64, y: f64, side: f64, confidence: f64) -> Detection {
     }
 }
 
-/// Frame `frame` of a film: objects that pass at different speeds, one of them seen only sometimes, and long stretches of an
-/// empty road.
+/// Frame `frame` of a film: objects of different speeds, one of them seen only sometimes, and stretches of empty road.
 fn film(frame: u64) -> Vec<Detection> {
-    let time = frame as f64;
-    let mut seen = Vec::new();
+    let (time, mut seen) = (frame as f64, Vec::new());
     if frame % 80 < 50 {
         seen.push(detection(0.2 + 0.01 * (time % 80.0), 0.5, 0.08, 0.9));
         if frame % 7 != 3 {
@@ -63,6 +61,14 @@ fn the_first_frame_calls_the_detector_even_if_its_first_answers_are_missing() {
 }
 
 #[test]
+fn a_loss_that_grew_in_the_pause_weighs_more() {
+    let mut pause = Pause::default();
+    pause.skip(0.1);
+    pause.skip(0.2);
+    assert!((pause.weigh(0.5, 2.0) - (0.5 + 0.4 + 0.3) / 2.0).abs() < 1e-12);
+}
+
+#[test]
 fn a_higher_lambda_calls_the_detector_less_often() {
     let counts = [0.0, 0.1, 0.5, 2.0, 100.0].map(|lambda| calls(&mut policy(lambda), 400).len());
     assert_eq!(counts[0], 400);
@@ -87,15 +93,13 @@ fn a_fast_object_calls_the_detector_more_often_than_a_slow_one() {
 
 #[test]
 fn a_screen_that_never_says_empty_changes_no_decision() {
-    let (mut with, mut without) = (policy(0.5), policy(0.5));
-    let mut screened = 0;
-    for index in 0..400 {
-        let found = film(index);
+    let (mut with, mut without, mut screened) = (policy(0.5), policy(0.5), 0);
+    for found in (0..400).map(film) {
         let a = with.see(&found);
         let b = without.frame(1, FrameEvidence::detections(&found));
         screened += u32::from(a == FrameState::EI);
-        assert_eq!(a.is_skipped(), b.is_skipped(), "frame {index}");
-        assert_eq!(with.outcome.boxes, without.outcome.boxes, "frame {index}");
+        assert_eq!(a.is_skipped(), b.is_skipped(), "{found:?}");
+        assert_eq!(with.outcome.boxes, without.outcome.boxes, "{found:?}");
         assert_ne!(b, FrameState::EI);
     }
     assert!(screened > 0);
@@ -124,12 +128,9 @@ fn a_gap_predicts_as_many_single_frames_do() {
     for frames in [1, 2, 5, 14] {
         let mut single = policy(0.0);
         calls(&mut single, 10);
-        // Only the longest pause calls the detector.
-        single.policy.set_threshold(100.0).unwrap();
+        single.policy.set_threshold(100.0).unwrap(); // Only the longest pause calls the detector.
         let mut gap = Run::with(single.policy.clone());
-        for _ in 0..frames {
-            assert_eq!(single.see(&[]), FrameState::P);
-        }
+        (0..frames).for_each(|_| assert_eq!(single.see(&[]), FrameState::P));
         assert_eq!(gap.frame(frames, FrameEvidence::default()), FrameState::P);
         assert_eq!(single.records(), gap.records());
         assert_eq!(single.policy.pause.frames, gap.policy.pause.frames);
