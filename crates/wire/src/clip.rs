@@ -168,6 +168,8 @@ pub struct ClipReport {
     /// All thresholds in force during the clip, in order: the initial one, then the changes.
     pub threshold_changes: Vec<ThresholdChange>,
     /// The target that moves the threshold; absent without one.
+    // A kind that only a later version knows reads as none, so that its report is still stored.
+    #[serde(default, with = "serde_with::As::<serde_with::DefaultOnError>")]
     pub target: Option<Target>,
     /// File name of the detector model.
     pub model: String,

@@ -70,8 +70,9 @@ fn unknown_fields_and_values_in_a_report_are_tolerated() {
     json["ended_by"] = "eclipse".into();
     json["energy"]["quality"] = "guessed".into();
     json["of_a_later_version"] = 7.into();
+    json["target"]["speed"] = 3.into();
     let read: ClipReport = serde_json::from_value(json).unwrap();
-    assert_eq!(read.ended_by, ClipEnd::Other);
+    assert_eq!((read.ended_by, read.target), (ClipEnd::Other, None));
     assert_eq!(read.energy.quality, EnergyQuality::Unavailable);
 }
 
@@ -102,11 +103,10 @@ fn call_causes_serialise_by_name_and_unknown_ones_are_ignored() {
     }
     let json = serde_json::to_string(&calls).unwrap();
     assert_eq!(serde_json::from_str::<DetectorCalls>(&json).unwrap(), calls);
-    let later: DetectorCalls =
-        serde_json::from_str(r#"{"uncertain":3,"of_a_later_version":4}"#).unwrap();
+    let later = serde_json::from_str::<DetectorCalls>(r#"{"uncertain":3,"of_a_later_version":4}"#);
     let mut expected = DetectorCalls::default();
     (0..3).for_each(|_| expected.count(CallCause::Uncertain));
-    assert_eq!(later, expected);
+    assert_eq!(later.unwrap(), expected);
 }
 
 #[test]
@@ -132,7 +132,7 @@ fn a_desired_setting_is_a_threshold_a_target_or_a_null_target() {
 
 #[test]
 fn figures_are_rounded_to_significant_digits() {
-    assert_eq!(significant(1.912_345_678e-4, 6), 1.912_35e-4);
-    assert_eq!(significant(0.0, 6), 0.0);
-    assert!(significant(f64::NAN, 6).is_nan());
+    let rounded = |figure| significant(figure, 6);
+    assert_eq!([1.912_345_678e-4, 0.0].map(rounded), [1.912_35e-4, 0.0]);
+    assert!(rounded(f64::NAN).is_nan());
 }
