@@ -1,5 +1,4 @@
-//! Access control of a fleet: a router and a hub as processes, certificates and rules made by the program, and every
-//! kind of intruder.
+//! Access control of a fleet: router and hub as processes, with the program's certificates and rules, and intruders.
 
 use crate::support::camera::Camera;
 use crate::support::fleet::{HubProcess, deliver, now_ns, settings, sqlite};

@@ -79,9 +79,8 @@ fn runs_in(package: &str, script: &str, argument: &str, folder: &Path) {
     let text = text(&format!("deploy/debian/{package}/{script}"));
     // The second is where the package gets the lines that enable, restart and stop its unit.
     assert_contains(&text, &["\nset -e\n", "\n#DEBHELPER#\n"]);
-    let text = text
-        .replace("/etc/", &format!("{here}/etc/"))
-        .replace("/var/lib/", &format!("{here}/var/lib/"));
+    let text = text.replace("/etc/", &format!("{here}/etc/"));
+    let text = text.replace("/var/lib/", &format!("{here}/var/lib/"));
     let file = folder.join(script);
     std::fs::write(&file, text).unwrap();
     let bin = folder.join("bin");

@@ -1,5 +1,4 @@
-//! Prometheus rules and Grafana dashboards: every alert has a test, and node, hub or router exports every metric that a
-//! rule or a dashboard names.
+//! Prometheus rules and Grafana dashboards: every alert has a test, and every metric that they name is exported.
 
 use crate::http_api::served::Served;
 use crate::support::fleet::{HubProcess, router_config};

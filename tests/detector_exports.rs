@@ -100,8 +100,7 @@ async fn boxes_above_the_cap_are_counted_and_dropped() {
     }
 }
 
-/// A model that fails on a bright picture, how red a picture is on which it works, the detections in that one, and
-/// parts of the error.
+/// A model that fails on a bright picture, the redness on which it works, the detections there, and parts of the error.
 #[rstest::rstest]
 #[case::too_little_memory("hungry.onnx", 102, 1, &[
     "there is not enough memory", "a smaller model or input size", "562949953421568",

@@ -1,5 +1,4 @@
-//! ONNX Runtime with models of a few hundred bytes: a fitting model runs, any other is rejected at the start with a helpful
-//! error.
+//! ONNX Runtime with tiny models: a fitting one runs, any other is rejected at the start with a helpful error.
 
 use super::support::detectors::{
     CAMERA, assert_the_box, changed, config, detected, model, one_colour, refusal, started,

@@ -18,8 +18,7 @@ fn ap50(point: &Point) -> f64 {
     point.mean(|found| found.ap50)
 }
 
-/// The AP@50 of expected-loss at `skip_rate`, as the mean over thresholds around the rate: a single one is a sample of a noisy
-/// curve.
+/// The AP@50 of expected-loss at `skip_rate`: the mean over thresholds around it, because the curve is noisy.
 fn accuracy(recordings: &Recordings, skip_rate: f64) -> f64 {
     let at = |offset: f64| recordings.at_skip_rate("expected-loss", skip_rate + offset);
     let points = [-0.02, -0.01, 0.0, 0.01, 0.02].map(|offset| at(offset).expect("it runs"));

@@ -192,8 +192,7 @@ fn every_kind_of_png_and_raw_layout_gives_its_colours_and_their_luma() {
 
 #[test]
 fn an_interlaced_png_is_decoded() {
-    // 3x2 grey, Adam7 (W3C PNG, 8.2): pass 1 has (0,0), pass 4 (2,0), pass 6 (1,0), pass 7 row 1; each row with its filter
-    // byte, without compression.
+    // 3x2 grey, Adam7 (W3C PNG, 8.2), not compressed: pass 1 has (0,0), pass 4 (2,0), pass 6 (1,0), pass 7 row 1.
     let rows = [0, 10, 0, 30, 0, 20, 0, 40, 50, 60];
     let mut file = b"\x89PNG\r\n\x1a\n".to_vec();
     let mut chunk = |kind: &[u8; 4], data: &[u8]| {

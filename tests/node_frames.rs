@@ -1,5 +1,4 @@
-//! A node in this process, with a real Zenoh session, ONNX Runtime and a detector of coloured boxes, handles good and bad
-//! frames, thresholds and its own shutdown.
+//! A node with a real Zenoh session and ONNX Runtime handles good and bad frames, thresholds and its own shutdown.
 
 use crate::support::{PATIENCE, next, project, subscribe, until_connected, zenoh_client};
 use albireo_core::geometry::PictureSize;
@@ -269,9 +268,8 @@ async fn ask(session: &Session, payload: Option<&str>) -> Result<f64, String> {
         query = query.payload(payload);
     }
     let reply = query.await.unwrap().recv_async().await.unwrap();
-    let sample = reply
-        .into_result()
-        .map_err(|error| error.payload().try_to_string().unwrap().into_owned())?;
+    let reply = reply.into_result();
+    let sample = reply.map_err(|error| error.payload().try_to_string().unwrap().into_owned())?;
     let message: Value = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
     Ok(message["threshold"]["value"].as_f64().unwrap())
 }

@@ -1,5 +1,4 @@
-//! A node with a board's power monitor, in a copy of the sysfs tree, reports watts and joules, and its frames do not wait for
-//! a hanging monitor.
+//! A node with a board's power monitor (a copy of sysfs) reports watts and joules, and does not wait for one that hangs.
 
 use crate::http_api::events::Events;
 use crate::support::{

@@ -1,5 +1,4 @@
-//! The sampler measures known power curves, printed in real time by a fake `tegrastats`, to 0.1 %, with the same code as on a
-//! board.
+//! The sampler measures known power curves, printed in real time by a fake `tegrastats`, to 0.1 %.
 
 use crate::support::assert_contains;
 use albireo_power::{self as power, PowerConfig, PowerSource};
@@ -22,8 +21,7 @@ fn stand_in(task: &Value) -> (tempfile::TempDir, PowerConfig) {
     (folder, config)
 }
 
-/// Measures a fake `tegrastats` that does `task` for `length`. Returns the mean watts over the covered time, the whole
-/// result, and the number of failed reads.
+/// Measures a fake `tegrastats` that does `task` for `length`: mean watts over the covered time, all, and failed reads.
 async fn watch(task: &Value, length: Duration) -> (f64, ClipEnergy, u64) {
     let (_folder, config) = stand_in(task);
     let stop = CancellationToken::new();

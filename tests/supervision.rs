@@ -1,5 +1,4 @@
-//! A node whose parts fail or hang detects that, restarts failed parts, delays no others, and stops within the
-//! configured time.
+//! A node whose parts fail or hang restarts them, delays no others, and stops within the configured time.
 
 use crate::node_frames::{
     Bench, CAMERA, ask_frame, attachment, configuration, pictures, put, refused,
@@ -262,8 +261,7 @@ async fn a_second_signal_ends_a_node_at_once_whatever_hangs() {
     let limits = "# development: stop_timeout_s=60\ndetector.timeout_ms = 600000\n";
     let node = Node::start(&settings("hanging.onnx", limits)).await;
     let session = zenoh_client(&node.zenoh).await;
-    // The first frame makes the detector hang, the ring holds two more, and the next one displaces a frame: then the camera
-    // loop waits for the detector.
+    // The first frame makes the detector hang, two more wait, and the next displaces one: the camera loop waits.
     let overrun = r#"albireo_frames_dropped_total{camera="front",kind="overrun"}"#;
     let mut seq = 0;
     until("the detector hangs", async || {

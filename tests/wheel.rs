@@ -1,5 +1,4 @@
-//! The Python package decides as the core does, passes its own tests, and runs the README's example in a fresh
-//! environment.
+//! The Python package decides as the core does, passes its own tests, and runs the README's example.
 
 use crate::documentation::workshop;
 use crate::golden_traces::RUNS;

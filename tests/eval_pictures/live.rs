@@ -1,5 +1,4 @@
-//! Decisions as in the node: a policy asks detector and screen on demand, through the node's own evidence with its limit on
-//! consecutive empty frames.
+//! Decisions as in the node: a policy asks detector and screen on demand, with the limit on consecutive empty frames.
 
 use super::{settings, specs};
 use albireo_core::detection::Detection;
@@ -63,8 +62,7 @@ impl Node {
     }
 }
 
-/// The frame states of a camera with these pictures, and how often the limit on consecutive empty frames forced a detector
-/// call.
+/// The frame states of a camera with these pictures, and the calls forced by the limit on consecutive empty frames.
 async fn decided(
     node: &Node,
     policy: &mut dyn Policy,

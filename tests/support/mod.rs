@@ -60,9 +60,8 @@ pub(crate) fn python() -> String {
 /// The answer of a script to `request`, both in JSON.
 pub(crate) fn ask_script(script: &mut std::process::Command, request: &Value) -> Value {
     script.stdin(Stdio::piped()).stdout(Stdio::piped());
-    let mut child = script
-        .spawn()
-        .expect("Python starts: `make python` and `make wheel-tests` set it up");
+    let child = script.spawn();
+    let mut child = child.expect("Python starts: `make python` and `make wheel-tests` set it up");
     let mut stdin = child.stdin.take().unwrap();
     serde_json::to_writer(&mut stdin, request).expect("it takes the request");
     drop(stdin);
@@ -114,9 +113,8 @@ pub(crate) async fn json_at(url: &str) -> Value {
 
 #[track_caller]
 pub(crate) fn value_of(metrics: &str, series: &str) -> f64 {
-    let found = metrics
-        .lines()
-        .find_map(|line| line.strip_prefix(series)?.strip_prefix(' '));
+    let mut lines = metrics.lines();
+    let found = lines.find_map(|line| line.strip_prefix(series)?.strip_prefix(' '));
     let found = found.and_then(|rest| rest.split(' ').next()?.parse().ok());
     found.unwrap_or_else(|| panic!("no {series} in {metrics}"))
 }

@@ -52,9 +52,8 @@ impl NodeKeys {
     /// [`KeyError`] if the prefix is invalid.
     pub fn all(prefix: &str) -> Result<Self, KeyError> {
         let mut parts = prefix.split('/');
-        parts
-            .try_for_each(|part| check_segment("the part", part))
-            .map_err(|KeyError(reason)| KeyError(format!("prefix `{prefix}`: {reason}")))?;
+        let checked = parts.try_for_each(|part| check_segment("the part", part));
+        checked.map_err(|KeyError(reason)| KeyError(format!("prefix `{prefix}`: {reason}")))?;
         Ok(Self {
             prefix: prefix.to_owned(),
             node: "*".to_owned(),

@@ -257,8 +257,7 @@ proptest! {
     }
 }
 
-/// The sums of a camera and its true recall: all boxes of a frame except one were shown, but only half of them on missed
-/// frames.
+/// The sums of a camera and its true recall: all boxes but one were shown, and only half of them on missed frames.
 fn camera(frames: u64, boxes: u64, missed: u64) -> (AuditSums, f64) {
     let mut sums = AuditSums::default();
     for _ in 0..missed {

@@ -101,9 +101,8 @@ impl Albireo {
             PeriodicCap::FrameIndex => {
                 let cap = u64::from(cap);
                 // True if a multiple of the cap fell into the gap since the last complete frame.
-                let gap = self
-                    .last_complete
-                    .is_some_and(|last| last / cap < index / cap);
+                let last = self.last_complete;
+                let gap = last.is_some_and(|last| last / cap < index / cap);
                 index.is_multiple_of(cap) || gap
             }
         }

@@ -89,9 +89,8 @@ impl FixedSkip {
 
     pub(super) fn from_config(config: &PolicyConfig) -> Result<Self, PolicyConfigError> {
         let settings = &config.fixed_skip;
-        let skipped = settings
-            .skipped_boxes
-            .unwrap_or(SkippedBoxes::of(config.profile));
+        let usual = SkippedBoxes::of(config.profile);
+        let skipped = settings.skipped_boxes.unwrap_or(usual);
         Ok(Self {
             n: check_setting("fixed_skip", Self::THRESHOLD, settings.n)?,
             memory: match skipped {

@@ -69,10 +69,8 @@ impl RecallControl {
         } else {
             self.without_audit_s = 0.0;
         }
-        let enough = self
-            .lot
-            .compared_recall()
-            .is_some_and(|lot| lot.independent >= ENOUGH);
+        let recall = self.lot.compared_recall();
+        let enough = recall.is_some_and(|recall| recall.independent >= ENOUGH);
         if enough {
             self.decide(lever);
         } else if self.without_audit_s > LONG {

@@ -1,5 +1,4 @@
-//! The databases of hubs: a SQLite file, or a PostgreSQL server per test: in a temporary folder, on loopback, under a user
-//! other than root.
+//! The databases of hubs: a SQLite file, or a PostgreSQL server per test, on loopback and never as root.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};

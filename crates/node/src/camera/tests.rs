@@ -179,8 +179,7 @@ async fn frames_that_wait_are_no_silence_and_dropped_ones_count_for_their_clip()
     assert_eq!(snapshot.dropped, *dropped);
 }
 
-/// Plays a drive; returns its published messages without their latencies, and the audit of the clip report, which must
-/// agree with the board.
+/// Plays a drive; returns its messages without latencies, and the audit of its report, which must agree with the board.
 async fn drive(policy: &str, share: f64) -> (Vec<DetectionsMessage>, Option<AuditReport>) {
     let mut bench = Bench::new(policy, share).await;
     let board = Arc::clone(&bench.board.cameras[0]);

@@ -33,7 +33,7 @@ outbox.gather_reports: 12 reports go together; outbox.gather_s = 0 sends each at
 outbox.answer_timeout_ms: a hub may take 10 s to answer a batch
 outbox.retry_min_ms: a batch is sent again after 1 s, then after pauses that double up to 60 s
 outbox.retry_max_ms: a batch is sent again after 1 s, then after pauses that double up to 60 s
-outbox.status_s: a heartbeat is sent every 30 s
+outbox.status_s: the hub sets the time between heartbeats
 uplink.retry_max_ms: the connection to the router is retried after at most 30 s
 uplink.verify_name: the router's certificate is always compared with its name: `albireo certificate` takes \
     several names and addresses
@@ -283,12 +283,8 @@ fn check_source(camera: &CameraConfig, key: &dyn Fn(&str) -> String, findings: &
     if camera.hardware.as_ref().is_some_and(String::is_empty) {
         findings.add(key("hardware"), "is empty; leave the key out instead");
     }
-    let source = camera
-        .source
-        .as_ref()
-        .map(SourceAddress::resolved)
-        .transpose();
-    findings.check(key("source"), source);
+    let source = camera.source.as_ref().map(SourceAddress::resolved);
+    findings.check(key("source"), source.transpose());
     findings.check(key("source_options"), camera.source_options.check());
     let source = camera.source.as_ref().map(SourceAddress::kind);
     let (none, is_pipeline) = (source.is_none(), source == Some(SourceKind::Pipeline));

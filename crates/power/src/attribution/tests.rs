@@ -11,8 +11,7 @@ fn two_cameras() -> Attribution {
     cameras
 }
 
-/// Divides 10 W over `samples` samples of 100 ms, with `work` before each. Returns the joules and the saved seconds of
-/// each camera.
+/// Divides 10 W over `samples` of 100 ms with `work` before each; returns the joules and saved seconds of each camera.
 fn pass(
     cameras: &mut Attribution,
     samples: u64,
@@ -110,8 +109,7 @@ fn savings_are_limited_to_the_idle_time_of_one_detector() {
 fn calls_avoided_in_a_burst_use_the_idle_time_around_it() {
     let mut cameras = two_cameras();
     cameras.called(FRONT, ms(40));
-    // Four frames arrive at once twice per second: 160 ms of calls that one detector would have spread over two
-    // samples.
+    // Four frames arrive at once twice per second: 160 ms of calls, which one detector would spread over two samples.
     let (_, saved) = pass(&mut cameras, 1000, |cameras, sample| {
         if sample.is_multiple_of(5) {
             (0..4).for_each(|_| cameras.avoided(REAR));

@@ -8,8 +8,7 @@ const OTHER: &str = "intel-rapl:1";
 const DRAM: &str = "intel-rapl:1/intel-rapl:1:0";
 const MMIO: &str = "intel-rapl-mmio:0";
 
-/// Checks the joules of the total, GPU, CPU and memory over 1 s. Each zone has a path, a name, and its count before and
-/// after.
+/// Checks the joules of total, GPU, CPU and memory over 1 s. A zone has a path, a name, and its count before and after.
 #[rstest::rstest]
 #[case::subzones_and_the_mmio_duplicate_are_not_added_to_the_package(
     &[

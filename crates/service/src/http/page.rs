@@ -97,9 +97,8 @@ fn media_type(name: &str) -> Option<&'static str> {
 /// True if `Accept-Encoding` accepts gzip.
 fn takes_gzip(headers: &HeaderMap) -> bool {
     let values = headers.get_all(ACCEPT_ENCODING).iter();
-    let codings = values
-        .filter_map(|value| value.to_str().ok())
-        .flat_map(|value| value.split(','));
+    let values = values.filter_map(|value| value.to_str().ok());
+    let codings = values.flat_map(|value| value.split(','));
     codings
         .map(|coding| coding.split_once(';').unwrap_or((coding, "")))
         .any(|(name, weight)| {

@@ -1,5 +1,4 @@
-//! The worker with models that wait, fail, panic and hang. The tests advance paused time by hand, so the speed of the machine
-//! does not matter.
+//! The worker with models that wait, fail, panic and hang, under paused time that the tests advance.
 
 mod any_order;
 mod building;
@@ -98,8 +97,7 @@ struct Stage {
     _held: blocking::Sender<()>,
 }
 
-/// Keeps tokio's paused clock from jumping to the next timer while the runtime is idle but the model's thread is busy: a
-/// blocking task in progress prevents that.
+/// A blocking task, which keeps tokio's paused clock from jumping to the next timer while only the model's thread is busy.
 fn hold_time() -> blocking::Sender<()> {
     let (hold, held) = blocking::channel::<()>();
     tokio::task::spawn_blocking(move || held.recv().is_ok());

@@ -24,8 +24,7 @@ fn confirmed(mut objects: ObjectStates) -> ObjectStates {
     objects
 }
 
-/// Number, confirmation and misses of an object after frames that detect it (`d`, or `u` if unsure), miss it (`m`) or
-/// only predict it (`p`).
+/// Number, confirmation and misses of an object after frames: `d` detected, `u` unsure, `m` missed, `p` only predicted.
 fn after(frames: &str) -> Option<(u64, bool, u32)> {
     let mut objects = objects();
     let mut unsure = seen(0.5);

@@ -72,8 +72,7 @@ fn an_object_unseen_for_long_is_matched_by_distance_alone() {
 
 #[test]
 fn a_hopeless_pair_displaces_a_good_one_only_if_gates_are_applied_last() {
-    // Overlaps .82 and .67 for the first object, .23 and .04 for the second: .67 + .23 is the most in
-    // all, but .23 is beyond the gate.
+    // Overlaps .82 and .67 for the first, .23 and .04 for the second: .67 + .23 is the most, but .23 is beyond the gate.
     let states = [object(at(0.5, 0.1), 1), object(at(0.572, 0.1), 1)];
     let detections = [detection(at(0.51, 0.1)), detection(at(0.48, 0.1))];
     for (gate, first) in [

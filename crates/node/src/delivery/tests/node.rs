@@ -16,8 +16,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 use uuid::{Builder, Uuid};
 
-/// Opens something that locks its folder. A program started by another test shares the lock between fork and exec, for less
-/// than 20 seconds.
+/// Opens something that locks its folder; a program that another test starts shares the lock between fork and exec.
 pub(super) fn until_unlocked<T>(open: impl Fn() -> Result<T, NodeError>) -> T {
     let began = Instant::now();
     loop {

@@ -281,9 +281,8 @@ impl PowerPast {
         let mut pieces = self.hour.read(now);
         // The open one.
         pieces.pop();
-        let pieces = pieces
-            .into_iter()
-            .filter(|(_, piece)| !piece.watts.is_empty());
+        let pieces = pieces.into_iter();
+        let pieces = pieces.filter(|(_, piece)| !piece.watts.is_empty());
         let pieces = pieces.map(|(at_ms, piece)| PowerPiece { at_ms, ..piece });
         pieces.collect()
     }

@@ -61,8 +61,7 @@ fn read(head: &Head, outputs: &[(&[i64], &[f32])]) -> (u64, Vec<Candidate>) {
     (head.read(&views, 0.5, &mut candidates).unwrap(), candidates)
 }
 
-/// What one of the [`heads`] with one output reads from these rows of numbers, all others being 0. The numbers of a row
-/// are `step` apart.
+/// What one of the [`heads`] with one output reads from these rows of numbers `step` apart, all others being 0.
 fn read_rows(name: HeadName, step: usize, rows: &[(usize, &[f32])]) -> (u64, Vec<Candidate>) {
     let (head, shapes) = heads().into_iter().find(|one| one.0.name == name).unwrap();
     let mut values = vec![0.0; shapes[0].iter().product::<i64>() as usize];
