@@ -57,7 +57,7 @@ for day in range(today - days, today):
         SELECT {', '.join(VALUES[column] for column in columns)} FROM x""")
     print(f"day {day - today + days + 1} of {days}", file=sys.stderr)
 db.execute("INSERT INTO report_ids (day, id) SELECT day, report_id FROM clips ORDER BY 1, 2")
-for table, seconds in (("sums_5m", 300), ("sums_day", 86400)):
+for table, seconds in (("sums_5m", 300), ("sums_hour", 3600)):
     add = re.sub(r"\$(\d)", r"?\1", f"INSERT INTO {table}" + read("sql/add_sums.sql"))
     db.execute(add, (0, seconds, 1 << 62))
 made = nodes * days * clips
@@ -65,7 +65,7 @@ now_ms = int(time.time() * 1000)
 db.execute("""INSERT INTO report_counts (node_id, first_ms, last_ms, stored, highest)
     SELECT id, ?, ?, ?, ? FROM nodes""", (now_ms - days * DAY_MS, now_ms, days * clips, days * clips))
 db.commit()
-tables = ("clips", "clips_by_camera", "report_ids", "sums_5m", "sums_day")
+tables = ("clips", "clips_by_camera", "report_ids", "sums_5m", "sums_hour")
 for name, size in db.execute("SELECT name, sum(pgsize) FROM dbstat GROUP BY 1 ORDER BY 2 DESC"):
     if name in tables:
         print(f"{name:<16} {size / made:6.1f} bytes a clip")

@@ -130,7 +130,7 @@ impl Default for PresenceConfig {
 pub struct HistoryConfig {
     /// Days that individual clips are kept.
     pub clips_days: u32,
-    /// Days that five-minute sums are kept. Daily sums are kept for ever.
+    /// Days that five-minute sums are kept. Hourly sums are kept for ever.
     pub five_minutes_days: u32,
     /// Days that events and changes are kept.
     pub events_days: u32,
@@ -142,7 +142,7 @@ impl Default for HistoryConfig {
     fn default() -> Self {
         Self {
             clips_days: 14,
-            five_minutes_days: 180,
+            five_minutes_days: 14,
             events_days: 90,
             set_aside_days: 90,
         }

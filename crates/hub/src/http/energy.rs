@@ -11,12 +11,14 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 const DAY: i64 = 86_400;
+const HOUR: i64 = 3600;
 const FIVE_MINUTES: i64 = 300;
 
 /// Sums by group and quality.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct Energy {
-    /// The spans that were summed: days if the requested times are whole days, else five minutes.
+    /// The spans that were summed: hours if the requested times are whole hours, or so old that sums over five minutes are no
+    /// longer kept; else five minutes.
     pub resolution: Resolution,
     /// The beginning of the first span, milliseconds since the Unix epoch.
     pub since_ms: i64,
@@ -43,9 +45,11 @@ pub(super) async fn sums(
 ) -> Result<Json<Energy>, Problem> {
     let now_s = unix_milliseconds().div_euclid(1000);
     let asked = [wanted.since_ms, wanted.until_ms].map(|ms| Some(ms?.div_euclid(1000)));
-    let whole_days = asked.iter().flatten().all(|time| time.rem_euclid(DAY) == 0);
-    let (resolution, span) = match whole_days {
-        true => (Resolution::Day, DAY),
+    let mut times = asked.iter().flatten();
+    let whole_hours = times.all(|time| time.rem_euclid(HOUR) == 0);
+    let kept_s = now_s - i64::from(view.five_minutes_days) * DAY;
+    let (resolution, span) = match whole_hours || asked[0].is_some_and(|since| since < kept_s) {
+        true => (Resolution::Hour, HOUR),
         false => (Resolution::FiveMinutes, FIVE_MINUTES),
     };
     let down = |time: i64| time.div_euclid(span).saturating_mul(span);

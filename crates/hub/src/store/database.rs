@@ -9,15 +9,15 @@ use serde_json::{Value, json};
 use std::collections::{BTreeSet, HashMap, HashSet};
 use uuid::Uuid;
 
-/// The statements that add clips to sums, with the length of their spans in seconds; days are in UTC.
+/// The statements that add clips to sums, with the length of their spans in seconds.
 const ADD_SUMS: [(&str, i64); 2] = [
     (
         concat!("INSERT INTO sums_5m", include_str!("sql/add_sums.sql")),
         300,
     ),
     (
-        concat!("INSERT INTO sums_day", include_str!("sql/add_sums.sql")),
-        86_400,
+        concat!("INSERT INTO sums_hour", include_str!("sql/add_sums.sql")),
+        3600,
     ),
 ];
 
@@ -238,11 +238,12 @@ impl dyn Database + '_ {
 
     /// Inserts clips, and adds them to the sums of their cameras and of the fleet.
     pub(crate) fn insert_clips(&mut self, clips: Vec<Row>) -> Result<(), StoreError> {
-        let ids = self.insert_rows("clips", clips, "RETURNING id")?;
-        let ids = ids.iter().filter_map(|row| row.get("id")?.as_i64());
-        let Some(first) = ids.min() else {
+        if clips.is_empty() {
             return Ok(());
-        };
+        }
+        let last = self.number("SELECT max(id) FROM clips", &[])?;
+        let first = last.unwrap_or(0) + 1;
+        self.insert_rows("clips", clips, "")?;
         for (text, seconds) in ADD_SUMS {
             self.query(text, &[first.into(), seconds.into(), LARGEST_SUM.into()])?;
         }

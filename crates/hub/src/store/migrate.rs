@@ -3,7 +3,7 @@
 use super::{Database, Kind, Row, StoreError};
 
 /// The version of the tables, which the schemas store.
-const VERSION: i64 = 13;
+const VERSION: i64 = 14;
 
 /// Creates the tables if there are none.
 pub(super) fn migrate(database: &mut dyn Database) -> Result<(), StoreError> {

@@ -36,8 +36,8 @@ pub enum EnergyBy {
 pub enum Resolution {
     /// Five minutes.
     FiveMinutes,
-    /// Days, UTC.
-    Day,
+    /// Hours.
+    Hour,
 }
 
 /// The order of the groups.
@@ -113,7 +113,7 @@ pub struct EnergyGroup {
     pub audit_counts: AuditReport,
 }
 
-const DAYS: &str = "(SELECT d.*, '' AS clip FROM sums_day d)";
+const HOURS: &str = "(SELECT h.*, '' AS clip FROM sums_hour h)";
 const FIVE_MINUTES: &str = "(SELECT f.*, '' AS clip FROM sums_5m f)";
 /// Single clips, in the columns of sums.
 const CLIPS: &str = "(SELECT c.*, c.at_ms / 1000 AS bucket_s, CASE c.part WHEN 0 THEN 1 ELSE 0 END AS clips, \
@@ -139,7 +139,7 @@ impl Store {
         let table = match (wanted.by, resolution) {
             (EnergyBy::Clip, _) => CLIPS,
             (_, Resolution::FiveMinutes) => FIVE_MINUTES,
-            (_, Resolution::Day) => DAYS,
+            (_, Resolution::Hour) => HOURS,
         };
         let cameras = match (&wanted.node, wanted.by) {
             (Some(_), _) => CAMERAS_OF_NODE,

@@ -110,8 +110,10 @@ const CLIPS: &str = concat!(
 );
 const CLIPS_OF_NODE: &str = concat!(
     include_str!("../sql/clips.sql"),
-    "AND c.camera_id IN (SELECT k.id FROM cameras k JOIN nodes o ON o.id = k.node_id \
-     WHERE o.name = $5 AND ($6 = '' OR k.name = $6)) ORDER BY c.id DESC LIMIT $4"
+    // From the index alone: the clips of a camera lie far apart.
+    "AND c.id IN (SELECT x.id FROM clips x WHERE x.camera_id IN (SELECT k.id FROM cameras k JOIN nodes o ON o.id = k.node_id \
+     WHERE o.name = $5 AND ($6 = '' OR k.name = $6)) AND x.id < $1 AND x.at_ms >= $2 AND x.at_ms < $3 \
+     ORDER BY x.id DESC LIMIT $4) ORDER BY c.id DESC"
 );
 
 /// An event.

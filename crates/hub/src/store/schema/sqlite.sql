@@ -4,7 +4,7 @@
 
 -- The program and the version of these tables.
 CREATE TABLE hub_meta (key TEXT NOT NULL PRIMARY KEY, value TEXT NOT NULL);
-INSERT INTO hub_meta (key, value) VALUES ('program', 'albireo-hub'), ('version', '13');
+INSERT INTO hub_meta (key, value) VALUES ('program', 'albireo-hub'), ('version', '14');
 
 CREATE TABLE nodes (
     id INTEGER PRIMARY KEY AUTOINCREMENT,
@@ -156,8 +156,8 @@ CREATE TABLE sums_5m (
     PRIMARY KEY (camera_id, bucket_s, setup_id, quality)
 ) WITHOUT ROWID;
 
--- The same over a day of UTC.
-CREATE TABLE sums_day (
+-- The same over an hour.
+CREATE TABLE sums_hour (
     bucket_s BIGINT NOT NULL,
     camera_id BIGINT NOT NULL,
     setup_id BIGINT NOT NULL,

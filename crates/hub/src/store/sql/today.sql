@@ -6,6 +6,6 @@ SELECT n.name AS node,
        SUM(CAST(t.audit_paired AS DOUBLE PRECISION)) / NULLIF(SUM(CAST(t.audit_detected AS DOUBLE PRECISION)), 0) AS recall
 FROM cameras c
 JOIN nodes n ON n.id = c.node_id
-JOIN sums_day t ON t.camera_id = c.id
-WHERE t.bucket_s = $1
+JOIN sums_hour t ON t.camera_id = c.id
+WHERE t.bucket_s >= $1 AND t.bucket_s < $1 + 86400
 GROUP BY n.name

@@ -214,8 +214,8 @@ impl Hub {
         for table in [
             "sums_5m WHERE camera_id > 0",
             "sums_5m WHERE camera_id = 0",
-            "sums_day WHERE camera_id > 0",
-            "sums_day WHERE camera_id = 0",
+            "sums_hour WHERE camera_id > 0",
+            "sums_hour WHERE camera_id = 0",
         ] {
             assert_eq!(sums(table, "clips"), clips, "{table}");
         }
