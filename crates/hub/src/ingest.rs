@@ -1,7 +1,7 @@
 //! Stores the nodes' reports, each exactly once.
 //!
 //! Zenoh's thread only puts a query into a bounded queue, and answers "busy" when it is full or when the node has sent
-//! more than its share. One thread parses the batches and commits them, at most every `ingest.commit_ms`, and the answer
+//! more than its share. One thread parses the batches, another commits them, at most every `ingest.commit_ms`, and the answer
 //! is sent after the commit: a slow or absent database delays acknowledgements but never fills the memory.
 
 mod clip;

@@ -1,4 +1,4 @@
-//! The queue of batches, and the thread that parses them, commits them and queues the answers.
+//! The queue of batches, the thread that parses them, and the thread that commits them and queues the answers.
 
 use super::decode::{Batch, decode};
 use super::limits::{BUSY_RETRY, NodeLimits};
@@ -12,7 +12,7 @@ use albireo_service::clock::{Now, unix_milliseconds};
 use albireo_wire::{NodeKeys, RefusalReason};
 use bytes::Bytes;
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, channel, sync_channel};
 use std::time::{Duration, Instant};
 use tokio::task::spawn_blocking;
 use zenoh::query::Query;
@@ -105,7 +105,7 @@ impl Shared {
     }
 }
 
-/// Starts the thread, and returns what queues a batch for it. Once that is dropped and the queue is empty, the thread ends
+/// Starts the threads, and returns what queues a batch for them. Once that is dropped and the queue is empty, the threads end
 /// and the returned future completes.
 pub(crate) fn start(
     config: &HubConfig,
@@ -115,6 +115,10 @@ pub(crate) fn start(
 ) -> (impl Fn(Query) + use<>, impl Future<Output = ()> + use<>) {
     // It is bounded by the places in `IngestCounters`.
     let (queue, waiting) = channel();
+    // A group is handed over when the one before it is written.
+    let (groups, parsed) = sync_channel(0);
+    let pause = Duration::from_millis(config.ingest.commit_ms);
+    spawn_blocking(move || gather(&waiting, &groups, pause));
     let shared = Shared {
         limits: Arc::new(NodeLimits::new(config.ingest.camera_bytes_per_day)),
         replies: replies.clone(),
@@ -122,56 +126,68 @@ pub(crate) fn start(
     };
     let writer = Writer {
         recorder: Recorder::new(store, &config.history, Now::system()),
-        pause: Duration::from_millis(config.ingest.commit_ms),
         shared: shared.clone(),
     };
-    let writing = spawn_blocking(move || writer.run(&waiting));
+    let writing = spawn_blocking(move || writer.run(&parsed));
     let ended = async move {
         let _ = writing.await;
     };
     (move |query| shared.take(query, &queue), ended)
 }
 
+/// Batches, each parsed, or with the reason that it cannot be read.
+type Group = Vec<(Waiting, Result<Batch, String>)>;
+
+/// Parses batches and hands them over in groups, at most one in each `pause`, until the queue is dropped and empty. Without
+/// batches it hands over empty groups, with which changes of presence are written.
+fn gather(queue: &Receiver<Waiting>, groups: &SyncSender<Group>, pause: Duration) {
+    let (mut due, mut ended) = (Instant::now(), false);
+    while !ended {
+        let mut next = queue.recv_timeout(IDLE.max(pause));
+        ended = matches!(next, Err(RecvTimeoutError::Disconnected));
+        let (mut group, mut reports, mut bytes) = (Group::new(), 0, 0);
+        while let Ok(waiting) = next {
+            let batch = decode(&waiting.node, &waiting.payload, unix_milliseconds());
+            reports += batch.as_ref().map_or(0, |batch| batch.reports.len());
+            bytes += batch.as_ref().map_or(0, |batch| batch.bytes);
+            group.push((waiting, batch));
+            if reports >= COMMIT_REPORTS || bytes >= COMMIT_BYTES {
+                break;
+            }
+            next = queue.recv_timeout(due.saturating_duration_since(Instant::now()));
+        }
+        // Without a writer the hub is stopping.
+        ended |= groups.send(group).is_err();
+        due = Instant::now() + pause;
+    }
+}
+
 /// Commits batches and changes of presence.
 struct Writer {
     recorder: Recorder,
-    /// Shortest time between two commits.
-    pause: Duration,
     shared: Shared,
 }
 
 impl Writer {
-    /// Runs until the queue is dropped and empty.
-    fn run(mut self, queue: &Receiver<Waiting>) {
-        loop {
-            let first = queue.recv_timeout(IDLE.max(self.pause));
-            let begun = Instant::now();
-            let since = first.as_ref().map_or(begun, |oldest| oldest.since);
+    /// Runs until no more groups come.
+    fn run(mut self, groups: &Receiver<Group>) {
+        for group in groups {
+            let oldest = group.first().map(|(oldest, _)| oldest.since);
+            let since = oldest.unwrap_or_else(Instant::now);
             self.shared.view.ingest.writing(Some(since));
-            let ended = matches!(first, Err(RecvTimeoutError::Disconnected));
             let (mut waiting, mut batches) = (Vec::new(), Vec::new());
-            let (mut reports, mut bytes) = (0, 0);
-            let mut next = first.ok();
-            while let Some(one) = next {
-                match decode(&one.node, &one.payload, unix_milliseconds()) {
+            for (one, batch) in group {
+                match batch {
                     Ok(batch) => {
                         self.shared.limits.charge(&one.node, batch.bytes);
-                        reports += batch.reports.len();
-                        bytes += batch.bytes;
                         waiting.push(one);
                         batches.push(batch);
                     }
                     Err(error) => self.unreadable(one, &error),
                 }
-                let full = reports >= COMMIT_REPORTS || bytes >= COMMIT_BYTES;
-                next = if full { None } else { queue.try_recv().ok() };
             }
             self.commit(waiting, &batches);
             self.shared.view.ingest.writing(None);
-            if ended {
-                return;
-            }
-            std::thread::sleep(self.pause.saturating_sub(begun.elapsed()));
         }
     }
 
