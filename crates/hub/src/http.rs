@@ -61,6 +61,8 @@ pub struct HubView {
     prefix: Arc<str>,
     /// Limits the number of readers that watch nodes at a time.
     live: Arc<Semaphore>,
+    /// Days that five-minute sums are kept.
+    five_minutes_days: u32,
     /// The configuration without its secrets.
     config: Arc<serde_json::Value>,
     started: Instant,
@@ -79,6 +81,7 @@ impl HubView {
             session: Arc::default(),
             prefix: config.hub.prefix.as_str().into(),
             live: Arc::new(Semaphore::new(live::MOST_LIVE)),
+            five_minutes_days: config.history.five_minutes_days,
             config: Arc::new(diag::without_secrets(config)),
             started: Instant::now(),
         }
@@ -87,6 +90,7 @@ impl HubView {
     /// The answer to a pull of `node`: its desired setting, and true if it should send its full status.
     pub(crate) fn desired(&self, node: &str) -> Desired {
         Desired {
+            heartbeat_s: Some(self.fleet.heartbeat_s()),
             send_full_status: self.fleet.needs_full_status(node),
             ..self.desires.of(node)
         }

@@ -1,5 +1,4 @@
-//! Values reach nodes; rollouts advance, return and survive a restart; trials compare values. The nodes are simulated, over
-//! real sessions.
+//! Values reach simulated nodes; rollouts advance, return and survive a restart; trials compare values.
 
 use crate::support::postgres::Postgres;
 use crate::support::{
@@ -25,7 +24,7 @@ pub(crate) fn fleet(nodes: usize) -> Options {
         nodes,
         sessions: 2.min(nodes),
         duration: Duration::from_secs(600),
-        status_s: 0.5,
+        status_s: Some(0.5),
         clip_s: 0.2,
         gather: 1,
         drain: Duration::from_secs(10),

@@ -49,6 +49,8 @@ pub(crate) struct SimNode {
     target: Option<NodeTarget>,
     seq: u64,
     full_due: bool,
+    /// Seconds between two heartbeats.
+    pub(crate) heartbeat_s: f64,
 }
 
 impl SimNode {
@@ -75,6 +77,7 @@ impl SimNode {
             target: None,
             seq: 0,
             full_due: true,
+            heartbeat_s: options.status_s.unwrap_or(30.0),
             seed,
         }
     }
@@ -105,6 +108,8 @@ impl SimNode {
     /// Applies a desired setting. Returns true if the status must be sent immediately.
     pub(crate) fn take(&mut self, desired: &Desired) -> bool {
         self.full_due |= desired.send_full_status;
+        let wanted_s = desired.heartbeat_s.unwrap_or(30).into();
+        self.heartbeat_s = self.options.status_s.unwrap_or(wanted_s);
         let refused_revision = self.refused.as_ref().map_or(0, |refused| refused.revision);
         if desired.revision <= self.revision.max(refused_revision) {
             return desired.send_full_status;

@@ -35,9 +35,9 @@ pub struct Options {
     /// Duration after all sessions are open, seconds.
     #[arg(long = "seconds", default_value = "60", value_name = "SECONDS", value_parser = seconds)]
     pub duration: Duration,
-    /// Seconds between two heartbeats.
-    #[arg(long = "status-seconds", help_heading = REPORTS, default_value_t = 30.0)]
-    pub status_s: f64,
+    /// Seconds between two heartbeats, instead of those that the hub wants.
+    #[arg(long = "status-seconds", help_heading = REPORTS)]
+    pub status_s: Option<f64>,
     /// Length of a clip, seconds.
     #[arg(long = "clip-seconds", help_heading = REPORTS, default_value_t = 40.0)]
     pub clip_s: f64,
@@ -105,7 +105,12 @@ impl Options {
         let (nodes, sessions) = (self.nodes as f64, self.sessions as f64);
         within("nodes", nodes, 1.0, MOST_NODES as f64)?;
         within("sessions", sessions, 1.0, nodes.min(MOST_SESSIONS as f64))?;
-        within("status-seconds", self.status_s, 0.1, 86_400.0)?;
+        within(
+            "status-seconds",
+            self.status_s.unwrap_or(30.0),
+            0.1,
+            86_400.0,
+        )?;
         within("clip-seconds", self.clip_s, 0.1, 86_400.0)?;
         // More would not fit into the largest batch that a hub accepts.
         within("gather", self.gather as f64, 1.0, 500.0)?;

@@ -131,7 +131,7 @@ impl Player {
             .notices
             .then(|| self.hear(&notice))
             .transpose()?;
-        let status = Duration::from_secs_f64(self.options.status_s);
+        let status = Duration::from_secs_f64(self.node.heartbeat_s);
         let clip = Duration::from_secs_f64(self.options.clip_s);
         // Spreads the times of all nodes over the period.
         let name = self.node.name.bytes();
@@ -146,6 +146,7 @@ impl Player {
                 Some(Ok(asked)) = self.asked.join_next() => self.answered(asked, began),
                 () = notice.notified() => self.pull(),
                 () = sleep_until(next_status), if !self.ending => {
+                    let status = Duration::from_secs_f64(self.node.heartbeat_s);
                     // All nodes are known soon; from then on, their times are spread over the whole period.
                     let period = if next_status < began + FIRST_STATUSES { spread(status, 3) } else { status };
                     next_status += period.max(FIRST_STATUSES.min(status));

@@ -48,6 +48,8 @@ pub struct Desired {
     /// Remaining time for which the node is watched, seconds: until then it sends counters once per second. Absent if
     /// it is not watched.
     pub watched_for_s: Option<u32>,
+    /// Time between two heartbeats of the node, seconds, which is longer in a large fleet; 30 if it is absent.
+    pub heartbeat_s: Option<u32>,
     /// True if the hub missed a status and the node must send the full one.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub send_full_status: bool,
@@ -61,6 +63,7 @@ impl Desired {
             revision: 0,
             setting: None,
             watched_for_s: None,
+            heartbeat_s: None,
             send_full_status: false,
         }
     }

@@ -1,4 +1,4 @@
-//! The status of a node on `{prefix}/@status/{node}`: in full on a change, otherwise a heartbeat every 30 seconds.
+//! The status of a node on `{prefix}/@status/{node}`: in full on a change, otherwise a heartbeat at times.
 
 use crate::version::{MessageError, VERSION, check_version};
 use crate::{EnergyQuality, NodeTarget, Threshold};
@@ -32,7 +32,7 @@ pub struct StatusMessage {
     pub full: Option<Box<NodeStatus>>,
 }
 
-/// A short message, sent twice per minute if only the number of waiting reports has changed since the last status:
+/// A short message, sent at intervals if only the number of waiting reports has changed since the last status:
 /// about twenty bytes. On the wire it is the array `[v, run, seq, waiting]`, on the status key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Heartbeat {

@@ -2057,7 +2057,10 @@ export interface components {
             audit?: components["schemas"]["AuditFigures"] | null;
             /** @description One entry for each group and quality. */
             groups: components["schemas"]["EnergyGroup"][];
-            /** @description The spans that were summed: days if the requested times are whole days, else five minutes. */
+            /**
+             * @description The spans that were summed: hours if the requested times are whole hours, or so old that sums over five minutes are no
+             *     longer kept; else five minutes.
+             */
             resolution: components["schemas"]["Resolution"];
             /**
              * Format: int64
@@ -2545,7 +2548,7 @@ export interface components {
          * @description The length of the spans that were summed.
          * @enum {string}
          */
-        Resolution: "five_minutes" | "day";
+        Resolution: "five_minutes" | "hour";
         /** @description A change in stages. */
         RolloutPlan: components["schemas"]["Basics"] & {
             /**

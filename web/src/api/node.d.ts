@@ -2033,6 +2033,11 @@ export interface components {
         /** @description The answer with a node's desired setting. */
         Desired: {
             /**
+             * Format: int32
+             * @description Time between two heartbeats of the node, seconds, which is longer in a large fleet; 30 if it is absent.
+             */
+            heartbeat_s?: number | null;
+            /**
              * Format: int64
              * @description Revision of the desired setting; a lower one never replaces a higher one. 0 if there has never been one.
              */

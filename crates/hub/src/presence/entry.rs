@@ -1,7 +1,6 @@
 //! Keeps what the hub knows of one node, and judges its state.
 
 use super::node::{NodeView, PresenceState};
-use crate::config::PresenceConfig;
 use crate::store::row::beginning;
 use albireo_wire::HealthState;
 use std::time::{Duration, Instant};
@@ -85,7 +84,8 @@ impl Entry {
     pub(super) fn judge(
         &self,
         heard_ago: Option<Duration>,
-        config: &PresenceConfig,
+        silent_s: f64,
+        offline_s: f64,
     ) -> (PresenceState, String) {
         let Some(ago) = heard_ago else {
             let why = "no status was received yet";
@@ -96,8 +96,8 @@ impl Entry {
             return (PresenceState::Offline, why.to_owned());
         }
         for (state, limit_s) in [
-            (PresenceState::Offline, config.offline_after_s),
-            (PresenceState::Silent, config.silent_after_s),
+            (PresenceState::Offline, offline_s),
+            (PresenceState::Silent, silent_s),
         ] {
             if ago.as_secs_f64() >= limit_s {
                 return (state, format!("no status for {limit_s} s"));
@@ -106,12 +106,14 @@ impl Entry {
         if let Some((why, _)) = &self.identity {
             return (PresenceState::Degraded, why.clone());
         }
+        if self.health == HealthState::Ready {
+            return (PresenceState::Online, String::new());
+        }
         let status = self.node.status.as_ref();
         let reasons = status.map_or_else(String::new, |status| status.health.text());
         let why = match (self.health, reasons.as_str()) {
-            (HealthState::Ready, _) => return (PresenceState::Online, String::new()),
-            (HealthState::Degraded, "") => "a part does not work".to_owned(),
             (HealthState::NotReady, "") => "it does not answer frames".to_owned(),
+            (_, "") => "a part does not work".to_owned(),
             _ => beginning(&reasons),
         };
         (PresenceState::Degraded, why)

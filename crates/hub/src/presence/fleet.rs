@@ -15,6 +15,15 @@ use std::time::{Duration, Instant};
 const NOTIFY_EVERY: Duration = Duration::from_secs(5);
 /// Most nodes written in one transaction.
 const MOST_WRITTEN: usize = 2000;
+/// A fleet sends about this many heartbeats per second, as far as that is possible with the times below.
+const HEARTBEATS_PER_S: usize = 200;
+/// Shortest and longest time between two heartbeats of a node, seconds. The time limits of `[presence]` are for the shortest.
+const HEARTBEAT_S: (u32, u32) = (30, 120);
+
+/// The time between two heartbeats of a node in a fleet of so many nodes, seconds.
+fn heartbeat_s(nodes: usize) -> u32 {
+    ((nodes / HEARTBEATS_PER_S) as u32).clamp(HEARTBEAT_S.0, HEARTBEAT_S.1)
+}
 
 /// All nodes.
 #[derive(Debug, Default)]
@@ -36,9 +45,8 @@ impl Fleet {
 
     /// Adds nodes that were read from the database. The time limits of a node that was online begin at `now`.
     pub fn remember(&self, nodes: Vec<NodeView>, now: Instant) {
-        let entries = nodes
-            .into_iter()
-            .map(|node| (node.node.clone(), Entry::remembered(node, now)));
+        let nodes = nodes.into_iter();
+        let entries = nodes.map(|node| (node.node.clone(), Entry::remembered(node, now)));
         self.nodes.write().extend(entries);
     }
 
@@ -86,6 +94,7 @@ impl Fleet {
     /// nothing new of a known run. Returns true if the node should be asked for a full status.
     fn heard(&self, node: &str, now: Now, take: impl FnOnce(&mut Entry) -> Option<bool>) -> bool {
         let mut nodes = self.nodes.write();
+        let heartbeat_s = heartbeat_s(nodes.len());
         let entry = (nodes.entry(node.to_owned())).or_insert_with(|| Entry::new(node, now.unix_ms));
         if let Some(changed) = take(entry) {
             entry.heard = Some(now.at);
@@ -94,7 +103,7 @@ impl Fleet {
             if changed {
                 self.dirty.lock().insert(node.to_owned());
             }
-            self.settle(entry, now);
+            self.settle(entry, heartbeat_s, now);
         }
         let is_due = |notified| now.at.saturating_duration_since(notified) >= NOTIFY_EVERY;
         let ask = entry.needs_full && entry.notified.is_none_or(is_due);
@@ -131,8 +140,10 @@ impl Fleet {
 
     /// Finds the nodes that have become silent or offline.
     pub fn sweep(&self, now: Now) {
-        for entry in self.nodes.write().values_mut() {
-            self.settle(entry, now);
+        let mut nodes = self.nodes.write();
+        let heartbeat_s = heartbeat_s(nodes.len());
+        for entry in nodes.values_mut() {
+            self.settle(entry, heartbeat_s, now);
         }
     }
 
@@ -145,8 +156,15 @@ impl Fleet {
         }
     }
 
+    /// The time between two heartbeats of a node, seconds.
+    pub(crate) fn heartbeat_s(&self) -> u32 {
+        heartbeat_s(self.nodes.read().len())
+    }
+
     /// Judges a node's state, and notes a change.
-    fn settle(&self, entry: &mut Entry, now: Now) {
+    fn settle(&self, entry: &mut Entry, heartbeat_s: u32, now: Now) {
+        let slower = f64::from(heartbeat_s) / f64::from(HEARTBEAT_S.0);
+        let silent_s = self.config.silent_after_s * slower;
         entry.identity.take_if(|(_, until)| *until <= now.at);
         let heard_ago = match (entry.heard, entry.node.heard_ms) {
             (Some(heard), _) => Some(now.at.saturating_duration_since(heard)),
@@ -156,10 +174,11 @@ impl Fleet {
             (None, Some(_)) if entry.node.state == PresenceState::Offline => return,
             (None, Some(heard_ms)) => {
                 let ago = Duration::from_millis((now.unix_ms - heard_ms).max(0).unsigned_abs());
-                Some(ago.max(Duration::from_secs_f64(self.config.silent_after_s)))
+                Some(ago.max(Duration::from_secs_f64(silent_s)))
             }
         };
-        let (state, why) = entry.judge(heard_ago, &self.config);
+        let offline_s = self.config.offline_after_s * slower;
+        let (state, why) = entry.judge(heard_ago, silent_s, offline_s);
         let node = &mut entry.node;
         if state != node.state {
             node.since_ms = now.unix_ms;

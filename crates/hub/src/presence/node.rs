@@ -96,9 +96,8 @@ impl NodeView {
 
     /// Its target, or its threshold if it holds no target.
     pub(crate) fn setting(&self) -> Option<DesiredSetting> {
-        let target = self
-            .target()
-            .map(|target| DesiredSetting::Target(Some(target)));
+        let target = self.target();
+        let target = target.map(|target| DesiredSetting::Target(Some(target)));
         target.or_else(|| self.threshold().map(DesiredSetting::Threshold))
     }
 

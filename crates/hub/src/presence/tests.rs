@@ -33,7 +33,6 @@ fn the_state_follows_the_table_in_the_documentation() {
     let unheard = (None, well(0).1);
     let mut token_gone = well(1);
     token_gone.1.token_gone = true;
-    let config = PresenceConfig::default();
     let gone = "its liveliness token disappeared: it stopped, or its connection broke";
     for ((ago, node), state, why) in [
         (unheard, Silent, "no status was received yet"),
@@ -51,7 +50,7 @@ fn the_state_follows_the_table_in_the_documentation() {
         (twin(95, Ready, ""), Silent, "no status for 95 s"),
     ] {
         let expected = (state, why.to_owned());
-        assert_eq!(node.judge(ago, &config), expected, "{ago:?} {node:?}");
+        assert_eq!(node.judge(ago, 95.0, 600.0), expected, "{ago:?} {node:?}");
     }
 }
 
@@ -147,4 +146,19 @@ fn a_heartbeat_confirms_the_last_status_of_its_run_and_another_run_requests_the_
     assert!(fleet.alive("a", other, at(200)));
     assert!(fleet.alive("b", other, at(200)));
     assert_eq!(fleet.view("b").unwrap().state, PresenceState::Silent);
+}
+
+#[test]
+fn in_a_large_fleet_heartbeats_are_rarer_and_a_node_is_silent_later() {
+    let fleet = Fleet::new(&PresenceConfig::default());
+    let start = Instant::now();
+    let at = |seconds| after(start, seconds);
+    for node in 0..12_000 {
+        fleet.apply_status(&node.to_string(), life(0), at(0));
+    }
+    for (seconds, state) in [(189, PresenceState::Online), (191, PresenceState::Silent)] {
+        fleet.sweep(at(seconds));
+        assert_eq!(fleet.heartbeat_s(), 60);
+        assert_eq!(fleet.view("7").unwrap().state, state);
+    }
 }

@@ -12,7 +12,7 @@ use utoipa::ToSchema;
 /// Pause between two reads: at least this long, and at least this many times as long as the last read, so that a large
 /// fleet is read less often.
 const PAUSE: Duration = Duration::from_secs(10);
-const PAUSE_TIMES: u32 = 50;
+const PAUSE_TIMES: u32 = 200;
 
 /// The energy and skip rate of a node's clips of today. Measured and estimated energy are never added.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]

@@ -254,9 +254,7 @@ impl Worker {
             Asked::Pull => self.schedule.pull_ended(&ended, now),
         }
         let Ok(Some(desired)) = ended else { return };
-        if desired.send_full_status {
-            self.status_sender.full_is_due();
-        }
+        self.status_sender.follow(&desired);
         if let Some(seconds) = desired.watched_for_s {
             self.watched.extend(seconds);
         }

@@ -4,8 +4,8 @@ use super::desired::known;
 use crate::state::board::{Board, provider};
 use albireo_service::clock::Now;
 use albireo_wire::{
-    CameraState, CameraStatus, Heartbeat, NodeStatus, RefusedDesired, StatusMessage, TargetStatus,
-    VERSION,
+    CameraState, CameraStatus, Desired, Heartbeat, NodeStatus, RefusedDesired, StatusMessage,
+    TargetStatus, VERSION,
 };
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -13,8 +13,9 @@ use std::time::{Duration, Instant};
 /// A camera without a frame for this long is stale.
 const STALE: Duration = Duration::from_secs(10);
 
-/// The time between two heartbeats to the hub.
-const EVERY: Duration = Duration::from_secs(30);
+/// Seconds between two heartbeats, and the most to which a hub may lengthen them.
+const HEARTBEAT_S: u32 = 30;
+const LONGEST_S: u32 = 600;
 
 /// The shortest time between two messages, even if more changes in between.
 const LEAST_PAUSE: Duration = Duration::from_secs(1);
@@ -28,6 +29,8 @@ pub(in crate::delivery) struct StatusSender {
     /// The last full status sent, without figures; `None` if the next must be full.
     last: Option<NodeStatus>,
     sent_at: Option<Instant>,
+    /// Seconds between two heartbeats.
+    heartbeat_s: u32,
 }
 
 impl StatusSender {
@@ -40,12 +43,22 @@ impl StatusSender {
             seq: 0,
             last: None,
             sent_at: None,
+            heartbeat_s: HEARTBEAT_S,
         }
     }
 
     /// Makes the next status a full one, and due soon.
     pub(in crate::delivery) fn full_is_due(&mut self) {
         self.last = None;
+    }
+
+    /// Follows an answer of the hub.
+    pub(in crate::delivery) fn follow(&mut self, desired: &Desired) {
+        let wanted_s = desired.heartbeat_s.unwrap_or(HEARTBEAT_S);
+        self.heartbeat_s = wanted_s.clamp(HEARTBEAT_S, LONGEST_S);
+        if desired.send_full_status {
+            self.full_is_due();
+        }
     }
 
     /// Returns the payload of a message, if one is due: a full status after a change, and at intervals a heartbeat if
@@ -59,7 +72,7 @@ impl StatusSender {
         let status = self.status(board, known.refused);
         let lasting = without_figures(status.clone());
         let changed = self.last.as_ref() != Some(&lasting);
-        if !changed && since.is_some_and(|since| since < EVERY) {
+        if !changed && since.is_some_and(|since| since.as_secs() < self.heartbeat_s.into()) {
             return None;
         }
         let waiting = status.outbox.waiting;
@@ -138,4 +151,31 @@ fn without_figures(mut status: NodeStatus) -> NodeStatus {
         }
     }
     status
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::state::board::tests::{board_of, config};
+
+    #[test]
+    fn a_hub_makes_heartbeats_rarer_within_limits() {
+        let (board, mut now) = (board_of(&config(None, "albireo")), Now::system());
+        let mut sender = StatusSender::new(BTreeMap::new(), 1, now);
+        for (wanted_s, pause) in [
+            (None, 30),
+            (Some(1), 30),
+            (Some(120), 120),
+            (Some(900), 600),
+        ] {
+            let mut desired = Desired::nothing();
+            desired.heartbeat_s = wanted_s;
+            sender.due(now, &board).unwrap();
+            sender.follow(&desired);
+            now.at += Duration::from_secs(pause - 1);
+            assert_eq!(sender.due(now, &board), None, "{wanted_s:?}");
+            now.at += Duration::from_secs(1);
+        }
+        sender.due(now, &board).unwrap();
+    }
 }

@@ -198,8 +198,7 @@ impl Hub {
         self.last("revision")
     }
 
-    /// The database as a power cut may leave it: as it was at `before`, or after one of the commits since. `None` if the log was
-    /// checkpointed meanwhile.
+    /// The database as a power cut may leave it: as at `before` or after a commit since; `None` if it was checkpointed.
     pub(super) fn image_at_a_commit(&self, (file, log): Image, cut: u64) -> Option<Image> {
         let begin = log.len();
         let (now, mut log) = self.file.read();
@@ -233,8 +232,7 @@ impl Hub {
         self.file.other.query_row(text, [node], read).ok()
     }
 
-    /// Unanswered orders, running rollouts and trials, and nodes for which another value is desired than the result of the last
-    /// rollout or trial that asked them.
+    /// Unanswered orders, running rollouts and trials, and nodes whose desired value is not that of the last run that asked them.
     pub(super) fn unfinished(&self) -> Vec<String> {
         let mut wrong = Vec::new();
         let query = "SELECT count(*) FROM order_nodes WHERE outcome IN ('pending', 'waiting')";

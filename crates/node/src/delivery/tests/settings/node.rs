@@ -108,9 +108,7 @@ impl Node {
         let desired = answer.and_then(|answer| read_reply::<Desired>(Ok(answer)));
         node.schedule.pull_ended(&desired, now.at);
         let desired = desired.ok()?;
-        if desired.send_full_status {
-            node.statuses.full_is_due();
-        }
+        node.statuses.follow(&desired);
         if !take(&desired, &node.board) {
             return None;
         }
