@@ -50,10 +50,13 @@ pub(super) async fn page(view: &HubView) -> MetricsPage {
 }
 
 fn presence(page: &mut MetricsPage, view: &HubView) {
-    let (mut behind, mut waiting, mut targets) = (0, 0, [0; TargetStatus::ALL.len()]);
+    let (mut missing, mut behind, mut waiting) = (0, 0, 0);
+    let mut targets = [0; TargetStatus::ALL.len()];
     view.fleet.each(|node| {
         waiting += node.waiting;
         if !node.is_reachable() {
+            let expected = node.labels().get("expected");
+            missing += u32::from(expected.is_some_and(|when| when == "always"));
             return;
         }
         let desired = view.desires.get(&node.node);
@@ -62,6 +65,11 @@ fn presence(page: &mut MetricsPage, view: &HubView) {
             targets[target.status.unwrap_or(TargetStatus::Measuring) as usize] += 1;
         }
     });
+    page.gauge(
+        "albireo_hub_nodes_missing",
+        "Silent or offline nodes with the label expected = \"always\"",
+        f64::from(missing),
+    );
     page.gauge(
         "albireo_hub_nodes_behind",
         "Online or degraded nodes that do not have their desired setting yet",
