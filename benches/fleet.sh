@@ -82,14 +82,16 @@ fi
         case $line in *'sessions open'*) touch "$folder/open" ;; esac; echo "$line"; done) &
 simulator=$!
 cpu_s() { awk -v ticks="$(getconf CLK_TCK)" '{ print ($14 + $15) / ticks }' "/proc/$1/stat"; }
-# What each costs from when all sessions are open to the end of the load.
+# What each costs in the last two thirds of the load: at first all nodes announce themselves.
 (until [ -e "$folder/open" ]; do sleep 0.2; done
+ sleep $((seconds / 3))
  begun=()
  for one in "hub $hub_process" "router $router" "simulator $simulator"; do begun+=("$one $(cpu_s "${one#* }")"); done
- sleep "$seconds"
+ measured=$((seconds - seconds / 3))
+ sleep "$measured"
  for one in "${begun[@]}"; do
      read -r name pid before <<< "$one"
-     awk -v name="$name" -v used="$(cpu_s "$pid")" -v before="$before" -v seconds="$seconds" \
+     awk -v name="$name" -v used="$(cpu_s "$pid")" -v before="$before" -v seconds="$measured" \
          '/^VmRSS/ { now = $2 } /^VmHWM/ { most = $2 }
           END { printf "%-16s %.1f %% of a core, %.0f MB, at most %.0f MB\n", name, (used - before) / seconds * 100, now / 1e3, most / 1e3 }' \
          "/proc/$pid/status" || true
