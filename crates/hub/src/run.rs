@@ -60,9 +60,8 @@ pub async fn run(
     listener: TcpListener,
     shutdown: CancellationToken,
 ) -> Result<(), HubError> {
-    let address = listener
-        .local_addr()
-        .map_err(HubError::at("the listener has no address"))?;
+    let address = listener.local_addr();
+    let address = address.map_err(HubError::at("the listener has no address"))?;
     config.database.passwords().for_each(logging::conceal);
     let (desires, notices) = Desires::new();
     let view = HubView::new(config, desires, shutdown.clone());

@@ -117,9 +117,8 @@ async fn carry_out(
         )));
     }
     let tuner = Arc::clone(view.tuner()?);
-    let mut change = tuner
-        .change(setting, request, &caller.name, unix_milliseconds())
-        .await?;
+    let now = unix_milliseconds();
+    let mut change = (tuner.change(setting, request, &caller.name, now)).await?;
     if change.nodes.is_empty() {
         return Err(Problem::new(
             StatusCode::NOT_FOUND,
@@ -148,9 +147,8 @@ async fn carry_out(
 
 /// The lines as JSON.
 fn written<T: Serialize>(lines: &[T]) -> Result<String, serde_json::Error> {
-    let texts = lines
-        .iter()
-        .map(|line| Ok(serde_json::to_string(line)? + "\n"));
+    let texts = lines.iter();
+    let texts = texts.map(|line| Ok(serde_json::to_string(line)? + "\n"));
     texts.collect()
 }
 

@@ -58,15 +58,10 @@ pub(super) async fn stream(
     let store = view.store()?.clone();
     let newest = store.last_event().await?;
     let last = last_id.unwrap_or(newest);
-    let missed = if last > newest {
-        Some("the event is from another database".to_owned())
-    } else if newest.saturating_sub(last) > MOST_REPLAYED {
-        Some(format!(
-            "{} events were missed",
-            newest.saturating_sub(last)
-        ))
-    } else {
-        None
+    let missed = match newest.saturating_sub(last) {
+        ..0 => Some("the event is from another database".to_owned()),
+        0..=MOST_REPLAYED => None,
+        behind => Some(format!("{behind} events were missed")),
     };
     let last = if missed.is_some() { newest } else { last };
     let resync = missed.map(|reason| {
@@ -74,13 +69,11 @@ pub(super) async fn stream(
         event.json_data(json!({ "reason": reason }))
     });
     let news = stream::unfold((store, last), |(store, last)| async move {
-        let events = store
-            .events_after(last, STEP)
-            .await
-            .unwrap_or_else(|error| {
-                tracing::debug!(%error, "events cannot be read");
-                Vec::new()
-            });
+        let events = store.events_after(last, STEP).await;
+        let events = events.unwrap_or_else(|error| {
+            tracing::debug!(%error, "events cannot be read");
+            Vec::new()
+        });
         if events.is_empty() {
             tokio::time::sleep(LOOK).await;
         }

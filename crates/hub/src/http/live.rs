@@ -163,9 +163,8 @@ pub(super) async fn picture(
     })??;
     match reply.result() {
         Ok(sample) => {
-            let frame = sample
-                .attachment()
-                .and_then(|frame| frame.try_to_string().ok());
+            let frame = sample.attachment();
+            let frame = frame.and_then(|frame| frame.try_to_string().ok());
             let frame = frame.filter(|text| text.parse::<u64>().is_ok());
             let seq = frame.map_or_else(String::new, Into::into);
             let headers = [

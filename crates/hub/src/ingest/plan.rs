@@ -134,11 +134,8 @@ impl Counts {
             self.ranges.push(gap);
             return Seen::Gap(gap.0, gap.1);
         }
-        if let Some(place) = self
-            .ranges
-            .iter()
-            .position(|(first, last)| (*first..=*last).contains(&count))
-        {
+        let mut ranges = self.ranges.iter();
+        if let Some(place) = ranges.position(|(first, last)| (*first..=*last).contains(&count)) {
             let (first, last) = self.ranges.remove(place);
             let rest = [(first, count - 1), (count + 1, last)];
             let rest = rest.into_iter().filter(|(first, last)| first <= last);

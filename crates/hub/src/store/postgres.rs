@@ -136,9 +136,8 @@ fn storable(value: Value) -> Value {
 
 fn read(row: &PgRow) -> Result<Row, StoreError> {
     let columns = row.columns().iter().enumerate();
-    columns
-        .map(|(at, column)| Ok((column.name().to_owned(), cell(row, at)?)))
-        .collect()
+    let cells = columns.map(|(at, column)| Ok((column.name().to_owned(), cell(row, at)?)));
+    cells.collect()
 }
 
 fn cell(row: &PgRow, at: usize) -> Result<Value, StoreError> {

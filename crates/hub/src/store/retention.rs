@@ -66,7 +66,6 @@ pub(super) fn keep_days(
     today: i64,
 ) -> Result<(), StoreError> {
     let values = [table.into(), unit.into(), first.into(), today.into()];
-    database
-        .query("SELECT keep_days($1, $2, $3, $4)", &values)
-        .map(drop)
+    let kept = database.query("SELECT keep_days($1, $2, $3, $4)", &values);
+    kept.map(drop)
 }
