@@ -202,6 +202,29 @@ async fn the_diagnostic_archive_describes_the_hub() {
 #[rstest]
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs PostgreSQL"]
+async fn postgres_imports_the_history_and_settings_of_a_database_of_0_1() {
+    let folder = tempfile::tempdir().unwrap();
+    let old = rusqlite::Connection::open(folder.path().join("hub.db")).unwrap();
+    let dump = include_str!("../../../tests/fixtures/databases/hub-0.1.0.sql");
+    old.execute_batch(dump).unwrap();
+    let server = Postgres::start();
+    let to = config(&server.url());
+    let moved = transfer::to_postgres(&sqlite(folder.path()), &to.database, |_| ()).await;
+    assert_eq!(moved.unwrap(), 15);
+    let hub = Hub::start(to).await;
+    let sums = json!({"group": "car-7", "clips": 1, "frames": 5, "joules": 49.90478});
+    let energy = hub.get("/api/v1/energy?by=node&since_ms=0").await;
+    assert_has(&energy["groups"][0], &sums);
+    let setting = json!({"threshold": {"name": "u", "value": 5e-4}});
+    let change = json!({"revision": 3, "to": setting, "counts": {"applied": 1}});
+    assert_has(&hub.get("/api/v1/changes").await["changes"][0], &change);
+    assert_eq!(json!(hub.pull("car-7").await.setting), setting);
+    hub.stop().await;
+}
+
+#[rstest]
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs PostgreSQL"]
 async fn postgres_imports_a_sqlite_file_with_history_report_ids_and_revisions() {
     let folder = tempfile::tempdir().unwrap();
     let file = sqlite(folder.path());

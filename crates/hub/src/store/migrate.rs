@@ -40,7 +40,7 @@ pub(super) fn check(database: &mut dyn Database) -> Result<(), StoreError> {
         Some(VERSION) => Ok(()),
         Some(found) => Err(StoreError::Refused(format!(
             "the tables of the database have version {found}, and this albireo reads only version {VERSION}: run the older \
-             or newer one that wrote them, or set another database in database.url"
+             or newer one that wrote them, or set another database in database.url; of 0.1, `albireo hub move` keeps the history"
         ))),
         None => Err(stranger(
             "its table hub_meta is of another program".to_owned(),
@@ -52,7 +52,8 @@ pub(super) fn check(database: &mut dyn Database) -> Result<(), StoreError> {
 pub(super) fn tables(database: &mut dyn Database) -> Result<Vec<String>, StoreError> {
     let text = match database.kind() {
         Kind::Sqlite => {
-            "SELECT name FROM sqlite_master WHERE type = 'table' AND name NOT LIKE 'sqlite_%' ORDER BY rowid"
+            "SELECT name FROM sqlite_master WHERE type = 'table' AND name NOT LIKE 'sqlite_%' \
+             UNION ALL SELECT name FROM sqlite_temp_master WHERE name = 'sums_hour'"
         }
         Kind::Postgres => {
             "SELECT CAST(tablename AS TEXT) AS name FROM pg_tables WHERE schemaname = current_schema()"

@@ -22,8 +22,8 @@ pub struct Progress {
 }
 
 /// Copies everything in the file `from` into the database `to`, which must be empty: history, identities of reports
-/// and revisions. It copies all or nothing. The file is locked during the copy and not changed. Calls `progress` after each
-/// batch. Returns the number of rows.
+/// and revisions; of a database of albireo 0.1 what `sql/read_0_1.sql` names. It copies all or nothing. The file is locked
+/// during the copy and not changed. Calls `progress` after each batch. Returns the number of rows.
 ///
 /// # Errors
 /// [`StoreError::Refused`] when `from` is not the file of a hub of this version or `to` is not an empty PostgreSQL database;
@@ -42,11 +42,20 @@ pub async fn to_postgres(
     let (from, shown) = (from.to_owned(), to.shown());
     let timeout_ms = to.timeout_ms;
     let source = super::blocking(move || {
-        let mut source = Sqlite::open(&from, timeout_ms, Access::Write)
-            .map_err(|error| refused(&from, &error.to_string()))?;
+        let refused = |error: StoreError| {
+            let text = format!("{from} is not a hub's database that can be moved: {error}");
+            StoreError::Refused(text)
+        };
+        let mut source = Sqlite::open(&from, timeout_ms, Access::Write).map_err(refused)?;
         // Locks the file against writers.
         source.begin()?;
-        check(&mut source).map_err(|error| refused(&from, &error.to_string()))?;
+        let text = "SELECT 1 FROM hub_meta WHERE key = 'version' AND value BETWEEN '3' AND '5'";
+        let is_of_0_1 = source.number(text, &[]);
+        if is_of_0_1.is_ok_and(|found| found.is_some()) {
+            source.script(include_str!("sql/read_0_1.sql"))?;
+        } else {
+            check(&mut source).map_err(refused)?;
+        }
         Ok(source)
     });
     let source = source.await?;
@@ -57,12 +66,6 @@ pub async fn to_postgres(
         copy(source, &mut *target, &shown, &progress)
     });
     copied.await
-}
-
-fn refused(from: &str, what: &str) -> StoreError {
-    StoreError::Refused(format!(
-        "{from} is not a hub's database that can be moved: {what}"
-    ))
 }
 
 fn copy(
