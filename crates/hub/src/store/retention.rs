@@ -42,13 +42,16 @@ pub(crate) fn retain(
     let events = first(history.events_days);
     let aside = first(history.set_aside_days);
     let bounds = [clips, ids, ids, sums, events, events, events, aside];
-    let mut text = include_str!("sql/delete_old.sql").to_owned();
-    if database.kind() == Kind::Sqlite {
-        text = text.replace("_other", "");
-    }
+    let days = match database.kind() {
+        Kind::Sqlite => include_str!("sql/delete_days_sqlite.sql"),
+        Kind::Postgres => include_str!("sql/delete_days_postgres.sql"),
+    };
+    let texts = days
+        .split(';')
+        .chain(include_str!("sql/delete_old.sql").split(';'));
     database.begin()?;
     let mut most = 0;
-    for (text, bound) in text.split(';').zip(bounds) {
+    for (text, bound) in texts.zip(bounds) {
         most = most.max(database.query(text, &[bound.into()])?.len());
     }
     database.commit()?;

@@ -79,15 +79,14 @@ impl Sqlite {
         lists: impl IntoIterator<Item = Vec<&'v Value>>,
     ) -> Result<Vec<Row>, StoreError> {
         let mut statement = self.connection.prepare_cached(text)?;
+        // `$2` is the second parameter, wherever it is; a `?` is the next one.
+        let place = |at| Ok(statement.parameter_index(&format!("${at}"))?.unwrap_or(at));
+        let places = (1..=statement.parameter_count()).map(place);
+        let places: Vec<usize> = places.collect::<rusqlite::Result<_>>()?;
         let mut returned = Vec::new();
         for values in lists {
-            let (given, parameters) = (values.len(), statement.parameter_count());
-            if given != parameters {
-                let text = format!("{given} values for {parameters} parameters");
-                return Err(StoreError::Statement(text));
-            }
-            for (at, value) in values.into_iter().enumerate() {
-                statement.raw_bind_parameter(at + 1, Cell(value))?;
+            for (value, place) in values.into_iter().zip(&places) {
+                statement.raw_bind_parameter(*place, Cell(value))?;
             }
             for_each_row(&mut statement, &mut |row| {
                 returned.push(row);
@@ -122,8 +121,7 @@ impl Database for Sqlite {
             let is_over = move || begun.elapsed() > limit;
             self.connection.progress_handler(10_000, Some(is_over))?;
         }
-        // `?2` is the second parameter, wherever it is; `$2` would be a name.
-        self.run(&text.replace('$', "?"), [values.iter().collect()])
+        self.run(text, [values.iter().collect()])
     }
 
     fn each(&mut self, text: &str, rows: Vec<Row>) -> Result<Vec<Row>, StoreError> {
