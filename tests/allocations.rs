@@ -1,5 +1,4 @@
-//! The decision core allocates nothing per frame once its buffers have grown. The test is alone in its process, because
-//! dhat counts the allocations of the whole process.
+//! The decision core allocates nothing per frame once its buffers have grown. dhat counts the whole process: one test.
 
 #![allow(clippy::unwrap_used)]
 

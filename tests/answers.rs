@@ -58,8 +58,7 @@ impl Drive {
         }
     }
 
-    /// Sends these pictures in a loop, at the camera's pace, until a final answer `is_wanted`.
-    /// Returns the most frames answered between a frame and its final answer.
+    /// Sends these pictures in a loop until a final answer `is_wanted`; returns the most frames between a frame and that.
     async fn until(
         &mut self,
         pictures: &[Vec<u8>],

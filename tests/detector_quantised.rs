@@ -19,8 +19,7 @@ fn network(file: &str) -> DetectorNetwork {
     .unwrap()
 }
 
-/// The overlap of each detection in `sure` of confidence `SURE` with the nearest of `others`, and the difference of
-/// their confidences; `None` if it is missed.
+/// Overlap and difference of confidence of each detection in `sure` with the nearest of `others`; `None` if missed.
 fn agreement(sure: &[Detection], others: &[Detection]) -> Vec<Option<(f64, f64)>> {
     let sure = sure.iter().filter(|found| found.confidence >= SURE);
     sure.map(|wanted| {

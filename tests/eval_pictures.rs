@@ -1,5 +1,4 @@
-//! Evaluation on pictures: stored results replay to the same decisions, and these equal those of a policy that calls detector
-//! and screen frame by frame, as in the node.
+//! Evaluation on pictures: stored results replay to the same decisions as a policy that calls the models per frame.
 
 mod bad_input;
 mod live;
@@ -29,8 +28,7 @@ fn detector(name: &str) -> String {
     model(name).display().to_string()
 }
 
-/// Writes JPEG pictures. The confidences of the fixture detector are the means of the three colours, and the fixture screen
-/// calls a picture empty while red is below one half: here both vary.
+/// Writes JPEG pictures on which the fixture models' confidences (colours) and the screen (red below a half) vary.
 fn write_pictures(folder: &Path, frames: u32) {
     for frame in 0..frames {
         let red = if frame % 17 < 9 { 150 + frame % 50 } else { 30 };

@@ -1,5 +1,4 @@
-//! A small fleet of real processes (nodes with a detector, a router, a hub, a database server): no report is lost or
-//! stored twice when they are killed or frozen, or their disks are full.
+//! A small fleet of real processes: no report is lost or doubled when they are killed or frozen, or disks are full.
 
 use crate::support::camera::Camera;
 use crate::support::fleet::{HubProcess, Settings, behind, from_environment, router, sqlite};

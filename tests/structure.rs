@@ -7,8 +7,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::process::Command;
 
-/// All direct and indirect dependencies of the method. Each is part of every program that embeds the method: an API,
-/// command-line, runtime, network or file crate does not belong here.
+/// All direct and indirect dependencies of the method, each a part of every program that embeds it.
 const METHOD: &str = "albireo-core approx bytemuck matrixmultiply nalgebra num-complex num-integer num-rational num-traits \
     rawpointer safe_arch simba typenum wide itoa memchr serde serde_core serde_derive serde_json strsim zmij thiserror \
     thiserror-impl proc-macro2 quote syn unicode-ident";

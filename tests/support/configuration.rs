@@ -1,5 +1,4 @@
-//! Reads configurations, and the promises about the file that is shipped with a service. Its parent has the service's
-//! configuration as `Config`, and that file as `SHIPPED`.
+//! Reads configurations. Its parent has the service's configuration as `Config`, and the shipped file as `SHIPPED`.
 
 use super::{Config, SHIPPED};
 use albireo_service::config::ConfigError;

@@ -174,12 +174,9 @@ async fn parts(
     tasks.until_shutdown("readiness", readiness.clone().watch(Duration::from_secs(1)));
     let today = follow_today(Arc::clone(&view.fleet), store.clone());
     tasks.until_shutdown("today", today);
-    let reports = session
-        .declare_queryable(keys.report())
-        .complete(true)
-        .callback(take)
-        .await
-        .map_err(HubError::at("reports cannot be received"))?;
+    let reports = session.declare_queryable(keys.report()).complete(true);
+    let reports = reports.callback(take).await;
+    let reports = reports.map_err(HubError::at("reports cannot be received"))?;
     tasks.essential("tuning", tuning::follow(tuner, shutdown.clone()));
     // Known nodes report their state now instead of at their next interval.
     (view.fleet).each(|NodeView { node, .. }| view.desires.notify(node));

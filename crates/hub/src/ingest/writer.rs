@@ -172,8 +172,8 @@ impl Writer {
     /// Runs until no more groups come.
     fn run(mut self, groups: &Receiver<Group>) {
         for group in groups {
-            let oldest = group.first().map(|(oldest, _)| oldest.since);
-            let since = oldest.unwrap_or_else(Instant::now);
+            let first = group.first();
+            let since = first.map_or_else(Instant::now, |(oldest, _)| oldest.since);
             self.shared.view.ingest.writing(Some(since));
             let (mut waiting, mut batches) = (Vec::new(), Vec::new());
             for (one, batch) in group {

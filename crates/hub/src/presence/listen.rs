@@ -36,15 +36,14 @@ pub(crate) async fn listen(
     replies: Replies,
 ) -> Result<(Subscriber<()>, Subscriber<()>, Queryable<()>), HubError> {
     let hub = view.clone();
-    let statuses = session
-        .declare_subscriber(keys.status())
-        .callback(move |sample| {
-            if let Some(node) = NodeKeys::node_of(sample.key_expr().as_str()) {
-                hear(&hub, node, sample.payload());
-            }
-        })
-        .await
-        .map_err(HubError::at("status messages cannot be subscribed to"))?;
+    let statuses = session.declare_subscriber(keys.status());
+    let statuses = statuses.callback(move |sample| {
+        if let Some(node) = NodeKeys::node_of(sample.key_expr().as_str()) {
+            hear(&hub, node, sample.payload());
+        }
+    });
+    let statuses = statuses.await;
+    let statuses = statuses.map_err(HubError::at("status messages cannot be subscribed to"))?;
     let hub = view.clone();
     let tokens = session
         .liveliness()
@@ -58,9 +57,8 @@ pub(crate) async fn listen(
         .await
         .map_err(HubError::at("liveliness tokens cannot be watched"))?;
     let hub = view.clone();
-    let pulls = session
-        .declare_queryable(keys.pull())
-        .complete(true)
+    let pulls = session.declare_queryable(keys.pull()).complete(true);
+    let pulls = pulls
         .callback(move |mut query| {
             hub.ingest.count(|counts| counts.pulls += 1);
             // The query waits for its answer without it.

@@ -252,9 +252,8 @@ impl Tuner {
             }
         }
         if !events.is_empty() {
-            (self.store)
-                .write(move |writing| writing.insert("events", &events, ""))
-                .await?;
+            let written = (self.store).write(move |writing| writing.insert("events", &events, ""));
+            written.await?;
         }
         // Only after the events are stored: after an error the next call finds the drift again.
         for wanted in &drifted {

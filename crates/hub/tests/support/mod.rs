@@ -187,8 +187,7 @@ impl Hub {
 /// A day before the tests, when their reports begin.
 pub(crate) static YESTERDAY: LazyLock<u64> = LazyLock::new(|| now_ns() - 90_000_000_000_000);
 
-/// The report of clip `number` of a node, which began `number` × 40 s after `started_ns`. Every second one has an audit:
-/// ten boxes of the detector in four frames, of which nine or eight were shown.
+/// The report of clip `number`, which began `number` × 40 s after `started_ns`; every second one has an audit of ten boxes.
 pub(crate) fn report(node: &str, number: u64, started_ns: u64) -> ClipReport {
     use EnergyQuality::{Estimated, Measured, Partial};
     let begun_ns = started_ns + number * 40_000_000_000;

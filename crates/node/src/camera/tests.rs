@@ -230,8 +230,7 @@ async fn the_audit_changes_no_bit_of_published_messages() {
         let found = (sums.frames, sums.missed, sums.shown, calls);
         assert_eq!(found, (skipped, 0, shown as u64, skipped), "{policy}");
         assert!(audit.detector_us > 0);
-        // Low in this scene, where the detector finds a rider and a car only now and then: at 0.6 `expected-loss` shows
-        // 5 of its 29 boxes, which a comparison with a detector on every frame confirms.
+        // Low in this scene: at 0.6 `expected-loss` shows 5 of its 29 boxes, as a comparison on every frame confirms.
         let recall = audit.sums.recall().unwrap();
         let is_plausible = recall.low < recall.rate && recall.rate > 0.05;
         assert!(is_plausible, "{policy}: {recall:?}");

@@ -2,8 +2,7 @@ use super::*;
 use crate::reading::Value;
 use crate::tests::{ms, reading};
 
-/// A machine that draws `idle` watts at a given second and `busy` watts more while its detector runs: for `call` of
-/// every `every` ms, if `runs` says so. `learn` returns the watts learnt in `seconds`.
+/// A machine that draws `idle` watts, and `busy` more while its detector runs: `call` of every `every` ms if `runs`.
 struct Machine {
     idle: fn(f64) -> f64,
     busy: f64,

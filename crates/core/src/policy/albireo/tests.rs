@@ -189,8 +189,7 @@ fn evidence_of_the_wrong_kind_is_ignored() {
 
 type Decided = (FrameState, Vec<u64>);
 
-/// Decides a minute of a street in pictures of `size`: cars come, go, jitter and are sometimes missed, all at fractions of the
-/// picture, converted through pixels as a detector does.
+/// Decides a minute of a street in pictures of `size`: cars come, go, jitter and are sometimes missed, at fractions of it.
 fn decided(size: PictureSize, settings: AlbireoSettings, u: f64) -> Vec<Decided> {
     let mut run = start(settings, u);
     run.picture = size;

@@ -78,8 +78,7 @@ fn build(name: &str) -> Box<dyn Policy> {
     built(name, Profile::Paper)
 }
 
-/// The definition: `policy` through all frames of the script, where frame i is given its first `given[i]` pieces of
-/// evidence and no more. Returns the outcome of every frame.
+/// The definition: `policy` through the script's frames, where frame i gets only its first `given[i]` pieces of evidence.
 fn play(policy: &mut dyn Policy, script: &[Event], given: &[usize]) -> Vec<Outcome> {
     let mut outcomes = Vec::new();
     for (event, &given) in script.iter().zip(given) {

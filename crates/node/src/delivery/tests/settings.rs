@@ -1,5 +1,4 @@
-//! Simulates settings sent from a hub to nodes: real orders, rollouts and trials on a real database, and the real files of
-//! nodes, connected by a network that loses, delays, duplicates and reorders messages.
+//! Simulates settings sent from a hub to nodes: real orders, rollouts, trials and files over a faulty network.
 
 mod hub;
 mod node;

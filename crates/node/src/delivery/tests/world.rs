@@ -348,8 +348,7 @@ impl World {
         self.excuse(BTreeSet::new());
     }
 
-    /// Excuses those of the `lost` and forgotten reports that no longer exist anywhere. If a node's state was rewound too, the
-    /// running counts do not reveal what the hub forgot.
+    /// Excuses the `lost` and forgotten reports that exist nowhere: after a rewound state the counts do not reveal them.
     fn excuse(&mut self, mut lost: BTreeSet<usize>) {
         lost.extend(&self.forgotten);
         let stored = self.hub.stored();

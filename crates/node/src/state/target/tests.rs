@@ -112,8 +112,7 @@ fn a_target_survives_a_restart_with_its_value_until_the_configuration_is_edited(
     assert_eq!(report.source, SettingSource::Configuration);
 }
 
-/// Asserts that the calls that workers make each second and per request end while `change` is in force but waits for a
-/// stalled disk, and that `change` ends only when the disk recovers.
+/// Asserts that the workers' calls end while `change` is in force but its disk stalls, and that `change` ends after that.
 fn assert_served_while_the_disk_stalls(
     board: &Board,
     change: impl FnOnce() + Send,

@@ -1,5 +1,4 @@
-//! The heads on handmade tensors. `tests/head_fixtures.rs` compares what they read from whole outputs with the results of
-//! the vendors' code, but for YOLOX and FastestDet.
+//! The heads on handmade tensors. `tests/head_fixtures.rs` compares them with the vendors' code.
 
 use super::*;
 use crate::detector::{ElementType, Metadata, TensorSpec};
@@ -34,8 +33,7 @@ pub(in crate::detector) fn bound(
 
 type Shapes = Vec<Vec<i64>>;
 
-/// The smallest head of each kind and the shapes of its outputs, for an input of 64x32. All have two classes except the
-/// end-to-end head, which does not know its classes.
+/// The smallest head of each kind and its outputs' shapes, at 64x32, with two classes (the end-to-end head knows none).
 fn heads() -> Vec<(Head, Shapes)> {
     let input = [1, 3, 32, 64];
     let detr: [(&str, &[i64]); 2] = [("labels", &[1, 4, 2]), ("dets", &[1, 4, 4])];

@@ -51,8 +51,7 @@ fn format(width: u32, height: u32, fit: Fit) -> InputFormat {
     }
 }
 
-/// Compares the tensor with the reference inside the picture, which has the size `used` and begins at the left of row
-/// `top`, and with the margin's grey elsewhere.
+/// Compares the tensor with the reference in the picture of size `used` at row `top`, and with the margin's grey elsewhere.
 fn compare(picture: &Picture, format: InputFormat, top: u32, used: PictureSize) {
     let mut letterbox = Letterbox::new(format);
     // A picture of another shape before it leaves nothing in the margin.

@@ -205,8 +205,7 @@ impl Hub {
         if file != now || begin < 32 || log.len() < begin {
             return None;
         }
-        // https://www.sqlite.org/fileformat2.html#walformat: a header of 32 bytes, then frames of 24 bytes and a page. The second
-        // word of a commit frame is the size of the database.
+        // sqlite.org/fileformat2.html#walformat: 32 bytes, then frames of 24 bytes and a page; word 2 of a commit is the size.
         let word = |at: usize| u32::from_be_bytes(log[at..at + 4].try_into().unwrap());
         let frame = 24 + word(8) as usize;
         let commits = (32..log.len())
