@@ -7,7 +7,7 @@ use albireo_service::clock::DAY_MS;
 use albireo_wire::IDENTITY_DAYS;
 
 /// Most rows that a statement deletes.
-const STEP: usize = 2000;
+const STEP: usize = 1000;
 
 /// Earlier than any day of a row.
 const NO_DAY: i64 = -1_000_000;
