@@ -2,7 +2,7 @@
 //! figure.
 
 use super::plan::Present;
-use crate::store::row::{Row, text};
+use crate::store::row::{Columns, Row, text};
 use albireo_service::clock::DAY_MS;
 use albireo_wire::{AuditReport, ClipReport};
 use serde_json::json;
@@ -31,7 +31,7 @@ pub(crate) struct Clip {
     /// The row of its setup, without its id.
     pub(crate) setup: Row,
     /// The row without its day, camera and setup.
-    pub(crate) row: Row,
+    pub(crate) row: Columns<'static>,
     /// True if the node's clock is believed.
     pub(crate) clock: bool,
 }
@@ -106,13 +106,13 @@ pub(crate) fn clip(report: &ClipReport, present: Present) -> Result<Clip, String
         ),
         ("audit_shown_x", audit(|a| a.sums.squares.shown_paired)),
     ];
-    let mut row = Row::new();
+    let mut row = Columns::new();
     for (column, (value, most, unit)) in figures {
         if let Some(value) = value.filter(|value| !(0.0..=most).contains(value)) {
             return Err(format!("{column}: {value} is not from 0 to {most}"));
         }
         let whole = value.map(|value| (value * unit).round() as i64);
-        row.insert(column.to_owned(), json!(whole));
+        row.push((column, json!(whole)));
     }
     if states.frames() != report.frames {
         let (frames, added) = (report.frames, states.frames());
@@ -128,7 +128,7 @@ pub(crate) fn clip(report: &ClipReport, present: Present) -> Result<Clip, String
         return Err(format!("coverage: {} is not from 0 to 1", energy.coverage));
     }
     let number = report.count.and_then(|count| i64::try_from(count).ok());
-    for (column, value) in [
+    row.extend([
         ("report_id", json!(report.id.as_bytes())),
         ("count", json!(number)),
         ("at_ms", json!(if clock { started_ms } else { now_ms })),
@@ -146,9 +146,7 @@ pub(crate) fn clip(report: &ClipReport, present: Present) -> Result<Clip, String
             "threshold_changed",
             json!(i64::from(report.threshold_changes.len() > 1)),
         ),
-    ] {
-        row.insert(column.to_owned(), value);
-    }
+    ]);
     // A target moves the threshold with every clip, so it names the setup in its place. A missing text is empty. The value is
     // the shortest text that parses to the same number.
     let (setting, value) = match (report.target, &report.threshold) {

@@ -7,7 +7,7 @@ use super::plan::Seen;
 use crate::config::HistoryConfig;
 use crate::presence::NodeView;
 use crate::store::retention::retain;
-use crate::store::row::{Row, beginning, event};
+use crate::store::row::{Columns, beginning, event};
 use crate::store::{Access, Database, MOST_CAMERAS, Store, StoreError};
 use albireo_service::clock::{DAY_MS, Now};
 use albireo_wire::{RefusedReport, ReportAnswer};
@@ -177,11 +177,8 @@ impl Recorder {
                             let today = now_ms.div_euclid(DAY_MS);
                             let day = if key.day > 0 { key.day } else { today };
                             let mut row = clip.row.clone();
-                            for (column, number) in
-                                [("day", day), ("camera_id", camera), ("setup_id", setup)]
-                            {
-                                row.insert(column.to_owned(), number.into());
-                            }
+                            let more = [("day", day), ("camera_id", camera), ("setup_id", setup)];
+                            row.extend(more.map(|(column, number)| (column, number.into())));
                             *counts += counted(&row);
                             clips.push(row);
                             clocks_off += u64::from(!clip.clock);
@@ -257,8 +254,11 @@ fn lost(what: &str) -> StoreError {
 }
 
 /// The additions to the counters for a stored clip; null counts as 0.
-fn counted(clip: &Row) -> IngestCounts {
-    let count = |column: &str| clip.get(column).and_then(Value::as_u64).unwrap_or(0);
+fn counted(clip: &Columns<'_>) -> IngestCounts {
+    let count = |column: &str| {
+        let found = clip.iter().find(|(name, _)| *name == column);
+        found.and_then(|(_, value)| value.as_u64()).unwrap_or(0)
+    };
     IngestCounts {
         clips: 1,
         frames: count("frames"),

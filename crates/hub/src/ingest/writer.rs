@@ -11,6 +11,7 @@ use crate::store::Store;
 use albireo_service::clock::{Now, unix_milliseconds};
 use albireo_wire::{NodeKeys, RefusalReason};
 use bytes::Bytes;
+use futures_util::FutureExt;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, channel, sync_channel};
 use std::time::{Duration, Instant};
@@ -129,10 +130,7 @@ pub(crate) fn start(
         shared: shared.clone(),
     };
     let writing = spawn_blocking(move || writer.run(&parsed));
-    let ended = async move {
-        let _ = writing.await;
-    };
-    (move |query| shared.take(query, &queue), ended)
+    (move |query| shared.take(query, &queue), writing.map(drop))
 }
 
 /// Batches, each parsed, or with the reason that it cannot be read.

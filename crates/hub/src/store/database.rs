@@ -1,7 +1,7 @@
 //! Defines a connection to a database, and the statements of ingest.
 
 use super::read::ReportCounts;
-use super::row::{Row, read_all, row};
+use super::row::{Columns, Row, columns, read_all, row};
 use super::{Kind, StoreError};
 use crate::ingest::Counts;
 use serde::{Deserialize, Serialize};
@@ -40,7 +40,7 @@ pub(crate) trait Database: Send {
 
     /// Runs a statement for rows with the same columns, in order, and returns its rows. In SQLite the columns of a row
     /// are the parameters `?1`, `?2`, …; PostgreSQL gets all rows at once, as the JSON array `$1`.
-    fn each(&mut self, text: &str, rows: Vec<Row>) -> Result<Vec<Row>, StoreError>;
+    fn each(&mut self, text: &str, rows: Vec<Columns<'_>>) -> Result<Vec<Row>, StoreError>;
 
     /// Runs several statements without parameters.
     fn script(&mut self, text: &'static str) -> Result<(), StoreError>;
@@ -95,21 +95,21 @@ impl dyn Database + '_ {
         rows: &[R],
         rest: &str,
     ) -> Result<Vec<Row>, StoreError> {
-        let rows = rows.iter().map(row).collect::<Result<_, _>>()?;
-        self.insert_rows(table, rows, rest)
+        let rows = rows.iter().map(row).collect::<Result<Vec<_>, _>>()?;
+        self.insert_rows(table, rows.iter().map(columns).collect(), rest)
     }
 
     /// Does the same as [`insert`](Self::insert) for rows, which must all have the same columns.
     pub(super) fn insert_rows(
         &mut self,
         table: &str,
-        rows: Vec<Row>,
+        rows: Vec<Columns<'_>>,
         rest: &str,
     ) -> Result<Vec<Row>, StoreError> {
         let Some(first) = rows.first() else {
             return Ok(Vec::new());
         };
-        let columns = first.keys().map(|column| format!("\"{column}\""));
+        let columns = first.iter().map(|(column, _)| format!("\"{column}\""));
         let columns = columns.collect::<Vec<_>>().join(", ");
         let values = match self.kind() {
             Kind::Sqlite => format!("VALUES ({})", vec!["?"; first.len()].join(", ")),
@@ -195,7 +195,7 @@ impl dyn Database + '_ {
         // The update changes nothing; it makes the statement return the row.
         let conflict = "ON CONFLICT (policy, threshold, value, model, provider, power_source, total_from) \
                         DO UPDATE SET policy = excluded.policy RETURNING *";
-        let setups = setups.into_iter().cloned().collect();
+        let setups = setups.into_iter().map(columns).collect();
         let numbered = self.insert_rows("setups", setups, conflict)?.into_iter();
         let numbered = numbered.filter_map(|mut setup| Some((setup.remove("id")?, setup)));
         let ids = numbered.filter_map(|(id, setup)| Some((setup, id.as_i64()?)));
@@ -219,7 +219,8 @@ impl dyn Database + '_ {
             Kind::Sqlite => include_str!("sql/new_reports_sqlite.sql"),
             Kind::Postgres => include_str!("sql/new_reports_postgres.sql"),
         };
-        let rows = keys.iter().map(row).collect::<Result<_, _>>()?;
+        let rows = keys.iter().map(row).collect::<Result<Vec<_>, _>>()?;
+        let rows = rows.iter().map(columns).collect();
         let new: Vec<New> = read_all(self.each(text, rows)?)?;
         Ok(new.into_iter().map(|one| one.id).collect())
     }
@@ -237,10 +238,7 @@ impl dyn Database + '_ {
     }
 
     /// Inserts clips, and adds them to the sums of their cameras and of the fleet.
-    pub(crate) fn insert_clips(&mut self, clips: Vec<Row>) -> Result<(), StoreError> {
-        if clips.is_empty() {
-            return Ok(());
-        }
+    pub(crate) fn insert_clips(&mut self, clips: Vec<Columns<'_>>) -> Result<(), StoreError> {
         let last = self.number("SELECT max(id) FROM clips", &[])?;
         let first = last.unwrap_or(0) + 1;
         self.insert_rows("clips", clips, "")?;

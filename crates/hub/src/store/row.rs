@@ -8,6 +8,15 @@ use serde_json::{Map, Value, json};
 /// A row: its columns by name. The id of a report is an array of 16 bytes.
 pub(crate) type Row = Map<String, Value>;
 
+/// The columns of a row to insert.
+pub(crate) type Columns<'a> = Vec<(&'a str, Value)>;
+
+/// The columns of a row.
+pub(super) fn columns<'a>(row: &'a Row) -> Columns<'a> {
+    let column = |(name, value): (&'a String, &Value)| (name.as_str(), value.clone());
+    row.iter().map(column).collect()
+}
+
 /// Reads a struct from a row.
 pub(crate) fn read<T: DeserializeOwned>(row: Row) -> Result<T, StoreError> {
     Ok(serde_json::from_value(Value::Object(row))?)

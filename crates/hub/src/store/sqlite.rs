@@ -1,6 +1,6 @@
 //! Connects to SQLite.
 
-use super::row::Row;
+use super::row::{Columns, Row};
 use super::{Database, Kind, StoreError};
 use rusqlite::types::{ToSqlOutput, ValueRef};
 use rusqlite::{Connection, MAIN_DB, OpenFlags, Statement, ToSql};
@@ -124,8 +124,9 @@ impl Database for Sqlite {
         self.run(text, [values.iter().collect()])
     }
 
-    fn each(&mut self, text: &str, rows: Vec<Row>) -> Result<Vec<Row>, StoreError> {
-        self.run(text, rows.iter().map(|row| row.values().collect()))
+    fn each(&mut self, text: &str, rows: Vec<Columns<'_>>) -> Result<Vec<Row>, StoreError> {
+        let values = rows.iter().map(|row| row.iter().map(|(_, value)| value));
+        self.run(text, values.map(Iterator::collect))
     }
 
     fn script(&mut self, text: &'static str) -> Result<(), StoreError> {

@@ -1,6 +1,7 @@
 //! Copies a hub's SQLite file into an empty PostgreSQL database.
 
 use super::migrate::{check, tables};
+use super::row::columns;
 use super::sqlite::Sqlite;
 use super::{Access, Database, Kind, Row, Store, StoreError, retention};
 use crate::config::DatabaseConfig;
@@ -100,7 +101,8 @@ fn copy(
         let mut batch: Vec<Row> = Vec::with_capacity(BATCH);
         let mut send = |batch: &mut Vec<Row>| {
             rows += batch.len() as u64;
-            target.insert_rows(table, std::mem::take(batch), "")?;
+            target.insert_rows(table, batch.iter().map(columns).collect(), "")?;
+            batch.clear();
             let table = table.clone();
             progress(Progress { table, rows, of });
             Ok(())
