@@ -35,7 +35,7 @@ function Faults() {
         {plural(reasons.length, "fault")}: {names.slice(0, 4).join(", ")}
         {more}
       </summary>
-      <ul class="reasons">
+      <ul class="reasons" tabIndex={0}>
         {reasons.map((reason) => (
           <li key={`${reason.part} ${reason.subject ?? ""}`}>
             <b>
