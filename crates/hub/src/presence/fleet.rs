@@ -25,6 +25,11 @@ fn heartbeat_s(nodes: usize) -> u32 {
     ((nodes / HEARTBEATS_PER_S) as u32).clamp(HEARTBEAT_S.0, HEARTBEAT_S.1)
 }
 
+/// How many times longer than usual that is: the time limits grow with it.
+fn slower(nodes: usize) -> f64 {
+    f64::from(heartbeat_s(nodes)) / f64::from(HEARTBEAT_S.0)
+}
+
 /// All nodes.
 #[derive(Debug, Default)]
 pub struct Fleet {
@@ -52,10 +57,10 @@ impl Fleet {
 
     /// Applies a status. Returns true if the node should be asked for a full status.
     pub fn apply_status(&self, node: &str, message: StatusMessage, now: Now) -> bool {
+        let silent_s = self.config.silent_after_s * slower(self.nodes.read().len());
         self.heard(node, now, |entry| {
             if entry.run != Some(message.run) {
-                let silent = Duration::from_secs_f64(self.config.silent_after_s);
-                entry.another_run(message.run, now.at, silent);
+                entry.another_run(message.run, now.at, Duration::from_secs_f64(silent_s));
             } else if message.full.is_none() {
                 entry.note_seq(message.seq)?;
             }
@@ -94,7 +99,7 @@ impl Fleet {
     /// nothing new of a known run. Returns true if the node should be asked for a full status.
     fn heard(&self, node: &str, now: Now, take: impl FnOnce(&mut Entry) -> Option<bool>) -> bool {
         let mut nodes = self.nodes.write();
-        let heartbeat_s = heartbeat_s(nodes.len());
+        let slower = slower(nodes.len());
         let entry = (nodes.entry(node.to_owned())).or_insert_with(|| Entry::new(node, now.unix_ms));
         if let Some(changed) = take(entry) {
             entry.heard = Some(now.at);
@@ -103,7 +108,7 @@ impl Fleet {
             if changed {
                 self.dirty.lock().insert(node.to_owned());
             }
-            self.settle(entry, heartbeat_s, now);
+            self.settle(entry, slower, now);
         }
         let is_due = |notified| now.at.saturating_duration_since(notified) >= NOTIFY_EVERY;
         let ask = entry.needs_full && entry.notified.is_none_or(is_due);
@@ -141,9 +146,9 @@ impl Fleet {
     /// Finds the nodes that have become silent or offline.
     pub fn sweep(&self, now: Now) {
         let mut nodes = self.nodes.write();
-        let heartbeat_s = heartbeat_s(nodes.len());
+        let slower = slower(nodes.len());
         for entry in nodes.values_mut() {
-            self.settle(entry, heartbeat_s, now);
+            self.settle(entry, slower, now);
         }
     }
 
@@ -162,8 +167,7 @@ impl Fleet {
     }
 
     /// Judges a node's state, and notes a change.
-    fn settle(&self, entry: &mut Entry, heartbeat_s: u32, now: Now) {
-        let slower = f64::from(heartbeat_s) / f64::from(HEARTBEAT_S.0);
+    fn settle(&self, entry: &mut Entry, slower: f64, now: Now) {
         let silent_s = self.config.silent_after_s * slower;
         entry.identity.take_if(|(_, until)| *until <= now.at);
         let heard_ago = match (entry.heard, entry.node.heard_ms) {

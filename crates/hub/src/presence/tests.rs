@@ -149,7 +149,7 @@ fn a_heartbeat_confirms_the_last_status_of_its_run_and_another_run_requests_the_
 }
 
 #[test]
-fn in_a_large_fleet_heartbeats_are_rarer_and_a_node_is_silent_later() {
+fn in_a_large_fleet_heartbeats_are_rarer_and_silence_and_twins_are_told_later() {
     let fleet = Fleet::new(&PresenceConfig::default());
     let start = Instant::now();
     let at = |seconds| after(start, seconds);
@@ -161,4 +161,8 @@ fn in_a_large_fleet_heartbeats_are_rarer_and_a_node_is_silent_later() {
         assert_eq!(fleet.heartbeat_s(), 60);
         assert_eq!(fleet.view("7").unwrap().state, state);
     }
+    for (run, seconds) in [(8, 300), (7, 360), (8, 420)] {
+        fleet.apply_status("7", StatusMessage { run, ..life(0) }, at(seconds));
+    }
+    assert_eq!(fleet.view("7").unwrap().state, PresenceState::Degraded);
 }
