@@ -239,8 +239,7 @@ impl dyn Database + '_ {
 
     /// Inserts clips, and adds them to the sums of their cameras and of the fleet.
     pub(crate) fn insert_clips(&mut self, clips: Vec<Columns<'_>>) -> Result<(), StoreError> {
-        let last = self.number("SELECT max(id) FROM clips", &[])?;
-        let first = last.unwrap_or(0) + 1;
+        let first = self.number("SELECT COALESCE(max(id), 0) + 1 FROM clips", &[])?;
         self.insert_rows("clips", clips, "")?;
         for (text, seconds) in ADD_SUMS {
             self.query(text, &[first.into(), seconds.into(), LARGEST_SUM.into()])?;
