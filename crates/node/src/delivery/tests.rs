@@ -67,8 +67,7 @@ fn no_seed_forgets_a_change_or_a_return() {
 
 #[test]
 fn seeds_that_once_found_a_fault_of_changes_and_rollouts_find_none() {
-    // Revisions were reused after a restore; a rollout stopped just as the hub was killed never ended; a power loss between
-    // two writes left a value under the revision before it.
+    // Revisions reused after a restore; a stopped rollout that never ended; a value under the revision before it.
     for seed in [77, 2289, 2256, 2343] {
         assert_eq!(wrong(Settings::run, seed, false), None);
     }

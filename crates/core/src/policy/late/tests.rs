@@ -139,8 +139,7 @@ proptest! {
     }
 }
 
-/// Plays the script with a camera that answers at once, and compares each of its answers and states with what `new`
-/// decides early, given the same evidence. Returns the policy's name.
+/// Plays the script with a camera that answers at once; each answer must be what `new` decides early. Returns its name.
 fn compare<P: Policy + Clone + 'static>(
     new: &P,
     script: &[Event],
@@ -153,8 +152,7 @@ fn compare<P: Policy + Clone + 'static>(
     // The pending frame, what it needs, and after which frame that arrives.
     let mut waits: Option<(usize, Need, usize)> = None;
     let mut settled: Vec<(usize, Outcome)> = Vec::new();
-    // The policy before the first frame that may still get evidence, and the index of that frame. What came before it is
-    // final, so to play on from here is to play from the start.
+    // The policy before the first frame that may still get evidence, and its index: what came before is final.
     let (mut before, mut first) = (new.clone(), 0);
     for (number, event) in script.iter().enumerate() {
         if let Some(value) = event.threshold(late.policy()) {

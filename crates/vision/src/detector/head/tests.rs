@@ -1,4 +1,4 @@
-//! The heads on handmade tensors. `tests/head_fixtures.rs` compares them with the vendors' code.
+//! The heads on handmade tensors. `tests/head_fixtures.rs` compares all but YOLOX and FastestDet with the vendors' code.
 
 use super::*;
 use crate::detector::{ElementType, Metadata, TensorSpec};

@@ -1,5 +1,4 @@
-//! Compares the estimated saving, on a machine of known watts, with the true one: the extra cost of the same clip with a detector
-//! call on every frame. The clock is paused; the detector is a lock held for 40 ms.
+//! Compares the estimated saving on a machine of known watts with the true one; the detector is a lock held for 40 ms.
 
 use crate::camera::clip::tests::{FakeMeter, report};
 use crate::camera::clip::{ClipConfig, ClipTracker};
