@@ -131,10 +131,7 @@ impl Resident {
 fn be_bare(arguments: &Arguments) {
     let mut network = DetectorNetwork::open(&arguments.detector()).expect("the model opens");
     let size = network.preparation().format().size;
-    let prepared = network
-        .preparation()
-        .prepare(&Picture::black(size))
-        .expect("a picture");
+    let prepared = network.preparation().prepare(&Picture::black(size)).expect("a picture");
     for _ in 0..50 {
         network.detect(&prepared).expect("the model runs");
     }
@@ -152,9 +149,7 @@ fn bare(arguments: &Arguments) -> Resident {
     let output = child.stdout.take().expect("piped");
     let process = Process(child);
     let mut line = String::new();
-    BufReader::new(output)
-        .read_line(&mut line)
-        .expect("it says when it is ready");
+    BufReader::new(output).read_line(&mut line).expect("it says when it is ready");
     assert_eq!(line.trim(), "ready");
     Resident::of(&process)
 }
@@ -216,9 +211,7 @@ async fn send(
     let mut senders = Vec::new();
     for camera in 0..cameras {
         let key = format!("albireo/node/camera-{camera}/frame");
-        let sender = FrameSender::declare(&session, &key, Pacing::Drop)
-            .await
-            .expect("a sender");
+        let sender = FrameSender::declare(&session, &key, Pacing::Drop).await.expect("a sender");
         sender
             .wait_for_receiver(Duration::from_secs(20))
             .await
@@ -283,14 +276,8 @@ async fn main() {
                 .port();
             let node = node(program, &arguments, cameras, folder.path(), port);
             let name = program.to_string_lossy();
-            let name: String = name
-                .chars()
-                .rev()
-                .take(32)
-                .collect::<Vec<_>>()
-                .into_iter()
-                .rev()
-                .collect();
+            let name: String =
+                name.chars().rev().take(32).collect::<Vec<_>>().into_iter().rev().collect();
             send(port, cameras, arguments.time, &pictures, |since| {
                 let now = Resident::of(&node);
                 println!(

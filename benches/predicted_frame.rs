@@ -117,10 +117,7 @@ impl Answerer {
     }
 
     fn start(mut program: Command, port: u16) -> Self {
-        let process = program
-            .stdin(Stdio::null())
-            .spawn()
-            .expect("the program starts");
+        let process = program.stdin(Stdio::null()).spawn().expect("the program starts");
         Self { process, port }
     }
 }
@@ -135,10 +132,8 @@ fn free_port() -> u16 {
 async fn session(listen: Option<u16>, connect: Option<u16>) -> zenoh::Session {
     let mut config = zenoh::Config::default();
     let endpoints = |port: Option<u16>| {
-        let endpoints: Vec<String> = port
-            .iter()
-            .map(|port| format!("tcp/127.0.0.1:{port}"))
-            .collect();
+        let endpoints: Vec<String> =
+            port.iter().map(|port| format!("tcp/127.0.0.1:{port}")).collect();
         serde_json::to_string(&endpoints).expect("text")
     };
     for (key, value) in [
@@ -217,10 +212,7 @@ impl Line {
             .congestion_control(CongestionControl::Block)
             .await
             .expect("a publisher");
-        let listener = frames
-            .matching_listener()
-            .await
-            .expect("somebody may listen");
+        let listener = frames.matching_listener().await.expect("somebody may listen");
         let heard = async {
             while !frames.matching_status().await?.matching() {
                 listener.recv_async().await?;
@@ -292,17 +284,10 @@ fn median(mut values: Vec<f64>) -> f64 {
 #[tokio::main]
 async fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    if let Some(port) = arguments
-        .iter()
-        .skip_while(|argument| *argument != ECHO)
-        .nth(1)
-    {
+    if let Some(port) = arguments.iter().skip_while(|argument| *argument != ECHO).nth(1) {
         return run_echo(port.parse().expect("a port")).await;
     }
-    let rounds: usize = arguments
-        .iter()
-        .find_map(|argument| argument.parse().ok())
-        .unwrap_or(5);
+    let rounds: usize = arguments.iter().find_map(|argument| argument.parse().ok()).unwrap_or(5);
     let folder = tempfile::tempdir().expect("a folder");
     let picture = picture();
     println!(

@@ -155,12 +155,7 @@ async fn turn(port: u16, pid: u32, sharing: bool, picture: &EncodedPicture, firs
         .await
         .expect("a publisher");
     let matching = publisher.matching_listener().await.expect("a listener");
-    while !publisher
-        .matching_status()
-        .await
-        .expect("a status")
-        .matching()
-    {
+    while !publisher.matching_status().await.expect("a status").matching() {
         matching.recv_async().await.expect("the node listens");
     }
     let memory = sharing.then(|| shared_memory(picture.bytes.len()));
@@ -235,10 +230,7 @@ fn shared_memory(bytes: usize) -> ShmProvider<PosixShmProviderBackend> {
 
 fn place(memory: &ShmProvider<PosixShmProviderBackend>, picture: &[u8]) -> ZBytes {
     let room = memory.alloc(picture.len());
-    let mut room = room
-        .with_policy::<GarbageCollect>()
-        .wait()
-        .expect("room for a picture");
+    let mut room = room.with_policy::<GarbageCollect>().wait().expect("room for a picture");
     room.copy_from_slice(picture);
     room.into()
 }
@@ -250,10 +242,8 @@ fn median(mut values: Vec<f64>) -> f64 {
 
 #[tokio::main]
 async fn main() {
-    let rounds: usize = std::env::args()
-        .skip(1)
-        .find_map(|argument| argument.parse().ok())
-        .unwrap_or(3);
+    let rounds: usize =
+        std::env::args().skip(1).find_map(|argument| argument.parse().ok()).unwrap_or(3);
     let folder = tempfile::tempdir().expect("a folder");
     let port = std::net::TcpListener::bind("127.0.0.1:0")
         .and_then(|listener| listener.local_addr())

@@ -132,9 +132,7 @@ fn check(asked: &str, profile: Profile, states: &[FrameState], late: bool) {
         true => texture,
         false => stripes,
     };
-    let film: Vec<Frame> = (0..PERIOD)
-        .map(|frame| (detections(frame), picture(frame)))
-        .collect();
+    let film: Vec<Frame> = (0..PERIOD).map(|frame| (detections(frame), picture(frame))).collect();
     let mut decider: Box<Decide<'_>> = if late {
         two_frames_late(policy, &film)
     } else {

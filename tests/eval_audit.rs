@@ -44,9 +44,7 @@ fn shared_audit_estimates_are_unbiased_and_their_intervals_hold_at_the_promised_
     for policy in ["albireo:5e-4", "expected-loss:0.3", "fixed-skip:3"] {
         let (cameras, all) = cameras(policy);
         for share in [0.02, 0.05, 0.1] {
-            let samples: Vec<_> = (0..1000)
-                .map(|seed| sample(&cameras, share, seed))
-                .collect();
+            let samples: Vec<_> = (0..1000).map(|seed| sample(&cameras, share, seed)).collect();
             for rate in [AuditSums::recall, AuditSums::precision] {
                 let truth = rate(&all).expect("there are boxes").rate;
                 let found: Vec<AuditRate> = samples.iter().filter_map(rate).collect();

@@ -275,9 +275,7 @@ async fn kills_freezes_and_full_disks_in_any_order_lose_and_duplicate_no_report(
     };
     let mut fleet = Fleet {
         settings: behind(&endpoint, &url),
-        cars: ["car-1", "car-2"]
-            .map(|name| Car::new("vanilla", name, &endpoint))
-            .into(),
+        cars: ["car-1", "car-2"].map(|name| Car::new("vanilla", name, &endpoint)).into(),
         endpoint,
         database_up: true,
         database,

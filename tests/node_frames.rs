@@ -167,9 +167,7 @@ pub(crate) fn attachment(seq: u64, stream: Option<u64>, clip: Option<&str>) -> V
 /// Pictures of boxes, small for speed.
 pub(crate) fn pictures(count: u64) -> Vec<Vec<u8>> {
     let scene = BoxScene::new(5, PictureSize::new(640, 360));
-    (0..count)
-        .map(|index| scene.frame(index).jpeg(85).unwrap())
-        .collect()
+    (0..count).map(|index| scene.frame(index).jpeg(85).unwrap()).collect()
 }
 
 #[rstest]

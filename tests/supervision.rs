@@ -136,19 +136,17 @@ async fn cameras_that_slow_down_their_senders_slow_down_nobody_else() {
     // The policies of the tapes wait until `shut` is dropped, however the test ends.
     let (shut, gate) = channel::<()>();
     let gate = Arc::new(Mutex::new(gate));
-    let prepared = PreparedNode::new(&config)
-        .unwrap()
-        .with_policies(Arc::new(move |camera| {
-            let inner = policy.build()?;
-            if !TAPES.contains(&camera) {
-                return Ok(inner);
-            }
-            let gate = Arc::clone(&gate);
-            // `block_in_place` lets the other tasks of this worker thread continue.
-            let pass = move || assert!(gate.lock().unwrap().recv().is_err());
-            let before = move || tokio::task::block_in_place(&pass);
-            Ok(Box::new(Before { inner, before }) as Box<dyn Policy>)
-        }));
+    let prepared = PreparedNode::new(&config).unwrap().with_policies(Arc::new(move |camera| {
+        let inner = policy.build()?;
+        if !TAPES.contains(&camera) {
+            return Ok(inner);
+        }
+        let gate = Arc::clone(&gate);
+        // `block_in_place` lets the other tasks of this worker thread continue.
+        let pass = move || assert!(gate.lock().unwrap().recv().is_err());
+        let before = move || tokio::task::block_in_place(&pass);
+        Ok(Box::new(Before { inner, before }) as Box<dyn Policy>)
+    }));
     let mut bench = Bench::start_prepared(&config, prepared).await;
     let picture = pictures(1).remove(0);
     // More frames than the loop and the ring hold: puts wait, and queries stay unanswered.

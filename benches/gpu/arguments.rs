@@ -100,8 +100,7 @@ pub(crate) fn name_of(path: &Path) -> String {
 
 /// The text of an error with the model's file name instead of its path on this machine.
 pub(crate) fn without_folder(said: impl std::fmt::Display, model: &Path) -> String {
-    said.to_string()
-        .replace(&model.display().to_string(), &name_of(model))
+    said.to_string().replace(&model.display().to_string(), &name_of(model))
 }
 
 /// The ONNX Runtime library from the file or folder in `ORT_DYLIB_PATH`, else from `.cache/onnxruntime`.

@@ -251,10 +251,9 @@ async fn trial(
     let cameras_sending: Vec<_> = (0..cameras)
         .map(|camera| {
             let (node, pictures) = (Arc::clone(&node), Arc::clone(pictures));
-            tokio::spawn(async move {
-                node.send(camera, pictures, warm_up + measured, || false)
-                    .await
-            })
+            tokio::spawn(
+                async move { node.send(camera, pictures, warm_up + measured, || false).await },
+            )
         })
         .collect();
     tokio::time::sleep(Duration::from_secs(1)).await;

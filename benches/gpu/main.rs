@@ -44,9 +44,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(model) = &arguments.ways_of {
         return ways::run(arguments, model);
     }
-    let runtime = tokio::runtime::Builder::new_multi_thread()
-        .enable_all()
-        .build()?;
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     runtime.block_on(measure(arguments))
 }
 
@@ -139,10 +137,7 @@ fn beginning(page: &mut Page, arguments: &Arguments, card: Option<&Card>) -> any
     let mut row = vec![
         card.map_or_else(|| Ok("none, or no driver".to_owned()), Card::description)?,
         format!("{cores} cores, {}", std::env::consts::ARCH),
-        load.split_whitespace()
-            .next()
-            .unwrap_or(page::NONE)
-            .to_owned(),
+        load.split_whitespace().next().unwrap_or(page::NONE).to_owned(),
         name_of(&library()?.canonicalize()?),
     ];
     row.push(if cfg!(debug_assertions) {

@@ -44,12 +44,7 @@ impl Page {
             let cells: Vec<_> = cells.iter().map(|cell| in_a_cell(cell)).collect();
             self.0 += &format!("| {} |\n", cells.join(" | "));
         };
-        line(
-            &header
-                .iter()
-                .map(|cell| (*cell).to_owned())
-                .collect::<Vec<_>>(),
-        );
+        line(&header.iter().map(|cell| (*cell).to_owned()).collect::<Vec<_>>());
         line(&vec!["---".to_owned(); header.len()]);
         rows.iter().for_each(|row| line(row));
         self.0.push('\n');

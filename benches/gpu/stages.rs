@@ -112,9 +112,7 @@ fn one_by_one(
         let prepared = network.preparation().prepare(&picture)?;
         let found = network.detect(&prepared)?;
         for (times, time) in
-            times
-                .iter_mut()
-                .zip([decoding, found.letterbox, found.model, found.head])
+            times.iter_mut().zip([decoding, found.letterbox, found.model, found.head])
         {
             times.push(time.as_secs_f64() * 1e3);
         }
@@ -204,10 +202,7 @@ async fn together(
     }
     let rate = answers.len() as f64 / start.elapsed().as_secs_f64();
     detector.stop().await;
-    let a_picture: Vec<_> = answers
-        .iter()
-        .map(|(model, pictures)| model / pictures)
-        .collect();
+    let a_picture: Vec<_> = answers.iter().map(|(model, pictures)| model / pictures).collect();
     let shared: f64 =
         answers.iter().map(|(_, pictures)| pictures).sum::<f64>() / answers.len() as f64;
     Ok(format!(

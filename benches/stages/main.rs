@@ -36,9 +36,7 @@ fn main() -> anyhow::Result<()> {
     println!(
         "{} pictures of {}, {} kB each; {} rounds; {} cores{}.",
         frames.len(),
-        frames
-            .first()
-            .map_or_else(String::new, |frame| frame.size.to_string()),
+        frames.first().map_or_else(String::new, |frame| frame.size.to_string()),
         frames.iter().map(|frame| frame.bytes.len()).sum::<usize>() / frames.len() / 1000,
         arguments.rounds,
         std::thread::available_parallelism().map_or(1, usize::from),

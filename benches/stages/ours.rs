@@ -51,12 +51,7 @@ impl Line {
             .map_err(failed)?;
         let publisher = node.declare_publisher(KEY).await.map_err(failed)?;
         let start = Instant::now();
-        while !publisher
-            .matching_status()
-            .await
-            .map_err(failed)?
-            .matching()
-        {
+        while !publisher.matching_status().await.map_err(failed)?.matching() {
             if start.elapsed() > Duration::from_secs(10) {
                 bail!("no connection over Zenoh on this machine within 10 s");
             }

@@ -52,12 +52,7 @@ impl Throughput {
         let cameras: Vec<_> = (0..CAMERAS)
             .map(|camera| {
                 let detector = detector.clone();
-                let own: Vec<_> = pictures
-                    .iter()
-                    .skip(camera)
-                    .step_by(CAMERAS)
-                    .cloned()
-                    .collect();
+                let own: Vec<_> = pictures.iter().skip(camera).step_by(CAMERAS).cloned().collect();
                 tokio::spawn(async move {
                     let mut model = 0.0;
                     for picture in own {

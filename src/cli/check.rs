@@ -79,9 +79,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
 #[cfg(feature = "hub")]
 fn is_for_a_hub(file: &std::path::Path) -> bool {
     let text = std::fs::read_to_string(file).unwrap_or_default();
-    let sections = text
-        .lines()
-        .filter_map(|line| line.trim().strip_prefix('['));
+    let sections = text.lines().filter_map(|line| line.trim().strip_prefix('['));
     let mut names = sections.filter_map(|rest| rest.split(']').next());
     names.any(|name| matches!(name.trim(), "hub" | "database"))
 }

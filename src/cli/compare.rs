@@ -251,15 +251,12 @@ fn judge(
     variants: &[PolicySpec],
     done: Vec<(ScheduledRun, Played)>,
 ) -> anyhow::Result<Comparison> {
-    let vanilla = variants
-        .iter()
-        .position(|variant| variant.config.name == BASELINE);
+    let vanilla = variants.iter().position(|variant| variant.config.name == BASELINE);
     let boxes_of = vanilla.unwrap_or(0);
     let mut classes = ClassNumbers::default();
     let first = player.warm_up_frames();
-    let boxes: Vec<Boxes> = (done.iter())
-        .map(|(_, played)| played.boxes(first, &mut classes))
-        .collect();
+    let boxes: Vec<Boxes> =
+        (done.iter()).map(|(_, played)| played.boxes(first, &mut classes)).collect();
     // A detector finds the same objects in the same picture, so another round supplies a frame that one round dropped.
     let mut reference = Boxes::new();
     for ((run, _), boxes) in done.iter().zip(&boxes) {

@@ -22,7 +22,5 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let mut command = super::Arguments::command();
     clap_complete::generate(arguments.shell, &mut command, "albireo", &mut text);
     // The generator writes to standard output itself only by panicking on a closed pipe.
-    std::io::stdout()
-        .write_all(&text)
-        .context("the completions cannot be written")
+    std::io::stdout().write_all(&text).context("the completions cannot be written")
 }

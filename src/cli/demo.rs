@@ -171,9 +171,7 @@ async fn hub(
     config.zenoh.connect = vec![endpoint];
     config.zenoh.listen = Vec::new();
     config.database.url = format!("sqlite:{}", folder.path().join("hub.db").display());
-    albireo_hub::run(&config, listener, stop)
-        .await
-        .context("hub")
+    albireo_hub::run(&config, listener, stop).await.context("hub")
 }
 
 /// Plays the camera until `shutdown`.
@@ -183,9 +181,7 @@ async fn camera(
     endpoint: String,
     shutdown: CancellationToken,
 ) -> anyhow::Result<()> {
-    let source = arguments
-        .clip
-        .open(Some(arguments.rate), VideoEncoding::default())?;
+    let source = arguments.clip.open(Some(arguments.rate), VideoEncoding::default())?;
     let options = PublishOptions {
         rate: Some(arguments.rate),
         repeat: true,

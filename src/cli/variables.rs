@@ -28,11 +28,9 @@ pub(super) fn start_with(wanted: &[Variable]) {
     let mut arguments = std::env::args_os();
     let name = arguments.next().unwrap_or_else(|| "albireo".into());
     let error = match std::env::current_exe() {
-        Ok(program) => Command::new(program)
-            .arg0(name)
-            .args(arguments)
-            .envs(missing.clone())
-            .exec(),
+        Ok(program) => {
+            Command::new(program).arg0(name).args(arguments).envs(missing.clone()).exec()
+        }
         Err(error) => error,
     };
     eprintln!("albireo: continuing without {missing:?} ({error})");

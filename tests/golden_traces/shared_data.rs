@@ -18,16 +18,12 @@ pub(crate) fn sequences() -> Vec<Clip> {
 pub(crate) fn given(sequence: &Clip) -> Vec<Vec<ScoredBox>> {
     let frames = sequence.detections.iter().flatten().cloned();
     let is_given = |found: &ScoredBox| found.confidence >= DETECTOR_THRESHOLD;
-    frames
-        .map(|frame| frame.into_iter().filter(is_given).collect())
-        .collect()
+    frames.map(|frame| frame.into_iter().filter(is_given).collect()).collect()
 }
 
 /// The same detections, in the form of policies.
 pub(crate) fn detections(sequence: &Clip) -> Vec<Vec<Detection>> {
     let normalise = |found: ScoredBox| found.normalise(sequence.picture);
     let frames = given(sequence).into_iter();
-    frames
-        .map(|frame| frame.into_iter().map(normalise).collect())
-        .collect()
+    frames.map(|frame| frame.into_iter().map(normalise).collect()).collect()
 }

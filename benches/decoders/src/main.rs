@@ -37,9 +37,8 @@ fn way(name: &'static str, decode: impl FnMut(&[u8], &mut Vec<u8>) + 'static) ->
 /// Decodes like the node: strict, into an existing buffer.
 fn zune(colors: ColorSpace) -> impl FnMut(&[u8], &mut Vec<u8>) {
     move |file, pixels| {
-        let options = DecoderOptions::default()
-            .set_strict_mode(true)
-            .jpeg_set_out_colorspace(colors);
+        let options =
+            DecoderOptions::default().set_strict_mode(true).jpeg_set_out_colorspace(colors);
         let mut decoder = zune_jpeg::JpegDecoder::new_with_options(ZCursor::new(file), options);
         decoder.decode_headers().expect("a header");
         pixels.resize(decoder.output_buffer_size().expect("a size"), 0);
@@ -72,9 +71,7 @@ fn jpeg_decoder(divisor: u16) -> impl FnMut(&[u8], &mut Vec<u8>) {
         if divisor > 1 {
             decoder.read_info().expect("a header");
             let info = decoder.info().expect("a header");
-            decoder
-                .scale(info.width / divisor, info.height / divisor)
-                .expect("a scale");
+            decoder.scale(info.width / divisor, info.height / divisor).expect("a scale");
         }
         *pixels = decoder.decode().expect("a JPEG file");
     }

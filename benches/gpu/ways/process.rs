@@ -19,10 +19,8 @@ use std::time::Instant;
 
 /// Measures the ways of `model` and prints the result.
 pub(crate) fn run(arguments: &Arguments, model: &Path) -> anyhow::Result<()> {
-    let environment = ort::init_from(library()?)?
-        .with_name("ways")
-        .with_telemetry(false)
-        .build()?;
+    let environment =
+        ort::init_from(library()?)?.with_name("ways").with_telemetry(false).build()?;
     environment.set_log_level(LogLevel::Error);
     let sessions = Sessions {
         environment,
@@ -157,9 +155,8 @@ fn measure<T: Element>(
         noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
         T::of((noise >> 8) as f32 / f32::from(u16::MAX) / 256.0)
     };
-    let inputs: Vec<Vec<T>> = (0..INPUTS)
-        .map(|_| (0..elements).map(|_| random()).collect())
-        .collect();
+    let inputs: Vec<Vec<T>> =
+        (0..INPUTS).map(|_| (0..elements).map(|_| random()).collect()).collect();
 
     let all_nodes = match (sessions.arguments.is_gpu(), sessions.open(false, true)) {
         (false, _) => "not asked on the CPU".to_owned(),
@@ -299,9 +296,7 @@ fn on_the_device<'a, T: Element>(
     // Copies from memory that ONNX Runtime allocated: to copy a borrowed tensor, `ort` 2.0.0-rc.15 first makes a copy,
     // for which it waits on the lock that it holds.
     let mut near = Tensor::<T>::new(&Allocator::default(), shape)?;
-    near.try_extract_tensor_mut::<T>()?
-        .1
-        .copy_from_slice(example);
+    near.try_extract_tensor_mut::<T>()?.1.copy_from_slice(example);
     // A graph is recorded with this input.
     near.copy_into(&mut device)?;
     let mut binding: IoBinding = session.create_binding()?;

@@ -4,12 +4,12 @@
 //!
 //! `make bench-peers`, or `cargo run --release --manifest-path benches/standalone/Cargo.toml`
 
-use albireo_scene::{PICTURE, Scene, processor_seconds, quartiles};
 use albireo_core::detection::Detection;
 use albireo_core::policy::{
     Albireo, AlbireoSettings, Evidence, ExpectedLoss, ExpectedLossSettings, FrameHead, Need,
     Outcome, Policy, Profile, Trigger,
 };
+use albireo_scene::{PICTURE, Scene, processor_seconds, quartiles};
 use edgefirst_tracker::bytetrack::ByteTrackBuilder;
 use edgefirst_tracker::{DetectionBox, Tracker as _};
 use norfair_rs::TrackerConfig;
@@ -70,9 +70,7 @@ impl Film {
         let forth = Scene::new(objects).film(FRAMES / 2, objects / 20);
         // Forwards and backwards, so that the film repeats without a cut.
         let ours: Vec<_> = forth.iter().chain(forth.iter().rev()).cloned().collect();
-        let norfair = ours
-            .iter()
-            .map(|frame| frame.iter().map(norfair_box).collect());
+        let norfair = ours.iter().map(|frame| frame.iter().map(norfair_box).collect());
         Ok(Self {
             trackforge: each(&ours, measured),
             norfair: norfair.collect::<Result<_, _>>()?,
@@ -83,9 +81,7 @@ impl Film {
 }
 
 fn each<T>(film: &[Vec<Detection>], form: impl Fn(&Detection) -> T) -> Vec<Vec<T>> {
-    film.iter()
-        .map(|frame| frame.iter().map(&form).collect())
-        .collect()
+    film.iter().map(|frame| frame.iter().map(&form).collect()).collect()
 }
 
 fn norfair_box(detection: &Detection) -> norfair_rs::Result<norfair_rs::Detection> {
@@ -176,9 +172,7 @@ fn contestants(film: &Film) -> Result<Vec<(&'static str, Contestant<'_>)>, Box<d
     let mut config = TrackerConfig::from_distance_name("iou", 0.7);
     config.initialization_delay = 3;
     let mut norfair = norfair_rs::Tracker::new(config)?;
-    let mut edgefirst = ByteTrackBuilder::new()
-        .track_high_conf(0.5)
-        .build::<EdgefirstBox>();
+    let mut edgefirst = ByteTrackBuilder::new().track_high_conf(0.5).build::<EdgefirstBox>();
     let mut time_ns = 0;
     Ok(vec![
         (
@@ -245,10 +239,7 @@ fn measure() -> Result<(), Box<dyn Error>> {
     println!(
         "Processor time of a frame on which the detector ran, µs: median of {ROUNDS} rounds of {FRAMES} frames (quartiles)\n"
     );
-    let films: Vec<_> = OBJECTS
-        .into_iter()
-        .map(Film::new)
-        .collect::<Result<_, _>>()?;
+    let films: Vec<_> = OBJECTS.into_iter().map(Film::new).collect::<Result<_, _>>()?;
     let mut columns = Vec::new();
     for (objects, film) in OBJECTS.iter().zip(&films) {
         let mut contestants = contestants(film)?;

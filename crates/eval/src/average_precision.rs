@@ -197,9 +197,7 @@ impl Matching {
             }
             for prediction in predictions.get(index).into_iter().flatten() {
                 if wanted(prediction.class) {
-                    frame
-                        .predictions
-                        .push((prediction.confidence, prediction.corners));
+                    frame.predictions.push((prediction.confidence, prediction.corners));
                 }
             }
             truths += frame.truths.len();
@@ -240,11 +238,7 @@ impl Matching {
                 _ => {}
             }
         }
-        let hits = self
-            .matched
-            .iter()
-            .filter(|&&matched| matched & 1 == 1)
-            .count();
+        let hits = self.matched.iter().filter(|&&matched| matched & 1 == 1).count();
         Some(Accuracy {
             ap50,
             ap75,
@@ -368,22 +362,12 @@ impl FrameMatcher {
         self.candidates.clear();
         self.ends.clear();
         self.by_left.clear();
-        self.by_left.extend(
-            self.truths
-                .iter()
-                .enumerate()
-                .map(|(index, truth)| (truth.x1, index)),
-        );
+        self.by_left
+            .extend(self.truths.iter().enumerate().map(|(index, truth)| (truth.x1, index)));
         self.by_left.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let widest = self
-            .truths
-            .iter()
-            .map(|truth| truth.x2 - truth.x1)
-            .fold(0.0, f64::max);
+        let widest = self.truths.iter().map(|truth| truth.x2 - truth.x1).fold(0.0, f64::max);
         for (_, prediction) in &self.predictions {
-            let first = self
-                .by_left
-                .partition_point(|&(left, _)| left < prediction.x1 - widest);
+            let first = self.by_left.partition_point(|&(left, _)| left < prediction.x1 - widest);
             let begin = self.candidates.len();
             for &(left, index) in &self.by_left[first..] {
                 if left > prediction.x2 {

@@ -12,9 +12,7 @@ pub fn conclusion(summaries: &[PolicySummary]) -> Vec<String> {
     let Some(baseline) = summaries.iter().find(|found| found.policy == BASELINE) else {
         return Vec::new();
     };
-    let others: Vec<_> = (summaries.iter())
-        .filter(|found| found.policy != BASELINE)
-        .collect();
+    let others: Vec<_> = (summaries.iter()).filter(|found| found.policy != BASELINE).collect();
     let mut sentences = Vec::new();
     if baseline.ap50.is_none() {
         sentences.push(

@@ -280,10 +280,8 @@ impl DataSet {
     /// # Errors
     /// When no clip is left.
     pub fn only_with_detections(mut self, path: &Path) -> Result<Self, EvalError> {
-        let (with, without): (Vec<Clip>, Vec<Clip>) = self
-            .clips
-            .into_iter()
-            .partition(|clip| clip.detections.is_some());
+        let (with, without): (Vec<Clip>, Vec<Clip>) =
+            self.clips.into_iter().partition(|clip| clip.detections.is_some());
         self.clips = with;
         if self.clips.is_empty() {
             return Err(EvalError::content(

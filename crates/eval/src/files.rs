@@ -33,12 +33,10 @@ pub(crate) fn write_csv(
 ) -> Result<(), EvalError> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     let header = rows.first().map(|row| row.iter().map(|(name, _)| *name));
-    let written = header
-        .map_or(Ok(()), |header| writer.write_record(header))
-        .and_then(|()| {
-            let mut cells = rows.iter().map(|row| row.iter().map(|(_, cell)| cell));
-            cells.try_for_each(|cells| writer.write_record(cells))
-        });
+    let written = header.map_or(Ok(()), |header| writer.write_record(header)).and_then(|()| {
+        let mut cells = rows.iter().map(|row| row.iter().map(|(_, cell)| cell));
+        cells.try_for_each(|cells| writer.write_record(cells))
+    });
     let text = written
         .map_err(|error| error.to_string())
         .and_then(|()| writer.into_inner().map_err(|error| error.to_string()));

@@ -219,11 +219,8 @@ fn score_as_published(
         .iter()
         .filter(|output| output.object.is_none())
         .map(|output| score_truncated(output, picture));
-    let undecayed: Vec<ScoredBox> = objects
-        .iter()
-        .map(|object| score_object(object, picture))
-        .chain(free)
-        .collect();
+    let undecayed: Vec<ScoredBox> =
+        objects.iter().map(|object| score_object(object, picture)).chain(free).collect();
     let mut decayed = undecayed.clone();
     for (scored, object) in decayed.iter_mut().zip(objects) {
         scored.confidence = decayed_confidence(object.confidence, object.tau, decay_u);

@@ -172,9 +172,7 @@ impl ClipResult {
         frames.iter().for_each(|frame| states.count(frame.state));
         let count =
             |test: fn(&FrameRecord) -> bool| frames.iter().filter(|frame| test(frame)).count();
-        let decisions = frames
-            .iter()
-            .map(|frame| frame.decision.as_secs_f64() * 1e6);
+        let decisions = frames.iter().map(|frame| frame.decision.as_secs_f64() * 1e6);
         Self {
             clip: clip.to_owned(),
             policy: policy.to_owned(),

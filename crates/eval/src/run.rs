@@ -131,14 +131,13 @@ pub(super) fn in_parallel<'a>(
         .collect();
     // The longest clips come first, so that no thread is left with one at the end.
     steps.sort_by_key(|&(_, clip)| std::cmp::Reverse(clips[clip].frames));
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(settings.threads)
-        .build()
-        .map_err(|error| {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(settings.threads).build().map_err(
+        |error| {
             EvalError::new(format!(
                 "the threads of the evaluation cannot be started: {error}; try fewer with --threads"
             ))
-        })?;
+        },
+    )?;
     // A bridge keeps the order of the steps.
     let results: Result<Vec<_>, EvalError> = pool.install(|| {
         let steps = steps.iter().par_bridge();
@@ -228,16 +227,11 @@ fn run_policy(
         result.worst = worst_frames(clip, &replayed, settings.confidence);
     }
     if let Some(pass) = &clip.pass {
-        let occupied = source
-            .all_detections()
-            .iter()
-            .map(|found| !found.is_empty());
+        let occupied = source.all_detections().iter().map(|found| !found.is_empty());
         let states = result.states_by_frame.iter().zip(occupied);
         let occupied = states.filter(|(_, occupied)| *occupied);
         result.occupied_frames = occupied.clone().count();
-        result.false_empty_frames = occupied
-            .filter(|(state, _)| **state == FrameState::E)
-            .count();
+        result.false_empty_frames = occupied.filter(|(state, _)| **state == FrameState::E).count();
         let screened = settings.screen == ScreenRule::Recorded;
         let times = pass.frame_times(&replayed.frames, decider.pictures(), screened);
         result.frame_time = Spread::of(times).map(|milliseconds| FrameTime {

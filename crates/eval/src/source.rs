@@ -57,9 +57,7 @@ impl<'a> StoredEvidence<'a> {
             )
         })?;
         let normalised = |frame: &Vec<ScoredBox>| {
-            let sure = frame
-                .iter()
-                .filter(|found| found.confidence >= settings.confidence);
+            let sure = frame.iter().filter(|found| found.confidence >= settings.confidence);
             sure.map(|found| found.normalise(clip.picture)).collect()
         };
         if settings.screen == ScreenRule::Recorded && clip.screen.is_none() {

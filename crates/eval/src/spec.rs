@@ -67,10 +67,7 @@ impl std::str::FromStr for Sweep {
         let values = values
             .split(',')
             .map(|value| {
-                value
-                    .trim()
-                    .parse()
-                    .map_err(|_| wrong(format!("`{value}` is not a number")))
+                value.trim().parse().map_err(|_| wrong(format!("`{value}` is not a number")))
             })
             .collect::<Result<Vec<f64>, _>>()?;
         Ok(Self {
@@ -126,9 +123,8 @@ pub(crate) fn swept(
     for asked in asked {
         let one = build(asked, base)?;
         let spec = one.1.threshold_spec();
-        let sweep = sweeps
-            .iter()
-            .position(|sweep| spec.is_some_and(|spec| spec.name == sweep.name));
+        let sweep =
+            sweeps.iter().position(|sweep| spec.is_some_and(|spec| spec.name == sweep.name));
         match sweep {
             Some(index) if !asked.contains(':') => {
                 applied[index] = true;
@@ -170,9 +166,7 @@ fn build(asked: &str, base: &PolicyConfig) -> Result<Built, EvalError> {
 
 /// True if the policy's threshold is the paper's `u`.
 pub(crate) fn takes_u(policy: &dyn Policy) -> bool {
-    policy
-        .threshold_spec()
-        .is_some_and(|spec| spec.name == Albireo::THRESHOLD.name)
+    policy.threshold_spec().is_some_and(|spec| spec.name == Albireo::THRESHOLD.name)
 }
 
 /// Labels a policy as the published traces do, if they contain it.

@@ -22,11 +22,9 @@ pub(crate) fn half_interval(values: &[f64]) -> Option<f64> {
 
 /// The mean of `values`; `None` if there are none.
 pub fn mean(values: impl IntoIterator<Item = f64>) -> Option<f64> {
-    let (sum, count) = values
-        .into_iter()
-        .fold((0.0, 0_usize), |(sum, count), value| {
-            (sum + value, count + 1)
-        });
+    let (sum, count) = values.into_iter().fold((0.0, 0_usize), |(sum, count), value| {
+        (sum + value, count + 1)
+    });
     (count > 0).then(|| sum / count as f64)
 }
 

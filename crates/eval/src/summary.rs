@@ -144,10 +144,7 @@ fn summarise_policy(
     let mut classes: BTreeMap<String, Vec<f64>> = BTreeMap::new();
     for result in results {
         for (class, accuracy) in &result.classes {
-            classes
-                .entry(class.clone())
-                .or_default()
-                .push(accuracy.ap50);
+            classes.entry(class.clone()).or_default().push(accuracy.ap50);
         }
     }
     PolicySummary {

@@ -158,9 +158,7 @@ fn idf1(frames: &[Overlaps], objects: &Appearances, tracks: &Appearances) -> f64
         }
     }
     let best = assign(objects.counts.len(), columns, &matches);
-    let right: f64 = best
-        .map(|(row, column)| matches[row * columns + column])
-        .sum();
+    let right: f64 = best.map(|(row, column)| matches[row * columns + column]).sum();
     2.0 * right / (objects.total() + tracks.total())
 }
 
@@ -184,9 +182,7 @@ mod tests {
     fn a_track_cut_in_two_keeps_half_of_its_identity() {
         let truth = vec![known(Some(7)); 4];
         let whole = vec![vec![found(0.0, Some(3), 0.9)]; 4];
-        let cut: Vec<_> = (0..4)
-            .map(|frame| vec![found(0.0, Some(frame / 2), 0.9)])
-            .collect();
+        let cut: Vec<_> = (0..4).map(|frame| vec![found(0.0, Some(frame / 2), 0.9)]).collect();
         let perfect = tracking(&whole, &truth).unwrap();
         assert_eq!((perfect.hota, perfect.idf1), (1.0, 1.0));
         let halves = tracking(&cut, &truth).unwrap();

@@ -118,9 +118,7 @@ pub(crate) fn worst_frames(clip: &Clip, replayed: &Replay, confidence: f64) -> V
             lost: missed,
             size: clip.picture,
             truth: truth[frame].iter().map(|truth| truth.corners).collect(),
-            found: (replayed.boxes[frame].iter())
-                .map(|found| found.corners)
-                .collect(),
+            found: (replayed.boxes[frame].iter()).map(|found| found.corners).collect(),
             picture: clip.pictures.get(frame).cloned().map(FramePicture::File),
         });
     }

@@ -69,8 +69,7 @@ async fn paging_returns_each_node_once_in_every_order() {
         message.waiting = u64::from(number % 3);
         hub.put_status(&format!("car-{number}"), &message).await;
     }
-    hub.until("/api/v1/nodes", |page| page["counts"]["online"] == 6)
-        .await;
+    hub.until("/api/v1/nodes", |page| page["counts"]["online"] == 6).await;
     let mut orders = Vec::new();
     for sort in ["name", "state", "since", "heard", "waiting"] {
         let mut all: Vec<String> = Vec::new();

@@ -112,8 +112,7 @@ async fn a_value_or_target_reaches_the_selected_nodes_and_replaces_the_one_befor
         .until("/api/v1/nodes", |nodes| {
             let all = nodes["nodes"].as_array().unwrap().iter();
             let held = held(nodes);
-            all.map(|node| node["heard_ms"].as_i64())
-                .all(|heard| heard > Some(restarted))
+            all.map(|node| node["heard_ms"].as_i64()).all(|heard| heard > Some(restarted))
                 && held[1] == wanted
                 && held[2] == high
                 && held[4] == wanted

@@ -197,8 +197,7 @@ async fn an_offline_node_can_be_forgotten_with_its_desired_setting(database: &st
     let hub = hub.restart().await;
     assert_eq!(names(&hub.get("/api/v1/nodes").await), ["sim-000000"]);
     let simulated = SimulatedFleet::start(&hub, fleet(2)).await;
-    hub.until("/api/v1/nodes", |nodes| values(nodes) == [1e-4, 3e-4])
-        .await;
+    hub.until("/api/v1/nodes", |nodes| values(nodes) == [1e-4, 3e-4]).await;
     simulated.end().await;
     hub.stop().await;
 }
@@ -369,8 +368,7 @@ async fn postgres_a_node_in_a_rollout_of_one_hub_is_changed_by_no_other_hub() {
     beside.zenoh.connect = vec![one.zenoh.clone()];
     let two = Hub::start(beside).await;
     let simulated = SimulatedFleet::start(&one, fleet(4)).await;
-    two.until("/api/v1/nodes", |page| page["counts"]["online"] == 4)
-        .await;
+    two.until("/api/v1/nodes", |page| page["counts"]["online"] == 4).await;
     let plan = json!({"u": 5e-4, "select": ["all"], "stages": ["1", "100%"], "soak_s": 600});
     let begun = begin(&one, "/api/v1/rollouts", plan.clone()).await;
     let path = format!("/api/v1/rollouts/{}", begun["id"]);
@@ -385,8 +383,7 @@ async fn postgres_a_node_in_a_rollout_of_one_hub_is_changed_by_no_other_hub() {
     put(&two, by_hand, json!({"applied": 4})).await;
     simulated.end().await;
     for hub in [one, two] {
-        hub.assert_metrics(&["albireo_hub_database_errors_total 0"])
-            .await;
+        hub.assert_metrics(&["albireo_hub_database_errors_total 0"]).await;
         hub.stop().await;
     }
 }

@@ -69,9 +69,7 @@ fn try_detector(config: &DetectorConfig) -> Result<String, Failure> {
     let begun = Instant::now();
     let mut network = DetectorNetwork::open(config)?;
     let loaded = begun.elapsed();
-    let prepared = network
-        .preparation()
-        .prepare(&Picture::black(network.input_format().size))?;
+    let prepared = network.preparation().prepare(&Picture::black(network.input_format().size))?;
     let mut took = Vec::with_capacity(PICTURES);
     for _ in 0..PICTURES {
         let begun = Instant::now();

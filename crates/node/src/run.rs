@@ -122,9 +122,7 @@ fn early_routes(node: &str) -> Router {
         let reason = "the state directory is being opened";
         Problem::new(StatusCode::SERVICE_UNAVAILABLE, reason)
     };
-    Router::new()
-        .route("/healthz", get(alive))
-        .fallback(opening)
+    Router::new().route("/healthz", get(alive)).fallback(opening)
 }
 
 /// Logs the main facts in one line.

@@ -108,9 +108,7 @@ impl Attribution {
             camera.weight *= decay;
         }
         let totals = self.cameras.iter();
-        totals
-            .map(|(number, camera)| (*number, camera.totals))
-            .collect()
+        totals.map(|(number, camera)| (*number, camera.totals)).collect()
     }
 }
 

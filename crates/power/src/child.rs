@@ -151,10 +151,7 @@ fn read(output: ChildStdout, lines: &SyncSender<Line>) {
     let mut line = Vec::new();
     loop {
         line.clear();
-        let read = output
-            .by_ref()
-            .take(LONGEST_LINE)
-            .read_until(b'\n', &mut line);
+        let read = output.by_ref().take(LONGEST_LINE).read_until(b'\n', &mut line);
         let at = Instant::now();
         if !matches!(read, Ok(1..)) {
             return;

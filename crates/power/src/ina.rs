@@ -84,9 +84,7 @@ fn channels(chip: &Path) -> Vec<Channel> {
             .filter(|(_, label)| label != "NC" && !label.contains("shunt"))
             .map(|(i, label)| Channel {
                 name: label.into(),
-                files: ["in", "curr"]
-                    .map(|what| chip.join(format!("{what}{i}_input")))
-                    .into(),
+                files: ["in", "curr"].map(|what| chip.join(format!("{what}{i}_input"))).into(),
             })
             .collect(),
         _ => Vec::new(),

@@ -53,13 +53,14 @@ impl Machine {
             ["core_throttle_count", "package_throttle_count"]
                 .map(|file| cpu.join("thermal_throttle").join(file))
         });
-        let jetson = class("hwmon")
-            .into_iter()
-            .flat_map(|chip| sysfs::entries(&chip))
-            .filter(|file| {
-                let name = sysfs::name(file);
-                name.starts_with("oc") && name.ends_with("_event_cnt")
-            });
+        let jetson =
+            class("hwmon")
+                .into_iter()
+                .flat_map(|chip| sysfs::entries(&chip))
+                .filter(|file| {
+                    let name = sysfs::name(file);
+                    name.starts_with("oc") && name.ends_with("_event_cnt")
+                });
         let (mode, modes) = follow_mode(config.nvpmodel.clone(), MODE_EVERY);
         Self {
             zones: class("thermal")

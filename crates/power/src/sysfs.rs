@@ -34,9 +34,7 @@ pub(crate) fn entries(directory: &Path) -> Vec<PathBuf> {
 
 /// The last component of a path as text.
 pub(crate) fn name(path: &Path) -> &str {
-    path.file_name()
-        .and_then(|n| n.to_str())
-        .unwrap_or_default()
+    path.file_name().and_then(|n| n.to_str()).unwrap_or_default()
 }
 
 /// Converts an I/O error on `path` to a meter error.

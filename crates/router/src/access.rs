@@ -23,10 +23,7 @@ pub fn access_control(
     prefix: &str,
     pictures: bool,
 ) -> Result<Value, RouterError> {
-    let good: Vec<&Entry> = entries
-        .iter()
-        .filter(|entry| entry.revoked_s.is_none())
-        .collect();
+    let good: Vec<&Entry> = entries.iter().filter(|entry| entry.revoked_s.is_none()).collect();
     for entry in &good {
         let file = folder.join(entry.certificate());
         let found = subject(&file)?;

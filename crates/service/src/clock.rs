@@ -35,9 +35,7 @@ pub fn unix_milliseconds() -> i64 {
 }
 
 fn since_epoch() -> Duration {
-    SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .unwrap_or_default()
+    SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default()
 }
 
 /// A duration in milliseconds, rounded to the microsecond: further digits are clock noise.

@@ -50,11 +50,7 @@ fn subscriber(level: &str, format: LogFormat) -> impl Subscriber + Send + Sync {
             .with_ansi(std::io::stderr().is_terminal())
             .with_filter(filter(level))
             .boxed(),
-        LogFormat::Json => written
-            .json()
-            .flatten_event(true)
-            .with_filter(filter(level))
-            .boxed(),
+        LogFormat::Json => written.json().flatten_event(true).with_filter(filter(level)).boxed(),
     };
     tracing_subscriber::registry()
         .with(written)

@@ -69,13 +69,9 @@ pub(crate) async fn open(options: &Options, index: usize) -> Result<Session, Sim
         ("transport/link/tx/batch_size", serde_json::json!(8_192)),
         ("transport/link/rx/buffer_size", serde_json::json!(8_192)),
     ] {
-        config
-            .insert_json5(key, &value.to_string())
-            .map_err(SimulateError::at(key))?;
+        config.insert_json5(key, &value.to_string()).map_err(SimulateError::at(key))?;
     }
-    zenoh::open(config)
-        .await
-        .map_err(SimulateError::at(format!("session {index}")))
+    zenoh::open(config).await.map_err(SimulateError::at(format!("session {index}")))
 }
 
 /// Simulates one node.
@@ -126,11 +122,7 @@ impl Player {
         end: CancellationToken,
     ) -> Result<(), SimulateError> {
         let notice = Arc::new(Notify::new());
-        let _notices = self
-            .options
-            .notices
-            .then(|| self.hear(&notice))
-            .transpose()?;
+        let _notices = self.options.notices.then(|| self.hear(&notice)).transpose()?;
         let status = Duration::from_secs_f64(self.node.heartbeat_s);
         let clip = Duration::from_secs_f64(self.options.clip_s);
         // Spreads the times of all nodes over the period.
@@ -178,10 +170,8 @@ impl Player {
     /// Forwards each notice of the hub to `notice`.
     fn hear(&self, notice: &Arc<Notify>) -> Result<Subscriber<()>, SimulateError> {
         let notice = Arc::clone(notice);
-        let notices = self
-            .session
-            .declare_subscriber(self.keys.changed())
-            .callback(move |sample| {
+        let notices =
+            self.session.declare_subscriber(self.keys.changed()).callback(move |sample| {
                 if read::<ConfigChanged>(&sample.payload().to_bytes()).is_ok() {
                     notice.notify_one();
                 }

@@ -101,10 +101,7 @@ impl PreparedFrame {
             }
             Stage::Picture => {
                 let layout = PixelLayout::Rgb8;
-                let most = encoded
-                    .size
-                    .pixels()
-                    .saturating_mul(layout.channels() as u64);
+                let most = encoded.size.pixels().saturating_mul(layout.channels() as u64);
                 let mut picture = pictures.take(usize::try_from(most).unwrap_or(usize::MAX));
                 let target = decoding_target(preparation.format(), *screen, encoded.size);
                 let made = decode(encoded, limits, layout, Some(target), &mut picture);

@@ -158,9 +158,7 @@ impl Player {
         shutdown: &CancellationToken,
     ) -> anyhow::Result<Duration> {
         let key = config.keys()?.camera(CAMERA)?.frame();
-        let camera = board
-            .camera(CAMERA)
-            .context("the camera is not on the board")?;
+        let camera = board.camera(CAMERA).context("the camera is not on the board")?;
         let session = open_session(endpoints, &[], PATIENCE).await?;
         let pacing = match self.rate {
             Some(_) => Pacing::WaitForNetwork,

@@ -88,8 +88,7 @@ impl Show {
                         self.heading();
                     }
                     summary.seconds = self.started.elapsed().as_secs_f64();
-                    self.bar
-                        .set_message(live_line(&self.board, &frame.detections));
+                    self.bar.set_message(live_line(&self.board, &frame.detections));
                     self.bar.tick();
                 }
                 Ok(News::Clip(report)) => {
@@ -129,14 +128,8 @@ fn live_line(board: &Board, message: &DetectionsMessage) -> String {
     for found in &message.boxes {
         *classes.entry(&found.class).or_default() += 1;
     }
-    let objects: Vec<_> = classes
-        .iter()
-        .map(|(class, count)| format!("{count} {class}"))
-        .collect();
-    let skip_rate = board
-        .cameras
-        .first()
-        .map_or(0.0, |camera| camera.snapshot().skip_rate());
+    let objects: Vec<_> = classes.iter().map(|(class, count)| format!("{count} {class}")).collect();
+    let skip_rate = board.cameras.first().map_or(0.0, |camera| camera.snapshot().skip_rate());
     let threshold =
         (message.threshold).map_or_else(String::new, |threshold| format!("  {threshold}"));
     let line = format!(

@@ -181,11 +181,8 @@ impl BoxFlow {
         self.values.clear();
         for (index, a) in self.pairs.iter().enumerate() {
             let later = self.pairs.get(index + 1..).unwrap_or_default();
-            self.values.extend(
-                later
-                    .iter()
-                    .map(|b| squared(a.end, b.end) / squared(a.start, b.start)),
-            );
+            self.values
+                .extend(later.iter().map(|b| squared(a.end, b.end) / squared(a.start, b.start)));
         }
         let ratio = median(&mut self.values);
         (ratio.is_finite() && ratio > 0.0).then(|| ratio.sqrt())

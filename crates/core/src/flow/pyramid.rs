@@ -85,10 +85,8 @@ impl Level {
             let above = reflect(-(distance as isize), height) + BORDER;
             let below = reflect((height - 1 + distance) as isize, height) + BORDER;
             let row = |y: usize| y * stride..(y + 1) * stride;
-            self.pixels
-                .copy_within(row(above), (BORDER - distance) * stride);
-            self.pixels
-                .copy_within(row(below), (BORDER + height - 1 + distance) * stride);
+            self.pixels.copy_within(row(above), (BORDER - distance) * stride);
+            self.pixels.copy_within(row(below), (BORDER + height - 1 + distance) * stride);
         }
     }
 }
@@ -168,9 +166,7 @@ impl Pyramid {
 
     /// Returns the width and height of the picture in pixels, or 0 without one.
     pub fn size(&self) -> (usize, usize) {
-        self.levels()
-            .first()
-            .map_or((0, 0), |level| (level.width, level.height))
+        self.levels().first().map_or((0, 0), |level| (level.width, level.height))
     }
 
     /// Returns the levels, finest first.

@@ -90,10 +90,7 @@ impl Filter {
         let p = &mut self.center_covariance;
         let inverse = 1.0 / (p[0][0] + model.measurement);
         let gain = [p[0][0] * inverse, p[1][0] * inverse, p[2][0] * inverse];
-        for (axis, measured) in [measured.center_x, measured.center_y]
-            .into_iter()
-            .enumerate()
-        {
+        for (axis, measured) in [measured.center_x, measured.center_y].into_iter().enumerate() {
             let innovation = measured - self.position[axis];
             self.position[axis] += gain[0] * innovation;
             self.velocity[axis] += gain[1] * innovation;

@@ -46,13 +46,11 @@ impl AssignmentSolver {
             self.assign(columns, rows, &transposed);
             self.transposed_cost = transposed;
             let assigned = self.column_of_row.iter().enumerate();
-            self.pairs
-                .extend(assigned.map(|(row, &column)| (column, row)));
+            self.pairs.extend(assigned.map(|(row, &column)| (column, row)));
             self.pairs.sort_unstable();
         } else {
             self.assign(rows, columns, cost);
-            self.pairs
-                .extend(self.column_of_row.iter().copied().enumerate());
+            self.pairs.extend(self.column_of_row.iter().copied().enumerate());
         }
         &self.pairs
     }

@@ -160,8 +160,7 @@ mod tests {
             (pairs + 1, cost + edge.cost)
         });
         let all = paired.chain([best(row + 1, rows, edges, used)]);
-        all.max_by(|a, b| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1)))
-            .unwrap()
+        all.max_by(|a, b| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1))).unwrap()
     }
 
     fn graphs() -> impl Strategy<Value = (u32, u32, Vec<Edge>)> {

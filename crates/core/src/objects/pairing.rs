@@ -56,10 +56,7 @@ impl Pairing {
         within: impl Fn(f64) -> bool,
     ) {
         self.edges.clear();
-        for (row, _) in (0u32..)
-            .zip(&self.detection_of)
-            .filter(|(_, it)| it.is_none())
-        {
+        for (row, _) in (0u32..).zip(&self.detection_of).filter(|(_, it)| it.is_none()) {
             let Some((area, cost_of)) = of(row as usize) else {
                 continue;
             };

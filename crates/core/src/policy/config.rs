@@ -185,20 +185,17 @@ impl PolicyConfig {
             reason: reason.to_owned(),
         };
         let place = threshold.ok_or_else(|| wrong("this policy takes no argument"))?;
-        *place(self) = argument
-            .trim()
-            .parse()
-            .map_err(|_| wrong("the argument must be a number"))?;
+        *place(self) =
+            argument.trim().parse().map_err(|_| wrong("the argument must be a number"))?;
         Ok(())
     }
 
     fn entry(&self) -> Result<&'static Entry, PolicyConfigError> {
-        POLICIES
-            .iter()
-            .find(|Entry(name, ..)| *name == self.name)
-            .ok_or_else(|| PolicyConfigError::UnknownPolicy {
+        POLICIES.iter().find(|Entry(name, ..)| *name == self.name).ok_or_else(|| {
+            PolicyConfigError::UnknownPolicy {
                 name: self.name.clone(),
-            })
+            }
+        })
     }
 }
 

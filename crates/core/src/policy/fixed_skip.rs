@@ -106,8 +106,7 @@ impl FixedSkip {
     /// True if a multiple of N lies between the last frame that the detector answered and frame `index`, inclusive. So
     /// if a due frame is lost or the detector fails on it, the next frame is due; a restarted index is also due.
     fn is_due(&self, index: u64) -> bool {
-        self.last_answered
-            .is_none_or(|last| self.period(last) != self.period(index))
+        self.last_answered.is_none_or(|last| self.period(last) != self.period(index))
     }
 
     fn period(&self, index: u64) -> f64 {

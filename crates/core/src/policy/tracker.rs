@@ -106,8 +106,7 @@ impl Tracker {
                 _ => BoxSource::Rescued,
             };
             if source == BoxSource::Rescued || !own_boxes {
-                self.boxes
-                    .push(filter_box(&self.settings, self.u, state, source));
+                self.boxes.push(filter_box(&self.settings, self.u, state, source));
             }
         }
     }
@@ -159,9 +158,8 @@ pub(super) fn check_setting(
     spec: ThresholdSpec,
     value: f64,
 ) -> Result<f64, PolicyConfigError> {
-    spec.check(value)
-        .map_err(|error| PolicyConfigError::Setting {
-            table,
-            reason: error.to_string(),
-        })
+    spec.check(value).map_err(|error| PolicyConfigError::Setting {
+        table,
+        reason: error.to_string(),
+    })
 }

@@ -92,8 +92,7 @@ impl RecallControl {
         while self.lots.len() > MOST_LOTS {
             self.lots.pop_front();
         }
-        self.lots
-            .retain(|(x, _)| (x - lever.logarithm()).abs() <= NEAR);
+        self.lots.retain(|(x, _)| (x - lever.logarithm()).abs() <= NEAR);
         let mut all = AuditSums::default();
         for (_, lot) in &self.lots {
             all.merge(lot);

@@ -114,10 +114,7 @@ pub fn advise(
         };
         search.propose()
     };
-    let mut proposals = screens
-        .into_iter()
-        .map(propose)
-        .collect::<Result<Vec<_>, _>>()?;
+    let mut proposals = screens.into_iter().map(propose).collect::<Result<Vec<_>, _>>()?;
     let worth = |proposal: &Proposal| {
         let figure = match target {
             Target::Recall(_) => proposal.skip_rate,

@@ -95,9 +95,7 @@ fn sentences(advice: &Advice) -> Vec<String> {
 }
 
 fn skips(proposal: &Proposal) -> bool {
-    proposal
-        .skip_rate
-        .is_some_and(|rate| rate.value >= NEGLIGIBLE_SKIP_RATE)
+    proposal.skip_rate.is_some_and(|rate| rate.value >= NEGLIGIBLE_SKIP_RATE)
 }
 
 fn proposed(best: &Proposal) -> String {

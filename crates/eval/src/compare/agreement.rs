@@ -57,9 +57,8 @@ pub fn agreement(boxes: &Boxes, reference: &Boxes) -> Option<Agreement> {
     let both = boxes
         .iter()
         .filter_map(|(frame, found)| Some((found.clone(), reference.get(frame)?)));
-    let (found, truth): (Vec<_>, Vec<_>) = both
-        .map(|(found, expected)| (found, expected.clone()))
-        .unzip();
+    let (found, truth): (Vec<_>, Vec<_>) =
+        both.map(|(found, expected)| (found, expected.clone())).unzip();
     let judged = accuracy(&found, &truth, Classes::Pooled, Interpolation::AllPoints)?;
     Some(Agreement {
         ap50: judged.ap50,

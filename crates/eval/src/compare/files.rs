@@ -33,10 +33,7 @@ pub fn write(
 fn row(comparison: &Comparison, run: &Run) -> Vec<(&'static str, String)> {
     let report = &run.report;
     let energy = &report.energy;
-    let total = energy
-        .domains
-        .iter()
-        .find(|domain| domain.domain == "total");
+    let total = energy.domains.iter().find(|domain| domain.domain == "total");
     let board = report.board.clone().unwrap_or_default();
     let number = |value: Option<f64>| value.map_or_else(String::new, |value| value.to_string());
     let figure = |figure: Figure| number(figure.of(run));

@@ -150,19 +150,13 @@ pub struct Summary {
 /// Summarises a comparison.
 pub fn summarise(comparison: &Comparison) -> Summary {
     let of_variant = |variant: usize| {
-        let mut runs: Vec<_> = comparison
-            .runs
-            .iter()
-            .filter(|run| run.variant == variant)
-            .collect();
+        let mut runs: Vec<_> =
+            comparison.runs.iter().filter(|run| run.variant == variant).collect();
         runs.sort_by_key(|run| run.round);
         runs
     };
     let values = |variant: usize, figure: Figure| -> Option<Vec<f64>> {
-        of_variant(variant)
-            .into_iter()
-            .map(|run| figure.of(run))
-            .collect()
+        of_variant(variant).into_iter().map(|run| figure.of(run)).collect()
     };
     let policies = comparison
         .policies
@@ -195,10 +189,7 @@ pub fn summarise(comparison: &Comparison) -> Summary {
         energy: quality(runs),
         energy_source: (runs.first())
             .map_or_else(String::new, |run| run.report.energy.source.clone()),
-        coverage: runs
-            .iter()
-            .map(|run| run.report.energy.coverage)
-            .fold(1.0, f64::min),
+        coverage: runs.iter().map(|run| run.report.energy.coverage).fold(1.0, f64::min),
         rounds: runs.iter().map(|run| run.round + 1).max().unwrap_or(0),
         meter_share_of_core: runs
             .iter()

@@ -90,9 +90,7 @@ fn heading(comparison: &Comparison, summary: &Summary) -> String {
     let order: Vec<String> = schedule(comparison.policies.len(), summary.rounds.min(2))
         .chunks(comparison.policies.len().max(1))
         .map(|round| {
-            let names = round
-                .iter()
-                .filter_map(|run| comparison.policies.get(run.variant));
+            let names = round.iter().filter_map(|run| comparison.policies.get(run.variant));
             names.map(String::as_str).collect::<Vec<_>>().join(", ")
         })
         .collect();

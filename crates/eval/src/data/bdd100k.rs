@@ -81,10 +81,8 @@ type Videos = BTreeMap<String, BTreeMap<usize, Vec<ScoredBox>>>;
 pub fn read(source: &Source<'_>) -> Result<DataSet, EvalError> {
     let mut data = DataSet::default();
     let (picture, report) = (source.picture, &mut data.report);
-    let mut truths = source
-        .truth
-        .map(|path| read_videos(path, picture, false, report))
-        .transpose()?;
+    let mut truths =
+        source.truth.map(|path| read_videos(path, picture, false, report)).transpose()?;
     let mut found = source
         .detections
         .map(|path| read_videos(path, picture, true, report))
@@ -111,9 +109,7 @@ pub fn read(source: &Source<'_>) -> Result<DataSet, EvalError> {
 }
 
 fn length<T>(frames: Option<&BTreeMap<usize, T>>) -> usize {
-    frames
-        .and_then(BTreeMap::last_key_value)
-        .map_or(0, |(index, _)| index + 1)
+    frames.and_then(BTreeMap::last_key_value).map_or(0, |(index, _)| index + 1)
 }
 
 /// Returns one list per frame; frames that the file does not contain are empty.
@@ -143,10 +139,7 @@ fn read_videos(
             let what = format!("this is not a list of frames in the Scalabel format: {error}");
             EvalError::line(&file, error.line() as u64, what)
         })?;
-        let stem = file
-            .file_stem()
-            .unwrap_or("clip".as_ref())
-            .to_string_lossy();
+        let stem = file.file_stem().unwrap_or("clip".as_ref()).to_string_lossy();
         for (position, frame) in frames.into_iter().enumerate() {
             let index = frame.index.unwrap_or(position);
             let video = frame.video.as_deref().unwrap_or(&stem).to_owned();

@@ -26,10 +26,7 @@ pub(crate) const EVALUATED: [(ClassId, &str); 6] = [
 
 /// Returns the name of an evaluated class; `None` for any other.
 pub(crate) fn name(class: ClassId) -> Option<&'static str> {
-    EVALUATED
-        .iter()
-        .find(|(id, _)| *id == class)
-        .map(|(_, name)| *name)
+    EVALUATED.iter().find(|(id, _)| *id == class).map(|(_, name)| *name)
 }
 
 /// Maps a class name of COCO or of any BDD100K release.

@@ -183,10 +183,7 @@ fn frames(
     let mut groups: BTreeMap<String, Vec<&Image>> = BTreeMap::new();
     for image in &set.images {
         let name = match image.video_id {
-            Some(id) => videos
-                .get(&id)
-                .cloned()
-                .unwrap_or_else(|| format!("video-{id}")),
+            Some(id) => videos.get(&id).cloned().unwrap_or_else(|| format!("video-{id}")),
             None => Path::new(&image.file_name)
                 .parent()
                 .map(|folder| folder.to_string_lossy().replace('/', "-"))

@@ -42,9 +42,7 @@ pub fn read(folder: &Path) -> Result<DataSet, EvalError> {
 
 fn read_sequence(folder: &Path, name: &str, report: &mut LoadReport) -> Result<Clip, EvalError> {
     let pictures = pictures_in(&folder.join("image_02").join(name));
-    let first = pictures
-        .first()
-        .and_then(|first| read_picture_file(first).ok());
+    let first = pictures.first().and_then(|first| read_picture_file(first).ok());
     let picture = first.map_or(USUAL_SIZE, |first| first.size);
     let table = |kind: &str| Table {
         path: folder.join(kind).join(format!("{name}.txt")),

@@ -102,9 +102,7 @@ impl Info {
             |name| name.to_string_lossy().into_owned(),
         );
         Ok(Self {
-            name: values
-                .get("name")
-                .map_or(folder_name, |name| (*name).to_owned()),
+            name: values.get("name").map_or(folder_name, |name| (*name).to_owned()),
             picture: PictureSize::new(width, height),
             frames: number("seqLength")? as usize,
             frame_rate: values

@@ -132,12 +132,8 @@ fn read_sequence(folder: &Path, entry: Entry, report: &mut LoadReport) -> Result
         frame_rate: entry.fps,
         detections: Some(detections),
         truth,
-        screen: screen.map(|frames| {
-            frames
-                .iter()
-                .map(|verdict| verdict.first().copied())
-                .collect()
-        }),
+        screen: screen
+            .map(|frames| frames.iter().map(|verdict| verdict.first().copied()).collect()),
         ignored: ignored.unwrap_or_default(),
         camera: entry.camera,
         ..Clip::new(entry.name, picture, entry.frames)

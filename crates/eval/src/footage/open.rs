@@ -84,9 +84,7 @@ impl SourceName {
         };
         let archive = Pictures::of_archive(path, rate.unwrap_or(Pictures::DEFAULT_RATE))?;
         let clips = archive.into_clips().into_iter();
-        Ok(clips
-            .map(|clip| Box::new(clip) as Box<dyn FrameSource>)
-            .collect())
+        Ok(clips.map(|clip| Box::new(clip) as Box<dyn FrameSource>).collect())
     }
 
     /// Returns the names of the clips, without opening a video.
@@ -151,9 +149,8 @@ mod tests {
         let names = ["busy", "sparse", "empty-then-car", "night"];
         assert_eq!(name.clip_names().unwrap(), names);
         let clips = name.open_clips(Some(10.0), VideoEncoding::Jpeg).unwrap();
-        let seconds: f64 = (clips.iter())
-            .map(|clip| clip.frames().unwrap() as f64 / clip.rate())
-            .sum();
+        let seconds: f64 =
+            (clips.iter()).map(|clip| clip.frames().unwrap() as f64 / clip.rate()).sum();
         assert!(seconds >= 40.0, "{seconds}");
         assert!(std::fs::metadata(road).unwrap().len() <= 8_000_000);
     }

@@ -101,9 +101,7 @@ impl Pictures {
                 folder.map_or_else(|| name.clone(), |own| plain_name(&own.to_string_lossy()));
             // Pictures of one clip share the memory of its name.
             let last = pictures.last().and_then(|last| last.clip.clone());
-            let clip = last
-                .filter(|last| **last == *clip)
-                .unwrap_or_else(|| clip.into());
+            let clip = last.filter(|last| **last == *clip).unwrap_or_else(|| clip.into());
             pictures.push(Member {
                 clip: Some(clip),
                 location: Location::Archive {
@@ -227,9 +225,7 @@ mod tests {
             all.rewind().unwrap();
         }
         let clips = all.into_clips();
-        let named: Vec<_> = (clips.iter())
-            .map(|clip| (clip.name(), clip.frames()))
-            .collect();
+        let named: Vec<_> = (clips.iter()).map(|clip| (clip.name(), clip.frames())).collect();
         assert_eq!(named, [("busy", Some(2)), ("night", Some(1))]);
     }
 

@@ -233,10 +233,7 @@ fn unreadable(file: &str, reason: impl Display) -> EvalError {
 fn read_errors(mut errors: ChildStderr) -> String {
     let mut text = Vec::new();
     // An error message is not worth an error of its own.
-    let _ = errors
-        .by_ref()
-        .take(MAX_ERROR_OUTPUT_BYTES)
-        .read_to_end(&mut text);
+    let _ = errors.by_ref().take(MAX_ERROR_OUTPUT_BYTES).read_to_end(&mut text);
     let _ = std::io::copy(&mut errors, &mut std::io::sink());
     String::from_utf8_lossy(&text).trim().replace('\n', "; ")
 }

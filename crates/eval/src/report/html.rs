@@ -142,10 +142,8 @@ fn policies(summaries: &[PolicySummary]) -> Markup {
 
 /// Renders AP@50 by class, if there is more than one.
 fn classes(summaries: &[PolicySummary]) -> Markup {
-    let names: BTreeSet<&String> = summaries
-        .iter()
-        .flat_map(|summary| summary.ap50_by_class.keys())
-        .collect();
+    let names: BTreeSet<&String> =
+        summaries.iter().flat_map(|summary| summary.ap50_by_class.keys()).collect();
     if names.len() < 2 {
         return Markup::default();
     }

@@ -265,10 +265,7 @@ fn settings(
     judged: &[(&PolicySummary, (f64, f64))],
 ) -> Result<(), PlotError> {
     let style = (FONT, 13).into_font().color(&SOFT_INK);
-    let mut taken: Vec<(i32, i32)> = judged
-        .iter()
-        .map(|(_, at)| plane.backend_coord(at))
-        .collect();
+    let mut taken: Vec<(i32, i32)> = judged.iter().map(|(_, at)| plane.backend_coord(at)).collect();
     for (summary, at) in judged {
         let (_, setting) = split_label(&summary.policy);
         let (x, y) = plane.backend_coord(at);
@@ -294,10 +291,7 @@ fn settings(
 fn states(summaries: &[PolicySummary]) -> Result<String, PlotError> {
     let rows = summaries.len();
     let size = (SIZE.0, 70 + 26 * rows.clamp(1, 60) as u32);
-    let widest = summaries
-        .iter()
-        .map(|summary| short_label(&summary.policy).len())
-        .max();
+    let widest = summaries.iter().map(|summary| short_label(&summary.policy).len()).max();
     let mut svg = String::new();
     {
         let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
@@ -373,9 +367,7 @@ fn changes(results: &[ClipResult], families: &[&str]) -> Vec<Vec<(f64, f64)>> {
         Some((result.skip_rate() * 100.0, (ap50(result)? - before) * 100.0))
     };
     let of = |family: &&str| {
-        let own = others
-            .iter()
-            .filter(|result| split_label(&result.policy).0 == *family);
+        let own = others.iter().filter(|result| split_label(&result.policy).0 == *family);
         own.filter_map(change).collect()
     };
     families.iter().map(of).collect()

@@ -18,9 +18,7 @@ pub(super) fn rows(results: &[ClipResult]) -> Vec<Vec<(&'static str, String)>> {
         .map(|result| (result.clip.as_str(), result))
         .collect();
     let before = |result: &ClipResult| baseline.get(result.clip.as_str()).copied();
-    (results.iter())
-        .map(|result| row(result, before(result)))
-        .collect()
+    (results.iter()).map(|result| row(result, before(result))).collect()
 }
 
 fn cell(value: Option<impl ToString>) -> String {

@@ -89,9 +89,7 @@ pub(super) async fn csv(
 }
 
 fn written(clips: Vec<StoredClip>, has_headers: bool) -> Result<Vec<u8>, BoxError> {
-    let mut writer = csv::WriterBuilder::new()
-        .has_headers(has_headers)
-        .from_writer(Vec::new());
+    let mut writer = csv::WriterBuilder::new().has_headers(has_headers).from_writer(Vec::new());
     for clip in clips {
         // CSV cannot hold nested fields; the JSON pages have the audit's figures.
         let audit = None;

@@ -136,9 +136,7 @@ pub(super) async fn list(
         waiting,
         total: found.len(),
         offset: selection.offset,
-        nodes: nodes
-            .filter_map(|(_, name)| view.fleet.view(name))
-            .collect(),
+        nodes: nodes.filter_map(|(_, name)| view.fleet.view(name)).collect(),
     }))
 }
 

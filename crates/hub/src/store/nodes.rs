@@ -23,9 +23,8 @@ impl dyn Database + '_ {
         let names: Vec<&str> = nodes.iter().map(|node| node.node.as_str()).collect();
         let text = "SELECT name, state, since_ms FROM nodes WHERE name IN";
         let before: Vec<Before> = read_all(self.among(text, &names)?)?;
-        let before: HashMap<&str, &Before> = (before.iter())
-            .map(|node| (node.name.as_str(), node))
-            .collect();
+        let before: HashMap<&str, &Before> =
+            (before.iter()).map(|node| (node.name.as_str(), node)).collect();
         let (mut rows, mut events) = (Vec::new(), Vec::new());
         for node in nodes {
             let row = before.get(node.node.as_str());

@@ -48,9 +48,7 @@ impl PostgresServer {
                  SET lock_timeout TO {timeout_ms}; SET client_min_messages TO warning",
                 timeout_ms.saturating_mul(4)
             );
-            connection
-                .execute(sqlx::raw_sql(AssertSqlSafe(settings)))
-                .await?;
+            connection.execute(sqlx::raw_sql(AssertSqlSafe(settings))).await?;
             Ok(connection)
         })?;
         Ok(Self {

@@ -46,9 +46,7 @@ pub(crate) fn retain(
         Kind::Sqlite => include_str!("sql/delete_days_sqlite.sql"),
         Kind::Postgres => include_str!("sql/delete_days_postgres.sql"),
     };
-    let texts = days
-        .split(';')
-        .chain(include_str!("sql/delete_old.sql").split(';'));
+    let texts = days.split(';').chain(include_str!("sql/delete_old.sql").split(';'));
     database.begin()?;
     let mut most = 0;
     for (text, bound) in texts.zip(bounds) {

@@ -139,9 +139,7 @@ fn for_each_row(
     statement: &mut Statement<'_>,
     take: &mut dyn FnMut(Row) -> Result<(), StoreError>,
 ) -> Result<(), StoreError> {
-    let columns: Vec<String> = (statement.column_names().into_iter())
-        .map(str::to_owned)
-        .collect();
+    let columns: Vec<String> = (statement.column_names().into_iter()).map(str::to_owned).collect();
     let mut rows = statement.raw_query();
     while let Some(row) = rows.next()? {
         let cell = |(at, name): (usize, &String)| Ok((name.clone(), read(row.get_ref(at)?)?));

@@ -121,9 +121,7 @@ fn glob(pattern: &str, text: &str) -> bool {
             matches[first.unwrap_or(text.len() + 1)..].fill(true);
         } else {
             let one = |(before, found): (&bool, &u8)| *before && [b'?', *found].contains(&wanted);
-            matches = std::iter::once(false)
-                .chain(matches.iter().zip(text).map(one))
-                .collect();
+            matches = std::iter::once(false).chain(matches.iter().zip(text).map(one)).collect();
         }
     }
     matches[text.len()]

@@ -99,12 +99,8 @@ impl Postgres {
     pub(crate) fn kill(&self) {
         let first = std::fs::read_to_string(format!("{}/postmaster.pid", self.data())).unwrap();
         let id = first.lines().next().unwrap().to_owned();
-        let kill = |signal: &str| {
-            Command::new("kill")
-                .args([signal, id.as_str()])
-                .status()
-                .unwrap()
-        };
+        let kill =
+            |signal: &str| Command::new("kill").args([signal, id.as_str()]).status().unwrap();
         // Stopped first, it starts no child that would outlive it and keep its shared memory.
         assert!(kill("-STOP").success(), "the server's process {id} runs");
         let _ = Command::new("pkill").args(["-9", "-P", &id]).status();

@@ -78,11 +78,7 @@ impl NodeName {
 
 /// The claims to the name other than `own`.
 async fn other_claims(session: &Session, key: &str, own: &str) -> zenoh::Result<Vec<String>> {
-    let replies = session
-        .liveliness()
-        .get(format!("{key}/*"))
-        .timeout(QUERY_TIMEOUT)
-        .await?;
+    let replies = session.liveliness().get(format!("{key}/*")).timeout(QUERY_TIMEOUT).await?;
     let mut others = Vec::new();
     while let Ok(reply) = replies.recv_async().await {
         if let Ok(claim) = reply.result()

@@ -188,10 +188,7 @@ impl Worker {
             .congestion_control(CongestionControl::Drop)
             .priority(crate::camera::publishing::COUNTERS)
             .await?;
-        let news = session
-            .declare_subscriber(keys.changed())
-            .with(RingChannel::new(1))
-            .await?;
+        let news = session.declare_subscriber(keys.changed()).with(RingChannel::new(1)).await?;
         let own = setup.local.is_none();
         let _alive = match own && setup.config.uplink.liveliness {
             true => Some(session.liveliness().declare_token(keys.alive()).await?),

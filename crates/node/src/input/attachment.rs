@@ -20,9 +20,9 @@ pub(super) fn read_attachment(
     };
     match format {
         PayloadFormat::Encoding => read_json(bytes),
-        PayloadFormat::Ros2CompressedImage | PayloadFormat::Ros2Image => Ok(read_rmw_zenoh(bytes)
-            .or_else(|| read_json(bytes).ok())
-            .unwrap_or_default()),
+        PayloadFormat::Ros2CompressedImage | PayloadFormat::Ros2Image => {
+            Ok(read_rmw_zenoh(bytes).or_else(|| read_json(bytes).ok()).unwrap_or_default())
+        }
     }
 }
 

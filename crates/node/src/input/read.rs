@@ -116,10 +116,7 @@ pub fn read_frame(
     let frame = read.map(|(picture, stamp)| Frame {
         sequence: number.seq.unwrap_or(raw.arrival),
         // A ROS header's stamp is the time of capture, the attachment's the time of sending.
-        time_ns: stamp
-            .or(attachment.t_ns)
-            .or(raw.timestamp_ns)
-            .unwrap_or_else(unix_nanoseconds),
+        time_ns: stamp.or(attachment.t_ns).or(raw.timestamp_ns).unwrap_or_else(unix_nanoseconds),
         clip: attachment.clip.map(Arc::from),
         picture,
         received: raw.received,

@@ -126,12 +126,10 @@ impl FrameReceiver {
             refused: refused.map(str::to_owned),
         };
         self.runtime.spawn_blocking(move || {
-            let sent = serde_json::to_vec(&answer)
-                .map_err(zenoh::Error::from)
-                .and_then(|answer| {
-                    let reply = query.reply(query.key_expr(), answer);
-                    reply.encoding(Encoding::APPLICATION_JSON).wait()
-                });
+            let sent = serde_json::to_vec(&answer).map_err(zenoh::Error::from).and_then(|answer| {
+                let reply = query.reply(query.key_expr(), answer);
+                reply.encoding(Encoding::APPLICATION_JSON).wait()
+            });
             if let Err(error) = sent {
                 tracing::debug!(%error, "a frame's sender was not answered");
             }

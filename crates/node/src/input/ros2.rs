@@ -92,10 +92,7 @@ fn without_padding(
         )));
     }
     let rows = height + chroma_rows;
-    if step
-        .checked_mul(rows)
-        .is_none_or(|needed| needed > data.len())
-    {
+    if step.checked_mul(rows).is_none_or(|needed| needed > data.len()) {
         return Err(FrameFault::undecodable(format!(
             "{rows} rows of {step} bytes do not fit in the {} bytes of the ROS image",
             data.len()

@@ -124,12 +124,10 @@ impl List {
 
     /// The unrevoked entry with this role and name.
     pub(super) fn good(&self, role: Role, name: &str) -> Result<&Entry, RouterError> {
-        self.of(role, name)
-            .find(|entry| entry.revoked_s.is_none())
-            .ok_or_else(|| {
-                let reason = format!("{role} `{name}` has no valid certificate");
-                RouterError::Other(reason)
-            })
+        self.of(role, name).find(|entry| entry.revoked_s.is_none()).ok_or_else(|| {
+            let reason = format!("{role} `{name}` has no valid certificate");
+            RouterError::Other(reason)
+        })
     }
 
     /// The highest issue with this role and name; 0 if there is none.

@@ -71,9 +71,7 @@ impl Findings {
         key: impl Into<String>,
         checked: Result<T, impl Display>,
     ) -> Option<T> {
-        checked
-            .map_err(|error| self.add(key, error.to_string()))
-            .ok()
+        checked.map_err(|error| self.add(key, error.to_string())).ok()
     }
 
     /// Requires a value above 0 and at most `high`.

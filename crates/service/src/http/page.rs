@@ -42,9 +42,7 @@ where
     S: Clone + Send + Sync + 'static,
 {
     let page = move |headers: HeaderMap| async move { answer(name, &headers) };
-    router
-        .route("/", get(page))
-        .route("/assets/{file}", get(asset))
+    router.route("/", get(page)).route("/assets/{file}", get(asset))
 }
 
 fn answer(name: &str, headers: &HeaderMap) -> Response {
@@ -74,9 +72,7 @@ fn file(name: &str, headers: &HeaderMap, caching: &'static str) -> Option<Respon
         (VARY, "accept-encoding"),
         (X_CONTENT_TYPE_OPTIONS, "nosniff"),
     ];
-    let packed = takes_gzip(headers)
-        .then(|| Built::get(&format!("{name}.gz")))
-        .flatten();
+    let packed = takes_gzip(headers).then(|| Built::get(&format!("{name}.gz"))).flatten();
     Some(match packed {
         Some(packed) => (common, [(CONTENT_ENCODING, "gzip")], packed.data).into_response(),
         None => (common, Built::get(name)?.data).into_response(),

@@ -71,9 +71,7 @@ pub fn describe(openapi: &mut OpenApi) {
     let components = openapi.components.get_or_insert_default();
     components.add_security_scheme("token", SecurityScheme::Http(token));
     let problem = ContentBuilder::new().schema(Some(Ref::from_schema_name("Problem")));
-    let problem = ResponseBuilder::new()
-        .content(MEDIA_TYPE, problem.build())
-        .build();
+    let problem = ResponseBuilder::new().content(MEDIA_TYPE, problem.build()).build();
     for path in openapi.paths.paths.values_mut() {
         let operations = [
             &mut path.get,

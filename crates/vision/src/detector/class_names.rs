@@ -84,11 +84,7 @@ fn own_list(head: HeadName, classes: Option<usize>) -> Option<Vec<String>> {
 }
 
 fn lines(text: &str) -> Result<Vec<String>, String> {
-    let names: Vec<String> = text
-        .trim_end()
-        .lines()
-        .map(|line| line.trim().to_owned())
-        .collect();
+    let names: Vec<String> = text.trim_end().lines().map(|line| line.trim().to_owned()).collect();
     match names.iter().position(String::is_empty) {
         _ if names.is_empty() => Err("it is empty; one name per line is needed".to_owned()),
         Some(line) => Err(format!("line {} is empty", line + 1)),

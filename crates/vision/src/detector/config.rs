@@ -115,8 +115,7 @@ impl Default for DetectorConfig {
 impl DetectorConfig {
     /// The configured size for an open input.
     pub(crate) fn input_size(&self) -> Option<PictureSize> {
-        self.input_size
-            .map(|[width, height]| PictureSize::new(width, height))
+        self.input_size.map(|[width, height]| PictureSize::new(width, height))
     }
 
     /// Returns every problem that can be found without opening a file: the key within `[detector]`, and the reason.

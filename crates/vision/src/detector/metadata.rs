@@ -13,12 +13,7 @@ pub struct Metadata(BTreeMap<String, String>);
 impl Metadata {
     /// Creates metadata from these entries, without values of more than 4 MiB.
     pub fn new(entries: impl IntoIterator<Item = (String, String)>) -> Self {
-        Self(
-            entries
-                .into_iter()
-                .filter(|(_, value)| value.len() <= LONGEST)
-                .collect(),
-        )
+        Self(entries.into_iter().filter(|(_, value)| value.len() <= LONGEST).collect())
     }
 
     /// The value of `key`.
@@ -29,18 +24,13 @@ impl Metadata {
     /// True if an Ultralytics exporter wrote it: by its author, or by its task, stride and class names.
     pub(crate) fn is_ultralytics(&self) -> bool {
         self.get("author") == Some("Ultralytics")
-            || ["task", "stride", "names"]
-                .iter()
-                .all(|key| self.0.contains_key(*key))
+            || ["task", "stride", "names"].iter().all(|key| self.0.contains_key(*key))
     }
 
     /// True if the model ends with boxes that need no suppression: `end2end`, or the exporter's argument `nms`.
     pub fn is_end_to_end(&self) -> bool {
-        self.get("end2end")
-            .is_some_and(|value| value.eq_ignore_ascii_case("true"))
-            || self
-                .get("args")
-                .is_some_and(|value| value.contains("'nms': True"))
+        self.get("end2end").is_some_and(|value| value.eq_ignore_ascii_case("true"))
+            || self.get("args").is_some_and(|value| value.contains("'nms': True"))
     }
 
     /// The input size of the export: `imgsz`, rows first.
@@ -143,18 +133,11 @@ impl Literal<'_> {
     fn number(&mut self) -> Result<usize, String> {
         if self.0.starts_with(['"', '\'']) {
             let digits = self.quoted()?;
-            return digits
-                .parse()
-                .map_err(|_| format!("`{digits}` is not a class number"));
+            return digits.parse().map_err(|_| format!("`{digits}` is not a class number"));
         }
-        let end = self
-            .0
-            .find(|sign: char| !sign.is_ascii_digit())
-            .unwrap_or(self.0.len());
+        let end = self.0.find(|sign: char| !sign.is_ascii_digit()).unwrap_or(self.0.len());
         let (digits, rest) = self.0.split_at(end);
-        let number = digits
-            .parse()
-            .map_err(|_| self.expected("a class number"))?;
+        let number = digits.parse().map_err(|_| self.expected("a class number"))?;
         self.0 = rest.trim_start();
         Ok(number)
     }

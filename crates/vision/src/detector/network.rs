@@ -88,8 +88,7 @@ impl DetectorNetwork {
             let prepared = preparation.prepare(&black);
             pictures.push(prepared.map_err(|error| error.to_string())?);
         }
-        self.run(&pictures[..1])
-            .map_err(|error| error.to_string())?;
+        self.run(&pictures[..1]).map_err(|error| error.to_string())?;
         if batch_size > 1 {
             self.run(&pictures)
                 .map_err(|error| format!("{error} (with detector.batch_size = {batch_size})"))?;

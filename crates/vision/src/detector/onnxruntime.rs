@@ -85,10 +85,7 @@ impl Search {
             .map(|path| ("detector.onnxruntime", path.to_owned()))
             .or_else(variable);
         let program = std::env::current_exe().ok();
-        let beside = program
-            .as_deref()
-            .and_then(Path::parent)
-            .map(Path::to_owned);
+        let beside = program.as_deref().and_then(Path::parent).map(Path::to_owned);
         let listed = std::env::var_os("LD_LIBRARY_PATH").unwrap_or_default();
         let listed = std::env::split_paths(&listed).filter(|path| !path.as_os_str().is_empty());
         let multiarch = format!("/usr/lib/{}-linux-gnu", std::env::consts::ARCH);

@@ -36,9 +36,8 @@ fn cuda(gpu: &GpuConfig) -> CUDA {
 }
 
 fn tensorrt(gpu: &GpuConfig) -> TensorRT {
-    let mut tensorrt = TensorRT::default()
-        .with_device_id(gpu.device.cast_signed())
-        .with_fp16(gpu.fp16);
+    let mut tensorrt =
+        TensorRT::default().with_device_id(gpu.device.cast_signed()).with_fp16(gpu.fp16);
     if let Some(limit) = gpu.memory_limit() {
         tensorrt = tensorrt.with_max_workspace_size(limit);
     }

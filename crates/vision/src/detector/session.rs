@@ -136,9 +136,7 @@ impl OnnxSession {
                     [one] => one,
                     several => {
                         floats.clear();
-                        several
-                            .iter()
-                            .for_each(|values| floats.extend_from_slice(values));
+                        several.iter().for_each(|values| floats.extend_from_slice(values));
                         floats.as_slice()
                     }
                 };
@@ -146,17 +144,13 @@ impl OnnxSession {
             }
         }
         .map_err(failed)?;
-        let outputs = session
-            .run_with_options(ort::inputs![input], &**options)
-            .map_err(failed)?;
+        let outputs = session.run_with_options(ort::inputs![input], &**options).map_err(failed)?;
         let read_out = (0..outputs.len())
             .map(|index| elements(&outputs[index]))
             .collect::<Result<Vec<_>, _>>()
             .map_err(failed)?;
-        let views: Vec<_> = read_out
-            .iter()
-            .map(|(shape, values)| TensorView { shape, values })
-            .collect();
+        let views: Vec<_> =
+            read_out.iter().map(|(shape, values)| TensorView { shape, values }).collect();
         Ok(read(&views))
     }
 }

@@ -147,11 +147,7 @@ impl Signature {
     /// # Errors
     /// If there is none, or it has other elements.
     pub fn output(&self, name: &str) -> Result<(usize, &TensorSpec), String> {
-        let found = self
-            .outputs
-            .iter()
-            .enumerate()
-            .find(|(_, output)| output.name == name);
+        let found = self.outputs.iter().enumerate().find(|(_, output)| output.name == name);
         match found {
             Some((place, output)) => Ok((place, output.float()?)),
             None => Err(format!("it has no output `{name}`")),
@@ -225,11 +221,7 @@ pub(crate) fn shape_text(shape: &[i64]) -> String {
 impl fmt::Display for Signature {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let list = |specs: &[TensorSpec]| {
-            specs
-                .iter()
-                .map(ToString::to_string)
-                .collect::<Vec<_>>()
-                .join(" and ")
+            specs.iter().map(ToString::to_string).collect::<Vec<_>>().join(" and ")
         };
         write!(
             f,

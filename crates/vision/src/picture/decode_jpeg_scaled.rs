@@ -86,9 +86,7 @@ pub(super) fn decode(
         },
     };
     // A warning, such as of missing data that was filled with grey, is an error here too.
-    decompressor
-        .decompress(&picture.bytes, output)
-        .map_err(broken)?;
+    decompressor.decompress(&picture.bytes, output).map_err(broken)?;
     Ok(true)
 }
 

@@ -26,9 +26,7 @@ pub fn is_picture_file(path: &Path) -> bool {
     path.extension()
         .and_then(|extension| extension.to_str())
         .is_some_and(|extension| {
-            ["jpg", "jpeg", "png"]
-                .iter()
-                .any(|known| extension.eq_ignore_ascii_case(known))
+            ["jpg", "jpeg", "png"].iter().any(|known| extension.eq_ignore_ascii_case(known))
         })
 }
 

@@ -97,11 +97,7 @@ pub(super) fn check_jpeg_is_whole(bytes: &[u8]) -> Result<(), FrameFault> {
         if marker == START_OF_SCAN {
             // An embedded thumbnail has its own markers, but inside an earlier segment.
             let pixels = segments.rest();
-            return if pixels
-                .windows(2)
-                .rev()
-                .any(|pair| pair == [0xFF, END_OF_IMAGE])
-            {
+            return if pixels.windows(2).rev().any(|pair| pair == [0xFF, END_OF_IMAGE]) {
                 Ok(())
             } else {
                 Err(FrameFault::undecodable(

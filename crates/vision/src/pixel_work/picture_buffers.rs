@@ -49,9 +49,7 @@ impl PictureBuffers {
     pub(super) fn take(&self, bytes: usize) -> Picture {
         let idle = &mut self.0.lock().idle;
         let capacity = |index: &usize| idle[*index].pixels.capacity();
-        let fitting = (0..idle.len())
-            .filter(|index| capacity(index) >= bytes)
-            .min_by_key(capacity);
+        let fitting = (0..idle.len()).filter(|index| capacity(index) >= bytes).min_by_key(capacity);
         let chosen = fitting.or_else(|| (0..idle.len()).max_by_key(capacity));
         chosen.map_or_else(Picture::default, |index| idle.swap_remove(index))
     }

@@ -73,10 +73,7 @@ async fn what_was_missed_is_not_made_up_for_in_a_burst() {
     // Frame 2 takes 450 ms at ten frames per second.
     let slow = |number| Duration::from_millis(if number == 2 { 450 } else { 0 });
     let (frames, sent) = played(numbers(6), PublishOptions::default(), slow).await;
-    let when: Vec<u128> = frames
-        .iter()
-        .map(|(when, _)| (when.as_millis() + 5) / 10 * 10)
-        .collect();
+    let when: Vec<u128> = frames.iter().map(|(when, _)| (when.as_millis() + 5) / 10 * 10).collect();
     assert_eq!(when, [0, 100, 650, 650, 750, 850]);
     assert_eq!(sent.behind, 1);
 }
@@ -105,9 +102,8 @@ async fn clips_are_passes_lengths_of_time_or_those_of_the_source() {
         let (frames, sent) = played(source, options(arguments), |_| Duration::ZERO).await;
         let sequence = frames.iter().map(|(_, frame)| frame.attachment.seq);
         assert!(sequence.eq((0..sent.frames).map(Some)), "{case}");
-        let clips: Vec<_> = (frames.iter())
-            .map(|(_, frame)| frame.attachment.clip.as_deref())
-            .collect();
+        let clips: Vec<_> =
+            (frames.iter()).map(|(_, frame)| frame.attachment.clip.as_deref()).collect();
         let found: Vec<_> = clips
             .chunk_by(|a, b| a == b)
             .map(|clip| format!("{} {}", clip.len(), clip[0].unwrap_or("none")))

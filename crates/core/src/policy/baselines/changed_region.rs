@@ -53,9 +53,7 @@ impl ChangedRegion {
         self.regions.clear();
         self.changed.resize(width, 0);
         // A width of 0 means no pixels, but chunks of 0 would panic.
-        let rows = before
-            .chunks_exact(width.max(1))
-            .zip(after.chunks_exact(width.max(1)));
+        let rows = before.chunks_exact(width.max(1)).zip(after.chunks_exact(width.max(1)));
         for (before, after) in rows {
             self.find_runs(before, after, difference);
             if self.row.is_empty() {
@@ -104,11 +102,7 @@ impl ChangedRegion {
         let mut first = 0;
         let mut largest = 0;
         for run in &mut self.row {
-            while self
-                .above
-                .get(first)
-                .is_some_and(|above| above.end <= run.start)
-            {
+            while self.above.get(first).is_some_and(|above| above.end <= run.start) {
                 first += 1;
             }
             for above in &self.above[first..] {

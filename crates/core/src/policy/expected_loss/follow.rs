@@ -153,9 +153,8 @@ impl Follower {
         let filtered = object.filter.position();
         let mut end: Measured = std::array::from_fn(|axis| then[axis] + moved[axis]);
         let margin = BORDER / scale[1];
-        for (axis, (sides, length)) in [([X, LOG_WIDTH], aspect), ([Y, LOG_HEIGHT], 1.0)]
-            .into_iter()
-            .enumerate()
+        for (axis, (sides, length)) in
+            [([X, LOG_WIDTH], aspect), ([Y, LOG_HEIGHT], 1.0)].into_iter().enumerate()
         {
             object.border_shift[axis] += hold(&then, &mut end, sides, length, margin);
         }

@@ -111,11 +111,7 @@ impl Object {
             self.filter.shift(&offset);
         }
         let innovations = self.filter.update(&measured);
-        let n = innovations
-            .iter()
-            .map(|n| n.min(LARGEST_INNOVATION))
-            .sum::<f64>()
-            / 4.0;
+        let n = innovations.iter().map(|n| n.min(LARGEST_INNOVATION)).sum::<f64>() / 4.0;
         self.alpha = scale(self.alpha, n, ALPHA_RATE);
         self.class = detection.class;
         self.hits = self.hits.saturating_add(1);

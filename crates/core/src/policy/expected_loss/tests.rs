@@ -39,9 +39,7 @@ fn film(frame: u64) -> Vec<Detection> {
 
 /// The frames with a detector call among the first `frames` of the film.
 fn calls(run: &mut Run<ExpectedLoss>, frames: u64) -> Vec<u64> {
-    (0..frames)
-        .filter(|&index| !run.see(&film(index)).is_skipped())
-        .collect()
+    (0..frames).filter(|&index| !run.see(&film(index)).is_skipped()).collect()
 }
 
 #[test]

@@ -51,11 +51,8 @@ fn events(longest: usize) -> impl Strategy<Value = Vec<Event>> {
 }
 
 /// The pictures of a world that has moved by 0 to 19 pixels.
-static PICTURES: LazyLock<Vec<Vec<u8>>> = LazyLock::new(|| {
-    (0..20u8)
-        .map(|moved| textured(GREY, moved.into()))
-        .collect()
-});
+static PICTURES: LazyLock<Vec<Vec<u8>>> =
+    LazyLock::new(|| (0..20u8).map(|moved| textured(GREY, moved.into())).collect());
 
 impl Event {
     fn known(&self) -> FrameEvidence<'_> {

@@ -52,8 +52,7 @@ impl Stream {
 
     fn frame(&mut self, index: u64, outcome: &Outcome, pending: bool) {
         let time = MOMENT * u32::try_from(index).unwrap();
-        self.settler
-            .frame(index, time, outcome, pending, note_in(&mut self.given));
+        self.settler.frame(index, time, outcome, pending, note_in(&mut self.given));
     }
 
     fn late(&mut self, index: u64, outcome: &Outcome) {

@@ -148,11 +148,7 @@ async fn what_a_node_can_repeat_fills_no_table_with_events() {
     let events = store.events_after(0, 1000).await.unwrap();
     let of = |kind: &str| events.iter().filter(|event| event.kind == kind).count();
     assert_eq!((of("node"), of("refused")), (60, 1));
-    assert!(
-        events
-            .iter()
-            .all(|event| event.detail.to_string().len() < 3000)
-    );
+    assert!(events.iter().all(|event| event.detail.to_string().len() < 3000));
     store.close().await;
 }
 

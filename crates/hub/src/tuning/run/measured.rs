@@ -163,9 +163,7 @@ impl Run {
     /// can pass, because every stage has to pass every gate.
     pub(super) fn error_rates(&self, plan: &RolloutPlan) -> ErrorRates {
         let error = (1.0 - plan.basics.confidence) * 0.5_f64.powi(i32::from(self.soaks));
-        let figures: usize = (plan.gates.iter())
-            .map(|gate| gate.metric.figures().count())
-            .sum();
+        let figures: usize = (plan.gates.iter()).map(|gate| gate.metric.figures().count()).sum();
         // One more for nodes that fall silent.
         let tests = (self.stage_count() * (figures + 1)) as f64 * f64::from(LOOKS);
         ErrorRates {

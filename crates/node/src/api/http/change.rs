@@ -20,10 +20,7 @@ pub(super) fn message<T: DeserializeOwned>(
     // No content type and curl's default one are also accepted: a page of another origin cannot send a PUT without a
     // preflight, regardless of its content type.
     let accepted = ["", "application/json", "application/x-www-form-urlencoded"];
-    if !accepted
-        .iter()
-        .any(|accepted| media_type.eq_ignore_ascii_case(accepted))
-    {
+    if !accepted.iter().any(|accepted| media_type.eq_ignore_ascii_case(accepted)) {
         return Err(Problem::new(
             StatusCode::UNSUPPORTED_MEDIA_TYPE,
             format!(

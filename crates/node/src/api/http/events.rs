@@ -78,13 +78,11 @@ pub(super) async fn stream(
     Query(selection): Query<Selection>,
 ) -> Result<Sse<impl Stream<Item = Result<sse::Event, Infallible>>>, Problem> {
     selection.check(&shared)?;
-    let place = Arc::clone(&shared.streams)
-        .try_acquire_owned()
-        .map_err(|_| {
-            let detail =
-                format!("all {MOST_STREAMS} event streams are in use; close one and try again");
-            Problem::new(StatusCode::SERVICE_UNAVAILABLE, detail)
-        })?;
+    let place = Arc::clone(&shared.streams).try_acquire_owned().map_err(|_| {
+        let detail =
+            format!("all {MOST_STREAMS} event streams are in use; close one and try again");
+        Problem::new(StatusCode::SERVICE_UNAVAILABLE, detail)
+    })?;
     // Subscribes before the present state is read, so that no change is missed in between.
     let changes = stream::unfold(shared.board.subscribe(), |mut events| async move {
         let next = match events.recv().await {

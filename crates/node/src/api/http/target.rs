@@ -43,8 +43,6 @@ pub(super) async fn put(
     let board = Arc::clone(&shared.board);
     let local = SettingSource::Local;
     let set = move || (board.settings).change(|kept| board.set_target(message.target, local, kept));
-    off_the_runtime(set)
-        .await?
-        .map_err(|error| refused(error.to_string()))?;
+    off_the_runtime(set).await?.map_err(|error| refused(error.to_string()))?;
     Ok(Json(shared.board.target.report()))
 }

@@ -73,9 +73,7 @@ fn of(board: &Board, camera: &CameraBoard) -> CameraThreshold {
 }
 
 fn thresholds(board: &Board) -> Thresholds {
-    let cameras: Vec<_> = (board.cameras.iter())
-        .map(|camera| of(board, camera))
-        .collect();
+    let cameras: Vec<_> = (board.cameras.iter()).map(|camera| of(board, camera)).collect();
     let first = cameras.first().map(|camera| camera.value.clone());
     let same = first.filter(|first| cameras.iter().all(|camera| camera.value == *first));
     Thresholds {

@@ -85,9 +85,7 @@ impl Clip {
             if report.threshold_changes.len() == MOST_CHANGES {
                 report.threshold_changes.pop();
             }
-            report
-                .threshold_changes
-                .push(ThresholdChange { seq, threshold });
+            report.threshold_changes.push(ThresholdChange { seq, threshold });
         }
         report.threshold = threshold;
     }

@@ -136,8 +136,7 @@ impl World {
                     return self.node_crash(at);
                 }
                 if !self.time.is_calm {
-                    self.time
-                        .sometime(60 * SECOND, 900 * SECOND, Event::Clip(at));
+                    self.time.sometime(60 * SECOND, 900 * SECOND, Event::Clip(at));
                 }
             }
             Event::Look(at) => {
@@ -229,8 +228,7 @@ impl World {
         if let Some(batch) = batch {
             self.time.send(&Event::Batch((at, question), Sent(batch)));
             let unanswered = Payload(Rc::new(Err(b"no reply".to_vec())));
-            self.time
-                .after(10 * SECOND, Event::Reply((at, question), unanswered));
+            self.time.after(10 * SECOND, Event::Reply((at, question), unanswered));
         }
         let pause = (pause.as_millis() as i64).max(1);
         let (at_ms, looks_at_ms) = (self.time.now_ms + pause, &mut self.nodes[at].looks_at_ms);

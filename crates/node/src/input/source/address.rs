@@ -8,11 +8,7 @@ use std::fmt;
 use strsim::osa_distance;
 
 /// The characters encoded between `://` and `@`: all but the unreserved ones of RFC 3986, section 2.3.
-const LOGIN: &AsciiSet = &NON_ALPHANUMERIC
-    .remove(b'-')
-    .remove(b'.')
-    .remove(b'_')
-    .remove(b'~');
+const LOGIN: &AsciiSet = &NON_ALPHANUMERIC.remove(b'-').remove(b'.').remove(b'_').remove(b'~');
 
 /// Common schemes of addresses. Others are left to the program that opens the source.
 const SCHEMES: [&str; 12] = [
@@ -163,9 +159,7 @@ impl SourceAddress {
         let kind = self.kind();
         if let SourceKind::Network(scheme) = &kind
             && !SCHEMES.contains(&scheme.as_str())
-            && let Some(meant) = SCHEMES
-                .iter()
-                .find(|&known| osa_distance(known, scheme) == 1)
+            && let Some(meant) = SCHEMES.iter().find(|&known| osa_distance(known, scheme) == 1)
         {
             return Err(format!(
                 "begins with `{scheme}://`; did you mean `{meant}://`?"

@@ -52,9 +52,8 @@ impl ReadOutputs for FastestDet {
             }
             scores.clear();
             scores.extend((0..self.classes).map(|class| channel(BEFORE_CLASSES + class, cell)));
-            let read = best_class(&scores)
-                .filter(|_| is_score(objectness))
-                .and_then(|(class, score)| {
+            let read =
+                best_class(&scores).filter(|_| is_score(objectness)).and_then(|(class, score)| {
                     let score = objectness.max(0.0).powf(0.6) * score.powf(0.4);
                     let offset = |number: usize| f64::from(channel(number, cell));
                     let corners = around([

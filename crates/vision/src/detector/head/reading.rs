@@ -67,10 +67,7 @@ pub(super) fn elements<'a>(output: &TensorView<'a>, expected: &[i64]) -> Result<
             .iter()
             .zip(expected)
             .all(|(&actual, &expected)| actual >= 0 && (expected == -1 || actual == expected));
-    let length = output
-        .shape
-        .iter()
-        .try_fold(1_i64, |product, &side| product.checked_mul(side));
+    let length = output.shape.iter().try_fold(1_i64, |product, &side| product.checked_mul(side));
     if !fits || length.and_then(|length| usize::try_from(length).ok()) != Some(output.values.len())
     {
         return Err(format!(

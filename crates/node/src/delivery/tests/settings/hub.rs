@@ -170,10 +170,7 @@ impl Hub {
         let many = self.last("rollout");
         if let Some(hub) = self.running.as_ref().filter(|_| many > 0) {
             let id = (which % many).cast_signed() + 1;
-            self.work(
-                hub.tuner
-                    .command("rollout", id, command, "ops", now.unix_ms),
-            );
+            self.work(hub.tuner.command("rollout", id, command, "ops", now.unix_ms));
         }
     }
 
@@ -181,10 +178,7 @@ impl Hub {
         let many = self.last("trial");
         if let Some(hub) = self.running.as_ref().filter(|_| many > 0) {
             let id = (which % many).cast_signed() + 1;
-            self.work(
-                hub.tuner
-                    .command("trial", id, Command::Return, "ops", now.unix_ms),
-            );
+            self.work(hub.tuner.command("trial", id, Command::Return, "ops", now.unix_ms));
         }
     }
 
@@ -208,9 +202,7 @@ impl Hub {
         // sqlite.org/fileformat2.html#walformat: 32 bytes, then frames of 24 bytes and a page; word 2 of a commit is the size.
         let word = |at: usize| u32::from_be_bytes(log[at..at + 4].try_into().unwrap());
         let frame = 24 + word(8) as usize;
-        let commits = (32..log.len())
-            .step_by(frame)
-            .filter(|at| *at >= begin && word(at + 4) != 0);
+        let commits = (32..log.len()).step_by(frame).filter(|at| *at >= begin && word(at + 4) != 0);
         let mut ends: Vec<usize> = commits.map(|at| at + frame).collect();
         ends.insert(0, begin);
         log.truncate(ends[cut as usize % ends.len()]);

@@ -136,12 +136,10 @@ fn the_estimated_skip_rate_of_another_threshold_is_close_to_its_actual_one() {
                 near = near.max(apart);
             }
             // Compares the recorded uncertainty with the value, frame by frame.
-            let naive = past
-                .iter()
-                .filter(|frame| match (frame.cause, frame.tau_max) {
-                    (Some(CallCause::Screen), _) => false,
-                    (_, tau) => tau.is_none_or(|tau| f64::from(tau) < values[other]),
-                });
+            let naive = past.iter().filter(|frame| match (frame.cause, frame.tau_max) {
+                (Some(CallCause::Screen), _) => false,
+                (_, tau) => tau.is_none_or(|tau| f64::from(tau) < values[other]),
+            });
             naive_worst = naive_worst.max((naive.count() as f64 / past.len() as f64 - truth).abs());
         }
         let (really, same) = (estimate.skipped, estimate.values[place].skipped);
