@@ -3,8 +3,11 @@
 use albireo_vision::detector::{DetectorConfig, ExecutionProvider, GpuConfig};
 use anyhow::{Context, bail};
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::time::Duration;
 
-/// Measures the node on one GPU and writes a page with the results. `make gpu` calls it.
+/// Measures the node on one GPU, piece by piece, and writes the page after each. A further run goes on with the pieces
+/// that are missing. `make gpu` calls it.
 #[derive(clap::Parser)]
 #[command(name = "cargo bench --bench gpu --")]
 pub(crate) struct Arguments {
@@ -25,23 +28,69 @@ pub(crate) struct Arguments {
     #[arg(long, default_value_t = 200, value_parser = clap::value_parser!(u16).range(1..))]
     pub runs: u16,
     /// Seconds for which cameras send in each trial, after one second of warm-up.
-    #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u16).range(1..))]
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..))]
     pub seconds: u16,
     /// Largest number of cameras to try.
-    #[arg(long, default_value_t = 256, value_parser = clap::value_parser!(u16).range(1..))]
+    #[arg(long, default_value_t = 64, value_parser = clap::value_parser!(u16).range(1..))]
     pub most_cameras: u16,
-    /// Output file of the page.
+    /// Policy for the trials with cameras, as `NAME` or `NAME=THRESHOLD`; repeatable.
+    #[arg(long = "policy", default_values = ["vanilla", "albireo", "expected-loss"])]
+    pub policies: Vec<Policy>,
+    /// Longest time for one piece, seconds. TensorRT needs minutes for its engines.
+    #[arg(long, default_value_t = 60, value_parser = clap::value_parser!(u64).range(10..))]
+    pub limit: u64,
+    /// Output file of the page. Beside it, in a file that ends in .json, is what was measured until all pieces are.
     #[arg(long, value_name = "FILE", default_value = "benches/gpu.md")]
     pub out: PathBuf,
+    /// Measures everything anew, also what an earlier run has left.
+    #[arg(long)]
+    pub again: bool,
     /// Date for the page.
     #[arg(long, default_value = "undated")]
     pub date: String,
     /// Passed by `cargo bench`; has no effect.
     #[arg(long, hide = true)]
     bench: bool,
-    /// Measures the ways into a session of this model, in a process with a separate ONNX Runtime.
+    /// Measures one piece, in JSON, and prints the result; each piece has a process of its own.
     #[arg(long, hide = true)]
-    pub ways_of: Option<PathBuf>,
+    pub piece: Option<String>,
+    /// Folder of the caches of CUDA and TensorRT that the pieces share.
+    #[arg(long, hide = true, default_value = ".")]
+    pub engines: PathBuf,
+}
+
+/// A policy of a node, with a threshold other than its default if there is one.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub(crate) struct Policy {
+    pub name: String,
+    pub threshold: Option<f64>,
+}
+
+impl FromStr for Policy {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let (name, threshold) = match text.split_once('=') {
+            None => (text, None),
+            Some((name, value)) => {
+                let threshold = value.parse();
+                let threshold =
+                    threshold.map_err(|_| format!("the threshold `{value}` is no number"))?;
+                (name, Some(threshold))
+            }
+        };
+        Ok(Self {
+            name: name.to_owned(),
+            threshold,
+        })
+    }
+}
+
+impl std::fmt::Display for Policy {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.name)?;
+        self.threshold.map_or(Ok(()), |threshold| write!(f, " {threshold}"))
+    }
 }
 
 impl Arguments {
@@ -55,8 +104,18 @@ impl Arguments {
         or_default(&self.camera_models)
     }
 
-    /// A detector that fails if the provider is missing. CUDA runs the parts of a model that TensorRT cannot.
-    pub(crate) fn detector(&self, model: &Path, engines: Option<&Path>) -> DetectorConfig {
+    /// The longest time for one piece.
+    pub(crate) fn limit(&self) -> Duration {
+        Duration::from_secs(self.limit)
+    }
+
+    /// A detector that fails if the provider is missing, with engines from the caches that all pieces share.
+    pub(crate) fn detector(&self, model: &Path) -> DetectorConfig {
+        self.detector_with(model, Some(&self.engines))
+    }
+
+    /// The same with other caches, or none. CUDA runs the parts of a model that TensorRT cannot.
+    pub(crate) fn detector_with(&self, model: &Path, engines: Option<&Path>) -> DetectorConfig {
         let mut providers = vec![self.provider];
         if self.provider == ExecutionProvider::TensorRt {
             providers.push(ExecutionProvider::Cuda);

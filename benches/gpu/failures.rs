@@ -1,7 +1,7 @@
 //! Records the messages of the program when a provider is missing and when memory runs out.
 
-use super::arguments::Arguments;
-use super::page::Page;
+use super::arguments::{Arguments, without_folder};
+use super::pieces::{Row, Table, TableName};
 use albireo_core::geometry::PictureSize;
 use albireo_vision::detector::{
     CameraSlot, DetectorConfig, DetectorHandle, DetectorNetwork, DetectorStatus, ExecutionProvider,
@@ -15,12 +15,24 @@ use std::time::Duration;
 /// An arena that is too small for any model, in MiB.
 const TOO_SMALL: u32 = 1;
 
-/// Writes a row per failure, with its cause and the message.
-pub(crate) async fn write(page: &mut Page, arguments: &Arguments) -> anyhow::Result<()> {
-    eprintln!("refusals");
+pub(crate) fn table() -> Table {
+    Table {
+        heading: "When a provider is missing or memory runs out",
+        text: "What was done, and what the program said, word for word.".to_owned(),
+        columns: &["what", "what was said"],
+    }
+}
+
+/// A row per failure, with its cause and the message.
+pub(crate) async fn measure(arguments: &Arguments) -> anyhow::Result<Vec<Row>> {
     let model = arguments.models()?.swap_remove(0);
     let mut rows = Vec::new();
-    let mut row = |what: String, said: String| rows.push(vec![what, said]);
+    let mut row = |what: String, said: String| {
+        rows.push(Row {
+            table: TableName::Failures,
+            cells: vec![what, without_folder(said, &model)],
+        });
+    };
     for provider in [
         ExecutionProvider::TensorRt,
         ExecutionProvider::Cuda,
@@ -28,14 +40,14 @@ pub(crate) async fn write(page: &mut Page, arguments: &Arguments) -> anyhow::Res
     ] {
         let config = DetectorConfig {
             providers: vec![provider],
-            ..arguments.detector(&model, None)
+            ..arguments.detector_with(&model, None)
         };
         row(
             format!("`detector.providers = [\"{}\"]`", provider.as_str()),
             opened(&config),
         );
     }
-    let config = arguments.detector(&model, None);
+    let config = arguments.detector_with(&model, None);
     let too_little = GpuConfig {
         memory_limit_mib: TOO_SMALL,
         ..config.gpu.clone()
@@ -75,18 +87,7 @@ pub(crate) async fn write(page: &mut Page, arguments: &Arguments) -> anyhow::Res
             Err(error) => format!("**not as promised**: {error:#}"),
         },
     );
-    page.heading("When a provider is missing or memory runs out");
-    page.text("What was done, and what the program said, word for word.");
-    page.table(&["what", "what was said"], &rows);
-    page.text(
-        "A GPU that is lost while it runs (`CUDA failure 700`, `719`, `999` and their like, after which nothing works any more in \
-         the process) cannot be brought about here without harm to others. What the node does then is tested with the words \
-         that ONNX Runtime's source writes, at the seam where sessions are built \
-         (`crates/node/src/detector/task/tests/gpu.rs`): the frame is answered from prediction, a new session is tried with \
-         growing pauses, and when it fails in the same way the detector is reported as lost and the service manager's watchdog is \
-         not fed any more, for only a new process gets a new CUDA context.",
-    );
-    Ok(())
+    Ok(rows)
 }
 
 /// The message from opening a detector.

@@ -1,12 +1,13 @@
 //! Runs a node in a separate process, and cameras that send to it.
 
-use super::arguments::Arguments;
+use super::arguments::Policy;
 use albireo_vision::detector::DetectorConfig;
 use albireo_vision::picture::EncodedPicture;
 use albireo_wire::{DetectionsMessage, FrameAttachment, VERSION, read};
 use anyhow::{Context, anyhow, bail};
 use parking_lot::Mutex;
 use std::net::TcpListener;
+use std::ops::Range;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
@@ -48,10 +49,21 @@ impl Drop for Node {
     }
 }
 
+/// What a node has done since its start.
+#[derive(Clone, Copy)]
+pub(crate) struct Work {
+    /// Pictures that the detector answered.
+    pub pictures: f64,
+    /// Runs of the model.
+    pub runs: f64,
+    /// Processor time of all its threads.
+    pub processor_seconds: f64,
+}
+
 /// The settings of a node.
 pub(crate) struct Settings<'a> {
     pub detector: DetectorConfig,
-    pub policy: &'a str,
+    pub policy: &'a Policy,
     pub cameras: usize,
     /// The folder of the caches of CUDA and TensorRT.
     pub caches: &'a Path,
@@ -131,13 +143,13 @@ impl Node {
         }
     }
 
-    /// Sends the frames of one camera until `frames` are sent or `until` returns `true`. Returns the time of each put,
-    /// by frame number.
+    /// Sends the frames of one camera with the numbers `frames`, or fewer if `until` returns `true`. Returns the time of
+    /// each put.
     pub(crate) async fn send(
         &self,
         camera: usize,
         pictures: Arc<Vec<EncodedPicture>>,
-        frames: u64,
+        frames: Range<u64>,
         until: impl Fn() -> bool,
     ) -> anyhow::Result<Vec<Instant>> {
         let publisher = self
@@ -151,13 +163,16 @@ impl Node {
         let mut put = Vec::new();
         // Forwards and backwards, so that the objects never jump. Each camera starts at a different picture.
         let there_and_back = 2 * (pictures.len() - 1).max(1);
-        while (put.len() as u64) < frames && !until() {
+        for number in frames {
+            if until() {
+                break;
+            }
             clock.tick().await;
-            let place = (put.len() + camera * 7) % there_and_back;
+            let place = (number as usize + camera * 7) % there_and_back;
             let picture = &pictures[place.min(there_and_back - place).min(pictures.len() - 1)];
             let attachment = FrameAttachment {
                 v: VERSION,
-                seq: Some(put.len() as u64),
+                seq: Some(number),
                 ..FrameAttachment::default()
             };
             put.push(Instant::now());
@@ -169,6 +184,22 @@ impl Node {
                 .map_err(zenoh_failed)?;
         }
         Ok(put)
+    }
+
+    /// The node's work since its start.
+    pub(crate) async fn work(&self) -> anyhow::Result<Work> {
+        let url = format!("http://127.0.0.1:{}/metrics", self.http);
+        let metrics = reqwest::get(&url).await?.text().await?;
+        let counter = |name: &str| {
+            let line = metrics.lines().find_map(|line| line.strip_prefix(name));
+            let value = line.and_then(|value| value.trim().parse::<f64>().ok());
+            value.with_context(|| format!("/metrics has no {name}"))
+        };
+        Ok(Work {
+            pictures: counter("albireo_detector_runs_total{outcome=\"completed\"}")?,
+            runs: counter("albireo_detector_batches_total")?,
+            processor_seconds: processor_seconds_of(self.process.id())?,
+        })
     }
 
     /// Removes and returns the answers so far.
@@ -185,6 +216,17 @@ impl Node {
     }
 }
 
+/// The processor time that all threads of a process have used.
+pub(crate) fn processor_seconds_of(process: u32) -> anyhow::Result<f64> {
+    let stat = std::fs::read_to_string(format!("/proc/{process}/stat"))?;
+    // The fields after the name, which may have spaces; user and system time are the 14th and 15th of the line.
+    let fields = stat.rsplit_once(')').map_or("", |(_, fields)| fields);
+    let ticks = fields.split_whitespace().skip(11).take(2);
+    let ticks: f64 = ticks.filter_map(|ticks| ticks.parse::<f64>().ok()).sum();
+    // Linux counts a hundred ticks a second for every program.
+    Ok(ticks / 100.0)
+}
+
 fn configuration(settings: &Settings<'_>, port: u16, http: u16) -> anyhow::Result<String> {
     let mut detector = settings.detector.clone();
     detector.model = std::path::absolute(&detector.model)?;
@@ -192,8 +234,15 @@ fn configuration(settings: &Settings<'_>, port: u16, http: u16) -> anyhow::Resul
         "node.name = \"{NODE}\"\nhttp.listen = \"127.0.0.1:{http}\"\nzenoh.listen = []\n\
          zenoh.connect = [\"tcp/127.0.0.1:{port}\"]\nlog.level = \"error\"\npower.source = \"none\"\n\
          policy.name = \"{}\"\n",
-        settings.policy
+        settings.policy.name
     );
+    if let Some(threshold) = settings.policy.threshold {
+        let key = match settings.policy.name.as_str() {
+            "expected-loss" => "lambda",
+            _ => "u",
+        };
+        text += &format!("policy.{key} = {threshold:?}\n");
+    }
     let sections =
         toml::Table::from_iter([("detector".to_owned(), toml::Value::try_from(detector)?)]);
     text += &toml::to_string(&sections)?;
@@ -220,16 +269,4 @@ async fn listening(port: u16) -> anyhow::Result<Session> {
 
 fn zenoh_failed(error: zenoh::Error) -> anyhow::Error {
     anyhow!("Zenoh: {error}")
-}
-
-/// The number of pictures per run: 8 if the model accepts several, else 1.
-pub(crate) fn batch(arguments: &Arguments, model: &Path, engines: &Path) -> usize {
-    let config = DetectorConfig {
-        batch_size: 8,
-        ..arguments.detector(model, Some(engines))
-    };
-    match albireo_vision::detector::DetectorNetwork::open(&config) {
-        Ok(_) => 8,
-        Err(_) => 1,
-    }
 }

@@ -1,4 +1,4 @@
-//! Builds the page, in Markdown.
+//! Builds text in Markdown.
 
 use std::fmt::Display;
 

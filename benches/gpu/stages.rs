@@ -1,68 +1,35 @@
 //! Measures the milliseconds per frame by stage, and the frames per second with several cameras in one run.
 
 use super::arguments::{Arguments, name_of, without_folder};
-use super::page::{NONE, Page, median, ms};
+use super::node::{RATE, processor_seconds_of};
+use super::page::{NONE, median, ms};
+use super::pieces::{Row, Table, TableName};
+use albireo_eval::footage::{FrameSource, Pictures};
 use albireo_vision::detector::{
-    CameraSlot, DetectorConfig, DetectorHandle, DetectorNetwork, ElementType,
+    CameraSlot, DetectorConfig, DetectorHandle, DetectorNetwork, ElementType, OnnxSession,
+    Preparation, PreparedPicture,
 };
 use albireo_vision::picture::{EncodedPicture, FrameLimits, Picture, PixelLayout, decode};
 use albireo_vision::screen::decoding_target;
+use anyhow::bail;
 use std::path::Path;
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// The numbers of pictures in one run of the model.
 const BATCHES: [usize; 4] = [1, 2, 4, 8];
 
-/// Writes both tables, with one row per model.
-pub(crate) async fn write(
-    page: &mut Page,
-    arguments: &Arguments,
-    frames: &[EncodedPicture],
-    engines: &Path,
-) -> anyhow::Result<()> {
-    let (mut stages, mut batches) = (Vec::new(), Vec::new());
-    for model in arguments.models()? {
-        eprintln!("stages of {}", name_of(&model));
-        let config = arguments.detector(&model, Some(engines));
-        match one_by_one(arguments, &config, frames) {
-            Ok(row) => stages.push(row),
-            Err(error) => {
-                let said = without_folder(format_args!("{error:#}"), &model);
-                let mut row = vec![name_of(&model), said];
-                row.resize(9, NONE.to_owned());
-                stages.push(row);
-                continue;
-            }
-        }
-        let mut row = vec![name_of(&model)];
-        let mut refusals = Vec::new();
-        for batch in BATCHES {
-            let config = DetectorConfig {
-                batch_size: batch,
-                ..config.clone()
-            };
-            match together(arguments, &config, frames).await {
-                Ok(cell) => row.push(cell),
-                Err(error) => {
-                    row.push(NONE.to_owned());
-                    let said = without_folder(format_args!("{error:#}"), &model);
-                    refusals.push(format!("{batch}: {said}"));
-                }
-            }
-        }
-        // The others repeat the first.
-        row.push(refusals.into_iter().next().unwrap_or_default());
-        batches.push(row);
-    }
-    page.heading("Milliseconds per frame, by stage");
-    page.text(
-        "One picture after the other on one thread, medians. *Model* is one run as the node does it: the input copied to the \
-         device, the kernels, the output copied back; the share of copying is given below, under *Copies alone*. Decoding and \
-         letterbox are always the processor's. *Loading* includes the first runs.",
-    );
-    page.table(
-        &[
+/// The number of pictures used from the demonstration's road.
+const PICTURES: usize = 60;
+
+pub(crate) fn stages_table() -> Table {
+    Table {
+        heading: "Milliseconds per frame, by stage",
+        text: "One picture after the other on one thread, medians. *Model* is one run as the node does it: the input copied to the \
+               device, the kernels, the output copied back; the share of copying is given below, under *Copies alone*. Decoding and \
+               letterbox are always the processor's. *Loading* includes the first runs."
+            .to_owned(),
+        columns: &[
             "model",
             "provider used",
             "input",
@@ -72,40 +39,81 @@ pub(crate) async fn write(
             "letterbox",
             "model",
             "head",
+            "processor, all stages",
         ],
-        &stages,
-    );
-    page.heading("Several cameras in one run");
-    page.text(
-        "As many cameras as the batch is large, each asking for its next picture when it has its answer \
-         (`detector.batch_size`). In each cell the milliseconds of the model a picture, the frames per second of all cameras, \
-         and the pictures that really shared a run.",
-    );
-    page.table(
-        &[
-            "model",
-            "1",
-            "2",
-            "4",
-            "8",
-            "what could not be run, and why",
-        ],
-        &batches,
-    );
-    Ok(())
+    }
 }
 
-fn one_by_one(
-    arguments: &Arguments,
-    config: &DetectorConfig,
-    frames: &[EncodedPicture],
-) -> anyhow::Result<Vec<String>> {
+pub(crate) fn batches_table() -> Table {
+    Table {
+        heading: "Several cameras in one run",
+        text: "As many cameras as the batch is large, each asking for its next picture when it has its answer \
+               (`detector.batch_size`), beside the bare session that runs full batches of the same pictures one after the other. \
+               *Model* is the run's time by picture."
+            .to_owned(),
+        columns: &[
+            "model",
+            "pictures a run, at most",
+            "shared",
+            "model, ms a picture",
+            "frames/s",
+            "bare session, frames/s",
+            "of the bare session's rate",
+        ],
+    }
+}
+
+/// A row for each batch that the model takes.
+///
+/// # Errors
+/// If the model does not run with one picture.
+pub(crate) async fn batches(arguments: &Arguments, model: &Path) -> anyhow::Result<Vec<Row>> {
+    let until = Instant::now() + arguments.limit();
+    let pictures = frames()?;
+    let mut rows = Vec::new();
+    for (done, batch) in BATCHES.into_iter().enumerate() {
+        let config = DetectorConfig {
+            batch_size: batch,
+            ..arguments.detector(model)
+        };
+        // What the batches before have left, in equal parts for this one and those after it.
+        let left = until.saturating_duration_since(Instant::now());
+        let each = left / (BATCHES.len() - done) as u32 / 3;
+        let mut cells = vec![name_of(model), batch.to_string()];
+        match together(arguments, &config, &pictures, each).await {
+            Ok(found) => cells.extend(found),
+            Err(error) if batch == 1 => return Err(error),
+            Err(error) => {
+                cells.push(without_folder(format_args!("{error:#}"), model));
+                cells.resize(7, NONE.to_owned());
+            }
+        }
+        let refused = cells[3] == NONE;
+        rows.push(Row {
+            table: TableName::Batches,
+            cells,
+        });
+        // Larger batches would be refused in the same words.
+        if refused {
+            break;
+        }
+    }
+    Ok(rows)
+}
+
+/// A row with the time of each stage.
+pub(crate) fn stages(arguments: &Arguments, model: &Path) -> anyhow::Result<Vec<Row>> {
     let start = Instant::now();
-    let mut network = DetectorNetwork::open(config)?;
+    let until = start + arguments.limit() / 2;
+    let mut network = DetectorNetwork::open(&arguments.detector(model))?;
     let loading = start.elapsed().as_secs_f64();
     let mut times: [Vec<f64>; 4] = Default::default();
     let mut picture = Picture::default();
-    for encoded in frames.iter().cycle().take(arguments.runs.into()) {
+    let before = processor_seconds_of(std::process::id())?;
+    for encoded in frames()?.iter().cycle().take(arguments.runs.into()) {
+        if Instant::now() > until {
+            break;
+        }
         let start = Instant::now();
         decode_for(&network, encoded, &mut picture)?;
         let decoding = start.elapsed();
@@ -117,6 +125,8 @@ fn one_by_one(
             times.push(time.as_secs_f64() * 1e3);
         }
     }
+    let processor =
+        (processor_seconds_of(std::process::id())? - before) * 1e3 / times[0].len().max(1) as f64;
     let element = network
         .signature()
         .inputs
@@ -125,7 +135,7 @@ fn one_by_one(
             input.element.clone()
         });
     let mut row = vec![
-        name_of(&config.model),
+        name_of(model),
         // The provider that the session reports, which may differ from the requested one.
         network.provider().as_str().to_owned(),
         network.input_format().size.to_string(),
@@ -133,11 +143,15 @@ fn one_by_one(
         format!("{loading:.2}"),
     ];
     row.extend(times.iter().map(|times| ms(median(times))));
-    Ok(row)
+    row.push(format!("{processor:.1}"));
+    Ok(vec![Row {
+        table: TableName::Stages,
+        cells: row,
+    }])
 }
 
 /// Decodes like the node for this model, without a screen.
-fn decode_for(
+pub(crate) fn decode_for(
     network: &DetectorNetwork,
     encoded: &EncodedPicture,
     into: &mut Picture,
@@ -153,29 +167,31 @@ fn decode_for(
     )?)
 }
 
+/// The cells of a batch: with cameras for at most `each`, then the bare session for as long.
 async fn together(
     arguments: &Arguments,
     config: &DetectorConfig,
     frames: &[EncodedPicture],
-) -> anyhow::Result<String> {
+    each: Duration,
+) -> anyhow::Result<Vec<String>> {
     let detector = DetectorHandle::start(config).await?;
-    let target =
-        |frame: &EncodedPicture| decoding_target(detector.preparation().format(), None, frame.size);
+    let preparation = detector.preparation().clone();
     // Decodes in advance, because only the detector is measured.
     let mut pictures = Vec::new();
     for frame in frames {
         let mut picture = Picture::default();
+        let target = decoding_target(preparation.format(), None, frame.size);
         let limits = FrameLimits::default();
         decode(
             frame,
             &limits,
             PixelLayout::Rgb8,
-            Some(target(frame)),
+            Some(target),
             &mut picture,
         )?;
         pictures.push(Arc::new(picture));
     }
-    let each = usize::from(arguments.runs).div_ceil(config.batch_size);
+    let asked = usize::from(arguments.runs).div_ceil(config.batch_size);
     let start = Instant::now();
     let cameras: Vec<_> = (0..config.batch_size)
         .map(|camera| {
@@ -184,13 +200,14 @@ async fn together(
             own.rotate_left(camera % pictures.len());
             tokio::spawn(async move {
                 let mut answers = Vec::new();
-                for number in 0..each {
+                for number in 0..asked {
+                    if start.elapsed() > each {
+                        break;
+                    }
                     let picture = Arc::clone(&own[number % own.len()]);
                     let answer = detector.detect(CameraSlot(camera), picture).await?;
-                    answers.push((
-                        answer.output.model.as_secs_f64() * 1e3,
-                        f64::from(answer.pictures),
-                    ));
+                    let model = answer.output.model.as_secs_f64() * 1e3;
+                    answers.push((model, f64::from(answer.pictures)));
                 }
                 anyhow::Ok(answers)
             })
@@ -203,10 +220,56 @@ async fn together(
     let rate = answers.len() as f64 / start.elapsed().as_secs_f64();
     detector.stop().await;
     let a_picture: Vec<_> = answers.iter().map(|(model, pictures)| model / pictures).collect();
-    let shared: f64 =
-        answers.iter().map(|(_, pictures)| pictures).sum::<f64>() / answers.len() as f64;
-    Ok(format!(
-        "{} ms, {rate:.1}/s, {shared:.1} shared",
-        ms(median(&a_picture))
-    ))
+    let shared = answers.iter().map(|(_, pictures)| pictures).sum::<f64>();
+    let bare = bare(config, &preparation, &pictures, asked, each)?;
+    Ok(vec![
+        format!("{:.2}", shared / answers.len() as f64),
+        ms(median(&a_picture)),
+        format!("{rate:.1}"),
+        format!("{bare:.1}"),
+        format!("{:.3}", rate / bare),
+    ])
+}
+
+/// The frames per second of ONNX Runtime's session alone, with full batches that are prepared in advance and outputs
+/// that nobody reads.
+fn bare(
+    config: &DetectorConfig,
+    preparation: &Preparation,
+    pictures: &[Arc<Picture>],
+    runs: usize,
+    longest: Duration,
+) -> anyhow::Result<f64> {
+    let mut session = OnnxSession::open(config)?;
+    let mut prepared = Vec::new();
+    for picture in pictures.iter().cycle().take(config.batch_size) {
+        prepared.push(preparation.prepare(picture)?);
+    }
+    let inputs: Vec<_> = prepared.iter().map(PreparedPicture::values).collect();
+    let shape = preparation.format().shape();
+    // The first runs lay out memory.
+    for _ in 0..3 {
+        session.run(shape, &inputs, |_| ())?;
+    }
+    let (start, mut done) = (Instant::now(), 0);
+    while done < runs && start.elapsed() < longest {
+        session.run(shape, &inputs, |_| ())?;
+        done += 1;
+    }
+    Ok((done * config.batch_size) as f64 / start.elapsed().as_secs_f64())
+}
+
+/// The pictures for the detectors.
+pub(crate) fn frames() -> anyhow::Result<Vec<EncodedPicture>> {
+    let mut source = Pictures::of_archive(Path::new("demo/road.tar"), RATE)?;
+    let mut frames = Vec::new();
+    while frames.len() < PICTURES
+        && let Some(frame) = source.next()?
+    {
+        frames.push(frame);
+    }
+    if frames.is_empty() {
+        bail!("there are no pictures");
+    }
+    Ok(frames)
 }

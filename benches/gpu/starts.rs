@@ -1,9 +1,11 @@
 //! Measures the time from the start of the process to the arrival of the first detection, with empty and with full
 //! caches.
 
-use super::arguments::{Arguments, name_of, without_folder};
+use super::arguments::{Arguments, Policy, name_of};
 use super::node::{Node, PATIENCE, Settings};
-use super::page::{NONE, Page, median};
+use super::page::{NONE, median};
+use super::pieces::{Row, Table, TableName};
+use super::stages::frames;
 use albireo_vision::picture::EncodedPicture;
 use anyhow::bail;
 use std::path::Path;
@@ -13,43 +15,32 @@ use std::time::Duration;
 /// The number of starts with full caches.
 const WARM: usize = 3;
 
-pub(crate) async fn write(
-    page: &mut Page,
-    arguments: &Arguments,
-    frames: &[EncodedPicture],
-) -> anyhow::Result<()> {
-    let pictures = Arc::new(frames.to_vec());
-    let mut rows = Vec::new();
-    for model in arguments.models()? {
-        eprintln!("starts with {}", name_of(&model));
-        let caches = tempfile::tempdir()?;
-        let mut row = vec![name_of(&model)];
-        let mut warm = Vec::new();
-        for number in 0..=WARM {
-            match start(arguments, &model, &pictures, caches.path()).await {
-                Ok((seconds, provider)) if number == 0 => {
-                    row.extend([provider, format!("{seconds:.2}")]);
-                }
-                Ok((seconds, _)) => warm.push(seconds),
-                Err(error) => {
-                    row.push(without_folder(format_args!("{error:#}"), &model));
-                    break;
-                }
-            }
-        }
-        row.push(median(&warm).map_or_else(|| NONE.to_owned(), |seconds| format!("{seconds:.2}")));
-        row.resize(4, NONE.to_owned());
-        rows.push(row);
+pub(crate) fn table() -> Table {
+    Table {
+        heading: "From start to first detection",
+        text: format!(
+            "A node in a new process, a camera that sends at 30 frames per second all the while: seconds from the process's start until \
+             its first detections arrive. *Cold*: CUDA's cache of kernels (`CUDA_CACHE_PATH`) and TensorRT's of engines \
+             (`detector.gpu.engine_cache`) are empty folders; *warm*: the same folders again, the median of {WARM}. The CPU provider \
+             has no such cache, and the system's cache of files is never emptied.",
+        ),
+        columns: &["model", "provider used", "cold, s", "warm, s"],
     }
-    page.heading("From start to first detection");
-    page.text(format!(
-        "A node in a new process, a camera that sends at 30 frames per second all the while: seconds from the process's start until \
-         its first detections arrive. *Cold*: CUDA's cache of kernels (`CUDA_CACHE_PATH`) and TensorRT's of engines \
-         (`detector.gpu.engine_cache`) are empty folders; *warm*: the same folders again, the median of {WARM}. The CPU provider \
-         has no such cache, and the system's cache of files is never emptied.",
-    ));
-    page.table(&["model", "provider used", "cold, s", "warm, s"], &rows);
-    Ok(())
+}
+
+pub(crate) async fn measure(arguments: &Arguments, model: &Path) -> anyhow::Result<Vec<Row>> {
+    let pictures = Arc::new(frames()?);
+    let caches = tempfile::tempdir()?;
+    let (cold, provider) = start(arguments, model, &pictures, caches.path()).await?;
+    let mut warm = Vec::new();
+    for _ in 0..WARM {
+        warm.push(start(arguments, model, &pictures, caches.path()).await?.0);
+    }
+    let warm = median(&warm).map_or_else(|| NONE.to_owned(), |seconds| format!("{seconds:.2}"));
+    Ok(vec![Row {
+        table: TableName::Starts,
+        cells: vec![name_of(model), provider, format!("{cold:.2}"), warm],
+    }])
 }
 
 async fn start(
@@ -59,19 +50,25 @@ async fn start(
     caches: &Path,
 ) -> anyhow::Result<(f64, String)> {
     let folder = tempfile::tempdir()?;
+    let vanilla = Policy {
+        name: "vanilla".to_owned(),
+        threshold: None,
+    };
     let mut node = Node::start(&Settings {
-        detector: arguments.detector(model, Some(caches)),
-        policy: "vanilla",
+        detector: arguments.detector_with(model, Some(caches)),
+        policy: &vanilla,
         cameras: 1,
         caches,
         folder: folder.path(),
     })
     .await?;
     let (started, mut provider) = (node.started, None);
+    let mut sent = 0;
     let first = loop {
         // Sends 2 s of frames at a time, to notice a node that has exited.
         let until = || node.first_detection().is_some();
-        node.send(0, Arc::clone(pictures), 60, until).await?;
+        node.send(0, Arc::clone(pictures), sent..sent + 60, until).await?;
+        sent += 60;
         if let Some(first) = node.first_detection() {
             break first;
         }

@@ -11,7 +11,7 @@ import sys
 import warnings
 
 import onnx
-from onnx import numpy_helper
+from onnx import TensorProto, numpy_helper
 from onnxconverter_common import float16
 
 
@@ -47,6 +47,24 @@ def open_batch(model):
     return model
 
 
+def half(model):
+    """Every float32 becomes float16, but for operators that have no such form, which are left between casts."""
+    casts = {node.output[0] for node in model.graph.node if node.op_type == "Cast" and target(node).i == TensorProto.FLOAT}
+    model = float16.convert_float_to_float16(model)
+    # The converter takes the results of the model's own casts for float16 and leaves the casts as they were.
+    for node in model.graph.node:
+        if node.op_type == "Cast" and node.output[0] in casts:
+            target(node).i = TensorProto.FLOAT16
+    # What was inferred before the casts were changed.
+    del model.graph.value_info[:]
+    onnx.checker.check_model(model, full_check=True)
+    return model
+
+
+def target(cast):
+    return next(attribute for attribute in cast.attribute if attribute.name == "to")
+
+
 def main(folder, *models):
     folder = pathlib.Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -60,7 +78,7 @@ def main(folder, *models):
             print(f"{name.name}: no open batch: {error}", file=sys.stderr)
         try:
             whole = open_batch(onnx.load(name)) if "open" in made else onnx.load(name)
-            made["half"] = float16.convert_float_to_float16(whole)
+            made["half"] = half(whole)
         except Exception as error:
             print(f"{name.name}: no half precision: {error}", file=sys.stderr)
         for kind, model in made.items():

@@ -1,4 +1,4 @@
-//! Runs in the separate process: opens the sessions, runs them in turns, and prints the measurements.
+//! Opens the sessions and runs them in turns.
 
 use super::{Copy, INPUTS, Measured, PLAIN, WARM_UP, Way};
 use crate::arguments::{Arguments, library};
@@ -17,8 +17,8 @@ use ort::value::{
 use std::path::Path;
 use std::time::Instant;
 
-/// Measures the ways of `model` and prints the result.
-pub(crate) fn run(arguments: &Arguments, model: &Path) -> anyhow::Result<()> {
+/// Measures the ways of `model`, with an ONNX Runtime of its own.
+pub(crate) fn run(arguments: &Arguments, model: &Path) -> anyhow::Result<Measured> {
     let environment =
         ort::init_from(library()?)?.with_name("ways").with_telemetry(false).build()?;
     environment.set_log_level(LogLevel::Error);
@@ -28,20 +28,18 @@ pub(crate) fn run(arguments: &Arguments, model: &Path) -> anyhow::Result<()> {
         model,
     };
     let session = sessions.open(false, false)?;
-    let measured = match session.inputs().first().map(|input| input.dtype()) {
+    match session.inputs().first().map(|input| input.dtype()) {
         Some(ValueType::Tensor { ty, shape, .. }) => {
             let shape = closed(shape)?;
             match ty {
-                TensorElementType::Float32 => measure::<f32>(&sessions, session, shape)?,
-                TensorElementType::Float16 => measure::<f16>(&sessions, session, shape)?,
-                TensorElementType::Uint8 => measure::<u8>(&sessions, session, shape)?,
+                TensorElementType::Float32 => measure::<f32>(&sessions, session, shape),
+                TensorElementType::Float16 => measure::<f16>(&sessions, session, shape),
+                TensorElementType::Uint8 => measure::<u8>(&sessions, session, shape),
                 other => bail!("its input has elements {other:?}"),
             }
         }
         _ => bail!("its input is no tensor"),
-    };
-    println!("{}", serde_json::to_string(&measured)?);
-    Ok(())
+    }
 }
 
 /// Sets an open batch dimension to 1.
@@ -198,7 +196,11 @@ fn measure<T: Element>(
         copies: Vec::new(),
     };
     let runs = usize::from(sessions.arguments.runs);
+    let until = Instant::now() + sessions.arguments.limit() / 3;
     for number in 0..WARM_UP + runs {
+        if number > WARM_UP && Instant::now() > until {
+            break;
+        }
         let input = &inputs[number % INPUTS];
         let mut expected: Option<Vec<Vec<f32>>> = None;
         for ((_, way), results) in ways.iter_mut().zip(&mut measured.ways) {
