@@ -3,7 +3,8 @@
 //!
 //! `cargo bench --bench average_precision`
 
-use albireo_eval::average_precision::{Classes, Interpolation, ScoredBox, accuracy};
+use albireo_eval::boxes::ScoredBox;
+use albireo_eval::judge::{Classes, Interpolation, accuracy};
 use albireo_scene::{PICTURE, Scene, processor_seconds, quartiles};
 use std::hint::black_box;
 

@@ -2,10 +2,11 @@
 
 use crate::support::shared;
 use albireo_core::policy::{PolicyConfig, Profile};
-use albireo_eval::average_precision::{Classes, Interpolation};
 use albireo_eval::data::recorded;
-use albireo_eval::run::{Settings, run};
-use albireo_eval::source::ScreenRule;
+use albireo_eval::judge::{Classes, Interpolation};
+use albireo_eval::run::run;
+use albireo_eval::settings::ScreenRule;
+use albireo_eval::settings::Settings;
 use albireo_eval::spec::resolve;
 use std::collections::HashMap;
 

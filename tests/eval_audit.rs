@@ -4,8 +4,8 @@ use crate::golden_traces::replay::policy;
 use crate::golden_traces::shared_data::sequences;
 use albireo_core::audit::{AuditDraw, AuditRate, AuditSums};
 use albireo_core::policy::Profile;
-use albireo_eval::against_detector::against_detector;
-use albireo_eval::run::Settings;
+use albireo_eval::run::against_detector;
+use albireo_eval::settings::Settings;
 
 /// The comparison of each frame without a detector call against the detector.
 type Camera = Vec<Option<Box<AuditSums>>>;

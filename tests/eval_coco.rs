@@ -4,9 +4,10 @@
 
 use crate::golden_traces::shared_data::sequences;
 use crate::support::{ask_script, project, python, scored};
-use albireo_eval::average_precision::Classes::{Pooled, Separate};
-use albireo_eval::average_precision::Interpolation::{AllPoints, Coco101};
-use albireo_eval::average_precision::{ScoredBox, accuracy};
+use albireo_eval::boxes::ScoredBox;
+use albireo_eval::judge::Classes::{Pooled, Separate};
+use albireo_eval::judge::Interpolation::{AllPoints, Coco101};
+use albireo_eval::judge::accuracy;
 use rand_core::{RngCore, SeedableRng};
 use serde_json::{Value, json};
 use std::process::Command;

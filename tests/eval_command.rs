@@ -3,7 +3,7 @@
 use crate::support::{Ended, assert_contains, project, run};
 use albireo_core::policy::FrameState;
 use albireo_eval::energy_model::EnergyModel;
-use albireo_eval::trace;
+use albireo_eval::replay::trace;
 use std::path::Path;
 use tempfile::TempDir;
 

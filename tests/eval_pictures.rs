@@ -8,15 +8,15 @@ use crate::support::detectors::model;
 use crate::support::{assert_contains, jpeg, scored, shared};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::PolicyConfig;
-use albireo_eval::average_precision::ScoredBox;
+use albireo_eval::boxes::ScoredBox;
 use albireo_eval::data::{Clip, LoadReport, recorded};
+use albireo_eval::data::{Pass, StepTimes, vanilla_as_truth};
 use albireo_eval::footage::{Downsampled, Ffmpeg, FrameSource, Pictures, Video, VideoEncoding};
-use albireo_eval::pictures::{
-    LOWEST_CONFIDENCE, ModelRunner, Pass, PassSettings, StepTimes, run_pass, vanilla_as_truth,
-};
+use albireo_eval::pictures::{LOWEST_CONFIDENCE, ModelRunner, PassSettings, run_pass};
 use albireo_eval::result::{ClipResult, Provenance};
-use albireo_eval::run::{Settings, run as evaluate};
-use albireo_eval::source::ScreenRule;
+use albireo_eval::run::run as evaluate;
+use albireo_eval::settings::ScreenRule;
+use albireo_eval::settings::Settings;
 use albireo_eval::spec::{PolicySpec, resolve};
 use albireo_scene::BoxScene;
 use albireo_vision::detector::{DetectorConfig, HeadName};

@@ -4,9 +4,10 @@ use crate::golden_traces::replay::{Screen, decide_frame, policy};
 use crate::golden_traces::shared_data::{detections, sequences};
 use crate::support::{ask_script, project};
 use albireo_core::policy::{Outcome, Profile};
-use albireo_eval::average_precision::{SHOWN_CONFIDENCE, ScoredBox};
+use albireo_eval::boxes::ScoredBox;
 use albireo_eval::data::Clip;
-use albireo_eval::tracking::tracking;
+use albireo_eval::judge::SHOWN_CONFIDENCE;
+use albireo_eval::judge::tracking;
 use serde_json::{Value, json};
 use std::process::Command;
 

@@ -4,7 +4,7 @@
 
 use crate::support::{shared, text};
 use albireo_core::geometry::PictureSize;
-use albireo_eval::trace;
+use albireo_eval::replay::trace;
 use replay::Screen::{self, EmptyWithoutDetections, NeverEmpty};
 use replay::{compare, compare_excerpt};
 use shared_data::{detections, sequences};

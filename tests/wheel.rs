@@ -8,7 +8,7 @@ use crate::support::{assert_contains, project, run_command, text};
 use albireo_core::detection::Detection;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{BoxSource, FrameState, Outcome, Profile};
-use albireo_eval::average_precision::ScoredBox;
+use albireo_eval::boxes::ScoredBox;
 use serde_json::json;
 use std::fmt::Write;
 use std::path::PathBuf;

@@ -1,22 +1,23 @@
 //! `albireo eval`: compares accuracy, skip rate, time and energy of policies on recordings.
 
 mod advise;
+mod settings;
 mod video;
 
+use self::settings::SettingsArguments;
 use super::progress;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{PolicyConfig, Profile};
-use albireo_eval::average_precision::{Classes, Interpolation};
-use albireo_eval::conclusion::conclusion;
 use albireo_eval::data::{DataSet, bdd100k, coco, kitti, mot_challenge, recorded};
 use albireo_eval::energy_model::EnergyModel;
 use albireo_eval::files;
-use albireo_eval::report::Report;
-use albireo_eval::run::{JUDGED, Settings, run as run_policies};
+use albireo_eval::report::{Report, conclusion, render};
+use albireo_eval::run::run as run_policies;
+use albireo_eval::run::streams::{self, RunTimes, Stream, StreamResults};
+use albireo_eval::settings::Settings;
 use albireo_eval::spec::{PolicySpec, Sweep, resolve};
-use albireo_eval::streams::{self, RunTimes, Stream, StreamResults};
+use albireo_eval::summary;
 use albireo_eval::text::wrapped;
-use albireo_eval::{summary, table};
 use anyhow::{Context, ensure};
 use clap::{Args, Subcommand};
 use std::path::{Path, PathBuf};
@@ -89,6 +90,7 @@ struct FolderArguments {
 }
 
 /// Headings of the help.
+const JUDGED: &str = "How it is judged";
 const WRITTEN: &str = "What is written";
 const LOOKED: &str = "What looks at the pictures";
 
@@ -96,7 +98,7 @@ const LOOKED: &str = "What looks at the pictures";
 #[derive(Clone, Debug, Args)]
 struct RunArguments {
     #[command(flatten)]
-    settings: Settings,
+    settings: SettingsArguments,
     /// A policy, as NAME or NAME:SETTING, or `all` for every one with the paper's settings; may be given
     /// several times. Vanilla always runs as well.
     #[arg(long, value_name = "NAME[:SETTING]", default_value = "albireo")]
@@ -194,7 +196,7 @@ fn conclude(
     streams: &[StreamResults],
     arguments: &RunArguments,
 ) -> anyhow::Result<()> {
-    println!("{}", table::render(&report.policies));
+    println!("{}", render(&report.policies));
     for sentence in conclusion(&report.policies) {
         println!("{}", wrapped(&sentence, 100));
     }
@@ -213,7 +215,7 @@ fn conclude(
 
 /// Returns the streams that are judged besides the boxes of a detector that takes no time.
 fn streams_asked(arguments: &RunArguments) -> Vec<Stream> {
-    let at_arrival = (arguments.detector_ms.clone()).map(|detector| Stream::AtArrival { detector });
+    let at_arrival = arguments.detector_ms.clone().map(|detector| Stream::AtArrival { detector });
     let settled = arguments.settled.then_some(Stream::Settled);
     at_arrival.into_iter().chain(settled).collect()
 }
@@ -224,15 +226,19 @@ fn policies(arguments: &RunArguments, pixels: bool) -> anyhow::Result<Vec<Policy
         u: arguments.u,
         ..PolicyConfig::default()
     };
-    let (asked, sweeps) = (&arguments.policy, &arguments.sweep);
-    let screen = arguments.settings.screen;
-    Ok(resolve(asked, sweeps, &base, screen, pixels)?)
+    Ok(resolve(
+        &arguments.policy,
+        &arguments.sweep,
+        &base,
+        arguments.settings.screen,
+        pixels,
+    )?)
 }
 
 /// Returns the settings of the run. Creates the folders to write to, so that an error of a folder comes before the work
 /// and not after it.
 fn settings(arguments: &RunArguments) -> anyhow::Result<Settings> {
-    let mut settings = arguments.settings.clone();
+    let mut settings = arguments.settings.settings();
     for folder in [&arguments.out, &settings.traces].into_iter().flatten() {
         std::fs::create_dir_all(folder)
             .with_context(|| format!("cannot write to {}", folder.display()))?;
@@ -260,13 +266,15 @@ fn listed(arguments: &RunArguments) -> Vec<(String, String)> {
             confidence / 2.0
         ),
     };
-    let classes = match settings.classes {
-        Classes::Separate => "each by itself, then their mean",
-        Classes::Pooled => "pooled, as the published evaluator",
+    let classes = if settings.per_class {
+        "each by itself, then their mean"
+    } else {
+        "pooled, as the published evaluator"
     };
-    let area = match settings.interpolation {
-        Interpolation::Coco101 => "at COCO's 101 recall levels",
-        Interpolation::AllPoints => "at all points",
+    let area = if settings.coco_interpolation {
+        "at COCO's 101 recall levels"
+    } else {
+        "at all points"
     };
     let energy = match &arguments.energy_model {
         Some(model) => format!("projected with {}", model.display()),

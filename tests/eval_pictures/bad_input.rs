@@ -4,8 +4,9 @@ use super::{by_hand, detector, eval, fixture_detector, write_pictures};
 use crate::support::{assert_contains, grey_jpeg};
 use albireo_core::geometry::PictureSize;
 use albireo_eval::data::LoadReport;
+use albireo_eval::data::{GroundTruth, TruthFormat};
 use albireo_eval::footage::{FrameSource, Pictures};
-use albireo_eval::pictures::{GroundTruth, ModelRunner, PassSettings, TruthFormat, run_pass};
+use albireo_eval::pictures::{ModelRunner, PassSettings, run_pass};
 use albireo_vision::screen::ScreenConfig;
 use std::path::Path;
 

@@ -6,8 +6,9 @@ use albireo_core::policy::{Evidence, FrameHead, FrameState, Need, Outcome, Polic
 use albireo_eval::data::Clip;
 use albireo_eval::data::classes::from_name;
 use albireo_eval::footage::FrameSource;
-use albireo_eval::run::{Settings, run};
-use albireo_eval::source::ScreenRule;
+use albireo_eval::run::run;
+use albireo_eval::settings::ScreenRule;
+use albireo_eval::settings::Settings;
 use albireo_node::LiveEvidence;
 use albireo_vision::detector::{CameraSlot, DetectorConfig, DetectorHandle};
 use albireo_vision::picture::{EncodedPicture, FrameLimits};

@@ -6,7 +6,7 @@ use albireo_core::policy::{
     BoxSource, FrameEvidence, FrameHead, ObjectRecord, Outcome, Policy, PolicyConfig, Profile,
     decide,
 };
-use albireo_eval::trace::TraceFrame;
+use albireo_eval::replay::trace::TraceFrame;
 use serde::Deserialize;
 
 /// The largest allowed difference of boxes and τ.

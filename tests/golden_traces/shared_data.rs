@@ -2,7 +2,7 @@
 
 use crate::support::shared;
 use albireo_core::detection::Detection;
-use albireo_eval::average_precision::ScoredBox;
+use albireo_eval::boxes::ScoredBox;
 use albireo_eval::data::{Clip, recorded};
 
 /// The published code did not get detections below this confidence.

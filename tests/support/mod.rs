@@ -16,7 +16,7 @@ pub(crate) use ports::free_port;
 use albireo::cli::frames::{FrameSender, Pacing, open_session};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::Corners;
-use albireo_eval::average_precision::ScoredBox;
+use albireo_eval::boxes::ScoredBox;
 use serde_json::Value;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};

@@ -5,11 +5,12 @@
 #![allow(clippy::print_stdout)]
 
 use albireo_core::policy::PolicyConfig;
-use albireo_eval::average_precision::Accuracy;
 use albireo_eval::data::{Clip, recorded};
+use albireo_eval::judge::Accuracy;
 use albireo_eval::result::ClipResult;
-use albireo_eval::run::{self, Settings};
-use albireo_eval::source::ScreenRule;
+use albireo_eval::run;
+use albireo_eval::settings::ScreenRule;
+use albireo_eval::settings::Settings;
 use albireo_eval::spec::{BASELINE, resolve};
 use albireo_eval::statistics::mean;
 use albireo_eval::summary::Difference;

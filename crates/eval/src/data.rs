@@ -11,12 +11,16 @@ pub mod classes;
 pub mod coco;
 pub mod kitti;
 pub mod mot_challenge;
+mod pass;
 pub mod recorded;
 mod rows;
+mod truth;
 
-use crate::average_precision::ScoredBox;
+pub use pass::{Pass, StepTimes};
+pub use truth::{GroundTruth, TruthFormat, vanilla_as_truth};
+
+use crate::boxes::ScoredBox;
 use crate::error::EvalError;
-use crate::pictures::Pass;
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_vision::picture::picture_files;
@@ -333,9 +337,10 @@ fn has_extension(path: &Path, wanted: &[&str]) -> bool {
 
 /// Lists the JPEG and PNG files of a folder in order; none if the folder does not exist.
 fn pictures_in(folder: &Path) -> Vec<PathBuf> {
-    match folder.is_dir() {
-        true => picture_files(folder).unwrap_or_default(),
-        false => Vec::new(),
+    if folder.is_dir() {
+        picture_files(folder).unwrap_or_default()
+    } else {
+        Vec::new()
     }
 }
 

@@ -126,8 +126,11 @@ impl EnergyModel {
         ];
         let busy_s = self.time_ms.total(work) / 1e3;
         // A frame without an entry was not examined.
-        let examined = (result.examined.iter().copied()).chain(std::iter::repeat(false));
-        let times = (result.states_by_frame.iter().zip(examined))
+        let examined = result.examined.iter().copied().chain(std::iter::repeat(false));
+        let times = result
+            .states_by_frame
+            .iter()
+            .zip(examined)
             .map(|(&state, examined)| self.time_ms.total(work_of(state, examined)))
             .collect();
         result.frame_time = Spread::of(times).map(|milliseconds| FrameTime {

@@ -14,7 +14,7 @@ pub(crate) fn read_text(path: &Path, help: &str) -> Result<String, EvalError> {
 /// # Errors
 /// When the folder or the file cannot be written.
 pub fn write(path: &Path, content: impl AsRef<[u8]>) -> Result<(), EvalError> {
-    (path.parent())
+    path.parent()
         .map_or(Ok(()), std::fs::create_dir_all)
         .and_then(|()| std::fs::write(path, content))
         .map_err(|error| EvalError::write(path, error))

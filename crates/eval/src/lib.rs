@@ -2,30 +2,30 @@
 //!
 //! `albireo eval` answers what frame skipping costs in accuracy and what it saves. It runs the same policy code as the
 //! node, on stored detections or on pictures.
+//!
+//! The rooms, from the ground up; each uses only those before it:
+//!
+//! ```text
+//! error, statistics, text | boxes, files, footage | judge, data | result, energy_model
+//! settings | spec | pictures, replay | run | summary | report, advise, compare
+//! ```
 
 pub mod advise;
-pub mod against_detector;
-pub mod average_precision;
+pub mod boxes;
 pub mod compare;
-pub mod conclusion;
 pub mod data;
 pub mod energy_model;
 pub mod error;
 pub mod files;
 pub mod footage;
+pub mod judge;
 pub mod pictures;
-mod replay;
+pub mod replay;
 pub mod report;
 pub mod result;
 pub mod run;
-mod scoring;
-pub mod source;
+pub mod settings;
 pub mod spec;
 pub mod statistics;
-pub mod streams;
 pub mod summary;
-pub mod table;
 pub mod text;
-pub mod trace;
-pub mod tracking;
-pub mod worst;

@@ -6,11 +6,9 @@
 
 mod model_runner;
 mod pass;
-mod truth;
 
 pub use model_runner::ModelRunner;
-pub use pass::{Pass, PassSettings, StepTimes, run_pass};
-pub use truth::{GroundTruth, TruthFormat, vanilla_as_truth};
+pub use pass::{PassSettings, run_pass};
 
 /// The pass keeps detections from this confidence on; a run may use any higher one.
 pub const LOWEST_CONFIDENCE: f64 = 0.05;

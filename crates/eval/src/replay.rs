@@ -1,12 +1,16 @@
 //! Replays a clip through a policy and records its answers.
 
-use crate::average_precision::ScoredBox;
+mod evidence;
+mod scoring;
+pub mod trace;
+
+pub(crate) use evidence::StoredEvidence;
+pub(crate) use scoring::score_published;
+
+use self::scoring::{decay_threshold, decayed_confidence, score_object, score_truncated};
+use self::trace::TraceFrame;
+use crate::boxes::ScoredBox;
 use crate::error::EvalError;
-use crate::scoring::{
-    decay_threshold, decayed_confidence, score_object, score_published, score_truncated,
-};
-use crate::source::StoredEvidence;
-use crate::trace::TraceFrame;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{
     Evidence, EvidenceAtHand, FrameHead, FrameState, MinConfidence, Need, ObjectRecord, Outcome,

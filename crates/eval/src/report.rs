@@ -1,10 +1,15 @@
 //! Writes the files of `--out`: `summary.csv`, `report.json`, figures as SVG, and `report.html`, which shows all
 //! of it in one self-contained file.
 
+mod conclusion;
 mod html;
 mod plot;
 mod summary_csv;
+mod table;
 mod worst;
+
+pub use conclusion::conclusion;
+pub use table::render;
 
 use crate::data::LoadReport;
 use crate::error::EvalError;

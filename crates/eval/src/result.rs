@@ -1,14 +1,14 @@
 //! Computes the figures of one policy on one clip.
 
-use crate::average_precision::Accuracy;
-use crate::replay::{FrameRecord, Replay};
+use crate::judge::{Accuracy, Tracking};
 use crate::statistics::quantile;
-use crate::tracking::Tracking;
-use crate::worst::WorstFrame;
+use albireo_core::geometry::{Corners, PictureSize};
 use albireo_core::policy::FrameState;
+use albireo_vision::picture::EncodedPicture;
 use albireo_wire::FrameStates;
 use serde::Serialize;
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 
 /// The origin of a time. The two are never mixed in one figure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -164,32 +164,34 @@ impl ClipResult {
     pub fn state_shares(&self) -> [f64; 5] {
         FrameState::ALL.map(|state| self.states.get(state) as f64 / self.states.frames() as f64)
     }
+}
 
-    /// Fills in the figures that follow from the replay's records, but not accuracy, frame time and energy.
-    pub(crate) fn from_replay(clip: &str, policy: &str, replay: &Replay) -> Self {
-        let frames = &replay.frames;
-        let mut states = FrameStates::default();
-        frames.iter().for_each(|frame| states.count(frame.state));
-        let count =
-            |test: fn(&FrameRecord) -> bool| frames.iter().filter(|frame| test(frame)).count();
-        let decisions = frames.iter().map(|frame| frame.decision.as_secs_f64() * 1e6);
-        Self {
-            clip: clip.to_owned(),
-            policy: policy.to_owned(),
-            frames: frames.len(),
-            states,
-            detector_frames: count(|frame| frame.detector),
-            screen_frames: count(|frame| frame.screen),
-            looked_frames: count(|frame| frame.examined),
-            degraded_frames: count(|frame| frame.degraded),
-            rejected_detections: replay.rejected_detections,
-            boxes: replay.boxes.iter().map(Vec::len).sum(),
-            decision_us: Spread::of(decisions.collect()),
-            states_by_frame: frames.iter().map(|frame| frame.state).collect(),
-            examined: frames.iter().map(|frame| frame.examined).collect(),
-            ..Self::default()
-        }
-    }
+/// The picture of a frame.
+#[derive(Clone, Debug, PartialEq)]
+pub enum FramePicture {
+    /// A file of the data set.
+    File(PathBuf),
+    /// The picture as it is in the footage.
+    Encoded(EncodedPicture),
+}
+
+/// A frame that skipped the detector and lost objects that the detector would have found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct WorstFrame {
+    /// The frame's index in the clip.
+    pub frame: usize,
+    /// The frame's state.
+    pub state: FrameState,
+    /// The number of ground-truth objects that the detector finds (IoU 0.5) and the policy does not.
+    pub lost: usize,
+    /// Size of the picture.
+    pub size: PictureSize,
+    /// The ground truth.
+    pub truth: Vec<Corners>,
+    /// The policy's boxes.
+    pub found: Vec<Corners>,
+    /// The frame's picture, if there is one.
+    pub picture: Option<FramePicture>,
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 //! in traces, tables and plots.
 
 use crate::error::EvalError;
-use crate::source::ScreenRule;
+use crate::settings::ScreenRule;
 use albireo_core::policy::{
     Albireo, Ctd, FixedSkip, Policy, PolicyConfig, PolicyConfigError, Statues, Vanilla,
 };
@@ -45,6 +45,18 @@ pub struct PolicySpec {
     pub label: String,
     /// The configuration from which it is built.
     pub config: PolicyConfig,
+}
+
+impl PolicySpec {
+    /// Builds the policy.
+    ///
+    /// # Errors
+    /// When its configuration is invalid.
+    pub(crate) fn build(&self) -> Result<Box<dyn Policy>, EvalError> {
+        self.config
+            .build()
+            .map_err(|error| EvalError::new(format!("policy {}: {error}", self.label)))
+    }
 }
 
 /// Values of a setting to try one after the other: `u=3e-4,5e-4`.
@@ -142,7 +154,8 @@ pub(crate) fn swept(
         ))),
         None => {
             let mut seen = BTreeSet::new();
-            let mut specs: Vec<PolicySpec> = (found.into_iter())
+            let mut specs: Vec<PolicySpec> = found
+                .into_iter()
                 .map(|(config, policy)| PolicySpec {
                     label: label(policy.as_ref()),
                     config,
@@ -186,10 +199,16 @@ fn label(policy: &dyn Policy, screen: ScreenRule) -> String {
         policy.name(),
         Vanilla::NAME | FixedSkip::NAME | Ctd::NAME | Statues::NAME
     );
-    match screened {
-        true => format!("{name}{setting}-erd-{}", screen.as_str()),
-        false => format!("{name}{setting}"),
+    if screened {
+        format!("{name}{setting}-erd-{}", screen.as_str())
+    } else {
+        format!("{name}{setting}")
     }
+}
+
+/// Shortens a label by the part that all policies of a run share.
+pub(crate) fn short_label(label: &str) -> &str {
+    label.split_once("-erd-").map_or(label, |(start, _)| start)
 }
 
 /// Splits a label into its family, shared by all settings of a policy, and its setting: `albireo-u3e-4-erd-nonempty` is

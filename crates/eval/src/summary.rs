@@ -1,6 +1,6 @@
 //! Summarises each policy over the clips: means, differences to the baseline, and the Pareto frontier.
 
-use crate::average_precision::Accuracy;
+use crate::judge::Accuracy;
 use crate::result::{ClipResult, Energy, Provenance};
 use crate::spec::BASELINE;
 use crate::statistics::{half_interval, mean};

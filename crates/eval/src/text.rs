@@ -49,7 +49,8 @@ pub(crate) fn table<'a>(columns: impl Iterator<Item = &'a Column> + Clone, gap: 
     let mut line = |cell: &dyn Fn(&'a Column) -> &'a str| {
         let mut line = String::new();
         for (index, column) in columns.clone().enumerate() {
-            let (cell, width) = (cell(column), column.width());
+            let cell = cell(column);
+            let width = column.width();
             // Writing to a string cannot fail.
             let _ = match index {
                 0 => write!(line, "{cell:<width$}"),

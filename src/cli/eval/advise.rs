@@ -1,12 +1,12 @@
 //! `albireo eval advise`: finds the value of a policy's threshold that meets a target on a recording.
 
-use super::WRITTEN;
 use super::video::{PassArguments, look_at};
+use super::{JUDGED, WRITTEN};
 use crate::cli::values::parse_rate;
 use albireo_eval::advise::{Target, advise, render};
 use albireo_eval::data::{Clip, recorded};
 use albireo_eval::footage::SourceName;
-use albireo_eval::run::{JUDGED, Settings};
+use albireo_eval::settings::Settings;
 use anyhow::{bail, ensure};
 use clap::Args;
 use std::path::PathBuf;

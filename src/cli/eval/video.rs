@@ -4,18 +4,17 @@ use super::{LOOKED, RunArguments, conclude, listed, policies, settings, streams_
 use crate::cli::progress;
 use crate::cli::values::parse_rate;
 use albireo_eval::data::{Clip, LoadReport, recorded};
+use albireo_eval::data::{GroundTruth, StepTimes, TruthFormat, vanilla_as_truth};
 use albireo_eval::footage::{Downsampled, FrameSource, Pictures, SourceName, VideoEncoding};
-use albireo_eval::pictures::{
-    GroundTruth, LOWEST_CONFIDENCE, ModelRunner, PassSettings, StepTimes, TruthFormat, run_pass,
-    vanilla_as_truth,
-};
+use albireo_eval::pictures::{LOWEST_CONFIDENCE, ModelRunner, PassSettings, run_pass};
 use albireo_eval::report::Report;
 use albireo_eval::result::{ClipResult, Spread};
 use albireo_eval::run;
-use albireo_eval::source::ScreenRule;
-use albireo_eval::streams::{self, StreamResults};
+use albireo_eval::run::attach_pictures;
+use albireo_eval::run::streams::{self, StreamResults};
+use albireo_eval::settings::{ScreenRule, Settings};
+use albireo_eval::spec::PolicySpec;
 use albireo_eval::summary;
-use albireo_eval::worst::attach_pictures;
 use albireo_vision::detector::{ClassNames, DetectorConfig, ExecutionProvider, HeadName};
 use albireo_vision::picture::ColorOrder;
 use albireo_vision::screen::ScreenConfig;
@@ -91,124 +90,186 @@ pub(super) struct PassArguments {
 
 /// Runs `albireo eval video`. Clips are processed one after the other, and dropped when every policy is done.
 pub(super) fn run(video: &VideoArguments) -> anyhow::Result<()> {
-    let pass = &video.pass;
+    let arguments = with_screen(video)?;
+    let names = clip_names(&video.clips)?;
+    let policies = policies(&arguments, true)?;
+    let settings = settings(&arguments)?;
+    let truth = video
+        .truth_format
+        .map(|format| GroundTruth::new(video.ground_truth.clone(), format));
+    if let Some(truth) = &truth {
+        truth.check(&names)?;
+    }
+    let mut evaluation = Evaluation {
+        video,
+        pass_settings: PassSettings {
+            max_frames: video.pass.frames,
+            ..PassSettings::for_policies(&policies)?
+        },
+        models: start_models(&video.pass)?,
+        arguments,
+        names,
+        policies,
+        settings,
+        truth,
+        report: LoadReport::default(),
+        results: Vec::new(),
+        streams: Vec::new(),
+        times: Vec::new(),
+        kept: Vec::new(),
+    };
+    for clips in &video.clips {
+        for mut source in clips.open_clips(Some(video.rate), video.encoding)? {
+            match video.fps {
+                None => evaluation.add(source.as_mut())?,
+                Some(rate) => evaluation.add(&mut Downsampled::new(source.as_mut(), rate))?,
+            }
+        }
+    }
+    evaluation.conclude()
+}
+
+/// Returns the arguments with the screen rule that follows from the models.
+fn with_screen(video: &VideoArguments) -> anyhow::Result<RunArguments> {
     let mut arguments = video.run.clone();
     let confidence = arguments.settings.confidence;
     ensure!(
         (LOWEST_CONFIDENCE..=1.0).contains(&confidence),
         "--confidence {confidence} is not between {LOWEST_CONFIDENCE} and 1"
     );
-    if pass.screen_model.is_some() {
+    if video.pass.screen_model.is_some() {
         arguments.settings.screen = ScreenRule::Recorded;
     } else if arguments.settings.screen == ScreenRule::Recorded {
         bail!("--screen recorded needs the verdicts of a screen: name one with --screen-model");
     }
+    Ok(arguments)
+}
+
+/// The names of all clips; results, truth and files are told apart by them.
+fn clip_names(clips: &[SourceName]) -> anyhow::Result<Vec<String>> {
     let mut names: Vec<String> = Vec::new();
-    for clip in &video.clips {
+    for clip in clips {
         names.extend(clip.clip_names()?);
     }
     let mut seen = HashSet::new();
     if let Some(name) = names.iter().find(|name| !seen.insert(*name)) {
         bail!("two clips are named `{name}`: rename one of the files");
     }
-    let policies = policies(&arguments, true)?;
-    let settings = settings(&arguments)?;
-    let mut truth =
-        (video.truth_format).map(|format| GroundTruth::new(video.ground_truth.clone(), format));
-    if let Some(truth) = &truth {
-        truth.check(&names)?;
-    }
-    let mut models = start_models(pass)?;
-    let pass_settings = PassSettings {
-        max_frames: pass.frames,
-        ..PassSettings::for_policies(&policies)?
-    };
-    let mut report = LoadReport::default();
-    let (mut results, mut times) = (Vec::<ClipResult>::new(), Vec::new());
-    let mut streams: Vec<StreamResults> = Vec::new();
-    // The clips without their pictures, for `--save-detections`.
-    let mut kept = Vec::new();
-    for clips in &video.clips {
-        for mut source in clips.open_clips(Some(video.rate), video.encoding)? {
-            let mut slower;
-            let source: &mut dyn FrameSource = match video.fps {
-                None => source.as_mut(),
-                Some(rate) => {
-                    slower = Downsampled::new(source.as_mut(), rate);
-                    &mut slower
-                }
-            };
-            let mut clip = pass_over(source, &mut models, &pass_settings, &mut report)?;
-            let looked = clip.pass.take();
-            times.extend(looked.iter().flat_map(|pass| &pass.times).copied());
-            if let Some(truth) = &mut truth {
-                truth.attach_to(&mut clip, names.len() == 1, &mut report)?;
-            }
-            if pass.save_detections.is_some() {
-                kept.push(clip.clone());
-            }
-            clip.pass = looked;
-            if truth.is_none() {
-                clip.truth = Some(vanilla_as_truth(&clip, confidence));
-            } else if clip.truth.is_none() {
-                let note = format!("{}: not in the ground truth, left out", clip.name);
-                report.notes.push(note);
-                continue;
-            }
-            let mut of_clip = run::run([&clip], &policies, &settings, &|| ())?;
-            // The pictures of the frames that lost most are read again: keeping all pictures until these frames are known
-            // would take too much memory.
-            if let Err(error) = attach_pictures(source, &mut of_clip) {
-                let name = &clip.name;
-                let note = format!("{name}: no pictures of the frames that lost most: {error}");
-                report.notes.push(note);
-            }
-            results.extend(of_clip);
-            for (at, stream) in streams_asked(&arguments).into_iter().enumerate() {
-                let of_clip = streams::run([&clip], &policies, &settings, stream)?;
-                match streams.get_mut(at) {
-                    Some(clips_before) => clips_before.extend(of_clip),
-                    None => streams.push(of_clip),
-                }
+    Ok(names)
+}
+
+/// An evaluation over clips that are looked at one after the other.
+struct Evaluation<'a> {
+    video: &'a VideoArguments,
+    arguments: RunArguments,
+    names: Vec<String>,
+    policies: Vec<PolicySpec>,
+    settings: Settings,
+    pass_settings: PassSettings,
+    models: ModelRunner,
+    /// Ground truth; without any, clips are judged against Vanilla's own output.
+    truth: Option<GroundTruth>,
+    report: LoadReport,
+    results: Vec<ClipResult>,
+    streams: Vec<StreamResults>,
+    times: Vec<StepTimes>,
+    /// The clips without their pictures, for `--save-detections`.
+    kept: Vec<Clip>,
+}
+
+impl Evaluation<'_> {
+    /// Runs the detector over a clip, and all policies on its detections.
+    fn add(&mut self, source: &mut dyn FrameSource) -> anyhow::Result<()> {
+        let mut clip = pass_over(
+            source,
+            &mut self.models,
+            &self.pass_settings,
+            &mut self.report,
+        )?;
+        let pass = clip.pass.take();
+        self.times.extend(pass.iter().flat_map(|pass| &pass.times).copied());
+        if let Some(truth) = &mut self.truth {
+            truth.attach_to(&mut clip, self.names.len() == 1, &mut self.report)?;
+        }
+        if self.video.pass.save_detections.is_some() {
+            self.kept.push(clip.clone());
+        }
+        clip.pass = pass;
+        if self.truth.is_none() {
+            clip.truth = Some(vanilla_as_truth(&clip, self.settings.confidence));
+        } else if clip.truth.is_none() {
+            let note = format!("{}: not in the ground truth, left out", clip.name);
+            self.report.notes.push(note);
+            return Ok(());
+        }
+
+        let mut of_clip = run::run([&clip], &self.policies, &self.settings, &|| ())?;
+        // The pictures of the frames that lost most are read again: keeping all pictures until these frames are known
+        // would take too much memory.
+        if let Err(error) = attach_pictures(source, &mut of_clip) {
+            let name = &clip.name;
+            let note = format!("{name}: no pictures of the frames that lost most: {error}");
+            self.report.notes.push(note);
+        }
+        self.results.extend(of_clip);
+        for (at, stream) in streams_asked(&self.arguments).into_iter().enumerate() {
+            let of_clip = streams::run([&clip], &self.policies, &self.settings, stream)?;
+            match self.streams.get_mut(at) {
+                Some(clips_before) => clips_before.extend(of_clip),
+                None => self.streams.push(of_clip),
             }
         }
+        Ok(())
     }
-    end_pass(pass, &report, &kept)?;
-    let basis = match truth {
-        Some(_) => "by ground truth".to_owned(),
-        None => format!(
-            "against vanilla: its own output at confidence {confidence} is used as ground truth"
-        ),
-    };
-    let times = times_of_steps(&times);
-    let provider = models.provider().as_str();
-    let (detector, head) = (pass.detector.display(), pass.head.as_str());
-    let detector = format!("{detector} (head {head}), run by {provider}");
-    let mut listed_settings = vec![("Judged".to_owned(), basis.clone())];
-    listed_settings.extend(listed(&arguments));
-    listed_settings.push(("Detector".to_owned(), detector));
-    if let Some(screen) = &pass.screen_model {
-        listed_settings.push(("Screen model".to_owned(), screen.display().to_string()));
+
+    /// Saves the detections, and reports the results.
+    fn conclude(mut self) -> anyhow::Result<()> {
+        let pass = &self.video.pass;
+        end_pass(pass, &self.report, &self.kept)?;
+        let basis = match self.truth {
+            Some(_) => "by ground truth".to_owned(),
+            None => format!(
+                "against vanilla: its own output at confidence {} is used as ground truth",
+                self.settings.confidence
+            ),
+        };
+        let times = times_of_steps(&self.times);
+        let mut settings = vec![("Judged".to_owned(), basis.clone())];
+        settings.extend(listed(&self.arguments));
+        settings.push((
+            "Detector".to_owned(),
+            format!(
+                "{} (head {}), run by {}",
+                pass.detector.display(),
+                pass.head.as_str(),
+                self.models.provider().as_str()
+            ),
+        ));
+        if let Some(screen) = &pass.screen_model {
+            settings.push(("Screen model".to_owned(), screen.display().to_string()));
+        }
+        settings.extend(times.iter().cloned());
+
+        // The results came clip by clip; a report is in order of policies.
+        self.results.sort_by_key(|result| {
+            let mut policies = self.policies.iter();
+            policies.position(|policy| policy.label == result.policy)
+        });
+        let report = Report {
+            title: title(&self.names),
+            settings,
+            data: self.report,
+            policies: summary::summarise(&self.results),
+            clips: self.results,
+        };
+        println!("Judged {basis}");
+        conclude(&report, &self.streams, &self.arguments)?;
+        print_screens(&report.clips);
+        for (name, value) in times {
+            println!("{name}: {value}");
+        }
+        Ok(())
     }
-    listed_settings.extend(times.iter().cloned());
-    results.sort_by_key(|result| {
-        let mut policies = policies.iter();
-        policies.position(|policy| policy.label == result.policy)
-    });
-    let report = Report {
-        title: title(&names),
-        settings: listed_settings,
-        data: report,
-        policies: summary::summarise(&results),
-        clips: results,
-    };
-    println!("Judged {basis}");
-    conclude(&report, &streams, &arguments)?;
-    print_screens(&report.clips);
-    for (name, value) in times {
-        println!("{name}: {value}");
-    }
-    Ok(())
 }
 
 /// Returns the report's heading: the clips' names, or the first of many.

@@ -3,11 +3,11 @@
 use super::estimate::Estimate;
 use super::target::Target;
 use super::trial::{Trial, refused, try_out};
-use crate::average_precision::ScoredBox;
+use crate::boxes::ScoredBox;
 use crate::data::Clip;
 use crate::error::EvalError;
-use crate::run::Settings;
-use crate::source::ScreenRule;
+use crate::settings::ScreenRule;
+use crate::settings::Settings;
 use albireo_core::policy::{ExpectedLoss, PolicyConfig, ThresholdSpec, short};
 use rayon::iter::{IntoParallelIterator, ParallelIterator};
 use serde::Serialize;
@@ -93,8 +93,7 @@ pub fn advise(
     }
     let mut config = PolicyConfig::default();
     config.select(policy).map_err(refused)?;
-    let spec = config.build().map_err(refused)?.threshold_spec();
-    let spec = spec.ok_or_else(|| {
+    let spec = config.build().map_err(refused)?.threshold_spec().ok_or_else(|| {
         refused(format!(
             "{policy}: it has no threshold to meet a target with"
         ))
@@ -141,7 +140,8 @@ pub fn advise(
 
 /// Returns rising values over the useful range in logarithmic steps, rounded to two digits.
 fn values(spec: &ThresholdSpec) -> Vec<f64> {
-    let (low, high) = (spec.useful_minimum, spec.useful_maximum);
+    let low = spec.useful_minimum;
+    let high = spec.useful_maximum;
     let value = |step: usize| {
         let value = low * (high / low).powf(step as f64 / (VALUES - 1) as f64);
         let rounded = format!("{value:.1e}").parse().unwrap_or(value);

@@ -19,8 +19,10 @@ impl std::str::FromStr for Target {
     fn from_str(text: &str) -> Result<Self, String> {
         let form = "write recall=VALUE or skip_rate=VALUE, for instance recall=0.95";
         let (name, value) = text.split_once('=').ok_or(form)?;
-        let value: f64 =
-            (value.trim().parse()).map_err(|_| format!("`{}` is not a number", value.trim()))?;
+        let value: f64 = value
+            .trim()
+            .parse()
+            .map_err(|_| format!("`{}` is not a number", value.trim()))?;
         let target = match name.trim() {
             "recall" => Self::Recall(value),
             "skip_rate" => Self::SkipRate(value),

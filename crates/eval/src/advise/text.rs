@@ -3,7 +3,7 @@
 use super::choose::{Advice, HeldOut, Proposal};
 use super::estimate::Estimate;
 use super::target::Target;
-use crate::source::ScreenRule;
+use crate::settings::ScreenRule;
 use crate::text::{Column, or_dash, table, wrapped};
 use albireo_core::policy::short;
 use std::fmt::Write;
@@ -30,11 +30,12 @@ pub fn render(advice: &Advice) -> String {
     );
     let _ = writeln!(text, "Target: {}.\n", advice.target);
     let cells = |cell: &dyn Fn(&Proposal) -> String| advice.proposals.iter().map(cell).collect();
-    let policies = advice.proposals.iter().enumerate();
-    let policies = policies.map(|(index, proposal)| match (index, proposal.meets_target) {
-        (0, true) => format!("* {}", proposal.policy),
-        (_, true) => format!("  {}", proposal.policy),
-        (_, false) => format!("- {}", proposal.policy),
+    let policies = advice.proposals.iter().enumerate().map(|(index, proposal)| {
+        match (index, proposal.meets_target) {
+            (0, true) => format!("* {}", proposal.policy),
+            (_, true) => format!("  {}", proposal.policy),
+            (_, false) => format!("- {}", proposal.policy),
+        }
     });
     let columns = [
         Column::new(["  policy", ""], policies.collect()),

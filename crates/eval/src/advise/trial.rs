@@ -2,11 +2,11 @@
 
 use super::estimate::Estimate;
 use super::target::Target;
-use crate::against_detector::against_detector;
 use crate::data::Clip;
 use crate::error::EvalError;
-use crate::run::Settings;
-use crate::source::ScreenRule;
+use crate::run::against_detector;
+use crate::settings::ScreenRule;
+use crate::settings::Settings;
 use albireo_core::audit::AuditSums;
 use albireo_core::policy::PolicyConfig;
 
@@ -105,7 +105,7 @@ pub(super) fn try_out(
     settings: &Settings,
 ) -> Result<Trial, EvalError> {
     let mut config = config.clone();
-    (config.set_argument(&format!("{value:e}"))).map_err(refused)?;
+    config.set_argument(&format!("{value:e}")).map_err(refused)?;
     let mut policy = config.build().map_err(refused)?;
     let settings = Settings {
         screen,

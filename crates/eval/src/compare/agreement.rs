@@ -1,6 +1,7 @@
 //! Compares a policy's boxes with those of a policy that runs the detector on every frame.
 
-use crate::average_precision::{Classes, Interpolation, ScoredBox, accuracy};
+use crate::boxes::ScoredBox;
+use crate::judge::{Classes, Interpolation, accuracy};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::Corners;
 use albireo_wire::DetectionsMessage;
@@ -71,7 +72,7 @@ pub fn agreement(boxes: &Boxes, reference: &Boxes) -> Option<Agreement> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::average_precision::tests::at;
+    use crate::judge::average_precision::tests::at;
 
     #[test]
     fn identical_boxes_agree_fully_and_shifted_ones_by_their_overlap() {

@@ -44,7 +44,7 @@ fn row(comparison: &Comparison, run: &Run) -> Vec<(&'static str, String)> {
         ("round", (run.round + 1).to_string()),
         (
             "policy",
-            (comparison.policies.get(run.variant).cloned()).unwrap_or_default(),
+            comparison.policies.get(run.variant).cloned().unwrap_or_default(),
         ),
         ("u", number(threshold)),
         ("frames", report.frames.to_string()),

@@ -83,10 +83,10 @@ impl Mean {
             return None;
         }
         let mean = values.iter().sum::<f64>() / rounds as f64;
-        let half = half_interval(values);
         // For equal values the interval is only a rounding error, and for zeros it is undefined: both become 0.
-        let half = half.filter(|half| *half > 1e-12 * mean.abs());
-        let half = half.or((rounds > 1).then_some(0.0));
+        let half = half_interval(values)
+            .filter(|half| *half > 1e-12 * mean.abs())
+            .or((rounds > 1).then_some(0.0));
         Some(Self { mean, half, rounds })
     }
 }
@@ -187,7 +187,8 @@ pub fn summarise(comparison: &Comparison) -> Summary {
     power_modes.dedup();
     Summary {
         energy: quality(runs),
-        energy_source: (runs.first())
+        energy_source: runs
+            .first()
             .map_or_else(String::new, |run| run.report.energy.source.clone()),
         coverage: runs.iter().map(|run| run.report.energy.coverage).fold(1.0, f64::min),
         rounds: runs.iter().map(|run| run.round + 1).max().unwrap_or(0),

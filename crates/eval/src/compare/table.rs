@@ -14,6 +14,30 @@ const MAX_LABEL: usize = 24;
 /// The longest line of text.
 const MAX_LINE: usize = 100;
 
+/// A column of one figure: its name, its unit, and a note below them.
+#[derive(Clone, Copy)]
+struct FigureColumn {
+    figure: Figure,
+    name: &'static str,
+    unit: &'static str,
+    note: &'static str,
+}
+
+impl FigureColumn {
+    const fn new(figure: Figure, name: &'static str, unit: &'static str) -> Self {
+        Self {
+            figure,
+            name,
+            unit,
+            note: "",
+        }
+    }
+
+    const fn with_note(self, note: &'static str) -> Self {
+        Self { note, ..self }
+    }
+}
+
 /// Formats the comparison: the clip, the quality of the energy, three tables, and the verdicts.
 pub fn render(comparison: &Comparison, summary: &Summary) -> String {
     let mut text = String::new();
@@ -26,22 +50,24 @@ pub fn render(comparison: &Comparison, summary: &Summary) -> String {
     } else {
         "One run each: without --repeat 2 or more there is no confidence interval".to_owned()
     };
-    let powered = summary.energy != EnergyQuality::Unavailable;
-    let energy_unit = match summary.energy {
+    let quality = match summary.energy {
         EnergyQuality::Measured => "measured",
         EnergyQuality::Partial => "partial",
         EnergyQuality::Estimated => "ESTIMATED",
         EnergyQuality::Unavailable => "",
     };
-    let mut columns = vec![
-        (Figure::CpuSeconds, ["CPU time s", ""]),
-        (Figure::FrameMilliseconds, ["frame time ms", ""]),
-        (Figure::DetectorCalls, ["detector calls", ""]),
-    ];
-    if powered {
-        columns.insert(0, (Figure::Joules, ["energy J", energy_unit]));
-        columns.insert(1, (Figure::Edp, ["EDP J·ms/frame", energy_unit]));
+    let mut columns = Vec::new();
+    if summary.energy != EnergyQuality::Unavailable {
+        columns.extend([
+            FigureColumn::new(Figure::Joules, "energy", "J").with_note(quality),
+            FigureColumn::new(Figure::Edp, "EDP", "J·ms/frame").with_note(quality),
+        ]);
     }
+    columns.extend([
+        FigureColumn::new(Figure::CpuSeconds, "CPU time", "s"),
+        FigureColumn::new(Figure::FrameMilliseconds, "frame time", "ms"),
+        FigureColumn::new(Figure::DetectorCalls, "detector calls", ""),
+    ]);
     let means = |policy: &VariantSummary, figure| {
         let scale = if is_share(figure) { 100.0 } else { 1.0 };
         policy.mean(figure).map(|found| mean(found, scale))
@@ -51,13 +77,16 @@ pub fn render(comparison: &Comparison, summary: &Summary) -> String {
     let first = summary.policies.first().map_or("", |first| &first.policy);
     let title = format!("Change against {first}: mean of the differences within a round");
     let changes = |policy: &VariantSummary, figure| policy.change(figure).map(change);
-    for (_, [name, _]) in &mut columns {
-        let units = [" J", " J·ms/frame", " s", " ms"];
-        let mut bare = units.iter().filter_map(|unit| name.strip_suffix(unit));
-        *name = bare.next().unwrap_or(name);
-    }
+    // Changes are in percent, whatever the figure's unit.
+    let changed: Vec<_> = columns
+        .iter()
+        .map(|column| FigureColumn {
+            unit: "",
+            ..*column
+        })
+        .collect();
     let others = summary.policies.get(1..).unwrap_or_default();
-    table(&mut text, &title, others, &columns, changes);
+    table(&mut text, &title, others, &changed, changes);
 
     let of = comparison.policies.get(comparison.boxes_of);
     let title = format!(
@@ -65,11 +94,11 @@ pub fn render(comparison: &Comparison, summary: &Summary) -> String {
         of.map_or("", String::as_str)
     );
     let columns = [
-        (Figure::Ap50, ["AP@50 %", ""]),
-        (Figure::Precision, ["precision %", ""]),
-        (Figure::Recall, ["recall %", ""]),
-        (Figure::SkipRate, ["skip rate %", ""]),
-        (Figure::Dropped, ["frames dropped", ""]),
+        FigureColumn::new(Figure::Ap50, "AP@50", "%"),
+        FigureColumn::new(Figure::Precision, "precision", "%"),
+        FigureColumn::new(Figure::Recall, "recall", "%"),
+        FigureColumn::new(Figure::SkipRate, "skip rate", "%"),
+        FigureColumn::new(Figure::Dropped, "frames dropped", ""),
     ];
     table(&mut text, &title, &summary.policies, &columns, means);
     for verdict in verdicts(comparison, summary) {
@@ -161,7 +190,7 @@ fn table(
     text: &mut String,
     title: &str,
     policies: &[VariantSummary],
-    columns: &[(Figure, [&str; 2])],
+    columns: &[FigureColumn],
     cell: impl Fn(&VariantSummary, Figure) -> Option<String>,
 ) {
     if policies.is_empty() {
@@ -169,9 +198,10 @@ fn table(
     }
     let names = policies.iter().map(|policy| cut(&policy.policy)).collect();
     let mut table = vec![Column::new(["policy", ""], names)];
-    table.extend(columns.iter().map(|(figure, heads)| {
-        let cells = (policies.iter()).map(|policy| or_dash(cell(policy, *figure)));
-        Column::new(*heads, cells.collect())
+    table.extend(columns.iter().map(|column| {
+        let cells = policies.iter().map(|policy| or_dash(cell(policy, column.figure)));
+        let head = format!("{} {}", column.name, column.unit);
+        Column::new([head.trim_end(), column.note], cells.collect())
     }));
     wrap(text, title);
     text.pop();
@@ -181,9 +211,10 @@ fn table(
 
 /// Cuts a label so that it leaves room for the columns.
 fn cut(label: &str) -> String {
-    match label.chars().count() > MAX_LABEL {
-        true => label.chars().take(MAX_LABEL - 1).chain(['…']).collect(),
-        false => label.to_owned(),
+    if label.chars().count() > MAX_LABEL {
+        label.chars().take(MAX_LABEL - 1).chain(['…']).collect()
+    } else {
+        label.to_owned()
     }
 }
 

@@ -58,7 +58,7 @@ fn verdict(
         ap50: policy.mean(Figure::Ap50).map(|mean| mean.mean),
         kwh_a_year: kwh_a_year(comparison, variant),
         energy: summary.energy,
-        skips: (policy.mean(Figure::SkipRate)).is_none_or(|mean| mean.mean > 0.0),
+        skips: policy.mean(Figure::SkipRate).is_none_or(|mean| mean.mean > 0.0),
         sentence: String::new(),
     };
     verdict.sentence = sentence(comparison, summary, first, policy, variant, &verdict);

@@ -8,7 +8,7 @@
 use super::classes::from_name;
 use super::rows::MAX_FRAMES;
 use super::{Clip, DataSet, LabelledBox, LoadReport, entries, has_extension};
-use crate::average_precision::ScoredBox;
+use crate::boxes::ScoredBox;
 use crate::error::EvalError;
 use crate::files::read_text;
 use albireo_core::geometry::{Corners, PictureSize};
@@ -80,7 +80,8 @@ type Videos = BTreeMap<String, BTreeMap<usize, Vec<ScoredBox>>>;
 /// [`EvalError`] for a missing or broken file, a prediction without a score, or a frame that occurs twice.
 pub fn read(source: &Source<'_>) -> Result<DataSet, EvalError> {
     let mut data = DataSet::default();
-    let (picture, report) = (source.picture, &mut data.report);
+    let picture = source.picture;
+    let report = &mut data.report;
     let mut truths =
         source.truth.map(|path| read_videos(path, picture, false, report)).transpose()?;
     let mut found = source
@@ -130,12 +131,12 @@ fn read_videos(
     let mut videos = Videos::new();
     for file in json_files(path)? {
         let text = read_text(&file, "give a JSON file of frames or a folder of them")?;
-        let frames = if text.trim_start().starts_with('[') {
+        let parsed = if text.trim_start().starts_with('[') {
             serde_json::from_str(&text)
         } else {
             serde_json::from_str(&text).map(|export: Export| export.frames)
         };
-        let frames: Vec<Frame> = frames.map_err(|error| {
+        let frames: Vec<Frame> = parsed.map_err(|error| {
             let what = format!("this is not a list of frames in the Scalabel format: {error}");
             EvalError::line(&file, error.line() as u64, what)
         })?;

@@ -7,7 +7,7 @@
 use super::classes::from_kitti;
 use super::rows::{GONE, Row, Table};
 use super::{Clip, DataSet, LabelledBox, LoadReport, entries, has_extension, pictures_in};
-use crate::average_precision::ScoredBox;
+use crate::boxes::ScoredBox;
 use crate::error::EvalError;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_vision::picture::read_picture_file;
@@ -70,7 +70,9 @@ fn read_sequence(folder: &Path, name: &str, report: &mut LoadReport) -> Result<C
         Ok(())
     })?;
     let found = table("det_02");
-    let mut detections = (found.path.exists())
+    let mut detections = found
+        .path
+        .exists()
         .then(|| {
             found.boxes(GONE, picture, report, |row| {
                 labelled(row, row.number(17, "score")?)

@@ -42,7 +42,8 @@ pub fn read(folder: &Path) -> Result<DataSet, EvalError> {
 
 fn read_sequence(folder: &Path, report: &mut LoadReport) -> Result<Clip, EvalError> {
     let info = Info::read(&folder.join("seqinfo.ini"))?;
-    let (picture, frames) = (info.picture, info.frames);
+    let picture = info.picture;
+    let frames = info.frames;
     let table = |file: &str| Table {
         path: folder.join(file),
         separator: Some(','),
@@ -50,11 +51,16 @@ fn read_sequence(folder: &Path, report: &mut LoadReport) -> Result<Clip, EvalErr
         first: 1,
         frames: Some(frames),
     };
-    let (labels, found) = (table("gt/gt.txt"), table("det/det.txt"));
-    let truth = (labels.path.exists())
+    let labels = table("gt/gt.txt");
+    let found = table("det/det.txt");
+    let truth = labels
+        .path
+        .exists()
         .then(|| labels.boxes(GONE, picture, report, labelled_truth))
         .transpose()?;
-    let detections = (found.path.exists())
+    let detections = found
+        .path
+        .exists()
         .then(|| found.boxes(GONE, picture, report, labelled_detection))
         .transpose()?;
     Ok(Clip {
@@ -93,7 +99,8 @@ impl Info {
                 EvalError::content(path, format!("`{key}` is `{value}`, not a whole number"))
             })
         };
-        let (width, height) = (number("imWidth")?, number("imHeight")?);
+        let width = number("imWidth")?;
+        let height = number("imHeight")?;
         if width == 0 || height == 0 {
             return Err(EvalError::content(path, "the pictures have no size"));
         }

@@ -79,8 +79,10 @@ fn check(entry: &Entry, path: &Path) -> Result<(), EvalError> {
     let what = if !is_plain {
         format!("`{name}` cannot be a sequence's name: it names a file")
     } else if entry.width == 0 || entry.height == 0 {
-        let (width, height) = (entry.width, entry.height);
-        format!("the sequence `{name}` has pictures of {width}x{height} pixels")
+        format!(
+            "the sequence `{name}` has pictures of {}x{} pixels",
+            entry.width, entry.height
+        )
     } else if !entry.fps.is_none_or(is_rate) {
         format!("the sequence `{name}` has a frame rate that is not positive")
     } else {
@@ -116,7 +118,9 @@ fn read_sequence(folder: &Path, entry: Entry, report: &mut LoadReport) -> Result
         .transpose()?;
     let help = "is the file readable?";
     let regions = table("ignore", IGNORED_HEADER);
-    let ignored = (regions.path.exists())
+    let ignored = regions
+        .path
+        .exists()
         .then(|| {
             regions.read(help, |row, regions| {
                 regions.push(corners(row)?);
@@ -125,7 +129,9 @@ fn read_sequence(folder: &Path, entry: Entry, report: &mut LoadReport) -> Result
         })
         .transpose()?;
     let verdicts = table("screen", SCREEN_HEADER);
-    let screen = (verdicts.path.exists())
+    let screen = verdicts
+        .path
+        .exists()
         .then(|| verdicts.read(help, screen_verdict))
         .transpose()?;
     Ok(Clip {
@@ -189,8 +195,8 @@ pub fn write(folder: &Path, clips: &[Clip]) -> Result<(), EvalError> {
     };
     for clip in clips {
         let put = |kind: &str, text| put(&table_path(folder, kind, &clip.name), text);
-        let detections = clip.detections.as_deref().unwrap_or_default();
-        let detections = table(DETECTION_HEADER, detections, |found| {
+        let found = clip.detections.as_deref().unwrap_or_default();
+        let detections = table(DETECTION_HEADER, found, |found| {
             let corners = cells(found.corners);
             format!("{corners},{},{}", found.confidence, found.class.0)
         });
@@ -205,8 +211,7 @@ pub fn write(folder: &Path, clips: &[Clip]) -> Result<(), EvalError> {
         let ignored = (!clip.ignored.is_empty())
             .then(|| table(IGNORED_HEADER, &clip.ignored, |region| cells(*region)));
         put("ignore", ignored)?;
-        let verdicts = clip.screen.as_deref();
-        let verdicts = verdicts.map(|verdicts| {
+        let verdicts = clip.screen.as_deref().map(|verdicts| {
             table(SCREEN_HEADER, verdicts, |empty| {
                 u8::from(*empty).to_string()
             })
@@ -234,7 +239,7 @@ where
     let frames = frames.iter().enumerate();
     let rows = frames.flat_map(|(frame, entries)| {
         let row = &row;
-        (entries.into_iter()).map(move |entry| format!("{frame},{}\n", row(entry)))
+        entries.into_iter().map(move |entry| format!("{frame},{}\n", row(entry)))
     });
     std::iter::once(format!("{header}\n")).chain(rows).collect()
 }

@@ -1,7 +1,7 @@
 //! Reads tables of numbers row by row, with the line number in every error.
 
 use super::{LabelledBox, LoadReport};
-use crate::average_precision::ScoredBox;
+use crate::boxes::ScoredBox;
 use crate::error::EvalError;
 use crate::files::read_text;
 use albireo_core::geometry::PictureSize;

@@ -150,7 +150,7 @@ mod tests {
         assert_eq!(name.clip_names().unwrap(), names);
         let clips = name.open_clips(Some(10.0), VideoEncoding::Jpeg).unwrap();
         let seconds: f64 =
-            (clips.iter()).map(|clip| clip.frames().unwrap() as f64 / clip.rate()).sum();
+            clips.iter().map(|clip| clip.frames().unwrap() as f64 / clip.rate()).sum();
         assert!(seconds >= 40.0, "{seconds}");
         assert!(std::fs::metadata(road).unwrap().len() <= 8_000_000);
     }

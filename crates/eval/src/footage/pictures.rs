@@ -225,7 +225,7 @@ mod tests {
             all.rewind().unwrap();
         }
         let clips = all.into_clips();
-        let named: Vec<_> = (clips.iter()).map(|clip| (clip.name(), clip.frames())).collect();
+        let named: Vec<_> = clips.iter().map(|clip| (clip.name(), clip.frames())).collect();
         assert_eq!(named, [("busy", Some(2)), ("night", Some(1))]);
     }
 

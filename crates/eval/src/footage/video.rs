@@ -33,7 +33,8 @@ impl Default for Ffmpeg {
 }
 
 /// The encoding of a video's frames before they are sent.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum VideoEncoding {
     /// JPEG of the highest common quality (`-q:v 2`).
     #[default]
@@ -193,7 +194,11 @@ fn probe(
     programs: &Ffmpeg,
 ) -> Result<(f64, Option<u64>), EvalError> {
     let mut command = Command::new(&programs.ffprobe);
-    let probed = (command.args(PROBE).arg(file).stdin(Stdio::null()).output())
+    let probed = command
+        .args(PROBE)
+        .arg(file)
+        .stdin(Stdio::null())
+        .output()
         .map_err(|error| not_started(&programs.ffprobe, error))?;
     if !probed.status.success() {
         let said = String::from_utf8_lossy(&probed.stderr);

@@ -1,7 +1,7 @@
 //! Processes a picture as a node does: decodes it, runs the detector and the screen, and measures the time of
 //! each step.
 
-use super::pass::StepTimes;
+use crate::data::StepTimes;
 use crate::data::classes::from_name;
 use crate::error::EvalError;
 use albireo_core::detection::{ClassId, Detection};
@@ -119,7 +119,9 @@ impl ModelRunner {
 
         let start = Instant::now();
         let run = self.detector.detect(CAMERA, Arc::clone(&self.picture));
-        let found = (self.runtime.block_on(run))
+        let found = self
+            .runtime
+            .block_on(run)
             .map_err(|error| EvalError::new(format!("the detector failed: {error}")))?
             .output;
         times.detector = milliseconds(start);

@@ -1,16 +1,13 @@
 //! Passes once over a clip's pictures: runs detector and screen on every frame and measures the time.
 
 use super::model_runner::{ModelResults, ModelRunner};
-use crate::average_precision::ScoredBox;
-use crate::data::{Clip, LoadReport};
+use crate::boxes::ScoredBox;
+use crate::data::{Clip, LoadReport, Pass};
 use crate::error::EvalError;
 use crate::footage::FrameSource;
-use crate::replay::FrameRecord;
-use crate::run::build;
 use crate::spec::PolicySpec;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_core::policy::Need;
-use albireo_vision::picture::Picture;
 
 /// Settings of the pass: what to keep, and how many frames to process.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -31,70 +28,13 @@ impl PassSettings {
     pub fn for_policies(policies: &[PolicySpec]) -> Result<Self, EvalError> {
         let mut settings = Self::default();
         for policy in policies {
-            match build(policy)?.pictures() {
+            match policy.build()?.pictures() {
                 Some(Need::GreyPicture) => settings.keep_grey = true,
                 Some(Need::SmallGreyPicture { width }) => settings.keep_small = Some(width),
                 _ => {}
             }
         }
         Ok(settings)
-    }
-}
-
-/// The milliseconds that each step took on one frame.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct StepTimes {
-    /// Decoding to colour.
-    pub decode: f64,
-    /// The detector: letterbox, model and head.
-    pub detector: f64,
-    /// The screen; 0 without one.
-    pub screen: f64,
-    /// Decoding to grey at half size; 0 if it is not kept.
-    pub grey: f64,
-    /// Decoding to a small grey picture; 0 if it is not kept.
-    pub small: f64,
-}
-
-/// The data that the pass over a clip's pictures keeps besides detections and verdicts.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Pass {
-    /// The grey picture of each frame at half size; empty if not kept.
-    pub grey: Vec<Picture>,
-    /// The small grey picture of each frame; empty if not kept.
-    pub small: Vec<Picture>,
-    /// The width for which the small grey pictures were made.
-    pub small_width: Option<u32>,
-    /// The time of each step on each frame.
-    pub times: Vec<StepTimes>,
-}
-
-impl Pass {
-    /// Composes the milliseconds of each frame under a policy that needs `pictures`: its decision time from `records`, and
-    /// the times of its steps as measured in the pass. Screen and detector share one decoded picture; `screened` is true
-    /// if the clip's own screen gave the verdicts.
-    pub(crate) fn frame_times(
-        &self,
-        records: &[FrameRecord],
-        pictures: Option<Need>,
-        screened: bool,
-    ) -> Vec<f64> {
-        let time = |(record, times): (&FrameRecord, &StepTimes)| {
-            let screen = record.screen && screened;
-            let grey = match pictures {
-                Some(Need::GreyPicture) => times.grey,
-                _ => times.small,
-            };
-            let steps = [
-                (record.detector || screen, times.decode),
-                (record.detector, times.detector),
-                (screen, times.screen),
-                (record.examined, grey),
-            ];
-            let needed = steps.into_iter().filter(|(needed, _)| *needed);
-            record.decision.as_secs_f64() * 1e3 + needed.map(|(_, step)| step).sum::<f64>()
-        };
-        records.iter().zip(&self.times).map(time).collect()
     }
 }
 
@@ -114,7 +54,8 @@ pub fn run_pass(
     let mut size = None;
     let mut detections = Vec::new();
     let mut verdicts = Vec::new();
-    let (mut grey, mut small) = (Vec::new(), Vec::new());
+    let mut grey = Vec::new();
+    let mut small = Vec::new();
     let mut times = Vec::new();
     while settings.max_frames.is_none_or(|most| times.len() < most) {
         let next = source.next()?;

@@ -1,9 +1,10 @@
 use super::*;
-use crate::average_precision::tests::{scored, square};
 use crate::data::Clip;
-use crate::pictures::Pass;
-use crate::run::Settings;
-use crate::source::{ScreenRule, StoredEvidence};
+use crate::data::Pass;
+use crate::judge::average_precision::tests::{scored, square};
+use crate::replay::StoredEvidence;
+use crate::settings::ScreenRule;
+use crate::settings::Settings;
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::BoundingBox;
 use albireo_core::policy::{BoxSource, OutputBox, PolicyConfig};

@@ -1,13 +1,13 @@
 //! Renders `report.html`: tables and figures on one page that loads no other file.
 
 use super::Report;
+use super::conclusion::conclusion;
 use super::plot::Plot;
+use super::table::{columns, notes};
 use super::worst;
-use crate::conclusion::conclusion;
 use crate::result::ClipResult;
-use crate::spec::BASELINE;
+use crate::spec::{BASELINE, short_label};
 use crate::summary::PolicySummary;
-use crate::table::{columns, notes, short_label};
 use crate::text::{Column, or_dash};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use std::collections::{BTreeSet, HashMap};

@@ -1,9 +1,8 @@
 //! Draws the figures of a report as SVG.
 
 use crate::result::ClipResult;
-use crate::spec::{BASELINE, split_label};
+use crate::spec::{BASELINE, short_label, split_label};
 use crate::summary::PolicySummary;
-use crate::table::short_label;
 use albireo_core::policy::FrameState;
 use plotters::chart::SeriesAnno;
 use plotters::coord::types::RangedCoordf64;
@@ -157,9 +156,10 @@ fn families<'a>(labels: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
 
 /// Returns the colour of the `index`th family; the baseline is black.
 fn color_of(index: usize, family: &str) -> RGBColor {
-    match family == BASELINE {
-        true => INK,
-        false => PALETTE[index % PALETTE.len()],
+    if family == BASELINE {
+        INK
+    } else {
+        PALETTE[index % PALETTE.len()]
     }
 }
 
@@ -195,7 +195,8 @@ fn label<'a>(series: &mut SeriesAnno<'a, SVGBackend<'a>>, index: usize, family: 
 
 /// Draws accuracy against skip rate: a marker per policy, a line per family, and the Pareto frontier.
 fn tradeoff(summaries: &[PolicySummary], families: &[&str]) -> Result<String, PlotError> {
-    let judged: Vec<(&PolicySummary, (f64, f64))> = (summaries.iter())
+    let judged: Vec<(&PolicySummary, (f64, f64))> = summaries
+        .iter()
         .filter_map(|summary| Some((summary, (summary.skip_rate * 100.0, summary.ap50?))))
         .collect();
     let places = |wanted: &dyn Fn(&PolicySummary) -> bool| {
@@ -241,7 +242,8 @@ fn tradeoff(summaries: &[PolicySummary], families: &[&str]) -> Result<String, Pl
 
 /// Returns the 95 % interval of a policy's AP@50.
 fn interval(summary: &PolicySummary) -> Option<(f64, f64)> {
-    let (ap50, change) = (summary.ap50?, summary.ap50_change?);
+    let ap50 = summary.ap50?;
+    let change = summary.ap50_change?;
     let [from, to] = change.interval?;
     Some((ap50 - change.mean + from, ap50 - change.mean + to))
 }
@@ -359,7 +361,8 @@ fn changes(results: &[ClipResult], families: &[&str]) -> Vec<Vec<(f64, f64)>> {
     let ap50 = |result: &ClipResult| result.accuracy.map(|accuracy| accuracy.ap50);
     let (baselines, others): (Vec<_>, Vec<_>) =
         results.iter().partition(|result| result.policy == BASELINE);
-    let baselines: HashMap<&str, f64> = (baselines.into_iter())
+    let baselines: HashMap<&str, f64> = baselines
+        .into_iter()
         .filter_map(|result| Some((result.clip.as_str(), ap50(result)?)))
         .collect();
     let change = |result: &&ClipResult| {
@@ -378,9 +381,12 @@ fn clips(changes: &[Vec<(f64, f64)>], families: &[&str]) -> Result<String, PlotE
     let all = || changes.iter().flatten();
     let across = range(all().map(|change| change.0), 0.05);
     let up = range(all().map(|change| change.1).chain([0.0]), 0.06);
-    let signed = |value: &f64| match *value == 0.0 {
-        true => "0".to_owned(),
-        false => format!("{value:+.0}").replace('-', "−"),
+    let signed = |value: &f64| {
+        if *value == 0.0 {
+            "0".to_owned()
+        } else {
+            format!("{value:+.0}").replace('-', "−")
+        }
     };
     let name = "Change of AP@50, percentage points";
     chart([across.clone(), up], name, &signed, |plane| {

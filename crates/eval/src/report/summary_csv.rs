@@ -5,7 +5,7 @@
 //! and empty under profile `paper`, where the judged boxes are the published ones and `_all` is for all boxes of the policy.
 //! A figure that does not exist is an empty cell, never a zero.
 
-use crate::average_precision::Accuracy;
+use crate::judge::Accuracy;
 use crate::result::ClipResult;
 use crate::spec::BASELINE;
 use std::collections::HashMap;
@@ -18,7 +18,7 @@ pub(super) fn rows(results: &[ClipResult]) -> Vec<Vec<(&'static str, String)>> {
         .map(|result| (result.clip.as_str(), result))
         .collect();
     let before = |result: &ClipResult| baseline.get(result.clip.as_str()).copied();
-    (results.iter()).map(|result| row(result, before(result))).collect()
+    results.iter().map(|result| row(result, before(result))).collect()
 }
 
 fn cell(value: Option<impl ToString>) -> String {
@@ -29,7 +29,8 @@ fn cell(value: Option<impl ToString>) -> String {
 fn row(result: &ClipResult, baseline: Option<&ClipResult>) -> Vec<(&'static str, String)> {
     type Figure = fn(&Accuracy) -> f64;
     let accuracy = result.accuracy;
-    let (last, all) = (result.accuracy_last_confidence, result.accuracy_all);
+    let last = result.accuracy_last_confidence;
+    let all = result.accuracy_all;
     // Only the published scoring has both definitions.
     let decayed = last.and(accuracy);
     let before = baseline.and_then(|baseline| baseline.accuracy);
@@ -37,7 +38,8 @@ fn row(result: &ClipResult, baseline: Option<&ClipResult>) -> Vec<(&'static str,
     let delta = |figure: Figure| cell(accuracy.zip(before).map(|(a, b)| figure(&a) - figure(&b)));
     let time = result.frame_time.map(|time| time.milliseconds);
     let source = result.frame_time.map(|time| time.provenance.as_str());
-    let (tracks, tracks_all) = (result.tracking, result.tracking_all);
+    let tracks = result.tracking;
+    let tracks_all = result.tracking_all;
     let energy = result.energy;
     let [e, p, ei, i, ai] = result.state_shares();
     vec![

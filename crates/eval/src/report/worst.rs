@@ -1,8 +1,8 @@
 //! Draws the frames on which policies lost the most objects.
 
-use crate::result::ClipResult;
-use crate::table::short_label;
-use crate::worst::{FramePicture, SHOWN_POLICIES, WorstFrame};
+use crate::result::{ClipResult, FramePicture, WorstFrame};
+use crate::run::SHOWN_POLICIES;
+use crate::spec::short_label;
 use albireo_core::geometry::Corners;
 use albireo_vision::picture::{PictureFormat, read_picture_file};
 use base64::prelude::{BASE64_STANDARD, Engine as _};

@@ -1,13 +1,16 @@
 use super::*;
-use crate::average_precision::Accuracy;
-use crate::average_precision::tests::{at, pooled};
-use crate::replay::Replay;
+use crate::judge::Accuracy;
+use crate::judge::average_precision::tests::{at, pooled};
 use albireo_core::policy::FrameState;
 
 /// The result of a policy on a clip with these frame states.
 pub(crate) fn of_states(clip: &str, policy: &str, states: &[FrameState]) -> ClipResult {
-    let mut result = ClipResult::from_replay(clip, policy, &Replay::default());
-    result.frames = states.len();
+    let mut result = ClipResult {
+        clip: clip.to_owned(),
+        policy: policy.to_owned(),
+        frames: states.len(),
+        ..ClipResult::default()
+    };
     states.iter().for_each(|state| result.states.count(*state));
     result
 }

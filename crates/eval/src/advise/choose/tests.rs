@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::advise::render;
-use crate::average_precision::tests::{scored, square};
+use crate::judge::average_precision::tests::{scored, square};
 use albireo_core::geometry::PictureSize;
 
 /// Two objects that drift by `speed` pixels per frame, and one that comes and goes.

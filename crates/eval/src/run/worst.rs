@@ -1,15 +1,12 @@
 //! Finds the frames on which a policy lost the most objects against the detector.
 
-use crate::average_precision::{Classes, Interpolation, ScoredBox, accuracy};
+use crate::boxes::ScoredBox;
 use crate::data::Clip;
 use crate::error::EvalError;
 use crate::footage::FrameSource;
+use crate::judge::hits;
 use crate::replay::Replay;
-use crate::result::ClipResult;
-use albireo_core::geometry::{Corners, PictureSize};
-use albireo_core::policy::FrameState;
-use albireo_vision::picture::EncodedPicture;
-use std::path::PathBuf;
+use crate::result::{ClipResult, FramePicture, WorstFrame};
 
 /// The number of frames of a clip that are kept for each policy.
 const KEPT: usize = 2;
@@ -20,34 +17,6 @@ const MIN_DISTANCE: usize = 20;
 /// The number of policies whose frames are shown, with their pictures.
 pub(crate) const SHOWN_POLICIES: usize = 8;
 
-/// The picture of a frame.
-#[derive(Clone, Debug, PartialEq)]
-pub enum FramePicture {
-    /// A file of the data set.
-    File(PathBuf),
-    /// The picture as it is in the footage.
-    Encoded(EncodedPicture),
-}
-
-/// A frame that skipped the detector and lost objects that the detector would have found.
-#[derive(Clone, Debug, PartialEq)]
-pub struct WorstFrame {
-    /// The frame's index in the clip.
-    pub frame: usize,
-    /// The frame's state.
-    pub state: FrameState,
-    /// The number of ground-truth objects that the detector finds (IoU 0.5) and the policy does not.
-    pub lost: usize,
-    /// Size of the picture.
-    pub size: PictureSize,
-    /// The ground truth.
-    pub truth: Vec<Corners>,
-    /// The policy's boxes.
-    pub found: Vec<Corners>,
-    /// The frame's picture, if there is one.
-    pub picture: Option<FramePicture>,
-}
-
 /// Gives the frames in `results`, which are of one clip, their pictures from `source`. The source is read again from its
 /// start to the last of these frames.
 ///
@@ -57,7 +26,8 @@ pub fn attach_pictures(
     source: &mut dyn FrameSource,
     results: &mut [ClipResult],
 ) -> Result<(), EvalError> {
-    let mut wanted: Vec<&mut WorstFrame> = (results.iter_mut())
+    let mut wanted: Vec<&mut WorstFrame> = results
+        .iter_mut()
         .filter(|result| !result.worst.is_empty())
         .take(SHOWN_POLICIES)
         .flat_map(|result| &mut result.worst)
@@ -123,17 +93,4 @@ pub(crate) fn worst_frames(clip: &Clip, replayed: &Replay, confidence: f64) -> V
         });
     }
     kept
-}
-
-/// Counts the objects of `truth` that `found` matches.
-fn hits(found: &[ScoredBox], truth: &[ScoredBox]) -> usize {
-    let judged = accuracy(
-        &[found.to_vec()],
-        &[truth.to_vec()],
-        Classes::Pooled,
-        Interpolation::AllPoints,
-    );
-    judged.map_or(0, |judged| {
-        (judged.recall * truth.len() as f64).round() as usize
-    })
 }

@@ -1,6 +1,7 @@
 //! Formats the table of a run for a terminal, and its columns for the HTML report.
 
 use crate::result::Provenance;
+use crate::spec::short_label;
 use crate::summary::{Difference, PolicySummary};
 use crate::text::{self, Column, or_dash, three_decimals, wrapped};
 use albireo_core::policy::FrameState;
@@ -52,8 +53,11 @@ fn ranked(summaries: &[PolicySummary]) -> Vec<(u8, Column)> {
         or_dash(difference.map(|found| format!("{:+.1}", found.mean * 100.0)))
     };
     let interval = |difference: Option<Difference>| {
-        let interval = difference.and_then(|found| found.interval);
-        or_dash(interval.map(|[from, to]| format!("[{:+.1}, {:+.1}]", from * 100.0, to * 100.0)))
+        or_dash(
+            difference
+                .and_then(|found| found.interval)
+                .map(|[from, to]| format!("[{:+.1}, {:+.1}]", from * 100.0, to * 100.0)),
+        )
     };
     let mut columns = vec![
         column(["", "policy"], 0, &|s| {
@@ -94,11 +98,6 @@ fn ranked(summaries: &[PolicySummary]) -> Vec<(u8, Column)> {
     ]);
     columns.retain(|(_, column)| column.cells.iter().any(|cell| cell != "-"));
     columns
-}
-
-/// Shortens a label by the part that all policies of a run share.
-pub(super) fn short_label(label: &str) -> &str {
-    label.split_once("-erd-").map_or(label, |(start, _)| start)
 }
 
 fn percent(share: f64) -> String {

@@ -1,39 +1,13 @@
 //! Gives a policy the evidence about the frames of a clip that it requests.
 
-use crate::average_precision::ScoredBox;
+use crate::boxes::ScoredBox;
 use crate::data::Clip;
 use crate::error::EvalError;
-use crate::run::Settings;
+use crate::settings::{ScreenRule, Settings};
 use albireo_core::detection::Detection;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{Evidence, GreyPicture, Need};
 use albireo_vision::screen::EmptyRun;
-use serde::{Deserialize, Serialize};
-
-/// The source of the empty-scene screen's verdicts.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, clap::ValueEnum)]
-#[serde(rename_all = "lowercase")]
-pub enum ScreenRule {
-    /// A screen that never says "empty".
-    Nonempty,
-    /// A screen that is always right: "empty" exactly when the frame has no stored detection. As in the published
-    /// code, any number of frames in a row may be empty.
-    Detections,
-    /// Recorded verdicts of a real screen, from `screen/*.csv` beside the detections, under the node's limit on empty
-    /// frames in a row.
-    Recorded,
-}
-
-impl ScreenRule {
-    /// The name on the command line and in traces.
-    pub const fn as_str(self) -> &'static str {
-        match self {
-            Self::Nonempty => "nonempty",
-            Self::Detections => "detections",
-            Self::Recorded => "recorded",
-        }
-    }
-}
 
 /// Answers a policy's questions with the stored data of a clip.
 #[derive(Clone, Debug)]

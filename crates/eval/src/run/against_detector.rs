@@ -3,9 +3,9 @@
 
 use crate::data::Clip;
 use crate::error::EvalError;
+use crate::replay::StoredEvidence;
 use crate::replay::drive;
-use crate::run::Settings;
-use crate::source::StoredEvidence;
+use crate::settings::Settings;
 use albireo_core::audit::AuditSums;
 use albireo_core::policy::Policy;
 

@@ -6,23 +6,20 @@
 
 mod run_times;
 
-pub use run_times::RunTimes;
-
+use super::{in_parallel, judge, no_evidence};
 use crate::data::Clip;
 use crate::error::EvalError;
-use crate::replay::{ClipFrame, drive};
+use crate::replay::{ClipFrame, StoredEvidence, drive, score_published};
 use crate::result::ClipResult;
-use crate::run::{Settings, build, in_parallel, judge, no_evidence};
-use crate::scoring::score_published;
-use crate::source::StoredEvidence;
-use crate::spec::{BASELINE, PolicySpec};
+use crate::settings::Settings;
+use crate::spec::{BASELINE, PolicySpec, short_label};
 use crate::summary::{Difference, PolicySummary, summarise};
-use crate::table::short_label;
 use crate::text::{self, Column, three_decimals};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{
     EvidenceAtHand, FrameHead, LatePolicy, Need, Outcome, OutputBox, Policy, Settler, decide,
 };
+pub use run_times::RunTimes;
 use std::time::Duration;
 
 /// The longest delay of a settled frame, as in a node.
@@ -76,12 +73,14 @@ pub fn run<'a>(
         settings,
         &|| (),
         &|clip, spec, settings| {
-            let policy = build(spec)?;
+            let policy = spec.build()?;
             let published = StoredEvidence::new(clip, settings)
                 .and_then(|mut evidence| publish(clip, policy, &mut evidence, &stream))
                 .map_err(|source| no_evidence(clip, spec, source))?;
             let min_confidence = settings.min_confidence();
-            let (boxes, all): (Vec<_>, Vec<_>) = (published.boxes.iter())
+            let (boxes, all): (Vec<_>, Vec<_>) = published
+                .boxes
+                .iter()
                 .map(|boxes| score_published(boxes, clip.picture, min_confidence))
                 .unzip();
             Ok(ClipResult {
@@ -149,7 +148,9 @@ fn at_once(
 ) -> Result<Published, EvalError> {
     let mut late = LatePolicy::new(policy).map_err(EvalError::new)?;
     let mut published = Published::default();
-    let (mut outcome, mut unused) = (Outcome::default(), Outcome::default());
+    let mut outcome = Outcome::default();
+    // What the frame that waits is answered with, too late to be published.
+    let mut unused = Outcome::default();
     // The frame that waits, its need, and the time at which that is met.
     let mut waits: Option<(usize, Need, f64)> = None;
     for frame in 0..source.frames() {
@@ -159,8 +160,9 @@ fn at_once(
         {
             let mut stored = ClipFrame::new(source, waiting_frame);
             let evidence = stored.evidence(need)?;
-            let next = late.deliver(waiting_frame as u64, evidence, &mut unused);
-            let next = next.map_err(EvalError::new)?;
+            let next = late
+                .deliver(waiting_frame as u64, evidence, &mut unused)
+                .map_err(EvalError::new)?;
             let took = timing.of(next, published.calls);
             published.calls += usize::from(next == Need::Detections);
             waits = (next != Need::Nothing).then_some((waiting_frame, next, at + took));
@@ -277,7 +279,8 @@ impl StreamResults {
         let clips = summaries.first().map_or(0, |first| first.clips);
         type Cell = fn(&PolicySummary) -> String;
         let table = |summaries: &[PolicySummary], columns: &[(&str, Cell)]| {
-            let columns: Vec<_> = (columns.iter())
+            let columns: Vec<_> = columns
+                .iter()
                 .map(|(head, cell)| Column::new([head, ""], summaries.iter().map(cell).collect()))
                 .collect();
             text::table(columns.iter(), "  ")

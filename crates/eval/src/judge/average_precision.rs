@@ -13,13 +13,14 @@
 //! Cost: one sort of the predictions, plus per frame a search among the ground-truth boxes that overlap
 //! horizontally, so 10⁶ boxes spread over frames take time near-linear in their number.
 
-use albireo_core::detection::{ClassId, Detection};
-use albireo_core::geometry::{Corners, PictureSize};
+use crate::boxes::ScoredBox;
+use albireo_core::detection::ClassId;
+use albireo_core::geometry::Corners;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
 /// The ten IoU thresholds of COCO.
-pub(crate) const IOU_THRESHOLDS: [f64; 10] =
+pub(super) const IOU_THRESHOLDS: [f64; 10] =
     [0.50, 0.55, 0.60, 0.65, 0.70, 0.75, 0.80, 0.85, 0.90, 0.95];
 
 /// Figures that do not rank boxes by confidence ignore boxes below this one; see [`Accuracy::f1_50_shown`].
@@ -27,30 +28,6 @@ pub const SHOWN_CONFIDENCE: f64 = 0.3;
 
 /// The index of 0.75 in [`IOU_THRESHOLDS`].
 const AT_75: usize = 5;
-
-/// A box with a confidence: a box to be judged, a stored detection, or ground truth, whose confidence is 1 and ignored.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ScoredBox {
-    /// The box in pixels.
-    pub corners: Corners,
-    /// The class; compared only if classes are judged separately.
-    pub class: ClassId,
-    /// The confidence, by which boxes are ranked. Must not be NaN (a NaN ranks first).
-    pub confidence: f64,
-    /// Number of the object it shows, the same in every frame; only [`tracking`](crate::tracking) uses it.
-    pub object: Option<u64>,
-}
-
-impl ScoredBox {
-    /// Converts to a detection as policies take it.
-    pub fn normalise(self, picture: PictureSize) -> Detection {
-        Detection {
-            bounding_box: self.corners.normalise(picture),
-            class: self.class,
-            confidence: self.confidence,
-        }
-    }
-}
 
 /// The method that computes the area under the precision-recall curve. Precision is first made monotone: at each recall
 /// it is the best precision at this or a higher recall.
@@ -123,27 +100,9 @@ pub fn accuracy(
     }
 }
 
-/// Returns `predictions` without those that cannot be judged, because they lie where the ground truth labels no objects.
-/// As in KITTI's evaluation, these have at least half of their area in a region of `ignored` (one list per frame) and
-/// overlap no ground truth by IoU 0.5.
-pub(crate) fn outside_ignored(
-    predictions: &[Vec<ScoredBox>],
-    truth: &[Vec<ScoredBox>],
-    ignored: &[Vec<Corners>],
-) -> Vec<Vec<ScoredBox>> {
-    let mut judged = predictions.to_vec();
-    for (frame, (boxes, regions)) in judged.iter_mut().zip(ignored).enumerate() {
-        let truth = truth.get(frame).map_or(&[][..], Vec::as_slice);
-        boxes.retain(|found| {
-            let own = found.corners;
-            let inside = |region: &Corners| 2.0 * own.shared_area(*region) >= own.area();
-            let is_object = |truth: &ScoredBox| {
-                found.corners.intersection_over_union(truth.corners) >= IOU_THRESHOLDS[0]
-            };
-            !regions.iter().any(inside) || truth.iter().any(is_object)
-        });
-    }
-    judged
+/// Counts the objects of one frame's `truth` that `found` matches at IoU 0.5.
+pub(crate) fn hits(found: &[ScoredBox], truth: &[ScoredBox]) -> usize {
+    Matching::new(&[found.to_vec()], &[truth.to_vec()], None).hits()
 }
 
 /// Computes the accuracy of every class that has ground truth, each judged separately.
@@ -227,7 +186,8 @@ impl Matching {
         }
         let mut points = Vec::new();
         let mut sum = 0.0;
-        let (mut ap50, mut ap75) = (0.0, 0.0);
+        let mut ap50 = 0.0;
+        let mut ap75 = 0.0;
         for threshold in 0..IOU_THRESHOLDS.len() {
             self.precision_at_hits(threshold, &mut points);
             let area = area(&points, self.truths, interpolation);
@@ -238,7 +198,7 @@ impl Matching {
                 _ => {}
             }
         }
-        let hits = self.matched.iter().filter(|&&matched| matched & 1 == 1).count();
+        let hits = self.hits();
         Some(Accuracy {
             ap50,
             ap75,
@@ -253,6 +213,11 @@ impl Matching {
             predictions: self.matched.len(),
             truths: self.truths,
         })
+    }
+
+    /// The number of predictions that match at IoU 0.50.
+    fn hits(&self) -> usize {
+        self.matched.iter().filter(|&&matched| matched & 1 == 1).count()
     }
 
     /// F1 at IoU 0.50 of the predictions that are shown.

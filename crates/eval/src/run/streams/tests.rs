@@ -1,7 +1,7 @@
 use super::*;
-use crate::average_precision::ScoredBox;
-use crate::average_precision::tests::scored;
-use crate::source::ScreenRule;
+use crate::boxes::ScoredBox;
+use crate::judge::average_precision::tests::scored;
+use crate::settings::ScreenRule;
 use crate::spec::resolve;
 use albireo_core::geometry::Corners;
 use albireo_core::policy::PolicyConfig;

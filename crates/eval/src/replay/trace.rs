@@ -66,8 +66,8 @@ pub fn read(path: &Path) -> Result<Vec<TraceFrame>, EvalError> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::scoring::tests::object;
     use super::*;
-    use crate::scoring::tests::object;
 
     #[test]
     fn a_trace_read_back_is_the_trace_written_to_the_last_bit() {

@@ -1,8 +1,7 @@
 //! Writes the conclusion of an evaluation in sentences.
 
-use crate::spec::BASELINE;
+use crate::spec::{BASELINE, short_label};
 use crate::summary::PolicySummary;
-use crate::table::short_label;
 
 /// Loss of AP@50 up to which a policy counts as keeping it: the interval of its change must not reach below this loss.
 const MARGIN: f64 = 0.01;
@@ -12,7 +11,7 @@ pub fn conclusion(summaries: &[PolicySummary]) -> Vec<String> {
     let Some(baseline) = summaries.iter().find(|found| found.policy == BASELINE) else {
         return Vec::new();
     };
-    let others: Vec<_> = (summaries.iter()).filter(|found| found.policy != BASELINE).collect();
+    let others: Vec<_> = summaries.iter().filter(|found| found.policy != BASELINE).collect();
     let mut sentences = Vec::new();
     if baseline.ap50.is_none() {
         sentences.push(
@@ -42,7 +41,8 @@ pub fn conclusion(summaries: &[PolicySummary]) -> Vec<String> {
             ));
         }
     }
-    let idle: Vec<_> = (others.iter())
+    let idle: Vec<_> = others
+        .iter()
         .filter(|found| found.skip_rate == 0.0)
         .map(|found| short_label(&found.policy))
         .collect();

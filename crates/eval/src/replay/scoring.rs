@@ -8,7 +8,7 @@
 //!   confidences.
 //! - `paper`: the boxes are scored that a node publishes, as it publishes them, and separately all boxes of the policy.
 
-use crate::average_precision::ScoredBox;
+use crate::boxes::ScoredBox;
 use crate::spec::takes_u;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_core::policy::{MinConfidence, ObjectRecord, OutputBox, Policy};
@@ -48,7 +48,8 @@ pub(crate) fn score_object(object: &ObjectRecord, picture: PictureSize) -> Score
 /// whether truncation removes a pixel.
 fn whole_edges(center: f64, side: f64, pixels: u32) -> (f64, f64) {
     let pixels = f64::from(pixels);
-    let (center, half) = (center * pixels, side * pixels / 2.0);
+    let center = center * pixels;
+    let half = side * pixels / 2.0;
     let cut = |edge: f64| edge.trunc().clamp(0.0, pixels - 1.0);
     (cut(center - half), cut(center + half))
 }
@@ -108,7 +109,7 @@ fn truncate(edge: f64) -> f64 {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use crate::average_precision::tests::square;
+    use crate::judge::average_precision::tests::square;
     use albireo_core::detection::{ClassId, ObjectId};
 
     #[test]

@@ -1,19 +1,20 @@
 //! Gives a clip of pictures its ground truth: from a file, or from Vanilla's own output.
 
-use crate::average_precision::ScoredBox;
-use crate::data::{Clip, DataSet, LoadReport, bdd100k, coco, kitti, mot_challenge, recorded};
+use super::{Clip, DataSet, LoadReport, bdd100k, coco, kitti, mot_challenge, recorded};
+use crate::boxes::ScoredBox;
 use crate::error::EvalError;
 use albireo_core::geometry::PictureSize;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// The layout of ground truth.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum TruthFormat {
     /// JSON of BDD100K MOT (box_track_20), or any labels in the Scalabel form.
     Bdd100k,
     /// A MOTChallenge sequence, or a folder of sequences.
-    #[value(name = "motchallenge")]
+    #[cfg_attr(feature = "cli", value(name = "motchallenge"))]
     MotChallenge,
     /// KITTI tracking: a folder with label_02/.
     Kitti,

@@ -3,7 +3,8 @@
 //! Classes are pooled. Boxes of a confidence below [`SHOWN_CONFIDENCE`] are ignored: unlike average precision,
 //! neither figure ranks boxes by confidence.
 
-use crate::average_precision::{SHOWN_CONFIDENCE, ScoredBox};
+use super::average_precision::SHOWN_CONFIDENCE;
+use crate::boxes::ScoredBox;
 use albireo_core::geometry::Corners;
 use serde::Serialize;
 use std::collections::{BTreeMap, HashMap};
@@ -60,7 +61,8 @@ impl Overlaps {
 ///
 /// `None` without ground truth, or if a box that is not ignored has no object number.
 pub fn tracking(predictions: &[Vec<ScoredBox>], truth: &[Vec<ScoredBox>]) -> Option<Tracking> {
-    let (mut objects, mut tracks) = (Appearances::default(), Appearances::default());
+    let mut objects = Appearances::default();
+    let mut tracks = Appearances::default();
     let mut frames = Vec::new();
     for index in 0..predictions.len().max(truth.len()) {
         let mut known_boxes: Vec<(usize, Corners)> = Vec::new();
@@ -118,7 +120,8 @@ fn hota(frames: &[Overlaps], objects: &Appearances, tracks: &Appearances) -> f64
     let mut matches: BTreeMap<(usize, usize), [f64; THRESHOLDS]> = BTreeMap::new();
     for frame in frames {
         let score = |((row, column), iou): ((usize, usize), &f64)| {
-            let (object, track) = (frame.truths[row], frame.tracks[column]);
+            let object = frame.truths[row];
+            let track = frame.tracks[column];
             let both = shared[object * columns + track];
             iou * (both / (objects.counts[object] + tracks.counts[track] - both))
         };
@@ -134,7 +137,8 @@ fn hota(frames: &[Overlaps], objects: &Appearances, tracks: &Appearances) -> f64
         }
     }
     let at = |threshold: usize| {
-        let (mut hits, mut association) = (0.0, 0.0);
+        let mut hits = 0.0;
+        let mut association = 0.0;
         for (&(object, track), counts) in &matches {
             let count = counts[threshold];
             let either = objects.counts[object] + tracks.counts[track] - count;
@@ -164,8 +168,8 @@ fn idf1(frames: &[Overlaps], objects: &Appearances, tracks: &Appearances) -> f64
 
 #[cfg(test)]
 mod tests {
+    use super::super::average_precision::tests::at;
     use super::*;
-    use crate::average_precision::tests::at;
 
     fn found(left: f64, object: Option<u64>, confidence: f64) -> ScoredBox {
         ScoredBox {

@@ -1,3 +1,4 @@
+use super::super::ignored::outside_ignored;
 use super::*;
 use proptest::prelude::*;
 

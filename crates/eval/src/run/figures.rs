@@ -1,0 +1,124 @@
+//! Computes the figures of a policy on a clip from its replay.
+
+use crate::boxes::ScoredBox;
+use crate::data::{Clip, Pass, StepTimes, classes};
+use crate::judge::{accuracy, accuracy_by_class, outside_ignored, tracking};
+use crate::replay::{FrameRecord, Replay, StoredEvidence};
+use crate::result::{ClipResult, FrameTime, Provenance, Spread};
+use crate::settings::{ScreenRule, Settings};
+use albireo_core::policy::{FrameState, Need, Profile};
+use albireo_wire::FrameStates;
+
+/// Fills in the figures that follow from the replay's records, but not accuracy, frame time and energy.
+pub(super) fn of_replay(clip: &Clip, policy: &str, replayed: &Replay) -> ClipResult {
+    let frames = &replayed.frames;
+    let mut states = FrameStates::default();
+    frames.iter().for_each(|frame| states.count(frame.state));
+    let count = |test: fn(&FrameRecord) -> bool| frames.iter().filter(|frame| test(frame)).count();
+    let decisions = frames.iter().map(|frame| frame.decision.as_secs_f64() * 1e6);
+    ClipResult {
+        clip: clip.name.clone(),
+        camera: clip.camera.clone(),
+        policy: policy.to_owned(),
+        frames: frames.len(),
+        frame_rate: clip.frame_rate,
+        states,
+        detector_frames: count(|frame| frame.detector),
+        screen_frames: count(|frame| frame.screen),
+        looked_frames: count(|frame| frame.examined),
+        degraded_frames: count(|frame| frame.degraded),
+        rejected_detections: replayed.rejected_detections,
+        boxes: replayed.boxes.iter().map(Vec::len).sum(),
+        decision_us: Spread::of(decisions.collect()),
+        states_by_frame: frames.iter().map(|frame| frame.state).collect(),
+        examined: frames.iter().map(|frame| frame.examined).collect(),
+        ..ClipResult::default()
+    }
+}
+
+/// Judges the boxes of a replay by the clip's ground truth.
+pub(super) fn judge(
+    result: &mut ClipResult,
+    clip: &Clip,
+    truth: &[Vec<ScoredBox>],
+    replayed: &Replay,
+    profile: Profile,
+    settings: &Settings,
+) {
+    // The published evaluator has no ignored regions.
+    let boxes = match profile {
+        Profile::Paper => outside_ignored(&replayed.boxes, truth, &clip.ignored),
+        Profile::Reference => replayed.boxes.clone(),
+    };
+    let judge =
+        |boxes: &[Vec<ScoredBox>]| accuracy(boxes, truth, settings.classes, settings.interpolation);
+    result.accuracy = judge(&boxes);
+    result.tracking = tracking(&boxes, truth);
+    if let Some(all) = &replayed.boxes_all {
+        let all = outside_ignored(all, truth, &clip.ignored);
+        result.accuracy_all = judge(&all);
+        result.tracking_all = tracking(&all, truth);
+    }
+    if let Some(last) = &replayed.boxes_last_confidence {
+        result.accuracy_last_confidence = judge(last);
+    }
+    result.classes = accuracy_by_class(&boxes, truth, settings.interpolation)
+        .into_iter()
+        .map(|(class, accuracy)| {
+            let name =
+                classes::name(class).map_or_else(|| format!("class {}", class.0), str::to_owned);
+            (name, accuracy)
+        })
+        .collect();
+}
+
+/// Composes the time of each frame, and counts the frames that the screen wrongly calls empty. Both need the detector's
+/// pass over all pictures.
+pub(super) fn time(
+    result: &mut ClipResult,
+    pass: &Pass,
+    replayed: &Replay,
+    source: &StoredEvidence<'_>,
+    pictures: Option<Need>,
+    settings: &Settings,
+) {
+    for (state, found) in result.states_by_frame.iter().zip(source.all_detections()) {
+        if !found.is_empty() {
+            result.occupied_frames += 1;
+            result.false_empty_frames += usize::from(*state == FrameState::E);
+        }
+    }
+    let screened = settings.screen == ScreenRule::Recorded;
+    let times = frame_times(pass, &replayed.frames, pictures, screened);
+    result.frame_time = Spread::of(times).map(|milliseconds| FrameTime {
+        milliseconds,
+        provenance: Provenance::Composed,
+    });
+}
+
+/// Composes the milliseconds of each frame under a policy that needs `pictures`: its decision time from `records`, and
+/// the times of its steps as measured in the pass. Screen and detector share one decoded picture; `screened` is true
+/// if the clip's own screen gave the verdicts.
+fn frame_times(
+    pass: &Pass,
+    records: &[FrameRecord],
+    pictures: Option<Need>,
+    screened: bool,
+) -> Vec<f64> {
+    let time = |(record, times): (&FrameRecord, &StepTimes)| {
+        let screen = record.screen && screened;
+        let grey = match pictures {
+            Some(Need::GreyPicture) => times.grey,
+            _ => times.small,
+        };
+        let steps = [
+            (record.detector || screen, times.decode),
+            (record.detector, times.detector),
+            (screen, times.screen),
+            (record.examined, grey),
+        ];
+        let needed = steps.into_iter().filter(|(needed, _)| *needed);
+        record.decision.as_secs_f64() * 1e3 + needed.map(|(_, step)| step).sum::<f64>()
+    };
+    records.iter().zip(&pass.times).map(time).collect()
+}

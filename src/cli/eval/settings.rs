@@ -1,0 +1,99 @@
+//! The arguments of `albireo eval` that become the settings of a run.
+
+use super::{JUDGED, WRITTEN};
+use albireo_core::policy::Profile;
+use albireo_eval::judge::{Classes, Interpolation};
+use albireo_eval::settings::{ScreenRule, Settings};
+use clap::Args;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use std::path::PathBuf;
+
+/// The settings of every comparison of policies.
+#[derive(Clone, Debug, Args)]
+pub(super) struct SettingsArguments {
+    /// The definitions that apply where the published code and the paper's text differ.
+    #[arg(long, default_value = "paper", value_parser = profile_parser())]
+    pub profile: Profile,
+    /// The source of the empty-scene screen's verdicts.
+    #[arg(long, help_heading = JUDGED, value_enum, default_value_t = ScreenRule::Nonempty)]
+    pub screen: ScreenRule,
+    /// Frames in a row that the screen may call empty before the detector runs anyway; 0 for any number.
+    #[arg(long, help_heading = JUDGED, value_name = "COUNT", default_value_t = 100)]
+    pub longest_empty_run: u32,
+    /// Detections below this confidence are not used.
+    #[arg(long, help_heading = JUDGED, default_value_t = 0.5, allow_negative_numbers = true)]
+    pub confidence: f64,
+    /// Boxes below this confidence are not judged, as a node with this `report.confidence` does not publish them
+    /// [default: --confidence for detected boxes, half of it for predicted ones].
+    #[arg(long, help_heading = JUDGED)]
+    pub report_confidence: Option<f64>,
+    /// Judge every class by itself instead of all as one.
+    #[arg(long, help_heading = JUDGED)]
+    pub per_class: bool,
+    /// Area under the precision-recall curve at COCO's 101 recall levels instead of all points.
+    #[arg(long, help_heading = JUDGED)]
+    pub coco_interpolation: bool,
+    /// Write what each policy did, frame by frame, to DIR/POLICY/SEQUENCE.jsonl.gz.
+    #[arg(long, help_heading = WRITTEN, value_name = "DIR")]
+    pub traces: Option<PathBuf>,
+    /// The number of threads; 0 for as many as the machine has.
+    #[arg(long, default_value_t = 0)]
+    pub threads: usize,
+}
+
+/// Parses the name of a profile.
+fn profile_parser() -> impl TypedValueParser<Value = Profile> {
+    PossibleValuesParser::new(["reference", "paper"]).map(|name| match name.as_str() {
+        "reference" => Profile::Reference,
+        _ => Profile::Paper,
+    })
+}
+
+impl SettingsArguments {
+    /// The settings, without an energy model.
+    pub(super) fn settings(&self) -> Settings {
+        Settings {
+            profile: self.profile,
+            screen: self.screen,
+            longest_empty_run: self.longest_empty_run,
+            confidence: self.confidence,
+            report_confidence: self.report_confidence,
+            classes: if self.per_class {
+                Classes::Separate
+            } else {
+                Classes::Pooled
+            },
+            interpolation: if self.coco_interpolation {
+                Interpolation::Coco101
+            } else {
+                Interpolation::AllPoints
+            },
+            traces: self.traces.clone(),
+            threads: self.threads,
+            keep_worst: false,
+            energy_model: None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Command {
+        #[command(flatten)]
+        settings: SettingsArguments,
+    }
+
+    #[test]
+    fn without_arguments_the_settings_are_the_defaults() {
+        let parsed = |arguments: &[&str]| Command::parse_from(arguments).settings.settings();
+        let none = parsed(&["eval"]);
+        assert_eq!(format!("{none:?}"), format!("{:?}", Settings::default()));
+        let set = parsed(&["eval", "--per-class", "--coco-interpolation"]);
+        assert_eq!(set.classes, Classes::Separate);
+        assert_eq!(set.interpolation, Interpolation::Coco101);
+    }
+}
