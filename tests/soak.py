@@ -2,9 +2,9 @@
 
 A node with two cameras behind a router, a hub, and a subscriber. The faults: corrupt frames, cameras that restart, a router
 that is killed and comes back, a detector that hangs (the fixture's model never finishes on a bright picture; the node exits
-after 30 s, and the script restarts it like a service manager), a subscriber that stops reading, and a hub killed with -9.
-At the end the hub must have every report of the node exactly once. Prints the counts, and the memory use of the node's
-longest run.
+after 30 s, and the script restarts it like a service manager), a subscriber that stops reading, and a node and a hub killed with -9.
+What ends the node or the hub happens in the first half only, so that both have a long run. At the end the hub must have every
+report of the node exactly once. Prints the counts, and memory, threads and descriptors over time.
 """
 
 import argparse
@@ -171,6 +171,18 @@ def memory(pid):
     return int(fields["VmRSS"].split()[0]) / 1024, int(fields["Threads"]), len(os.listdir(f"/proc/{pid}/fd"))
 
 
+def growth(process, samples):
+    """How much memory a process took over its longest run, and whether it grew steadily."""
+    third = samples[0][0] + (samples[-1][0] - samples[0][0]) / 3
+    rest = numpy.array([sample for sample in samples if sample[0] > third])
+    slope = numpy.polyfit(rest[:, 0] / 3600, rest[:, 1], 1)[0]
+    return (
+        f"{process}, longest run of {samples[-1][0] - samples[0][0]:.0f} s: {samples[0][1]:.1f} MiB, "
+        f"{rest[0][1]:.1f} after a third, {samples[-1][1]:.1f} at the end ({slope:+.1f} MiB/h over the last two thirds); "
+        f"threads {samples[0][2]} to {samples[-1][2]}, descriptors {samples[0][3]} to {samples[-1][3]}"
+    )
+
+
 def until_alive(url):
     """Waits until a service answers."""
     deadline = time.monotonic() + 30
@@ -225,18 +237,23 @@ def main():
     for camera in cameras:
         camera.start()
 
-    chance, begun, counts = random.Random(5), time.monotonic(), {"router": 0, "hub": 0, "deaf": 0, "node": 0, "slow health": 0}
-    # Samples of each run of the node.
-    runs, deaf_until = [[]], None
+    chance, begun = random.Random(5), time.monotonic()
+    counts = dict.fromkeys(["router", "hub", "deaf", "kill", "node", "slow health"], 0)
+    # Samples of each run of the node and of the hub.
+    runs, hub_runs, deaf_until = [[]], [[]], None
     health = f"http://127.0.0.1:{node_http}/healthz"
     until_alive(health)
     # Seconds between two faults of a kind.
-    every = {"sample": 5, "restart": 47, "bright": 580, "router": 97, "hub": 131, "deaf": 83}
+    every = {"sample": 5, "table": 600, "restart": 47, "bright": 580, "router": 97, "hub": 131, "deaf": 83, "kill": 211}
+    ends_a_run = {"bright", "hub", "kill"}
     due = {kind: seconds * 0.7 for kind, seconds in every.items()}
     print(f"soak of {arguments.minutes:g} minutes; logs in {folder}", flush=True)
     while (now := time.monotonic() - begun) < arguments.minutes * 60:
+        first_half = now < arguments.minutes * 30
         for kind in [kind for kind in due if due[kind] <= now]:
             due[kind] = now + every[kind]
+            if kind in ends_a_run and not first_half:
+                continue
             if kind == "sample":
                 asked = time.monotonic()
                 try:
@@ -248,6 +265,13 @@ def main():
                     continue
                 counts["slow health"] += time.monotonic() - asked > 1.0
                 runs[-1].append((now, *memory(node.process.pid)))
+                hub_runs[-1].append((now, *memory(hub.process.pid)))
+            elif kind == "table":
+                print(f"{now / 60:.0f} min, load {os.getloadavg()[1]:.1f}", end="")
+                for process, samples in [("node", runs[-1]), ("hub", hub_runs[-1])]:
+                    for _, size, threads, descriptors in samples[-1:]:
+                        print(f"; {process} {size:.1f} MiB, {threads} threads, {descriptors} descriptors", end="")
+                print(flush=True)
             elif kind == "restart":
                 chance.choice(cameras).restart.set()
             elif kind == "bright":
@@ -258,6 +282,13 @@ def main():
             elif kind == "hub":
                 counts["hub"] += 1
                 hub.bounce(chance.choice([1.0, 8.0]))
+                hub_runs.append([])
+            # A node with a hanging detector has to end by itself.
+            elif kind == "kill" and counts["node"] == sum(camera.hangs for camera in cameras):
+                counts["kill"] += 1
+                node.bounce(chance.choice([0.0, 2.0]))
+                until_alive(health)
+                runs.append([])
             elif kind == "deaf":
                 counts["deaf"] += 1
                 subscriber.process.send_signal(signal.SIGSTOP)
@@ -318,19 +349,14 @@ def main():
     if counts["node"] != sum(camera.hangs for camera in cameras):
         failures.append("a hanging detector did not end the node")
     print(
-        f"{len(found)} reports; faults: {counts['router']} router bounces, {counts['hub']} hubs killed, {counts['deaf']} "
+        f"{len(found)} reports; faults: {counts['router']} router bounces, {counts['hub']} hubs killed, {counts['kill']} nodes killed, {counts['deaf']} "
         f"subscriber pauses, {counts['node']} detector hangs"
     )
     if counts["slow health"]:
         failures.append(f"health took more than a second {counts['slow health']} times")
-    samples = max(runs, key=len)
-    rest = numpy.array([sample for sample in samples if sample[0] > samples[0][0] + (samples[-1][0] - samples[0][0]) / 3])
-    slope = numpy.polyfit(rest[:, 0] / 3600, rest[:, 1], 1)[0]
-    print(
-        f"node, longest run of {samples[-1][0] - samples[0][0]:.0f} s: {samples[0][1]:.1f} MiB, "
-        f"{rest[0][1]:.1f} after a third, {samples[-1][1]:.1f} at the end ({slope:+.1f} MiB/h over the last two thirds); "
-        f"threads {samples[0][2]} to {samples[-1][2]}, descriptors {samples[0][3]} to {samples[-1][3]}; exit {code} in {stopping:.2f} s"
-    )
+    print(growth("node", max(runs, key=len)))
+    print(growth("hub", max(hub_runs, key=len)))
+    print(f"exit {code} in {stopping:.2f} s")
     if code != 0:
         failures.append(f"the node's exit code was {code}")
     print("\n".join(failures) or "every report was stored once")
