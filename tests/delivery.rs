@@ -16,7 +16,7 @@ use zenoh::query::Query;
 
 const ACKNOWLEDGED: &str = "albireo_outbox_acknowledged_total";
 
-fn settings(policy: &str) -> String {
+pub(crate) fn settings(policy: &str) -> String {
     let model = project("tests/fixtures/models/boxes.onnx");
     format!(
         "detector.model = {model:?}\ndetector.timeout_ms = 60000\n\

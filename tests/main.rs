@@ -41,6 +41,7 @@ mod hub_faults;
 mod hub_kills;
 mod node_frames;
 mod pages;
+mod power_cuts;
 mod power_live;
 mod power_tegrastats;
 mod power_telemetry;

@@ -8,6 +8,7 @@ pub(crate) mod live_camera;
 mod ports;
 #[path = "../../crates/hub/tests/support/postgres.rs"]
 pub(crate) mod postgres;
+pub(crate) mod power_cut;
 
 pub(crate) use assertions::{assert_contains, assert_has};
 pub(crate) use fleet::{clip_report, zenoh_session};
