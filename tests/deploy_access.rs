@@ -1,105 +1,31 @@
 //! Access control of a fleet: router and hub as processes, with the program's certificates and rules, and intruders.
 
 use crate::support::camera::Camera;
-use crate::support::fleet::{HubProcess, deliver, now_ns, settings, sqlite};
+use crate::support::fleet::{HubProcess, Protected, deliver, now_ns, sqlite};
 use crate::support::{
-    Node, PATIENCE, albireo, assert_contains, free_port, run, signal, subscribe, text, text_at,
-    until_ready, value_of, zenoh_session,
+    Node, PATIENCE, assert_contains, run, signal, subscribe, text_at, value_of, zenoh_session,
 };
 use albireo_router::authority::{Authority, DAY, Role};
 use rstest::rstest;
 use serde_json::{Value, json};
-use std::path::{Path, PathBuf};
-use std::process::Stdio;
+use std::path::Path;
 use std::time::Duration;
 use tokio::process::Child;
 use tokio::time::timeout;
 use zenoh::Session;
 use zenoh::sample::Sample;
 
-/// A folder with a certificate authority, and the addresses of a router with its access rules.
-struct Fleet {
-    folder: tempfile::TempDir,
-    endpoint: String,
-    http: String,
+/// A fleet with access control whose router and hub run.
+async fn started() -> (Protected, Child, HubProcess) {
+    let fleet = Protected::new(["car-7", "car-8"]);
+    let router = fleet.start_router().await;
+    let hub = HubProcess::start(&fleet.hub(&sqlite(fleet.folder.path())));
+    hub.until_ready().await;
+    (fleet, router, hub)
 }
 
-impl Fleet {
-    async fn started() -> (Self, Child, HubProcess) {
-        let fleet = Self {
-            folder: tempfile::tempdir().unwrap(),
-            endpoint: format!("tls/localhost:{}", free_port()),
-            http: format!("127.0.0.1:{}", free_port()),
-        };
-        fleet.does(&["cert", "authority"]);
-        fleet.does(&["cert", "router", "east", "--host", "localhost"]);
-        fleet.does(&["cert", "hub", "main"]);
-        fleet.does(&["cert", "node", "car-7", "car-8"]);
-        let router = fleet.start_router().await;
-        let (_, mut settings) = settings(&sqlite(fleet.folder.path()));
-        settings.retain(|(name, _)| *name != "ALBIREO_ZENOH__LISTEN");
-        let file = fleet.shipped("hub.json5").display().to_string();
-        settings.push(("ALBIREO_ZENOH__CONFIG_FILE", file));
-        let hub = HubProcess::start(&settings);
-        hub.until_ready().await;
-        (fleet, router, hub)
-    }
-
-    fn authority(&self) -> PathBuf {
-        self.folder.path().join("authority")
-    }
-
-    fn does(&self, arguments: &[&str]) -> String {
-        let authority = self.authority().display().to_string();
-        run(arguments, &[("ALBIREO_AUTHORITY", &authority)]).succeeds()
-    }
-
-    /// The shipped configuration, with this fleet's addresses and paths.
-    fn shipped(&self, name: &str) -> PathBuf {
-        let authority = self.authority().display().to_string();
-        let mut text = text(&format!("deploy/zenoh/{name}"));
-        for (place, here) in [
-            ("tls/[::]:7447", self.endpoint.clone()),
-            ("tls/router.example:7447", self.endpoint.clone()),
-            ("/etc/albireo/authority", format!("{authority}/authority")),
-            ("/etc/albireo/router.", format!("{authority}/router/east.")),
-            ("/etc/albireo/hub.", format!("{authority}/hub/main.")),
-        ] {
-            text = text.replace(place, &here);
-        }
-        assert!(!text.contains("\"/etc/"), "{text}");
-        let file = self.folder.path().join(name);
-        std::fs::write(&file, text).unwrap();
-        file
-    }
-
-    /// Starts a router with the rules of the present certificates.
-    async fn start_router(&self) -> Child {
-        let access = self.folder.path().join("access.json");
-        self.does(&["acl", "--output", access.to_str().unwrap()]);
-        let log = std::fs::OpenOptions::new()
-            .create(true)
-            .append(true)
-            .open(self.folder.path().join("router.log"))
-            .unwrap();
-        let router = albireo()
-            .args(["router", "--log-json", "--probe-s", "1", "--http"])
-            .args([&self.http, "--config"])
-            .arg(self.shipped("router.json5"))
-            .arg("--access")
-            .arg(access)
-            .stderr(log)
-            .stdout(Stdio::null())
-            .spawn()
-            .unwrap();
-        until_ready(&format!("http://{}", self.http)).await;
-        router
-    }
-
-    fn log(&self) -> String {
-        std::fs::read_to_string(self.folder.path().join("router.log")).unwrap()
-    }
-
+/// Sessions with certificates.
+impl Protected {
     async fn opens_with(&self, certificate: &Path, key: &Path) -> zenoh::Result<Session> {
         let tls = json!({
             "root_ca_certificate": self.authority().join("authority.pem"),
@@ -144,7 +70,7 @@ const NOBODY: Duration = Duration::from_secs(3);
 #[rstest]
 #[tokio::test(flavor = "multi_thread")]
 async fn members_with_a_valid_certificate_work_and_every_intruder_is_rejected() {
-    let (fleet, _router, hub) = Fleet::started().await;
+    let (fleet, _router, hub) = started().await;
 
     let car_7 = fleet.opens("node/car-7").await.unwrap();
     let car_8 = fleet.opens("node/car-8").await.unwrap();
@@ -223,7 +149,7 @@ async fn members_with_a_valid_certificate_work_and_every_intruder_is_rejected() 
 #[rstest]
 #[tokio::test(flavor = "multi_thread")]
 async fn a_revoked_node_is_locked_out_by_the_new_rules_until_it_has_a_new_certificate() {
-    let (fleet, mut router, _hub) = Fleet::started().await;
+    let (fleet, mut router, _hub) = started().await;
     let old = fleet.folder.path().join("old");
     std::fs::create_dir_all(old.join("node")).unwrap();
     for kind in ["pem", "key"] {
@@ -256,15 +182,13 @@ async fn a_revoked_node_is_locked_out_by_the_new_rules_until_it_has_a_new_certif
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ONNX Runtime"]
 async fn a_real_node_reports_through_the_router_with_its_certificate() {
-    let (fleet, _router, hub) = Fleet::started().await;
-    let authority = fleet.authority().display().to_string();
+    let (fleet, _router, hub) = started().await;
     let settings = format!(
         "node.name = \"car-7\"\ndetector.model = \"{}/tests/fixtures/models/boxes.onnx\"\npower.source = \"none\"\n\
-         uplink.connect = [\"{}\"]\nuplink.root_ca_certificate = \"{authority}/authority.pem\"\n\
-         uplink.certificate = \"{authority}/node/car-7.pem\"\nuplink.private_key = \"{authority}/node/car-7.key\"\n\
-         uplink.liveliness = true\n# development: retry_min_ms=50\n",
+         uplink.connect = [\"{}\"]\n{}uplink.liveliness = true\n# development: retry_min_ms=50\n",
         env!("CARGO_MANIFEST_DIR"),
         fleet.endpoint,
+        fleet.certificate("car-7"),
     );
     let node = Node::start(&settings).await;
     let mut camera = Camera::at(&node.zenoh, "car-7").await;

@@ -1,7 +1,9 @@
 //! A small fleet of real processes: no report is lost or doubled when they are killed or frozen, or disks are full.
 
 use crate::support::camera::Camera;
-use crate::support::fleet::{HubProcess, Settings, behind, from_environment, router, sqlite};
+use crate::support::fleet::{
+    HubProcess, Protected, Settings, behind, from_environment, router, sqlite,
+};
 use crate::support::postgres::Postgres;
 use crate::support::{
     Node, PATIENCE, albireo_on_a_disk_that_fills, free_port, limit, metric, signal, text_at, until,
@@ -161,6 +163,8 @@ const DATABASE: usize = 4;
 
 struct Fleet {
     endpoint: String,
+    /// With access control.
+    protected: Option<Protected>,
     settings: Settings,
     /// A server, or `None` for a SQLite file of the hub.
     database: Option<Postgres>,
@@ -178,7 +182,12 @@ impl Fleet {
                 self.database.as_ref().unwrap().up();
                 self.database_up = true;
             }
-            ROUTER if self.router.is_none() => self.router = Some(router(&self.endpoint)),
+            ROUTER if self.router.is_none() => {
+                self.router = Some(match &self.protected {
+                    Some(protected) => protected.start_router().await,
+                    None => router(&self.endpoint),
+                });
+            }
             HUB if self.hub.is_none() => {
                 let command = albireo_on_a_disk_that_fills();
                 self.hub = Some(HubProcess::start_as(command, &self.settings));
@@ -256,26 +265,45 @@ impl Fleet {
 
 #[rstest]
 #[ignore = "needs ONNX Runtime and Python"]
-#[case::sqlite(None)]
+#[case::sqlite(None, false)]
 #[ignore = "needs ONNX Runtime and Python and PostgreSQL"]
-#[case::postgresql(Some(Postgres::start()))]
+#[case::postgresql(Some(Postgres::start()), false)]
+#[ignore = "needs ONNX Runtime"]
+#[case::sqlite_with_access_control(None, true)]
+#[ignore = "needs ONNX Runtime and PostgreSQL"]
+#[case::postgresql_with_access_control(Some(Postgres::start()), true)]
 #[timeout(10 * PATIENCE)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn kills_freezes_and_full_disks_in_any_order_lose_and_duplicate_no_report(
     #[case] database: Option<Postgres>,
+    #[case] with_access_control: bool,
 ) {
     // More by hand: ALBIREO_KILLS=240; another order: ALBIREO_SEED=7.
-    let kills = from_environment("ALBIREO_KILLS", 12);
+    let kills = from_environment("ALBIREO_KILLS", if with_access_control { 6 } else { 12 });
     let mut random = Pcg64Mcg::seed_from_u64(from_environment("ALBIREO_SEED", 1));
     let folder = tempfile::tempdir().unwrap();
-    let endpoint = format!("tcp/127.0.0.1:{}", free_port());
+    let cars = ["car-1", "car-2"];
+    let protected = with_access_control.then(|| Protected::new(cars));
+    let endpoint = match &protected {
+        Some(protected) => protected.endpoint.clone(),
+        None => format!("tcp/127.0.0.1:{}", free_port()),
+    };
     let (url, parts, disks) = match &database {
         Some(server) => (server.url(), 5, 2),
         None => (sqlite(folder.path()), 4, 3),
     };
+    let car = |name| {
+        let mut car = Car::new("vanilla", name, &endpoint);
+        car.settings += &protected.as_ref().map_or_else(String::new, |it| it.certificate(name));
+        car
+    };
     let mut fleet = Fleet {
-        settings: behind(&endpoint, &url),
-        cars: ["car-1", "car-2"].map(|name| Car::new("vanilla", name, &endpoint)).into(),
+        settings: match &protected {
+            Some(protected) => protected.hub(&url),
+            None => behind(&endpoint, &url),
+        },
+        cars: cars.map(car).into(),
+        protected,
         endpoint,
         database_up: true,
         database,

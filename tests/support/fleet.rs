@@ -1,8 +1,10 @@
 //! A hub and a router as processes, and nodes that only send reports.
 
+mod protected;
 mod reports;
 
 pub(crate) use super::postgres::{on_both, sqlite};
+pub(crate) use protected::Protected;
 pub(crate) use reports::{Reply, clip_report, in_batch, now_ns, uplink, zenoh_session};
 
 use super::{PATIENCE, albireo, free_port, json_at, process, python, text_at};
