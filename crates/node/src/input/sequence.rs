@@ -1,9 +1,12 @@
 //! Classifies each frame of a camera as new, late, a duplicate, or part of another stream.
 //!
 //! - Frames with the same `stream` number (or none) form one stream if all have sequence numbers, or none has.
-//! - In a stream, a number at most [`NEAR`] above the highest is new, and the numbers between are lost; a number less
-//!   than [`WINDOW`] below it is late or a duplicate. A frame without a number is the next one.
-//! - A number further ahead is accepted once the next frame continues from it; until then it is stray.
+//! - A stream's numbers grow by one, by another constant step, or irregularly as times do ([`Numbering`], learnt from the
+//!   numbers themselves). Between constant steps frames can be lost; between times nobody can tell.
+//! - In a stream, a number at most [`NEAR`] steps above the highest is new; a number less than [`WINDOW`] steps below it
+//!   is late or a duplicate. A frame without a number is the next one.
+//! - A number further ahead is accepted once the next frame continues from it, by one step or by about the same distance
+//!   again; until then it is stray.
 //! - Every other frame is stray: it is counted but not processed, and changes nothing.
 //! - Once the present stream has brought nothing new for the longer of [`SILENCE`] and five of its periods, or its
 //!   publisher is gone, the next frame that is not part of it begins a new stream.
@@ -11,14 +14,20 @@
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// The number of past sequence numbers for which the tracker remembers whether they arrived.
+/// The number of past steps for which the tracker remembers whether their numbers arrived.
 const WINDOW: i128 = 64;
-/// The largest step ahead that is accepted at once.
+/// The largest number of steps ahead that is accepted at once.
 const NEAR: i128 = 8;
 /// The largest number of frames accepted as lost: an hour at 30 frames per second.
 const MAX_GAP: i128 = 108_000;
 /// A stream that brings nothing new for this long, and for five of its periods, may be replaced by another.
 const SILENCE: Duration = Duration::from_secs(1);
+/// The number of distances between numbers by which a running stream's numbering is judged.
+const RECENT: usize = 8;
+/// The number of distances by which a new stream's numbering is judged.
+const FIRST: usize = 3;
+/// Distances from here on, all about equal, are times and not numbers of a link that loses most frames.
+const LEAST_TIME: i128 = 4;
 
 /// A camera's number of a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -36,7 +45,7 @@ pub(crate) enum Arrival {
     New {
         /// Its place: 0 for the first frame, counting lost frames. Grows with every new frame, also across streams.
         index: u64,
-        /// The number of frames missing between the previous one and this one.
+        /// The number of frames missing before it that were not told before.
         lost: u64,
         /// True if it begins a new stream. False for the very first frame.
         restarted: bool,
@@ -58,15 +67,48 @@ pub(crate) struct SequenceTracker {
     index: Option<u64>,
 }
 
+/// How the numbers of a stream grow from one frame to the next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Numbering {
+    /// By this step: by one, or by ten if the sender takes every tenth picture and keeps its number.
+    Step(i128),
+    /// Irregularly, by about this distance: times, such as milliseconds.
+    Times(i128),
+}
+
+impl Numbering {
+    /// The usual distance of two numbers.
+    const fn distance(self) -> i128 {
+        match self {
+            Self::Step(distance) | Self::Times(distance) => distance,
+        }
+    }
+
+    /// The number of frames from one number to another one, this far ahead.
+    fn frames(self, step: i128) -> i128 {
+        match self {
+            Self::Step(by) => (step / by).max(1),
+            Self::Times(_) => 1,
+        }
+    }
+}
+
 #[derive(Clone, Debug)]
 struct Stream {
     id: Option<u64>,
     /// The highest number; `None` if its frames have no numbers.
     highest: Option<u64>,
-    /// Bit `k` is set if number `highest - k` has arrived.
+    numbering: Numbering,
+    /// The distances between its newest numbers, the newest last.
+    recent: Vec<i128>,
+    /// Until the numbering is known: the frames that would be lost if it counted by ones.
+    opening: Option<u64>,
+    /// Bit `k` is set if the number `k` steps below the highest has arrived.
     came: u64,
     /// The distance above the highest number of the last number that was too far ahead.
     ahead: Option<i128>,
+    /// The distance by which its first number was ahead of the stream before it.
+    began_ahead: Option<i128>,
     /// Unusable samples since the highest number: that many of the missing numbers do not count as lost.
     unusable: u64,
     newest: Instant,
@@ -92,26 +134,128 @@ impl Stream {
         self.ended || now.saturating_duration_since(self.newest) >= patience.max(SILENCE)
     }
 
-    /// True if the number `step` ahead follows one that was too far ahead to be accepted.
-    fn goes_on(&self, step: i128) -> bool {
-        (self.ahead).is_some_and(|ahead| (1..=NEAR).contains(&(step - ahead)))
+    /// True for a number within reach of the highest, in this stream's steps.
+    fn is_near(&self, step: i128) -> bool {
+        (1..=NEAR * self.numbering.distance()).contains(&step)
     }
 
-    /// Accepts the frame with this number, `step` ahead, and returns the number of lost frames.
-    fn advance(&mut self, number: &FrameNumber, step: i128, now: Instant) -> u64 {
+    /// True if the number `step` ahead follows one that was too far ahead to be accepted.
+    fn goes_on(&self, step: i128) -> bool {
+        self.ahead.is_some_and(|ahead| self.is_near(step - ahead))
+    }
+
+    /// The numbering in which a number `step` ahead is the next but one, if the last number that was too far ahead, or
+    /// that began this stream after a silence, was ahead by about the same distance.
+    fn wider(&self, step: i128) -> Option<Numbering> {
+        let (first, second) = match (self.ahead, self.began_ahead) {
+            (Some(ahead), _) => (ahead, step - ahead),
+            (None, Some(before)) => (before, step),
+            (None, None) => return None,
+        };
+        numbering_of(&[first, second])
+    }
+
+    /// Accepts the frame with this number, `step` ahead, and returns its distance in frames and how many were lost.
+    fn advance(&mut self, number: &FrameNumber, step: i128, now: Instant) -> (i128, u64) {
+        self.learn(step);
+        let frames = self.numbering.frames(step);
         self.highest = number.seq;
-        self.came = match step {
-            1..WINDOW => self.came << step | 1,
+        self.came = match frames {
+            1..WINDOW => self.came << frames | 1,
             _ => 1,
         };
         self.ahead = None;
-        let since = now.saturating_duration_since(self.newest) / u32::try_from(step).unwrap_or(1);
+        self.began_ahead = None;
+        let since = now.saturating_duration_since(self.newest) / u32::try_from(frames).unwrap_or(1);
         self.period = Some(match self.period {
-            Some(period) => (period.saturating_mul(7)).saturating_add(since) / 8,
+            Some(period) => period.saturating_mul(7).saturating_add(since) / 8,
             None => since,
         });
         self.newest = now;
-        (step as u64 - 1).saturating_sub(std::mem::take(&mut self.unusable))
+        let missing = (frames as u64 - 1).saturating_sub(std::mem::take(&mut self.unusable));
+        (frames, self.told(step, missing))
+    }
+
+    /// Classifies a number this far below the highest, or the highest itself.
+    fn behind(&mut self, distance: i128) -> Arrival {
+        let by = self.numbering.distance();
+        if distance >= WINDOW * by {
+            return Arrival::Stray;
+        }
+        let is_known = matches!(self.numbering, Numbering::Step(_)) && distance % by == 0;
+        if distance > 0 && !is_known {
+            return Arrival::Late;
+        }
+        let bit = 1 << (distance / by);
+        let has_come = self.came & bit != 0;
+        self.came |= bit;
+        if has_come {
+            Arrival::Duplicate
+        } else {
+            Arrival::Late
+        }
+    }
+
+    /// Judges the numbering by the newest distances.
+    ///
+    /// A smaller step is believed sooner than a larger one, because a link that loses frames makes large steps, and nothing
+    /// makes small ones.
+    fn learn(&mut self, step: i128) {
+        if self.recent.len() == RECENT {
+            self.recent.remove(0);
+        }
+        self.recent.push(step);
+        let newest = &self.recent[self.recent.len().saturating_sub(FIRST)..];
+        let all_equal = newest.len() == FIRST && newest.iter().all(|one| *one == step);
+        self.numbering = match self.numbering {
+            Numbering::Times(_) if all_equal => Numbering::Step(step),
+            Numbering::Times(usual) => Numbering::Times(((usual * 7 + step) / 8).max(1)),
+            Numbering::Step(by) if all_equal && step < by => Numbering::Step(step),
+            Numbering::Step(by) if by > 1 && step % by != 0 => Numbering::Times(by),
+            Numbering::Step(by) if self.recent.len() == RECENT => numbering_of(&self.recent)
+                .filter(|wider| wider.distance() > by)
+                .unwrap_or(self.numbering),
+            Numbering::Step(_) => self.numbering,
+        };
+    }
+
+    /// The lost frames to tell now, `missing` of them new. In the opening they are kept until the numbering is known, so
+    /// that a camera that numbers by fives does not begin with losses.
+    fn told(&mut self, step: i128, missing: u64) -> u64 {
+        let Some(kept) = self.opening else {
+            return missing;
+        };
+        let kept = kept.saturating_add(missing);
+        if step != 1 && self.numbering == Numbering::Step(1) {
+            if self.recent.len() < FIRST {
+                self.opening = Some(kept);
+                return 0;
+            }
+            if let Some(wider) = numbering_of(&self.recent) {
+                self.numbering = wider;
+                self.came = 1;
+            }
+        }
+        self.opening = None;
+        match self.numbering {
+            Numbering::Step(1) => kept,
+            _ => 0,
+        }
+    }
+}
+
+/// The numbering that these distances show: all the same, or all about the same and too far apart for counts.
+fn numbering_of(distances: &[i128]) -> Option<Numbering> {
+    let least = *distances.iter().min()?;
+    let most = *distances.iter().max()?;
+    if least < 1 {
+        None
+    } else if least == most {
+        Some(Numbering::Step(least))
+    } else if least >= LEAST_TIME && most <= 2 * least {
+        Some(Numbering::Times(least))
+    } else {
+        None
     }
 }
 
@@ -119,30 +263,36 @@ impl SequenceTracker {
     /// Classifies the next number in the order of arrival, of a usable frame or not.
     pub(crate) fn arrive(&mut self, number: &FrameNumber, now: Instant) -> Arrival {
         let Some(present) = &mut self.present else {
-            return self.begin(number, now);
+            return self.begin(number, None, now);
         };
         let is_over = present.is_over(now);
         let step = match present.distance(number) {
-            Some(step @ 1..=NEAR) => step,
-            Some(step @ 1..=MAX_GAP) if is_over || present.goes_on(step) => step,
-            Some(step @ 1..=MAX_GAP) => {
-                present.ahead = Some(step);
-                present.unusable = present.unusable.saturating_add(1);
-                return Arrival::Stray;
+            Some(step) if present.is_near(step) => step,
+            Some(step) if step > 0 => {
+                if let Some(wider) = present.wider(step) {
+                    // The frame between arrived, too: nothing is lost.
+                    present.numbering = wider;
+                    present.opening = None;
+                    let (frames, _) = present.advance(number, step, now);
+                    return self.new_frame(frames, 0, false);
+                }
+                let is_gap = step <= MAX_GAP * present.numbering.distance();
+                if is_gap && (is_over || present.goes_on(step)) {
+                    step
+                } else if is_over {
+                    return self.begin(number, Some(step), now);
+                } else {
+                    present.ahead = Some(step);
+                    present.unusable = present.unusable.saturating_add(u64::from(is_gap));
+                    return Arrival::Stray;
+                }
             }
-            _ if is_over => return self.begin(number, now),
-            Some(step) if step <= 0 && -step < WINDOW => {
-                let (bit, came) = (1 << -step, present.came);
-                present.came |= bit;
-                return match came & bit {
-                    0 => Arrival::Late,
-                    _ => Arrival::Duplicate,
-                };
-            }
-            _ => return Arrival::Stray,
+            _ if is_over => return self.begin(number, None, now),
+            Some(step) => return present.behind(-step),
+            None => return Arrival::Stray,
         };
-        let lost = present.advance(number, step, now);
-        self.new_frame(step as u64, lost, false)
+        let (frames, lost) = present.advance(number, step, now);
+        self.new_frame(frames, lost, false)
     }
 
     /// Counts a sample with an unreadable number.
@@ -154,19 +304,23 @@ impl SequenceTracker {
 
     /// Records that the publisher of a stream appeared or left.
     pub(crate) fn publisher_changed(&mut self, stream: u64, gone: bool) {
-        if let Some(present) = (self.present.as_mut()).filter(|present| present.id == Some(stream))
-        {
+        let present = self.present.as_mut();
+        if let Some(present) = present.filter(|present| present.id == Some(stream)) {
             present.ended = gone;
         }
     }
 
-    fn begin(&mut self, number: &FrameNumber, now: Instant) -> Arrival {
+    fn begin(&mut self, number: &FrameNumber, ahead: Option<i128>, now: Instant) -> Arrival {
         let restarted = self.present.is_some();
         self.present = Some(Stream {
             id: number.stream,
             highest: number.seq,
+            numbering: Numbering::Step(1),
+            recent: Vec::with_capacity(RECENT),
+            opening: Some(0),
             came: 1,
             ahead: None,
+            began_ahead: ahead,
             unusable: 0,
             newest: now,
             period: None,
@@ -175,8 +329,9 @@ impl SequenceTracker {
         self.new_frame(1, 0, restarted)
     }
 
-    fn new_frame(&mut self, step: u64, lost: u64, restarted: bool) -> Arrival {
-        let index = self.index.map_or(0, |newest| newest.saturating_add(step));
+    fn new_frame(&mut self, frames: i128, lost: u64, restarted: bool) -> Arrival {
+        let frames = u64::try_from(frames).unwrap_or(u64::MAX);
+        let index = self.index.map_or(0, |newest| newest.saturating_add(frames));
         self.index = Some(index);
         Arrival::New {
             index,
@@ -271,7 +426,7 @@ mod tests {
     #[test]
     fn a_sample_with_an_unreadable_number_does_not_also_count_as_lost() {
         let mut camera = Camera::new();
-        for (unreadable, seq, lost) in [(0, 0, 0), (2, 5, 2), (0, 8, 2), (1, 9, 0)] {
+        for (unreadable, seq, lost) in [(0, 0, 0), (0, 1, 0), (2, 6, 2), (0, 9, 2), (1, 10, 0)] {
             (0..unreadable).for_each(|_| camera.tracker.arrive_unreadable());
             assert_eq!(camera.send([seq], None), [new(seq, lost)]);
         }
@@ -413,6 +568,13 @@ mod tests {
             }
             // Stable, so two frames on the same place keep their order.
             arriving.sort_by_key(|(place, _)| *place);
+            // It begins with a step of one: what the first steps mean is tried below.
+            let first = arriving.first().map_or(start, |(_, number)| *number) + 2;
+            for (place, number) in &mut arriving {
+                *place += 2;
+                *number += 2;
+            }
+            arriving.splice(0..0, [(0, first - 2), (1, first - 1)]);
             let mut camera = Camera::new();
             let (mut fresh, mut late, mut duplicate) = (BTreeSet::new(), BTreeSet::new(), 0_usize);
             let (mut lost, mut last_index) = (0, None);
@@ -466,5 +628,87 @@ mod tests {
             prop_assert!(from < 100, "{from}");
             prop_assert!(arrivals[from..].iter().all(is_new));
         }
+    }
+
+    /// What a camera at 30 frames/s may send as numbers: one by one, every tenth, milliseconds, nanoseconds.
+    fn numberings() -> impl Strategy<Value = Vec<u64>> {
+        let steps = prop_oneof![
+            (1_u64..20, Just(0_u64)),
+            (Just(10_u64), Just(0_u64)),
+            (33_u64..200, 0_u64..12),
+            (33_333_333_u64..40_000_000, 0_u64..5_000_000),
+        ];
+        (
+            steps,
+            0..1_u64 << 40,
+            prop::collection::vec(any::<u64>(), 60..200),
+        )
+            .prop_map(|((step, jitter), start, noise)| {
+                let mut number = start;
+                let next = noise.into_iter().map(|noise| {
+                    number += step + noise % (jitter + 1);
+                    number
+                });
+                next.collect()
+            })
+    }
+
+    proptest! {
+        #[test]
+        fn whatever_a_camera_counts_its_frames_are_answered_and_no_loss_is_invented(
+            numbers in numberings(),
+            period_ms in prop_oneof![Just(33_u64), Just(100), Just(1000), Just(5000)],
+        ) {
+            let mut camera = Camera::new();
+            let period = Duration::from_millis(period_ms);
+            let arrivals: Vec<Arrival> = numbers
+                .iter()
+                .map(|number| camera.pass(period).arrive(*number, None))
+                .collect();
+            let (dropped, lost) = losses(&arrivals);
+            prop_assert!(dropped <= 2, "{dropped} of {}", arrivals.len());
+            prop_assert_eq!(lost, 0);
+            let restarts = |arrival: &&Arrival| matches!(arrival, Arrival::New { restarted: true, .. });
+            prop_assert!(arrivals.iter().filter(restarts).count() <= 1);
+        }
+
+        #[test]
+        fn a_constant_step_still_tells_what_is_lost(
+            step in 2_u64..1000,
+            came in prop::collection::vec(prop::bool::weighted(0.8), 20..200),
+        ) {
+            let sent = (0..4).map(|_| true).chain(came).chain([true]);
+            let numbers = sent.zip(1..).filter(|(came, _)| *came).map(|(_, n): (bool, u64)| n * step);
+            let numbers: Vec<u64> = numbers.collect();
+            let first_and_last = numbers[numbers.len() - 1] / step;
+            let arrivals = Camera::new().send(numbers.iter().copied(), None);
+            let (dropped, lost) = losses(&arrivals);
+            prop_assert!(dropped <= 1, "{dropped}");
+            // A run of more than eight lost frames is rare, and then one more frame confirms the jump.
+            prop_assert_eq!(lost, first_and_last - numbers.len() as u64);
+        }
+    }
+
+    #[test]
+    fn a_camera_that_changes_its_step_loses_one_frame_at_most() {
+        let mut camera = Camera::new();
+        camera.send((0..50).map(|n| n * 10), None);
+        let every = camera.send(491..600, None);
+        assert_eq!(losses(&every), (0, 0), "from tens to ones");
+        let tens = camera.send((61..100).map(|n| n * 10), None);
+        let (dropped, lost) = losses(&tens);
+        assert!(
+            dropped <= 1 && lost <= 10,
+            "back to tens: {dropped}, {lost}"
+        );
+    }
+
+    #[test]
+    fn times_tell_late_frames_and_duplicates() {
+        let mut camera = Camera::new();
+        camera.send([0, 33, 67, 100, 134], None);
+        assert_eq!(camera.arrive(134, None), Arrival::Duplicate);
+        assert_eq!(camera.arrive(110, None), Arrival::Late);
+        assert_eq!(losses(&camera.send([167, 201], None)), (0, 0));
     }
 }
