@@ -1,6 +1,7 @@
 //! `albireo power`: lists the power sources that work on this machine, with their rails and current watts.
 
 use albireo_power::{SourceSurvey, survey};
+use albireo_wire::EnergyQuality;
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -8,8 +9,10 @@ use std::path::PathBuf;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Opens every source in turn and reads it for a second. The source marked * is
-the one that `source = \"auto\"` selects. The watts of `estimate` come from a
-model; all others are measured.
+the one that `source = \"auto\"` selects. It says what its watts include: the
+whole machine, or the parts that are added up; `partial` means that a part that
+consumes much is left out. The watts of `estimate` come from a model; all others
+are measured.
 
 Examples:
   albireo power
@@ -58,7 +61,7 @@ fn table(found: &[SourceSurvey]) -> String {
         let cost = source.share_of_core.map_or_else(String::new, |share| {
             format!("; reading it takes {:.2} % of one core", share * 100.0)
         });
-        let summary = format!("{}{cost}", source.total_from);
+        let summary = format!("{}{cost}", scope(source));
         line([&name, "yes", &watts(total.map(|(_, w)| *w)), &summary]);
         for rail in &source.rails {
             let mut what = rail.name.clone();
@@ -73,6 +76,15 @@ fn table(found: &[SourceSurvey]) -> String {
     text
 }
 
+/// What the total includes, in words.
+fn scope(source: &SourceSurvey) -> String {
+    match (source.quality, source.total_from.as_str()) {
+        (_, "input_rail") => "whole machine".to_owned(),
+        (EnergyQuality::Partial, parts) => format!("partial: {parts}"),
+        (_, parts) => parts.to_owned(),
+    }
+}
+
 fn watts(watts: Option<f64>) -> String {
     watts.map_or_else(|| "-".to_owned(), |watts| format!("{watts:.2} W"))
 }
@@ -81,7 +93,6 @@ fn watts(watts: Option<f64>) -> String {
 mod tests {
     use super::*;
     use albireo_power::RailNow;
-    use albireo_wire::EnergyQuality;
 
     fn source(name: &'static str) -> SourceSurvey {
         SourceSurvey {
@@ -113,10 +124,15 @@ mod tests {
             ],
             ..source("ina")
         };
+        let parts = SourceSurvey {
+            quality: EnergyQuality::Partial,
+            total_from: "processor + card, without card".to_owned(),
+            ..source("rapl+nvml")
+        };
         let rapl = SourceSurvey {
             why_not: Some("rapl: not on this machine: no counter".to_owned()),
             ..source("rapl")
         };
-        insta::assert_snapshot!(table(&[ina, rapl]));
+        insta::assert_snapshot!(table(&[ina, parts, rapl]));
     }
 }

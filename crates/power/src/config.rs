@@ -20,6 +20,11 @@ pub enum PowerSource {
     Rapl,
     /// NVIDIA graphics cards, through the driver's NVML.
     Nvml,
+    /// The processor's counters and the graphics cards' added up: `rapl` and `nvml`.
+    #[serde(rename = "rapl+nvml")]
+    Parts,
+    /// A program that prints watts, `command`.
+    Command,
     /// Estimated from CPU utilisation; always marked estimated.
     Estimate,
     /// No source: clips carry no energy.
@@ -35,6 +40,8 @@ impl PowerSource {
             Self::Tegrastats => "tegrastats",
             Self::Rapl => "rapl",
             Self::Nvml => "nvml",
+            Self::Parts => "rapl+nvml",
+            Self::Command => "command",
             Self::Estimate => "estimate",
             Self::None => "none",
         }
@@ -57,6 +64,11 @@ pub struct PowerConfig {
     pub procfs: PathBuf,
     /// The `tegrastats` program: a path, or a name to look up in `PATH`.
     pub tegrastats: PathBuf,
+    /// A shell command that prints lines of a name and watts, for the source `command`.
+    pub command: Option<String>,
+    /// NVIDIA's library. Like `nvpmodel` not a setting.
+    #[serde(skip)]
+    pub nvml: PathBuf,
     /// The `nvpmodel` program, which reports the power mode of a Jetson board.
     #[serde(skip)]
     pub nvpmodel: PathBuf,
@@ -76,6 +88,8 @@ impl Default for PowerConfig {
             sysfs: PathBuf::from("/sys"),
             procfs: PathBuf::from("/proc"),
             tegrastats: PathBuf::from("tegrastats"),
+            command: None,
+            nvml: PathBuf::from("libnvidia-ml.so.1"),
             nvpmodel: PathBuf::from("nvpmodel"),
             rails: None,
             idle_watts: 5.0,
@@ -93,7 +107,16 @@ impl PowerConfig {
                 found.push((key, reason));
             }
         };
-        let (interval, idle, busy) = (self.interval_ms, self.idle_watts, self.busy_watts);
+        let interval = self.interval_ms;
+        let idle = self.idle_watts;
+        let busy = self.busy_watts;
+        let reason = "is empty; leave the key out instead".to_owned();
+        let is_empty = |command: &String| command.trim().is_empty();
+        check(
+            "command",
+            self.command.as_ref().is_some_and(is_empty),
+            reason,
+        );
         let reason = format!("must be from 10 to 10000, not {interval}");
         check("interval_ms", !(10..=10_000).contains(&interval), reason);
         let reason = "is empty; leave the key out instead".to_owned();

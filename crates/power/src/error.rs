@@ -1,6 +1,5 @@
 //! Errors of power meters.
 
-use crate::config::PowerSource;
 use std::fmt::Display;
 use std::path::Path;
 
@@ -33,8 +32,8 @@ impl MeterError {
     }
 
     /// Names the meter in front.
-    pub(crate) fn of(self, source: PowerSource) -> Self {
-        let named = |reason: String| format!("{}: {reason}", source.as_str());
+    pub(crate) fn of(self, source: &str) -> Self {
+        let named = |reason: String| format!("{source}: {reason}");
         match self {
             Self::Missing(reason) => Self::Missing(named(reason)),
             Self::Failed(reason) => Self::Failed(named(reason)),

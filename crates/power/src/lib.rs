@@ -1,7 +1,7 @@
 //! Power meters for boards and PCs, and the energy between two instants, divided between the cameras of a node.
 //!
-//! A [`Meter`] reads watts or counts joules: `ina` and `tegrastats` on Jetson boards, `rapl`, `nvml`, or an estimate
-//! from CPU utilisation. [`start`] opens one and samples it. Its [`PowerHandle`] returns the present power, the energy
+//! A [`Meter`] reads watts or counts joules: `ina` and `tegrastats` on Jetson boards, `rapl` and `nvml` added up on
+//! PCs, a program of the user's, or an estimate from CPU utilisation. [`start`] opens one and samples it. Its [`PowerHandle`] returns the present power, the energy
 //! since the start and, through a [`CameraEnergy`], the energy of a clip: exact for any length in constant memory,
 //! complete or marked with the share of its time that samples cover. It also learns the watts that a running detector
 //! adds, and estimates from them how much avoided calls saved.
@@ -36,40 +36,28 @@
 //! # }
 //! ```
 
-mod account;
-mod attribution;
-mod child;
 mod choose;
-mod condition;
 mod config;
-mod counter;
-mod detector_watts;
+mod energy;
 mod error;
-mod estimate;
-mod ina;
 mod machine;
 mod measurement;
-mod meter;
-mod nvml;
 mod rails;
-mod rapl;
 mod reading;
 mod sampler;
+mod source;
 mod survey;
-mod sysfs;
-mod tegrastats;
 #[cfg(test)]
 mod tests;
-mod totals;
 
-pub use account::Measured;
 pub use choose::open;
 pub use config::{PowerConfig, PowerSource};
+pub use energy::account::Measured;
 pub use error::MeterError;
 pub use measurement::{CameraEnergy, Measurement};
-pub use meter::Meter;
 pub use rails::{RailMap, RailTable, RailWatts};
-pub use reading::{Domain, Rail, Reading, Value, Values};
+pub use reading::{Domain, PerDomain, Rail, Reading, Value, Values};
 pub use sampler::{PowerHandle, PowerSnapshot, start, start_with};
+pub use source::Meter;
+pub use source::tegrastats::tegrastats_rails;
 pub use survey::{RailNow, SourceSurvey, survey};
-pub use tegrastats::tegrastats_rails;

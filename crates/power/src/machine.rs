@@ -1,8 +1,10 @@
 //! Reads the machine's condition: thermal zones, throttling, clocks, power mode. Missing files are skipped.
 
-use crate::condition::Mean;
+pub(crate) mod condition;
+
+use self::condition::Mean;
 use crate::config::PowerConfig;
-use crate::sysfs;
+use crate::source::sysfs;
 use albireo_wire::BoardState;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};

@@ -1,6 +1,6 @@
 //! The handles through which a camera reports its work and measures its energy.
 
-use crate::account::Measured;
+use crate::energy::account::Measured;
 use crate::sampler::PowerHandle;
 use albireo_wire::EnergyQuality;
 use std::sync::Arc;

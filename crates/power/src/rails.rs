@@ -117,7 +117,8 @@ impl RailMap {
         let added = |names: &[String]| -> Option<f64> {
             (!names.is_empty()).then(|| names.iter().map(watts).sum())?
         };
-        let input = table.and_then(|table| table.input.iter().find(|name| watts(name).is_some()));
+        // No machine runs on nothing: an input rail that shows no power is not connected.
+        let input = table.and_then(|table| table.input.iter().find(|name| watts(name) > Some(0.0)));
         self.has_input |= input.is_some();
         let (total, total_from) = if self.has_input {
             (input.and_then(watts), INPUT_RAIL)
@@ -128,9 +129,9 @@ impl RailMap {
             ((!rails.is_empty()).then_some(all), UNKNOWN_BOARD)
         };
         let mut values = Values::default();
-        values[Domain::Total as usize] = total.map(Value::Power);
+        values.total = total.map(Value::Power);
         for (domain, names) in table.into_iter().flat_map(RailTable::domains) {
-            values[domain as usize] = added(names).map(Value::Power);
+            values[domain] = added(names).map(Value::Power);
         }
         let rails = rails
             .iter()

@@ -1,10 +1,11 @@
 //! A reading of a power meter: watts or joules per domain and rail.
 
 use std::borrow::Cow;
+use std::ops::{Index, IndexMut};
 use std::sync::Arc;
 use tokio::time::Instant;
 
-/// [`Reading::total_from`] if one rail or counter reads the total of the whole board.
+/// [`Reading::total_from`] if one rail reads the total of the whole machine.
 pub(crate) const INPUT_RAIL: &str = "input_rail";
 
 /// [`Reading::total_from`] if the total is a sum.
@@ -60,8 +61,57 @@ impl Value {
     }
 }
 
-/// The values of one sample, in the order of [`Domain::ALL`]; `None` for a domain that the source does not read.
-pub type Values = [Option<Value>; Domain::ALL.len()];
+/// One thing for each domain.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PerDomain<T> {
+    /// For the whole, as far as the source sees it.
+    pub total: T,
+    /// For the graphics processor.
+    pub gpu: T,
+    /// For the processor cores.
+    pub cpu: T,
+    /// For memory, input and output.
+    pub io_mem: T,
+}
+
+impl<T> PerDomain<T> {
+    /// Returns what `make` returns for each domain, called in the order of [`Domain::ALL`].
+    pub fn each(mut make: impl FnMut(Domain) -> T) -> Self {
+        Self {
+            total: make(Domain::Total),
+            gpu: make(Domain::Gpu),
+            cpu: make(Domain::Cpu),
+            io_mem: make(Domain::IoMem),
+        }
+    }
+}
+
+impl<T> Index<Domain> for PerDomain<T> {
+    type Output = T;
+
+    fn index(&self, domain: Domain) -> &T {
+        match domain {
+            Domain::Total => &self.total,
+            Domain::Gpu => &self.gpu,
+            Domain::Cpu => &self.cpu,
+            Domain::IoMem => &self.io_mem,
+        }
+    }
+}
+
+impl<T> IndexMut<Domain> for PerDomain<T> {
+    fn index_mut(&mut self, domain: Domain) -> &mut T {
+        match domain {
+            Domain::Total => &mut self.total,
+            Domain::Gpu => &mut self.gpu,
+            Domain::Cpu => &mut self.cpu,
+            Domain::IoMem => &mut self.io_mem,
+        }
+    }
+}
+
+/// The values of one sample; `None` for a domain that the source does not read.
+pub type Values = PerDomain<Option<Value>>;
 
 /// One rail, counter or device, named as in the source.
 #[derive(Clone, Debug, PartialEq)]
@@ -83,7 +133,7 @@ pub struct Reading {
     pub at: Option<Instant>,
     /// The values by domain.
     pub values: Values,
-    /// The origin of the total: `input_rail`, `sum_of_rails`, or a formula.
+    /// The origin of the total: `input_rail` for the whole machine, else the parts that are added up, or a formula.
     pub total_from: Cow<'static, str>,
     /// The rails, for human-readable output.
     pub rails: Vec<Rail>,
@@ -92,6 +142,6 @@ pub struct Reading {
 impl Reading {
     /// The value of `domain`.
     pub fn value(&self, domain: Domain) -> Option<Value> {
-        self.values.get(domain as usize).copied().flatten()
+        self.values[domain]
     }
 }

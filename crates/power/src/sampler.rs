@@ -1,13 +1,13 @@
 //! The task that reads the meter at every interval, and the handle that returns its figures.
 
-use crate::account::Account;
 use crate::choose;
-use crate::condition::combined;
 use crate::config::{PowerConfig, PowerSource};
+use crate::energy::account::Account;
 use crate::error::MeterError;
 use crate::machine::Machine;
-use crate::meter::{Meter, NoMeter};
+use crate::machine::condition::combined;
 use crate::reading::Domain;
+use crate::source::{Meter, NoMeter};
 use albireo_wire::{DomainWatts, EnergyQuality};
 use parking_lot::{Mutex, MutexGuard};
 use std::collections::BTreeMap;
@@ -86,9 +86,10 @@ impl PowerSnapshot {
 
     /// CPU time of reading the source as a share of one core; 0 before the second sample.
     pub fn meter_share_of_core(&self) -> f64 {
-        match self.sampled_s > 0.0 {
-            true => self.meter_cpu.as_secs_f64() / self.sampled_s,
-            false => 0.0,
+        if self.sampled_s > 0.0 {
+            self.meter_cpu.as_secs_f64() / self.sampled_s
+        } else {
+            0.0
         }
     }
 }
@@ -130,14 +131,17 @@ impl PowerHandle {
         let account = self.account();
         let history = &account.history;
         let present = history.present(Instant::now());
-        let (mut watts, mut joules, mut covered_s) = (Vec::new(), BTreeMap::new(), BTreeMap::new());
+        let mut watts = Vec::new();
+        let mut joules = BTreeMap::new();
+        let mut covered_s = BTreeMap::new();
         for domain in Domain::ALL {
-            let (name, sum) = (domain.as_str(), history.totals.sums[domain as usize]);
+            let name = domain.as_str();
+            let sum = history.totals.sums[domain];
             if history.has(domain) {
                 joules.insert(name.to_owned(), sum.joules);
                 covered_s.insert(name.to_owned(), sum.seconds);
             }
-            if let Some(now) = present.and_then(|sample| sample.watts[domain as usize]) {
+            if let Some(now) = present.and_then(|sample| sample.watts[domain]) {
                 let domain = name.to_owned();
                 watts.push(DomainWatts { domain, watts: now });
             }
@@ -146,9 +150,10 @@ impl PowerHandle {
         let sensor = account.condition.hottest_sensor.clone();
         PowerSnapshot {
             source: account.source.clone(),
-            quality: match watts.is_empty() {
-                true => EnergyQuality::Unavailable,
-                false => account.quality,
+            quality: if watts.is_empty() {
+                EnergyQuality::Unavailable
+            } else {
+                account.quality
             },
             meter_quality: account.quality,
             watts,

@@ -3,9 +3,9 @@
 use crate::choose;
 use crate::config::PowerConfig;
 use crate::error::MeterError;
-use crate::meter::Meter;
 use crate::reading::{Domain, Reading};
 use crate::sampler::thread_cpu;
+use crate::source::Meter;
 use albireo_wire::EnergyQuality;
 use serde::Serialize;
 use std::time::Duration;
@@ -59,7 +59,7 @@ pub fn survey(config: &PowerConfig) -> Vec<SourceSurvey> {
             ..SourceSurvey::default()
         };
         let watched = opened.and_then(|(_, mut meter)| one.watch(meter.as_mut(), config));
-        one.why_not = watched.err().map(|error| error.of(source).to_string());
+        one.why_not = watched.err().map(|error| error.of(source.as_str()).to_string());
         found.push(one);
     }
     found
@@ -92,7 +92,7 @@ impl SourceSurvey {
             let before = first.rails.iter().find(|r| r.name == rail.name);
             RailNow {
                 name: rail.name.to_string(),
-                watts: (rail.value).mean_watts(before.map(|rail| rail.value), seconds),
+                watts: rail.value.mean_watts(before.map(|rail| rail.value), seconds),
                 domain: rail.domain.map(Domain::as_str),
                 in_total: rail.in_total,
             }

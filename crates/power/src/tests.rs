@@ -1,7 +1,7 @@
 //! Fixtures shared by the tests of several meters.
 
 use crate::config::PowerConfig;
-use crate::reading::{Reading, Value};
+use crate::reading::{Reading, Value, Values};
 use albireo_wire::ClipEnergy;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -50,6 +50,7 @@ impl Tree {
             sysfs: self.path("sys"),
             procfs: self.path("proc"),
             tegrastats: self.path("tegrastats"),
+            nvml: self.path("libnvidia-ml.so.1"),
             nvpmodel: self.path("nvpmodel"),
             ..PowerConfig::default()
         }
@@ -63,7 +64,10 @@ pub(crate) fn ms(ms: u64) -> Duration {
 pub(crate) fn reading(total: Value) -> Reading {
     Reading {
         at: None,
-        values: [Some(total), None, None, None],
+        values: Values {
+            total: Some(total),
+            ..Values::default()
+        },
         total_from: "sum_of_rails".into(),
         rails: Vec::new(),
     }

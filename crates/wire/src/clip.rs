@@ -29,7 +29,8 @@ pub struct Percentiles {
 pub enum EnergyQuality {
     /// Read from a meter over the whole clip.
     Measured,
-    /// Read from a meter, but samples are missing for parts of the clip.
+    /// Read from a meter, but samples are missing for parts of the clip (`coverage`), or a part of the machine that
+    /// consumes much is not read (`total_from` names it).
     Partial,
     /// Computed from utilisation without a meter.
     Estimated,
@@ -82,7 +83,8 @@ pub struct ClipEnergy {
     pub quality: EnergyQuality,
     /// Source of the figures: `rapl`, `estimate`, …
     pub source: String,
-    /// Method that computes `joules` of the total domain: `input_rail`, `sum_of_rails`, or the estimate's formula.
+    /// What `joules` of the total domain includes: `input_rail` for the whole machine, `sum_of_rails` of a board, the
+    /// parts in words (`processor + card`; `processor, without card`), or the estimate's formula.
     pub total_from: String,
     /// Number of samples inside the clip.
     pub samples: u64,

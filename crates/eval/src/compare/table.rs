@@ -5,7 +5,7 @@ use super::schedule::schedule;
 use super::summary::{Change, Figure, Mean, Summary, VariantSummary};
 use super::verdict::verdicts;
 use crate::text::{self, Column, or_dash, wrapped};
-use albireo_wire::EnergyQuality;
+use albireo_wire::{EnergyQuality, FULL_COVERAGE};
 use std::fmt::Write;
 
 /// The longest label; a longer one is cut.
@@ -152,6 +152,9 @@ fn energy(summary: &Summary) -> String {
     let source = &summary.energy_source;
     let mut text = match summary.energy {
         EnergyQuality::Measured => format!("Energy is measured by `{source}`."),
+        EnergyQuality::Partial if summary.coverage >= FULL_COVERAGE => format!(
+            "Energy is measured by `{source}`, for a part of the machine only (`albireo power` says what is left out)."
+        ),
         EnergyQuality::Partial => format!(
             "Energy is measured by `{source}`, but with gaps: samples cover {:.1} % of the worst run. Where they \
              do not cover the whole run its energy is not known, and neither energy nor EDP is shown.",

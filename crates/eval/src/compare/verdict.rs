@@ -3,7 +3,7 @@
 use super::run::{Comparison, Run};
 use super::summary::{Change, Figure, Mean, Summary, VariantSummary};
 use albireo_core::policy::short;
-use albireo_wire::EnergyQuality;
+use albireo_wire::{EnergyQuality, FULL_COVERAGE};
 use serde::Serialize;
 
 /// Seconds per year.
@@ -117,6 +117,9 @@ fn energy(summary: &Summary, policy: &VariantSummary, verdict: &Verdict) -> Opti
     let source = &summary.energy_source;
     let basis = match summary.energy {
         EnergyQuality::Measured => format!("measured by `{source}`"),
+        EnergyQuality::Partial if summary.coverage >= FULL_COVERAGE => {
+            format!("measured by `{source}` for a part of the machine")
+        }
         EnergyQuality::Partial => format!("measured by `{source}` with gaps"),
         EnergyQuality::Estimated => "estimated".to_owned(),
         EnergyQuality::Unavailable => return Some("energy not known".to_owned()),

@@ -53,7 +53,12 @@ fn a_user_table_takes_precedence_over_the_built_in_ones() {
         ("VDDQ_VDD2_1V8AO", 0.4),
     ]));
     let [total, io_mem] = [2.4, 0.4].map(|watts| Some(Value::Power(watts)));
-    assert_eq!(found.values, [total, None, None, io_mem]);
+    let expected = Values {
+        total,
+        io_mem,
+        ..Values::default()
+    };
+    assert_eq!(found.values, expected);
 }
 
 #[test]

@@ -1,4 +1,17 @@
-//! The trait of all power meters.
+//! The power meters, and the trait that all of them have.
+
+mod child;
+mod command;
+mod counter;
+pub(crate) mod estimate;
+pub(crate) mod ina;
+pub(crate) mod nvml;
+pub(crate) mod parts;
+pub(crate) mod rapl;
+pub(crate) mod sysfs;
+pub(crate) mod tegrastats;
+
+pub(crate) use command::Command;
 
 use crate::error::MeterError;
 use crate::reading::Reading;
@@ -8,7 +21,8 @@ use tokio::time::Instant;
 
 /// A power meter. Reading may block for some milliseconds, so the sampler calls it outside the async threads.
 pub trait Meter: Send {
-    /// [`EnergyQuality::Measured`] or [`EnergyQuality::Estimated`]; [`EnergyQuality::Unavailable`] without a meter.
+    /// [`EnergyQuality::Measured`]; [`EnergyQuality::Partial`] if a part of the machine whose consumption matters is not
+    /// read; [`EnergyQuality::Estimated`]; [`EnergyQuality::Unavailable`] without a meter.
     fn quality(&self) -> EnergyQuality {
         EnergyQuality::Measured
     }

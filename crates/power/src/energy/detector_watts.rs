@@ -5,7 +5,7 @@
 //! means over the last 20 seconds, which removes all slower changes of the machine's power. Their regression over the
 //! last hour is the answer, once its standard error is small.
 
-use crate::totals::{History, Sum};
+use crate::energy::totals::{History, Sum};
 use std::time::Duration;
 use tokio::time::Instant;
 

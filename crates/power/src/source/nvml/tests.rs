@@ -19,7 +19,7 @@ impl FakeMachine {
     }
 
     fn open(&self) -> Result<Nvml, MeterError> {
-        Nvml::with(Box::new(self.clone()))
+        Nvml::with(Box::new(self.clone()), 0)
     }
 }
 
@@ -73,7 +73,17 @@ fn the_cards_make_one_reading(#[case] cards: Vec<Fake>, #[case] next: Fake, #[ca
     meter.poll(start).unwrap();
     machine.0.lock().unwrap()[0] = next;
     let readings = meter.poll(start + Duration::from_secs(1)).unwrap();
-    assert_eq!(readings[0].values, [Some(sum), Some(sum), None, None]);
+    let expected = Values {
+        total: Some(sum),
+        gpu: Some(sum),
+        ..Values::default()
+    };
+    assert_eq!(readings[0].values, expected);
+    assert_eq!(
+        meter.quality(),
+        EnergyQuality::Partial,
+        "the processor is not read"
+    );
 }
 
 #[test]
@@ -102,7 +112,7 @@ fn the_condition_has_the_hottest_card_and_any_throttling_and_a_lost_card_is_an_e
 
 #[test]
 fn a_missing_driver_is_reported_with_the_reason() {
-    let error = driver::load("/nowhere/libnvidia-ml.so.1").err();
+    let error = driver::load(Path::new("/nowhere/libnvidia-ml.so.1")).err();
     let expected = "no NVIDIA driver: /nowhere/libnvidia-ml.so.1 cannot be loaded";
     assert_eq!(error.unwrap(), expected);
 }

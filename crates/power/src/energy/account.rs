@@ -3,11 +3,11 @@
 //! A measurement holds two copies of the running totals: at its start, and at its provisional end. Each is copied when
 //! the first sample after that instant arrives, so a measurement of any length uses constant memory.
 
-use crate::attribution::Attribution;
-use crate::condition::ConditionSum;
-use crate::detector_watts::DetectorWatts;
-use crate::reading::{Domain, Reading};
-use crate::totals::{History, Sample, Totals};
+use crate::energy::attribution::Attribution;
+use crate::energy::detector_watts::DetectorWatts;
+use crate::energy::totals::{History, Sample, Totals};
+use crate::machine::condition::ConditionSum;
+use crate::reading::{Domain, PerDomain, Reading};
 use albireo_wire::{BoardState, ClipEnergy, DomainEnergy, EnergyQuality, FULL_COVERAGE};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -29,15 +29,16 @@ pub struct Measured {
 /// Notes collected from each sample.
 #[derive(Clone, Debug, Default)]
 struct Notes {
-    peaks: [Option<f64>; Domain::ALL.len()],
+    peaks: PerDomain<Option<f64>>,
     rules: Vec<Cow<'static, str>>,
     conditions: ConditionSum,
 }
 
 impl Notes {
     fn add(&mut self, sample: &Sample) {
-        for (peak, watts) in self.peaks.iter_mut().zip(sample.watts) {
-            *peak = [*peak, watts].into_iter().flatten().reduce(f64::max);
+        for domain in Domain::ALL {
+            let known = [self.peaks[domain], sample.watts[domain]];
+            self.peaks[domain] = known.into_iter().flatten().reduce(f64::max);
         }
         self.add_rule(sample);
     }
@@ -198,9 +199,10 @@ impl Account {
         };
         let mut least = 1.0_f64;
         for domain in (Domain::ALL.into_iter()).filter(|domain| self.history.has(*domain)) {
-            let index = domain as usize;
-            let (from, to) = (from.sums[index], to.sums[index]);
-            let (joules, covered_s) = (to.joules - from.joules, to.seconds - from.seconds);
+            let from = from.sums[domain];
+            let to = to.sums[domain];
+            let joules = to.joules - from.joules;
+            let covered_s = to.seconds - from.seconds;
             if covered_s <= 0.0 {
                 least = 0.0;
                 continue;
@@ -215,7 +217,7 @@ impl Account {
                 domain: domain.as_str().to_owned(),
                 joules,
                 mean_watts: joules / covered_s,
-                peak_watts: notes.peaks[index],
+                peak_watts: notes.peaks[domain],
             });
         }
         found.quality = match self.quality {

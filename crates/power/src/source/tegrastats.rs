@@ -7,13 +7,13 @@ mod line;
 
 pub use line::tegrastats_rails;
 
-use crate::child::LineChild;
 use crate::config::PowerConfig;
 use crate::error::MeterError;
-use crate::meter::Meter;
 use crate::rails::RailMap;
 use crate::reading::Reading;
-use crate::sysfs;
+use crate::source::Meter;
+use crate::source::child::{LineChild, PAUSE};
+use crate::source::sysfs;
 use procfs::process::Process;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -44,7 +44,7 @@ impl Tegrastats {
     pub(crate) fn open(config: &PowerConfig) -> Result<Self, MeterError> {
         let program = config.tegrastats.clone();
         let arguments = ["--interval".to_owned(), config.interval_ms.to_string()];
-        let child = LineChild::start(&program, &arguments)
+        let child = LineChild::start(&program, &arguments, PAUSE)
             .map_err(|error| sysfs::failure(&program, &error))?;
         let mut meter = Self {
             child,
@@ -55,7 +55,7 @@ impl Tegrastats {
         };
         let Some((at, line)) = meter.child.first_line(FIRST_LINE) else {
             let why = meter.child.trouble.as_deref();
-            return Err(meter.unreadable(why.unwrap_or("it prints nothing")));
+            return Err(meter.unreadable(why.unwrap_or("it ended without printing anything")));
         };
         meter.newest = at;
         let Some(rails) = tegrastats_rails(&line) else {
@@ -90,7 +90,7 @@ impl Meter for Tegrastats {
         }
         let silent = now.saturating_duration_since(self.newest);
         if readings.is_empty() && silent > Duration::from_secs(1) {
-            let why = self.child.trouble.as_deref().unwrap_or("it stalls");
+            let why = self.child.trouble.as_deref().unwrap_or("it stalls or has ended");
             let seconds = silent.as_secs_f64();
             return Err(self.unreadable(&format!("no line for {seconds:.1} s: {why}")));
         }

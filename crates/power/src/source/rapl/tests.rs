@@ -18,7 +18,7 @@ const MMIO: &str = "intel-rapl-mmio:0";
         (MMIO, "package-0", 1_000_000, 31_000_000),
     ],
     [Some(30.0), Some(4.0), Some(26.0), None],
-    "sum_of_rails",
+    "processor",
 )]
 #[case::two_sockets_and_their_memory_add_up(
     &[
@@ -28,22 +28,22 @@ const MMIO: &str = "intel-rapl-mmio:0";
         (DRAM, "dram", 0, 3_000_000),
     ],
     [Some(35.0), None, Some(30.0), Some(5.0)],
-    "sum_of_rails",
+    "processor + memory",
 )]
 #[case::packages_are_not_added_to_psys(
     &[(PACKAGE, "package-0", 0, 10_000_000), (OTHER, "psys", 0, 25_000_000)],
     [Some(25.0), None, Some(10.0), None],
-    "input_rail",
+    "platform (psys)",
 )]
 #[case::the_mmio_zone_is_used_if_it_is_the_only_one(
     &[(MMIO, "package-0", 0, 3_000_000)],
     [Some(3.0), None, Some(3.0), None],
-    "sum_of_rails",
+    "processor",
 )]
 #[case::counting_continues_across_a_wrap(
     &[(PACKAGE, "package-0", 262_143_328_850 - 4_000_000, 6_000_000)],
     [Some(10.0), None, Some(10.0), None],
-    "sum_of_rails",
+    "processor",
 )]
 fn energy_per_domain(
     #[case] zones: &[(&str, &str, u64, u64)],
@@ -62,7 +62,13 @@ fn energy_per_domain(
     }
     let later = start + Duration::from_secs(1);
     let reading = meter.poll(later).unwrap().remove(0);
-    let expected = joules.map(|joules| joules.map(Value::Counter));
+    let [total, gpu, cpu, io_mem] = joules.map(|joules| joules.map(Value::Counter));
+    let expected = PerDomain {
+        total,
+        gpu,
+        cpu,
+        io_mem,
+    };
     assert_eq!(reading.values, expected);
     assert_eq!(&*reading.total_from, total_from);
 }
@@ -88,9 +94,45 @@ fn a_psys_counter_below_its_packages_is_not_trusted() {
         assert_eq!(includes_its_parts(&zones), believed);
     }
     for (platform, total) in [(false, 10.0), (true, 12.0)] {
-        let mut meter = Rapl { zones, platform };
+        let mut meter = Rapl {
+            zones,
+            platform,
+            cards: 0,
+        };
         let found = meter.poll(start + Duration::from_secs(3)).unwrap()[0].value(Domain::Total);
         assert_eq!(found, Some(Value::Counter(total)));
         zones = meter.zones;
     }
+}
+
+#[rstest::rstest]
+#[case::memory_without_a_count(FIRST, "dram", "energy_uj")]
+#[case::memory_without_a_name(FIRST, "dram", "name")]
+#[case::core_without_a_range(SECOND, "core", "max_energy_range_uj")]
+#[case::platform_without_a_count(OTHER, "psys", "energy_uj")]
+fn an_odd_zone_is_left_out_and_the_package_is_read(
+    #[case] zone: &str,
+    #[case] name: &str,
+    #[case] missing: &str,
+) {
+    let tree = Tree::default();
+    tree.rapl(PACKAGE, "package-0", 0);
+    tree.rapl(zone, name, 0);
+    std::fs::remove_file(tree.path(format!("sys/class/powercap/{zone}/{missing}"))).unwrap();
+    let mut meter = Rapl::open(&tree.config()).unwrap();
+    let start = Instant::now();
+    meter.poll(start).unwrap();
+    tree.rapl(PACKAGE, "package-0", 12_000_000);
+    let reading = meter.poll(start + Duration::from_secs(1)).unwrap().remove(0);
+    assert_eq!(reading.value(Domain::Total), Some(Value::Counter(12.0)));
+}
+
+#[test]
+fn a_package_that_cannot_be_read_is_an_error_for_the_total_would_be_too_small() {
+    let tree = Tree::default();
+    tree.rapl(PACKAGE, "package-0", 0);
+    tree.rapl(OTHER, "package-1", 0);
+    std::fs::remove_file(tree.path(format!("sys/class/powercap/{OTHER}/energy_uj"))).unwrap();
+    let error = Rapl::open(&tree.config()).unwrap_err();
+    assert_contains(error, &["intel-rapl:1/energy_uj"]);
 }

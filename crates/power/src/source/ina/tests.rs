@@ -76,12 +76,47 @@ fn two_monitors_of_a_board_make_one_reading() {
 #[test]
 fn a_disabled_or_failing_channel_is_missing_rather_than_zero() {
     let tree = tree(&THOR);
+    tree.write("sys/class/hwmon/hwmon5/name", "ina238");
+    tree.write("sys/class/hwmon/hwmon5/power1_input", "31250000");
     tree.write(format!("{CHIP}/in1_enable"), "0");
     assert_eq!(watts(&tree, Domain::Gpu), None);
-    assert_eq!(watts(&tree, Domain::Total), None);
     assert!(close(watts(&tree, Domain::Cpu), 11.5584));
     tree.write(format!("{CHIP}/curr2_input"), "");
     assert_eq!(watts(&tree, Domain::Cpu), None);
+    assert!(close(watts(&tree, Domain::Total), 31.25));
+}
+
+#[rstest::rstest]
+#[case::input_rail_switched_off(&[("VDD_IN", 5000, 1000), ("VDD_SOC", 5000, 100)], "in1_enable", "0")]
+#[case::input_rail_that_shows_nothing(&[("VDD_IN", 5000, -1), ("VDD_SOC", 5000, 100)], "in1_enable", "1")]
+#[case::one_rail_of_the_sum_is_off(&THOR, "in2_enable", "0")]
+fn a_board_without_a_total_is_refused_so_that_auto_goes_on(
+    #[case] rails: &[(&str, i64, i64)],
+    #[case] file: &str,
+    #[case] text: &str,
+) {
+    let tree = tree(rails);
+    tree.write(format!("{CHIP}/{file}"), text);
+    let error = Ina::open(&tree.config()).unwrap_err();
+    assert_contains(error, &["the board's whole power", "power.rails"]);
+    tree.write("proc/stat", "cpu 1 2 3 4 5 6 7 8");
+    assert_eq!(
+        crate::choose::open(&tree.config()).unwrap().0.as_str(),
+        "estimate"
+    );
+}
+
+#[test]
+fn a_second_input_monitor_has_a_name_of_its_own_and_is_not_in_the_total() {
+    let tree = Tree::default();
+    for (chip, microwatts) in [("hwmon4", "20000000"), ("hwmon5", "3000000")] {
+        tree.write(format!("sys/class/hwmon/{chip}/name"), "ina238");
+        tree.write(format!("sys/class/hwmon/{chip}/power1_input"), microwatts);
+    }
+    let found = read(&tree);
+    let rails = found.rails.iter().map(|rail| (&*rail.name, rail.in_total));
+    assert_eq!(rails.collect::<Vec<_>>(), [("VIN", true), ("VIN 2", false)]);
+    assert!(close(watts(&tree, Domain::Total), 20.0));
 }
 
 #[test]

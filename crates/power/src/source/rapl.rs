@@ -2,17 +2,20 @@
 //! documentation `power/powercap`).
 //!
 //! A package counter includes its subzones `core` and `uncore`, but not `dram`. `psys`, on some client
-//! machines, counts the whole platform including the packages. `intel-rapl-mmio` zones count the same energy
+//! machines, counts the whole platform including the packages; beside a graphics card it is not used, because no
+//! documentation says whether it includes the card. `intel-rapl-mmio` zones count the same energy
 //! as the `intel-rapl` zones of the same name and are skipped. On client processors `uncore` (PP1) is the
 //! integrated GPU (Intel SDM volume 3, "RAPL domains"), so the GPU domain is `uncore` and the CPU domain is
 //! the packages without it: no joule is in two domains.
 
 use crate::config::PowerConfig;
-use crate::counter::Counter;
 use crate::error::MeterError;
-use crate::meter::Meter;
-use crate::reading::{Domain, INPUT_RAIL, Rail, Reading, SUM_OF_RAILS, Value};
-use crate::sysfs;
+use crate::reading::{Domain, PerDomain, Rail, Reading, Value};
+use crate::source::Meter;
+use crate::source::counter::Counter;
+use crate::source::parts;
+use crate::source::sysfs;
+use albireo_wire::EnergyQuality;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -41,7 +44,8 @@ impl Zone {
         let name = sysfs::text(&directory.join("name"))?;
         let energy = directory.join("energy_uj");
         sysfs::number::<u64>(&energy)?;
-        let range = sysfs::number(&directory.join("max_energy_range_uj"))?;
+        // Without a range, a wrap looks like a reset, which loses one interval and not the zone.
+        let range = sysfs::number(&directory.join("max_energy_range_uj")).unwrap_or(u64::MAX);
         let domain = match &*name {
             "uncore" => Some(Domain::Gpu),
             "dram" => Some(Domain::IoMem),
@@ -58,9 +62,10 @@ impl Zone {
 
     /// True if it is part of the total: the platform's counter, or without one the packages and their memory.
     fn in_total(&self, platform: bool) -> bool {
-        match platform {
-            true => &*self.counter.name == PLATFORM,
-            false => matches!(self.domain, Some(Domain::Cpu | Domain::IoMem)),
+        if platform {
+            &*self.counter.name == PLATFORM
+        } else {
+            matches!(self.domain, Some(Domain::Cpu | Domain::IoMem))
         }
     }
 }
@@ -70,6 +75,8 @@ impl Zone {
 pub(crate) struct Rapl {
     zones: Vec<Zone>,
     platform: bool,
+    /// Graphics cards of this machine, which these counters do not include.
+    cards: usize,
 }
 
 impl Rapl {
@@ -79,9 +86,14 @@ impl Rapl {
     /// [`MeterError::Missing`] if there is none, [`MeterError::Failed`] if they cannot be read: since CVE-2020-8694
     /// only root may read them.
     pub(crate) fn open(config: &PowerConfig) -> Result<Self, MeterError> {
+        Self::beside(config, parts::cards(&config.sysfs))
+    }
+
+    /// Like [`open`](Self::open), on a machine with this number of graphics cards.
+    pub(super) fn beside(config: &PowerConfig, cards: usize) -> Result<Self, MeterError> {
         let root = config.sysfs.join("class/powercap");
         let mut zones = find(&root)?;
-        let mut platform = zones.iter().any(|zone| zone.in_total(true));
+        let mut platform = cards == 0 && zones.iter().any(|zone| zone.in_total(true));
         if !platform && !zones.iter().any(|zone| zone.in_total(false)) {
             let reason = format!(
                 "no package or psys counter under {} (it needs an Intel or AMD processor, Linux, and \
@@ -101,7 +113,23 @@ impl Rapl {
                 );
             }
         }
-        Ok(Self { zones, platform })
+        Ok(Self {
+            zones,
+            platform,
+            cards,
+        })
+    }
+
+    /// The parts of the machine that the total includes, in words.
+    pub(super) fn parts(&self) -> &'static str {
+        let has_memory = self.zones.iter().any(|zone| zone.domain == Some(Domain::IoMem));
+        if self.platform {
+            "platform (psys)"
+        } else if has_memory {
+            "processor + memory"
+        } else {
+            "processor"
+        }
     }
 }
 
@@ -132,7 +160,15 @@ fn find(root: &Path) -> Result<Vec<Zone>, MeterError> {
     tops.sort_by_key(|path| sysfs::name(path).starts_with("intel-rapl-mmio"));
     let mut zones: Vec<Zone> = Vec::new();
     for top in tops {
-        let zone = Zone::open(&top, "")?;
+        let zone = match Zone::open(&top, "") {
+            Ok(zone) => zone,
+            // Without a package the total would be too small; every other zone can be left out.
+            Err(error) if is_package(&top) => return Err(error),
+            Err(error) => {
+                tracing::warn!(zone = %top.display(), %error, "an energy counter is left out");
+                continue;
+            }
+        };
         let name = Arc::clone(&zone.counter.name);
         if zones.iter().any(|known| known.counter.name == name) {
             continue;
@@ -140,20 +176,37 @@ fn find(root: &Path) -> Result<Vec<Zone>, MeterError> {
         zones.push(zone);
         let subs = format!("{}:", sysfs::name(&top));
         for sub in sysfs::entries(&top) {
-            if sysfs::name(&sub).starts_with(&subs) {
-                zones.push(Zone::open(&sub, &format!("{name}/"))?);
+            if !sysfs::name(&sub).starts_with(&subs) {
+                continue;
+            }
+            match Zone::open(&sub, &format!("{name}/")) {
+                Ok(zone) => zones.push(zone),
+                // The package's counter is worth more than its parts.
+                Err(error) => {
+                    tracing::warn!(zone = %sub.display(), %error, "an energy counter is left out");
+                }
             }
         }
     }
     Ok(zones)
 }
 
+/// True for a zone that counts a processor package and is no duplicate of another.
+fn is_package(zone: &Path) -> bool {
+    let name = sysfs::text(&zone.join("name")).unwrap_or_default();
+    name.starts_with("package") && !sysfs::name(zone).starts_with("intel-rapl-mmio")
+}
+
 impl Meter for Rapl {
+    fn quality(&self) -> EnergyQuality {
+        parts::quality(self.cards == 0)
+    }
+
     fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
         read(&mut self.zones, now)?;
-        let mut sums = [None; Domain::ALL.len()];
+        let mut sums = PerDomain::<Option<f64>>::default();
         let mut add = |domain: Domain, joules: f64| {
-            *sums[domain as usize].get_or_insert(0.0) += joules;
+            *sums[domain].get_or_insert(0.0) += joules;
         };
         let mut rails = Vec::with_capacity(self.zones.len());
         for zone in &self.zones {
@@ -175,14 +228,14 @@ impl Meter for Rapl {
                 value: Value::Counter(joules),
             });
         }
-        let total_from = match self.platform {
-            true => INPUT_RAIL,
-            false => SUM_OF_RAILS,
-        };
         Ok(vec![Reading {
             at: None,
-            values: sums.map(|sum| sum.map(Value::Counter)),
-            total_from: total_from.into(),
+            values: PerDomain::each(|domain| sums[domain].map(Value::Counter)),
+            total_from: parts::total_from(
+                self.parts(),
+                parts::without_cards(self.cards).as_slice(),
+            )
+            .into(),
             rails,
         }])
     }

@@ -6,16 +6,15 @@ use nvml_wrapper::Nvml;
 use nvml_wrapper::bitmasks::device::ThrottleReasons;
 use nvml_wrapper::enum_wrappers::device::{Clock, TemperatureSensor};
 use nvml_wrapper::error::NvmlError;
-use std::ffi::OsStr;
-
-/// The library's name on every machine with a driver.
-pub(super) const LIBRARY: &str = "libnvidia-ml.so.1";
+use std::path::Path;
 
 /// Loads the driver's library.
-pub(super) fn load(library: &str) -> Result<Nvml, String> {
-    let loaded = Nvml::builder().lib_path(OsStr::new(library)).init();
+pub(super) fn load(library: &Path) -> Result<Nvml, String> {
+    let loaded = Nvml::builder().lib_path(library.as_os_str()).init();
     loaded.map_err(|error| match error {
-        NvmlError::LibloadingError(_) => format!("no NVIDIA driver: {library} cannot be loaded"),
+        NvmlError::LibloadingError(_) => {
+            format!("no NVIDIA driver: {} cannot be loaded", library.display())
+        }
         error => format!("NVML does not start: {error}"),
     })
 }

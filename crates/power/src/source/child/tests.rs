@@ -3,7 +3,8 @@ use crate::tests::assert_contains;
 use std::path::Path;
 
 fn shell(script: &str) -> LineChild {
-    LineChild::start(Path::new("/bin/sh"), &["-c".to_owned(), script.to_owned()]).unwrap()
+    let arguments = ["-c".to_owned(), script.to_owned()];
+    LineChild::start(Path::new("/bin/sh"), &arguments, PAUSE).unwrap()
 }
 
 const LONG: Duration = Duration::from_secs(60);

@@ -8,7 +8,7 @@
 //! An avoided call would have taken the mean time of a call; all avoided calls together, at most the idle time of the
 //! one detector.
 
-use crate::totals::Sum;
+use crate::energy::totals::Sum;
 use std::collections::BTreeMap;
 use std::time::Duration;
 

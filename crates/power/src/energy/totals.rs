@@ -5,7 +5,7 @@
 //!   covered. A counter keeps counting, so its samples are joined over up to [`LONGEST_COUNTED_S`].
 //! - Nothing is assumed before the first sample or after the last.
 
-use crate::reading::{Domain, Reading, Value, Values};
+use crate::reading::{Domain, PerDomain, Reading, Value, Values};
 use std::borrow::Cow;
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -35,7 +35,7 @@ pub(crate) struct Sum {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Totals {
     /// The node's sums, by domain.
-    pub sums: [Sum; Domain::ALL.len()],
+    pub sums: PerDomain<Sum>,
     /// The number of samples of the total.
     pub samples: u64,
     /// The cameras' totals, by number.
@@ -45,7 +45,7 @@ pub(crate) struct Totals {
 impl Totals {
     /// The node's total.
     pub(crate) const fn total(&self) -> Sum {
-        self.sums[Domain::Total as usize]
+        self.sums.total
     }
 
     /// The totals of one camera.
@@ -62,7 +62,7 @@ pub(crate) struct Sample {
     /// The origin of the total.
     pub total_from: Cow<'static, str>,
     /// Power by domain; for a counter, the mean since the previous sample.
-    pub watts: [Option<f64>; Domain::ALL.len()],
+    pub watts: PerDomain<Option<f64>>,
     values: Values,
     totals: Totals,
 }
@@ -76,7 +76,7 @@ pub(crate) struct History {
     /// The time from the first sample to the newest, seconds.
     pub sampled_s: f64,
     /// The newest value of each domain.
-    last: [Option<(Instant, Value)>; Domain::ALL.len()],
+    last: PerDomain<Option<(Instant, Value)>>,
     recent: VecDeque<Sample>,
 }
 
@@ -87,7 +87,7 @@ impl History {
             gap_s: longest_gap(interval).as_secs_f64(),
             totals: Totals::default(),
             sampled_s: 0.0,
-            last: Default::default(),
+            last: PerDomain::default(),
             recent: VecDeque::new(),
         }
     }
@@ -105,7 +105,7 @@ impl History {
             return false;
         }
         let joules_before = self.totals.total().joules;
-        let watts = Domain::ALL.map(|domain| self.advance(domain, at, reading.value(domain)?));
+        let watts = PerDomain::each(|domain| self.advance(domain, at, reading.value(domain)?));
         self.totals.samples += u64::from(reading.value(Domain::Total).is_some());
         let seconds = newest.map_or(0.0, |newest| (at - newest).as_secs_f64());
         self.sampled_s += seconds;
@@ -125,8 +125,7 @@ impl History {
 
     /// Adds a value to one domain and returns its power.
     fn advance(&mut self, domain: Domain, at: Instant, value: Value) -> Option<f64> {
-        let index = domain as usize;
-        let (then, before) = self.last[index].replace((at, value)).unzip();
+        let (then, before) = self.last[domain].replace((at, value)).unzip();
         let seconds = then.map_or(0.0, |then| (at - then).as_secs_f64());
         let (joules, longest) = match (before, value) {
             (Some(Value::Power(then)), Value::Power(now)) => {
@@ -138,7 +137,7 @@ impl History {
             _ => (0.0, 0.0),
         };
         if seconds <= longest {
-            let sum = &mut self.totals.sums[index];
+            let sum = &mut self.totals.sums[domain];
             sum.joules += joules;
             sum.seconds += seconds;
         }
@@ -146,8 +145,8 @@ impl History {
     }
 
     /// True if the source has ever read `domain`.
-    pub(crate) const fn has(&self, domain: Domain) -> bool {
-        self.last[domain as usize].is_some()
+    pub(crate) fn has(&self, domain: Domain) -> bool {
+        self.last[domain].is_some()
     }
 
     /// The newest sample.
@@ -196,19 +195,18 @@ fn between(before: &Sample, after: &Sample, moment: Instant) -> Totals {
         joules: from.joules + energy_part * (to.joules - from.joules),
         seconds: from.seconds + part * (to.seconds - from.seconds),
     };
-    let energy_part = |index: usize| match (before.values[index], after.values[index]) {
+    let energy_part = |domain: Domain| match (before.values[domain], after.values[domain]) {
         (Some(Value::Power(from)), Some(Value::Power(to))) if from + to > 0.0 => {
             part * (2.0 * from + (to - from) * part) / (from + to)
         }
         _ => part,
     };
     let (from, to) = (&before.totals, &after.totals);
-    let of_total = energy_part(Domain::Total as usize);
+    let of_total = energy_part(Domain::Total);
     let cameras = to.cameras.iter();
     Totals {
-        sums: Domain::ALL.map(|domain| {
-            let index = domain as usize;
-            mix(from.sums[index], to.sums[index], energy_part(index))
+        sums: PerDomain::each(|domain| {
+            mix(from.sums[domain], to.sums[domain], energy_part(domain))
         }),
         samples: from.samples,
         cameras: cameras

@@ -6,9 +6,9 @@
 
 use crate::config::PowerConfig;
 use crate::error::MeterError;
-use crate::meter::Meter;
-use crate::reading::{Reading, Value};
-use crate::sysfs;
+use crate::reading::{Reading, Value, Values};
+use crate::source::Meter;
+use crate::source::sysfs;
 use albireo_wire::EnergyQuality;
 use std::path::PathBuf;
 use tokio::time::Instant;
@@ -80,7 +80,10 @@ impl Meter for Estimate {
         let formula = format!("estimated: {idle} W idle to {busy} W busy by CPU utilisation");
         Ok(vec![Reading {
             at: Some(now),
-            values: [Some(Value::Counter(self.joules)), None, None, None],
+            values: Values {
+                total: Some(Value::Counter(self.joules)),
+                ..Values::default()
+            },
             total_from: formula.into(),
             rails: Vec::new(),
         }])

@@ -1,6 +1,6 @@
 use super::*;
+use crate::energy::totals::Totals;
 use crate::tests::ms;
-use crate::totals::Totals;
 
 const FRONT: u64 = 0;
 const REAR: u64 = 1;

@@ -17,8 +17,8 @@ const MOST_LINES: usize = 256;
 /// Longer lines are cut here: none of our sources prints one.
 const LONGEST_LINE: u64 = 64 * 1024;
 
-/// The shortest time between a start or a line and the next start.
-const PAUSE: Duration = Duration::from_secs(1);
+/// The shortest time between a start or a line of a program that never ends by itself and its next start.
+pub(super) const PAUSE: Duration = Duration::from_secs(1);
 
 /// The time limit for a killed child to end. Another user's child (sudo) cannot be killed.
 const PARTING: Duration = Duration::from_secs(1);
@@ -31,8 +31,12 @@ pub(crate) struct LineChild {
     command: Command,
     child: Option<Child>,
     lines: Receiver<Line>,
+    /// The shortest time between a start or a line and the next start.
+    pause: Duration,
     /// The time of the start or of the newest line.
     last_sign: Instant,
+    /// True if the child had ended when its lines were last taken: nothing follows these lines.
+    pub ended: bool,
     /// The reason the child last ended, if it ever did.
     pub trouble: Option<String>,
 }
@@ -42,7 +46,11 @@ impl LineChild {
     ///
     /// # Errors
     /// Returns an error if the program cannot be started the first time.
-    pub(crate) fn start(program: &Path, arguments: &[String]) -> std::io::Result<Self> {
+    pub(crate) fn start(
+        program: &Path,
+        arguments: &[String],
+        pause: Duration,
+    ) -> std::io::Result<Self> {
         let mut command = Command::new(program);
         command
             .args(arguments)
@@ -55,7 +63,9 @@ impl LineChild {
             command,
             child: Some(child),
             lines,
+            pause,
             last_sign: Instant::now(),
+            ended: false,
             trouble: None,
         })
     }
@@ -74,6 +84,7 @@ impl LineChild {
             self.last_sign = *at;
         }
         let silent = self.last_sign.elapsed() > longest_silence;
+        self.ended = ended;
         if !ended && !silent {
             return lines;
         }
@@ -82,10 +93,11 @@ impl LineChild {
             let seconds = longest_silence.as_secs();
             self.trouble = Some(format!("it printed nothing for {seconds} s"));
         }
-        if self.last_sign.elapsed() >= PAUSE {
+        if self.last_sign.elapsed() >= self.pause {
             self.last_sign = Instant::now();
-            let reason = self.trouble.as_deref();
-            tracing::warn!(reason, "restarting the power meter's child process");
+            if let Some(reason) = self.trouble.as_deref() {
+                tracing::warn!(reason, "restarting the power meter's child process");
+            }
             match spawn(&mut self.command) {
                 Ok((child, lines)) => (self.child, self.lines) = (Some(child), lines),
                 Err(error) => self.trouble = Some(format!("it cannot be started: {error}")),
@@ -113,6 +125,7 @@ impl LineChild {
         let until = std::time::Instant::now() + PARTING;
         self.trouble = loop {
             match child.try_wait() {
+                Ok(Some(status)) if status.success() => break None,
                 Ok(Some(status)) => break Some(format!("it ended with {status}")),
                 Ok(None) if std::time::Instant::now() < until => {
                     std::thread::sleep(Duration::from_millis(2));

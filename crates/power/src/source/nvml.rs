@@ -6,12 +6,14 @@
 
 mod driver;
 
-use crate::condition::combined;
-use crate::counter::Counter;
+use crate::config::PowerConfig;
 use crate::error::MeterError;
-use crate::meter::Meter;
-use crate::reading::{Domain, Rail, Reading, Value};
-use albireo_wire::BoardState;
+use crate::machine::condition::combined;
+use crate::reading::{Domain, Rail, Reading, Value, Values};
+use crate::source::Meter;
+use crate::source::counter::Counter;
+use crate::source::parts;
+use albireo_wire::{BoardState, EnergyQuality};
 use std::path::Path;
 use std::sync::Arc;
 use tokio::time::Instant;
@@ -45,6 +47,10 @@ pub(crate) struct Nvml {
     cards: Vec<Card>,
     /// True if all cards count energy.
     count: bool,
+    /// The cards of this machine that are not read.
+    unread: usize,
+    /// True if another meter reads the processor.
+    processor_is_read: bool,
     driver: Box<dyn Cards>,
 }
 
@@ -53,14 +59,34 @@ impl Nvml {
     ///
     /// # Errors
     /// [`MeterError::Missing`] if there is no driver or no card, or if no card reports its power.
-    pub(crate) fn open() -> Result<Self, MeterError> {
-        let driver = driver::load(driver::LIBRARY).map_err(MeterError::missing)?;
-        Self::with(Box::new(driver))
+    pub(crate) fn open(config: &PowerConfig) -> Result<Self, MeterError> {
+        let driver = driver::load(&config.nvml).map_err(MeterError::missing)?;
+        Self::with(Box::new(driver), parts::cards(&config.sysfs))
     }
 
-    fn with(driver: Box<dyn Cards>) -> Result<Self, MeterError> {
+    /// Like [`open`](Self::open), beside a meter of the processor.
+    pub(super) fn beside_processor(config: &PowerConfig) -> Result<Self, MeterError> {
+        Ok(Self {
+            processor_is_read: true,
+            ..Self::open(config)?
+        })
+    }
+
+    /// The number of cards on this machine: those that are read, and the others.
+    pub(super) fn cards_in_all(&self) -> usize {
+        self.cards.len() + self.unread
+    }
+
+    /// The cards that the total includes, in words.
+    pub(super) fn parts(&self) -> String {
+        parts::cards_in_words(self.cards.len())
+    }
+
+    /// Queries each card of `driver`. The machine has at least `known` cards, which the driver may not all show.
+    fn with(driver: Box<dyn Cards>, known: usize) -> Result<Self, MeterError> {
         let count = driver.count().map_err(MeterError::missing)?;
-        let (mut cards, mut all_count) = (Vec::new(), true);
+        let mut cards = Vec::new();
+        let mut all_count = true;
         for index in 0..count {
             let counts = matches!(driver.energy_mj(index), Ok(Some(_)));
             let power = driver.power_mw(index);
@@ -83,9 +109,12 @@ impl Nvml {
                 }
             }));
         }
+        let in_all = known.max(count as usize);
         Ok(Self {
+            unread: in_all.saturating_sub(cards.len()),
             cards,
             count: all_count,
+            processor_is_read: false,
             driver,
         })
     }
@@ -96,23 +125,31 @@ fn unreadable(card: u32, reason: String) -> MeterError {
 }
 
 impl Meter for Nvml {
+    fn quality(&self) -> EnergyQuality {
+        parts::quality(self.processor_is_read && self.unread == 0)
+    }
+
     fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
         let mut rails = Vec::with_capacity(self.cards.len());
         let mut sum = 0.0;
-        let value = match self.count {
-            true => Value::Counter,
-            false => Value::Power,
+        let value = if self.count {
+            Value::Counter
+        } else {
+            Value::Power
         };
         for card in &mut self.cards {
-            let read = match self.count {
-                true => (self.driver.energy_mj(card.index))
-                    .map(|raw| raw.map(|raw| card.energy.update(now, raw))),
-                false => (self.driver.power_mw(card.index))
-                    .map(|milliwatts| milliwatts.map(|milliwatts| f64::from(milliwatts) * 1e-3)),
+            let answer = if self.count {
+                let raw = self.driver.energy_mj(card.index);
+                raw.map(|raw| raw.map(|raw| card.energy.update(now, raw)))
+            } else {
+                let milliwatts = self.driver.power_mw(card.index);
+                milliwatts
+                    .map(|milliwatts| milliwatts.map(|milliwatts| f64::from(milliwatts) * 1e-3))
             };
             let lost = || "it no longer reports its power".to_owned();
-            let read = read.and_then(|read| read.ok_or_else(lost));
-            let read = read.map_err(|reason| unreadable(card.index, reason))?;
+            let read = answer
+                .and_then(|answer| answer.ok_or_else(lost))
+                .map_err(|reason| unreadable(card.index, reason))?;
             sum += read;
             rails.push(Rail {
                 name: Arc::clone(&card.energy.name),
@@ -121,10 +158,20 @@ impl Meter for Nvml {
                 value: value(read),
             });
         }
+        let processor = (!self.processor_is_read).then_some("processor");
+        let left_out = [
+            processor.map(str::to_owned),
+            parts::without_cards(self.unread),
+        ];
+        let left_out: Vec<String> = left_out.into_iter().flatten().collect();
         Ok(vec![Reading {
             at: None,
-            values: [Some(value(sum)), Some(value(sum)), None, None],
-            total_from: "sum_of_rails: graphics cards only".into(),
+            values: Values {
+                total: Some(value(sum)),
+                gpu: Some(value(sum)),
+                ..Values::default()
+            },
+            total_from: parts::total_from(&self.parts(), &left_out).into(),
             rails,
         }])
     }

@@ -8,10 +8,11 @@
 
 use crate::config::PowerConfig;
 use crate::error::MeterError;
-use crate::meter::Meter;
 use crate::rails::{RailMap, RailWatts};
-use crate::reading::Reading;
-use crate::sysfs;
+use crate::reading::{Domain, Reading};
+use crate::source::Meter;
+use crate::source::sysfs;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use tokio::time::Instant;
@@ -56,12 +57,35 @@ impl Ina {
             return Err(MeterError::missing(reason));
         }
         let mut meter = Self {
-            channels,
+            channels: distinct(channels),
             map: RailMap::new(config.rails.as_ref())?,
         };
-        meter.poll(Instant::now())?;
+        let readings = meter.poll(Instant::now())?;
+        let has_total = readings.iter().any(|reading| reading.value(Domain::Total).is_some());
+        if !has_total {
+            let rails: Vec<&str> = meter.channels.iter().map(|channel| &*channel.name).collect();
+            let reason = format!(
+                "it reads {}, but no rail or sum that is the board's whole power (a rail with in*_enable 0 \
+                 is switched off; power.rails can name other rails)",
+                rails.join(", ")
+            );
+            return Err(MeterError::Failed(reason));
+        }
         Ok(meter)
     }
+}
+
+/// The channels with names that differ: a second `VIN` becomes `VIN 2`, which no table counts as the input.
+fn distinct(mut channels: Vec<Channel>) -> Vec<Channel> {
+    let mut uses: BTreeMap<Arc<str>, u32> = BTreeMap::new();
+    for channel in &mut channels {
+        let count = uses.entry(Arc::clone(&channel.name)).or_default();
+        *count += 1;
+        if *count > 1 {
+            channel.name = format!("{} {count}", channel.name).into();
+        }
+    }
+    channels
 }
 
 /// The rails of a chip; empty if the chip is not a power monitor.
