@@ -148,3 +148,87 @@ fn every_shipped_energy_model_states_its_source_and_its_error() {
     boards.sort();
     assert_eq!(boards, ["NVIDIA Jetson AGX Orin", "NVIDIA Jetson AGX Thor"]);
 }
+
+/// AP@50 of Vanilla, published and of all boxes, as `albireo eval` reports it.
+fn ap50(folder: &Path, command: &str) -> f64 {
+    let out = folder.join("out");
+    let command = format!("{command} --policy vanilla --out {}", out.display());
+    eval(&command.replace("FOLDER", folder.to_str().unwrap())).succeeds();
+    let report = std::fs::read(out.join("report.json")).unwrap();
+    let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
+    report["policies"][0]["ap50"].as_f64().unwrap()
+}
+
+#[test]
+fn boxes_in_a_crowd_are_judged_by_the_rules_of_coco_or_of_the_papers_evaluator() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut images = Vec::new();
+    let mut annotations = Vec::new();
+    let mut found = Vec::new();
+    for image in 1..=4 {
+        images.push(serde_json::json!({"id": image, "file_name": format!("{image}.jpg"), "width": 640, "height": 480}));
+        for (crowd, sides) in [(0, [10, 10, 60, 40]), (1, [200, 100, 300, 200])] {
+            annotations.push(
+                serde_json::json!({"id": 2 * image + crowd, "image_id": image, "category_id": 3,
+                "bbox": sides, "area": sides[2] * sides[3], "iscrowd": crowd}),
+            );
+        }
+        // The crowd's boxes are the surer ones.
+        for (score, sides) in [
+            (0.6, [10, 10, 60, 40]),
+            (0.9, [200, 100, 60, 40]),
+            (0.8, [300, 150, 60, 40]),
+            (0.7, [400, 200, 60, 40]),
+        ] {
+            found.push(serde_json::json!({"image_id": image, "category_id": 3, "bbox": sides, "score": score}));
+        }
+    }
+    let set = serde_json::json!({"images": images, "annotations": annotations, "categories": [{"id": 3, "name": "car"}]});
+    write(folder.path(), "set.json", &set.to_string());
+    write(
+        folder.path(),
+        "found.json",
+        &serde_json::json!(found).to_string(),
+    );
+    let command = "coco FOLDER/set.json --detections FOLDER/found.json";
+    assert_eq!(ap50(folder.path(), command), 1.0);
+    assert_eq!(
+        ap50(folder.path(), &format!("{command} --rules paper")),
+        0.25
+    );
+}
+
+#[test]
+fn a_box_on_a_distractor_is_judged_by_the_rules_of_motchallenge_and_the_rate_is_that_of_the_data() {
+    let folder = tempfile::tempdir().unwrap();
+    let info = "[Sequence]\nname=M\nframeRate=25\nseqLength=3\nimWidth=640\nimHeight=480\n";
+    write(folder.path(), "seqinfo.ini", info);
+    let (mut truth, mut found) = (String::new(), String::new());
+    for frame in 1..=3 {
+        truth += &format!("{frame},1,11,11,40,80,1,1,1\n{frame},2,200,11,40,80,0,8,1\n");
+        found +=
+            &format!("{frame},-1,11,11,40,80,0.6,-1,-1,-1\n{frame},-1,200,11,40,80,0.9,-1,-1,-1\n");
+    }
+    write(folder.path(), "gt/gt.txt", &truth);
+    write(folder.path(), "det/det.txt", &found);
+    let command = "motchallenge FOLDER";
+    assert_eq!(ap50(folder.path(), command), 1.0);
+    assert_eq!(
+        ap50(folder.path(), &format!("{command} --rules paper")),
+        0.5
+    );
+    let path = folder.path().display();
+    let said = eval(&format!("motchallenge {path} --rules paper")).succeeds();
+    assert_contains(
+        &said,
+        &["as the paper's evaluator", "Frame rate: 25 frames/s"],
+    );
+    let said = eval(&format!("motchallenge {path} --fps 5 --settled")).succeeds();
+    assert_contains(
+        &said,
+        &[
+            "Frame rate: 5 frames/s",
+            "by the rules of the data's benchmark",
+        ],
+    );
+}

@@ -6,19 +6,21 @@ mod video;
 
 use self::settings::SettingsArguments;
 use super::progress;
+use super::values::parse_rate;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{PolicyConfig, Profile};
 use albireo_eval::data::{DataSet, bdd100k, coco, kitti, mot_challenge, recorded};
 use albireo_eval::energy_model::EnergyModel;
 use albireo_eval::files;
 use albireo_eval::report::{Report, conclusion, render};
+use albireo_eval::result::ClipResult;
 use albireo_eval::run::run as run_policies;
 use albireo_eval::run::streams::{self, RunTimes, Stream, StreamResults};
 use albireo_eval::settings::Settings;
 use albireo_eval::spec::{PolicySpec, Sweep, resolve};
 use albireo_eval::summary;
 use albireo_eval::text::wrapped;
-use anyhow::{Context, ensure};
+use anyhow::{Context, bail, ensure};
 use clap::{Args, Subcommand};
 use std::path::{Path, PathBuf};
 
@@ -57,9 +59,6 @@ enum What {
         /// Size of the pictures, which the files do not contain.
         #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "1280x720", value_parser = crate::cli::values::parse_size)]
         size: PictureSize,
-        /// Frames per second.
-        #[arg(long, default_value_t = bdd100k::BDD100K_FRAME_RATE)]
-        frame_rate: f64,
         #[command(flatten)]
         run: RunArguments,
     },
@@ -109,6 +108,13 @@ struct RunArguments {
     /// Values of a setting to try one after the other, for instance u=3e-4,5e-4,7e-4,1e-3.
     #[arg(long, value_name = "NAME=VALUE,…")]
     sweep: Vec<Sweep>,
+    /// Frames per second, in place of the rate that the data has: BDD100K 5, KITTI 10, MOTChallenge that of seqinfo.ini, a
+    /// video its own.
+    #[arg(long, help_heading = JUDGED, value_name = "FPS", alias = "frame-rate", value_parser = parse_rate)]
+    rate: Option<f64>,
+    /// Take this many frames per second, as if the camera were slower.
+    #[arg(long, help_heading = JUDGED, value_name = "FPS", value_parser = parse_rate)]
+    fps: Option<f64>,
     /// Also judge boxes when frames arrive, with a detector that takes this many milliseconds, or the times in FILE in
     /// turn, one measured run per line; at-arrival.txt in --out.
     #[arg(long, help_heading = JUDGED, value_name = "MILLISECONDS|FILE", value_parser = RunTimes::read)]
@@ -139,14 +145,14 @@ pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
             ground_truth,
             detections,
             size,
-            frame_rate,
             run,
         } => {
             let source = bdd100k::Source {
                 truth: Some(ground_truth),
                 detections: Some(detections),
                 picture: *size,
-                frame_rate: Some(*frame_rate).filter(|rate| rate.is_finite() && *rate > 0.0),
+                frame_rate: Some(bdd100k::BDD100K_FRAME_RATE),
+                rules: run.settings.rules()?,
             };
             compare(bdd100k::read(&source)?, ground_truth, run)
         }
@@ -167,7 +173,17 @@ fn compare(data: DataSet, path: &Path, arguments: &RunArguments) -> anyhow::Resu
         (0.0..=1.0).contains(&confidence),
         "--confidence {confidence} is not between 0 and 1"
     );
-    let data = data.only_with_detections(path)?;
+    let rules = arguments.settings.rules()?;
+    let mut data = data.only_with_detections(path)?.judged_by(rules, arguments.rate);
+    if let Some(rate) = arguments.fps {
+        if let Some(clip) = data.clips.iter().find(|clip| clip.frame_rate.is_none()) {
+            bail!(
+                "--fps {rate}: the data does not say how many frames per second {} has: add --rate",
+                clip.name
+            );
+        }
+        data.clips = data.clips.into_iter().map(|clip| clip.thinned(rate)).collect();
+    }
     let policies = policies(arguments, false)?;
     let settings = settings(arguments)?;
     for line in data.report.lines() {
@@ -182,7 +198,7 @@ fn compare(data: DataSet, path: &Path, arguments: &RunArguments) -> anyhow::Resu
         .collect::<Result<Vec<_>, _>>()?;
     let report = Report {
         title: format!("Stored detections of {}", path.display()),
-        settings: listed(arguments),
+        settings: listed(arguments, &rates(&results))?,
         data: data.report,
         policies: summary::summarise(&results),
         clips: results,
@@ -196,9 +212,16 @@ fn conclude(
     streams: &[StreamResults],
     arguments: &RunArguments,
 ) -> anyhow::Result<()> {
-    println!("{}", render(&report.policies));
+    print!("{}", render(&report.policies));
+    println!();
     for sentence in conclusion(&report.policies) {
         println!("{}", wrapped(&sentence, 100));
+    }
+    // What the figures mean depends on these two, and neither can be seen in them.
+    for (name, value) in &report.settings {
+        if name.starts_with("Boxes on crowds") || name == "Frame rate" {
+            println!("{}", wrapped(&format!("{name}: {value}."), 100));
+        }
     }
     for stream in streams {
         print!("\n{}", stream.table());
@@ -250,8 +273,24 @@ fn settings(arguments: &RunArguments) -> anyhow::Result<Settings> {
     Ok(settings)
 }
 
+/// Describes the frame rates of all clips.
+fn rates(results: &[ClipResult]) -> String {
+    let mut rates: Vec<f64> = results.iter().filter_map(|result| result.frame_rate).collect();
+    rates.sort_by(f64::total_cmp);
+    let known = match rates[..] {
+        [] => return "not known: no figure is in milliseconds; --rate gives it".to_owned(),
+        [lowest, .., highest] if lowest < highest => format!("{lowest} to {highest} frames/s"),
+        [rate, ..] => format!("{rate} frames/s"),
+    };
+    if rates.len() < results.len() {
+        format!("{known}, and not known for some clips")
+    } else {
+        known
+    }
+}
+
 /// Lists the settings that decide what the figures mean.
-fn listed(arguments: &RunArguments) -> Vec<(String, String)> {
+fn listed(arguments: &RunArguments, rates: &str) -> anyhow::Result<Vec<(String, String)>> {
     let settings = &arguments.settings;
     let confidence = settings.confidence;
     let profile = match settings.profile {
@@ -280,15 +319,17 @@ fn listed(arguments: &RunArguments) -> Vec<(String, String)> {
         Some(model) => format!("projected with {}", model.display()),
         None => "not known: no --energy-model was given".to_owned(),
     };
-    [
+    let rules = settings.rules()?.as_str().to_owned();
+    let listed = [
         ("Profile", profile.to_owned()),
         ("Detector confidence", format!("at least {confidence}")),
         ("Boxes judged", judged),
+        ("Boxes on crowds, distractors and ignored regions", rules),
+        ("Frame rate", rates.to_owned()),
         ("Empty-scene screen", settings.screen.as_str().to_owned()),
         ("Classes", classes.to_owned()),
         ("Average precision", area.to_owned()),
         ("Energy", energy),
-    ]
-    .map(|(name, value)| (name.to_owned(), value))
-    .to_vec()
+    ];
+    Ok(listed.map(|(name, value)| (name.to_owned(), value)).to_vec())
 }

@@ -3,8 +3,7 @@
 use super::{by_hand, detector, eval, fixture_detector, write_pictures};
 use crate::support::{assert_contains, grey_jpeg};
 use albireo_core::geometry::PictureSize;
-use albireo_eval::data::LoadReport;
-use albireo_eval::data::{GroundTruth, TruthFormat};
+use albireo_eval::data::{GroundTruth, LoadReport, Rules, TruthFormat};
 use albireo_eval::footage::{FrameSource, Pictures};
 use albireo_eval::pictures::{ModelRunner, PassSettings, run_pass};
 use albireo_vision::screen::ScreenConfig;
@@ -86,7 +85,7 @@ fn labels(folder: &Path, video: &str, frames: usize) -> GroundTruth {
         .collect();
     let path = folder.join(format!("{video}.json"));
     std::fs::write(&path, format!("[{}]", entries.join(","))).unwrap();
-    GroundTruth::new(vec![path], TruthFormat::Bdd100k)
+    GroundTruth::read(&[path], TruthFormat::Bdd100k, Rules::Benchmark).unwrap()
 }
 
 #[test]
@@ -95,7 +94,7 @@ fn ground_truth_is_found_by_name_and_rejected_for_other_frames_clips_or_sizes() 
     let mut clip = by_hand(3);
     let mut report = LoadReport::default();
     let mut truth = labels(folder.path(), "by-hand", 3);
-    truth.attach_to(&mut clip, false, &mut report).unwrap();
+    truth.attach_to(&mut clip, false, true, &mut report).unwrap();
     assert!(clip.ignored.is_empty());
     let found = clip.truth.take().unwrap();
     assert!(found.iter().all(|frame| frame.len() == 1));
@@ -103,16 +102,21 @@ fn ground_truth_is_found_by_name_and_rejected_for_other_frames_clips_or_sizes() 
 
     for frames in [2, 4] {
         let mut other = labels(folder.path(), "by-hand", frames);
-        let error = other.attach_to(&mut clip, false, &mut report).unwrap_err();
+        let error = other.attach_to(&mut clip, false, true, &mut report).unwrap_err();
         let expected = format!("is for {frames} frames, the clip has 3");
         assert_contains(&error.to_string(), &[&expected]);
     }
+    // A clip that was cut to its first frames has the first of the ground truth.
+    let mut longer = labels(folder.path(), "by-hand", 4);
+    longer.attach_to(&mut clip, false, false, &mut report).unwrap();
+    assert_eq!(clip.truth.take().unwrap().len(), 3);
+    assert_eq!(longer.rate("by-hand", false), Some(5.0));
 
     let mut other = labels(folder.path(), "other", 3);
-    other.attach_to(&mut clip, false, &mut report).unwrap();
+    other.attach_to(&mut clip, false, true, &mut report).unwrap();
     assert_eq!(clip.truth, None);
     // The only ground truth applies to the only clip, whatever its name.
-    other.attach_to(&mut clip, true, &mut report).unwrap();
+    other.attach_to(&mut clip, true, true, &mut report).unwrap();
     assert!(clip.truth.is_some());
     let names = ["by-hand".to_owned(), "second".to_owned()];
     let error = other.check(&names).unwrap_err().to_string();
@@ -120,10 +124,11 @@ fn ground_truth_is_found_by_name_and_rejected_for_other_frames_clips_or_sizes() 
 
     clip.truth = Some(vec![Vec::new(); 3]);
     albireo_eval::data::recorded::write(folder.path(), std::slice::from_ref(&clip)).unwrap();
-    let mut truth = GroundTruth::new(vec![folder.path().to_owned()], TruthFormat::Recorded);
-    truth.attach_to(&mut clip, false, &mut report).unwrap();
+    let paths = [folder.path().to_owned()];
+    let mut truth = GroundTruth::read(&paths, TruthFormat::Recorded, Rules::Benchmark).unwrap();
+    truth.attach_to(&mut clip, false, true, &mut report).unwrap();
     assert!(clip.truth.is_some());
     clip.picture = PictureSize::new(640, 360);
-    let error = truth.attach_to(&mut clip, false, &mut report).unwrap_err();
+    let error = truth.attach_to(&mut clip, false, true, &mut report).unwrap_err();
     assert_contains(&error.to_string(), &["1280x720", "640x360"]);
 }

@@ -2,7 +2,8 @@
 
 Reads JSON from standard input:
   {"clips": [[{"predictions": [[x1, y1, x2, y2, class, confidence], ...],
-               "truth": [[x1, y1, x2, y2, class, confidence], ...]}, ...], ...]}
+               "truth": [[x1, y1, x2, y2, class, confidence], ...],
+               "ignored": [[x1, y1, x2, y2, class, "crowd" or "object"], ...]}, ...], ...]}
 Writes JSON: for each clip and definition, AP@50 and the mean over IoU 0.50 to 0.95.
 
 COCO samples precision at 101 recall levels. The area over all points is the mean of the interpolated
@@ -27,10 +28,14 @@ def box(corners):
     return [x1, y1, x2 - x1, y2 - y1]
 
 
+# An object of this area is outside the range that is judged, and so it is ignored without being a crowd.
+TOO_LARGE = 1e11
+
+
 def build(frames):
     truth, predictions, classes = [], [], set()
     for image, frame in enumerate(frames, start=1):
-        for *corners, category, _ in frame["truth"]:
+        for *corners, category, kind in frame["truth"] + frame["ignored"]:
             x, y, width, height = box(corners)
             truth.append(
                 {
@@ -38,8 +43,8 @@ def build(frames):
                     "image_id": image,
                     "category_id": category,
                     "bbox": [x, y, width, height],
-                    "area": width * height,
-                    "iscrowd": 0,
+                    "area": TOO_LARGE if kind == "object" else width * height,
+                    "iscrowd": int(kind == "crowd"),
                 }
             )
             classes.add(category)
@@ -56,7 +61,7 @@ def build(frames):
         "categories": [{"id": category, "name": str(category)} for category in sorted(classes)],
     }
     coco.createIndex()
-    return coco, coco.loadRes(predictions), len(truth)
+    return coco, coco.loadRes(predictions), sum(len(frame["truth"]) for frame in frames)
 
 
 def evaluate(coco, found, pooled, recalls):

@@ -1,5 +1,6 @@
 //! Prints the tables of crates/eval/examples/equal_skip.md: every policy beside `expected-loss` at the same mean skip rate.
-//! All boxes of a policy are judged, also those too faint to be published.
+//! All boxes of a policy are judged, also those too faint to be published; how late newcomers are found is of the published
+//! ones.
 //!
 //! `cargo run --release -p albireo-eval --example equal_skip -- DIR [--half-rate] [--confidence 0.5]`
 #![allow(clippy::print_stdout)]
@@ -76,6 +77,13 @@ impl Point {
         mean(self.figure(figure)).unwrap_or(f64::NAN)
     }
 
+    /// How late newcomers are found in each clip, frames.
+    fn newcomers(&self) -> impl Iterator<Item = f64> {
+        self.clips
+            .iter()
+            .map(|clip| clip.newcomers.map_or(f64::NAN, |new| new.delay_frames))
+    }
+
     fn minus(&self, other: &Self, figure: Figure) -> Vec<f64> {
         let pairs = self.figure(figure).zip(other.figure(figure));
         pairs.map(|(own, other)| own - other).collect()
@@ -88,12 +96,11 @@ impl Recordings {
         let mut clips = recorded::read(folder)?.only_with_detections(folder)?.clips;
         clips.retain(|clip| clip.truth.iter().flatten().any(|truth| !truth.is_empty()));
         if half_rate {
-            for clip in &mut clips {
-                clip.detections = clip.detections.take().map(every_second);
-                clip.truth = clip.truth.take().map(every_second);
-                clip.ignored = every_second(std::mem::take(&mut clip.ignored));
-                clip.frames = clip.frames.div_ceil(2);
-            }
+            let slower = |clip: Clip| match clip.frame_rate {
+                Some(rate) => clip.thinned(rate / 2.0),
+                None => clip,
+            };
+            clips = clips.into_iter().map(slower).collect();
         }
         let settings = Settings {
             confidence,
@@ -156,23 +163,23 @@ impl Recordings {
         let (value, own) = (ours.value, ours.mean(ap50));
         print!("| {name} | {skip:.3} | {theirs:.3} | {value:.3} | {own:.3} |");
         for (_, figure) in FIGURES {
-            let difference = Difference::of(&ours.minus(other, figure));
-            match difference.and_then(|found| Some((found.mean, found.interval?))) {
-                Some((mean, [lower, upper])) => {
-                    let [mean, lower, upper] = [mean, lower, upper].map(|s| 100.0 * s);
-                    print!(" {mean:+.1} [{lower:+.1}, {upper:+.1}] |");
-                }
-                None => print!(" |"),
-            }
+            let points = ours.minus(other, figure).into_iter().map(|points| 100.0 * points);
+            print!(" {} |", with_interval(&points.collect::<Vec<f64>>(), 1));
         }
+        let later = ours.newcomers().zip(other.newcomers()).map(|(own, other)| own - other);
+        print!(" {} |", with_interval(&later.collect::<Vec<f64>>(), 2));
         let changes = ours.minus(other, ap50).into_iter();
         println!(" {} |", changes.filter(|change| *change < 0.0).count());
         Ok(())
     }
 }
 
-fn every_second<T>(frames: Vec<T>) -> Vec<T> {
-    frames.into_iter().step_by(2).collect()
+/// The mean of `differences` with its 95 % interval; nothing if there is none.
+fn with_interval(differences: &[f64], decimals: usize) -> String {
+    let found = Difference::of(differences).and_then(|found| Some((found.mean, found.interval?)));
+    found.map_or_else(String::new, |(mean, [lower, upper])| {
+        format!("{mean:+.decimals$} [{lower:+.decimals$}, {upper:+.decimals$}]")
+    })
 }
 
 fn main() -> Outcome<()> {
@@ -187,9 +194,9 @@ fn main() -> Outcome<()> {
         let figures = FIGURES.map(|(name, figure)| format!("{name} {:.3}", point.mean(figure)));
         println!("- {policy}: {}", figures.join(", "));
     }
-    let figures = "Δ AP@50 | Δ AP@75 | Δ mAP | Δ F1@50 ≥ 0.3";
+    let figures = "Δ AP@50 | Δ AP@75 | Δ mAP | Δ F1@50 ≥ 0.3 | Δ newcomers, frames";
     println!("\n| policy | skip | AP@50 | λ | AP@50 | {figures} | worse |");
-    println!("| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |");
+    println!("| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |");
     for rate in SKIP_RATES {
         let even = recordings.at_skip_rate("even-skip-in-tracker", rate)?;
         recordings.row("even calls", &even)?;

@@ -15,12 +15,36 @@ mod pass;
 pub mod recorded;
 mod rows;
 mod truth;
+pub mod visdrone;
 
 pub use pass::{Pass, StepTimes};
 pub use truth::{GroundTruth, TruthFormat, vanilla_as_truth};
 
+/// The rules by which boxes on marked places are judged.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+pub enum Rules {
+    /// Those of the benchmark that the data comes from: boxes on crowds, distractors and ignored regions are not judged.
+    #[default]
+    Benchmark,
+    /// Those of the paper's evaluator: nothing is excused, and crowds of BDD100K are ground truth like any other box.
+    Paper,
+}
+
+impl Rules {
+    /// The rules in words.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Benchmark => "not judged, by the rules of the data's benchmark",
+            Self::Paper => "judged like all others, as the paper's evaluator does",
+        }
+    }
+}
+
 use crate::boxes::ScoredBox;
 use crate::error::EvalError;
+use crate::footage::FrameSelection;
+use crate::judge::{Ignored, Mark};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_vision::picture::picture_files;
@@ -51,8 +75,8 @@ pub struct Clip {
     pub truth: Option<Vec<Vec<ScoredBox>>>,
     /// The clip's pictures in order, if they are files.
     pub pictures: Vec<PathBuf>,
-    /// Regions in which the ground truth labels no objects, one list per frame; empty if the data set marks none.
-    pub ignored: Vec<Vec<Corners>>,
+    /// What the ground truth marks as not to be judged, one list per frame; empty if it marks nothing.
+    pub ignored: Vec<Vec<Ignored>>,
     /// Grey pictures and step times, if a detector ran on the pictures in this run.
     pub pass: Option<Pass>,
 }
@@ -73,6 +97,37 @@ impl Clip {
             ignored: Vec::new(),
             pass: None,
         }
+    }
+
+    /// Keeps `rate` frames per second, as if the camera were slower; all, if its rate is not known or not higher.
+    pub fn thinned(mut self, rate: f64) -> Self {
+        let Some(own) = self.frame_rate.filter(|own| *own > rate) else {
+            return self;
+        };
+        let selection = FrameSelection::new(own, rate);
+        let taken: Vec<bool> =
+            (0..self.frames).map(|frame| selection.takes(frame as u64)).collect();
+        fn kept<T>(frames: Vec<T>, taken: &[bool]) -> Vec<T> {
+            let frames = frames.into_iter().zip(taken).filter(|(_, taken)| **taken);
+            frames.map(|(frame, _)| frame).collect()
+        }
+        self.detections = self.detections.map(|frames| kept(frames, &taken));
+        self.screen = self.screen.map(|frames| kept(frames, &taken));
+        self.truth = self.truth.map(|frames| kept(frames, &taken));
+        self.ignored = kept(self.ignored, &taken);
+        self.pictures = kept(self.pictures, &taken);
+        self.pass = None;
+        self.frames = taken.iter().filter(|taken| **taken).count();
+        self.frame_rate = Some(rate);
+        self
+    }
+
+    /// Marks a place on a frame as not to be judged.
+    pub(crate) fn ignore(&mut self, frame: usize, ignored: Ignored) {
+        if self.ignored.len() <= frame {
+            self.ignored.resize(self.frames.max(frame + 1), Vec::new());
+        }
+        self.ignored[frame].push(ignored);
     }
 }
 
@@ -99,8 +154,10 @@ pub enum LeftOut {
     ConfidenceRange,
     /// The class is not in the mapping.
     UnmappedClass,
-    /// The data set marks the region as not to be judged.
+    /// The data set marks it as not to be judged.
     IgnoredRegion,
+    /// The data set does not judge it, and does not excuse boxes on it either.
+    Unjudged,
     /// The clip has no frames.
     EmptyClip,
 }
@@ -114,7 +171,8 @@ impl LeftOut {
             Self::OutsidePicture => "box wholly outside the picture",
             Self::ConfidenceRange => "confidence outside 0 to 1",
             Self::UnmappedClass => "class not mapped",
-            Self::IgnoredRegion => "region marked as not to be judged",
+            Self::IgnoredRegion => "marked as not to be judged (crowd, distractor, region)",
+            Self::Unjudged => "not looked for, and a box on it is wrong, as MOTChallenge does",
             Self::EmptyClip => "clip without frames",
         }
     }
@@ -146,6 +204,29 @@ impl LoadReport {
         *self.unmapped_classes.entry(class.to_owned()).or_default() += 1;
     }
 
+    /// Counts a place that is marked as not to be judged, and returns it if it is a place.
+    pub(crate) fn mark(
+        &mut self,
+        corners: Corners,
+        class: Option<ClassId>,
+        mark: Mark,
+        picture: PictureSize,
+        place: impl FnOnce() -> String,
+    ) -> Option<Ignored> {
+        let kept = Ignored {
+            corners,
+            class,
+            mark,
+        };
+        let reason = self.check(corners, picture);
+        let counted = match mark {
+            Mark::Unjudged => LeftOut::Unjudged,
+            _ => LeftOut::IgnoredRegion,
+        };
+        self.leave_out(reason.unwrap_or(counted), place);
+        reason.is_none().then_some(kept)
+    }
+
     /// Returns the box if it is valid; otherwise counts it under the reason to leave it out.
     pub(crate) fn keep(
         &mut self,
@@ -154,15 +235,10 @@ impl LoadReport {
         place: impl FnOnce() -> String,
     ) -> Option<ScoredBox> {
         let confidence = labelled.confidence;
-        let reason = match labelled.class {
-            Err(LeftOut::IgnoredRegion) => Some(LeftOut::IgnoredRegion),
-            _ => self
-                .check(labelled.corners, picture)
-                .or_else(|| (!confidence.is_finite()).then_some(LeftOut::NotFinite))
-                .or_else(|| {
-                    (!(0.0..=1.0).contains(&confidence)).then_some(LeftOut::ConfidenceRange)
-                }),
-        };
+        let reason = self
+            .check(labelled.corners, picture)
+            .or_else(|| (!confidence.is_finite()).then_some(LeftOut::NotFinite))
+            .or_else(|| (!(0.0..=1.0).contains(&confidence)).then_some(LeftOut::ConfidenceRange));
         match (reason, labelled.class) {
             (None, Ok(class)) => {
                 return Some(ScoredBox {
@@ -277,6 +353,17 @@ impl DataSet {
             ));
         }
         self.clips.push(clip);
+    }
+
+    /// Applies `rules`, and gives clips `rate` frames per second in place of the data's own.
+    pub fn judged_by(mut self, rules: Rules, rate: Option<f64>) -> Self {
+        for clip in &mut self.clips {
+            if rules == Rules::Paper {
+                clip.ignored.clear();
+            }
+            clip.frame_rate = rate.or(clip.frame_rate);
+        }
+        self
     }
 
     /// Leaves out the clips without stored detections, with a note for each.

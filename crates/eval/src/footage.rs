@@ -8,6 +8,7 @@ mod source;
 mod video;
 
 pub use downsampled::Downsampled;
+pub(crate) use downsampled::FrameSelection;
 pub use open::SourceName;
 pub use pictures::Pictures;
 pub use source::{FrameSource, Stopper};

@@ -1,10 +1,15 @@
-//! Judges boxes against the ground truth: average precision, and whether boxes keep the identity of their object.
+//! Judges boxes against the ground truth: average precision, whether boxes keep the identity of their object, and how late
+//! objects are found.
 
+mod assignment;
 pub(crate) mod average_precision;
 mod ignored;
+mod newcomers;
 mod tracking;
+mod truth;
 
 pub use average_precision::{Accuracy, Classes, Interpolation, SHOWN_CONFIDENCE, accuracy};
 pub(crate) use average_precision::{accuracy_by_class, hits};
-pub(crate) use ignored::outside_ignored;
+pub use newcomers::{MIN_HEIGHT, Newcomers, newcomers};
 pub use tracking::{Tracking, tracking};
+pub use truth::{Ignored, Mark, Truth};

@@ -6,8 +6,8 @@
 //! The rooms, from the ground up; each uses only those before it:
 //!
 //! ```text
-//! error, statistics, text | boxes, files, footage | judge, data | result, energy_model
-//! settings | spec | pictures, replay | run | summary | report, advise, compare
+//! error, statistics, text, boxes | files, footage, judge | data, result | energy_model
+//! settings | spec | pictures, replay, summary | run | report, advise, compare
 //! ```
 
 pub mod advise;

@@ -1,6 +1,6 @@
 //! Computes the figures of one policy on one clip.
 
-use crate::judge::{Accuracy, Tracking};
+use crate::judge::{Accuracy, Newcomers, Tracking};
 use crate::statistics::quantile;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_core::policy::FrameState;
@@ -125,6 +125,8 @@ pub struct ClipResult {
     pub accuracy: Option<Accuracy>,
     /// Tracking figures of these boxes; `None` if boxes or ground truth have no object numbers.
     pub tracking: Option<Tracking>,
+    /// How late objects were found in these boxes; `None` if the ground truth does not number its objects.
+    pub newcomers: Option<Newcomers>,
     /// Accuracy of all boxes of the policy, also those too faint to be published; `None` under the published scoring.
     pub accuracy_all: Option<Accuracy>,
     /// Tracking figures of all boxes.
@@ -158,6 +160,17 @@ impl ClipResult {
     /// Share of frames that skipped the detector, without degraded ones.
     pub fn skip_rate(&self) -> f64 {
         self.states.skip_rate(self.degraded_frames as u64)
+    }
+
+    /// How late objects were found, milliseconds; `None` without a frame rate.
+    pub fn newcomer_ms(&self) -> Option<f64> {
+        Some(self.newcomers?.delay_frames * 1e3 / self.frame_rate?)
+    }
+
+    /// Detector calls a second; `None` without a frame rate.
+    pub fn calls_a_second(&self) -> Option<f64> {
+        let frames = self.frames.max(1) as f64;
+        Some(self.detector_frames as f64 / frames * self.frame_rate?)
     }
 
     /// Share of each state in the order E, P, E+I, I, AI.

@@ -9,10 +9,9 @@ pub use against_detector::against_detector;
 pub(crate) use worst::SHOWN_POLICIES;
 pub use worst::attach_pictures;
 
-use crate::boxes::ScoredBox;
 use crate::data::Clip;
 use crate::error::EvalError;
-use crate::judge::{Accuracy, accuracy, outside_ignored};
+use crate::judge::Truth;
 use crate::replay::{StoredEvidence, replay, trace};
 use crate::result::ClipResult;
 use crate::settings::Settings;
@@ -106,8 +105,16 @@ fn run_policy(
     }
 
     let mut result = figures::of_replay(clip, &policy.label, &replayed);
-    if let Some(truth) = &clip.truth {
-        figures::judge(&mut result, clip, truth, &replayed, profile, settings);
+    if let Some(objects) = &clip.truth {
+        // The published evaluator has no ignored regions.
+        let truth = Truth {
+            objects,
+            ignored: match profile {
+                Profile::Paper => &clip.ignored,
+                Profile::Reference => &[],
+            },
+        };
+        figures::judge(&mut result, truth, &replayed, settings);
     }
     if settings.keep_worst {
         result.worst = worst::worst_frames(clip, &replayed, settings.confidence);
@@ -138,11 +145,4 @@ fn profile_of(policy: &str, profile: Profile) -> Profile {
         }
         _ => profile,
     }
-}
-
-/// Computes the accuracy of `boxes`, without those in ignored regions.
-fn judge(clip: &Clip, boxes: &[Vec<ScoredBox>], settings: &Settings) -> Option<Accuracy> {
-    let truth = clip.truth.as_ref()?;
-    let boxes = outside_ignored(boxes, truth, &clip.ignored);
-    accuracy(&boxes, truth, settings.classes, settings.interpolation)
 }

@@ -5,6 +5,18 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 /// Half the width of the 95 % confidence interval of the mean of `values`, by Student's t. `None` for fewer than two values,
 /// for one that is not finite, or when all are zero (t is 0/0 then).
 pub(crate) fn half_interval(values: &[f64]) -> Option<f64> {
+    let (_, standard_error, t) = students_t(values)?;
+    Some(t.inverse_cdf(0.975) * standard_error)
+}
+
+/// The two-sided p of the hypothesis that the mean of `values` is zero, by Student's t; `None` as for [`half_interval`].
+pub(crate) fn p_value(values: &[f64]) -> Option<f64> {
+    let (mean, standard_error, t) = students_t(values)?;
+    Some(2.0 * t.cdf(-(mean / standard_error).abs()))
+}
+
+/// Returns the mean of `values`, its standard error, and the distribution of their quotient.
+fn students_t(values: &[f64]) -> Option<(f64, f64, StudentsT)> {
     let count = values.len() as f64;
     if values.len() < 2 || values.iter().any(|value| !value.is_finite()) {
         return None;
@@ -16,8 +28,11 @@ pub(crate) fn half_interval(values: &[f64]) -> Option<f64> {
     if standard_error == 0.0 && mean == 0.0 {
         return None;
     }
-    let t = StudentsT::new(0.0, 1.0, count - 1.0).ok()?;
-    Some(t.inverse_cdf(0.975) * standard_error)
+    Some((
+        mean,
+        standard_error,
+        StudentsT::new(0.0, 1.0, count - 1.0).ok()?,
+    ))
 }
 
 /// The mean of `values`; `None` if there are none.
@@ -50,6 +65,7 @@ mod tests {
         for (found, expected) in [
             (mean - half, -0.08869166766646241),
             (mean + half, 2.4136916676664626),
+            (p_value(&values).unwrap(), 0.06401329152788986),
         ] {
             let off = (found / expected - 1.0).abs();
             assert!(off <= 1e-9, "{found:e} is not {expected:e}");

@@ -3,7 +3,8 @@
 use crate::judge::Accuracy;
 use crate::result::{ClipResult, Energy, Provenance};
 use crate::spec::BASELINE;
-use crate::statistics::{half_interval, mean};
+use crate::statistics::{half_interval, mean, p_value};
+use crate::text::signed;
 use serde::Serialize;
 use std::collections::{BTreeMap, HashMap};
 
@@ -16,7 +17,24 @@ pub struct Difference {
     pub mean: f64,
     /// Lower and upper end of its 95 % interval (paired t); `None` if it is undefined.
     pub interval: Option<[f64; 2]>,
+    /// The two-sided p of the paired t-test; `None` if it is undefined.
+    pub p: Option<f64>,
 }
+
+/// How late objects are found.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct NewcomerSummary {
+    /// Mean delay, frames.
+    pub frames: f64,
+    /// Mean delay, milliseconds; `None` if a clip has no frame rate.
+    pub ms: Option<f64>,
+    /// Mean share of objects that were never found.
+    pub never_found: f64,
+}
+
+/// What the figures of newcomers are, for the legend of a table.
+pub(crate) const NEWCOMERS: &str = "New, ms: how late an object is found, in frames and milliseconds, from its first \
+    box of 20 pixels height to its first published box (IoU 0.5); one that is never found (never) is late by its whole life.";
 
 impl Difference {
     /// Summarises the differences in `values`; `None` if there are none.
@@ -26,7 +44,43 @@ impl Difference {
             clips: values.len(),
             mean,
             interval: half_interval(values).map(|half| [mean - half, mean + half]),
+            p: p_value(values),
         })
+    }
+
+    /// The same in another unit, such as points (100).
+    pub(crate) fn scaled(self, factor: f64) -> Self {
+        Self {
+            mean: self.mean * factor,
+            interval: self.interval.map(|ends| ends.map(|end| end * factor)),
+            ..self
+        }
+    }
+
+    /// `+24.1 [+18.2, +30.1]`.
+    pub(crate) fn text(self, decimals: usize) -> String {
+        let mean = signed(self.mean, decimals);
+        match self.interval {
+            None => mean,
+            Some([lower, upper]) => {
+                let [lower, upper] = [lower, upper].map(|end| signed(end, decimals));
+                format!("{mean} [{lower}, {upper}]")
+            }
+        }
+    }
+
+    /// The p of the paired t-test with three decimals, or `-`.
+    pub(crate) fn p_text(self) -> String {
+        self.p.map_or_else(
+            || "-".to_owned(),
+            |p| {
+                if p < 0.001 {
+                    "<.001".to_owned()
+                } else {
+                    format!("{p:.3}")
+                }
+            },
+        )
     }
 }
 
@@ -50,15 +104,21 @@ pub struct PolicySummary {
     pub detector_frames: f64,
     /// Mean detector calls per frame.
     pub calls: f64,
+    /// Mean detector calls a second; `None` if a clip has no frame rate.
+    pub calls_a_second: Option<f64>,
     /// Mean delay of settled frames, frames.
     #[serde(skip)]
     pub delay: f64,
+    /// How late objects are found; `None` if the ground truth does not number them.
+    pub newcomers: Option<NewcomerSummary>,
     /// Mean AP@50 of the boxes that a node publishes.
     pub ap50: Option<f64>,
     /// Mean AP@50 of all boxes of the policy.
     pub ap50_all: Option<f64>,
-    /// Mean mAP@50:95.
+    /// Mean mAP@50:95 of the boxes that a node publishes.
     pub map: Option<f64>,
+    /// Mean mAP@50:95 of all boxes of the policy.
+    pub map_all: Option<f64>,
     /// Mean AP@75.
     pub ap75: Option<f64>,
     /// Mean F1 at IoU 0.5 of the boxes that are confident enough to be shown.
@@ -84,6 +144,12 @@ pub struct PolicySummary {
     pub f1_50_shown_change: Option<Difference>,
     /// mAP@50:95 minus the baseline's.
     pub map_change: Option<Difference>,
+    /// AP@50 of all boxes minus that of the baseline's.
+    pub ap50_all_change: Option<Difference>,
+    /// mAP@50:95 of all boxes minus that of the baseline's.
+    pub map_all_change: Option<Difference>,
+    /// The delay of newcomers minus the baseline's, frames.
+    pub newcomers_change: Option<Difference>,
     /// True if no other policy has at least the skip rate and the AP@50, and more of one of the two.
     pub on_skip_frontier: bool,
 }
@@ -134,12 +200,20 @@ fn summarise_policy(
         over(&|result| Some(figure(result))).unwrap_or_default()
     };
     let frames = results.iter().map(|result| result.frames).sum::<usize>();
-    let change = |figure: fn(&Accuracy) -> f64| {
+    let paired = |figure: &dyn Fn(&ClipResult) -> Option<f64>| {
         let pairs = results.iter().filter_map(|result| {
             let other = baseline.get(result.clip.as_str())?;
-            Some(figure(result.accuracy.as_ref()?) - figure(other.accuracy.as_ref()?))
+            Some(figure(result)? - figure(other)?)
         });
         Difference::of(&pairs.filter(|_| policy != BASELINE).collect::<Vec<f64>>())
+    };
+    let change = |figure: fn(&Accuracy) -> f64| paired(&|result| Some(figure(&result.accuracy?)));
+    let change_all =
+        |figure: fn(&Accuracy) -> f64| paired(&|result| Some(figure(&result.accuracy_all?)));
+    // A mean over only some of the clips would not be that of the others' frames.
+    let if_all = |figure: &dyn Fn(&ClipResult) -> Option<f64>| {
+        let is_known = results.iter().all(|result| figure(result).is_some());
+        is_known.then(|| over(figure)).flatten()
     };
     let mut classes: BTreeMap<String, Vec<f64>> = BTreeMap::new();
     for result in results {
@@ -156,10 +230,24 @@ fn summarise_policy(
         states: std::array::from_fn(|state| all(&|result| result.state_shares()[state])),
         detector_frames: all(&|result| result.detector_frames as f64),
         calls: all(&|result| result.detector_frames as f64 / result.frames.max(1) as f64),
+        calls_a_second: if_all(&|result| result.calls_a_second()),
         delay: all(&|result| result.delay),
+        newcomers: over(&|result| Some(result.newcomers?.delay_frames)).map(|frames| {
+            let never = |result: &ClipResult| {
+                let found = result.newcomers?;
+                Some(found.never_found as f64 / found.objects as f64)
+            };
+            NewcomerSummary {
+                frames,
+                ms: over(&|result| result.newcomer_ms())
+                    .filter(|_| results.iter().all(|result| result.frame_rate.is_some())),
+                never_found: over(&never).unwrap_or_default(),
+            }
+        }),
         ap50: over(&|result| result.accuracy.map(|accuracy| accuracy.ap50)),
         ap50_all: over(&|result| result.accuracy_all.map(|accuracy| accuracy.ap50)),
         map: over(&|result| result.accuracy.map(|accuracy| accuracy.map)),
+        map_all: over(&|result| result.accuracy_all.map(|accuracy| accuracy.map)),
         ap75: over(&|result| result.accuracy.map(|accuracy| accuracy.ap75)),
         f1_50_shown: over(&|result| result.accuracy.map(|accuracy| accuracy.f1_50_shown)),
         hota: over(&|result| result.tracking.map(|tracking| tracking.hota)),
@@ -185,6 +273,9 @@ fn summarise_policy(
         ap75_change: change(|accuracy| accuracy.ap75),
         f1_50_shown_change: change(|accuracy| accuracy.f1_50_shown),
         map_change: change(|accuracy| accuracy.map),
+        ap50_all_change: change_all(|accuracy| accuracy.ap50),
+        map_all_change: change_all(|accuracy| accuracy.map),
+        newcomers_change: paired(&|result| Some(result.newcomers?.delay_frames)),
         on_skip_frontier: false,
     }
 }

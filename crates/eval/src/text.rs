@@ -72,6 +72,27 @@ pub(crate) fn table<'a>(columns: impl Iterator<Item = &'a Column> + Clone, gap: 
     text
 }
 
+/// Formats a figure with one decimal, or as `-` if there is none.
+pub(crate) fn one_decimal(value: Option<f64>) -> String {
+    or_dash(value.map(|value| format!("{value:.1}")))
+}
+
+/// Formats a figure with two decimals, or as `-` if there is none.
+pub(crate) fn two_decimals(value: Option<f64>) -> String {
+    or_dash(value.map(|value| format!("{value:.2}")))
+}
+
+/// Formats a difference with its sign; one that rounds to zero has none that means anything, and is `+0.0`.
+pub(crate) fn signed(value: f64, decimals: usize) -> String {
+    let text = format!("{value:+.decimals$}");
+    let is_zero = !text.contains(|digit: char| digit.is_ascii_digit() && digit != '0');
+    if is_zero {
+        text.replace('-', "+")
+    } else {
+        text
+    }
+}
+
 /// Formats a figure with three decimals, or as `-` if there is none.
 pub(crate) fn three_decimals(value: Option<f64>) -> String {
     or_dash(value.map(|value| format!("{value:.3}")))
@@ -79,4 +100,15 @@ pub(crate) fn three_decimals(value: Option<f64>) -> String {
 
 pub(crate) fn or_dash(cell: Option<String>) -> String {
     cell.unwrap_or_else(|| "-".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_difference_that_rounds_to_zero_is_not_negative() {
+        let texts = [-0.04, 0.0, -0.0, -0.06, 1.24].map(|value| signed(value, 1));
+        assert_eq!(texts, ["+0.0", "+0.0", "+0.0", "-0.1", "+1.2"]);
+    }
 }

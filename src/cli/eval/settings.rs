@@ -2,8 +2,10 @@
 
 use super::{JUDGED, WRITTEN};
 use albireo_core::policy::Profile;
+use albireo_eval::data::Rules;
 use albireo_eval::judge::{Classes, Interpolation};
 use albireo_eval::settings::{ScreenRule, Settings};
+use anyhow::bail;
 use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use std::path::PathBuf;
@@ -27,6 +29,10 @@ pub(super) struct SettingsArguments {
     /// [default: --confidence for detected boxes, half of it for predicted ones].
     #[arg(long, help_heading = JUDGED)]
     pub report_confidence: Option<f64>,
+    /// How boxes are judged where the ground truth marks crowds, distractors or ignored regions [default: benchmark; paper with
+    /// --profile reference].
+    #[arg(long, help_heading = JUDGED, value_enum)]
+    pub rules: Option<Rules>,
     /// Judge every class by itself instead of all as one.
     #[arg(long, help_heading = JUDGED)]
     pub per_class: bool,
@@ -50,6 +56,22 @@ fn profile_parser() -> impl TypedValueParser<Value = Profile> {
 }
 
 impl SettingsArguments {
+    /// The rules by which boxes on marked places are judged.
+    ///
+    /// # Errors
+    /// When those of the benchmark are asked for with the published code's definitions, which have none.
+    pub(super) fn rules(&self) -> anyhow::Result<Rules> {
+        match (self.profile, self.rules) {
+            (Profile::Reference, Some(Rules::Benchmark)) => {
+                bail!(
+                    "--profile reference judges as the paper's evaluator does: --rules benchmark needs --profile paper"
+                )
+            }
+            (Profile::Reference, _) => Ok(Rules::Paper),
+            (Profile::Paper, rules) => Ok(rules.unwrap_or_default()),
+        }
+    }
+
     /// The settings, without an energy model.
     pub(super) fn settings(&self) -> Settings {
         Settings {

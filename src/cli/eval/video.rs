@@ -1,11 +1,10 @@
 //! `albireo eval video`: runs a real detector once over videos or pictures, then every policy on its detections.
 
-use super::{LOOKED, RunArguments, conclude, listed, policies, settings, streams_asked};
+use super::{LOOKED, RunArguments, conclude, listed, policies, rates, settings, streams_asked};
 use crate::cli::progress;
-use crate::cli::values::parse_rate;
 use albireo_eval::data::{Clip, LoadReport, recorded};
 use albireo_eval::data::{GroundTruth, StepTimes, TruthFormat, vanilla_as_truth};
-use albireo_eval::footage::{Downsampled, FrameSource, Pictures, SourceName, VideoEncoding};
+use albireo_eval::footage::{Downsampled, FrameSource, SourceName, VideoEncoding};
 use albireo_eval::pictures::{LOWEST_CONFIDENCE, ModelRunner, PassSettings, run_pass};
 use albireo_eval::report::Report;
 use albireo_eval::result::{ClipResult, Spread};
@@ -34,12 +33,6 @@ pub(super) struct VideoArguments {
     /// demo/road.tar. Each is a clip named after its file; each folder of an archive is one
     #[arg(required = true, value_name = "CLIP")]
     clips: Vec<SourceName>,
-    /// Frames per second of pictures.
-    #[arg(long, default_value_t = Pictures::DEFAULT_RATE, value_parser = parse_rate)]
-    rate: f64,
-    /// Take this many frames per second, as if the camera were slower.
-    #[arg(long, value_name = "FPS", conflicts_with = "ground_truth", value_parser = parse_rate)]
-    fps: Option<f64>,
     /// How a video's frames are encoded on the way from ffmpeg to the detector.
     #[arg(long, value_enum, default_value_t)]
     encoding: VideoEncoding,
@@ -94,9 +87,16 @@ pub(super) fn run(video: &VideoArguments) -> anyhow::Result<()> {
     let names = clip_names(&video.clips)?;
     let policies = policies(&arguments, true)?;
     let settings = settings(&arguments)?;
+    ensure!(
+        video.ground_truth.is_empty() || arguments.fps.is_none(),
+        "--fps leaves out frames of which --ground-truth tells: save the detections of all frames with --save-detections, and \
+         give --fps to `albireo eval recorded`"
+    );
+    let rules = arguments.settings.rules()?;
     let truth = video
         .truth_format
-        .map(|format| GroundTruth::new(video.ground_truth.clone(), format));
+        .map(|format| GroundTruth::read(&video.ground_truth, format, rules))
+        .transpose()?;
     if let Some(truth) = &truth {
         truth.check(&names)?;
     }
@@ -119,10 +119,19 @@ pub(super) fn run(video: &VideoArguments) -> anyhow::Result<()> {
         kept: Vec::new(),
     };
     for clips in &video.clips {
-        for mut source in clips.open_clips(Some(video.rate), video.encoding)? {
-            match video.fps {
-                None => evaluation.add(source.as_mut())?,
-                Some(rate) => evaluation.add(&mut Downsampled::new(source.as_mut(), rate))?,
+        for mut source in clips.open_clips(evaluation.arguments.rate, video.encoding)? {
+            let rate = evaluation.rate(clips, source.as_ref());
+            match evaluation.arguments.fps {
+                None => evaluation.add(source.as_mut(), rate)?,
+                Some(fps) => {
+                    ensure!(
+                        rate.is_some(),
+                        "--fps {fps}: pictures do not say how many of them are a second: add --rate"
+                    );
+                    let mut slower = Downsampled::new(source.as_mut(), fps);
+                    let rate = Some(slower.rate());
+                    evaluation.add(&mut slower, rate)?;
+                }
             }
         }
     }
@@ -178,18 +187,33 @@ struct Evaluation<'a> {
 }
 
 impl Evaluation<'_> {
-    /// Runs the detector over a clip, and all policies on its detections.
-    fn add(&mut self, source: &mut dyn FrameSource) -> anyhow::Result<()> {
+    /// Returns the frames per second of a clip: those that were asked for, the video's own, or those of the ground truth.
+    /// Pictures alone have none.
+    fn rate(&self, name: &SourceName, source: &dyn FrameSource) -> Option<f64> {
+        let own = || match name {
+            SourceName::Video(_) => Some(source.rate()),
+            SourceName::Pictures(_) | SourceName::Archive(_) => {
+                self.truth.as_ref()?.rate(source.name(), self.names.len() == 1)
+            }
+        };
+        self.arguments.rate.or_else(own)
+    }
+
+    /// Runs the detector over a clip of `rate` frames per second, and all policies on its detections.
+    fn add(&mut self, source: &mut dyn FrameSource, rate: Option<f64>) -> anyhow::Result<()> {
         let mut clip = pass_over(
             source,
             &mut self.models,
             &self.pass_settings,
             &mut self.report,
         )?;
+        clip.frame_rate = rate;
         let pass = clip.pass.take();
         self.times.extend(pass.iter().flat_map(|pass| &pass.times).copied());
         if let Some(truth) = &mut self.truth {
-            truth.attach_to(&mut clip, self.names.len() == 1, &mut self.report)?;
+            // The frames behind a limit were not looked at.
+            let is_whole = self.pass_settings.max_frames != Some(clip.frames);
+            truth.attach_to(&mut clip, self.names.len() == 1, is_whole, &mut self.report)?;
         }
         if self.video.pass.save_detections.is_some() {
             self.kept.push(clip.clone());
@@ -235,7 +259,7 @@ impl Evaluation<'_> {
         };
         let times = times_of_steps(&self.times);
         let mut settings = vec![("Judged".to_owned(), basis.clone())];
-        settings.extend(listed(&self.arguments));
+        settings.extend(listed(&self.arguments, &rates(&self.results))?);
         settings.push((
             "Detector".to_owned(),
             format!(
@@ -386,8 +410,12 @@ pub(super) fn look_at(
     let mut pictured = Vec::new();
     for clip in clips {
         for mut source in clip.open_clips(rate, VideoEncoding::default())? {
-            let clip = pass_over(source.as_mut(), &mut models, &settings, &mut report)?;
-            pictured.push(clip);
+            let mut looked_at = pass_over(source.as_mut(), &mut models, &settings, &mut report)?;
+            // Pictures have no rate of their own; what was assumed for playing is no fact to be saved.
+            if !matches!(clip, SourceName::Video(_)) {
+                looked_at.frame_rate = rate;
+            }
+            pictured.push(looked_at);
         }
     }
     end_pass(pass, &report, &pictured)?;

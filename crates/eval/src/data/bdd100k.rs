@@ -2,22 +2,24 @@
 //! list of frames, or an object with `frames`; each frame has its video, index and labels.
 //!
 //! Both spellings of the keys are read: `videoName`/`frameIndex` and the older `video_name`/`index`. A file
-//! of predictions has the same form and a `score` in each label. Boxes marked as crowd are ground truth like any
-//! other: neither the paper nor its published evaluator makes an exception for them.
+//! of predictions has the same form and a `score` in each label.
+//!
+//! Crowds, labels with the attribute `ignored`, and the categories "other person", "other vehicle" and "trailer" are regions
+//! in which boxes are not judged, as in BDD100K's own evaluation and TrackEval's. The paper's evaluator makes no exception:
+//! under [`Rules::Paper`] crowds are ground truth like any other box.
 
 use super::classes::from_name;
 use super::rows::MAX_FRAMES;
-use super::{Clip, DataSet, LabelledBox, LoadReport, entries, has_extension};
+use super::{Clip, DataSet, LabelledBox, LoadReport, Rules, entries, has_extension};
 use crate::boxes::ScoredBox;
 use crate::error::EvalError;
 use crate::files::read_text;
+use crate::judge::{Ignored, Mark};
 use albireo_core::geometry::{Corners, PictureSize};
 use serde::Deserialize;
-use std::collections::{BTreeMap, BTreeSet, btree_map};
+use std::collections::{BTreeMap, BTreeSet, HashMap, btree_map};
 use std::path::{Path, PathBuf};
 
-/// Size of all pictures of BDD100K.
-pub(crate) const BDD100K_SIZE: PictureSize = PictureSize::new(1280, 720);
 /// Frames per second at which the tracking set is annotated.
 pub const BDD100K_FRAME_RATE: f64 = 5.0;
 
@@ -48,6 +50,27 @@ struct Label {
     score: Option<f64>,
     #[serde(default)]
     box2d: Option<Box2d>,
+    #[serde(default)]
+    attributes: Option<HashMap<String, serde_json::Value>>,
+}
+
+/// Categories that BDD100K labels and does not evaluate.
+const DISTRACTORS: [&str; 3] = ["other person", "other vehicle", "trailer"];
+
+impl Label {
+    /// True if boxes at this label are not judged.
+    fn is_region(&self, rules: Rules) -> bool {
+        let is_set = |name: &str| {
+            self.attributes.iter().flatten().any(|(key, value)| {
+                key.eq_ignore_ascii_case(name)
+                    && (value == true || value.as_str().is_some_and(|text| text == "true"))
+            })
+        };
+        rules == Rules::Benchmark
+            && (is_set("crowd")
+                || is_set("ignored")
+                || DISTRACTORS.contains(&self.category.as_str()))
+    }
 }
 
 #[derive(Clone, Copy, Deserialize)]
@@ -69,10 +92,19 @@ pub struct Source<'a> {
     pub picture: PictureSize,
     /// Frames per second.
     pub frame_rate: Option<f64>,
+    /// How crowds are judged.
+    pub rules: Rules,
 }
 
-/// Boxes of each video's frames, by index.
-type Videos = BTreeMap<String, BTreeMap<usize, Vec<ScoredBox>>>;
+/// The boxes of a frame, and the regions in which none are judged.
+#[derive(Clone, Default)]
+struct Labelled {
+    boxes: Vec<ScoredBox>,
+    regions: Vec<Ignored>,
+}
+
+/// Labels of each video's frames, by index.
+type Videos = BTreeMap<String, BTreeMap<usize, Labelled>>;
 
 /// Reads labels, predictions or both; clips are the videos named in either.
 ///
@@ -80,14 +112,13 @@ type Videos = BTreeMap<String, BTreeMap<usize, Vec<ScoredBox>>>;
 /// [`EvalError`] for a missing or broken file, a prediction without a score, or a frame that occurs twice.
 pub fn read(source: &Source<'_>) -> Result<DataSet, EvalError> {
     let mut data = DataSet::default();
-    let picture = source.picture;
+    let reading = Reading {
+        picture: source.picture,
+        rules: source.rules,
+    };
     let report = &mut data.report;
-    let mut truths =
-        source.truth.map(|path| read_videos(path, picture, false, report)).transpose()?;
-    let mut found = source
-        .detections
-        .map(|path| read_videos(path, picture, true, report))
-        .transpose()?;
+    let mut truths = source.truth.map(|path| reading.videos(path, false, report)).transpose()?;
+    let mut found = source.detections.map(|path| reading.videos(path, true, report)).transpose()?;
     let names: BTreeSet<String> = truths
         .iter()
         .flat_map(BTreeMap::keys)
@@ -98,12 +129,18 @@ pub fn read(source: &Source<'_>) -> Result<DataSet, EvalError> {
         let truth = truths.as_mut().and_then(|truths| truths.remove(&name));
         let detections = found.as_mut().and_then(|found| found.remove(&name));
         let frames = length(truth.as_ref()).max(length(detections.as_ref()));
-        data.push(Clip {
+        let mut clip = Clip {
             frame_rate: source.frame_rate,
-            detections: detections.map(|detections| spread(detections, frames)),
-            truth: truth.map(|truth| spread(truth, frames)),
-            ..Clip::new(name, picture, frames)
-        });
+            ..Clip::new(name, source.picture, frames)
+        };
+        if let Some(truth) = truth {
+            for (frame, labelled) in &truth {
+                labelled.regions.iter().for_each(|region| clip.ignore(*frame, *region));
+            }
+            clip.truth = Some(spread(truth, frames));
+        }
+        clip.detections = detections.map(|detections| spread(detections, frames));
+        data.push(clip);
     }
     let place = source.truth.or(source.detections).unwrap_or(Path::new("."));
     data.nonempty(place)
@@ -113,56 +150,123 @@ fn length<T>(frames: Option<&BTreeMap<usize, T>>) -> usize {
     frames.and_then(BTreeMap::last_key_value).map_or(0, |(index, _)| index + 1)
 }
 
-/// Returns one list per frame; frames that the file does not contain are empty.
-fn spread(by_index: BTreeMap<usize, Vec<ScoredBox>>, frames: usize) -> Vec<Vec<ScoredBox>> {
+/// Returns one list of boxes per frame; frames that the file does not contain are empty.
+fn spread(by_index: BTreeMap<usize, Labelled>, frames: usize) -> Vec<Vec<ScoredBox>> {
     let mut spread = vec![Vec::new(); frames];
-    for (index, boxes) in by_index {
-        spread[index] = boxes;
+    for (index, labelled) in by_index {
+        spread[index] = labelled.boxes;
     }
     spread
 }
 
-fn read_videos(
-    path: &Path,
+/// What the reader of a file has to know beside it.
+#[derive(Clone, Copy)]
+struct Reading {
     picture: PictureSize,
-    scored: bool,
-    report: &mut LoadReport,
-) -> Result<Videos, EvalError> {
-    let mut videos = Videos::new();
-    for file in json_files(path)? {
-        let text = read_text(&file, "give a JSON file of frames or a folder of them")?;
-        let parsed = if text.trim_start().starts_with('[') {
-            serde_json::from_str(&text)
-        } else {
-            serde_json::from_str(&text).map(|export: Export| export.frames)
-        };
-        let frames: Vec<Frame> = parsed.map_err(|error| {
-            let what = format!("this is not a list of frames in the Scalabel format: {error}");
-            EvalError::line(&file, error.line() as u64, what)
-        })?;
-        let stem = file.file_stem().unwrap_or("clip".as_ref()).to_string_lossy();
-        for (position, frame) in frames.into_iter().enumerate() {
-            let index = frame.index.unwrap_or(position);
-            let video = frame.video.as_deref().unwrap_or(&stem).to_owned();
-            let place = videos.entry(video).or_default().entry(index);
-            let btree_map::Entry::Vacant(place) = place else {
-                let what = format!(
-                    "frame {} occurs twice: its video already has the index {index}",
-                    frame.name
-                );
-                return Err(EvalError::content(&file, what));
+    rules: Rules,
+}
+
+impl Reading {
+    fn videos(
+        self,
+        path: &Path,
+        scored: bool,
+        report: &mut LoadReport,
+    ) -> Result<Videos, EvalError> {
+        let mut videos = Videos::new();
+        for file in json_files(path)? {
+            let text = read_text(&file, "give a JSON file of frames or a folder of them")?;
+            let parsed = if text.trim_start().starts_with('[') {
+                serde_json::from_str(&text)
+            } else {
+                serde_json::from_str(&text).map(|export: Export| export.frames)
             };
-            if index >= MAX_FRAMES {
-                let what = format!(
-                    "frame {} has the index {index}, which is too large for a clip",
-                    frame.name
-                );
-                return Err(EvalError::content(&file, what));
+            let frames: Vec<Frame> = parsed.map_err(|error| {
+                let what = format!("this is not a list of frames in the Scalabel format: {error}");
+                EvalError::line(&file, error.line() as u64, what)
+            })?;
+            let stem = file.file_stem().unwrap_or("clip".as_ref()).to_string_lossy();
+            for (position, frame) in frames.into_iter().enumerate() {
+                let (video, index) = frame.place(&stem, position);
+                let place = videos.entry(video).or_default().entry(index);
+                let btree_map::Entry::Vacant(place) = place else {
+                    let what = format!(
+                        "frame {} occurs twice: its video already has the index {index}",
+                        frame.name
+                    );
+                    return Err(EvalError::content(&file, what));
+                };
+                if index >= MAX_FRAMES {
+                    let what = format!(
+                        "frame {} has the index {index}, which is too large for a clip",
+                        frame.name
+                    );
+                    return Err(EvalError::content(&file, what));
+                }
+                place.insert(self.boxes(&file, &frame, scored, report)?);
             }
-            place.insert(boxes(&file, &frame, picture, scored, report)?);
+        }
+        Ok(videos)
+    }
+
+    /// Reads the labels of a frame, without those that are left out.
+    fn boxes(
+        self,
+        file: &Path,
+        frame: &Frame,
+        scored: bool,
+        report: &mut LoadReport,
+    ) -> Result<Labelled, EvalError> {
+        let mut read = Labelled::default();
+        for (number, label) in frame.labels.iter().flatten().enumerate() {
+            let Some(Box2d { x1, y1, x2, y2 }) = label.box2d else {
+                continue;
+            };
+            let confidence = match label.score.filter(|_| scored) {
+                None if scored => {
+                    let what = format!(
+                        "frame {}, label {number} has no `score`: is this ground truth?",
+                        frame.name
+                    );
+                    return Err(EvalError::content(file, what));
+                }
+                score => score.unwrap_or(1.0),
+            };
+            let corners = Corners { x1, y1, x2, y2 };
+            let place = || format!("{}, frame {}, label {number}", file.display(), frame.name);
+            if !scored && label.is_region(self.rules) {
+                let region = report.mark(corners, None, Mark::Region, self.picture, place);
+                read.regions.extend(region);
+                continue;
+            }
+            let labelled = LabelledBox {
+                corners,
+                class: from_name(&label.category),
+                class_name: label.category.as_str().into(),
+                confidence,
+                object: label.id.as_ref().and_then(number_of),
+            };
+            read.boxes.extend(report.keep(&labelled, self.picture, place));
+        }
+        Ok(read)
+    }
+}
+
+impl Frame {
+    /// The video and the index of the frame. A file that names neither, such as the label file of the paper's authors, has
+    /// them in the names of its pictures: `<video>-<7 digits>.jpg`, counted from 1. Any other file is one video.
+    fn place(&self, file_stem: &str, position: usize) -> (String, usize) {
+        let of_picture = self.name.rsplit_once('.').map_or(self.name.as_str(), |(stem, _)| stem);
+        let by_name = of_picture.rsplit_once('-').and_then(|(video, number)| {
+            let number = Some(number).filter(|number| number.len() == 7)?.parse::<usize>().ok()?;
+            Some((video, number.checked_sub(1)?))
+        });
+        match (&self.video, by_name) {
+            (Some(video), _) => (video.clone(), self.index.unwrap_or(position)),
+            (None, Some((video, number))) => (video.to_owned(), self.index.unwrap_or(number)),
+            (None, None) => (file_stem.to_owned(), self.index.unwrap_or(position)),
         }
     }
-    Ok(videos)
 }
 
 /// Returns the file itself, or the JSON files of a folder, sorted.
@@ -172,42 +276,6 @@ fn json_files(path: &Path) -> Result<Vec<PathBuf>, EvalError> {
     }
     entries(path, |path| has_extension(path, &["json"]))
         .map_err(|error| EvalError::read(path, error, "is the folder readable?"))
-}
-
-/// Reads the boxes of a frame, without those that are left out.
-fn boxes(
-    file: &Path,
-    frame: &Frame,
-    picture: PictureSize,
-    scored: bool,
-    report: &mut LoadReport,
-) -> Result<Vec<ScoredBox>, EvalError> {
-    let mut boxes = Vec::new();
-    for (number, label) in frame.labels.iter().flatten().enumerate() {
-        let Some(Box2d { x1, y1, x2, y2 }) = label.box2d else {
-            continue;
-        };
-        let confidence = match label.score.filter(|_| scored) {
-            None if scored => {
-                let what = format!(
-                    "frame {}, label {number} has no `score`: is this ground truth?",
-                    frame.name
-                );
-                return Err(EvalError::content(file, what));
-            }
-            score => score.unwrap_or(1.0),
-        };
-        let labelled = LabelledBox {
-            corners: Corners { x1, y1, x2, y2 },
-            class: from_name(&label.category),
-            class_name: label.category.as_str().into(),
-            confidence,
-            object: label.id.as_ref().and_then(number_of),
-        };
-        let place = || format!("{}, frame {}, label {number}", file.display(), frame.name);
-        boxes.extend(report.keep(&labelled, picture, place));
-    }
-    Ok(boxes)
 }
 
 /// Reads an object's id, which files write as a number or as text.

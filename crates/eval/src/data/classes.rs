@@ -49,21 +49,33 @@ pub(crate) fn from_kitti(kind: &str) -> Result<ClassId, LeftOut> {
         "Cyclist" => Ok(BICYCLE),
         "Car" | "Van" => Ok(CAR),
         "Truck" => Ok(TRUCK),
-        "DontCare" => Err(LeftOut::IgnoredRegion),
         _ => Err(LeftOut::UnmappedClass),
     }
 }
 
-/// Maps a class number of MOT16 or later. The 2015 release writes -1 and contains only pedestrians.
+/// Maps a class number of MOT16 or later that has boxes to be found. The 2015 release writes -1 and contains only
+/// pedestrians.
 pub(crate) fn from_mot_challenge(number: i64) -> Result<ClassId, LeftOut> {
     match number {
-        // Pedestrian, person on a vehicle, static person.
-        -1 | 1 | 2 | 7 => Ok(PERSON),
+        -1 | 1 => Ok(PERSON),
         3 => Ok(CAR),
         4 => Ok(BICYCLE),
         5 => Ok(MOTORCYCLE),
-        // Distractor, occluder, occluder on the ground, occluder full, reflection, crowd.
-        8..=13 => Err(LeftOut::IgnoredRegion),
+        _ => Err(LeftOut::UnmappedClass),
+    }
+}
+
+/// Maps a category of VisDrone.
+pub(crate) fn from_visdrone(number: i64) -> Result<ClassId, LeftOut> {
+    match number {
+        // Pedestrian, people.
+        1 | 2 => Ok(PERSON),
+        3 => Ok(BICYCLE),
+        // Car, van.
+        4 | 5 => Ok(CAR),
+        6 => Ok(TRUCK),
+        9 => Ok(BUS),
+        10 => Ok(MOTORCYCLE),
         _ => Err(LeftOut::UnmappedClass),
     }
 }

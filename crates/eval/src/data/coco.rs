@@ -3,13 +3,16 @@
 //! A clip is a video if images have `video_id`, and otherwise a folder of `file_name`; its frames are in order of
 //! `frame_id`, and otherwise of the file names. Boxes are `[x, y, width, height]`. Source: COCO data format,
 //! cocodataset.org, and its video extensions as in TAO and YouTube-VIS.
+//!
+//! An annotation with `iscrowd` is a crowd, one with `ignore` an object that is not judged; both as in pycocotools.
 
 use super::classes::from_name;
 use super::{Clip, DataSet, LabelledBox, LeftOut};
 use crate::error::EvalError;
+use crate::judge::Mark;
 use albireo_core::geometry::{Corners, PictureSize};
-use serde::Deserialize;
 use serde::de::DeserializeOwned;
+use serde::{Deserialize, Deserializer};
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
@@ -41,12 +44,23 @@ struct Annotation {
     image_id: u64,
     category_id: u64,
     bbox: [f64; 4],
-    #[serde(default)]
-    iscrowd: u8,
+    #[serde(default, deserialize_with = "flag")]
+    iscrowd: bool,
+    #[serde(default, deserialize_with = "flag")]
+    ignore: bool,
     #[serde(default, alias = "instance_id")]
     track_id: Option<u64>,
     #[serde(default)]
     score: Option<f64>,
+}
+
+/// Reads a flag, which files write as a number or as `true`.
+fn flag<'de, D: Deserializer<'de>>(deserializer: D) -> Result<bool, D::Error> {
+    Ok(match serde_json::Value::deserialize(deserializer)? {
+        serde_json::Value::Bool(set) => set,
+        serde_json::Value::Number(number) => number.as_f64() != Some(0.0),
+        _ => false,
+    })
 }
 
 #[derive(Deserialize)]
@@ -60,6 +74,8 @@ struct Video {
     id: u64,
     #[serde(default)]
     name: Option<String>,
+    #[serde(default, alias = "frame_rate")]
+    fps: Option<f64>,
 }
 
 /// Reads a data set and, if given, a list of results on its images.
@@ -80,15 +96,9 @@ pub fn read(dataset: &Path, results: Option<&Path>) -> Result<DataSet, EvalError
     let report = &mut data.report;
     let labelled = |annotation: &Annotation, confidence| {
         let name = names.get(&annotation.category_id).copied();
-        let known = name.map_or(Err(LeftOut::UnmappedClass), from_name);
-        let is_crowd = annotation.iscrowd != 0;
         LabelledBox {
             corners: corners(annotation.bbox),
-            class: if is_crowd {
-                Err(LeftOut::IgnoredRegion)
-            } else {
-                known
-            },
+            class: name.map_or(Err(LeftOut::UnmappedClass), from_name),
             class_name: name.map_or_else(
                 || format!("category {}", annotation.category_id).into(),
                 Into::into,
@@ -101,9 +111,22 @@ pub fn read(dataset: &Path, results: Option<&Path>) -> Result<DataSet, EvalError
         let spot = || format!("{}, annotation {number}", dataset.display());
         let (clip, frame) = place(dataset, &places, annotation, number)?;
         let clip = &mut drafts[clip];
-        let kept = report.keep(&labelled(annotation, 1.0), clip.picture, spot);
-        if let Some(truth) = &mut clip.truth {
-            truth[frame].extend(kept);
+        let labelled = labelled(annotation, 1.0);
+        let mark = match (annotation.iscrowd, annotation.ignore) {
+            (true, _) => Some(Mark::Crowd),
+            (false, true) => Some(Mark::Object),
+            (false, false) => None,
+        };
+        if let (Some(mark), Ok(class)) = (mark, labelled.class) {
+            let marked = report.mark(labelled.corners, Some(class), mark, clip.picture, spot);
+            if let Some(marked) = marked {
+                clip.ignore(frame, marked);
+            }
+        } else {
+            let kept = report.keep(&labelled, clip.picture, spot);
+            if let Some(truth) = &mut clip.truth {
+                truth[frame].extend(kept);
+            }
         }
     }
     if let Some(path) = results {
@@ -169,21 +192,14 @@ fn frames(
     has_truth: bool,
     has_detections: bool,
 ) -> Result<(Vec<Clip>, Places), EvalError> {
-    let videos: HashMap<u64, String> = set
-        .videos
-        .iter()
-        .map(|video| {
-            let name = video.name.clone();
-            (
-                video.id,
-                name.unwrap_or_else(|| format!("video-{}", video.id)),
-            )
-        })
-        .collect();
+    let videos: HashMap<u64, &Video> = set.videos.iter().map(|video| (video.id, video)).collect();
     let mut groups: BTreeMap<String, Vec<&Image>> = BTreeMap::new();
     for image in &set.images {
         let name = match image.video_id {
-            Some(id) => videos.get(&id).cloned().unwrap_or_else(|| format!("video-{id}")),
+            Some(id) => videos
+                .get(&id)
+                .and_then(|video| video.name.clone())
+                .unwrap_or_else(|| format!("video-{id}")),
             None => Path::new(&image.file_name)
                 .parent()
                 .map(|folder| folder.to_string_lossy().replace('/', "-"))
@@ -210,7 +226,9 @@ fn frames(
             }
             places.insert(image.id, (clips.len(), frame));
         }
+        let video = images[0].video_id.and_then(|id| videos.get(&id));
         clips.push(Clip {
+            frame_rate: video.and_then(|video| video.fps).filter(|rate| *rate > 0.0),
             detections: has_detections.then(|| vec![Vec::new(); images.len()]),
             truth: has_truth.then(|| vec![Vec::new(); images.len()]),
             ..Clip::new(name, picture, images.len())

@@ -9,6 +9,7 @@ use super::rows::{GONE, Row, Table};
 use super::{Clip, DataSet, LabelledBox, LoadReport, entries, has_extension, pictures_in};
 use crate::boxes::ScoredBox;
 use crate::error::EvalError;
+use crate::judge::Mark;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_vision::picture::read_picture_file;
 use std::path::Path;
@@ -65,7 +66,8 @@ fn read_sequence(folder: &Path, name: &str, report: &mut LoadReport) -> Result<C
     })?;
     let ignored = labels.read(GONE, |row, regions| {
         if is_region(row)? {
-            regions.push(labelled(row, 1.0)?.corners);
+            let corners = labelled(row, 1.0)?.corners;
+            regions.extend(report.mark(corners, None, Mark::Region, picture, || row.place()));
         }
         Ok(())
     })?;

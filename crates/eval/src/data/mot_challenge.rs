@@ -4,12 +4,19 @@
 //! Rows are `frame,id,left,top,width,height,…` with frames and pixels counted from 1. In ground truth of
 //! 2016 and later (nine columns) the seventh is 0 for boxes not to be judged and the eighth the class; the
 //! 2015 release (ten columns) has pedestrians only. Source: MOT16 paper, arXiv 1603.00831, table 3.
+//!
+//! The benchmark judges pedestrians. It excuses boxes on people on vehicles, people who stand still, distractors and
+//! reflections, since 2020 also on vehicles without motor, and on no other label, as in TrackEval 1.3.0
+//! (`mot_challenge_2d_box.py`). Cars, bicycles and motorcycles, which its own files mark with 0, are excused for boxes of
+//! their own class; files in this form that mark them with 1 have them judged.
 
 use super::classes::{PERSON, from_mot_challenge};
 use super::rows::{GONE, Row, Table};
-use super::{Clip, DataSet, LabelledBox, LeftOut, LoadReport, entries, pictures_in};
+use super::{Clip, DataSet, LabelledBox, LoadReport, entries, pictures_in};
+use crate::boxes::ScoredBox;
 use crate::error::EvalError;
 use crate::files::read_text;
+use crate::judge::{Ignored, Mark};
 use albireo_core::geometry::{Corners, PictureSize};
 use std::collections::HashMap;
 use std::path::Path;
@@ -53,23 +60,34 @@ fn read_sequence(folder: &Path, report: &mut LoadReport) -> Result<Clip, EvalErr
     };
     let labels = table("gt/gt.txt");
     let found = table("det/det.txt");
-    let truth = labels
-        .path
-        .exists()
-        .then(|| labels.boxes(GONE, picture, report, labelled_truth))
-        .transpose()?;
-    let detections = found
-        .path
-        .exists()
-        .then(|| found.boxes(GONE, picture, report, labelled_detection))
-        .transpose()?;
-    Ok(Clip {
+    let mut clip = Clip {
         frame_rate: info.frame_rate,
-        detections,
-        truth,
         pictures: pictures_in(&folder.join(info.pictures)),
         ..Clip::new(info.name, picture, frames)
-    })
+    };
+    if labels.path.exists() {
+        let with_vehicles = clip.name.contains("MOT20");
+        let rows = labels.read(GONE, |row, rows| {
+            rows.push(label(row, with_vehicles, picture, report)?);
+            Ok(())
+        })?;
+        let mut truth = vec![Vec::new(); rows.len()];
+        for (frame, labels) in rows.into_iter().enumerate() {
+            for label in labels {
+                match label {
+                    Label::Object(object) => truth[frame].extend(object),
+                    Label::Marked(marked) => {
+                        marked.into_iter().for_each(|marked| clip.ignore(frame, marked));
+                    }
+                }
+            }
+        }
+        clip.truth = Some(truth);
+    }
+    if found.path.exists() {
+        clip.detections = Some(found.boxes(GONE, picture, report, labelled_detection)?);
+    }
+    Ok(clip)
 }
 
 struct Info {
@@ -132,21 +150,52 @@ fn corners(row: &Row<'_>) -> Result<Corners, EvalError> {
     })
 }
 
-fn labelled_truth<'r>(row: &'r Row<'_>) -> Result<LabelledBox<'r>, EvalError> {
+/// A row of ground truth; `None` inside if the row was left out.
+#[derive(Clone)]
+enum Label {
+    Object(Option<ScoredBox>),
+    Marked(Option<Ignored>),
+}
+
+/// Reads a row of ground truth. `with_vehicles`: vehicles without motor are distractors, too.
+fn label(
+    row: &Row<'_>,
+    with_vehicles: bool,
+    picture: PictureSize,
+    report: &mut LoadReport,
+) -> Result<Label, EvalError> {
     let is_judged = row.number::<f64>(6, "consider")? != 0.0;
-    let (class, class_name) = if row.len() <= 9 {
-        let number = row.integer(7, "class")?;
-        (from_mot_challenge(number), number.to_string().into())
+    // The 2015 release has no classes.
+    let number = if row.len() <= 9 {
+        row.integer(7, "class")?
     } else {
-        (Ok(PERSON), "".into())
+        -1
     };
-    Ok(LabelledBox {
-        corners: corners(row)?,
-        class: class.and_then(|class| is_judged.then_some(class).ok_or(LeftOut::IgnoredRegion)),
-        class_name,
+    let corners = corners(row)?;
+    let class = from_mot_challenge(number);
+    let marked = match (number, class) {
+        (2 | 7 | 8 | 12, _) => Some((None, Mark::Distractor)),
+        (6, _) if with_vehicles => Some((None, Mark::Distractor)),
+        // Occluders and crowds.
+        (9 | 10 | 11 | 13, _) => Some((None, Mark::Unjudged)),
+        (_, Ok(PERSON)) if !is_judged => Some((None, Mark::Unjudged)),
+        (_, Ok(class)) if !is_judged => Some((Some(class), Mark::Distractor)),
+        _ => None,
+    };
+    if let Some((class, mark)) = marked {
+        let marked = report.mark(corners, class, mark, picture, || row.place());
+        return Ok(Label::Marked(marked));
+    }
+    let labelled = LabelledBox {
+        corners,
+        class,
+        class_name: number.to_string().into(),
         confidence: 1.0,
         object: row.object(1, "id")?,
-    })
+    };
+    Ok(Label::Object(
+        report.keep(&labelled, picture, || row.place()),
+    ))
 }
 
 fn labelled_detection<'r>(row: &'r Row<'_>) -> Result<LabelledBox<'r>, EvalError> {

@@ -4,7 +4,9 @@
 //!   other keys are ignored,
 //! - `detections/<name>.csv`: `frame,x1,y1,x2,y2,score,class`, required for each sequence,
 //! - `groundtruth/<name>.csv`: `frame,x1,y1,x2,y2,class,object_id`, optional,
-//! - `ignore/<name>.csv`: `frame,x1,y1,x2,y2`, optional: regions in which the ground truth labels no objects,
+//! - `ignore/<name>.csv`: `frame,x1,y1,x2,y2`, optional: regions in which the ground truth labels no objects; or
+//!   `frame,x1,y1,x2,y2,class,mark` with the class of the boxes that are not judged there (-1 for any) and the rule: `region`,
+//!   `crowd`, `object`, `distractor` or `unjudged`,
 //! - `screen/<name>.csv`: `frame,empty`, optional: the verdicts of an empty-scene screen (1: nothing is in view,
 //!   0: something is); a frame without a row has no verdict.
 //!
@@ -15,6 +17,7 @@ use super::rows::{Row, Table};
 use super::{Clip, DataSet, LabelledBox, LoadReport};
 use crate::error::EvalError;
 use crate::files::{self, read_text};
+use crate::judge::{Ignored, Mark};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
 use serde::{Deserialize, Serialize};
@@ -22,7 +25,17 @@ use std::path::{Path, PathBuf};
 
 const DETECTION_HEADER: &str = "frame,x1,y1,x2,y2,score,class";
 const TRUTH_HEADER: &str = "frame,x1,y1,x2,y2,class,object_id";
-const IGNORED_HEADER: &str = "frame,x1,y1,x2,y2";
+const REGION_HEADER: &str = "frame,x1,y1,x2,y2";
+const IGNORED_HEADER: &str = "frame,x1,y1,x2,y2,class,mark";
+
+/// The rules by their names in a table.
+const MARKS: [(Mark, &str); 5] = [
+    (Mark::Region, "region"),
+    (Mark::Crowd, "crowd"),
+    (Mark::Object, "object"),
+    (Mark::Distractor, "distractor"),
+    (Mark::Unjudged, "unjudged"),
+];
 const SCREEN_HEADER: &str = "frame,empty";
 
 #[derive(Serialize, Deserialize)]
@@ -117,17 +130,23 @@ fn read_sequence(folder: &Path, entry: Entry, report: &mut LoadReport) -> Result
         })
         .transpose()?;
     let help = "is the file readable?";
-    let regions = table("ignore", IGNORED_HEADER);
-    let ignored = regions
-        .path
-        .exists()
-        .then(|| {
-            regions.read(help, |row, regions| {
-                regions.push(corners(row)?);
-                Ok(())
-            })
-        })
-        .transpose()?;
+    let path = table_path(folder, "ignore", &entry.name);
+    let mut ignored = Vec::new();
+    if path.exists() {
+        // Recordings from before there were several rules have only regions.
+        let has_marks = read_text(&path, help)?
+            .trim_start_matches('\u{feff}')
+            .starts_with(IGNORED_HEADER);
+        let header = if has_marks {
+            IGNORED_HEADER
+        } else {
+            REGION_HEADER
+        };
+        ignored = table("ignore", header).read(help, |row, places| {
+            places.push(marked(row, has_marks)?);
+            Ok(())
+        })?;
+    }
     let verdicts = table("screen", SCREEN_HEADER);
     let screen = verdicts
         .path
@@ -140,7 +159,7 @@ fn read_sequence(folder: &Path, entry: Entry, report: &mut LoadReport) -> Result
         truth,
         screen: screen
             .map(|frames| frames.iter().map(|verdict| verdict.first().copied()).collect()),
-        ignored: ignored.unwrap_or_default(),
+        ignored,
         camera: entry.camera,
         ..Clip::new(entry.name, picture, entry.frames)
     })
@@ -166,6 +185,44 @@ fn screen_verdict(row: &Row<'_>, frame: &mut Vec<bool>) -> Result<(), EvalError>
 fn corners(row: &Row<'_>) -> Result<Corners, EvalError> {
     let [x1, y1, x2, y2] = row.numbers(1, ["x1", "y1", "x2", "y2"])?;
     Ok(Corners { x1, y1, x2, y2 })
+}
+
+/// Reads a place where boxes are not judged.
+fn marked(row: &Row<'_>, has_mark: bool) -> Result<Ignored, EvalError> {
+    let region = Ignored {
+        corners: corners(row)?,
+        class: None,
+        mark: Mark::Region,
+    };
+    if !has_mark {
+        return Ok(region);
+    }
+    let name = row.text(6, "mark")?;
+    let mark = MARKS.iter().find(|(_, known)| *known == name).map(|(mark, _)| *mark);
+    Ok(Ignored {
+        class: u16::try_from(row.integer(5, "class")?).ok().map(ClassId),
+        mark: mark.ok_or_else(|| row.broken(format!("`mark` is `{name}`, which is no rule")))?,
+        ..region
+    })
+}
+
+/// Writes the places of a clip where boxes are not judged; in the short form, if all are regions for any class.
+fn ignored_table(ignored: &[Vec<Ignored>]) -> String {
+    let is_plain = |ignored: &Ignored| ignored.mark == Mark::Region && ignored.class.is_none();
+    if ignored.iter().flatten().all(is_plain) {
+        return table(REGION_HEADER, ignored, |region: &Ignored| {
+            cells(region.corners)
+        });
+    }
+    table(IGNORED_HEADER, ignored, |place: &Ignored| {
+        let class = place.class.map_or(-1, |class| i32::from(class.0));
+        let mark = MARKS.iter().find(|(mark, _)| *mark == place.mark);
+        format!(
+            "{},{class},{}",
+            cells(place.corners),
+            mark.map_or("", |(_, name)| name)
+        )
+    })
 }
 
 /// Reads a box; the files contain class numbers and no names.
@@ -208,8 +265,7 @@ pub fn write(folder: &Path, clips: &[Clip]) -> Result<(), EvalError> {
             })
         });
         put("groundtruth", truth)?;
-        let ignored = (!clip.ignored.is_empty())
-            .then(|| table(IGNORED_HEADER, &clip.ignored, |region| cells(*region)));
+        let ignored = (!clip.ignored.is_empty()).then(|| ignored_table(&clip.ignored));
         put("ignore", ignored)?;
         let verdicts = clip.screen.as_deref().map(|verdicts| {
             table(SCREEN_HEADER, verdicts, |empty| {

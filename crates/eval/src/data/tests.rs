@@ -55,11 +55,48 @@ fn recorded_detections_truth_and_ignored_regions_are_read_frame_by_frame_and_wri
     assert_eq!(detections[0][0].class, CAR);
     assert_eq!(clip.truth.as_ref().unwrap()[1][0].object, Some(7));
     let regions: Vec<usize> = clip.ignored.iter().map(Vec::len).collect();
-    assert_eq!((regions, clip.ignored[1][0].y2), (vec![0, 1, 0], 20.5));
+    assert_eq!(
+        (regions, clip.ignored[1][0].corners.y2),
+        (vec![0, 1, 0], 20.5)
+    );
     let copy = tempfile::tempdir().unwrap();
     recorded::write(copy.path(), &read.clips).unwrap();
     let again = recorded::read(copy.path()).unwrap();
     assert_eq!(again.clips, read.clips, "to the last bit");
+}
+
+#[test]
+fn every_mark_of_a_recording_is_written_and_read_back() {
+    let mark = |class: Option<u16>, mark| Ignored {
+        corners: Corners {
+            x1: 0.1,
+            y1: 0.0,
+            x2: 50.0,
+            y2: 20.5,
+        },
+        class: class.map(ClassId),
+        mark,
+    };
+    let clip = Clip {
+        detections: Some(vec![Vec::new(); 2]),
+        truth: Some(vec![Vec::new(); 2]),
+        ignored: vec![
+            vec![
+                mark(Some(2), Mark::Crowd),
+                mark(None, Mark::Distractor),
+                mark(None, Mark::Unjudged),
+            ],
+            vec![mark(Some(0), Mark::Object), mark(None, Mark::Region)],
+        ],
+        ..Clip::new("a".to_owned(), PictureSize::new(100, 50), 2)
+    };
+    let folder = tempfile::tempdir().unwrap();
+    recorded::write(folder.path(), std::slice::from_ref(&clip)).unwrap();
+    assert_eq!(recorded::read(folder.path()).unwrap().clips, [clip]);
+    let file = folder.path().join("ignore/a.csv");
+    let text = std::fs::read_to_string(&file).unwrap().replace("crowd", "cloud");
+    std::fs::write(file, text).unwrap();
+    assert_refused(recorded::read(folder.path()), &["a.csv:2: ", "`cloud`"]);
 }
 
 #[test]
@@ -154,11 +191,65 @@ fn mot_challenge_counts_frames_and_pixels_from_one_and_knows_both_releases() {
     let c = truth[0][0].corners;
     assert_eq!([c.x1, c.y1, c.x2, c.y2], [10.0, 20.0, 20.0, 40.0]);
     assert!(truth[1].is_empty());
-    assert_eq!(clips.report.left_out[&LeftOut::IgnoredRegion].0, 2);
+    let marks: Vec<_> = clip.ignored[1].iter().map(|ignored| ignored.mark).collect();
+    assert_eq!(marks, [Mark::Unjudged, Mark::Distractor]);
+    assert_eq!(clips.report.left_out[&LeftOut::IgnoredRegion].0, 1);
+    assert_eq!(clips.report.left_out[&LeftOut::Unjudged].0, 1);
     assert_eq!(clips.report.unmapped_classes["6"], 1);
     assert_eq!(clip.detections.as_ref().unwrap()[1][0].confidence, 0.8);
     let broken = folder(&[("seqinfo.ini", SEQINFO), ("gt/gt.txt", "1,4,11\n")]);
     assert_refused(mot_challenge::read(broken.path()), &["gt.txt:1: "]);
+}
+
+#[test]
+fn mot_challenge_excuses_its_distractors_and_vehicles_only_for_vehicles() {
+    // Classes 1 to 13, each marked as the benchmark's own files do.
+    let rows: String = (1..=13)
+        .map(|class| {
+            format!(
+                "1,{class},11,21,10,20,{},{class},1\n",
+                i32::from(class == 1)
+            )
+        })
+        .collect();
+    let read = |name: &str| {
+        let info = SEQINFO.replace("name=M", &format!("name={name}"));
+        let files = folder(&[("seqinfo.ini", &info), ("gt/gt.txt", &rows)]);
+        let data = mot_challenge::read(files.path()).unwrap();
+        let clip = data.clips.into_iter().next().unwrap();
+        assert_eq!(clip.truth.unwrap()[0].len(), 1);
+        let marks = clip.ignored[0].iter().map(|ignored| (ignored.mark, ignored.class));
+        marks.collect::<Vec<_>>()
+    };
+    let vehicles = |number| (Mark::Distractor, Some(ClassId(number)));
+    let any = (Mark::Distractor, None);
+    let unjudged = (Mark::Unjudged, None);
+    // Person on a vehicle, car, bicycle, motorcycle; static person, distractor, three occluders, reflection, crowd.
+    let [car, bicycle, motorcycle] = [2, 1, 3].map(vehicles);
+    let expected = [
+        any, car, bicycle, motorcycle, any, any, unjudged, unjudged, unjudged, any, unjudged,
+    ];
+    assert_eq!(read("MOT17-02"), expected);
+    // Since 2020 vehicles without motor are distractors, too.
+    let with_vehicles = [&expected[..4], &[any], &expected[4..]].concat();
+    assert_eq!(read("MOT20-01"), with_vehicles);
+}
+
+#[test]
+fn visdrone_marks_regions_others_and_objects_of_score_zero() {
+    let rows = "1,0,0,0,100,50,0,0,0,0\n1,1,10,20,30,40,1,5,0,0\n2,2,10,20,30,40,0,1,0,0\n\
+                2,3,10,20,30,40,1,11,0,0\n2,4,10,20,30,40,1,7,0,0\n";
+    let files = folder(&[("annotations/uav.txt", rows)]);
+    let data = visdrone::read(files.path(), PictureSize::new(640, 360)).unwrap();
+    let clip = &data.clips[0];
+    assert_eq!((clip.name.as_str(), clip.frames), ("uav", 2));
+    let truth = clip.truth.as_ref().unwrap();
+    assert_eq!((truth[0][0].class, truth[0][0].object), (CAR, Some(1)));
+    assert_eq!(truth[0][0].corners.x2, 40.0);
+    assert!(truth[1].is_empty());
+    let regions: Vec<usize> = clip.ignored.iter().map(Vec::len).collect();
+    assert_eq!(regions, [1, 2]);
+    assert_eq!(data.report.unmapped_classes["7"], 1);
 }
 
 #[test]
@@ -177,7 +268,7 @@ fn kitti_tracking_maps_its_types_and_counts_dropped_ones() {
     assert_eq!(truth[2].len(), 1);
     assert_eq!(clip.detections.as_ref().unwrap()[3][0].confidence, 0.75);
     let regions: Vec<_> = clip.ignored.iter().map(Vec::len).collect();
-    assert_eq!((regions[0], clip.ignored[0][0].x2), (1, 5.0));
+    assert_eq!((regions[0], clip.ignored[0][0].corners.x2), (1, 5.0));
     assert!(regions[1..].iter().all(|&count| count == 0));
     assert_eq!(clips.report.unmapped_classes["Tram"], 1);
 }
@@ -197,10 +288,22 @@ fn bdd100k_reads_both_spellings_and_maps_seven_classes_to_six() {
     let source = |truth, detections| bdd100k::Source {
         truth,
         detections,
-        picture: bdd100k::BDD100K_SIZE,
+        picture: PictureSize::new(1280, 720),
         frame_rate: Some(bdd100k::BDD100K_FRAME_RATE),
+        rules: Rules::Paper,
     };
+    // The benchmark judges neither crowds nor trailers.
+    let judged = bdd100k::Source {
+        rules: Rules::Benchmark,
+        ..source(Some(&truth), Some(&found))
+    };
+    let judged = bdd100k::read(&judged).unwrap();
+    assert!(judged.clips[0].truth.as_ref().unwrap()[0].is_empty());
+    let regions: Vec<usize> = judged.clips[0].ignored.iter().map(Vec::len).collect();
+    assert_eq!(regions, [2, 0, 0]);
+    // The paper's evaluator takes a crowd for an object, and does not know trailers.
     let clips = bdd100k::read(&source(Some(&truth), Some(&found))).unwrap();
+    assert!(clips.clips[0].ignored.is_empty());
     let clip = &clips.clips[0];
     assert_eq!((clip.name.as_str(), clip.frames), ("v", 3));
     let rider = clip.truth.as_ref().unwrap()[0][0];
@@ -214,6 +317,34 @@ fn bdd100k_reads_both_spellings_and_maps_seven_classes_to_six() {
     let twice = folder(&[("gt.json", &old.replace("\"index\": 2", "\"index\": 0"))]);
     let repeated = bdd100k::read(&source(Some(&twice.path().join("gt.json")), None));
     assert_refused(repeated, &["occurs twice"]);
+}
+
+#[test]
+fn labels_without_videos_are_divided_by_the_names_of_their_pictures() {
+    let frame = |name: &str| format!(r#"{{"name": "{name}", "labels": []}}"#);
+    let names = ["b1c6-0000002.jpg", "b1c6-0000001.jpg", "b1ca-0000001.jpg"];
+    let text = format!("[{}]", names.map(frame).join(","));
+    let files = folder(&[
+        ("val_gt.json", &text),
+        ("other.json", &text.replace("-000000", "-")),
+    ]);
+    let read = |name: &str| {
+        let truth = files.path().join(name);
+        let source = bdd100k::Source {
+            truth: Some(&truth),
+            detections: None,
+            picture: PictureSize::new(1280, 720),
+            frame_rate: None,
+            rules: Rules::Benchmark,
+        };
+        let clips = bdd100k::read(&source).unwrap().clips;
+        let lengths = clips.into_iter().map(|clip| (clip.name, clip.frames));
+        lengths.collect::<Vec<_>>()
+    };
+    let expected = [("b1c6".to_owned(), 2), ("b1ca".to_owned(), 1)];
+    assert_eq!(read("val_gt.json"), expected);
+    // Names that are not BDD100K's say nothing: the file is one video.
+    assert_eq!(read("other.json"), [("other".to_owned(), 3)]);
 }
 
 #[test]
@@ -235,7 +366,7 @@ fn clips_without_detections_are_dropped_by_name_or_rejected() {
 }
 
 #[test]
-fn coco_groups_images_into_clips_and_drops_crowds() {
+fn coco_groups_images_into_clips_and_marks_crowds_and_ignored_objects() {
     let set = r#"{"images": [
         {"id": 5, "file_name": "v/2.jpg", "width": 100, "height": 50},
         {"id": 4, "file_name": "v/1.jpg", "width": 100, "height": 50}],
@@ -243,6 +374,8 @@ fn coco_groups_images_into_clips_and_drops_crowds() {
         "annotations": [
         {"id": 1, "image_id": 5, "category_id": 3, "bbox": [1, 2, 10, 20], "iscrowd": 0, "track_id": 8},
         {"id": 2, "image_id": 5, "category_id": 3, "bbox": [1, 2, 10, 20], "iscrowd": 1},
+        {"id": 5, "image_id": 5, "category_id": 3, "bbox": [1, 2, 10, 20], "ignore": true},
+        {"id": 6, "image_id": 5, "category_id": 9, "bbox": [1, 2, 10, 20], "iscrowd": 1},
         {"id": 3, "image_id": 4, "category_id": 9, "bbox": [1, 2, 10, 20]},
         {"id": 4, "image_id": 4, "category_id": 3, "bbox": [1, 2, -10, 20]}]}"#;
     let found = r#"[{"image_id": 4, "category_id": 3, "bbox": [1, 2, 10, 20], "score": 0.5}]"#;
@@ -256,9 +389,13 @@ fn coco_groups_images_into_clips_and_drops_crowds() {
     assert_eq!(truth[1][0].corners.x2, 11.0);
     assert!(truth[0].is_empty());
     assert_eq!(clip.detections.as_ref().unwrap()[0].len(), 1);
-    assert_eq!(clips.report.left_out[&LeftOut::IgnoredRegion].0, 1);
+    let marks: Vec<_> =
+        clip.ignored[1].iter().map(|ignored| (ignored.mark, ignored.class)).collect();
+    let car = Some(CAR);
+    assert_eq!(marks, [(Mark::Crowd, car), (Mark::Object, car)]);
+    assert_eq!(clips.report.left_out[&LeftOut::IgnoredRegion].0, 2);
     assert_eq!(clips.report.left_out[&LeftOut::EmptyBox].0, 1);
-    assert_eq!(clips.report.unmapped_classes["boat"], 1);
+    assert_eq!(clips.report.unmapped_classes["boat"], 2);
     let lost = found.replace("\"image_id\": 4", "\"image_id\": 77");
     std::fs::write(&results, lost).unwrap();
     assert_refused(coco::read(&set, Some(&results)), &["image 77"]);

@@ -1,10 +1,12 @@
 //! Gives a clip of pictures its ground truth: from a file, or from Vanilla's own output.
 
-use super::{Clip, DataSet, LoadReport, bdd100k, coco, kitti, mot_challenge, recorded};
+use super::{
+    Clip, DataSet, LoadReport, Rules, bdd100k, coco, kitti, mot_challenge, recorded, visdrone,
+};
 use crate::boxes::ScoredBox;
 use crate::error::EvalError;
 use albireo_core::geometry::PictureSize;
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// The layout of ground truth.
@@ -20,44 +22,68 @@ pub enum TruthFormat {
     Kitti,
     /// COCO JSON with images and annotations.
     Coco,
+    /// VisDrone: a folder with annotations/.
+    #[cfg_attr(feature = "cli", value(name = "visdrone"))]
+    VisDrone,
     /// The layout of `--save-detections`: a folder with sequences.json and groundtruth/.
     Recorded,
 }
 
-/// Files of ground truth.
+/// A size in which every box of labels fits whose pictures are not known yet.
+const UNKNOWN_SIZE: PictureSize = PictureSize::new(u32::MAX, u32::MAX);
+
+/// The ground truth of all clips. The files are read once.
 #[derive(Clone, Debug)]
 pub struct GroundTruth {
-    paths: Vec<PathBuf>,
     format: TruthFormat,
-    /// Paths whose report has been added to the run's.
-    reported: BTreeSet<PathBuf>,
+    /// The ground truth by the clip's name, and the number of its file.
+    clips: BTreeMap<String, (usize, Clip)>,
+    files: Vec<TruthFile>,
+}
+
+/// A file or folder of ground truth.
+#[derive(Clone, Debug)]
+struct TruthFile {
+    path: PathBuf,
+    /// What was left out of it, until the report of the run has it.
+    report: Option<LoadReport>,
 }
 
 impl GroundTruth {
-    /// Takes files or folders of one layout.
-    pub fn new(paths: Vec<PathBuf>, format: TruthFormat) -> Self {
-        Self {
-            paths,
-            format,
-            reported: BTreeSet::new(),
-        }
-    }
-
-    /// Reads all files, to find errors before the pictures are processed.
+    /// Reads files or folders of one layout.
     ///
     /// # Errors
-    /// [`EvalError`] when one cannot be read, or none is for any of the clips `names`.
-    pub fn check(&self, names: &[String]) -> Result<(), EvalError> {
-        let mut truths = Vec::new();
-        for path in &self.paths {
-            let data = self.read(path, bdd100k::BDD100K_SIZE)?;
-            truths.extend(data.clips.into_iter().map(|clip| clip.name));
+    /// [`EvalError`] when one cannot be read.
+    pub fn read(paths: &[PathBuf], format: TruthFormat, rules: Rules) -> Result<Self, EvalError> {
+        let mut clips = BTreeMap::new();
+        let mut files = Vec::new();
+        for path in paths {
+            let data = read(path, format, rules)?.judged_by(rules, None);
+            for clip in data.clips {
+                clips.entry(clip.name.clone()).or_insert((files.len(), clip));
+            }
+            files.push(TruthFile {
+                path: path.clone(),
+                report: Some(data.report),
+            });
         }
-        let alone = truths.len() == 1 && names.len() == 1;
-        if alone || names.iter().any(|name| truths.contains(name)) {
+        Ok(Self {
+            format,
+            clips,
+            files,
+        })
+    }
+
+    /// Makes sure that it is for at least one of the clips `names`.
+    ///
+    /// # Errors
+    /// [`EvalError`] when it is for none of them.
+    pub fn check(&self, names: &[String]) -> Result<(), EvalError> {
+        let alone = self.clips.len() == 1 && names.len() == 1;
+        if alone || names.iter().any(|name| self.clips.contains_key(name)) {
             return Ok(());
         }
-        truths.truncate(8);
+        let truths: Vec<&str> = self.clips.keys().map(String::as_str).take(8).collect();
         Err(EvalError::new(format!(
             "the ground truth is for the clips {}, and none of them is evaluated here ({}): a clip is named after its file",
             truths.join(", "),
@@ -65,74 +91,113 @@ impl GroundTruth {
         )))
     }
 
+    /// The frames per second of the clip `name`, if the ground truth knows them; `alone` as for
+    /// [`attach_to`](Self::attach_to).
+    pub fn rate(&self, name: &str, alone: bool) -> Option<f64> {
+        let (_, clip) = &self.clips[self.name_of(name, alone)?];
+        clip.frame_rate
+    }
+
+    /// The name under which the ground truth of the clip `name` is stored.
+    fn name_of<'a>(&'a self, name: &'a str, alone: bool) -> Option<&'a str> {
+        if self.clips.contains_key(name) {
+            return Some(name);
+        }
+        let only = self.clips.keys().next().filter(|_| alone && self.clips.len() == 1);
+        only.map(String::as_str)
+    }
+
     /// Gives `clip` the ground truth of its name, if there is any, or the only one there is if it is the only clip
-    /// (`alone`). `report` counts what is left out.
+    /// (`alone`). `is_whole` is false if the clip was cut to its first frames. `report` counts what is left out.
     ///
     /// # Errors
-    /// [`EvalError`] when it cannot be read or is for other pictures.
+    /// [`EvalError`] when it is for other pictures.
     pub fn attach_to(
         &mut self,
         clip: &mut Clip,
         alone: bool,
+        is_whole: bool,
         report: &mut LoadReport,
     ) -> Result<(), EvalError> {
-        for path in &self.paths {
-            let mut read = self.read(path, clip.picture)?;
-            let place = read.clips.iter().position(|truth| truth.name == clip.name);
-            let only = alone && self.paths.len() == 1 && read.clips.len() == 1;
-            let Some(index) = place.or(only.then_some(0)) else {
-                continue;
-            };
-            let found = read.clips.swap_remove(index);
-            let Some(mut truth) = found.truth else {
-                continue;
-            };
-            let first = self.reported.insert(path.clone());
-            let wrong = |what: String| {
-                let (clip, path) = (&clip.name, path.display());
-                EvalError::new(format!("{clip}: its ground truth ({path}) is for {what}"))
-            };
-            // Only these layouts say how many frames they are for; the others end with the last object.
-            let counted = matches!(
-                self.format,
-                TruthFormat::MotChallenge | TruthFormat::Bdd100k | TruthFormat::Recorded
-            );
-            if truth.len() > clip.frames || (counted && truth.len() < clip.frames) {
-                return Err(wrong(format!(
-                    "{} frames, the clip has {}: are they the same recording, at the same frame rate?",
-                    truth.len(),
-                    clip.frames
-                )));
-            }
-            // KITTI's labels have no picture size; the reader assumes the usual one if there are no pictures.
-            if found.picture != clip.picture && self.format != TruthFormat::Kitti {
-                let (truth, clip) = (found.picture, clip.picture);
-                return Err(wrong(format!("pictures of {truth}, the clip's are {clip}")));
-            }
-            truth.resize(clip.frames, Vec::new());
-            // A file's rows are counted once, even if it contains several clips.
-            if first {
-                merge(report, read.report);
-            }
-            (clip.truth, clip.ignored) = (Some(truth), found.ignored);
+        let Some(name) = self.name_of(&clip.name, alone).map(str::to_owned) else {
             return Ok(());
+        };
+        let (file, found) = &self.clips[&name];
+        let file = &mut self.files[*file];
+        let Some(mut truth) = found.truth.clone() else {
+            return Ok(());
+        };
+        let wrong = |what: String| {
+            let path = file.path.display();
+            EvalError::new(format!(
+                "{}: its ground truth ({path}) is for {what}",
+                clip.name
+            ))
+        };
+        // Only these layouts say how many frames they are for; the others end with the last object.
+        let counted = matches!(
+            self.format,
+            TruthFormat::MotChallenge | TruthFormat::Bdd100k | TruthFormat::Recorded
+        );
+        let is_longer = is_whole && truth.len() > clip.frames;
+        if is_longer || (counted && truth.len() < clip.frames) {
+            return Err(wrong(format!(
+                "{} frames, the clip has {}: are they the same recording, at the same frame rate?",
+                truth.len(),
+                clip.frames
+            )));
         }
+        if found.picture != clip.picture && knows_its_pictures(self.format) {
+            return Err(wrong(format!(
+                "pictures of {}, the clip's are {}",
+                found.picture, clip.picture
+            )));
+        }
+        // A file's rows are counted once, even if it contains several clips.
+        if let Some(left_out) = file.report.take() {
+            merge(report, left_out);
+        }
+        truth.resize(clip.frames, Vec::new());
+        if !knows_its_pictures(self.format) {
+            for (frame, known) in truth.iter_mut().enumerate() {
+                known.retain(|known| {
+                    let reason = report.check(known.corners, clip.picture);
+                    if let Some(reason) = reason {
+                        report.leave_out(reason, || format!("ground truth, frame {frame}"));
+                    }
+                    reason.is_none()
+                });
+            }
+        }
+        clip.truth = Some(truth);
+        clip.ignored.clone_from(&found.ignored);
+        clip.ignored.truncate(clip.frames);
         Ok(())
     }
+}
 
-    fn read(&self, path: &Path, picture: PictureSize) -> Result<DataSet, EvalError> {
-        match self.format {
-            TruthFormat::Bdd100k => bdd100k::read(&bdd100k::Source {
-                truth: Some(path),
-                detections: None,
-                picture,
-                frame_rate: None,
-            }),
-            TruthFormat::MotChallenge => mot_challenge::read(path),
-            TruthFormat::Kitti => kitti::read(path),
-            TruthFormat::Coco => coco::read(path, None),
-            TruthFormat::Recorded => recorded::read(path),
-        }
+/// True if the layout says how large its pictures are.
+fn knows_its_pictures(format: TruthFormat) -> bool {
+    match format {
+        TruthFormat::MotChallenge | TruthFormat::Coco | TruthFormat::Recorded => true,
+        TruthFormat::Bdd100k | TruthFormat::Kitti | TruthFormat::VisDrone => false,
+    }
+}
+
+fn read(path: &Path, format: TruthFormat, rules: Rules) -> Result<DataSet, EvalError> {
+    match format {
+        TruthFormat::Bdd100k => bdd100k::read(&bdd100k::Source {
+            truth: Some(path),
+            detections: None,
+            picture: UNKNOWN_SIZE,
+            frame_rate: Some(bdd100k::BDD100K_FRAME_RATE),
+            rules,
+        }),
+        TruthFormat::MotChallenge => mot_challenge::read(path),
+        TruthFormat::Kitti => kitti::read(path),
+        TruthFormat::Coco => coco::read(path, None),
+        TruthFormat::VisDrone => visdrone::read(path, UNKNOWN_SIZE),
+        TruthFormat::Recorded => recorded::read(path),
     }
 }
 

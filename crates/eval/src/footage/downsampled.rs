@@ -6,14 +6,14 @@ use albireo_vision::picture::EncodedPicture;
 
 /// Selects the frames to keep when the frame rate is lowered.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct FrameSelection {
+pub(crate) struct FrameSelection {
     /// The share of frames that are kept, at most 1.
     share: f64,
 }
 
 impl FrameSelection {
     /// Lowers `rate` frames per second to `wanted`; keeps all frames if `rate` is not higher.
-    fn new(rate: f64, wanted: f64) -> Self {
+    pub(crate) fn new(rate: f64, wanted: f64) -> Self {
         let share = wanted / rate;
         // Written so that NaN keeps all frames.
         let is_lower = share > 0.0 && share < 1.0;
@@ -23,7 +23,7 @@ impl FrameSelection {
     }
 
     /// Returns true if frame `index` is kept; frame 0 always is.
-    fn takes(&self, index: u64) -> bool {
+    pub(crate) fn takes(&self, index: u64) -> bool {
         // A rounding error must not put a product just below the whole number that it should be.
         let due = |index: u64| (index as f64 * self.share + 1e-9).floor();
         index == 0 || due(index) > due(index - 1)

@@ -10,9 +10,14 @@
 //! The paper's published evaluator pools all classes and uses all points; that is
 //! [`Classes::Pooled`] with [`Interpolation::AllPoints`].
 //!
+//! A box that the ground truth excuses at a threshold (see [`Mark`]) is neither right nor wrong there: it
+//! is taken out of the ranking.
+//!
 //! Cost: one sort of the predictions, plus per frame a search among the ground-truth boxes that overlap
 //! horizontally, so 10⁶ boxes spread over frames take time near-linear in their number.
 
+use super::ignored::{is_of_coco, without_fixed};
+use super::truth::{Ignored, Mark, Truth};
 use crate::boxes::ScoredBox;
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::Corners;
@@ -60,11 +65,11 @@ pub struct Accuracy {
     /// F1, the harmonic mean of precision and recall, at IoU 0.50 of all boxes of confidence
     /// [`SHOWN_CONFIDENCE`] and above: AP also counts boxes too faint to be shown.
     pub f1_50_shown: f64,
-    /// Share of all predictions that match at IoU 0.50; 0 without predictions.
+    /// Share of the judged predictions that match at IoU 0.50; 0 without predictions.
     pub precision: f64,
     /// Share of the ground truth that is matched at IoU 0.50.
     pub recall: f64,
-    /// Number of predictions.
+    /// Number of predictions that are judged at IoU 0.50.
     pub predictions: usize,
     /// Number of ground-truth boxes.
     pub truths: usize,
@@ -74,16 +79,18 @@ pub struct Accuracy {
 /// count as frames without boxes.
 ///
 /// `None` when there is no ground-truth box at all: average precision is undefined then.
-pub fn accuracy(
+pub fn accuracy<'a>(
     predictions: &[Vec<ScoredBox>],
-    truth: &[Vec<ScoredBox>],
+    truth: impl Into<Truth<'a>>,
     classes: Classes,
     interpolation: Interpolation,
 ) -> Option<Accuracy> {
+    let truth = truth.into();
+    let predictions = without_fixed(predictions, truth, classes);
     match classes {
-        Classes::Pooled => Matching::new(predictions, truth, None).accuracy(interpolation),
+        Classes::Pooled => Matching::new(&predictions, truth, None).accuracy(interpolation),
         Classes::Separate => {
-            let by_class = accuracy_by_class(predictions, truth, interpolation);
+            let by_class = of_each_class(&predictions, truth, interpolation);
             let count = by_class.len() as f64;
             let mean = |of: fn(&Accuracy) -> f64| by_class.values().map(of).sum::<f64>() / count;
             (!by_class.is_empty()).then(|| Accuracy {
@@ -94,24 +101,31 @@ pub fn accuracy(
                 precision: mean(|class| class.precision),
                 recall: mean(|class| class.recall),
                 predictions: predictions.iter().map(Vec::len).sum(),
-                truths: truth.iter().map(Vec::len).sum(),
+                truths: truth.objects.iter().map(Vec::len).sum(),
             })
         }
     }
 }
 
-/// Counts the objects of one frame's `truth` that `found` matches at IoU 0.5.
-pub(crate) fn hits(found: &[ScoredBox], truth: &[ScoredBox]) -> usize {
-    Matching::new(&[found.to_vec()], &[truth.to_vec()], None).hits()
-}
-
 /// Computes the accuracy of every class that has ground truth, each judged separately.
-pub(crate) fn accuracy_by_class(
+pub(crate) fn accuracy_by_class<'a>(
     predictions: &[Vec<ScoredBox>],
-    truth: &[Vec<ScoredBox>],
+    truth: impl Into<Truth<'a>>,
     interpolation: Interpolation,
 ) -> BTreeMap<ClassId, Accuracy> {
-    let mut classes: Vec<ClassId> = truth.iter().flatten().map(|truth| truth.class).collect();
+    let truth = truth.into();
+    let predictions = without_fixed(predictions, truth, Classes::Separate);
+    of_each_class(&predictions, truth, interpolation)
+}
+
+/// Computes the accuracy of every class, when what fixed marks leave out is gone.
+fn of_each_class(
+    predictions: &[Vec<ScoredBox>],
+    truth: Truth<'_>,
+    interpolation: Interpolation,
+) -> BTreeMap<ClassId, Accuracy> {
+    let mut classes: Vec<ClassId> =
+        truth.objects.iter().flatten().map(|truth| truth.class).collect();
     classes.sort_unstable();
     classes.dedup();
     classes
@@ -124,11 +138,59 @@ pub(crate) fn accuracy_by_class(
         .collect()
 }
 
-/// The predictions of a clip in falling order of confidence, and the thresholds at which each matches a
-/// ground-truth box.
+/// Counts the objects of one frame that `found` matches at IoU 0.5.
+pub(crate) fn hits(found: &[ScoredBox], objects: &[ScoredBox]) -> usize {
+    let objects = [objects.to_vec()];
+    Matching::new(&[found.to_vec()], (&objects).into(), None).hits()
+}
+
+/// Tells for each box of a frame whether COCO's marks excuse it at IoU 0.5.
+pub(super) fn excused_at_50(
+    found: &[ScoredBox],
+    objects: &[ScoredBox],
+    ignored: &[Ignored],
+    classes: Classes,
+) -> Vec<bool> {
+    let mut excused = vec![false; found.len()];
+    let mut judged: Vec<Option<ClassId>> = match classes {
+        Classes::Pooled => vec![None],
+        Classes::Separate => found.iter().map(|found| Some(found.class)).collect(),
+    };
+    judged.sort_unstable();
+    judged.dedup();
+    let mut frame = FrameMatcher::default();
+    for class in judged {
+        frame.take(found, objects, ignored, class);
+        frame.match_all();
+        for (prediction, outcome) in frame.predictions.iter().zip(&frame.outcomes) {
+            excused[prediction.index] |= outcome.excused & 1 == 1;
+        }
+    }
+    excused
+}
+
+/// What became of a prediction. Bit `t` of each is about `IOU_THRESHOLDS[t]`.
+#[derive(Clone, Copy, Default)]
+struct Outcome {
+    /// It matches an object.
+    matched: u16,
+    /// It matches none, and lies where the ground truth excuses it.
+    excused: u16,
+}
+
+impl Outcome {
+    fn is_matched(self, threshold: usize) -> bool {
+        self.matched >> threshold & 1 == 1
+    }
+
+    fn is_excused(self, threshold: usize) -> bool {
+        self.excused >> threshold & 1 == 1
+    }
+}
+
+/// The predictions of a clip in falling order of confidence, and what became of each.
 struct Matching {
-    /// Bit `t` is set when the prediction matches at `IOU_THRESHOLDS[t]`.
-    matched: Vec<u16>,
+    outcomes: Vec<Outcome>,
     /// The number of predictions, from the first on, whose confidence is at least [`SHOWN_CONFIDENCE`].
     shown: usize,
     truths: usize,
@@ -138,42 +200,23 @@ struct Matching {
 }
 
 impl Matching {
-    fn new(
-        predictions: &[Vec<ScoredBox>],
-        truth: &[Vec<ScoredBox>],
-        class: Option<ClassId>,
-    ) -> Self {
-        let wanted = |candidate: ClassId| class.is_none_or(|class| class == candidate);
-        let mut ranked: Vec<(f64, u16)> = Vec::new();
+    fn new(predictions: &[Vec<ScoredBox>], truth: Truth<'_>, class: Option<ClassId>) -> Self {
+        let mut ranked: Vec<(f64, Outcome)> = Vec::new();
         let mut truths = 0;
         let mut frame = FrameMatcher::default();
-        for index in 0..predictions.len().max(truth.len()) {
-            frame.clear();
-            for truth in truth.get(index).into_iter().flatten() {
-                if wanted(truth.class) {
-                    frame.truths.push(truth.corners);
-                }
-            }
-            for prediction in predictions.get(index).into_iter().flatten() {
-                if wanted(prediction.class) {
-                    frame.predictions.push((prediction.confidence, prediction.corners));
-                }
-            }
+        for index in 0..predictions.len().max(truth.objects.len()) {
+            let found = predictions.get(index).map_or(&[][..], Vec::as_slice);
+            frame.take(found, truth.objects(index), truth.ignored(index), class);
             truths += frame.truths.len();
             frame.match_all();
-            ranked.extend(
-                frame
-                    .predictions
-                    .iter()
-                    .map(|prediction| prediction.0)
-                    .zip(frame.matched.iter().copied()),
-            );
+            let confidences = frame.predictions.iter().map(|prediction| prediction.confidence);
+            ranked.extend(confidences.zip(frame.outcomes.iter().copied()));
         }
         // The sort is stable: equal confidences stay in order of frames, as in the published evaluator and COCO's.
         ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
         Self {
             shown: ranked.partition_point(|(confidence, _)| *confidence >= SHOWN_CONFIDENCE),
-            matched: ranked.into_iter().map(|(_, matched)| matched).collect(),
+            outcomes: ranked.into_iter().map(|(_, outcome)| outcome).collect(),
             truths,
             #[cfg(test)]
             compared: frame.compared,
@@ -199,40 +242,42 @@ impl Matching {
             }
         }
         let hits = self.hits();
+        let judged = judged_at_50(&self.outcomes);
         Some(Accuracy {
             ap50,
             ap75,
             map: sum / IOU_THRESHOLDS.len() as f64,
             f1_50_shown: self.f1_shown(),
-            precision: if self.matched.is_empty() {
+            precision: if judged == 0 {
                 0.0
             } else {
-                hits as f64 / self.matched.len() as f64
+                hits as f64 / judged as f64
             },
             recall: hits as f64 / self.truths as f64,
-            predictions: self.matched.len(),
+            predictions: judged,
             truths: self.truths,
         })
     }
 
     /// The number of predictions that match at IoU 0.50.
     fn hits(&self) -> usize {
-        self.matched.iter().filter(|&&matched| matched & 1 == 1).count()
+        self.outcomes.iter().filter(|outcome| outcome.is_matched(0)).count()
     }
 
     /// F1 at IoU 0.50 of the predictions that are shown.
     fn f1_shown(&self) -> f64 {
-        let shown = self.matched.iter().take(self.shown);
-        let hits = shown.filter(|&&matched| matched & 1 == 1).count();
-        2.0 * hits as f64 / (self.shown + self.truths) as f64
+        let shown = &self.outcomes[..self.shown];
+        let hits = shown.iter().filter(|outcome| outcome.is_matched(0)).count();
+        2.0 * hits as f64 / (judged_at_50(shown) + self.truths) as f64
     }
 
     /// Computes the precision after each prediction that matches, in order; entry `k` is at recall
     /// `(k + 1) / truths`. Precision only rises at a match, so the points between do not change the envelope.
     fn precision_at_hits(&self, threshold: usize, points: &mut Vec<f64>) {
         points.clear();
-        for (rank, matched) in self.matched.iter().enumerate() {
-            if matched >> threshold & 1 == 1 {
+        let judged = self.outcomes.iter().filter(|outcome| !outcome.is_excused(threshold));
+        for (rank, outcome) in judged.enumerate() {
+            if outcome.is_matched(threshold) {
                 points.push((points.len() + 1) as f64 / (rank + 1) as f64);
             }
         }
@@ -244,10 +289,18 @@ impl Matching {
     }
 }
 
+/// The number of predictions that are judged at IoU 0.50.
+fn judged_at_50(outcomes: &[Outcome]) -> usize {
+    outcomes.iter().filter(|outcome| !outcome.is_excused(0)).count()
+}
+
 /// The area under monotone precisions at recalls `1/truths, 2/truths, …`.
 fn area(points: &[f64], truths: usize, interpolation: Interpolation) -> f64 {
     match interpolation {
-        Interpolation::AllPoints => points.iter().sum::<f64>() / truths as f64,
+        // The sum of nothing is -0.
+        Interpolation::AllPoints => {
+            points.iter().fold(0.0, |sum, point| sum + point) / truths as f64
+        }
         Interpolation::Coco101 => {
             let mut sum = 0.0;
             let mut next = 0;
@@ -264,14 +317,24 @@ fn area(points: &[f64], truths: usize, interpolation: Interpolation) -> f64 {
     }
 }
 
+/// A prediction of the frame that is matched.
+struct Prediction {
+    /// Its place in the frame's list.
+    index: usize,
+    confidence: f64,
+    corners: Corners,
+}
+
 /// Matches the boxes of one frame; its buffers are reused for the next frame.
 #[derive(Default)]
 struct FrameMatcher {
     truths: Vec<Corners>,
-    /// Confidence and box, sorted by falling confidence in `match_all`.
-    predictions: Vec<(f64, Corners)>,
-    /// Bits as in [`Matching::matched`], one entry per prediction.
-    matched: Vec<u16>,
+    /// The places that COCO's rules excuse; most data sets have none.
+    ignored: Vec<Ignored>,
+    /// Sorted by falling confidence in `match_all`.
+    predictions: Vec<Prediction>,
+    /// One entry per prediction.
+    outcomes: Vec<Outcome>,
     /// Ground truth by left edge, with its index.
     by_left: Vec<(f64, usize)>,
     /// The candidates of all predictions, one after the other: index of a ground-truth box and the IoU with it.
@@ -285,24 +348,52 @@ struct FrameMatcher {
 }
 
 impl FrameMatcher {
-    fn clear(&mut self) {
+    /// Takes the boxes of a frame that are of `class`; all if it is `None`.
+    fn take(
+        &mut self,
+        found: &[ScoredBox],
+        objects: &[ScoredBox],
+        ignored: &[Ignored],
+        class: Option<ClassId>,
+    ) {
+        let wanted = |candidate: ClassId| class.is_none_or(|class| class == candidate);
         self.truths.clear();
+        self.ignored.clear();
         self.predictions.clear();
+        let truths = objects.iter().filter(|object| wanted(object.class));
+        self.truths.extend(truths.map(|object| object.corners));
+        let excusing = ignored.iter().filter(|ignored| {
+            is_of_coco(ignored.mark) && class.is_none_or(|class| ignored.concerns(class))
+        });
+        self.ignored.extend(excusing);
+        let predictions = found.iter().enumerate().filter(|(_, found)| wanted(found.class));
+        self.predictions.extend(predictions.map(|(index, found)| Prediction {
+            index,
+            confidence: found.confidence,
+            corners: found.corners,
+        }));
     }
 
     fn match_all(&mut self) {
-        self.predictions.sort_by(|a, b| b.0.total_cmp(&a.0));
-        self.matched.clear();
-        self.matched.resize(self.predictions.len(), 0);
-        if self.truths.is_empty() || self.predictions.is_empty() {
-            return;
+        self.predictions.sort_by(|a, b| b.confidence.total_cmp(&a.confidence));
+        self.outcomes.clear();
+        self.outcomes.resize(self.predictions.len(), Outcome::default());
+        if !self.truths.is_empty() && !self.predictions.is_empty() {
+            self.match_truths();
         }
+        if !self.ignored.is_empty() {
+            self.excuse();
+        }
+    }
+
+    /// Lets each prediction take the free object of highest IoU, threshold by threshold.
+    fn match_truths(&mut self) {
         self.find_candidates();
         for (bit, &threshold) in IOU_THRESHOLDS.iter().enumerate() {
             self.free.clear();
             self.free.resize(self.truths.len(), true);
             let mut start = 0;
-            for (matched, &end) in self.matched.iter_mut().zip(&self.ends) {
+            for (outcome, &end) in self.outcomes.iter_mut().zip(&self.ends) {
                 let mut best: Option<(usize, f64)> = None;
                 for &(truth, overlap) in &self.candidates[start..end] {
                     if self.free[truth]
@@ -314,9 +405,41 @@ impl FrameMatcher {
                 }
                 if let Some((truth, _)) = best {
                     self.free[truth] = false;
-                    *matched |= 1 << bit;
+                    outcome.matched |= 1 << bit;
                 }
                 start = end;
+            }
+        }
+    }
+
+    /// Excuses predictions that match no object, as COCO does: each takes the marked place of highest overlap; a crowd can
+    /// be taken any number of times, an object once.
+    fn excuse(&mut self) {
+        for (bit, &threshold) in IOU_THRESHOLDS.iter().enumerate() {
+            self.free.clear();
+            self.free.resize(self.ignored.len(), true);
+            for (prediction, outcome) in self.predictions.iter().zip(&mut self.outcomes) {
+                if outcome.is_matched(bit) {
+                    continue;
+                }
+                let mut best: Option<(usize, f64)> = None;
+                for (index, ignored) in self.ignored.iter().enumerate() {
+                    let own = prediction.corners;
+                    let overlap = match ignored.mark {
+                        Mark::Crowd => own.shared_area(ignored.corners) / own.area(),
+                        _ => own.intersection_over_union(ignored.corners),
+                    };
+                    if self.free[index]
+                        && overlap >= threshold
+                        && best.is_none_or(|(_, best)| overlap > best)
+                    {
+                        best = Some((index, overlap));
+                    }
+                }
+                if let Some((index, _)) = best {
+                    self.free[index] = self.ignored[index].mark == Mark::Crowd;
+                    outcome.excused |= 1 << bit;
+                }
             }
         }
     }
@@ -331,7 +454,11 @@ impl FrameMatcher {
             .extend(self.truths.iter().enumerate().map(|(index, truth)| (truth.x1, index)));
         self.by_left.sort_by(|a, b| a.0.total_cmp(&b.0));
         let widest = self.truths.iter().map(|truth| truth.x2 - truth.x1).fold(0.0, f64::max);
-        for (_, prediction) in &self.predictions {
+        for Prediction {
+            corners: prediction,
+            ..
+        } in &self.predictions
+        {
             let first = self.by_left.partition_point(|&(left, _)| left < prediction.x1 - widest);
             let begin = self.candidates.len();
             for &(left, index) in &self.by_left[first..] {

@@ -1,28 +1,257 @@
-//! Leaves out boxes that cannot be judged, because the ground truth labels no objects where they are.
+//! Leaves out boxes that cannot be judged, because of what the ground truth marks where they are.
+//!
+//! [`Mark`] has the rules. Those at each IoU threshold, which are COCO's, are part of the matching for average precision;
+//! [`without_ignored`] applies them at IoU 0.5 for every other figure.
 
+use super::assignment::assign;
 use super::average_precision::IOU_THRESHOLDS;
+use super::truth::{Ignored, Mark, Truth};
+use super::{Classes, average_precision};
 use crate::boxes::ScoredBox;
-use albireo_core::geometry::Corners;
 
-/// Returns `predictions` without those that cannot be judged, because they lie where the ground truth labels no objects.
-/// As in KITTI's evaluation, these have at least half of their area in a region of `ignored` (one list per frame) and
-/// overlap no ground truth by IoU 0.5.
-pub(crate) fn outside_ignored(
+/// The overlap from which a box is taken to be on an object.
+const SAME_OBJECT: f64 = IOU_THRESHOLDS[0];
+
+/// Returns `predictions` without those that a [`Mark`] with a fixed threshold leaves out. Those of COCO's marks remain: the
+/// matching of average precision decides on them.
+pub(super) fn without_fixed(
     predictions: &[Vec<ScoredBox>],
-    truth: &[Vec<ScoredBox>],
-    ignored: &[Vec<Corners>],
+    truth: Truth<'_>,
+    classes: Classes,
 ) -> Vec<Vec<ScoredBox>> {
-    let mut judged = predictions.to_vec();
-    for (frame, (boxes, regions)) in judged.iter_mut().zip(ignored).enumerate() {
-        let truth = truth.get(frame).map_or(&[][..], Vec::as_slice);
-        boxes.retain(|found| {
-            let own = found.corners;
-            let inside = |region: &Corners| 2.0 * own.shared_area(*region) >= own.area();
-            let is_object = |truth: &ScoredBox| {
-                found.corners.intersection_over_union(truth.corners) >= IOU_THRESHOLDS[0]
-            };
-            !regions.iter().any(inside) || truth.iter().any(is_object)
-        });
+    let frames = predictions.iter().enumerate();
+    frames
+        .map(|(frame, found)| {
+            let excused = excused(found, truth.objects(frame), truth.ignored(frame), classes);
+            let kept = found.iter().zip(excused).filter(|(_, excused)| !excused);
+            kept.map(|(found, _)| *found).collect()
+        })
+        .collect()
+}
+
+/// Returns `predictions` without all that cannot be judged at IoU 0.5.
+pub(super) fn without_ignored(
+    predictions: &[Vec<ScoredBox>],
+    truth: Truth<'_>,
+    classes: Classes,
+) -> Vec<Vec<ScoredBox>> {
+    let mut kept = without_fixed(predictions, truth, classes);
+    for (frame, found) in kept.iter_mut().enumerate() {
+        let ignored = truth.ignored(frame);
+        if ignored.iter().any(|ignored| is_of_coco(ignored.mark)) {
+            let excused =
+                average_precision::excused_at_50(found, truth.objects(frame), ignored, classes);
+            let mut excused = excused.into_iter();
+            found.retain(|_| !excused.next().unwrap_or_default());
+        }
     }
-    judged
+    kept
+}
+
+/// True if the mark is applied at each IoU threshold.
+pub(super) fn is_of_coco(mark: Mark) -> bool {
+    matches!(mark, Mark::Crowd | Mark::Object)
+}
+
+/// Tells for each box of a frame whether a mark with a fixed threshold leaves it out.
+fn excused(
+    found: &[ScoredBox],
+    objects: &[ScoredBox],
+    ignored: &[Ignored],
+    classes: Classes,
+) -> Vec<bool> {
+    let mut excused = vec![false; found.len()];
+    let regions = || ignored.iter().filter(|ignored| ignored.mark == Mark::Region);
+    for (found, excused) in found.iter().zip(&mut excused) {
+        let own = found.corners;
+        let is_object = |object: &ScoredBox| {
+            are_comparable(object, found, classes)
+                && own.intersection_over_union(object.corners) >= SAME_OBJECT
+        };
+        *excused = regions().any(|region| {
+            region.concerns(found.class) && 2.0 * own.shared_area(region.corners) >= own.area()
+        }) && !objects.iter().any(is_object);
+    }
+    if ignored.iter().any(|ignored| ignored.mark == Mark::Distractor) {
+        for index in on_distractors(found, objects, ignored, classes) {
+            excused[index] = true;
+        }
+    }
+    excused
+}
+
+/// Returns the indices of the boxes that fall to distractors, see [`Mark::Distractor`].
+fn on_distractors(
+    found: &[ScoredBox],
+    objects: &[ScoredBox],
+    ignored: &[Ignored],
+    classes: Classes,
+) -> Vec<usize> {
+    let labelled: Vec<&Ignored> = ignored
+        .iter()
+        .filter(|ignored| matches!(ignored.mark, Mark::Distractor | Mark::Unjudged))
+        .collect();
+    let overlap = |own: &ScoredBox, other, comparable: bool| {
+        let iou = own.corners.intersection_over_union(other);
+        if comparable && iou >= SAME_OBJECT {
+            iou
+        } else {
+            0.0
+        }
+    };
+    let of_objects = objects.iter().flat_map(|object| {
+        found.iter().map(|found| {
+            overlap(
+                found,
+                object.corners,
+                are_comparable(object, found, classes),
+            )
+        })
+    });
+    let of_labelled = labelled.iter().flat_map(|labelled| {
+        found
+            .iter()
+            .map(|found| overlap(found, labelled.corners, labelled.concerns(found.class)))
+    });
+    let scores: Vec<f64> = of_objects.chain(of_labelled).collect();
+    assign(objects.len() + labelled.len(), found.len(), &scores)
+        .filter(|(row, column)| scores[row * found.len() + column] > 0.0)
+        .filter_map(|(row, column)| {
+            let labelled = labelled.get(row.checked_sub(objects.len())?)?;
+            (labelled.mark == Mark::Distractor).then_some(column)
+        })
+        .collect()
+}
+
+/// True if a box can be that of an object.
+fn are_comparable(object: &ScoredBox, found: &ScoredBox, classes: Classes) -> bool {
+    classes == Classes::Pooled || object.class == found.class
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::average_precision::tests::{at, pooled, scored, square};
+    use super::super::{Accuracy, Interpolation, accuracy};
+    use super::*;
+    use albireo_core::detection::ClassId;
+    use albireo_core::geometry::Corners;
+
+    fn marked(corners: Corners, mark: Mark) -> Ignored {
+        Ignored {
+            corners,
+            class: None,
+            mark,
+        }
+    }
+
+    fn kept(found: Vec<ScoredBox>, objects: &[ScoredBox], ignored: Vec<Ignored>) -> Vec<f64> {
+        let (objects, ignored) = ([objects.to_vec()], [ignored]);
+        let truth = Truth {
+            objects: &objects,
+            ignored: &ignored,
+        };
+        let kept = without_ignored(&[found], truth, Classes::Pooled);
+        kept[0].iter().map(|found| found.confidence).collect()
+    }
+
+    #[test]
+    fn boxes_in_an_ignored_region_are_no_false_positives_and_found_objects_there_count() {
+        let region = marked(square(100.0, 0.0, 100.0), Mark::Region);
+        let half_outside = square(60.0, 0.0, 80.0);
+        let mostly_outside = square(50.0, 0.0, 80.0);
+        let found = vec![
+            scored(square(120.0, 10.0, 20.0), 0.9),
+            scored(half_outside, 0.8),
+            scored(mostly_outside, 0.7),
+            scored(square(150.0, 50.0, 40.0), 0.6),
+            scored(square(400.0, 50.0, 40.0), 0.5),
+        ];
+        let object = scored(square(150.0, 50.0, 40.0), 1.0);
+        let judged = kept(found.clone(), &[object], vec![region]);
+        assert_eq!(judged, [0.7, 0.6, 0.5]);
+        // A region of one frame says nothing about the next.
+        let (objects, ignored) = ([vec![object], vec![]], [vec![region]]);
+        let truth = Truth {
+            objects: &objects,
+            ignored: &ignored,
+        };
+        let later = without_ignored(&[Vec::new(), found], truth, Classes::Pooled);
+        assert_eq!(later[1].len(), 5);
+    }
+
+    #[test]
+    fn one_box_falls_to_a_distractor_and_its_double_counts_as_wrong() {
+        let distractor = marked(square(0.0, 0.0, 10.0), Mark::Distractor);
+        let found = vec![at(0.0, 0.9), at(1.0, 0.8), at(50.0, 0.7)];
+        assert_eq!(kept(found, &[at(50.0, 1.0)], vec![distractor]), [0.8, 0.7]);
+        // An object in front of the distractor takes its box first.
+        let found = vec![at(0.0, 0.9)];
+        assert_eq!(kept(found, &[at(0.0, 1.0)], vec![distractor]).len(), 1);
+        // What is labelled and not judged excuses nothing, and takes its box from a distractor beside it.
+        let unjudged = marked(square(0.0, 0.0, 10.0), Mark::Unjudged);
+        let beside = marked(square(2.0, 0.0, 10.0), Mark::Distractor);
+        let found = vec![at(0.0, 0.9)];
+        assert_eq!(kept(found, &[], vec![unjudged, beside]), [0.9]);
+    }
+
+    #[test]
+    fn a_mark_for_one_class_leaves_boxes_of_others() {
+        let cars = Ignored {
+            class: Some(ClassId(2)),
+            ..marked(square(0.0, 0.0, 10.0), Mark::Distractor)
+        };
+        let mut car = at(0.0, 0.9);
+        car.class = ClassId(2);
+        assert_eq!(kept(vec![car], &[], vec![cars]), [0.0; 0]);
+        assert_eq!(kept(vec![at(0.0, 0.9)], &[], vec![cars]), [0.9]);
+    }
+
+    /// A car and a crowd with three boxes in it, on one frame.
+    fn crowded(mark: Mark) -> Accuracy {
+        let found = [vec![
+            at(100.0, 0.99),
+            at(2.0, 0.98),
+            at(8.0, 0.97),
+            at(0.0, 0.5),
+        ]];
+        let objects = [vec![at(0.0, 1.0)]];
+        let ignored = [vec![marked(
+            Corners {
+                x1: 0.0,
+                y1: 0.0,
+                x2: 110.0,
+                y2: 10.0,
+            },
+            mark,
+        )]];
+        let truth = Truth {
+            objects: &objects,
+            ignored: &ignored,
+        };
+        let area = Interpolation::AllPoints;
+        accuracy(&found, truth, Classes::Pooled, area).unwrap()
+    }
+
+    #[test]
+    fn a_crowd_takes_any_number_of_boxes_and_an_ignored_object_one() {
+        // Three boxes are right or in the crowd; the object goes to the better of two that overlap it.
+        let crowd = crowded(Mark::Crowd);
+        assert_eq!([crowd.ap50, crowd.precision], [1.0, 1.0]);
+        assert_eq!(crowd.predictions, 1);
+        // The long object overlaps no box by half.
+        let objects = [vec![at(0.0, 1.0)]];
+        let alone = pooled(&[vec![at(0.0, 0.5)]], &objects);
+        assert_eq!(alone.ap50, 1.0);
+        let object = crowded(Mark::Object);
+        assert!(object.ap50 < 1.0 && object.predictions == 4, "{object:?}");
+        let doubled = [vec![at(50.0, 0.9), at(50.0, 0.8), at(0.0, 0.7)]];
+        let ignored = [vec![marked(square(50.0, 0.0, 10.0), Mark::Object)]];
+        let truth = Truth {
+            objects: &objects,
+            ignored: &ignored,
+        };
+        let area = Interpolation::AllPoints;
+        let judged = accuracy(&doubled, truth, Classes::Pooled, area).unwrap();
+        assert_eq!([judged.ap50, judged.precision], [0.5, 0.5]);
+    }
 }

@@ -3,7 +3,11 @@
 //! Classes are pooled. Boxes of a confidence below [`SHOWN_CONFIDENCE`] are ignored: unlike average precision,
 //! neither figure ranks boxes by confidence.
 
+use super::Classes;
+use super::assignment::assign;
 use super::average_precision::SHOWN_CONFIDENCE;
+use super::ignored::without_ignored;
+use super::truth::Truth;
 use crate::boxes::ScoredBox;
 use albireo_core::geometry::Corners;
 use serde::Serialize;
@@ -60,20 +64,28 @@ impl Overlaps {
 /// Judges the tracks of `predictions` against `truth`, both with one list per frame.
 ///
 /// `None` without ground truth, or if a box that is not ignored has no object number.
-pub fn tracking(predictions: &[Vec<ScoredBox>], truth: &[Vec<ScoredBox>]) -> Option<Tracking> {
+pub fn tracking<'a>(
+    predictions: &[Vec<ScoredBox>],
+    truth: impl Into<Truth<'a>>,
+) -> Option<Tracking> {
+    let truth = truth.into();
+    let is_shown = |found: &&ScoredBox| found.confidence >= SHOWN_CONFIDENCE;
+    let shown: Vec<Vec<ScoredBox>> = predictions
+        .iter()
+        .map(|found| found.iter().filter(is_shown).copied().collect())
+        .collect();
+    let predictions = without_ignored(&shown, truth, Classes::Pooled);
     let mut objects = Appearances::default();
     let mut tracks = Appearances::default();
     let mut frames = Vec::new();
-    for index in 0..predictions.len().max(truth.len()) {
+    for index in 0..predictions.len().max(truth.objects.len()) {
         let mut known_boxes: Vec<(usize, Corners)> = Vec::new();
-        for known in truth.get(index).into_iter().flatten() {
+        for known in truth.objects(index) {
             known_boxes.push((objects.add(known.object?), known.corners));
         }
         let mut shown: Vec<(usize, Corners)> = Vec::new();
         for found in predictions.get(index).into_iter().flatten() {
-            if found.confidence >= SHOWN_CONFIDENCE {
-                shown.push((tracks.add(found.object?), found.corners));
-            }
+            shown.push((tracks.add(found.object?), found.corners));
         }
         let with_all = |known: &(usize, Corners)| {
             let known = known.1;
@@ -90,12 +102,6 @@ pub fn tracking(predictions: &[Vec<ScoredBox>], truth: &[Vec<ScoredBox>]) -> Opt
         hota: hota(&frames, &objects, &tracks),
         idf1: idf1(&frames, &objects, &tracks),
     })
-}
-
-/// Pairs rows with columns so that the sum of their scores is highest. Scores are finite, so a solution always exists.
-fn assign(rows: usize, columns: usize, scores: &Vec<f64>) -> impl Iterator<Item = (usize, usize)> {
-    let (rows, columns) = lsap::solve(rows, columns, scores, true).unwrap_or_default();
-    rows.into_iter().zip(columns)
 }
 
 fn hota(frames: &[Overlaps], objects: &Appearances, tracks: &Appearances) -> f64 {

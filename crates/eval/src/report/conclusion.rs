@@ -2,6 +2,7 @@
 
 use crate::spec::{BASELINE, short_label};
 use crate::summary::PolicySummary;
+use crate::text::signed;
 
 /// Loss of AP@50 up to which a policy counts as keeping it: the interval of its change must not reach below this loss.
 const MARGIN: f64 = 0.01;
@@ -72,12 +73,11 @@ fn described(summary: &PolicySummary, baseline: &PolicySummary) -> String {
         summary.skip_rate * 100.0
     );
     if let Some(ap50) = summary.ap50_change {
-        text.push_str(&format!(", AP@50 {:+.1} points", ap50.mean * 100.0));
-        if let Some([from, to]) = ap50.interval.map(|ends| ends.map(|end| end * 100.0)) {
-            text.push_str(&format!(
-                " [{from:+.1}, {to:+.1}] over {} clips",
-                ap50.clips
-            ));
+        let points = ap50.scaled(100.0);
+        text.push_str(&format!(", AP@50 {} points", signed(points.mean, 1)));
+        if let Some([from, to]) = points.interval {
+            let [from, to] = [from, to].map(|end| signed(end, 1));
+            text.push_str(&format!(" [{from}, {to}] over {} clips", ap50.clips));
         }
     }
     if let (Some(own), Some(before)) = (summary.energy, baseline.energy)

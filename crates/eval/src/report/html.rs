@@ -3,7 +3,7 @@
 use super::Report;
 use super::conclusion::conclusion;
 use super::plot::Plot;
-use super::table::{columns, notes};
+use super::table::{columns, differences, notes};
 use super::worst;
 use crate::result::ClipResult;
 use crate::spec::{BASELINE, short_label};
@@ -136,6 +136,10 @@ fn policies(summaries: &[PolicySummary]) -> Markup {
             h2 { "Policies" }
             (sortable(&columns(summaries)))
             p.legend { (notes(summaries).join(" ")) " Click a column's head to sort." }
+            @for (title, columns) in differences(summaries) {
+                h3 { (title) }
+                (sortable(&columns))
+            }
         }
     }
 }

@@ -40,6 +40,7 @@ fn row(result: &ClipResult, baseline: Option<&ClipResult>) -> Vec<(&'static str,
     let source = result.frame_time.map(|time| time.provenance.as_str());
     let tracks = result.tracking;
     let tracks_all = result.tracking_all;
+    let newcomers = result.newcomers;
     let energy = result.energy;
     let [e, p, ei, i, ai] = result.state_shares();
     vec![
@@ -69,12 +70,24 @@ fn row(result: &ClipResult, baseline: Option<&ClipResult>) -> Vec<(&'static str,
         ("recall", of(accuracy, |a| a.recall)),
         ("ap50_all", of(all, |a| a.ap50)),
         ("ap75_all", of(all, |a| a.ap75)),
+        ("map_all", of(all, |a| a.map)),
         ("f1_50_shown_all", of(all, |a| a.f1_50_shown)),
         ("hota_all", cell(tracks_all.map(|tracks| tracks.hota))),
         ("idf1_all", cell(tracks_all.map(|tracks| tracks.idf1))),
+        ("newcomers", cell(newcomers.map(|new| new.objects))),
+        (
+            "newcomers_never_found",
+            cell(newcomers.map(|new| new.never_found)),
+        ),
+        (
+            "newcomer_frames",
+            cell(newcomers.map(|new| new.delay_frames)),
+        ),
+        ("newcomer_ms", cell(result.newcomer_ms())),
         ("delta_ap50", delta(|a| a.ap50)),
         ("delta_map", delta(|a| a.map)),
         ("detector_frames", result.detector_frames.to_string()),
+        ("calls_a_second", cell(result.calls_a_second())),
         ("screen_frames", result.screen_frames.to_string()),
         ("degraded_frames", result.degraded_frames.to_string()),
         (

@@ -1,16 +1,28 @@
 //! Formats the table of a run for a terminal, and its columns for the HTML report.
 
 use crate::result::Provenance;
-use crate::spec::short_label;
-use crate::summary::{Difference, PolicySummary};
-use crate::text::{self, Column, or_dash, three_decimals, wrapped};
+use crate::spec::{BASELINE, short_label};
+use crate::summary::{Difference, NEWCOMERS, PolicySummary};
+use crate::text::{self, Column, one_decimal, or_dash, three_decimals, two_decimals, wrapped};
 use albireo_core::policy::FrameState;
 
 /// Maximum width of the table in characters.
 pub(crate) const WIDTH: usize = 100;
 
-/// Formats the table with one line per policy. Columns that do not fit are left out, and a note names them.
+/// Formats the tables of a run: the figures with one line per policy, and the differences to the baseline.
 pub fn render(summaries: &[PolicySummary]) -> String {
+    let mut text = figures(summaries);
+    for (title, columns) in differences(summaries) {
+        text.push('\n');
+        text.push_str(&wrapped(&title, WIDTH));
+        text.push('\n');
+        text.push_str(&text::table(columns.iter(), "  "));
+    }
+    text
+}
+
+/// Formats the table of the figures. Columns that do not fit are left out, and a note names them.
+fn figures(summaries: &[PolicySummary]) -> String {
     let mut columns = ranked(summaries);
     let mut left_out = Vec::new();
     let width = |(_, column): &(u8, Column)| column.width() + 1;
@@ -36,6 +48,65 @@ pub fn render(summaries: &[PolicySummary]) -> String {
     text
 }
 
+/// Returns the tables of the differences to the baseline, each with its title: of the boxes that a node publishes, then of
+/// all boxes. A table without a figure is left out.
+pub(crate) fn differences(summaries: &[PolicySummary]) -> Vec<(String, Vec<Column>)> {
+    let others: Vec<&PolicySummary> =
+        summaries.iter().filter(|summary| summary.policy != BASELINE).collect();
+    let Some(first) = others.first() else {
+        return Vec::new();
+    };
+    let column = |head: &str, cell: &dyn Fn(&PolicySummary) -> String| {
+        Column::new(
+            [head, ""],
+            others.iter().map(|summary| cell(summary)).collect(),
+        )
+    };
+    let policy = || column("policy", &|s| short_label(&s.policy).to_owned());
+    let points = |difference: Option<Difference>| {
+        or_dash(difference.map(|found| found.scaled(100.0).text(1)))
+    };
+    let p = |difference: Option<Difference>| or_dash(difference.map(Difference::p_text));
+    let as_published = vec![
+        policy(),
+        column("AP@50", &|s| points(s.ap50_change)),
+        column("p", &|s| p(s.ap50_change)),
+        column("mAP", &|s| points(s.map_change)),
+        column("p", &|s| p(s.map_change)),
+        column("new, frames", &|s| {
+            or_dash(s.newcomers_change.map(|found| found.text(2)))
+        }),
+    ];
+    let all_boxes = vec![
+        policy(),
+        column("AP@50", &|s| points(s.ap50_all_change)),
+        column("p", &|s| p(s.ap50_all_change)),
+        column("mAP", &|s| points(s.map_all_change)),
+        column("p", &|s| p(s.map_all_change)),
+    ];
+    let how = format!(
+        "points with 95 % intervals and p (paired t, {} clip{})",
+        first.clips,
+        if first.clips == 1 { "" } else { "s" }
+    );
+    [
+        (
+            format!("Differences to vanilla, boxes as a node publishes them; {how}"),
+            as_published,
+        ),
+        (
+            format!("Differences to vanilla, all boxes, however faint; {how}"),
+            all_boxes,
+        ),
+    ]
+    .into_iter()
+    .filter_map(|(title, mut columns)| {
+        columns.retain(|column| column.cells.iter().any(|cell| cell != "-"));
+        (columns.len() > 1).then_some((title, columns))
+    })
+    .collect()
+}
+
 /// Returns the columns for which at least one policy has a figure. The first one names the policies, with `*` for those on
 /// the Pareto frontier of AP@50 and skip rate.
 pub(crate) fn columns(summaries: &[PolicySummary]) -> Vec<Column> {
@@ -49,16 +120,6 @@ fn ranked(summaries: &[PolicySummary]) -> Vec<(u8, Column)> {
         let cells = summaries.iter().map(cell).collect();
         (rank, Column::new(heads, cells))
     };
-    let change = |difference: Option<Difference>| {
-        or_dash(difference.map(|found| format!("{:+.1}", found.mean * 100.0)))
-    };
-    let interval = |difference: Option<Difference>| {
-        or_dash(
-            difference
-                .and_then(|found| found.interval)
-                .map(|[from, to]| format!("[{:+.1}, {:+.1}]", from * 100.0, to * 100.0)),
-        )
-    };
     let mut columns = vec![
         column(["", "policy"], 0, &|s| {
             let star = if s.on_skip_frontier { "*" } else { "" };
@@ -71,14 +132,22 @@ fn ranked(summaries: &[PolicySummary]) -> Vec<(u8, Column)> {
     }
     columns.extend([
         column(["AP@50", ""], 0, &|s| three_decimals(s.ap50)),
-        column(["AP@50", "all"], 0, &|s| three_decimals(s.ap50_all)),
-        column(["Δ", "pp"], 0, &|s| change(s.ap50_change)),
-        column(["95 %", "pp"], 1, &|s| interval(s.ap50_change)),
         column(["mAP", ""], 0, &|s| three_decimals(s.map)),
-        column(["Δ", "pp"], 3, &|s| change(s.map_change)),
         column(["AP@75", ""], 1, &|s| three_decimals(s.ap75)),
         column(["F1@50", ">=.3"], 1, &|s| three_decimals(s.f1_50_shown)),
-        column(["HOTA", ">=.3"], 2, &|s| three_decimals(s.hota)),
+        column(["new", "frames"], 0, &|s| {
+            two_decimals(s.newcomers.map(|new| new.frames))
+        }),
+        column(["new", "ms"], 0, &|s| {
+            or_dash(s.newcomers.and_then(|new| Some(format!("{:.0}", new.ms?))))
+        }),
+        column(["never", "%"], 0, &|s| {
+            one_decimal(s.newcomers.map(|new| 100.0 * new.never_found))
+        }),
+        column(["calls", "/s"], 2, &|s| one_decimal(s.calls_a_second)),
+        column(["AP@50", "all"], 2, &|s| three_decimals(s.ap50_all)),
+        column(["mAP", "all"], 3, &|s| three_decimals(s.map_all)),
+        column(["HOTA", ">=.3"], 3, &|s| three_decimals(s.hota)),
         column(["IDF1", ">=.3"], 4, &|s| three_decimals(s.idf1)),
         column(["time", "ms"], 4, &|s| {
             or_dash(s.frame_time_ms.map(|(time, kind)| {
@@ -110,8 +179,7 @@ pub(crate) fn notes(summaries: &[PolicySummary]) -> Vec<String> {
     let clips = first.map_or(0, |summary| summary.clips);
     let without = first.map_or(0, |summary| summary.clips_without_truth);
     let mut notes = vec![format!(
-        "Unweighted means over {clips} clip{}; Δ and its 95 % interval (paired t) against vanilla, clip by clip. \
-         * no other skips as much and is as accurate.",
+        "Unweighted means over {clips} clip{}. * no other skips as much and is as accurate.",
         if clips == 1 { "" } else { "s" }
     )];
     if without > 0 {
@@ -126,9 +194,11 @@ pub(crate) fn notes(summaries: &[PolicySummary]) -> Vec<String> {
     }
     if summaries.iter().any(|summary| summary.ap50_all.is_some()) {
         notes.push(
-            "Boxes are judged as a node publishes them; AP@50 all: every box of the policy, however faint."
-                .to_owned(),
+            "Boxes are judged as a node publishes them; all: every box of the policy, however faint.".to_owned(),
         );
+    }
+    if summaries.iter().any(|summary| summary.newcomers.is_some()) {
+        notes.push(NEWCOMERS.to_owned());
     }
     let times = || summaries.iter().filter_map(|summary| summary.frame_time_ms);
     let energy = summaries.iter().any(|summary| summary.energy.is_some());

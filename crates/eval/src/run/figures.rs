@@ -2,11 +2,11 @@
 
 use crate::boxes::ScoredBox;
 use crate::data::{Clip, Pass, StepTimes, classes};
-use crate::judge::{accuracy, accuracy_by_class, outside_ignored, tracking};
+use crate::judge::{Truth, accuracy, accuracy_by_class, newcomers, tracking};
 use crate::replay::{FrameRecord, Replay, StoredEvidence};
 use crate::result::{ClipResult, FrameTime, Provenance, Spread};
 use crate::settings::{ScreenRule, Settings};
-use albireo_core::policy::{FrameState, Need, Profile};
+use albireo_core::policy::{FrameState, Need};
 use albireo_wire::FrameStates;
 
 /// Fills in the figures that follow from the replay's records, but not accuracy, frame time and energy.
@@ -36,33 +36,26 @@ pub(super) fn of_replay(clip: &Clip, policy: &str, replayed: &Replay) -> ClipRes
     }
 }
 
-/// Judges the boxes of a replay by the clip's ground truth.
+/// Judges the boxes of a replay.
 pub(super) fn judge(
     result: &mut ClipResult,
-    clip: &Clip,
-    truth: &[Vec<ScoredBox>],
+    truth: Truth<'_>,
     replayed: &Replay,
-    profile: Profile,
     settings: &Settings,
 ) {
-    // The published evaluator has no ignored regions.
-    let boxes = match profile {
-        Profile::Paper => outside_ignored(&replayed.boxes, truth, &clip.ignored),
-        Profile::Reference => replayed.boxes.clone(),
-    };
     let judge =
         |boxes: &[Vec<ScoredBox>]| accuracy(boxes, truth, settings.classes, settings.interpolation);
-    result.accuracy = judge(&boxes);
-    result.tracking = tracking(&boxes, truth);
+    result.accuracy = judge(&replayed.boxes);
+    result.tracking = tracking(&replayed.boxes, truth);
+    result.newcomers = newcomers(&replayed.boxes, truth, settings.classes);
     if let Some(all) = &replayed.boxes_all {
-        let all = outside_ignored(all, truth, &clip.ignored);
-        result.accuracy_all = judge(&all);
-        result.tracking_all = tracking(&all, truth);
+        result.accuracy_all = judge(all);
+        result.tracking_all = tracking(all, truth);
     }
     if let Some(last) = &replayed.boxes_last_confidence {
         result.accuracy_last_confidence = judge(last);
     }
-    result.classes = accuracy_by_class(&boxes, truth, settings.interpolation)
+    result.classes = accuracy_by_class(&replayed.boxes, truth, settings.interpolation)
         .into_iter()
         .map(|(class, accuracy)| {
             let name =

@@ -6,15 +6,17 @@
 
 mod run_times;
 
-use super::{in_parallel, judge, no_evidence};
+use super::{in_parallel, no_evidence};
+use crate::boxes::ScoredBox;
 use crate::data::Clip;
 use crate::error::EvalError;
+use crate::judge::{Truth, accuracy, newcomers};
 use crate::replay::{ClipFrame, StoredEvidence, drive, score_published};
 use crate::result::ClipResult;
 use crate::settings::Settings;
 use crate::spec::{BASELINE, PolicySpec, short_label};
-use crate::summary::{Difference, PolicySummary, summarise};
-use crate::text::{self, Column, three_decimals};
+use crate::summary::{Difference, NEWCOMERS, PolicySummary, summarise};
+use crate::text::{self, Column, one_decimal, three_decimals, two_decimals};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{
     EvidenceAtHand, FrameHead, LatePolicy, Need, Outcome, OutputBox, Policy, Settler, decide,
@@ -60,13 +62,17 @@ struct Published {
 /// Runs `policies` over `clips` and judges `stream`.
 ///
 /// # Errors
-/// [`EvalError`] when a policy cannot be built or a clip has no detections or, at arrival, no frame rate.
+/// [`EvalError`] when a policy cannot be built, or a clip has no detections or no frame rate.
 pub fn run<'a>(
     clips: impl IntoIterator<Item = &'a Clip>,
     policies: &[PolicySpec],
     settings: &Settings,
     stream: Stream,
 ) -> Result<StreamResults, EvalError> {
+    let unjudgeable = |clip: &Clip, spec: &PolicySpec| {
+        let what = "frames have no times, as the data has no frame rate: give it with --rate";
+        no_evidence(clip, spec, EvalError::new(what))
+    };
     let results = in_parallel(
         clips,
         policies,
@@ -74,8 +80,10 @@ pub fn run<'a>(
         &|| (),
         &|clip, spec, settings| {
             let policy = spec.build()?;
+            let rate = clip.frame_rate.filter(|rate| *rate > 0.0);
+            let interval = 1.0 / rate.ok_or_else(|| unjudgeable(clip, spec))?;
             let published = StoredEvidence::new(clip, settings)
-                .and_then(|mut evidence| publish(clip, policy, &mut evidence, &stream))
+                .and_then(|mut evidence| publish(policy, &mut evidence, &stream, interval))
                 .map_err(|source| no_evidence(clip, spec, source))?;
             let min_confidence = settings.min_confidence();
             let (boxes, all): (Vec<_>, Vec<_>) = published
@@ -83,12 +91,21 @@ pub fn run<'a>(
                 .iter()
                 .map(|boxes| score_published(boxes, clip.picture, min_confidence))
                 .unzip();
+            let truth = clip.truth.as_deref().map(|objects| Truth {
+                objects,
+                ignored: &clip.ignored,
+            });
+            let judge = |boxes: &[Vec<ScoredBox>], truth| {
+                accuracy(boxes, truth, settings.classes, settings.interpolation)
+            };
             Ok(ClipResult {
                 clip: clip.name.clone(),
                 policy: spec.label.clone(),
                 frames: clip.frames,
-                accuracy: judge(clip, &boxes, settings),
-                accuracy_all: judge(clip, &all, settings),
+                frame_rate: clip.frame_rate,
+                accuracy: truth.and_then(|truth| judge(&boxes, truth)),
+                accuracy_all: truth.and_then(|truth| judge(&all, truth)),
+                newcomers: truth.and_then(|truth| newcomers(&boxes, truth, settings.classes)),
                 detector_frames: published.calls,
                 delay: published.delay as f64 / clip.frames.max(1) as f64,
                 ..ClipResult::default()
@@ -98,23 +115,21 @@ pub fn run<'a>(
     Ok(StreamResults { stream, results })
 }
 
+/// Publishes the boxes of a clip; `interval` is the time between two frames, seconds.
 fn publish(
-    clip: &Clip,
     mut policy: Box<dyn Policy>,
     source: &mut StoredEvidence<'_>,
     stream: &Stream,
+    interval: f64,
 ) -> Result<Published, EvalError> {
     let Stream::AtArrival { detector } = stream else {
-        let interval = Duration::from_secs_f64(1.0 / clip.frame_rate.unwrap_or(10.0).max(0.1));
-        return settled(&mut *policy, source, interval);
+        return settled(
+            &mut *policy,
+            source,
+            Duration::from_secs_f64(interval.min(10.0)),
+        );
     };
-    let rate = clip.frame_rate.filter(|rate| *rate > 0.0);
-    let rate =
-        rate.ok_or_else(|| EvalError::new("frames have no times: the clip has no frame rate"))?;
-    let timing = Timing {
-        interval: 1.0 / rate,
-        detector,
-    };
+    let timing = Timing { interval, detector };
     if policy.can_rewind() {
         at_once(policy, source, timing)
     } else {
@@ -283,7 +298,7 @@ impl StreamResults {
                 .iter()
                 .map(|(head, cell)| Column::new([head, ""], summaries.iter().map(cell).collect()))
                 .collect();
-            text::table(columns.iter(), "  ")
+            text::table(columns.iter(), " ")
         };
         let figures = table(
             &summaries,
@@ -292,10 +307,15 @@ impl StreamResults {
                 ("calls%", |s| format!("{:.1}", 100.0 * s.calls)),
                 ("AP@50", |s| three_decimals(s.ap50)),
                 ("AP@75", |s| three_decimals(s.ap75)),
-                ("F1@50 >=.3", |s| three_decimals(s.f1_50_shown)),
+                ("F1", |s| three_decimals(s.f1_50_shown)),
                 ("mAP", |s| three_decimals(s.map)),
                 ("all", |s| three_decimals(s.ap50_all)),
                 ("delay", |s| format!("{:.1}", s.delay)),
+                ("new", |s| two_decimals(s.newcomers.map(|new| new.frames))),
+                ("ms", |s| one_decimal(s.newcomers.and_then(|new| new.ms))),
+                ("never%", |s| {
+                    one_decimal(s.newcomers.map(|new| 100.0 * new.never_found))
+                }),
             ],
         );
         summaries.retain(|summary| summary.policy != BASELINE);
@@ -305,27 +325,32 @@ impl StreamResults {
                 ("policy", |s| short_label(&s.policy).to_owned()),
                 ("AP@50", |s| points(s.ap50_change)),
                 ("AP@75", |s| points(s.ap75_change)),
-                ("F1@50 >=.3", |s| points(s.f1_50_shown_change)),
+                ("F1", |s| points(s.f1_50_shown_change)),
+                ("new", |s| frames(s.newcomers_change)),
             ],
         );
+        let legend = text::wrapped(
+            &format!(
+                "calls%: detector calls of 100 frames; F1: at IoU 0.5, of boxes of confidence 0.3 and above; all: AP@50 of \
+                 all boxes, also those too faint for a node to publish; delay: frames. {NEWCOMERS}"
+            ),
+            80,
+        );
         format!(
-            "{title};\nmeans over {clips} clips\n\n{figures}\nDifferences to vanilla in points, with their 95 % intervals\n\n\
-             {differences}\ncalls%: detector calls of 100 frames; all: AP@50 of all boxes, also those too\n\
-             faint for a node to publish; delay: frames.\n"
+            "{title};\nmeans over {clips} clips\n\n{figures}\nDifferences to vanilla in points (new: in frames), with their \
+             95 % intervals\n\n{differences}\n{legend}\n"
         )
     }
 }
 
 /// `+24.1 [18.2, 30.1]`, in points.
 fn points(difference: Option<Difference>) -> String {
-    let text = difference.map(|difference| match difference.interval {
-        None => format!("{:+.1}", 100.0 * difference.mean),
-        Some([lower, upper]) => {
-            let [mean, lower, upper] = [difference.mean, lower, upper].map(|s| 100.0 * s);
-            format!("{mean:+.1} [{lower:.1}, {upper:.1}]")
-        }
-    });
-    text.unwrap_or_default()
+    difference.map(|found| found.scaled(100.0).text(1)).unwrap_or_default()
+}
+
+/// `+0.31 [0.10, 0.52]`, in frames.
+fn frames(difference: Option<Difference>) -> String {
+    difference.map(|found| found.text(2)).unwrap_or_default()
 }
 
 #[cfg(test)]

@@ -48,7 +48,7 @@ fn published(clip: &Clip, policy: &str, stream: Stream) -> Published {
     let specs = policies(&[policy]);
     let policy = specs.last().unwrap().config.build().unwrap();
     let mut evidence = StoredEvidence::new(clip, &Settings::default()).unwrap();
-    publish(clip, policy, &mut evidence, &stream).unwrap()
+    publish(policy, &mut evidence, &stream, 0.1).unwrap()
 }
 
 /// The left edge of the box of each frame; 0 for a frame without one.
