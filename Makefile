@@ -49,8 +49,10 @@ deny: ## check licences, sources and bans of all dependencies (ADVISORIES=1: kno
 fuzz: ## fuzz every parser with coverage guidance, 20 minutes each (MINUTES=N); needs nightly Rust and cargo-fuzz
 	@bash fuzz/run.sh
 
-simulate: ## simulate delivery from seeds: crashes, losses, copied and restored state (SEEDS=10000; SEED=7 prints one run)
-	ALBIREO_WITHOUT_PAGES=1 ALBIREO_SEEDS=$(or $(SEEDS),10000) ALBIREO_SEED=$(SEED) cargo test --locked --profile bench -p albireo-node --lib \
+# Each day has a million seeds of its own, so that nightly runs try others.
+simulate: ## simulate delivery from seeds: crashes, losses, wrong clocks, damaged state (SEEDS=10000; SEED=7 prints one run)
+	ALBIREO_WITHOUT_PAGES=1 ALBIREO_SEEDS=$(or $(SEEDS),10000) ALBIREO_SEED=$(SEED) \
+		ALBIREO_FIRST_SEED=$(or $(FIRST),$$(($$(date +%s) / 86400 * 1000000))) cargo test --locked --profile bench -p albireo-node --lib \
 		delivery::tests::no_seed -- --nocapture
 
 soak: onnxruntime python ## run a node and a hub under faults for half an hour, by hand (MINUTES=N for another length)

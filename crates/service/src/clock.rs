@@ -1,17 +1,55 @@
 //! The wall clock, and times and figures in the form that messages use.
 
+use rustix::time::{ClockId, clock_gettime};
+use std::hash::{BuildHasher, RandomState};
+use std::sync::OnceLock;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 /// Milliseconds per day.
 pub const DAY_MS: i64 = 86_400_000;
 
-/// The present time by both clocks.
+/// The present time by all clocks.
 #[derive(Clone, Copy, Debug)]
 pub struct Now {
     /// The monotonic time, for decisions.
     pub at: Instant,
     /// The wall clock, milliseconds since the Unix epoch.
     pub unix_ms: i64,
+    /// The time since the machine was started, for ages that outlive the process.
+    pub uptime: Uptime,
+}
+
+/// The time since a machine was started. Nobody sets this clock, and it goes on while the machine sleeps.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Uptime {
+    /// Which start it was: a random number.
+    pub boot: u64,
+    /// Seconds since then.
+    pub s: u64,
+}
+
+impl Uptime {
+    /// The time of this machine.
+    fn system() -> Self {
+        static BOOT: OnceLock<u64> = OnceLock::new();
+        let boot = BOOT.get_or_init(|| {
+            // Where the system does not tell, each process counts as a start of its own.
+            let id = std::fs::read_to_string("/proc/sys/kernel/random/boot_id");
+            let id = id.map(|id| id.replace('-', "")).unwrap_or_default();
+            let first = id.get(..16).and_then(|id| u64::from_str_radix(id, 16).ok());
+            first.unwrap_or_else(|| RandomState::new().hash_one("boot"))
+        });
+        let time = clock_gettime(ClockId::Boottime);
+        Self {
+            boot: *boot,
+            s: u64::try_from(time.tv_sec).unwrap_or(0),
+        }
+    }
+
+    /// Seconds since an earlier time; `None` if the machine was started since then.
+    pub fn since(self, earlier: Self) -> Option<u64> {
+        (self.boot == earlier.boot).then(|| self.s.checked_sub(earlier.s))?
+    }
 }
 
 impl Now {
@@ -20,6 +58,7 @@ impl Now {
         Self {
             at: Instant::now(),
             unix_ms: unix_milliseconds(),
+            uptime: Uptime::system(),
         }
     }
 }
@@ -56,5 +95,21 @@ mod tests {
     fn figures_are_rounded_to_meaningful_digits() {
         assert_eq!(milliseconds(Duration::from_nanos(1_234_567)), 1.235);
         assert_eq!(seconds(Duration::from_micros(1_234_567)), 1.235);
+    }
+
+    #[test]
+    fn ages_by_the_uptime_are_known_until_the_machine_is_started_again() {
+        let now = Now::system().uptime;
+        assert!(now.since(now) == Some(0) && now.s > 0 && now.boot != 0);
+        let earlier = Uptime {
+            s: now.s - 1,
+            ..now
+        };
+        assert_eq!((now.since(earlier), earlier.since(now)), (Some(1), None));
+        let other = Uptime {
+            boot: !now.boot,
+            ..now
+        };
+        assert_eq!(now.since(other), None);
     }
 }

@@ -94,6 +94,7 @@ impl SimNode {
             v: VERSION,
             node: self.name.clone(),
             t_ms: now_ns / 1_000_000,
+            ages: Vec::new(),
             reports: (self.acknowledged..self.acknowledged + count)
                 .map(|n| self.report(n))
                 .collect(),

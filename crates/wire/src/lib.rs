@@ -35,8 +35,8 @@ pub use frames::{
 pub use keys::{CameraKeys, KeyError, NodeKeys, check_segment, stream_of_token, stream_token};
 pub use report::{
     BatchCompression, IDENTITY_DAYS, LARGEST_BATCH_BYTES, LARGEST_REPORT_BYTES, MOST_REPORTS,
-    REPORT_DICTIONARY, RefusalReason, RefusedReport, ReportAnswer, ReportBatch, ReportRefusal,
-    decompress_batch,
+    REPORT_DICTIONARY, RefusalReason, RefusedReport, ReportAge, ReportAnswer, ReportBatch,
+    ReportRefusal, decompress_batch,
 };
 pub use states::{DetectorCalls, DroppedFrames, FrameStates};
 pub use status::{

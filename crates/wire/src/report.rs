@@ -27,8 +27,8 @@ pub const MOST_REPORTS: usize = 1000;
 /// Maximum size of a report as JSON, bytes.
 pub const LARGEST_REPORT_BYTES: usize = 64 << 10;
 
-/// Days for which a hub keeps the ids of stored reports. It refuses an older report because it cannot know whether the
-/// report was stored before.
+/// Days for which a hub keeps the ids of stored reports. It refuses an older report if it cannot know whether the report was
+/// stored before.
 pub const IDENTITY_DAYS: u32 = 30;
 
 /// Reports of one node, oldest first. On the wire: one byte with the dictionary's number, then JSON compressed with
@@ -42,8 +42,23 @@ pub struct ReportBatch {
     /// The node's clock when it sent the batch, milliseconds since the Unix epoch, from which a hub checks that the
     /// times in the reports are plausible.
     pub t_ms: u64,
+    /// What the node knows of the age of each report, in the same order: its wall clock may have been wrong, and set since.
+    /// Empty from nodes that do not say it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub ages: Vec<ReportAge>,
     /// The reports.
     pub reports: Vec<ClipReport>,
+}
+
+/// What a node knows of a report's age without its wall clock.
+#[skip_serializing_none]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct ReportAge {
+    /// Seconds since it was made, by a clock that nobody sets; absent if the machine was started since then.
+    pub made_s: Option<u64>,
+    /// True if this node made it and never sent it before.
+    #[serde(default)]
+    pub first: bool,
 }
 
 impl ReportBatch {

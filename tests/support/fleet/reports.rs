@@ -44,6 +44,7 @@ pub(crate) fn in_batch(node: &str, reports: Vec<ClipReport>) -> ReportBatch {
         v: VERSION,
         node: node.to_owned(),
         t_ms: now_ns() / 1_000_000,
+        ages: Vec::new(),
         reports,
     }
 }

@@ -2,11 +2,11 @@
 //! network or clock.
 
 use super::clip::{Clip, clip};
-use super::plan::{Present, key};
+use super::plan::{Doubt, Present, key};
 use crate::store::ReportKey;
 use crate::store::row::beginning;
 use albireo_wire::{
-    ClipReport, MOST_REPORTS, VERSION, check_segment, check_version, decompress_batch,
+    ClipReport, MOST_REPORTS, ReportAge, VERSION, check_segment, check_version, decompress_batch,
 };
 use serde::Deserialize;
 use serde_json::value::RawValue;
@@ -31,6 +31,8 @@ pub(crate) struct Received {
     pub(crate) count: Option<u64>,
     /// Its clip, to be stored under that key unless the key is known.
     pub(crate) content: Result<(ReportKey, Box<Clip>), Rejected>,
+    /// The doubt whether it was stored before, if its key is not known.
+    pub(crate) doubt: Option<Doubt>,
 }
 
 /// The reason that a report is not stored.
@@ -47,6 +49,8 @@ struct RawBatch<'a> {
     v: u32,
     node: String,
     t_ms: u64,
+    #[serde(default)]
+    ages: Vec<ReportAge>,
     #[serde(borrow)]
     reports: Vec<&'a RawValue>,
 }
@@ -77,17 +81,22 @@ pub fn decode(node: &str, payload: &[u8], hub_ms: i64) -> Result<Batch, String> 
         hub_ms,
         node_ms: i64::try_from(batch.t_ms).unwrap_or(i64::MAX),
     };
-    let reports = batch.reports.iter();
+    // Ages that do not belong to these reports say nothing.
+    let ages = Some(batch.ages).filter(|ages| ages.len() == batch.reports.len());
+    let age = |index: usize| Some(*ages.as_ref()?.get(index)?);
+    let reports = batch.reports.iter().enumerate();
     Ok(Batch {
         node: batch.node,
         bytes: json.len(),
         clocks_agree: present.clocks_agree(),
-        reports: reports.map(|raw| parse(node, raw.get(), present)).collect(),
+        reports: reports
+            .map(|(index, raw)| parse(node, raw.get(), present, age(index)))
+            .collect(),
     })
 }
 
 /// Parses one report. If it is invalid, at least its identity and count are read, where it has them.
-fn parse(node: &str, raw: &str, present: Present) -> Received {
+fn parse(node: &str, raw: &str, present: Present, age: Option<ReportAge>) -> Received {
     #[derive(Default, Deserialize)]
     #[serde(default)]
     struct Known {
@@ -102,19 +111,26 @@ fn parse(node: &str, raw: &str, present: Present) -> Received {
                 id: known.id,
                 count: known.count,
                 content: Err(invalid(&error.to_string(), raw)),
+                doubt: None,
             };
         }
     };
+    let present = present.when_made(report.id, age);
     let clip = check(node, &report).and_then(|()| clip(&report, present));
-    let content = match (clip, key(report.id, present)) {
+    let mut doubt = None;
+    let content = match (clip, key(report.id, present, age)) {
         (Err(reason), _) => Err(invalid(&reason, raw)),
         (_, Err(reason)) => Err(Rejected { reason, text: None }),
-        (Ok(clip), Ok(key)) => Ok((key, Box::new(clip))),
+        (Ok(clip), Ok((key, found))) => {
+            doubt = found;
+            Ok((key, Box::new(clip)))
+        }
     };
     Received {
         id: Some(report.id),
         count: report.count,
         content,
+        doubt,
     }
 }
 

@@ -4,7 +4,7 @@
 use crate::store::ReportKey;
 use crate::store::row::json_text;
 use albireo_service::clock::DAY_MS;
-use albireo_wire::IDENTITY_DAYS;
+use albireo_wire::{IDENTITY_DAYS, ReportAge};
 use serde::{Deserialize, Serialize};
 use uuid::Uuid;
 
@@ -33,18 +33,54 @@ impl Present {
     pub(crate) const fn clocks_agree(self) -> bool {
         self.hub_ms.saturating_sub(self.node_ms).saturating_abs() <= DAY_MS
     }
+
+    /// The present by the clock that the node had when it made a report, if that is known: the node may have set its clock
+    /// since.
+    pub(crate) fn when_made(self, id: Uuid, age: Option<ReportAge>) -> Self {
+        let made_s = age.and_then(|age| age.made_s).filter(|_| id.get_version_num() == 7);
+        let made_s = made_s.and_then(|made_s| i64::try_from(made_s).ok());
+        Self {
+            node_ms: made_s.map_or(self.node_ms, |made_s| {
+                made_ms(id).saturating_add(made_s.saturating_mul(1000))
+            }),
+            ..self
+        }
+    }
+}
+
+/// The time in an identity: the first 48 bits of a UUID of version 7.
+fn made_ms(id: Uuid) -> i64 {
+    i64::try_from(id.as_u128() >> 80).unwrap_or(i64::MAX)
+}
+
+/// The doubt whether a report whose identity is not known was stored before.
+#[derive(Debug)]
+pub(crate) struct Doubt {
+    /// The reason to refuse it.
+    pub(crate) reason: String,
+    /// True if the node says that it never sent the report before.
+    pub(crate) first: bool,
 }
 
 /// Returns the key under which a report is stored. Its day is the day of the identity, unless that cannot be believed:
 /// then it is the day of receipt by the later of both clocks. With the earlier one, a hub whose clock was behind would
 /// delete the identity as soon as its clock is right.
 ///
+/// A report that claims to be older than the identities that the hub keeps may have been stored before, or its node's clock
+/// was behind when it was made. What the node knows without its clock decides: a report made at most as many days ago was
+/// never stored under its own day, and its identity is still known if it was stored at all. Otherwise there is a doubt, which
+/// the node's running counts may clear ([`Counts::lack`]).
+///
 /// # Errors
-/// When the report is older than the identities that the hub keeps: it may have been stored before.
-pub(crate) fn key(id: Uuid, present: Present) -> Result<ReportKey, String> {
+/// The reason to refuse a report that claims to be too old, of a node that does not say what it knows and whose clock is
+/// right now.
+pub(crate) fn key(
+    id: Uuid,
+    present: Present,
+    age: Option<ReportAge>,
+) -> Result<(ReportKey, Option<Doubt>), String> {
     let today = present.hub_ms.div_euclid(DAY_MS);
-    // The first 48 bits of a UUID of version 7 are its time.
-    let made_ms = i64::try_from(id.as_u128() >> 80).unwrap_or(i64::MAX);
+    let made_ms = made_ms(id);
     let own_day = made_ms.div_euclid(DAY_MS);
     let node_today = present.node_ms.div_euclid(DAY_MS);
     let latest = today.max(FIRST_MS / DAY_MS) + MOST_BEHIND_DAYS;
@@ -55,21 +91,31 @@ pub(crate) fn key(id: Uuid, present: Present) -> Result<ReportKey, String> {
     };
     let believable = FIRST_MS..=present.hub_ms.saturating_add(DAY_MS);
     if id.get_version_num() != 7 || !believable.contains(&made_ms) {
-        return Ok(undated);
+        return Ok((undated, None));
     }
-    let age = today - own_day;
-    if age <= i64::from(IDENTITY_DAYS) {
-        return Ok(ReportKey {
+    let (claimed, kept) = (today - own_day, i64::from(IDENTITY_DAYS));
+    if claimed <= kept {
+        let dated = ReportKey {
             day: own_day,
             ..undated
-        });
+        };
+        return Ok((dated, None));
     }
-    if present.clocks_agree() {
-        return Err(format!(
-            "made {age} days ago: the hub no longer knows whether a report older than {IDENTITY_DAYS} days was stored before"
-        ));
-    }
-    Ok(undated)
+    let reason = format!(
+        "made {claimed} days ago: the hub no longer knows whether a report older than {IDENTITY_DAYS} days was stored before"
+    );
+    let agree = present.clocks_agree();
+    let Some(ReportAge { made_s, first }) = age else {
+        return if agree {
+            Err(reason)
+        } else {
+            Ok((undated, None))
+        };
+    };
+    let days = made_s.map(|made_s| i64::try_from(made_s.div_ceil(86_400)).unwrap_or(i64::MAX));
+    let is_recent = days.is_some_and(|days| days <= kept && claimed - days > kept);
+    let is_clear = is_recent || (first && !agree);
+    Ok((undated, (!is_clear).then_some(Doubt { reason, first })))
 }
 
 /// The meaning of a report's running count.
@@ -108,6 +154,19 @@ impl Counts {
     /// that was received.
     pub(crate) fn wanted(&self) -> &[(u64, u64)] {
         &self.ranges
+    }
+
+    /// True if no report with this count was received, as far as the hub can know; for a report without a count, and for a
+    /// node's first reports, that is so if the node says that it never sent them (`first`).
+    pub(crate) fn lack(&self, count: Option<u64>, first: bool) -> bool {
+        match count {
+            Some(count) if self.base > 0 => {
+                let mut ranges = self.ranges.iter();
+                count > self.highest
+                    || ranges.any(|(first, last)| (*first..=*last).contains(&count))
+            }
+            _ => first,
+        }
     }
 
     /// Notes the count of a report, which was `new` or stored already.

@@ -3,7 +3,7 @@
 use super::counters::IngestCounts;
 use super::decode::{Batch, Rejected};
 use super::limits::{ClockCheck, EVENTS, EntryLimit, PRESENCE, SET_ASIDE};
-use super::plan::Seen;
+use super::plan::{Doubt, Seen};
 use crate::config::HistoryConfig;
 use crate::presence::NodeView;
 use crate::store::retention::retain;
@@ -145,6 +145,7 @@ impl Recorder {
             text: Some(String::new()),
         };
         let (mut clips, mut aside) = (Vec::new(), Vec::new());
+        let mut refused = BTreeSet::new();
         let mut recorded = Recorded::default();
         let counts = &mut recorded.counts;
         let mut note = |node: &str, kind: &'static str, detail: Value| {
@@ -156,11 +157,23 @@ impl Recorder {
             let node = nodes.get_mut(&batch.node).ok_or_else(|| lost("a node"))?;
             let cameras = cameras.entry(node.node_id).or_default();
             let mut answer = ReportAnswer::default();
-            let (mut invalid, mut clocks_off) = (0, 0);
+            let (mut invalid, mut clocks_off, mut too_old) = (0, 0, None);
             for report in &batch.reports {
                 let (mut is_new, mut rejected) = (false, None);
+                let doubtful = report.doubt.as_ref().map(|doubt| Rejected {
+                    reason: doubt.reason.clone(),
+                    text: None,
+                });
+                let cleared = |doubt: &Doubt| node.counts.lack(report.count, doubt.first);
+                let is_doubtful = !report.doubt.as_ref().is_none_or(cleared);
                 match &report.content {
                     Err(why) => rejected = Some(why),
+                    Ok((key, _))
+                        if is_doubtful && (new.remove(&key.id) || refused.contains(key)) =>
+                    {
+                        refused.insert(*key);
+                        rejected = doubtful.as_ref();
+                    }
                     // It was stored before, or earlier in this group.
                     Ok((key, _)) if !new.remove(&key.id) => counts.again += 1,
                     Ok((key, clip)) => {
@@ -203,6 +216,8 @@ impl Recorder {
                     } else {
                         counts.too_old += 1;
                         node.totals.refused += 1;
+                        let (reports, _) = too_old.get_or_insert_with(|| (0_u64, reason.clone()));
+                        *reports += 1;
                     }
                     let reason = reason.clone();
                     let refused = report.id.map(|id| RefusedReport { id, reason });
@@ -229,6 +244,13 @@ impl Recorder {
             counts.clock_off += clocks_off;
             node.totals.set_aside += i64::try_from(invalid).unwrap_or(i64::MAX);
             node.totals.last_ms = now_ms.max(node.totals.last_ms);
+            if let Some((reports, reason)) = too_old {
+                note(
+                    &batch.node,
+                    "refused",
+                    json!({ "reports": reports, "reason": reason }),
+                );
+            }
             for (kind, what, count) in [
                 ("set_aside", "reports", invalid),
                 ("clock_off", "clips", clocks_off),
@@ -242,6 +264,7 @@ impl Recorder {
             recorded.answers.push(answer);
             recorded.cameras.push(cameras.len());
         }
+        database.forget_reports(&refused)?;
         database.write_report_counts(nodes.into_values().collect())?;
         database.insert("set_aside", &aside, "")?;
         database.insert_clips(clips)?;

@@ -1,8 +1,10 @@
 mod hostile;
 
-use super::plan::{Counts, Present, Seen, key};
+use super::plan::{Counts, Present, Seen};
+use crate::store::ReportKey;
 use crate::store::row::{read, row};
 use albireo_service::clock::DAY_MS;
+use albireo_wire::ReportAge;
 use proptest::prelude::*;
 use std::collections::BTreeSet;
 use uuid::{Builder, Uuid};
@@ -12,6 +14,11 @@ const NOW_MS: i64 = 20_780 * DAY_MS + 1_000;
 
 fn id(made_ms: i64) -> Uuid {
     Builder::from_unix_timestamp_millis(made_ms.unsigned_abs(), &[7; 10]).into_uuid()
+}
+
+/// The key of a report of a node that does not say what it knows.
+fn key(id: Uuid, present: Present) -> Result<ReportKey, String> {
+    super::plan::key(id, present, None).map(|(key, _)| key)
 }
 
 /// The present according to a hub, and to a node whose clock is that much ahead.
@@ -61,6 +68,46 @@ fn a_report_is_too_old_only_if_the_clocks_agree_and_a_wrong_clock_of_the_hub_los
         let found = key(id(NOW_MS), Present { hub_ms, node_ms }).unwrap();
         assert_eq!(found.day, -day, "{hub_ms}");
     }
+}
+
+#[test]
+fn what_a_node_knows_without_its_clock_decides_whether_a_report_is_too_old() {
+    let doubt = |days: i64, made_days: Option<u64>, first: bool, ahead_days: i64| {
+        let id = id(NOW_MS - days * DAY_MS);
+        let made_s = made_days.map(|days| days * 86_400);
+        let age = Some(ReportAge { made_s, first });
+        let present = present(ahead_days * DAY_MS).when_made(id, age);
+        let (key, doubt) = super::plan::key(id, present, age).unwrap();
+        assert_eq!(key.day, if days <= 30 { 20_780 - days } else { -20_780 });
+        doubt.map(|doubt| doubt.first)
+    };
+    // Made an hour or a week ago, by a clock that was behind and is right now.
+    for days in [31, 45, 100, 331] {
+        assert_eq!(doubt(days, Some(0), false, 0), None, "{days}");
+    }
+    assert_eq!(doubt(45, Some(7), false, 0), None);
+    // Really old, or perhaps stored under its own day, which was deleted since.
+    for (days, made_days) in [(45, None), (45, Some(45)), (45, Some(20))] {
+        assert_eq!(doubt(days, made_days, false, 0), Some(false));
+        assert_eq!(doubt(days, made_days, true, 0), Some(true));
+    }
+    // A clock that is behind still: a report that was sent before may have been stored.
+    assert_eq!(doubt(45, None, true, -45), None);
+    assert_eq!(doubt(45, None, false, -45), Some(false));
+    assert_eq!(doubt(30, None, false, 0), None);
+
+    let mut counts = Counts::default();
+    for (first, wanted) in [(true, true), (false, false)] {
+        assert_eq!(
+            counts.lack(Some(7), first),
+            wanted,
+            "the node's first reports"
+        );
+        assert_eq!(counts.lack(None, first), wanted, "a report without a count");
+    }
+    see(&mut counts, &[5, 9]);
+    let lacks = [4, 5, 6, 8, 9, 10].map(|count| counts.lack(Some(count), true));
+    assert_eq!(lacks, [true, false, true, true, false, true]);
 }
 
 /// The results for counts of new reports.

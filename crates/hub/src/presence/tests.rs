@@ -2,7 +2,7 @@ use super::entry::Entry;
 use super::node::tests::STATUS;
 use super::*;
 use crate::config::PresenceConfig;
-use albireo_service::clock::Now;
+use albireo_service::clock::{Now, Uptime};
 use albireo_wire::{HealthState, HealthStatus, Heartbeat, NodeStatus, StatusMessage, VERSION};
 use serde_json::json;
 use std::sync::Arc;
@@ -59,6 +59,7 @@ fn after(start: Instant, seconds: u64) -> Now {
     Now {
         at: start + Duration::from_secs(seconds),
         unix_ms: seconds.cast_signed() * 1000,
+        uptime: Uptime::default(),
     }
 }
 

@@ -225,6 +225,22 @@ impl dyn Database + '_ {
         Ok(new.into_iter().map(|one| one.id).collect())
     }
 
+    /// Removes identities that [`new_reports`](Self::new_reports) stored, of reports that are refused.
+    pub(crate) fn forget_reports(&mut self, keys: &BTreeSet<ReportKey>) -> Result<(), StoreError> {
+        if keys.is_empty() {
+            return Ok(());
+        }
+        let text = match self.kind() {
+            Kind::Sqlite => "DELETE FROM report_ids WHERE day = ?1 AND id = ?2 AND ?3 = ?3",
+            Kind::Postgres => {
+                "DELETE FROM report_ids r USING jsonb_to_recordset($1::jsonb) AS k (day BIGINT, id BYTEA) \
+                 WHERE r.day = k.day AND r.id = k.id"
+            }
+        };
+        let rows = keys.iter().map(row).collect::<Result<Vec<_>, _>>()?;
+        self.each(text, rows.iter().map(columns).collect()).map(drop)
+    }
+
     /// Writes the report counts of nodes.
     pub(crate) fn write_report_counts(
         &mut self,

@@ -1,10 +1,9 @@
 //! Serves the node's values on Zenoh keys: a query reads a value, a put or a query with a payload changes it.
 
 use crate::error::NodeError;
-use crate::state::board::{Board, CameraBoard};
+use crate::state::board::{Board, CameraBoard, MAX_MESSAGE_BYTES, Place};
 use albireo_service::rate_limit::RateLimit;
-use albireo_wire::{SettingSource, TargetMessage, ThresholdMessage, VERSION, check_version};
-use serde::de::DeserializeOwned;
+use albireo_wire::{ThresholdMessage, VERSION};
 use std::error::Error;
 use std::sync::Arc;
 use std::time::Duration;
@@ -14,13 +13,10 @@ use zenoh::Wait;
 use zenoh::bytes::{Encoding, ZBytes};
 use zenoh::query::Query;
 
-/// The largest message that is read; a valid one has a few dozen bytes.
-const MAX_MESSAGE_BYTES: usize = 4096;
-
-/// The maximum number of requests that wait for the file; a person or a hub sends a few per second at most.
+/// The maximum number of queries that wait for the file; a person or a hub sends a few per second at most.
 const WAITING: usize = 64;
 
-/// The time between two log lines about requests that are not answered.
+/// The time between two log lines about queries that are not answered.
 const LOG_PERIOD: Duration = Duration::from_secs(10);
 
 /// A key, and its value.
@@ -30,15 +26,16 @@ struct Served {
     camera: Option<Arc<CameraBoard>>,
 }
 
-/// A put or a query.
+/// A query, with its place among the orders.
 struct Request {
     served: Arc<Served>,
+    place: Place,
     payload: Option<Vec<u8>>,
-    query: Option<Query>,
+    query: Query,
 }
 
-/// Declares the keys of the cameras' thresholds, and the key `target`. The returned future answers requests, one at a
-/// time, in the order of arrival, for as long as it is polled.
+/// Declares the keys of the cameras' thresholds, and the key `target`. The returned future applies puts and answers queries,
+/// in the order of arrival, for as long as it is polled.
 ///
 /// # Errors
 /// [`NodeError`] if Zenoh rejects a declaration.
@@ -56,34 +53,36 @@ pub(crate) async fn declare(
             key: key.clone(),
             camera,
         });
-        let (requests, too_many) = (requests.clone(), RateLimit::new(LOG_PERIOD));
-        // Zenoh's threads only queue requests, because a change writes a file, which can take a while on a slow SD card.
-        let take = Arc::new(move |payload: Option<Vec<u8>>, query: Option<Query>| {
-            let request = Request {
-                served: Arc::clone(&served),
-                payload,
-                query,
-            };
-            // A query without room goes unanswered, as if nobody served the key.
-            if requests.try_send(request).is_err() {
-                too_many.log(|held_back| {
-                    let key = served.key.as_str();
-                    tracing::warn!(key, held_back, "request dropped: too many at once");
-                });
-            }
-        });
-        let take_put = Arc::clone(&take);
+        // Zenoh's threads only keep orders, because a change writes a file, which can take a while on a slow SD card.
+        let (puts, of_puts) = (Arc::clone(board), Arc::clone(&served));
         let refused = || NodeError::refused(format!("`{key}` cannot be served"));
         let subscriber = session
             .declare_subscriber(key.clone())
-            .callback(move |sample| take_put(Some(beginning(sample.payload())), None))
+            .callback(move |sample| {
+                let Served { key, camera } = &*of_puts;
+                puts.orders.put(key, camera.as_ref(), beginning(sample.payload()));
+            })
             .await
             .map_err(refused())?;
+        let (requests, too_many) = (requests.clone(), RateLimit::new(LOG_PERIOD));
+        let orders = Arc::clone(board);
         let queryable = session
             .declare_queryable(key.clone())
             .callback(move |query| {
                 let payload = query.payload().filter(|payload| !payload.is_empty());
-                take(payload.map(beginning), Some(query));
+                let request = Request {
+                    served: Arc::clone(&served),
+                    place: orders.orders.place(),
+                    payload: payload.map(beginning),
+                    query,
+                };
+                // A query without room goes unanswered, as if nobody served the key.
+                if requests.try_send(request).is_err() {
+                    too_many.log(|held_back| {
+                        let key = served.key.as_str();
+                        tracing::warn!(key, held_back, "query dropped: too many at once");
+                    });
+                }
             })
             .await
             .map_err(refused())?;
@@ -92,10 +91,16 @@ pub(crate) async fn declare(
     let board = Arc::clone(board);
     Ok(async move {
         let _held = (requests, declared);
-        let refused = Arc::new(RateLimit::new(LOG_PERIOD));
-        while let Some(request) = waiting.recv().await {
-            let (board, refused) = (Arc::clone(&board), Arc::clone(&refused));
-            let answering = tokio::task::spawn_blocking(move || request.answer(&board, &refused));
+        loop {
+            let request = tokio::select! {
+                () = board.orders.changed.notified() => None,
+                request = waiting.recv() => request,
+            };
+            let board = Arc::clone(&board);
+            let answering = tokio::task::spawn_blocking(move || match request {
+                Some(request) => request.answer(&board),
+                None => board.apply_puts(),
+            });
             if let Err(error) = answering.await {
                 tracing::error!(%error, "request failed");
             }
@@ -105,22 +110,15 @@ pub(crate) async fn declare(
 
 impl Request {
     /// Changes the value if there is a payload, and replies with the value in force. May write a file.
-    fn answer(self, board: &Board, refused: &RateLimit) {
+    fn answer(self, board: &Board) {
         let Served { key, camera } = &*self.served;
-        let key = key.as_str();
-        let changed = match self.payload {
-            Some(payload) => change(board, camera.as_ref(), &payload),
-            None => Ok(()),
-        };
-        let result = changed.and_then(|()| in_force(board, camera.as_deref()));
-        let Some(query) = self.query else {
-            if let Err(reason) = result {
-                refused.log(|held_back| {
-                    tracing::warn!(key, held_back, "put rejected: {reason}");
-                });
+        let (key, query) = (key.as_str(), self.query);
+        let result = board.in_turn(self.place, || {
+            if let Some(payload) = self.payload {
+                board.apply(camera.as_ref(), &payload)?;
             }
-            return;
-        };
+            in_force(board, camera.as_deref())
+        });
         let sent = match result {
             Ok(reply) => {
                 let reply = query.reply(key, reply);
@@ -135,31 +133,6 @@ impl Request {
             tracing::warn!(key, %error, "query not answered");
         }
     }
-}
-
-/// Changes a camera's threshold, or the node's target, to the one in `payload`. Writes a file.
-fn change(
-    board: &Board,
-    camera: Option<&Arc<CameraBoard>>,
-    payload: &[u8],
-) -> Result<(), Box<dyn Error + Send + Sync>> {
-    if payload.len() > MAX_MESSAGE_BYTES {
-        let most = MAX_MESSAGE_BYTES;
-        return Err(format!("a message has at most {most} bytes; this one has more").into());
-    }
-    let (settings, local) = (&board.settings, SettingSource::Local);
-    if let Some(camera) = camera {
-        let example = r#"{"threshold":{"name":"u","value":3e-4}}"#;
-        let ThresholdMessage { v, threshold } = read(payload, example)?;
-        check_version(v)?;
-        let cameras = std::slice::from_ref(camera);
-        settings.change(|kept| board.set_thresholds(cameras, threshold, local, kept))?;
-    } else {
-        let TargetMessage { v, target } = read(payload, r#"{"target":{"skip_rate":0.5}}"#)?;
-        check_version(v)?;
-        settings.change(|kept| board.set_target(target, local, kept))?;
-    }
-    Ok(())
 }
 
 /// Returns the camera's threshold in force, or the node's target, as JSON.
@@ -180,10 +153,4 @@ fn in_force(
 fn beginning(payload: &ZBytes) -> Vec<u8> {
     let bytes = payload.slices().flatten().copied();
     bytes.take(MAX_MESSAGE_BYTES + 1).collect()
-}
-
-/// Reads a message. `v` may be missing, as in a put typed by hand, so the versioned reader does not fit.
-fn read<T: DeserializeOwned>(payload: &[u8], example: &str) -> Result<T, String> {
-    serde_json::from_slice(payload)
-        .map_err(|error| format!("expected JSON such as {example}: {error}"))
 }

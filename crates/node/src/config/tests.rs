@@ -95,6 +95,7 @@ camera.a.name: camera = [{ name = "a" }, { name = "a" }]
 camera.a.key: camera = [{ name = "a", key = "x/**" }]
 camera.a.key: camera = [{ name = "a", key = "/x" }]
 outbox.gather_s: outbox.gather_s = 86401
+outbox.offline_h: outbox.offline_h = -1
 camera.a.source: camera = [{ name = "a", source = "" }]
 camera.a.source: camera = [{ name = "a", source = "rtsp://${NOBODY_SETS_THIS}@b" }]
 camera.a.key: camera = [{ name = "a", source = "b.mp4", key = "c" }]

@@ -82,6 +82,13 @@ power.gpu_busy_watts: the estimate is of the processor alone; a GPU needs a mete
         self.zenoh.check(&mut findings);
         self.uplink.check(&mut findings);
         findings.count("outbox.gather_s", self.outbox.gather_s, 0, 86_400);
+        let hours = self.outbox.offline_h;
+        if !(0.0..=8760.0).contains(&hours) {
+            findings.add(
+                "outbox.offline_h",
+                format!("must be from 0 to 8760, not {hours}"),
+            );
+        }
         self.http.check(&self.tokens, &mut findings);
         self.check_models(&mut findings);
         self.check_figures(&mut findings);

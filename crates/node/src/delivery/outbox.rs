@@ -6,6 +6,7 @@
 
 mod config;
 mod disk;
+mod salvage;
 mod table;
 #[cfg(test)]
 pub(super) mod tests;

@@ -28,6 +28,7 @@ use futures_util::stream::{FuturesUnordered, StreamExt};
 use query::ask;
 #[cfg(test)]
 pub(super) use query::read_reply;
+use schedule::Trouble;
 pub(super) use schedule::{Failure, Schedule};
 pub(super) use status::StatusSender;
 use std::hash::{BuildHasher, RandomState};
@@ -86,6 +87,13 @@ impl Uplink {
             watched: Watched::default(),
             schedule: Schedule::new(config, random, Instant::now()),
             reconnect: Backoff::new(config, random),
+            health: Health {
+                part: setup.board.readiness.part(readiness::UPLINK),
+                said: None,
+                lost_since: None,
+                // Without an uplink of its own, a node need not have a hub.
+                expects_hub: setup.local.is_none(),
+            },
             setup: Arc::new(setup),
             stop: stop.clone(),
         };
@@ -109,6 +117,56 @@ struct Worker {
     schedule: Schedule,
     /// The pauses after sessions that could not be opened or failed.
     reconnect: Backoff,
+    health: Health,
+}
+
+/// What the part `uplink` says.
+struct Health {
+    part: Part,
+    said: Option<String>,
+    /// The time since which no session serves the hub.
+    lost_since: Option<Instant>,
+    /// True if the node has an uplink, or has found a hub since its start.
+    expects_hub: bool,
+}
+
+impl Health {
+    /// Says what is wrong, or that nothing is.
+    fn say(&mut self, what: Option<String>) {
+        if what != self.said {
+            match &what {
+                Some(reason) => self.part.degraded(reason),
+                None => self.part.works(),
+            }
+            self.said = what;
+        }
+    }
+
+    /// Says that there is no session, once that has lasted for longer than the `normal` time.
+    fn no_session(&mut self, why: &str, normal: Duration) {
+        let since = *self.lost_since.get_or_insert_with(Instant::now);
+        if since.elapsed() >= normal {
+            self.say(Some(why.to_owned()));
+        }
+    }
+
+    /// Says why reports are not acknowledged.
+    fn judge(&mut self, trouble: Option<Trouble>, connected: bool, keys: &NodeKeys) {
+        self.expects_hub |= connected;
+        self.lost_since = None;
+        let key = keys.report();
+        let said = trouble.filter(|_| self.expects_hub).map(|trouble| match trouble {
+            Trouble::NoHub => format!(
+                "no hub answers on `{key}`, and clip reports wait: is a hub running, with the same prefix, and may this \
+                 node's certificate use that key?"
+            ),
+            Trouble::Unanswered => format!(
+                "a hub takes clip reports and does not answer: it hangs, or the router's access rules deny `{key}`"
+            ),
+            Trouble::Refused(why) => format!("the hub refuses clip reports: {why}"),
+        });
+        self.say(said);
+    }
 }
 
 /// A query to the hub: to store reports, or for the desired setting.
@@ -122,7 +180,6 @@ type Ended = Result<Option<Desired>, Failure>;
 
 impl Worker {
     async fn run(mut self) {
-        let part = self.setup.board.readiness.part(readiness::UPLINK);
         loop {
             let session = match &self.setup.local {
                 Some(session) => Ok(session.clone()),
@@ -137,7 +194,7 @@ impl Worker {
             let failed = match session {
                 Ok(session) => {
                     let began = Instant::now();
-                    let served = self.serve(&session, &part).await;
+                    let served = self.serve(&session).await;
                     if began.elapsed() > MIN_UPTIME {
                         self.reconnect.reset();
                     }
@@ -158,7 +215,8 @@ impl Worker {
                     "the hub's router cannot be reached"
                 }
             };
-            part.degraded(failed);
+            let normal = self.schedule.offline();
+            self.health.no_session(failed, normal);
             let pause = sleep(self.reconnect.next());
             if self.stop.run_until_cancelled(pause).await.is_none() {
                 return;
@@ -170,7 +228,7 @@ impl Worker {
     ///
     /// # Errors
     /// Zenoh's error, or that the session has had no answer for too long and must be opened again.
-    async fn serve(&mut self, session: &Session, part: &Part) -> zenoh::Result<()> {
+    async fn serve(&mut self, session: &Session) -> zenoh::Result<()> {
         let setup = Arc::clone(&self.setup);
         let (keys, outbox) = (&setup.keys, &setup.board.outbox);
         let timeout = Duration::from_millis(setup.config.outbox.answer_timeout_ms);
@@ -198,16 +256,17 @@ impl Worker {
         let mut asked = FuturesUnordered::<BoxFuture<'_, (Asked, Ended)>>::new();
         self.watched.begin();
         self.schedule.begin(Instant::now());
-        part.works();
         loop {
             let now = Instant::now();
             let counts = outbox.counts();
             let watched = self.watched.is_on(now);
             let connected = reports.matching_status().await?.matching();
-            if connected && let Some(again) = self.schedule.next_batch(&counts, watched, now) {
+            if let Some(again) = self.schedule.next_batch(&counts, connected, watched, now) {
                 let sending = send_batch(&setup, &reports, again);
                 asked.push(sending.map(|ended| (Asked::Batch, ended)).boxed());
             }
+            let trouble = self.schedule.trouble(connected, now);
+            self.health.judge(trouble, connected, keys);
             match last_try {
                 None => {
                     if let Some(payload) = self.status_sender.due(Now::system(), &setup.board) {
@@ -313,6 +372,66 @@ async fn pull(setup: &UplinkSetup, pulls: &Querier<'_>) -> Ended {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use albireo_wire::{ClipReport, HealthState, RefusalReason, ReportRefusal};
+    use std::sync::atomic::{AtomicBool, Ordering};
+    use zenoh::Wait;
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_node_says_that_no_hub_acknowledges_its_reports_and_stays_ready() {
+        let router =
+            crate::api::name::tests::session(&[("listen/endpoints", r#"["tcp/127.0.0.1:0"]"#)])
+                .await;
+        let locators = router.info().locators().await;
+        let mut config = NodeConfig::default();
+        config.outbox.patience_ms = 100;
+        config.uplink.connect = vec![locators[0].to_string()];
+        let board = Board::open(&config).unwrap();
+        let mut health = board.readiness.subscribe();
+        let uplink = Uplink::start(UplinkSetup {
+            board: Arc::clone(&board),
+            keys: config.keys().unwrap(),
+            local: None,
+            config,
+        });
+        (board.outbox)
+            .change(|waiting| waiting.insert(&mut [ClipReport::default()], Now::system()));
+        let mut said = async |wanted: &str| {
+            let fault = health.wait_for(|health| {
+                let reason = health.reasons.get(readiness::UPLINK);
+                reason.map_or("", String::as_str).contains(wanted)
+            });
+            let found = tokio::time::timeout(Duration::from_secs(60), fault).await;
+            found.unwrap_or_else(|_| panic!("not said: {wanted}")).unwrap().state
+        };
+        assert_eq!(
+            said("no hub answers on `albireo/@report/node`").await,
+            HealthState::Degraded
+        );
+        // A hub that refuses, and one that takes them.
+        let refusal = serde_json::to_vec(&ReportRefusal {
+            v: VERSION,
+            reason: RefusalReason::Unavailable,
+            detail: "the disk is full".to_owned(),
+            retry_after_ms: None,
+        });
+        let (refusal, accepts) = (refusal.unwrap(), Arc::new(AtomicBool::new(false)));
+        let accepting = Arc::clone(&accepts);
+        let hub = router.declare_queryable("albireo/@report/node").callback(move |query| {
+            let answer = serde_json::to_vec(&ReportAnswer::default()).unwrap();
+            let _ = match accepting.load(Ordering::Relaxed) {
+                true => query.reply(query.key_expr().clone(), answer).wait(),
+                false => query.reply_err(refusal.clone()).wait(),
+            };
+        });
+        let _hub = hub.await.unwrap();
+        said("the hub refuses clip reports: unavailable: the disk is full").await;
+        accepts.store(true, Ordering::Relaxed);
+        let works = health.wait_for(|health| !health.reasons.contains_key(readiness::UPLINK));
+        let works = tokio::time::timeout(Duration::from_secs(60), works).await;
+        assert!(works.unwrap().is_ok());
+        assert_eq!(board.outbox.counts().status.waiting, 0);
+        uplink.stop().await;
+    }
 
     #[tokio::test(flavor = "multi_thread")]
     async fn a_mute_session_is_a_fault_of_the_uplink() {

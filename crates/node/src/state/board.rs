@@ -3,6 +3,7 @@
 mod camera;
 mod event;
 mod history;
+mod orders;
 mod savings;
 mod threshold;
 
@@ -10,6 +11,7 @@ pub use camera::{CameraBoard, CameraSnapshot, LatestFrame};
 pub(crate) use event::provider;
 pub use event::{DetectorEvent, Event, FrameEvent, News, ThresholdEvent};
 pub(crate) use history::{CameraPiece, Clock, FRAMES, PastFrame, PowerPiece, SLOT_S, SkipEstimate};
+pub(crate) use orders::{MAX_MESSAGE_BYTES, Place};
 pub(crate) use savings::{Savings, Totals};
 
 use crate::config::NodeConfig;
@@ -28,6 +30,7 @@ use albireo_vision::worker::{WorkerCounts, WorkerMeter};
 use albireo_wire::{AuditReport, ClipReport, CountersMessage, SettingSource};
 use camera::Shared;
 use history::PowerPast;
+use orders::Orders;
 use parking_lot::Mutex;
 use savings::Today;
 use std::collections::VecDeque;
@@ -64,7 +67,9 @@ pub struct Board {
     /// Holds reports for a hub.
     pub(crate) outbox: Arc<Outbox>,
     /// Keeps changed settings over restarts.
-    pub(crate) settings: Settings,
+    pub(crate) settings: Arc<Settings>,
+    /// The orders that change settings, in their order.
+    pub(crate) orders: Orders,
     /// The target, which moves the thresholds while one is set.
     pub(crate) target: NodeTarget,
     shared: Shared,
@@ -87,7 +92,7 @@ impl Board {
     pub fn open(config: &NodeConfig) -> Result<Arc<Self>, NodeError> {
         let directory = config.node.state_dir.as_deref();
         let outbox = Arc::new(Outbox::open(directory)?);
-        let settings = Settings::open(directory);
+        let settings = Arc::new(Settings::open(directory));
         let policy = config.policy.build().map_err(NodeError::new)?;
         let target = NodeTarget::open(config, &*policy, &settings);
         let shared = Shared {
@@ -108,6 +113,10 @@ impl Board {
         readiness.probe(readiness::DISK, "", move || {
             disk.counts().failing.map(Fault::degraded)
         });
+        let kept = Arc::clone(&settings);
+        readiness.probe(readiness::DISK, "settings", move || {
+            kept.fault().map(Fault::degraded)
+        });
         readiness.probe(readiness::OUTBOX, "", move || {
             readiness::of_outbox(&reports.counts())
         });
@@ -124,6 +133,7 @@ impl Board {
             tasks: TaskFailures::default(),
             outbox,
             settings,
+            orders: Orders::default(),
             target,
             shared,
             clips: Mutex::default(),

@@ -8,8 +8,8 @@
 //! | `power` | | the meter cannot be read, or returns no samples |
 //! | `outbox` | | reports are lost, or do not survive a power loss although a state directory is set |
 //! | `zenoh` | the local session is not open, or closed | another node has the same name |
-//! | `uplink` | | the session to the hub is not open |
-//! | `disk` | | the state directory cannot be written |
+//! | `uplink` | | the session to the hub is not open, or no hub acknowledges the reports that are due |
+//! | `disk` | | reports or settings in the state directory cannot be written, or were damaged |
 //! | `tasks` | a camera's loop has failed and does not run | a task failed and runs again, or a non-essential one does not run |
 
 use crate::delivery::outbox::OutboxCounts;

@@ -9,9 +9,20 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{ErrorKind, Write as _};
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 /// The file in the state directory.
 const FILE: &str = "settings.json";
+
+/// The beginning of the file: the checksum of all bytes behind the closing quote follows, in eight digits.
+const CHECKSUM: &str = r#"{"~checksum":""#;
+
+/// The name of the checksum. An earlier version of the program, which keeps it, writes it as the last of the sorted settings,
+/// where it is ignored.
+const CHECKSUM_NAME: &str = "~checksum";
+
+/// The time for which it is shown that the settings were damaged.
+const DAMAGE_SHOWN_FOR: Duration = Duration::from_secs(600);
 
 /// The settings of a node.
 #[derive(Debug)]
@@ -21,6 +32,17 @@ pub(crate) struct Settings {
     values: Mutex<Values>,
     /// What the file has; `None` until it was read. Held while the disk is read or written: no async worker locks it.
     stored: Mutex<Option<Values>>,
+    /// The outcome of the last reading or writing. Never held while the disk is read or written.
+    disk: Mutex<DiskState>,
+}
+
+/// What the disk did with the settings.
+#[derive(Debug, Default)]
+struct DiskState {
+    /// The reason why the settings are not on the disk now.
+    failing: Option<String>,
+    /// The time at which they were found damaged.
+    damaged: Option<Instant>,
 }
 
 /// Settings by name.
@@ -65,15 +87,62 @@ impl Values {
 impl Settings {
     /// Opens the settings in `directory`, or in memory without one. An unreadable file is tried again later.
     pub(crate) fn open(directory: Option<&Path>) -> Self {
-        let stored = (directory.map(read).transpose()).unwrap_or_else(|error| {
-            tracing::error!(%error, "the kept settings cannot be read");
-            None
-        });
-        Self {
+        let settings = Self {
             directory: directory.map(Path::to_owned),
-            values: Mutex::new(stored.clone().unwrap_or_default()),
-            stored: Mutex::new(stored),
+            values: Mutex::default(),
+            stored: Mutex::default(),
+            disk: Mutex::default(),
+        };
+        if let Some(directory) = directory {
+            let stored = settings.read(directory);
+            match &stored {
+                Ok(values) => values.clone_into(&mut settings.values.lock()),
+                Err(error) => tracing::error!(%error, "the kept settings cannot be read"),
+            }
+            settings.note(stored.as_ref().map(drop));
+            *settings.stored.lock() = stored.ok();
         }
+        settings
+    }
+
+    /// True if the settings survive a restart: they are in a file, and the last attempt to write it succeeded.
+    pub(crate) fn survive_restart(&self) -> bool {
+        self.directory.is_some() && self.disk.lock().failing.is_none()
+    }
+
+    /// What is wrong with the file, in words.
+    pub(crate) fn fault(&self) -> Option<String> {
+        let disk = self.disk.lock();
+        let recent = disk.damaged.filter(|at| at.elapsed() < DAMAGE_SHOWN_FOR);
+        let damaged =
+            || format!("{FILE} was damaged and set aside: the configured values are used");
+        disk.failing.clone().or_else(|| recent.map(|_| damaged()))
+    }
+
+    /// Notes the outcome of reading or writing the file.
+    fn note(&self, outcome: Result<(), &std::io::Error>) {
+        let why =
+            |error| format!("what was set at run time is not kept over a restart: {FILE}: {error}");
+        self.disk.lock().failing = outcome.err().map(why);
+    }
+
+    /// Reads the file; sets it aside if it is damaged.
+    fn read(&self, directory: &Path) -> std::io::Result<Values> {
+        std::fs::create_dir_all(directory)?;
+        let file = directory.join(FILE);
+        let bytes = match std::fs::read(&file) {
+            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Values::default()),
+            read => read?,
+        };
+        parse(&bytes).or_else(|error| {
+            let aside = file.with_extension("json.damaged");
+            tracing::error!(
+                file = %file.display(), error, aside = %aside.display(),
+                "kept settings are damaged and were set aside; the configured ones are used"
+            );
+            self.disk.lock().damaged = Some(Instant::now());
+            std::fs::rename(&file, aside).map(|()| Values::default())
+        })
     }
 
     /// The setting kept under `name`.
@@ -118,9 +187,15 @@ impl Settings {
         let Some(directory) = &self.directory else {
             return Ok(());
         };
+        let saved = self.save_in(directory);
+        self.note(saved.as_ref().map(drop));
+        saved
+    }
+
+    fn save_in(&self, directory: &Path) -> std::io::Result<()> {
         let mut stored = self.stored.lock();
         if stored.is_none() {
-            *stored = Some(read(directory)?);
+            *stored = Some(self.read(directory)?);
             tracing::warn!(
                 "the kept settings could be read only now: they apply from the next start"
             );
@@ -135,28 +210,36 @@ impl Settings {
     }
 }
 
-fn read(directory: &Path) -> std::io::Result<Values> {
-    std::fs::create_dir_all(directory)?;
-    let file = directory.join(FILE);
-    match std::fs::read(&file) {
-        Ok(bytes) => serde_json::from_slice(&bytes).or_else(|error| {
-            let aside = file.with_extension("json.damaged");
-            tracing::error!(
-                file = %file.display(), %error, aside = %aside.display(),
-                "kept settings cannot be read and were set aside; the configured ones are used"
-            );
-            std::fs::rename(&file, aside).map(|()| Values::default())
-        }),
-        Err(error) if error.kind() == ErrorKind::NotFound => Ok(Values::default()),
-        Err(error) => Err(error),
+/// Reads the settings in a file, and checks them if it has a checksum.
+fn parse(bytes: &[u8]) -> Result<Values, String> {
+    let checked = bytes.strip_prefix(CHECKSUM.as_bytes());
+    if let Some((digits, rest)) = checked.and_then(|checked| checked.split_at_checked(8)) {
+        let found = crc32fast::hash(rest);
+        if format!("{found:08x}").as_bytes() != digits {
+            return Err("its checksum is wrong".to_owned());
+        }
     }
+    let mut values: Values = serde_json::from_slice(bytes).map_err(|error| error.to_string())?;
+    values.0.remove(CHECKSUM_NAME);
+    Ok(values)
+}
+
+/// The file with these settings: its first key is the checksum of what follows it.
+fn text(values: &Values) -> std::io::Result<String> {
+    let values = serde_json::to_string(values)?;
+    let comma = if values.len() > 2 { "\"," } else { "\"" };
+    let rest = format!("{comma}{}", values.trim_start_matches('{'));
+    Ok(format!(
+        "{CHECKSUM}{:08x}{rest}",
+        crc32fast::hash(rest.as_bytes())
+    ))
 }
 
 /// Writes a new file beside the old one, syncs it, and then replaces the old one.
 fn write(directory: &Path, values: &Values) -> std::io::Result<()> {
     let (file, fresh) = (directory.join(FILE), directory.join("settings.json.new"));
     let mut written = File::create(&fresh)?;
-    written.write_all(&serde_json::to_vec(values)?)?;
+    written.write_all(text(values)?.as_bytes())?;
     written.sync_all()?;
     std::fs::rename(fresh, file)?;
     File::open(directory)?.sync_all()
@@ -189,9 +272,54 @@ mod tests {
             assert!(!file.exists());
             assert_eq!(settings.get::<f64>("threshold/front"), None);
             assert!(settings.set("threshold/front", 9e-4));
+            assert!(settings.fault().unwrap().contains("was damaged"));
             let again = Settings::open(Some(folder.path()));
             assert_eq!(again.get("threshold/front"), Some(9e-4));
+            assert_eq!(again.fault(), None);
         }
+    }
+
+    #[test]
+    fn a_file_without_a_checksum_is_read_and_one_with_a_wrong_checksum_is_not() {
+        let mut values = Values::default();
+        assert_eq!(parse(text(&values).unwrap().as_bytes()), Ok(values.clone()));
+        values.set("threshold/front", &9e-4);
+        let written = text(&values).unwrap();
+        assert_eq!(parse(written.as_bytes()), Ok(values.clone()));
+        assert_eq!(parse(br#"{"threshold/front":9e-4}"#), Ok(values.clone()));
+        // An earlier version keeps the key and sorts it.
+        let old = br#"{"threshold/front":9e-4,"~checksum":"0123abcd"}"#;
+        assert_eq!(parse(old), Ok(values.clone()));
+        let flipped = written.replace("0.0009", "0.0008");
+        assert_eq!(
+            parse(flipped.as_bytes()),
+            Err("its checksum is wrong".to_owned())
+        );
+    }
+
+    #[test]
+    fn settings_survive_a_restart_only_if_their_own_file_was_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let (file, new) = (
+            folder.path().join(FILE),
+            folder.path().join("settings.json.new"),
+        );
+        let settings = Settings::open(Some(folder.path()));
+        assert!(settings.set("target", 1) && settings.survive_restart());
+        // No file can be created in the place of a folder, as on a full disk.
+        std::fs::create_dir(&new).unwrap();
+        assert!(!settings.set("target", 2) && !settings.survive_restart());
+        let fault = settings.fault().unwrap();
+        assert!(fault.contains("not kept over a restart"), "{fault}");
+        std::fs::remove_dir(new).unwrap();
+        settings.save().unwrap();
+        assert!(settings.survive_restart() && settings.fault().is_none());
+        // Nor can a folder be read as a file.
+        std::fs::remove_file(&file).unwrap();
+        std::fs::create_dir(&file).unwrap();
+        let settings = Settings::open(Some(folder.path()));
+        assert!(!settings.survive_restart() && settings.fault().is_some());
+        assert!(!Settings::open(None).survive_restart());
     }
 
     #[test]

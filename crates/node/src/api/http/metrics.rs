@@ -201,6 +201,11 @@ fn outbox(page: &mut MetricsPage, board: &Board) {
         counts.status.lost as f64,
     );
     page.counter(
+        "albireo_outbox_undeliverable_total",
+        "Clip reports that a hub refused for good, or that cannot be sent; the log has the reasons",
+        counts.status.undeliverable as f64,
+    );
+    page.counter(
         "albireo_outbox_disk_failures_total",
         "Times the state directory failed",
         counts.disk_failures as f64,

@@ -42,7 +42,9 @@ pub(super) async fn put(
     check_version(message.v).map_err(|error| refused(error.to_string()))?;
     let board = Arc::clone(&shared.board);
     let local = SettingSource::Local;
-    let set = move || (board.settings).change(|kept| board.set_target(message.target, local, kept));
+    let place = board.orders.place();
+    let set =
+        move || board.change_in_turn(place, |kept| board.set_target(message.target, local, kept));
     off_the_runtime(set).await?.map_err(|error| refused(error.to_string()))?;
     Ok(Json(shared.board.target.report()))
 }

@@ -46,7 +46,7 @@ pub(super) struct CameraThreshold {
     /// Its name in the policy, its range and its default; absent if the policy has none.
     #[serde(skip_serializing_if = "Option::is_none")]
     threshold_spec: Option<ThresholdSpec>,
-    /// True if a value set at run time survives a restart: a `state_dir` is set and can be written to.
+    /// True if what was set at run time survives a restart: a `state_dir` is set, and the settings are written there.
     survives_restart: bool,
 }
 
@@ -68,7 +68,7 @@ fn of(board: &Board, camera: &CameraBoard) -> CameraThreshold {
         camera: camera.name().to_owned(),
         value: named(camera.threshold_in_force()),
         threshold_spec: camera.threshold_spec,
-        survives_restart: board.outbox.counts().status.durable,
+        survives_restart: board.settings.survive_restart(),
     }
 }
 
@@ -78,7 +78,7 @@ fn thresholds(board: &Board) -> Thresholds {
     let same = first.filter(|first| cameras.iter().all(|camera| camera.value == *first));
     Thresholds {
         value: same.unwrap_or_default(),
-        survives_restart: board.outbox.counts().status.durable,
+        survives_restart: board.settings.survive_restart(),
         cameras,
     }
 }
@@ -111,8 +111,11 @@ async fn put(
     };
     let (threshold, local) = (Threshold::new(&name, value), SettingSource::Local);
     let board = Arc::clone(board);
+    let place = board.orders.place();
     let set = move || {
-        (board.settings).change(|kept| board.set_thresholds(&cameras, threshold, local, kept))
+        board.change_in_turn(place, |kept| {
+            board.set_thresholds(&cameras, threshold, local, kept)
+        })
     };
     off_the_runtime(set).await?.map_err(|error| fault(&error))
 }

@@ -4,12 +4,15 @@ use super::table::TableError;
 use rusqlite::Connection;
 use std::fmt::Debug;
 use std::fs::{self, File, TryLockError};
-use std::os::unix::fs::MetadataExt;
+use std::os::unix::fs::{FileExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// The file's name in the state directory.
 pub(super) const FILE: &str = "node.db";
+
+/// The name of the file with the counts.
+pub(super) const WITNESS: &str = "node.count";
 
 /// A place for the report table.
 pub(crate) trait Disk: Debug + Send {
@@ -21,6 +24,50 @@ pub(crate) trait Disk: Debug + Send {
 
     /// Moves a damaged file aside and returns its new path.
     fn set_aside(&mut self) -> std::io::Result<PathBuf>;
+
+    /// What was last testified, if it can be read.
+    fn witness(&self) -> Option<Witness>;
+
+    /// Notes the counts beside the file, for the case that the file loses what was written last. Not synced: it survives the
+    /// end of the process, and after a power cut it is at most older than the file.
+    fn testify(&self, witness: Witness);
+}
+
+/// What the counts of the file must at least be.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Witness {
+    pub(super) made: u64,
+    pub(super) lost: u64,
+    pub(super) undeliverable: u64,
+    /// No report up to this count waits.
+    pub(super) settled: u64,
+}
+
+impl Witness {
+    /// A line of a fixed length, with a checksum.
+    fn line(self) -> String {
+        let Self {
+            made,
+            lost,
+            undeliverable,
+            settled,
+        } = self;
+        let counts = format!("{made:020} {lost:020} {undeliverable:020} {settled:020}");
+        format!("{counts} {:08x}\n", crc32fast::hash(counts.as_bytes()))
+    }
+
+    fn read(line: &str) -> Option<Self> {
+        let counts: Option<Vec<u64>> =
+            line.split(' ').take(4).map(|count| count.parse().ok()).collect();
+        let [made, lost, undeliverable, settled] = counts?.try_into().ok()?;
+        let witness = Self {
+            made,
+            lost,
+            undeliverable,
+            settled,
+        };
+        (witness.line() == line).then_some(witness)
+    }
 }
 
 /// A file that only this node uses.
@@ -29,6 +76,7 @@ pub(crate) struct StateFile {
     directory: PathBuf,
     file: PathBuf,
     lock: Option<File>,
+    witness: Option<File>,
     /// Device and inode number of the open file.
     opened: Option<(u64, u64)>,
 }
@@ -39,6 +87,7 @@ impl StateFile {
             directory: directory.to_owned(),
             file: directory.join(FILE),
             lock: None,
+            witness: None,
             opened: None,
         }
     }
@@ -55,6 +104,9 @@ impl Disk for StateFile {
         if self.lock.is_none() {
             self.lock = Some(lock(&self.directory)?);
         }
+        let mut options = File::options();
+        options.create(true).truncate(false).write(true);
+        self.witness = options.open(self.directory.join(WITNESS)).ok();
         let is_new = !self.file.exists();
         let db = Connection::open(&self.file)?;
         db.busy_timeout(Duration::from_secs(2))?;
@@ -101,6 +153,17 @@ impl Disk for StateFile {
             let _ = fs::rename(named(ending), beside);
         }
         Ok(aside)
+    }
+
+    fn witness(&self) -> Option<Witness> {
+        Witness::read(&fs::read_to_string(self.directory.join(WITNESS)).ok()?)
+    }
+
+    fn testify(&self, witness: Witness) {
+        if let Some(file) = &self.witness {
+            // The file of reports is the first witness: the second one may be missing.
+            let _ = file.write_all_at(witness.line().as_bytes(), 0);
+        }
     }
 }
 

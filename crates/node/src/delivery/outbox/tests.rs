@@ -1,9 +1,11 @@
-use super::disk::FILE;
+mod flips;
+
+use super::disk::{FILE, WITNESS, Witness};
 use super::table::MEMORY_BYTES;
 use super::waiting::BATCH_BYTES;
 use super::*;
 use albireo_wire::{
-    ClipReport, LARGEST_REPORT_BYTES, RefusedReport, ReportAnswer, ReportBatch, VERSION,
+    ClipReport, LARGEST_REPORT_BYTES, RefusedReport, ReportAge, ReportAnswer, ReportBatch, VERSION,
 };
 use futures_util::FutureExt;
 use rusqlite::Connection;
@@ -85,6 +87,14 @@ impl Disk for FaultyDisk {
 
     fn set_aside(&mut self) -> std::io::Result<PathBuf> {
         self.file.set_aside()
+    }
+
+    fn witness(&self) -> Option<Witness> {
+        self.file.witness()
+    }
+
+    fn testify(&self, witness: Witness) {
+        self.file.testify(witness);
     }
 }
 
@@ -272,6 +282,79 @@ fn a_foreign_file_and_one_of_the_first_version_are_rejected_with_a_reason() {
 }
 
 #[test]
+fn a_damaged_page_costs_its_own_rows_and_they_are_counted_as_lost() {
+    let bench = Bench::new();
+    keep(&bench.open(), 0..400);
+    let mut bytes = std::fs::read(bench.file()).unwrap();
+    let page = bytes.len() / 2 / 4096 * 4096;
+    bytes[page] ^= 0xff;
+    std::fs::write(bench.file(), bytes).unwrap();
+    let outbox = bench.open();
+    let status = outbox.counts().status;
+    assert!(status.waiting > 380 && status.durable, "{status:?}");
+    assert_eq!(status.waiting + status.lost, 400);
+    keep(&outbox, 400..401);
+    let last = batch(&outbox).unwrap().reports.pop();
+    assert!(last.unwrap().count >= Some(351));
+}
+
+#[test]
+fn a_cut_log_costs_at_most_a_hundred_reports_and_they_are_counted_as_lost() {
+    let bench = Bench::new();
+    let outbox = bench.open();
+    keep(&outbox, 0..149);
+    let log = bench.state().join("node.db-wal");
+    let mut bytes = std::fs::read(&log).unwrap();
+    let place = bytes.len() / 10;
+    bytes[place] ^= 4;
+    let (file, counts) = (bench.file(), bench.state().join(WITNESS));
+    let kept = [&file, &counts].map(|file| std::fs::read(file).unwrap());
+    drop(outbox);
+    std::fs::write(&log, bytes).unwrap();
+    for (file, bytes) in [&file, &counts].into_iter().zip(kept) {
+        std::fs::write(file, bytes).unwrap();
+    }
+    let outbox = bench.open();
+    let counts = outbox.counts();
+    assert!(
+        counts.status.lost > 0 && counts.last_loss.is_some(),
+        "{counts:?}"
+    );
+    assert_eq!(counts.status.waiting + counts.status.lost, 149);
+    assert!(counts.status.waiting >= 100, "{counts:?}");
+    // The hub sees the gap.
+    keep(&outbox, 149..150);
+    let sent = batch(&outbox).unwrap();
+    assert_eq!(counts_of(&sent).last(), Some(&Some(150)));
+}
+
+#[test]
+fn what_the_node_knows_of_a_reports_age_survives_a_restart_of_the_program() {
+    let bench = Bench::new();
+    let (outbox, mut now) = (bench.open(), Now::system());
+    let ages = |outbox: &Outbox, node: &str, now| {
+        let sent = outbox.change(|waiting| waiting.batch(node, true, now)).unwrap();
+        sent.ages[0]
+    };
+    insert(&outbox, report(0), now);
+    drop(outbox);
+    let outbox = bench.open();
+    now.uptime.s += 7;
+    now.unix_ms -= 400 * 86_400_000;
+    let age = |made_s, first| ReportAge { made_s, first };
+    assert_eq!(ages(&outbox, "n", now), age(Some(7), true));
+    drop(outbox);
+    let outbox = bench.open();
+    assert_eq!(ages(&outbox, "n", now), age(Some(7), false), "it was sent");
+    now.uptime.boot += 1;
+    assert_eq!(ages(&outbox, "n", now), age(None, false));
+    // A copied state directory: the first owner may have sent it.
+    let other = in_memory();
+    insert(&other, report(1), now);
+    assert_eq!(ages(&other, "other", now), age(Some(0), false));
+}
+
+#[test]
 fn a_damaged_file_and_a_garbage_file_are_set_aside() {
     for (intact, length) in [(4096, usize::MAX), (0, 9000)] {
         let bench = Bench::new();
@@ -286,6 +369,7 @@ fn a_damaged_file_and_a_garbage_file_are_set_aside() {
         assert!(counts.disk_failures > 0, "{counts:?}");
         assert!(counts.status.durable, "{counts:?}");
         assert!(bench.state().join("node.db.damaged-0").exists());
+        assert_eq!(counts.status.lost, 400);
         assert_eq!(drain(&outbox), ["window-400"]);
     }
 }

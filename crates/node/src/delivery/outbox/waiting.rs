@@ -1,15 +1,18 @@
 //! Holds reports in the file of the state directory, and in memory while that fails. Has no clock: callers pass times.
 
 use super::OutboxCounts;
-use super::disk::Disk;
+use super::disk::{Disk, Witness};
+use super::salvage::salvage;
 use super::table::{
     ACKNOWLEDGED, AGAIN, Counters, REFUSED, StoredReport, Table, TableError, WAITING,
 };
 use albireo_service::clock::{DAY_MS, Now};
 use albireo_wire::{
-    ClipReport, LARGEST_REPORT_BYTES, MOST_REPORTS, ReportAnswer, ReportBatch, VERSION,
+    ClipReport, LARGEST_REPORT_BYTES, MOST_REPORTS, ReportAge, ReportAnswer, ReportBatch, VERSION,
 };
 use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
 use uuid::Uuid;
 
 /// The time for which acknowledged reports are kept in case a hub loses them, if there is room and a disk.
@@ -25,6 +28,10 @@ pub(super) const BATCH_BYTES: usize = 1 << 20;
 const BATCH_REPORTS: usize = 400;
 const _: () = assert!(BATCH_REPORTS <= MOST_REPORTS);
 
+/// The number of reports, and the time, after which the log is copied into the file: a damaged byte of the log hides all that
+/// was written since.
+const CHECKPOINT: (usize, Duration) = (100, Duration::from_secs(60));
+
 /// Reports that no hub has, and acknowledged ones that a hub may lose.
 #[derive(Debug)]
 pub(crate) struct Waiting {
@@ -35,6 +42,11 @@ pub(crate) struct Waiting {
     pub(super) table: Table,
     /// True if the table is the file.
     is_on_disk: bool,
+    /// True once a file was opened since the start.
+    was_on_disk: bool,
+    /// A damaged file that was set aside, whose reports are not copied yet.
+    damaged: Option<PathBuf>,
+    checkpoint_at: Option<Instant>,
     counts: OutboxCounts,
 }
 
@@ -54,6 +66,9 @@ impl Waiting {
             most_bytes,
             table: Table::in_memory(counters)?,
             is_on_disk: false,
+            was_on_disk: false,
+            damaged: None,
+            checkpoint_at: None,
             counts: OutboxCounts::default(),
         })
     }
@@ -75,12 +90,35 @@ impl Waiting {
             return Ok(());
         };
         let mut file = Table::new(disk.open()?, self.most_bytes)?;
+        let is_salvage = self.damaged.is_some();
+        if let Some(damaged) = self.damaged.take()
+            && let Err(error) = salvage(&damaged, &mut file)
+        {
+            tracing::error!(%error, "nothing more can be read of the damaged file");
+        }
         // The counts since the start continue the earlier ones.
+        let before = file.counters;
         file.counters = file.counters.max(self.table.counters);
         let lost = file.insert(&self.table.reports(REFUSED, usize::MAX)?)?;
-        (self.counts.status.waiting, self.counts.again) = file.waiting()?;
+        // A witness that is older than the file knows nothing more.
+        let newer = |witness: &Witness| is_salvage || before.made < Some(witness.made);
+        if (is_salvage || !self.was_on_disk)
+            && let Some(witness) = disk.witness().filter(newer)
+        {
+            let gone = recount(&mut file, witness)?;
+            if gone > 0 {
+                self.counts.last_loss = Some(now.at);
+                tracing::error!(
+                    reports = gone,
+                    "clip reports lost: the file that held them was damaged or replaced"
+                );
+            }
+        }
+        let count = file.count()?;
+        (self.counts.status.waiting, self.counts.again) = (count.waiting, count.again);
         self.table = file;
         self.is_on_disk = true;
+        self.was_on_disk = true;
         self.lose(lost, now);
         self.counts.failing = None;
         Ok(())
@@ -91,6 +129,22 @@ impl Waiting {
         if self.counts.failing.is_some() {
             // `open` records the reason.
             let _ = self.open(now);
+        }
+        self.checkpoint(now);
+    }
+
+    /// Copies the log into the file if much, or something old, is only in the log. Writes a file.
+    fn checkpoint(&mut self, now: Now) {
+        if !self.is_on_disk || self.table.written == 0 {
+            self.checkpoint_at = None;
+            return;
+        }
+        let at = *self.checkpoint_at.get_or_insert(now.at + CHECKPOINT.1);
+        if self.table.written >= CHECKPOINT.0 || now.at >= at {
+            self.checkpoint_at = None;
+            if let Err(error) = self.table.checkpoint() {
+                tracing::debug!(%error, "the log of reports is not copied now");
+            }
         }
     }
 
@@ -108,10 +162,13 @@ impl Waiting {
             return;
         };
         match disk.set_aside() {
-            Ok(aside) => tracing::error!(
-                aside = %aside.display(),
-                "the file of clip reports is damaged and was set aside; the reports in it will not be delivered"
-            ),
+            Ok(aside) => {
+                tracing::error!(
+                    aside = %aside.display(), %error,
+                    "the file of clip reports is damaged and was set aside; what can be read of it is copied"
+                );
+                self.damaged = Some(aside);
+            }
             Err(error) => tracing::debug!(%error, "a damaged file cannot be set aside"),
         }
     }
@@ -129,7 +186,7 @@ impl Waiting {
 
     /// Does `work` on the file, or in memory if that fails.
     fn work<T: Default>(&mut self, work: impl Fn(&mut Table) -> Result<T, TableError>) -> T {
-        let work = |table: &mut Table| Ok((work(table)?, table.waiting()?));
+        let work = |table: &mut Table| Ok((work(table)?, table.count()?));
         let mut done = None;
         if let Some(disk) = self.disk.as_ref().filter(|_| self.is_on_disk) {
             match disk.check().and_then(|()| work(&mut self.table)) {
@@ -138,14 +195,32 @@ impl Waiting {
             }
         }
         match done.map_or_else(|| work(&mut self.table), Ok) {
-            Ok((done, waiting)) => {
-                (self.counts.status.waiting, self.counts.again) = waiting;
+            Ok((done, count)) => {
+                (self.counts.status.waiting, self.counts.again) = (count.waiting, count.again);
+                self.testify(count.oldest);
                 done
             }
             Err(error) => {
                 tracing::error!(%error, "clip reports cannot be kept in memory");
                 T::default()
             }
+        }
+    }
+
+    /// Notes the counts beside the file; `oldest` is the lowest count that waits.
+    fn testify(&self, oldest: Option<u64>) {
+        let Counters {
+            made,
+            lost,
+            undeliverable,
+        } = self.table.counters;
+        if let Some((disk, made)) = self.disk.as_ref().zip(made) {
+            disk.testify(Witness {
+                made,
+                lost,
+                undeliverable,
+                settled: oldest.map_or(made, |oldest| oldest.saturating_sub(1)),
+            });
         }
     }
 
@@ -165,10 +240,14 @@ impl Waiting {
                 state: WAITING,
                 acknowledged_ms: 0,
                 json,
+                made: Some(now.uptime),
+                sent: false,
+                checksum: None,
             });
         }
         let lost = self.work(|table| table.insert(&rows));
         self.lose(lost, now);
+        self.checkpoint(now);
     }
 
     fn lose(&mut self, reports: u64, now: Now) {
@@ -181,15 +260,32 @@ impl Waiting {
     /// The oldest reports to send, as reports of `node`; with `again`, also those that a hub has lost.
     /// Unreadable reports are counted as undeliverable. Reads, and may write, a file.
     pub(crate) fn batch(&mut self, node: &str, again: bool, now: Now) -> Option<ReportBatch> {
-        let (reports, unreadable) = self.work(|table| read(table, node, again));
+        let (read, unreadable) = self.work(|table| read(table, node, again));
         if !unreadable.is_empty() {
             self.conclude(&unreadable, &[], now);
         }
-        (!reports.is_empty()).then(|| ReportBatch {
+        // First, so that after a crash nobody takes them for reports that were never sent.
+        let first: Vec<_> = (read.iter()).filter(|(report, _)| !report.sent).collect();
+        let first: Vec<_> = first.into_iter().map(|(report, _)| report.id).collect();
+        if !first.is_empty() {
+            self.work(|table| table.sent(&first));
+        }
+        let age = |(stored, report): &(StoredReport, ClipReport)| ReportAge {
+            made_s: stored.made.and_then(|made| now.uptime.since(made)),
+            // The state directory may have belonged to another node, which sent it.
+            first: !stored.sent && report.node == node,
+        };
+        (!read.is_empty()).then(|| ReportBatch {
             v: VERSION,
             node: node.to_owned(),
             t_ms: u64::try_from(now.unix_ms).unwrap_or(0),
-            reports,
+            ages: read.iter().map(age).collect(),
+            reports: (read.into_iter())
+                .map(|(_, report)| ClipReport {
+                    node: node.to_owned(),
+                    ..report
+                })
+                .collect(),
         })
     }
 
@@ -208,6 +304,7 @@ impl Waiting {
         });
         let stored = self.conclude(&ended.collect::<Vec<_>>(), &answer.missing, now);
         self.counts.acknowledged += stored;
+        self.checkpoint(now);
         stored
     }
 
@@ -231,8 +328,24 @@ impl Waiting {
     }
 }
 
-/// The reports of a batch, and the unreadable ones with their new state.
-type Read = (Vec<ClipReport>, Vec<(Uuid, i64)>);
+/// Continues the counts of the second witness, and counts what it saw and the file does not have as lost. Returns that number.
+fn recount(file: &mut Table, witness: Witness) -> Result<u64, TableError> {
+    let seen = Counters {
+        made: Some(witness.made),
+        lost: witness.lost,
+        undeliverable: witness.undeliverable,
+    };
+    let there = file.between(witness.settled, witness.made)?;
+    let gone = witness.made.saturating_sub(witness.settled).saturating_sub(there);
+    file.counters = file.counters.max(seen);
+    file.counters.lost += gone;
+    // Writes the counters.
+    file.insert(&[])?;
+    Ok(gone)
+}
+
+/// The reports of a batch, stored and parsed, and the unreadable ones with their new state.
+type Read = (Vec<(StoredReport, ClipReport)>, Vec<(Uuid, i64)>);
 
 fn read(table: &Table, node: &str, again: bool) -> Result<Read, TableError> {
     let (mut reports, mut unreadable, mut bytes) = (Vec::new(), Vec::new(), 0);
@@ -240,11 +353,11 @@ fn read(table: &Table, node: &str, again: bool) -> Result<Read, TableError> {
     let last_state = if again { AGAIN } else { WAITING };
     for report in table.reports(last_state, BATCH_REPORTS)? {
         bytes += report.json.len();
-        match readable(&report, node) {
+        match readable(&report) {
             Ok(_) if bytes > BATCH_BYTES && !reports.is_empty() => break,
-            Ok(read) => reports.push(read),
+            Ok(read) => reports.push((report, read)),
             Err(reason) => {
-                tracing::error!(id = %report.id, reason, "a clip report cannot be sent");
+                tracing::error!(node, id = %report.id, reason, "a clip report cannot be sent");
                 unreadable.push((report.id, REFUSED));
             }
         }
@@ -252,14 +365,13 @@ fn read(table: &Table, node: &str, again: bool) -> Result<Read, TableError> {
     Ok((reports, unreadable))
 }
 
-/// A stored report as a report of `node`: the state directory may have belonged to another node.
-fn readable(report: &StoredReport, node: &str) -> Result<ClipReport, String> {
+fn readable(report: &StoredReport) -> Result<ClipReport, String> {
     if report.json.len() > LARGEST_REPORT_BYTES {
         let size = report.json.len();
         return Err(format!("{size} bytes are more than a hub accepts"));
     }
-    let mut read: ClipReport =
-        serde_json::from_slice(&report.json).map_err(|error| error.to_string())?;
-    node.clone_into(&mut read.node);
-    Ok(read)
+    if !report.is_intact() {
+        return Err("it was damaged on the disk: its checksum is wrong".to_owned());
+    }
+    serde_json::from_slice(&report.json).map_err(|error| error.to_string())
 }

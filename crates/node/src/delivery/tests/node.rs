@@ -38,6 +38,8 @@ pub(super) struct Node {
     running: Option<(Outbox, Schedule)>,
     /// How far its wall clock is ahead, ms.
     pub(super) clock_ms: i64,
+    /// The number of times that its machine was started.
+    pub(super) boot: u64,
     reply: Option<(u64, Rc<ReportBatch>)>,
     /// Reports that exist only in memory.
     pub(super) in_memory: Vec<usize>,
@@ -106,7 +108,13 @@ impl Node {
     /// Cuts the power; returns the reports lost because they existed only in memory.
     pub(super) fn crash(&mut self) -> Vec<usize> {
         (self.running, self.reply) = (None, None);
+        self.boot += 1;
         std::mem::take(&mut self.in_memory)
+    }
+
+    /// Ends the program and not its machine.
+    pub(super) fn end(&mut self) {
+        (self.running, self.reply) = (None, None);
     }
 
     pub(super) fn state(&self) -> Option<Vec<u8>> {
@@ -127,6 +135,30 @@ impl Node {
         ids.unwrap().map(|id| serial(id.unwrap())).collect()
     }
 
+    /// Reports that are in the file and will not be sent.
+    pub(super) fn refused(&self) -> BTreeSet<usize> {
+        let db = Connection::open(self.file()).unwrap();
+        let mut select = db.prepare("SELECT id FROM report WHERE state = 3").unwrap();
+        let ids = select.query_map([], |row| Ok(Uuid::from_bytes(row.get(0)?)));
+        ids.unwrap().map(|id| serial(id.unwrap())).collect()
+    }
+
+    /// Flips one bit of a file of the node, which is off: of the reports', or of their counts.
+    pub(super) fn flip(&self, random: u64) {
+        let name = if random % 8 == 0 {
+            "node.count"
+        } else {
+            "node.db"
+        };
+        let file = self.folder.join(name);
+        let mut bytes = std::fs::read(&file).unwrap_or_default();
+        if !bytes.is_empty() {
+            let place = (random >> 16) as usize % bytes.len();
+            bytes[place] ^= 1 << (random >> 8 & 7);
+            std::fs::write(file, bytes).unwrap();
+        }
+    }
+
     pub(super) fn make(&mut self, number: usize, random: u16, now: Now) {
         let Some((outbox, _)) = &self.running else {
             return;
@@ -136,11 +168,12 @@ impl Node {
         bytes[6..].copy_from_slice(&(number as u32).to_be_bytes());
         let frames = frames(number);
         let made = ClipReport {
-            id: Builder::from_unix_timestamp_millis(now.unix_ms.unsigned_abs(), &bytes).into_uuid(),
+            id: Builder::from_unix_timestamp_millis(now.unix_ms.max(0).unsigned_abs(), &bytes)
+                .into_uuid(),
             node: self.name.clone(),
             clip: number.to_string(),
             part: (number % 3) as u32,
-            started_ns: now.unix_ms.unsigned_abs() * 1_000_000,
+            started_ns: now.unix_ms.max(0).unsigned_abs() * 1_000_000,
             frames,
             states: FrameStates {
                 i: frames,
@@ -169,7 +202,7 @@ impl Node {
         let (outbox, schedule) = self.running.as_mut()?;
         outbox.change(|waiting| waiting.retry_disk(now));
         let mut sent = None;
-        if let Some(again) = schedule.next_batch(&outbox.counts(), false, now.at) {
+        if let Some(again) = schedule.next_batch(&outbox.counts(), true, false, now.at) {
             match outbox.change(|waiting| waiting.batch(&self.name, again, now)) {
                 Some(batch) => {
                     let batch = Rc::new(batch);

@@ -3,6 +3,7 @@
 mod hub;
 mod node;
 
+use super::holds;
 use super::timeline::{HOUR, Payload, SECOND, Timeline, folder};
 use albireo_hub::tuning::gate::Gate;
 use albireo_hub::tuning::plan::{Basics, OnFailure, RolloutPlan, TrialPlan};
@@ -114,7 +115,7 @@ impl Settings {
         world
     }
 
-    pub(super) fn run(seed: u64, verbose: bool) -> u64 {
+    pub(super) fn run(seed: u64, verbose: bool) -> String {
         let mut world = Self::new(seed, verbose);
         loop {
             let event = world.time.next();
@@ -123,6 +124,7 @@ impl Settings {
             if world.time.is_calm && is_tick {
                 let wrong = world.wrong();
                 if wrong.is_empty() {
+                    holds("no change and no return is forgotten", true, String::new);
                     return world.time.trace();
                 }
                 let is_late = world.time.now_ms > world.end_ms + SETTLED_WITHIN;
@@ -223,9 +225,17 @@ impl Settings {
         self.time.note(&taken);
         let (revision, setting) = taken;
         let highest = self.highest;
-        assert!(revision <= highest, "revision {revision} above {highest}");
+        holds(
+            "no node has a revision that no hub gave",
+            revision <= highest,
+            || format!("revision {revision} above {highest}"),
+        );
         let known = *self.taken.entry((at, revision)).or_insert(setting);
-        assert_eq!(known, setting, "revision {revision} twice at node {at}");
+        holds(
+            "a revision stands for one setting",
+            known == setting,
+            || format!("revision {revision} twice at node {at}"),
+        );
         if self.time.unlucky(30) {
             // What was taken is written as a whole, or not at all.
             self.node_crash(at);

@@ -1,6 +1,6 @@
 //! Virtual time: a seed decides what happens when, which messages are lost, and what fails.
 
-use albireo_service::clock::Now;
+use albireo_service::clock::{Now, Uptime};
 use rand_core::{RngCore, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use std::collections::BTreeMap;
@@ -41,7 +41,7 @@ pub(super) struct Timeline<E> {
     /// True once nothing may fail any more.
     pub(super) is_calm: bool,
     pub(super) cut_until_ms: i64,
-    trace: DefaultHasher,
+    trace: String,
     verbose: bool,
 }
 
@@ -55,7 +55,7 @@ impl<E: Clone + std::fmt::Debug> Timeline<E> {
             numbers: 0,
             is_calm: false,
             cut_until_ms: 0,
-            trace: DefaultHasher::new(),
+            trace: String::new(),
             verbose,
         }
     }
@@ -113,24 +113,33 @@ impl<E: Clone + std::fmt::Debug> Timeline<E> {
         self.events.values()
     }
 
-    pub(super) fn now(&self, clock_ms: i64) -> Now {
+    pub(super) fn now_of(&self, clock_ms: i64, boot: u64) -> Now {
         Now {
             at: self.began + Duration::from_millis(self.now_ms.unsigned_abs()),
             unix_ms: BEGIN + self.now_ms + clock_ms,
+            uptime: Uptime {
+                boot,
+                s: self.now_ms.unsigned_abs() / 1000,
+            },
         }
+    }
+
+    pub(super) fn now(&self, clock_ms: i64) -> Now {
+        self.now_of(clock_ms, 0)
     }
 
     pub(super) fn note(&mut self, what: &impl std::fmt::Debug) {
         let line = format!("{:>9} {what:?}", self.now_ms);
-        line.hash(&mut self.trace);
         if self.verbose {
             println!("{}", line.chars().take(200).collect::<String>());
         }
+        self.trace.push_str(&line);
+        self.trace.push('\n');
     }
 
-    /// A hash of all that happened, in order.
-    pub(super) fn trace(&self) -> u64 {
-        self.trace.finish()
+    /// All that happened, in order, one event per line.
+    pub(super) fn trace(self) -> String {
+        self.trace
     }
 
     /// Sends over the network, which may lose, duplicate or delay the message.

@@ -44,7 +44,7 @@ pub(in crate::delivery) fn take(desired: &Desired, board: &Board) -> bool {
     if revision <= known {
         return false;
     }
-    board.settings.change(|kept| {
+    board.change_in_turn(board.orders.place(), |kept| {
         let hub = SettingSource::Hub;
         let applied = match desired.setting {
             None => Ok(()),

@@ -11,10 +11,15 @@ const AGAIN_EVERY: Duration = Duration::from_secs(10);
 const GATHERED: u64 = 12;
 
 /// The reason a query failed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Failure {
-    /// The hub refused, and named the shortest time until a retry.
-    Refused(Duration),
+    /// The hub refused.
+    Refused {
+        /// The shortest time until a retry.
+        at_least: Duration,
+        /// The hub's reason.
+        why: String,
+    },
     /// Nobody answered.
     Unanswered,
 }
@@ -47,7 +52,9 @@ impl Attempts {
                 self.backoff.reset();
                 None
             }
-            Err(Failure::Refused(at_least)) => Some(now + self.backoff.next().max(*at_least)),
+            Err(Failure::Refused { at_least, .. }) => {
+                Some(now + self.backoff.next().max(*at_least))
+            }
             Err(Failure::Unanswered) => Some(now + self.backoff.next()),
         };
     }
@@ -67,6 +74,24 @@ pub(crate) struct Schedule {
     again_at: Option<Instant>,
     /// The last time at which a hub answered, or had nothing to answer.
     answered_at: Instant,
+    /// The time since which reports are due that no hub acknowledges; `None` while none are.
+    owed_since: Option<Instant>,
+    /// The hub's reason, if it refused the last batch.
+    refused: Option<String>,
+    patience: Duration,
+    /// The time for which it is normal to reach no hub.
+    offline: Duration,
+}
+
+/// Why no hub acknowledges the reports that are due.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Trouble {
+    /// No hub takes reports.
+    NoHub,
+    /// A hub takes reports, and does not answer.
+    Unanswered,
+    /// The hub refuses them, for this reason.
+    Refused(String),
 }
 
 impl Schedule {
@@ -80,6 +105,10 @@ impl Schedule {
             pull_wanted: true,
             again_at: None,
             answered_at: now,
+            owed_since: None,
+            refused: None,
+            patience: Duration::from_millis(config.patience_ms),
+            offline: Duration::from_secs_f64(config.offline_h * 3600.0),
         }
     }
 
@@ -113,19 +142,26 @@ impl Schedule {
         watched || waiting >= GATHERED || now >= due_at
     }
 
-    /// Starts a batch if one is due. Returns true if it includes reports that a hub has lost.
+    /// Starts a batch if one is due and a hub takes reports (`connected`). Returns true if it includes reports that a hub has
+    /// lost.
     pub(crate) fn next_batch(
         &mut self,
         counts: &OutboxCounts,
+        connected: bool,
         watched: bool,
         now: Instant,
     ) -> Option<bool> {
         let again = counts.again > 0 && self.again_at.is_none_or(|at| now >= at);
         let is_worth_it = self.is_due(counts.status.waiting, watched, now) || again;
-        if !is_worth_it {
+        if !is_worth_it || !connected {
             self.answered_at = now;
         }
-        if !is_worth_it || !self.reports.may_begin(now) {
+        if !is_worth_it {
+            self.owed_since = None;
+            return None;
+        }
+        self.owed_since.get_or_insert(now);
+        if !connected || !self.reports.may_begin(now) {
             return None;
         }
         self.reports.under_way = true;
@@ -141,9 +177,32 @@ impl Schedule {
         if !matches!(outcome, Err(Failure::Unanswered)) {
             self.answered_at = now;
         }
+        self.refused = match outcome {
+            Err(Failure::Refused { why, .. }) => Some(why.clone()),
+            _ => None,
+        };
         if outcome.is_ok() {
             self.due_at = None;
+            self.owed_since = None;
         }
+    }
+
+    /// Why reports that are due are not acknowledged, once some attempts have failed, or once no hub was reached for longer
+    /// than is normal.
+    pub(crate) fn trouble(&self, connected: bool, now: Instant) -> Option<Trouble> {
+        let waited = now.saturating_duration_since(self.owed_since?);
+        let offline = self.patience.max(self.offline);
+        let (patience, trouble) = match &self.refused {
+            Some(why) if connected => (self.patience, Trouble::Refused(why.clone())),
+            _ if connected => (offline, Trouble::Unanswered),
+            _ => (offline, Trouble::NoHub),
+        };
+        (waited >= patience).then_some(trouble)
+    }
+
+    /// The time for which it is normal to reach no hub.
+    pub(crate) const fn offline(&self) -> Duration {
+        self.offline
     }
 
     /// True if a batch is in flight.
@@ -222,7 +281,7 @@ mod tests {
             counts.status.waiting = waiting;
             counts.again = again;
             let now = self.at(ms);
-            self.schedule.next_batch(&counts, false, now)
+            self.schedule.next_batch(&counts, true, false, now)
         }
 
         /// Lets a pull fail at the start, which then moves to the end of the pause.
@@ -279,7 +338,11 @@ mod tests {
                 assert!(within.contains(&pause), "{pause} ms, not {within:?}");
             }
             let named = Duration::from_secs(900);
-            assert_eq!(bench.pause_after(Failure::Refused(named)), named);
+            let refused = Failure::Refused {
+                at_least: named,
+                why: "busy".to_owned(),
+            };
+            assert_eq!(bench.pause_after(refused), named);
             assert!(bench.schedule.next_pull(bench.at(0)));
             bench.schedule.pull_ended(&DONE, bench.at(0));
             assert!(!bench.schedule.next_pull(bench.at(3_600_000)));
@@ -315,5 +378,61 @@ mod tests {
         let end = bench.schedule.next_look(latest, bench.at(511_000));
         assert!(end > bench.at(511_000) && end <= bench.at(512_500));
         assert_eq!(bench.schedule.next_look(latest, end), latest);
+    }
+
+    #[test]
+    fn reports_that_nobody_acknowledges_are_a_trouble_with_a_reason_after_some_attempts() {
+        let mut bench = Bench::new();
+        let trouble =
+            |bench: &Bench, connected, ms| bench.schedule.trouble(connected, bench.at(ms));
+        assert_eq!(bench.batch(0, 0), None);
+        assert_eq!(trouble(&bench, false, 3_600_000), None, "nothing waits");
+        // No hub: there is no attempt.
+        let (mut counts, now) = (OutboxCounts::default(), bench.at(10_000));
+        counts.status.waiting = GATHERED;
+        assert_eq!(bench.schedule.next_batch(&counts, false, false, now), None);
+        assert_eq!(trouble(&bench, false, 39_999), None);
+        assert_eq!(trouble(&bench, false, 40_000), Some(Trouble::NoHub));
+        assert!(
+            !bench.schedule.is_stale(Duration::from_secs(1), now),
+            "nobody to answer"
+        );
+        // A hub that does not answer, and one that refuses.
+        assert_eq!(bench.batch(GATHERED, 41_000), Some(false));
+        bench.ended(UNANSWERED, 51_000);
+        assert_eq!(trouble(&bench, true, 51_000), Some(Trouble::Unanswered));
+        let why = "unavailable: the disk is full".to_owned();
+        let at_least = Duration::ZERO;
+        bench.ended(
+            Err(Failure::Refused {
+                at_least,
+                why: why.clone(),
+            }),
+            60_000,
+        );
+        bench.schedule.begin(bench.at(61_000));
+        assert_eq!(trouble(&bench, true, 61_000), Some(Trouble::Refused(why)));
+        bench.ended(DONE, 70_000);
+        assert_eq!(trouble(&bench, true, 3_600_000), None);
+    }
+
+    #[test]
+    fn no_hub_is_a_trouble_only_after_the_hours_that_are_normal_and_a_refusal_at_once() {
+        let config = OutboxConfig {
+            offline_h: 12.0,
+            ..OutboxConfig::default()
+        };
+        let mut bench = Bench::new();
+        bench.schedule = Schedule::new(&config, 7, bench.start);
+        assert_eq!(bench.batch(1, 0), Some(false));
+        bench.ended(UNANSWERED, 10_000);
+        for connected in [false, true] {
+            let at = |seconds: u64| bench.schedule.trouble(connected, bench.at(seconds * 1000));
+            assert_eq!(at(12 * 3600 - 1), None);
+            assert!(at(12 * 3600).is_some());
+        }
+        let (at_least, why) = (Duration::ZERO, "busy".to_owned());
+        bench.ended(Err(Failure::Refused { at_least, why }), 31_000);
+        assert!(bench.schedule.trouble(true, bench.at(31_000)).is_some());
     }
 }

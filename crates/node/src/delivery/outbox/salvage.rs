@@ -1,0 +1,93 @@
+//! Reads what can be read of a damaged file of reports, row by row.
+
+use super::table::{COLUMNS, StoredReport, Table, TableError, add_columns};
+use rusqlite::{Connection, Row};
+use std::path::Path;
+
+/// The number of reports copied at a time.
+const STEP: usize = 200;
+
+/// The most rows that are looked for one by one between those before and those after a damaged page.
+const MOST_TRIED: i64 = 10_000;
+
+/// Copies the intact reports of the file at `damaged` to `into`, and continues their counts there.
+///
+/// # Errors
+/// [`TableError`] if `into` cannot be written, or if nothing can be read of the damaged file.
+pub(super) fn salvage(damaged: &Path, into: &mut Table) -> Result<(), TableError> {
+    let db = Connection::open(damaged)?;
+    // Without them, an earlier version's rows cannot be read.
+    add_columns(&db)?;
+    let mut copy = Copy {
+        into,
+        read: Vec::new(),
+    };
+    let select =
+        |rest: &str| format!("SELECT {COLUMNS}, rowid FROM report NOT INDEXED WHERE {rest}");
+    // The rows before the first damaged page, those behind the last one, and those in between, without any index.
+    let (last, is_whole) = copy.rows(&db, &select("rowid > ? ORDER BY rowid"), 0)?;
+    if !is_whole {
+        let (first, _) = copy.rows(&db, &select("rowid > ? ORDER BY rowid DESC"), last)?;
+        let end = if first > last { first } else { i64::MAX };
+        let mut one = db.prepare(&select("rowid = ?"))?;
+        for rowid in (last + 1..end).take(MOST_TRIED as usize) {
+            // A row that is damaged, or that is not there.
+            if let Ok(report) = one.query_row([rowid], StoredReport::read) {
+                copy.add(report)?;
+            }
+        }
+    }
+    copy.flush()
+}
+
+struct Copy<'a> {
+    into: &'a mut Table,
+    read: Vec<StoredReport>,
+}
+
+impl Copy<'_> {
+    /// Copies rows until the end or a damaged page. Returns the number of the last row, and true at the end.
+    fn rows(&mut self, db: &Connection, text: &str, from: i64) -> Result<(i64, bool), TableError> {
+        let mut last = from;
+        let mut select = db.prepare(text)?;
+        let mut rows = select.query([from])?;
+        loop {
+            match rows.next() {
+                Ok(None) => return Ok((last, true)),
+                Err(_) => return Ok((last, false)),
+                Ok(Some(row)) => {
+                    let Ok(rowid) = row.get(9) else {
+                        return Ok((last, false));
+                    };
+                    last = rowid;
+                    self.row(row)?;
+                }
+            }
+        }
+    }
+
+    /// Copies a row, unless its values are damaged.
+    fn row(&mut self, row: &Row<'_>) -> Result<(), TableError> {
+        match StoredReport::read(row) {
+            Ok(report) => self.add(report),
+            Err(_) => Ok(()),
+        }
+    }
+
+    fn add(&mut self, mut report: StoredReport) -> Result<(), TableError> {
+        report.mend_state();
+        if report.is_intact() {
+            let made = &mut self.into.counters.made;
+            *made = (*made).max(report.count);
+            self.read.push(report);
+        }
+        match self.read.len() >= STEP {
+            true => self.flush(),
+            false => Ok(()),
+        }
+    }
+
+    fn flush(&mut self) -> Result<(), TableError> {
+        self.into.insert(&std::mem::take(&mut self.read)).map(drop)
+    }
+}

@@ -1,0 +1,232 @@
+//! Applies settings in the order in which they arrive: by Zenoh, where of several puts on a key only the newest counts, by
+//! HTTP, and from the hub.
+
+use super::{Board, CameraBoard};
+use crate::state::settings::Values;
+use albireo_service::rate_limit::RateLimit;
+use albireo_wire::{SettingSource, TargetMessage, ThresholdMessage, check_version};
+use parking_lot::Mutex;
+use serde::de::DeserializeOwned;
+use std::collections::BTreeMap;
+use std::error::Error;
+use std::slice::from_ref;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::sync::Notify;
+
+/// The largest message that is read; a valid one has a few dozen bytes.
+pub(crate) const MAX_MESSAGE_BYTES: usize = 4096;
+
+/// The time between two log lines about puts of one kind.
+const LOG_PERIOD: Duration = Duration::from_secs(10);
+
+/// The place of an order among all that arrived.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Place(u64);
+
+/// A put that is not applied yet.
+#[derive(Debug)]
+struct Put {
+    place: Place,
+    /// The camera whose threshold it sets; without one, it sets the node's target.
+    camera: Option<Arc<CameraBoard>>,
+    payload: Vec<u8>,
+    /// Earlier puts on the key that it replaced.
+    replaced: u64,
+}
+
+#[derive(Debug, Default)]
+struct Arrived {
+    orders: u64,
+    /// The newest put of each key.
+    puts: BTreeMap<String, Put>,
+}
+
+/// The orders that arrived, and the turn of the one being applied.
+#[derive(Debug)]
+pub(crate) struct Orders {
+    arrived: Mutex<Arrived>,
+    /// Held while an order is applied and its file is written: no async worker locks it.
+    turn: Mutex<()>,
+    /// Notified for each put.
+    pub(crate) changed: Notify,
+    refused: RateLimit,
+}
+
+impl Default for Orders {
+    fn default() -> Self {
+        Self {
+            arrived: Mutex::default(),
+            turn: Mutex::default(),
+            changed: Notify::new(),
+            refused: RateLimit::new(LOG_PERIOD),
+        }
+    }
+}
+
+impl Orders {
+    /// Gives an order its place, when it arrives. Never waits for the disk.
+    pub(crate) fn place(&self) -> Place {
+        let mut arrived = self.arrived.lock();
+        arrived.orders += 1;
+        Place(arrived.orders)
+    }
+
+    /// Keeps a put on `key` until its turn, in place of an earlier one on this key. Never waits for the disk.
+    pub(crate) fn put(&self, key: &str, camera: Option<&Arc<CameraBoard>>, payload: Vec<u8>) {
+        let mut arrived = self.arrived.lock();
+        arrived.orders += 1;
+        let place = Place(arrived.orders);
+        let before = arrived.puts.get(key).map(|put| put.replaced + 1);
+        let put = Put {
+            place,
+            camera: camera.cloned(),
+            payload,
+            replaced: before.unwrap_or(0),
+        };
+        arrived.puts.insert(key.to_owned(), put);
+        drop(arrived);
+        self.changed.notify_one();
+    }
+
+    /// Takes the first put that arrived before `place`.
+    fn next(&self, place: Place) -> Option<(String, Put)> {
+        let mut arrived = self.arrived.lock();
+        let puts = arrived.puts.iter().filter(|(_, put)| put.place < place);
+        let (key, _) = puts.min_by_key(|(_, put)| put.place)?;
+        let key = key.clone();
+        arrived.puts.remove_entry(&key)
+    }
+}
+
+impl Board {
+    /// Applies the puts that arrived before `place`, and then `order`, before any later one. May write a file.
+    pub(crate) fn in_turn<T>(&self, place: Place, order: impl FnOnce() -> T) -> T {
+        let _turn = self.orders.turn.lock();
+        while let Some((key, put)) = self.orders.next(place) {
+            if put.replaced > 0 {
+                let replaced = put.replaced;
+                tracing::info!(key, replaced, "the newest of several puts is applied");
+            }
+            if let Err(reason) = self.apply(put.camera.as_ref(), &put.payload) {
+                self.orders.refused.log(|held_back| {
+                    tracing::warn!(key, held_back, "put rejected: {reason}");
+                });
+            }
+        }
+        order()
+    }
+
+    /// Applies all puts that have arrived. May write a file.
+    pub(crate) fn apply_puts(&self) {
+        self.in_turn(Place(u64::MAX), || {});
+    }
+
+    /// Makes a change of the settings in its turn. Writes a small file.
+    pub(crate) fn change_in_turn<T>(
+        &self,
+        place: Place,
+        change: impl FnOnce(&mut Values) -> T,
+    ) -> T {
+        self.in_turn(place, || self.settings.change(change))
+    }
+
+    /// Changes a camera's threshold, or the node's target, to the one in `payload`. Writes a small file.
+    pub(crate) fn apply(
+        &self,
+        camera: Option<&Arc<CameraBoard>>,
+        payload: &[u8],
+    ) -> Result<(), Box<dyn Error + Send + Sync>> {
+        if payload.len() > MAX_MESSAGE_BYTES {
+            let most = MAX_MESSAGE_BYTES;
+            return Err(format!("a message has at most {most} bytes; this one has more").into());
+        }
+        let local = SettingSource::Local;
+        if let Some(camera) = camera {
+            let example = r#"{"threshold":{"name":"u","value":3e-4}}"#;
+            let ThresholdMessage { v, threshold } = read(payload, example)?;
+            check_version(v)?;
+            let set =
+                |kept: &mut Values| self.set_thresholds(from_ref(camera), threshold, local, kept);
+            self.settings.change(set)?;
+        } else {
+            let TargetMessage { v, target } = read(payload, r#"{"target":{"skip_rate":0.5}}"#)?;
+            check_version(v)?;
+            self.settings.change(|kept| self.set_target(target, local, kept))?;
+        }
+        Ok(())
+    }
+}
+
+/// Reads a message. `v` may be missing, as in a put typed by hand, so the versioned reader does not fit.
+fn read<T: DeserializeOwned>(payload: &[u8], example: &str) -> Result<T, String> {
+    serde_json::from_slice(payload)
+        .map_err(|error| format!("expected JSON such as {example}: {error}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::state::board::tests::{board_of, config, thresholds};
+    use albireo_wire::Threshold;
+    use std::thread;
+
+    const BURST: u64 = 20_000;
+
+    fn value(number: u64) -> f64 {
+        2e-4 + number as f64 * 1e-9
+    }
+
+    fn put(board: &Board, camera: usize, value: f64) {
+        let camera = &board.cameras[camera];
+        let payload = format!(r#"{{"threshold":{{"name":"u","value":{value}}}}}"#);
+        board.orders.put(&camera.keys.threshold(), Some(camera), payload.into_bytes());
+    }
+
+    fn set_by_http(board: &Board, place: Place, value: f64) {
+        let threshold = Threshold::new("u", value);
+        let set = |kept: &mut Values| {
+            board.set_thresholds(&board.cameras, threshold, SettingSource::Local, kept)
+        };
+        board.change_in_turn(place, set).unwrap();
+    }
+
+    #[test]
+    fn the_last_put_of_a_burst_is_in_force_and_survives_a_restart() {
+        let folder = tempfile::tempdir().unwrap();
+        let config = config(Some(folder.path()), "albireo");
+        let board = board_of(&config);
+        thread::scope(|scope| {
+            let stalled = board.settings.stall();
+            put(&board, 0, 1e-4);
+            scope.spawn(|| board.apply_puts());
+            while thresholds(&board)[0] != 1e-4 {
+                thread::yield_now();
+            }
+            for number in 0..BURST {
+                put(&board, 0, value(number));
+                put(&board, 1, value(BURST - number));
+            }
+            drop(stalled);
+        });
+        board.apply_puts();
+        let wanted = [value(BURST - 1), value(1)];
+        assert_eq!(thresholds(&board), wanted);
+        drop(board);
+        assert_eq!(thresholds(&board_of(&config)), wanted);
+    }
+
+    #[test]
+    fn no_put_overrides_a_later_order_and_no_order_a_later_put() {
+        let board = board_of(&config(None, "albireo"));
+        for number in 0..BURST {
+            put(&board, 0, value(number));
+        }
+        let place = board.orders.place();
+        put(&board, 1, 4e-4);
+        set_by_http(&board, place, 7e-4);
+        assert_eq!(thresholds(&board), [7e-4; 2]);
+        board.apply_puts();
+        assert_eq!(thresholds(&board), [7e-4, 4e-4]);
+    }
+}
