@@ -45,6 +45,7 @@ lint: ## check formatting, and run clippy for every shipped combination of featu
 deny: ## check licences, sources and bans of all dependencies (ADVISORIES=1: known vulnerabilities too)
 	@cargo deny --version >/dev/null 2>&1 || cargo install --locked cargo-deny
 	cargo deny --locked check licenses bans sources $(if $(ADVISORIES),advisories)
+	cargo deny --locked --manifest-path crates/python/Cargo.toml --config deny.toml check licenses bans sources $(if $(ADVISORIES),advisories)
 
 fuzz: ## fuzz every parser with coverage guidance, 20 minutes each (MINUTES=N); needs nightly Rust and cargo-fuzz
 	@bash fuzz/run.sh
