@@ -85,6 +85,15 @@ fn presence(page: &mut MetricsPage, view: &HubView) {
         "Names that more than one node uses",
         view.fleet.twins() as f64,
     );
+    let (names, statuses) = view.fleet.refused();
+    page.counters(
+        "albireo_hub_statuses_dropped_total",
+        "Statuses that were not kept: of too many names that never sent a report, or too large for the memory of all",
+        [
+            ([("reason", "names")], names as f64),
+            ([("reason", "memory")], statuses as f64),
+        ],
+    );
     page.gauge(
         "albireo_hub_outbox_waiting",
         "Clip reports that wait in the nodes' outboxes, as far as they have reported",

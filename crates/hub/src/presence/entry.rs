@@ -2,8 +2,26 @@
 
 use super::node::{NodeView, PresenceState};
 use crate::store::row::beginning;
-use albireo_wire::HealthState;
+use albireo_wire::{HealthState, NodeStatus};
 use std::time::{Duration, Instant};
+
+/// The length of a status as JSON, bytes.
+pub(super) fn json_bytes(status: &NodeStatus) -> usize {
+    struct Length(usize);
+    impl std::io::Write for Length {
+        fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+            self.0 += bytes.len();
+            Ok(bytes.len())
+        }
+
+        fn flush(&mut self) -> std::io::Result<()> {
+            Ok(())
+        }
+    }
+    let mut length = Length(0);
+    let _ = serde_json::to_writer(&mut length, status);
+    length.0
+}
 
 /// One node.
 #[derive(Clone, Debug, Default)]
@@ -21,6 +39,10 @@ pub(crate) struct Entry {
     pub(super) seq: u64,
     pub(super) health: HealthState,
     pub(super) needs_full: bool,
+    /// True if a report of it was stored: it is no invented name.
+    pub(super) has_reported: bool,
+    /// Bytes of its full status, as JSON.
+    pub(super) status_bytes: usize,
     pub(super) notified: Option<Instant>,
 }
 
@@ -46,6 +68,8 @@ impl Entry {
             heard: node.is_reachable().then_some(now),
             health: status.map_or(HealthState::Ready, |status| status.health.state),
             needs_full: true,
+            has_reported: node.has_reported,
+            status_bytes: node.status.as_deref().map_or(0, json_bytes),
             node,
             ..Self::default()
         }

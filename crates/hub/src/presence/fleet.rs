@@ -1,10 +1,11 @@
 //! Keeps the states of all nodes in memory.
 
-use super::entry::Entry;
+use super::entry::{Entry, json_bytes};
 use super::node::{NodeView, PresenceState};
 use super::today::TodaysEnergy;
 use crate::config::PresenceConfig;
-use albireo_service::clock::Now;
+use albireo_service::clock::{DAY_MS, Now};
+use albireo_service::readiness::Fault;
 use albireo_wire::{Heartbeat, StatusMessage};
 use parking_lot::{Mutex, RwLock};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -19,6 +20,16 @@ const MOST_WRITTEN: usize = 2000;
 const HEARTBEATS_PER_S: usize = 200;
 /// Shortest and longest time between two heartbeats of a node, seconds. The time limits of `[presence]` are for the shortest.
 const HEARTBEAT_S: (u32, u32) = (30, 120);
+
+/// Most names that have sent a status and never a report; a status under a further name is dropped and counted. Without access
+/// control anybody can invent names.
+const MOST_STRANGERS: usize = 100_000;
+/// Time after which such a name is forgotten if it is out of reach.
+const STRANGER_MS: i64 = 7 * DAY_MS;
+/// Bytes of full statuses that are kept: for all nodes together, and as many more for each node that has sent a report. A
+/// status with eight cameras has about 4 kB.
+const STATUS_BYTES: usize = 64 << 20;
+const STATUS_BYTES_PER_NODE: usize = 16 << 10;
 
 /// The time between two heartbeats of a node in a fleet of so many nodes, seconds.
 fn heartbeat_s(nodes: usize) -> u32 {
@@ -37,6 +48,56 @@ pub struct Fleet {
     nodes: RwLock<BTreeMap<String, Entry>>,
     /// Nodes whose rows wait to be written.
     dirty: Mutex<BTreeSet<String>>,
+    /// Sums over `nodes`, which change only with it.
+    sums: Mutex<Sums>,
+}
+
+/// What limits the memory of a fleet.
+#[derive(Debug, Default)]
+struct Sums {
+    /// Nodes of which no report was stored.
+    strangers: usize,
+    /// Nodes of which a report was stored.
+    reporting: usize,
+    /// Bytes of all full statuses.
+    status_bytes: usize,
+    /// Statuses under names beyond [`MOST_STRANGERS`].
+    names_refused: u64,
+    /// Full statuses beyond [`STATUS_BYTES`].
+    statuses_refused: u64,
+}
+
+impl Sums {
+    fn add(&mut self, entry: &Entry) {
+        self.status_bytes += entry.status_bytes;
+        *self.kind_of(entry) += 1;
+    }
+
+    fn remove(&mut self, entry: &Entry) {
+        self.status_bytes -= entry.status_bytes;
+        *self.kind_of(entry) -= 1;
+    }
+
+    fn kind_of(&mut self, entry: &Entry) -> &mut usize {
+        if entry.has_reported {
+            &mut self.reporting
+        } else {
+            &mut self.strangers
+        }
+    }
+
+    /// Changes the size of one status; returns false if there is no room.
+    fn replace_status(&mut self, before: usize, after: usize) -> bool {
+        let room = STATUS_BYTES + self.reporting * STATUS_BYTES_PER_NODE;
+        let bytes = self.status_bytes - before + after;
+        let fits = after <= before || bytes <= room;
+        if fits {
+            self.status_bytes = bytes;
+        } else {
+            self.statuses_refused += 1;
+        }
+        fits
+    }
 }
 
 impl Fleet {
@@ -50,9 +111,16 @@ impl Fleet {
 
     /// Adds nodes that were read from the database. The time limits of a node that was online begin at `now`.
     pub fn remember(&self, nodes: Vec<NodeView>, now: Instant) {
-        let nodes = nodes.into_iter();
-        let entries = nodes.map(|node| (node.node.clone(), Entry::remembered(node, now)));
-        self.nodes.write().extend(entries);
+        let mut known = self.nodes.write();
+        let mut sums = self.sums.lock();
+        for node in nodes {
+            let name = node.node.clone();
+            let entry = Entry::remembered(node, now);
+            sums.add(&entry);
+            if let Some(before) = known.insert(name, entry) {
+                sums.remove(&before);
+            }
+        }
     }
 
     /// Applies a status. Returns true if the node should be asked for a full status.
@@ -68,8 +136,12 @@ impl Fleet {
             if let Some(full) = message.full {
                 entry.needs_full = false;
                 if entry.node.status.as_deref() != Some(&*full) {
-                    changed = true;
-                    entry.node.status = Some(Arc::from(full));
+                    let bytes = json_bytes(&full);
+                    if self.sums.lock().replace_status(entry.status_bytes, bytes) {
+                        changed = true;
+                        entry.status_bytes = bytes;
+                        entry.node.status = Some(Arc::from(full));
+                    }
                 }
             }
             entry.health = message.health;
@@ -100,7 +172,19 @@ impl Fleet {
     fn heard(&self, node: &str, now: Now, take: impl FnOnce(&mut Entry) -> Option<bool>) -> bool {
         let mut nodes = self.nodes.write();
         let slower = slower(nodes.len());
-        let entry = (nodes.entry(node.to_owned())).or_insert_with(|| Entry::new(node, now.unix_ms));
+        if !nodes.contains_key(node) {
+            let mut sums = self.sums.lock();
+            if sums.strangers >= MOST_STRANGERS {
+                sums.names_refused += 1;
+                return false;
+            }
+            let entry = Entry::new(node, now.unix_ms);
+            sums.add(&entry);
+            nodes.insert(node.to_owned(), entry);
+        }
+        let Some(entry) = nodes.get_mut(node) else {
+            return false;
+        };
         if let Some(changed) = take(entry) {
             entry.heard = Some(now.at);
             entry.node.heard_ms = Some(now.unix_ms);
@@ -127,13 +211,69 @@ impl Fleet {
 
     /// Removes a node; its next status adds it again.
     pub(crate) fn forget(&self, node: &str) {
-        self.nodes.write().remove(node);
+        if let Some(entry) = self.nodes.write().remove(node) {
+            self.sums.lock().remove(&entry);
+        }
     }
 
-    /// Adds a node that has sent reports and no status yet.
+    /// Notes that a report of a node was stored. Adds the node if it has sent no status yet.
     pub(crate) fn reported(&self, node: &str, now_ms: i64) {
+        let reads = self.nodes.read();
+        if reads.get(node).is_some_and(|entry| entry.has_reported) {
+            return;
+        }
+        drop(reads);
         let mut nodes = self.nodes.write();
-        (nodes.entry(node.to_owned())).or_insert_with(|| Entry::new(node, now_ms));
+        let mut sums = self.sums.lock();
+        let mut entry = nodes.remove(node).map_or_else(
+            || Entry::new(node, now_ms),
+            |entry| {
+                sums.remove(&entry);
+                entry
+            },
+        );
+        entry.has_reported = true;
+        // Its status may have been dropped, as that of a name that somebody invented.
+        entry.needs_full |= entry.node.status.is_none();
+        sums.add(&entry);
+        nodes.insert(node.to_owned(), entry);
+    }
+
+    /// Up to `most` names that have sent nothing but statuses, and nothing for a week. A node with the label `expected` is no
+    /// such name: somebody misses it.
+    pub(crate) fn strangers(&self, most: usize, now_ms: i64) -> Vec<String> {
+        let nodes = self.nodes.read();
+        let is_stranger = |entry: &&Entry| {
+            let is_offline = entry.node.state == PresenceState::Offline;
+            let is_old = now_ms.saturating_sub(entry.node.since_ms) >= STRANGER_MS;
+            let is_expected = entry.node.labels().contains_key("expected");
+            !entry.has_reported && is_offline && is_old && !is_expected
+        };
+        let strangers = nodes.values().filter(is_stranger).take(most);
+        strangers.map(|entry| entry.node.node.clone()).collect()
+    }
+
+    /// The statuses that were dropped: under too many names without a report, and too large for the memory of all.
+    pub(crate) fn refused(&self) -> (u64, u64) {
+        let sums = self.sums.lock();
+        (sums.names_refused, sums.statuses_refused)
+    }
+
+    /// The fault of the fleet, if names or statuses do not fit.
+    pub(crate) fn fault(&self) -> Option<Fault> {
+        let sums = self.sums.lock();
+        let room = STATUS_BYTES + sums.reporting * STATUS_BYTES_PER_NODE;
+        if sums.strangers >= MOST_STRANGERS {
+            return Some(Fault::degraded(format!(
+                "{MOST_STRANGERS} names have sent a status and never a report; further names are not shown until they send a \
+                 report: let only certificates in, and forget the invented names"
+            )));
+        }
+        (sums.statuses_refused > 0 && sums.status_bytes > room - room / 8).then(|| {
+            Fault::degraded(
+                "the full statuses of all nodes do not fit into memory, so some are not shown: look for invented names",
+            )
+        })
     }
 
     /// Sets the energy of the nodes' clips of today; a node that is absent used none.

@@ -45,6 +45,10 @@ pub struct NodeView {
     pub revision: u64,
     /// The energy and skip rate of its clips of today (UTC).
     pub today: TodaysEnergy,
+    /// True if a report of it was stored before this hub started.
+    #[serde(default, skip_serializing)]
+    #[schema(ignore)]
+    pub(crate) has_reported: bool,
     /// The last full status.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[serde(deserialize_with = "json_text::deserialize")]

@@ -167,3 +167,87 @@ fn in_a_large_fleet_heartbeats_are_rarer_and_silence_and_twins_are_told_later() 
     }
     assert_eq!(fleet.view("7").unwrap().state, PresenceState::Degraded);
 }
+
+#[test]
+fn invented_names_fill_no_memory_and_nodes_that_report_are_shown() {
+    let fleet = Fleet::new(&PresenceConfig::default());
+    let now = Now::system();
+    for name in 0..100_001 {
+        fleet.apply_status(&format!("invented-{name}"), life(0), now);
+    }
+    assert_eq!(fleet.refused().0, 1);
+    assert!(fleet.view("invented-100000").is_none());
+    let fault = fleet.fault().unwrap();
+    assert!(
+        fault.reason.contains("names have sent a status"),
+        "{fault:?}"
+    );
+    fleet.reported("invented-100000", now.unix_ms);
+    fleet.apply_status("invented-100000", life(0), now);
+    assert!(fleet.view("invented-100000").is_some());
+    // A name that reported makes no room for others.
+    fleet.reported("invented-0", now.unix_ms);
+    fleet.apply_status("another", life(0), now);
+    assert!(fleet.view("another").is_some());
+    assert_eq!(fleet.refused().0, 1);
+}
+
+#[test]
+fn large_statuses_of_invented_names_fill_no_memory() {
+    let fleet = Fleet::new(&PresenceConfig::default());
+    let now = Now::system();
+    let large = |seq| StatusMessage {
+        full: Some(Box::new(NodeStatus {
+            version: "v".repeat(60_000),
+            ..STATUS.clone()
+        })),
+        ..life(seq)
+    };
+    for name in 0..3_000 {
+        fleet.apply_status(&format!("invented-{name}"), large(0), now);
+    }
+    let mut kept = 0;
+    fleet.each(|node| kept += usize::from(node.status.is_some()));
+    // 64 MB of 60 kB.
+    assert!((1_000..1_200).contains(&kept), "{kept}");
+    assert_eq!(fleet.refused().1, 3_000 - kept as u64);
+    assert!(fleet.fault().is_some());
+    // Its state is known all the same, and the status is kept once it reports: real nodes bring their own room.
+    let last = fleet.view("invented-2999").unwrap();
+    assert_eq!(last.state, PresenceState::Online);
+    for name in 0..3_000 {
+        fleet.reported(&format!("invented-{name}"), now.unix_ms);
+    }
+    assert!(fleet.needs_full_status("invented-2999"));
+    fleet.apply_status("invented-2999", large(1), now);
+    assert!(fleet.view("invented-2999").unwrap().status.is_some());
+}
+
+#[test]
+fn a_name_without_a_report_is_a_stranger_after_a_week_offline_unless_it_is_expected() {
+    let fleet = Fleet::new(&PresenceConfig::default());
+    let start = Instant::now();
+    let labelled = |labels: &[(&str, &str)]| StatusMessage {
+        full: Some(Box::new(NodeStatus {
+            labels: labels
+                .iter()
+                .map(|(key, value)| ((*key).to_owned(), (*value).to_owned()))
+                .collect(),
+            ..STATUS.clone()
+        })),
+        ..life(0)
+    };
+    fleet.apply_status("invented", labelled(&[]), after(start, 0));
+    fleet.apply_status(
+        "fixed",
+        labelled(&[("expected", "always")]),
+        after(start, 0),
+    );
+    fleet.apply_status("car", labelled(&[]), after(start, 0));
+    fleet.reported("car", 0);
+    fleet.sweep(after(start, 3_600));
+    let week_ms = 7 * 86_400_000;
+    assert!(fleet.strangers(10, week_ms).is_empty());
+    let found = fleet.strangers(10, week_ms + 3_600_000);
+    assert_eq!(found, ["invented"]);
+}

@@ -73,6 +73,25 @@ impl dyn Database + '_ {
         )?;
         Ok(())
     }
+
+    /// Deletes nodes of which nothing but statuses came, with an event that counts them.
+    pub(crate) fn forget_strangers(
+        &mut self,
+        names: &[String],
+        now_ms: i64,
+    ) -> Result<(), StoreError> {
+        for name in names {
+            self.query(
+                "DELETE FROM nodes WHERE name = $1 \
+                 AND NOT EXISTS (SELECT 1 FROM report_counts r WHERE r.node_id = nodes.id) \
+                 AND NOT EXISTS (SELECT 1 FROM cameras c WHERE c.node_id = nodes.id)",
+                &[name.as_str().into()],
+            )?;
+        }
+        let detail = json!({ "who": "hub", "nodes": names.len() });
+        let event = json!({ "at_ms": now_ms, "kind": "forgotten", "node": null, "detail": detail });
+        self.insert("events", &[event], "").map(drop)
+    }
 }
 
 impl Store {
@@ -81,10 +100,12 @@ impl Store {
     /// # Errors
     /// When the database cannot be read.
     pub async fn nodes(&self) -> Result<Vec<NodeView>, StoreError> {
-        let text = "SELECT name AS node, state, since_ms, why, heard_ms, revision, status, 0 AS waiting \
-                    FROM nodes WHERE state <> 'forgotten'";
+        let text = "SELECT name AS node, state, since_ms, why, heard_ms, revision, status, 0 AS waiting, \
+                    r.node_id FROM nodes LEFT JOIN report_counts r ON r.node_id = id WHERE state <> 'forgotten'";
         let node = |mut row: Row| {
             row.insert("today".to_owned(), json!(TodaysEnergy::default()));
+            let has_reported = row.remove("node_id").is_some_and(|id| !id.is_null());
+            row.insert("has_reported".to_owned(), has_reported.into());
             // The status may be of another version of the program; the node will send a new one.
             read(row.clone()).or_else(|_| {
                 row.remove("status");

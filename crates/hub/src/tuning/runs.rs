@@ -18,6 +18,9 @@ const CLAIM_MS: Millis = 20_000;
 /// Time between two claims.
 const CLAIM_EVERY_MS: Millis = 4_000;
 
+/// Most names that are forgotten in one transaction.
+const MOST_STRANGERS: usize = 500;
+
 impl Run {
     fn key(&self) -> RunKey {
         RunKey {
@@ -79,6 +82,26 @@ impl Tuner {
         written.await?;
         self.desires.remove(node);
         self.fleet.forget(node);
+        Ok(())
+    }
+
+    /// Forgets names that somebody may have invented: out of reach for a week, without a report, and without a desired
+    /// setting.
+    ///
+    /// # Errors
+    /// When the database cannot be written; the next call finds them again.
+    pub(super) async fn forget_strangers(&self, now: Millis) -> Result<(), StoreError> {
+        let mut names = self.fleet.strangers(MOST_STRANGERS, now);
+        names.retain(|name| self.desires.get(name).is_none());
+        if names.is_empty() {
+            return Ok(());
+        }
+        let forgotten = names.clone();
+        let written = self.store.write(move |writing| writing.forget_strangers(&forgotten, now));
+        written.await?;
+        for name in &names {
+            self.fleet.forget(name);
+        }
         Ok(())
     }
 
