@@ -43,7 +43,7 @@ use zenoh::Session;
 /// The state that all routes share.
 #[derive(Clone, Debug)]
 pub struct HubView {
-    /// The faults of its parts: `database`, `zenoh`, `tasks`.
+    /// The faults of its parts: `database`, `zenoh`, `fleet`, `tuning`, `tasks`.
     pub readiness: Readiness,
     /// All nodes.
     pub fleet: Arc<Fleet>,

@@ -8,6 +8,7 @@ mod clip;
 mod counters;
 mod decode;
 mod limits;
+mod outcomes;
 mod plan;
 mod recorder;
 mod replies;

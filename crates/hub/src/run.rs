@@ -147,7 +147,13 @@ async fn parts(
     let store = tuner.store.clone();
     tracing::info!(database = store.kind(), "database opened");
     let _ = view.opened.set(Arc::clone(&tuner));
-    database.works();
+    let ingest = Arc::clone(&view.ingest);
+    // From now on the outcome of the transactions decides.
+    readiness.probe("database", "", move || {
+        ingest.outcomes.fault(Instant::now())
+    });
+    let fleet = Arc::clone(&view.fleet);
+    readiness.probe("fleet", "", move || fleet.fault());
     let opening = session::open(&config.zenoh, MAX_PAYLOAD_BYTES, SESSION, true, |error| {
         zenoh.not_ready(error.to_string());
     });
@@ -177,7 +183,10 @@ async fn parts(
     let reports = session.declare_queryable(keys.report()).complete(true);
     let reports = reports.callback(take).await;
     let reports = reports.map_err(HubError::at("reports cannot be received"))?;
-    tasks.essential("tuning", tuning::follow(tuner, shutdown.clone()));
+    tasks.essential(
+        "tuning",
+        tuning::follow(tuner, readiness.part("tuning"), shutdown.clone()),
+    );
     // Known nodes report their state now instead of at their next interval.
     (view.fleet).each(|NodeView { node, .. }| view.desires.notify(node));
     zenoh.works();

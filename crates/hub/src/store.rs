@@ -5,6 +5,7 @@
 
 mod database;
 mod error;
+mod file;
 mod migrate;
 mod nodes;
 mod postgres;
@@ -66,6 +67,8 @@ struct Shared {
     kind: Kind,
     url: String,
     timeout_ms: u64,
+    /// The file of SQLite.
+    file: Option<file::DatabaseFile>,
     runtime: Handle,
     /// One permit per connection that reads.
     readers: Arc<Semaphore>,
@@ -87,8 +90,14 @@ impl Store {
     /// [`StoreError::Refused`] when the database holds other data, or was written by another version of the program: a retry
     /// does not help. [`StoreError::Unavailable`] when it cannot be reached now.
     pub async fn open(config: &DatabaseConfig) -> Result<Self, StoreError> {
+        let kind = Kind::of(&config.url);
+        let file = (kind == Kind::Sqlite).then(|| {
+            let path = sqlite::file(&config.url);
+            file::DatabaseFile::new(path)
+        });
         let store = Self(Arc::new(Shared {
-            kind: Kind::of(&config.url),
+            kind,
+            file,
             url: config.url.clone(),
             timeout_ms: config.timeout_ms,
             runtime: Handle::current(),
@@ -97,18 +106,33 @@ impl Store {
             writer: Arc::default(),
         }));
         let opened = store.clone();
-        blocking(move || migrate::migrate(&mut *opened.connect(Access::Create, None)?)).await?;
+        blocking(move || {
+            let file = opened.0.file.as_ref();
+            file.map_or(Ok(()), file::DatabaseFile::reserve)?;
+            migrate::migrate(&mut *opened.connect(Access::Create, None)?)?;
+            if let Some(file) = file {
+                file.opened();
+            }
+            Ok(())
+        })
+        .await?;
         Ok(store)
     }
 
     /// Returns `before` if it is still open, else a new connection. Must not be called on a thread of the runtime.
+    ///
+    /// # Errors
+    /// Also when the file of SQLite was deleted or replaced.
     pub(crate) fn connect(
         &self,
         access: Access,
         before: Option<Box<dyn Database>>,
     ) -> Result<Box<dyn Database>, StoreError> {
+        if let Some(file) = &self.0.file {
+            file.check()?;
+        }
         if let Some(mut before) = before
-            && before.is_open()
+            && before.is_open()?
         {
             return Ok(before);
         }
@@ -185,6 +209,9 @@ impl Store {
             Ok(())
         });
         let _ = closed.await;
+        if let Some(file) = &self.0.file {
+            file.release();
+        }
     }
 }
 

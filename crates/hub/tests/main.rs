@@ -11,5 +11,6 @@ mod history;
 mod ingest;
 mod live;
 mod presence;
+mod ready;
 mod targets;
 mod tuning;

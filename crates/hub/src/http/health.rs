@@ -50,7 +50,7 @@ pub(super) struct Health {
 pub(super) struct HubReadiness {
     /// True if every part works.
     ready: bool,
-    /// The reason of each part that does not work: `database`, `zenoh`, `tasks`.
+    /// The reason of each part that does not work, or works only in part: `database`, `zenoh`, `fleet`, `tuning`, `tasks`.
     reasons: BTreeMap<String, String>,
 }
 

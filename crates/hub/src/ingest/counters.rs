@@ -1,5 +1,6 @@
 //! Counts what the hub receives and stores.
 
+use super::outcomes::Outcomes;
 use crate::per_node::Place;
 use albireo_wire::RefusalReason;
 use parking_lot::Mutex;
@@ -75,6 +76,8 @@ counts! {
 #[derive(Debug)]
 pub struct IngestCounters {
     counts: Mutex<IngestCounts>,
+    /// Whether reports are stored.
+    pub(crate) outcomes: Outcomes,
     /// Times from a batch's arrival to its acknowledgement.
     pub(crate) acknowledged_after: Ages,
     /// Times that transactions took.
@@ -89,6 +92,7 @@ impl Default for IngestCounters {
     fn default() -> Self {
         Self {
             counts: Mutex::default(),
+            outcomes: Outcomes::default(),
             acknowledged_after: Ages::default(),
             committed_in: Ages::default(),
             batches: Arc::new(Semaphore::new(MOST_BATCHES)),

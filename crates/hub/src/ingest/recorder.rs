@@ -3,6 +3,7 @@
 use super::counters::IngestCounts;
 use super::decode::{Batch, Rejected};
 use super::limits::{ClockCheck, EVENTS, EntryLimit, PRESENCE, SET_ASIDE};
+use super::outcomes::Written;
 use super::plan::{Doubt, Seen};
 use crate::config::HistoryConfig;
 use crate::presence::NodeView;
@@ -21,6 +22,11 @@ const RETENTION: Duration = Duration::from_secs(60);
 /// Most events of unreadable batches that wait for the database; further ones are dropped.
 const MOST_EVENTS: usize = 1000;
 
+/// Most reports that count as missing in one gap, and most of a node: more than a node makes in a year. A number that one node
+/// invents must not be the fleet's figure.
+const LARGEST_GAP: u64 = 1_000_000;
+const MOST_MISSING: u64 = 32 * LARGEST_GAP;
+
 /// Stores batches in a database.
 pub struct Recorder {
     store: Store,
@@ -33,6 +39,8 @@ pub struct Recorder {
     aside_limit: EntryLimit,
     clock: ClockCheck,
     retention_due: Instant,
+    /// True if the next transaction writes a row in any case.
+    proves_writing: bool,
 }
 
 /// The result of a commit.
@@ -44,6 +52,8 @@ pub struct Recorded {
     pub(crate) cameras: Vec<usize>,
     /// The additions to the counters.
     pub(crate) counts: IngestCounts,
+    /// What is now stored for certain. Rows that are written anyway do not count: only a report, and the row of a proof.
+    pub(super) written: Written,
 }
 
 impl Recorder {
@@ -59,7 +69,13 @@ impl Recorder {
             aside_limit: EntryLimit::new(SET_ASIDE),
             clock: ClockCheck::new(now.at, now.unix_ms),
             retention_due: now.at,
+            proves_writing: false,
         }
+    }
+
+    /// Lets the next transaction write a row in any case: it then shows whether the database accepts a commit.
+    pub(super) fn prove_writing(&mut self) {
+        self.proves_writing = true;
     }
 
     /// Notes that a batch of a node cannot be read.
@@ -99,12 +115,23 @@ impl Recorder {
             self.presence_limit.allows(node, "node", now.unix_ms)
         });
         events.extend_from_slice(&self.events);
-        let recorded = match batches {
+        let mut recorded = match batches {
             [] => Recorded::default(),
             _ => self.write(&mut *database, batches, now.unix_ms, &mut events)?,
         };
         database.insert("events", &events, "")?;
+        if self.proves_writing {
+            database.prove_writing(now.unix_ms)?;
+        }
         database.commit()?;
+        recorded.written = if recorded.counts.clips > 0 {
+            Written::Reports
+        } else if self.proves_writing {
+            Written::Rows
+        } else {
+            Written::Nothing
+        };
+        self.proves_writing = false;
         self.database = Some(database);
         self.events.clear();
         for batch in batches {
@@ -228,8 +255,10 @@ impl Recorder {
                 let seen = report.count.map(|count| node.counts.see(count, is_new));
                 let (kind, detail) = match seen {
                     Some(Seen::Gap(first, last)) => {
-                        counts.missing = counts.missing.saturating_add(last - first + 1);
-                        ("gap", json!({ "first": first, "last": last }))
+                        let missing = (last - first + 1).min(LARGEST_GAP);
+                        counts.missing = counts.missing.saturating_add(missing);
+                        let detail = json!({ "first": first, "last": last, "missing": missing });
+                        ("gap", detail)
                     }
                     Some(Seen::Reset) => {
                         counts.resets += 1;
@@ -259,7 +288,7 @@ impl Recorder {
                     note(&batch.node, kind, json!({ what: count }));
                 }
             }
-            node.totals.missing = node.counts.missing();
+            node.totals.missing = node.counts.missing().min(MOST_MISSING);
             answer.missing = node.counts.wanted().to_vec();
             recorded.answers.push(answer);
             recorded.cameras.push(cameras.len());

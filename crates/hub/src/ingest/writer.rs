@@ -2,12 +2,13 @@
 
 use super::decode::{Batch, decode};
 use super::limits::{BUSY_RETRY, NodeLimits};
+use super::outcomes::Written;
 use super::recorder::{Recorded, Recorder};
 use super::replies::Replies;
 use crate::config::HubConfig;
 use crate::http::HubView;
 use crate::per_node::Place;
-use crate::store::Store;
+use crate::store::{Store, StoreError};
 use albireo_service::clock::{Now, unix_milliseconds};
 use albireo_wire::{NodeKeys, RefusalReason};
 use bytes::Bytes;
@@ -195,37 +196,77 @@ impl Writer {
         (self.shared).refuse(query, RefusalReason::Unreadable, error, None);
     }
 
-    /// Commits a group of batches. If the database refuses the group, commits each batch separately.
+    /// Commits a group of batches, and the changes of presence: also without either, so that an absent database is
+    /// noticed. If the database refuses the group, commits each batch separately.
     fn commit(&mut self, waiting: Vec<Waiting>, batches: &[Batch]) {
+        let error = match self.record(batches) {
+            Ok(recorded) => return self.acknowledge(waiting, recorded),
+            Err(error) => error,
+        };
+        let outcomes = &self.shared.view.ingest.outcomes;
+        if error.passes() || batches.len() < 2 {
+            outcomes.failed(&error, !batches.is_empty(), Instant::now());
+            return self.unavailable(waiting, &error);
+        }
+        let mut is_any_stored = false;
+        for (waiting, batch) in waiting.into_iter().zip(batches) {
+            let batch = std::slice::from_ref(batch);
+            match self.record(batch) {
+                Ok(recorded) => {
+                    is_any_stored |= recorded.written == Written::Reports;
+                    self.acknowledge(vec![waiting], recorded);
+                }
+                Err(error) => {
+                    let outcomes = &self.shared.view.ingest.outcomes;
+                    outcomes.failed(&error, true, Instant::now());
+                    self.unavailable(vec![waiting], &error);
+                }
+            }
+        }
+        // A single batch that the database does not accept says nothing about the others.
+        if is_any_stored {
+            let outcomes = &self.shared.view.ingest.outcomes;
+            outcomes.committed(Written::Reports, Instant::now());
+        }
+    }
+
+    /// Stores batches and changes of presence in one transaction.
+    fn record(&mut self, batches: &[Batch]) -> Result<Recorded, StoreError> {
         let view = &self.shared.view;
-        // Also without batches and nodes: it shows whether the database can be written.
-        let (begun, nodes) = (Instant::now(), view.fleet.take_dirty());
-        let done = (self.recorder).record(batches, &nodes, Now::system());
-        let error = match done {
+        let begun = Instant::now();
+        if view.ingest.outcomes.begin(begun) {
+            self.recorder.prove_writing();
+        }
+        let nodes = view.fleet.take_dirty();
+        let done = self.recorder.record(batches, &nodes, Now::system());
+        match &done {
             Ok(recorded) => {
+                view.ingest.outcomes.committed(recorded.written, Instant::now());
                 if !batches.is_empty() {
                     view.ingest.committed_in.add(begun.elapsed());
                 }
-                view.readiness.part("database").works();
-                return self.acknowledge(waiting, recorded);
             }
-            Err(error) => error,
-        };
-        view.ingest.count(|counts| counts.database_errors += 1);
-        tracing::error!(%error, batches = batches.len(), "nothing was committed");
-        view.fleet.give_back(nodes);
-        if !error.passes() && batches.len() > 1 {
-            for (waiting, batch) in waiting.into_iter().zip(batches) {
-                self.commit(vec![waiting], std::slice::from_ref(batch));
+            Err(error) => {
+                view.ingest.count(|counts| counts.database_errors += 1);
+                tracing::error!(%error, batches = batches.len(), "nothing was committed");
+                view.fleet.give_back(nodes);
             }
-            return;
         }
-        let (reason, retry) = (RefusalReason::Unavailable, Some(UNAVAILABLE_RETRY));
+        done
+    }
+
+    /// Refuses batches that were not stored, and pauses if the database is not available.
+    fn unavailable(&self, waiting: Vec<Waiting>, error: &StoreError) {
+        let retry = Some(UNAVAILABLE_RETRY);
         for waiting in waiting {
-            (self.shared).refuse(waiting.query, reason, &error.to_string(), retry);
+            self.shared.refuse(
+                waiting.query,
+                RefusalReason::Unavailable,
+                &error.to_string(),
+                retry,
+            );
         }
         if error.passes() {
-            (view.readiness.part("database")).not_ready(error.to_string());
             std::thread::sleep(DATABASE_PAUSE);
         }
     }

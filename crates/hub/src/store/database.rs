@@ -29,7 +29,10 @@ pub(crate) trait Database: Send {
     fn kind(&self) -> Kind;
 
     /// True if it can still be used: a server that restarts closes it.
-    fn is_open(&mut self) -> bool;
+    ///
+    /// # Errors
+    /// When a new connection would not help: SQLite's log was deleted.
+    fn is_open(&mut self) -> Result<bool, StoreError>;
 
     /// Begins a transaction that writes. Only one writes at a time, across all hubs: two would wait for each other's
     /// rows.
@@ -48,6 +51,13 @@ pub(crate) trait Database: Send {
     /// Commits. The rows then survive a power loss.
     fn commit(&mut self) -> Result<(), StoreError> {
         self.script("COMMIT")
+    }
+
+    /// Writes one row, which shows whether the database accepts a commit.
+    fn prove_writing(&mut self, now_ms: i64) -> Result<(), StoreError> {
+        let text = "INSERT INTO hub_meta (key, value) VALUES ('written_ms', $1) \
+                    ON CONFLICT (key) DO UPDATE SET value = excluded.value";
+        self.query(text, &[now_ms.to_string().into()]).map(drop)
     }
 
     /// Runs a statement and returns the whole number in its first row, if any.

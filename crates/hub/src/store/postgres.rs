@@ -64,8 +64,8 @@ impl Database for PostgresServer {
         Kind::Postgres
     }
 
-    fn is_open(&mut self) -> bool {
-        wait(&self.runtime, self.limit, self.connection.ping()).is_ok()
+    fn is_open(&mut self) -> Result<bool, StoreError> {
+        Ok(wait(&self.runtime, self.limit, self.connection.ping()).is_ok())
     }
 
     fn begin(&mut self) -> Result<(), StoreError> {

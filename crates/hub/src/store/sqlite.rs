@@ -1,10 +1,12 @@
 //! Connects to SQLite.
 
+use super::file::{FileIdentity, gone, identity};
 use super::row::{Columns, Row};
 use super::{Database, Kind, StoreError};
 use rusqlite::types::{ToSqlOutput, ValueRef};
 use rusqlite::{Connection, MAIN_DB, OpenFlags, Statement, ToSql};
 use serde_json::Value;
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 /// The purpose of a connection.
@@ -21,6 +23,9 @@ pub(crate) enum Access {
 /// A database in one file.
 pub(super) struct Sqlite {
     connection: Connection,
+    /// Its write-ahead log, and the identity of the one that this connection uses.
+    log: PathBuf,
+    used_log: Option<FileIdentity>,
     /// Time limit of a query, on a connection that only reads.
     limit: Option<Duration>,
 }
@@ -58,6 +63,8 @@ impl Sqlite {
         let limit = Duration::from_millis(timeout_ms.saturating_mul(4));
         Ok(Self {
             connection,
+            log: format!("{}-wal", file(url)).into(),
+            used_log: None,
             limit: (access == Access::Read).then_some(limit),
         })
     }
@@ -102,8 +109,14 @@ impl Database for Sqlite {
         Kind::Sqlite
     }
 
-    fn is_open(&mut self) -> bool {
-        true
+    fn is_open(&mut self) -> Result<bool, StoreError> {
+        // Nobody but SQLite's last connection removes the log, so one that differs was deleted by hand.
+        let log = identity(&self.log);
+        if self.used_log.is_some() && self.used_log != log {
+            return Err(gone(&self.log));
+        }
+        self.used_log = log;
+        Ok(true)
     }
 
     fn begin(&mut self) -> Result<(), StoreError> {

@@ -8,6 +8,7 @@ use crate::presence::Fleet;
 use crate::store::row::event;
 use crate::store::{ChangeRow, Store, StoreError};
 use albireo_service::clock::unix_milliseconds;
+use albireo_service::readiness::Part;
 use albireo_wire::DesiredSetting;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -68,7 +69,8 @@ const DRIVE_EVERY: u64 = 4;
 const DRIFT_EVERY: u64 = 20;
 
 /// Follows orders, rollouts and trials until `shutdown`. After an error of the database it tries again at the next interval.
-pub(crate) async fn follow(tuner: Arc<Tuner>, shutdown: CancellationToken) {
+/// Meanwhile the hub is degraded: it takes reports, and gives no settings.
+pub(crate) async fn follow(tuner: Arc<Tuner>, part: Part, shutdown: CancellationToken) {
     let mut every = tokio::time::interval(LOOK);
     every.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut failing = false;
@@ -86,14 +88,19 @@ pub(crate) async fn follow(tuner: Arc<Tuner>, shutdown: CancellationToken) {
             }
             if look.is_multiple_of(DRIFT_EVERY) {
                 tuner.look_for_drift(now).await?;
+                tuner.forget_strangers(now).await?;
             }
             Ok::<_, StoreError>(())
         };
         match worked.await {
-            Ok(()) => failing = false,
+            Ok(()) => {
+                failing = false;
+                part.works();
+            }
             Err(error) if failing => tracing::debug!(%error, "orders cannot be followed"),
             Err(error) => {
                 tracing::warn!(%error, "orders cannot be followed; trying again");
+                part.degraded(format!("settings cannot be given or followed: {error}"));
                 failing = true;
             }
         }

@@ -107,6 +107,16 @@ impl Postgres {
         assert!(kill("-9").success(), "the server's process {id} is killed");
     }
 
+    /// Sends a signal to every process of the server: `-STOP` freezes it, `-CONT` lets it go on.
+    pub(crate) fn signal(&self, signal: &str) {
+        let first = std::fs::read_to_string(format!("{}/postmaster.pid", self.data())).unwrap();
+        let id = first.lines().next().unwrap().to_owned();
+        let parent = Command::new("kill").args([signal, id.as_str()]).status();
+        assert!(parent.unwrap().success(), "the server's process {id} runs");
+        let children = Command::new("pkill").args([signal, "-P", &id]).status();
+        assert!(children.unwrap().success(), "the server has processes");
+    }
+
     pub(crate) fn url(&self) -> String {
         format!("postgres://hub@127.0.0.1:{}/postgres", self.port)
     }
