@@ -94,8 +94,11 @@ impl Configuration for HubConfig {
         self.zenoh.check(&mut findings);
         self.http.check(&self.tokens, &mut findings);
         self.database.check(&mut findings);
-        let (ingest, presence, history) = (&self.ingest, &self.presence, &self.history);
-        let (timeout_ms, share) = (self.database.timeout_ms, ingest.camera_bytes_per_day);
+        let ingest = &self.ingest;
+        let presence = &self.presence;
+        let history = &self.history;
+        let timeout_ms = self.database.timeout_ms;
+        let share = ingest.camera_bytes_per_day;
         findings.count("database.timeout_ms", timeout_ms, 100, 600_000);
         findings.count("ingest.commit_ms", ingest.commit_ms, 0, 10_000);
         findings.count("ingest.camera_bytes_per_day", share, 100_000, 1 << 40);
@@ -107,7 +110,8 @@ impl Configuration for HubConfig {
         ] {
             findings.count(key, days.into(), 1, 36_500);
         }
-        let (silent_s, offline_s) = (presence.silent_after_s, presence.offline_after_s);
+        let silent_s = presence.silent_after_s;
+        let offline_s = presence.offline_after_s;
         findings.above_zero("presence.silent_after_s", silent_s, DAY_S);
         findings.above_zero("presence.offline_after_s", offline_s, 30.0 * DAY_S);
         if offline_s < silent_s {

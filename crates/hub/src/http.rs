@@ -122,9 +122,10 @@ fn attached<'a, T>(part: &'a OnceLock<T>, name: &str) -> Result<&'a T, Problem> 
 
 impl From<StoreError> for Problem {
     fn from(error: StoreError) -> Self {
-        let status = match error.passes() {
-            true => StatusCode::SERVICE_UNAVAILABLE,
-            false => StatusCode::INTERNAL_SERVER_ERROR,
+        let status = if error.passes() {
+            StatusCode::SERVICE_UNAVAILABLE
+        } else {
+            StatusCode::INTERNAL_SERVER_ERROR
         };
         Self::new(status, error.to_string())
     }

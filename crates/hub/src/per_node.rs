@@ -31,8 +31,9 @@ impl PerNode {
             // Nodes with nothing waiting are removed, because a sender can invent any number of names.
             all.retain(|_, places| places.available_permits() < self.most);
         }
-        let places =
-            (all.entry(node.to_owned())).or_insert_with(|| Arc::new(Semaphore::new(self.most)));
+        let places = all
+            .entry(node.to_owned())
+            .or_insert_with(|| Arc::new(Semaphore::new(self.most)));
         Arc::clone(places).try_acquire_owned().ok()
     }
 }

@@ -65,8 +65,8 @@ pub async fn run(
     config.database.passwords().for_each(logging::conceal);
     let (desires, notices) = Desires::new();
     let view = HubView::new(config, desires, shutdown.clone());
-    (view.readiness.part("zenoh")).not_ready("the session is not open yet");
-    (view.readiness.part("database")).not_ready("it is not open yet");
+    view.readiness.part("zenoh").not_ready("the session is not open yet");
+    view.readiness.part("database").not_ready("it is not open yet");
     // HTTP stops last, so that the state can be read until the end.
     let serving = CancellationToken::new();
     let http = albireo_service::http::run(
@@ -126,8 +126,10 @@ async fn parts(
     view: &HubView,
     notices: Receiver<(String, u64)>,
 ) -> Result<(), HubError> {
-    let (readiness, shutdown) = (&view.readiness, &view.shutdown);
-    let (database, zenoh) = (readiness.part("database"), readiness.part("zenoh"));
+    let readiness = &view.readiness;
+    let shutdown = &view.shutdown;
+    let database = readiness.part("database");
+    let zenoh = readiness.part("zenoh");
     let tuner = loop {
         let error = match open(config, view).await {
             Ok(opened) => break opened,
@@ -163,7 +165,8 @@ async fn parts(
         return Ok(());
     };
     let _ = view.session.set(session.clone());
-    let (notified, prefix) = (session.clone(), config.hub.prefix.clone());
+    let notified = session.clone();
+    let prefix = config.hub.prefix.clone();
     spawn_blocking(move || send_notices(&notified, &prefix, &notices));
 
     let (replies, replier) = Replies::start(Arc::clone(&view.ingest));
@@ -180,15 +183,14 @@ async fn parts(
     tasks.until_shutdown("readiness", readiness.clone().watch(Duration::from_secs(1)));
     let today = follow_today(Arc::clone(&view.fleet), store.clone());
     tasks.until_shutdown("today", today);
-    let reports = session.declare_queryable(keys.report()).complete(true);
-    let reports = reports.callback(take).await;
+    let reports = session.declare_queryable(keys.report()).complete(true).callback(take).await;
     let reports = reports.map_err(HubError::at("reports cannot be received"))?;
     tasks.essential(
         "tuning",
         tuning::follow(tuner, readiness.part("tuning"), shutdown.clone()),
     );
     // Known nodes report their state now instead of at their next interval.
-    (view.fleet).each(|NodeView { node, .. }| view.desires.notify(node));
+    view.fleet.each(|NodeView { node, .. }| view.desires.notify(node));
     zenoh.works();
     let locators = session.info().locators().await;
     tracing::info!(zenoh = ?locators, "ready");
@@ -218,7 +220,7 @@ async fn parts(
 /// Opens the database, and reads from it the nodes and what was ordered.
 async fn open(config: &HubConfig, view: &HubView) -> Result<Arc<Tuner>, StoreError> {
     let store = Store::open(&config.database).await?;
-    (view.fleet).remember(store.nodes().await?, Instant::now());
+    view.fleet.remember(store.nodes().await?, Instant::now());
     let tuner = Tuner::open(
         store,
         Arc::clone(&view.fleet),

@@ -136,7 +136,8 @@ impl Store {
         {
             return Ok(before);
         }
-        let (url, timeout_ms) = (&self.0.url, self.0.timeout_ms);
+        let url = &self.0.url;
+        let timeout_ms = self.0.timeout_ms;
         Ok(match self.0.kind {
             Kind::Sqlite => Box::new(sqlite::Sqlite::open(url, timeout_ms, access)?),
             Kind::Postgres => {

@@ -42,7 +42,8 @@ async fn sums_match_the_clips_and_never_mix_energy_qualities(database: &str) {
             let key = (group["group"].to_string(), group["quality"].to_string());
             let sum = (uj(&group["joules"]), group["frames"].as_i64().unwrap());
             assert!(sums.insert(key, sum).is_none());
-            let (clips, saved) = (&group["clips"], &group["saved_joules_estimated"]);
+            let clips = &group["clips"];
+            let saved = &group["saved_joules_estimated"];
             assert_eq!(saved.as_f64().unwrap(), 12.5 * clips.as_f64().unwrap());
             assert_eq!(group["unpriced_calls"], 0);
         }
@@ -52,7 +53,8 @@ async fn sums_match_the_clips_and_never_mix_energy_qualities(database: &str) {
     let path = format!("/api/v1/energy?by=all&since_ms={since}");
     let energy = hub.get(&path).await;
     let audit = &energy["audit"];
-    let (detected, shown) = (2 * 100 * 10, 2 * 50 * (9 + 8));
+    let detected = 2 * 100 * 10;
+    let shown = 2 * 50 * (9 + 8);
     let rate = f64::from(shown) / f64::from(detected);
     let expected = json!({
         "drawn": 2 * 100 * 5, "missed": 2 * 100, "calls": 2 * 100 * 4, "detected": detected, "recall": {"rate": rate},
@@ -72,7 +74,10 @@ async fn sums_match_the_clips_and_never_mix_energy_qualities(database: &str) {
         "albireo_hub_audit_boxes_total{side=\"shown\",result=\"unpaired\"} 700",
     ])
     .await;
-    let joules: f64 = (energy["groups"].as_array().unwrap().iter())
+    let joules: f64 = energy["groups"]
+        .as_array()
+        .unwrap()
+        .iter()
         .map(|group| group["audit_joules"].as_f64().unwrap())
         .sum();
     assert!((joules - 100.0).abs() < 1e-6, "{joules}");
@@ -86,7 +91,8 @@ async fn sums_match_the_clips_and_never_mix_energy_qualities(database: &str) {
     assert!(are_right, "{thresholds}");
 
     // Pages and the file hold each clip once.
-    let (mut seen, mut cursor) = (Vec::new(), String::new());
+    let mut seen = Vec::new();
+    let mut cursor = String::new();
     loop {
         let page = hub.get(&format!("/api/v1/clips?limit=70{cursor}")).await;
         let ids = page["clips"].as_array().unwrap().iter();
@@ -98,8 +104,12 @@ async fn sums_match_the_clips_and_never_mix_energy_qualities(database: &str) {
     }
     seen.dedup();
     assert_eq!(seen.len(), 400);
-    let csv = reqwest::get(format!("{}/api/v1/clips.csv", hub.http)).await;
-    let csv = csv.unwrap().text().await.unwrap();
+    let csv = reqwest::get(format!("{}/api/v1/clips.csv", hub.http))
+        .await
+        .unwrap()
+        .text()
+        .await
+        .unwrap();
     assert_eq!(csv.lines().count(), 401);
     assert!(csv.starts_with("id,node,camera,"), "{csv}");
     hub.stop().await;
@@ -139,7 +149,8 @@ async fn a_reconnecting_reader_gets_the_events_it_missed_or_a_resync() {
     ] {
         let request = reqwest::Client::new().get(format!("{}/api/v1/events", hub.http));
         let response = request.header("Last-Event-ID", last).send().await;
-        let (mut response, mut text) = (response.unwrap(), String::new());
+        let mut response = response.unwrap();
+        let mut text = String::new();
         // An event ends with an empty line.
         while !(text.contains(wanted) && text.ends_with("\n\n")) {
             let chunk = response.chunk().await.unwrap().unwrap();
@@ -271,7 +282,10 @@ async fn postgres_imports_a_sqlite_file_with_history_report_ids_and_revisions() 
     hub.store("car-1", 1150..=1249).await;
     assert_eq!(hub.counts("car-1").await.len(), 1000);
     let energy = hub.get("/api/v1/energy?by=node&since_ms=0").await;
-    let clips: i64 = (energy["groups"].as_array().unwrap().iter())
+    let clips: i64 = energy["groups"]
+        .as_array()
+        .unwrap()
+        .iter()
         .filter(|group| group["group"] == "car-1")
         .map(|group| group["clips"].as_i64().unwrap())
         .sum();

@@ -117,8 +117,7 @@ async fn a_hub_restored_from_a_backup_asks_each_node_for_what_it_lost(database: 
     } else {
         // A database is copied over a connection to another one.
         let other = |name: &str| database.replace("/postgres", &format!("/{name}"));
-        let connection = sqlx::PgConnection::connect(&other("template1")).await;
-        let mut connection = connection.unwrap();
+        let mut connection = sqlx::PgConnection::connect(&other("template1")).await.unwrap();
         let copy = sqlx::query("CREATE DATABASE backup TEMPLATE postgres");
         copy.execute(&mut connection).await.unwrap();
         connection.close().await.unwrap();
@@ -256,7 +255,8 @@ async fn a_batch_that_would_be_written_too_late_is_answered_busy_and_the_others_
     let mut under_way = FuturesUnordered::new();
     let busy = 'answered: {
         for number in 0..1000 {
-            let (hub, batch) = (&hub, batch(&format!("car-{number}"), 1..=2));
+            let hub = &hub;
+            let batch = batch(&format!("car-{number}"), 1..=2);
             under_way.push(async move { hub.deliver(&batch).await });
             let answer = std::time::Duration::from_millis(100);
             if let Ok(Some(said)) = tokio::time::timeout(answer, under_way.next()).await {
@@ -294,7 +294,8 @@ async fn postgres_days_are_partitions_and_are_dropped_whole() {
     let configured = config(&server.url());
     let store = Store::open(&configured.database).await.unwrap();
     let record = move |days_kept: u32, numbers: &'static [(u64, u64)]| {
-        let (store, mut history) = (store.clone(), configured.history.clone());
+        let store = store.clone();
+        let mut history = configured.history.clone();
         history.clips_days = days_kept;
         tokio::task::spawn_blocking(move || {
             let now = Now::system();
@@ -317,7 +318,8 @@ async fn postgres_days_are_partitions_and_are_dropped_whole() {
     };
     let today = now_ns() / 86_400_000_000_000;
     record(14, &[(1, 0), (2, 5)]).await.unwrap();
-    let (new, old) = (format!("clips_{today}"), format!("clips_{}", today - 5));
+    let new = format!("clips_{today}");
+    let old = format!("clips_{}", today - 5);
     assert_eq!(rows(&new).await, Some(1));
     assert_eq!(rows(&old).await, Some(1));
     // The clock is believed once a node agrees with it.

@@ -15,8 +15,7 @@ async fn a_watched_node_learns_it_and_its_counters_and_pictures_reach_the_watche
     let live = format!("{}/api/v1/nodes/car-7/live", hub.http);
     assert_eq!(reqwest::get(&live).await.unwrap().status(), 404);
     let node = &hub.uplink;
-    let notices = node.declare_subscriber("albireo/@changed/car-7");
-    let notices = notices.await.unwrap();
+    let notices = node.declare_subscriber("albireo/@changed/car-7").await.unwrap();
     hub.put_status("car-7", &full_status(10, 0, &[])).await;
     hub.until_state("car-7", "online").await;
     assert_eq!(hub.pull("car-7").await.watched_for_s, None);
@@ -28,8 +27,7 @@ async fn a_watched_node_learns_it_and_its_counters_and_pictures_reach_the_watche
     let lease = hub.pull("car-7").await.watched_for_s.unwrap();
     assert!((1..=31).contains(&lease), "{lease}");
 
-    let publisher = node.declare_publisher("albireo/car-7/front/counters");
-    let publisher = publisher.await.unwrap();
+    let publisher = node.declare_publisher("albireo/car-7/front/counters").await.unwrap();
     let counters = json!({
         "v": 1, "t_ns": 1, "camera": "front", "frames": 7,
         "states": {"E": 1, "P": 2, "E+I": 0, "I": 4, "AI": 0}, "skip_rate": 0.43, "degraded_frames": 0,

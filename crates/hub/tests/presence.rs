@@ -37,8 +37,7 @@ async fn a_node_is_online_then_degraded_with_its_reason_then_silent_then_offline
 #[tokio::test(flavor = "multi_thread")]
 async fn a_gap_in_the_numbers_makes_the_hub_ask_for_the_full_status_which_survives_a_restart() {
     let hub = Hub::fresh().await;
-    let notices = hub.uplink.declare_subscriber("albireo/@changed/car-2");
-    let notices = notices.await.unwrap();
+    let notices = hub.uplink.declare_subscriber("albireo/@changed/car-2").await.unwrap();
     hub.put_status("car-2", &full_status(11, 0, &[])).await;
     hub.until_state("car-2", "online").await;
     assert!(!hub.pull("car-2").await.send_full_status);

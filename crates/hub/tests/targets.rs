@@ -33,9 +33,10 @@ async fn a_value_or_target_reaches_the_selected_nodes_and_replaces_the_one_befor
     let counts = json!({"applied": 3, "refused": 1});
     let answer = hold(&hub, &wanted, "region=north,sim-000001,nobody", counts).await;
     let nodes = hub.get("/api/v1/nodes").await;
-    let (on, off) = (&wanted, &Value::Null);
-    let all = held(&nodes);
-    let all: Vec<_> = all.iter().collect();
+    let on = &wanted;
+    let off = &Value::Null;
+    let targets = held(&nodes);
+    let all: Vec<_> = targets.iter().collect();
     assert_eq!(all, [on, on, off, off, on, off]);
     let status = &nodes["nodes"][0]["status"]["target"];
     assert_has(status, &json!({"status": "held", "source": "hub"}));
@@ -60,7 +61,8 @@ async fn a_value_or_target_reaches_the_selected_nodes_and_replaces_the_one_befor
     // The same target again changes no node. A node that holds nothing can be given another one.
     let answer = hold(&hub, &wanted, "sim-000001", json!({"unchanged": 1})).await;
     assert_eq!(answer["revision"], Value::Null);
-    let (high, applied) = (json!({"skip_rate": 0.95}), json!({"applied": 1}));
+    let high = json!({"skip_rate": 0.95});
+    let applied = json!({"applied": 1});
     hold(&hub, &high, "sim-000002", applied.clone()).await;
     let node = hub.get("/api/v1/nodes/sim-000002").await;
     let expected = json!({
@@ -157,7 +159,8 @@ async fn a_node_changed_repeatedly_is_set_back_three_times_and_then_left_alone()
     // Without waiting for the node.
     let order = async |u: f64| {
         let body = json!({"u": u, "select": "car-1", "wait_s": 0});
-        let (path, ok) = ("/api/v1/threshold", StatusCode::OK);
+        let path = "/api/v1/threshold";
+        let ok = StatusCode::OK;
         let answer = send(&hub, Method::PUT, path, body, ok).await;
         answer["revision"].as_u64().unwrap()
     };
@@ -167,8 +170,7 @@ async fn a_node_changed_repeatedly_is_set_back_three_times_and_then_left_alone()
     report(revision, 5e-4).await;
     for times in 1..=3 {
         report(revision, 9e-4).await;
-        let drift = hub.until("/api/v1/drift", |drift| drift[0]["set_back"] == times);
-        let drift = drift.await;
+        let drift = hub.until("/api/v1/drift", |drift| drift[0]["set_back"] == times).await;
         assert_eq!(drift[0]["node"], "car-1");
         let changes = hub.get("/api/v1/changes").await;
         assert_eq!(changes["changes"][0]["origin"], "drift", "{changes}");
@@ -180,8 +182,7 @@ async fn a_node_changed_repeatedly_is_set_back_three_times_and_then_left_alone()
         }
     }
     report(revision, 9e-4).await;
-    let drift = hub.until("/api/v1/drift", |drift| drift[0]["node"] == "car-1");
-    let drift = drift.await;
+    let drift = hub.until("/api/v1/drift", |drift| drift[0]["node"] == "car-1").await;
     assert_eq!(drift[0]["set_back"], 3, "{drift}");
     // A change by a user restarts the count.
     let ordered = order(6e-4).await;

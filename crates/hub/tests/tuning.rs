@@ -86,7 +86,8 @@ pub(crate) async fn send(
 ) -> Value {
     let request = reqwest::Client::new().request(method, format!("{}{path}", hub.http));
     let response = request.json(&body).send().await.unwrap();
-    let (status, answer) = (response.status(), response.json().await.unwrap());
+    let status = response.status();
+    let answer = response.json().await.unwrap();
     assert_eq!(status, expected, "{path} {body}: {answer}");
     answer
 }
@@ -117,7 +118,8 @@ async fn nodes_with_old_revisions_obey_a_hub_with_an_empty_database_and_outcomes
     for u in [1e-4, 2e-4, 1e-4, 2e-4] {
         last = put(&hub, all(u), json!({"applied": 4})).await["revision"].clone();
     }
-    let (empty, mut again) = (tempfile::tempdir().unwrap(), hub.config.clone());
+    let empty = tempfile::tempdir().unwrap();
+    let mut again = hub.config.clone();
     hub.stop().await;
     again.database.url = sqlite(empty.path());
     let hub = Hub::start(again).await;
@@ -139,8 +141,7 @@ async fn nodes_with_old_revisions_obey_a_hub_with_an_empty_database_and_outcomes
     let response = request.send().await.unwrap();
     assert_eq!(response.headers()["content-type"], "application/x-ndjson");
     let text = response.text().await.unwrap();
-    let lines = text.lines().map(serde_json::from_str);
-    let lines: Vec<Value> = lines.map(Result::unwrap).collect();
+    let lines: Vec<Value> = text.lines().map(serde_json::from_str).map(Result::unwrap).collect();
     assert_eq!(lines.len(), 5, "{text}");
     let mut outcomes = lines[..4].iter().map(|line| &line["outcome"]);
     assert!(outcomes.all(|outcome| outcome == "applied"), "{text}");
@@ -155,7 +156,7 @@ async fn nodes_with_old_revisions_obey_a_hub_with_an_empty_database_and_outcomes
     hub.until("/api/v1/nodes", |page| page["total"] == 5).await;
     let answer = put(&hub, all(1e-4), json!({"applied": 4, "refused": 1})).await;
     assert!(answer["revision"].as_u64() < revision.map(|one| one + 1000));
-    let liar = (answer["nodes"].as_array().unwrap().iter()).find(|line| line["node"] == "liar");
+    let liar = answer["nodes"].as_array().unwrap().iter().find(|line| line["node"] == "liar");
     assert_contains(&liar.unwrap()["detail"], &["revision 9007199254740992"]);
     simulated.end().await;
     hub.stop().await;
@@ -182,7 +183,8 @@ async fn an_offline_node_can_be_forgotten_with_its_desired_setting(database: &st
     .await;
     // A change requested while it is offline is dropped with it.
     let change = json!({"u": 5e-4, "select": ["sim-000001"], "wait_s": 0});
-    let (path, ok) = ("/api/v1/threshold", StatusCode::OK);
+    let path = "/api/v1/threshold";
+    let ok = StatusCode::OK;
     let answer = send(&hub, Method::PUT, path, change, ok).await;
     let change = answer["revision"].as_u64().unwrap();
     assert_eq!(forget(&hub, "sim-000001").await, StatusCode::NO_CONTENT);
@@ -446,7 +448,8 @@ async fn an_invalid_request_is_rejected_with_a_remedy() {
             _ => Method::POST,
         };
         let body = serde_json::from_str(body).unwrap();
-        let (path, refused) = (format!("/api/v1/{path}"), StatusCode::UNPROCESSABLE_ENTITY);
+        let path = format!("/api/v1/{path}");
+        let refused = StatusCode::UNPROCESSABLE_ENTITY;
         let answer = send(&hub, method, &path, body, refused).await;
         assert!(
             answer["detail"].to_string().contains(expected),

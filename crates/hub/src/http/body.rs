@@ -32,7 +32,7 @@ where
 {
     let known = serde_json::to_value(T::default()).unwrap_or_default();
     let (own, others): (Map<_, _>, Map<_, _>) =
-        (object.into_iter()).partition(|(name, _)| known.get(name).is_some());
+        object.into_iter().partition(|(name, _)| known.get(name).is_some());
     let request = serde_json::from_value(Value::Object(own));
     Ok((
         request.map_err(|error| unusable(error.to_string()))?,
@@ -66,8 +66,9 @@ where
 
 /// Converts a threshold from the form that users write, `{"u": 3e-4}`, to the form in messages.
 pub(super) fn name_threshold(written: &mut Value) -> Result<(), Problem> {
-    let fields = written.as_object();
-    let fields = fields.ok_or_else(|| unusable(r#"values: each must be such as {"u": 3e-4}"#))?;
+    let fields = written
+        .as_object()
+        .ok_or_else(|| unusable(r#"values: each must be such as {"u": 3e-4}"#))?;
     *written = serde_json::json!(threshold(fields)?);
     Ok(())
 }

@@ -87,8 +87,10 @@ pub(super) async fn set_target(
     })?;
     let target: Option<Target> =
         serde_json::from_value(target).map_err(|error| names(format!("target: {error}")))?;
-    let target = target.map(Target::check).transpose();
-    let target = target.map_err(|error| names(error.to_string()))?;
+    let target = target
+        .map(Target::check)
+        .transpose()
+        .map_err(|error| names(error.to_string()))?;
     let change = body::rest(object)?;
     let setting = DesiredSetting::Target(target);
     carry_out(&view, &caller, &headers, setting, change).await
@@ -106,9 +108,10 @@ async fn carry_out(
     check_why(&request.why).map_err(body::unusable)?;
     let accepted = headers.get(ACCEPT).and_then(|value| value.to_str().ok());
     let streams = accepted.is_some_and(|accept| accept.contains(LINES));
-    let most = match streams {
-        true => LONGEST_STREAM_S,
-        false => LONGEST_WAIT_S,
+    let most = if streams {
+        LONGEST_STREAM_S
+    } else {
+        LONGEST_WAIT_S
     };
     let wait = request.wait_s.unwrap_or(most.min(5.0));
     if !(0.0..=most).contains(&wait) {
@@ -118,7 +121,7 @@ async fn carry_out(
     }
     let tuner = Arc::clone(view.tuner()?);
     let now = unix_milliseconds();
-    let mut change = (tuner.change(setting, request, &caller.name, now)).await?;
+    let mut change = tuner.change(setting, request, &caller.name, now).await?;
     if change.nodes.is_empty() {
         return Err(Problem::new(
             StatusCode::NOT_FOUND,
@@ -147,8 +150,7 @@ async fn carry_out(
 
 /// The lines as JSON.
 fn written<T: Serialize>(lines: &[T]) -> Result<String, serde_json::Error> {
-    let texts = lines.iter();
-    let texts = texts.map(|line| Ok(serde_json::to_string(line)? + "\n"));
+    let texts = lines.iter().map(|line| Ok(serde_json::to_string(line)? + "\n"));
     texts.collect()
 }
 
@@ -204,13 +206,15 @@ pub(super) async fn change(
     Path(number): Path<i64>,
 ) -> Result<Json<ChangeView>, Problem> {
     let store = view.store()?;
-    let found = store.changes(number.saturating_add(1), None, 1).await?;
-    let mut found = found.into_iter();
-    let found = found.find(|found| found.change.revision == number);
-    let mut found = found.ok_or_else(|| {
-        let detail = format!("there is no change {number}");
-        Problem::new(StatusCode::NOT_FOUND, detail)
-    })?;
+    let mut found = store
+        .changes(number.saturating_add(1), None, 1)
+        .await?
+        .into_iter()
+        .find(|found| found.change.revision == number)
+        .ok_or_else(|| {
+            let detail = format!("there is no change {number}");
+            Problem::new(StatusCode::NOT_FOUND, detail)
+        })?;
     found.nodes = store.change_nodes(number).await?;
     Ok(Json(found))
 }

@@ -133,8 +133,9 @@ pub(super) async fn set_aside(
     Query(selection): Query<AsideSelection>,
 ) -> Result<Json<AsidePage>, Problem> {
     let limit = selection.limit.unwrap_or(20).clamp(1, 100);
-    let (store, node) = (view.store()?, selection.node.as_deref());
-    let mut reports = (store.set_aside(node, selection.cursor, limit + 1)).await?;
+    let store = view.store()?;
+    let node = selection.node.as_deref();
+    let mut reports = store.set_aside(node, selection.cursor, limit + 1).await?;
     let next = next(&mut reports, limit, |report| report.id);
     Ok(Json(AsidePage { reports, next }))
 }

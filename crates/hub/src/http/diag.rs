@@ -47,7 +47,7 @@ pub(super) async fn archive(State(view): State<HubView>) -> Response {
         let store = view.store()?;
         Ok(store.changes(i64::MAX, None, MOST_CHANGES).await?)
     };
-    let mut unwell = (view.fleet).views(|node| node.state != PresenceState::Online);
+    let mut unwell = view.fleet.views(|node| node.state != PresenceState::Online);
     // The worst states come first.
     unwell.sort_by_key(|node| Reverse(node.state));
     unwell.truncate(MOST_NODES);

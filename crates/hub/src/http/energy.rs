@@ -48,15 +48,16 @@ pub(super) async fn sums(
     let mut times = asked.iter().flatten();
     let whole_hours = times.all(|time| time.rem_euclid(HOUR) == 0);
     let kept_s = now_s - i64::from(view.five_minutes_days) * DAY;
-    let (resolution, span) = match whole_hours || asked[0].is_some_and(|since| since < kept_s) {
-        true => (Resolution::Hour, HOUR),
-        false => (Resolution::FiveMinutes, FIVE_MINUTES),
+    let (resolution, span) = if whole_hours || asked[0].is_some_and(|since| since < kept_s) {
+        (Resolution::Hour, HOUR)
+    } else {
+        (Resolution::FiveMinutes, FIVE_MINUTES)
     };
     let down = |time: i64| time.div_euclid(span).saturating_mul(span);
     let since_s = down(asked[0].unwrap_or(now_s - 7 * DAY));
-    let until_s = down((asked[1].unwrap_or(now_s + DAY)).saturating_add(span - 1));
+    let until_s = down(asked[1].unwrap_or(now_s + DAY).saturating_add(span - 1));
     wanted.limit = Some(wanted.limit.unwrap_or(1000).clamp(1, 10_000));
-    let sums = (view.store()?).energy(&wanted, resolution, since_s..until_s);
+    let sums = view.store()?.energy(&wanted, resolution, since_s..until_s);
     let groups = sums.await?;
     let mut audit = AuditReport::default();
     for group in &groups {

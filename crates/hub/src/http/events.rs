@@ -82,9 +82,12 @@ pub(super) async fn stream(
     });
     let types = selection.types;
     let is_wanted = move |event: &StoredEvent| {
-        (types.as_ref()).is_none_or(|types| types.split(',').any(|kind| kind == event.kind))
+        types
+            .as_ref()
+            .is_none_or(|types| types.split(',').any(|kind| kind == event.kind))
     };
-    let news = (news.flatten())
+    let news = news
+        .flatten()
         .filter(move |event| ready(is_wanted(event)))
         .map(|event| {
             let written = sse::Event::default().event(&event.kind);

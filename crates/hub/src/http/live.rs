@@ -94,8 +94,8 @@ pub(super) async fn live(
                 return Some((event.json_data(message), watching));
             }
         }
-    });
-    let events = events.take_until(shutdown);
+    })
+    .take_until(shutdown);
     Ok(Sse::new(events).keep_alive(KeepAlive::new().interval(Duration::from_secs(15))))
 }
 
@@ -129,7 +129,8 @@ pub(super) async fn picture(
     Path((node, camera)): Path<(String, String)>,
 ) -> Result<Response, Problem> {
     let (session, keys) = view.way_to(&node)?;
-    let key = (keys.camera(&camera))
+    let key = keys
+        .camera(&camera)
         .map_err(|error| Problem::new(StatusCode::NOT_FOUND, error.to_string()))?
         .picture();
     view.desires.watch(&node, LEASE);
@@ -163,9 +164,10 @@ pub(super) async fn picture(
     })??;
     match reply.result() {
         Ok(sample) => {
-            let frame = sample.attachment();
-            let frame = frame.and_then(|frame| frame.try_to_string().ok());
-            let frame = frame.filter(|text| text.parse::<u64>().is_ok());
+            let frame = sample
+                .attachment()
+                .and_then(|frame| frame.try_to_string().ok())
+                .filter(|text| text.parse::<u64>().is_ok());
             let seq = frame.map_or_else(String::new, Into::into);
             let headers = [
                 (CONTENT_TYPE, "image/jpeg".to_owned()),

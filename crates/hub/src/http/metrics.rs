@@ -50,7 +50,9 @@ pub(super) async fn page(view: &HubView) -> MetricsPage {
 }
 
 fn presence(page: &mut MetricsPage, view: &HubView) {
-    let (mut missing, mut behind, mut waiting) = (0, 0, 0);
+    let mut missing = 0;
+    let mut behind = 0;
+    let mut waiting = 0;
     let mut targets = [0; TargetStatus::ALL.len()];
     view.fleet.each(|node| {
         waiting += node.waiting;
@@ -140,7 +142,8 @@ fn ingest(page: &mut MetricsPage, view: &HubView) {
         "Boxes of the audited frames of the clips written, by side (detected: the detector's; shown: the published) and by \
          result (paired with a box of the other side, or unpaired). Against the detector, not the truth",
         sides.into_iter().flat_map(|(side, all)| {
-            let (paired, rest) = (counts.audit_paired, all.saturating_sub(counts.audit_paired));
+            let paired = counts.audit_paired;
+            let rest = all.saturating_sub(counts.audit_paired);
             [("paired", paired), ("unpaired", rest)]
                 .map(|(result, boxes)| ([("side", side), ("result", result)], boxes as f64))
         }),

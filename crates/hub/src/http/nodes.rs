@@ -90,28 +90,34 @@ pub(super) async fn list(
     Query(selection): Query<Selection>,
 ) -> Result<Json<NodeList>, Problem> {
     let names = selection.state.as_deref().unwrap_or_default().split(',');
-    let wanted = names.filter(|name| !name.is_empty()).map(|name| {
-        PresenceState::named(name).ok_or_else(|| {
-            let known = PresenceState::ALL.map(PresenceState::name);
-            let detail = format!(
-                "there is no state `{name}`; there are: {}",
-                known.join(", ")
-            );
-            unusable(detail).allowing(known)
+    let wanted: Vec<PresenceState> = names
+        .filter(|name| !name.is_empty())
+        .map(|name| {
+            PresenceState::named(name).ok_or_else(|| {
+                let known = PresenceState::ALL.map(PresenceState::name);
+                let detail = format!(
+                    "there is no state `{name}`; there are: {}",
+                    known.join(", ")
+                );
+                unusable(detail).allowing(known)
+            })
         })
-    });
-    let wanted: Vec<PresenceState> = wanted.collect::<Result<_, _>>()?;
-    let select = selection.select.filter(|text| !text.trim().is_empty());
-    let select = select.map(|text| text.parse::<Selector>()).transpose();
-    let select = select.map_err(|error| unusable(error.to_string()))?;
+        .collect::<Result<_, _>>()?;
+    let select = selection
+        .select
+        .filter(|text| !text.trim().is_empty())
+        .map(|text| text.parse::<Selector>())
+        .transpose()
+        .map_err(|error| unusable(error.to_string()))?;
     let search = selection.search.unwrap_or_default();
 
-    let (mut waiting, mut found) = (0, Vec::new());
+    let mut waiting = 0;
+    let mut found = Vec::new();
     view.fleet.each(|node| {
         waiting += node.waiting;
         let is_wanted = (wanted.is_empty() || wanted.contains(&node.state))
             && node.node.contains(&search)
-            && (select.as_ref()).is_none_or(|it| it.selects(&node.node, node.labels()));
+            && select.as_ref().is_none_or(|it| it.selects(&node.node, node.labels()));
         if is_wanted {
             let key = match selection.sort {
                 Order::Name => found.len() as i64,
@@ -125,9 +131,10 @@ pub(super) async fn list(
         }
     });
     // The nodes are in the order of their names, which the sort keeps among equal ones.
-    match selection.down {
-        true => found.sort_by_key(|(key, _)| Reverse(*key)),
-        false => found.sort_by_key(|(key, _)| *key),
+    if selection.down {
+        found.sort_by_key(|(key, _)| Reverse(*key))
+    } else {
+        found.sort_by_key(|(key, _)| *key)
     }
     let limit = selection.limit.unwrap_or(100).min(MOST);
     let nodes = found.iter().skip(selection.offset).take(limit);
@@ -197,7 +204,8 @@ pub(super) async fn forget(
         );
         return Err(Problem::new(StatusCode::CONFLICT, detail));
     }
-    let (tuner, now) = (view.tuner()?, unix_milliseconds());
+    let tuner = view.tuner()?;
+    let now = unix_milliseconds();
     tuner.forget(&node, &caller.name, now).await?;
     Ok(StatusCode::NO_CONTENT)
 }

@@ -68,7 +68,8 @@ async fn order(
     command: Command,
     caller: &Caller,
 ) -> Result<Json<Run>, Problem> {
-    let (tuner, now) = (view.tuner()?, unix_milliseconds());
+    let tuner = view.tuner()?;
+    let now = unix_milliseconds();
     tuner.command(kind, id, command, &caller.name, now).await?;
     tuner.run(kind, id).await.map(Json)
 }

@@ -46,14 +46,19 @@ pub(crate) fn clip(report: &ClipReport, present: Present) -> Result<Clip, String
     let started_ms = i64::try_from(report.started_ns / 1_000_000).unwrap_or(i64::MAX);
     let believable = now_ms - PAST_MS..=now_ms.saturating_add(FUTURE_MS);
     let clock = present.clocks_agree() && believable.contains(&started_ms);
-    let (states, energy) = (&report.states, &report.energy);
-    let (total, detector) = (&report.total_latency_ms, &report.detector_latency_ms);
+    let states = &report.states;
+    let energy = &report.energy;
+    let total = &report.total_latency_ms;
+    let detector = &report.detector_latency_ms;
     let skipped = states.e.saturating_add(states.p);
     let avoided_calls = skipped.saturating_sub(report.degraded_frames);
     // If the node does not know the cost of a call, the avoided energy is known only without avoided calls: it is 0.
     let none_avoided = (avoided_calls == 0).then_some(0.0);
-    let dropped = report.dropped.by_kind();
-    let dropped = (dropped.iter()).fold(0_u64, |sum, (_, frames)| sum.saturating_add(*frames));
+    let dropped = report
+        .dropped
+        .by_kind()
+        .iter()
+        .fold(0_u64, |sum, (_, frames)| sum.saturating_add(*frames));
     let count = |count: u64| (Some(count as f64), MOST_COUNT, 1.0);
     let ms = |ms: f64| (Some(ms), MOST_MS, 1e3);
     let joules = |joules: Option<f64>| (joules, MOST_JOULES, 1e6);
@@ -115,7 +120,8 @@ pub(crate) fn clip(report: &ClipReport, present: Present) -> Result<Clip, String
         row.push((column, json!(whole)));
     }
     if states.frames() != report.frames {
-        let (frames, added) = (report.frames, states.frames());
+        let frames = report.frames;
+        let added = states.frames();
         return Err(format!(
             "frames is {frames}, but the five states add up to {added}"
         ));
@@ -162,8 +168,8 @@ pub(crate) fn clip(report: &ClipReport, present: Present) -> Result<Clip, String
         ("provider", name("provider", &report.provider)?),
         ("power_source", name("energy.source", &energy.source)?),
         ("total_from", name("energy.total_from", &energy.total_from)?),
-    ];
-    let setup = setup.map(|(column, text)| (column.to_owned(), text.into()));
+    ]
+    .map(|(column, text)| (column.to_owned(), text.into()));
     Ok(Clip {
         camera: name("camera", &report.camera)?,
         setup: Row::from_iter(setup),

@@ -68,13 +68,15 @@ impl NodeLimits {
             left: self.camera_bytes,
             refilled_at: now,
         });
-        let (most, passed) = (self.camera_bytes * share.cameras, now - share.refilled_at);
+        let most = self.camera_bytes * share.cameras;
+        let passed = now - share.refilled_at;
         share.left = (share.left + most * passed.as_secs_f64() / DAY_S).min(most);
         share.refilled_at = now;
         if share.left <= 0.0 {
             let wait = (LEAST_COST as f64 - share.left) * DAY_S / most;
-            let wait = Duration::try_from_secs_f64(wait).unwrap_or(LONGEST_WAIT);
-            let wait = wait.clamp(BUSY_RETRY, LONGEST_WAIT);
+            let wait = Duration::try_from_secs_f64(wait)
+                .unwrap_or(LONGEST_WAIT)
+                .clamp(BUSY_RETRY, LONGEST_WAIT);
             return Err((wait, "the node has used up its share for today"));
         }
         let place = self.waiting.place(node);
@@ -188,7 +190,8 @@ mod tests {
 
     #[test]
     fn two_batches_of_a_node_may_wait_and_a_third_is_asked_to_retry() {
-        let (limits, now) = (limits(), Instant::now());
+        let limits = limits();
+        let now = Instant::now();
         let first = limits.admit("a", now).unwrap();
         let _second = limits.admit("a", now).unwrap();
         assert!(limits.admit("a", now).is_err());
@@ -199,10 +202,13 @@ mod tests {
 
     #[test]
     fn above_its_allowance_a_node_waits_and_a_backlog_of_weeks_drains_completely() {
-        let (limits, start) = (limits(), Instant::now());
+        let limits = limits();
+        let start = Instant::now();
         // Three weeks of one camera, five megabytes a day, and what is made meanwhile.
         let day = Duration::from_secs(86_400);
-        let (mut backlog, mut now, mut requests) = (3 * 7 * 5 * MB, start, 0);
+        let mut backlog = 3 * 7 * 5 * MB;
+        let mut now = start;
+        let mut requests = 0;
         let mut made = now;
         while backlog > 0 {
             assert!(now < start + day * 40, "{backlog} left");
@@ -231,7 +237,8 @@ mod tests {
 
     #[test]
     fn many_small_batches_cost_more_than_their_bytes() {
-        let (limits, now) = (limits(), Instant::now());
+        let limits = limits();
+        let now = Instant::now();
         let batches = (0..100_000).take_while(|_| {
             limits.charge("a", 10);
             limits.admit("a", now).is_ok()
@@ -241,7 +248,8 @@ mod tests {
 
     #[test]
     fn a_clock_that_jumps_or_disagrees_with_the_nodes_is_not_trusted() {
-        let (start, start_ms) = (Instant::now(), 1_795_000_000_000);
+        let start = Instant::now();
+        let start_ms = 1_795_000_000_000;
         let hour = |hours: u64| start + Duration::from_secs(3600 * hours);
         let ms = |hours: i64| start_ms + 3_600_000 * hours;
         let mut clock = ClockCheck::new(start, start_ms);

@@ -142,7 +142,8 @@ mod tests {
 
     #[test]
     fn an_idle_hub_recovers_with_the_first_row_that_it_can_write() {
-        let (outcomes, now) = (Outcomes::default(), Instant::now());
+        let outcomes = Outcomes::default();
+        let now = Instant::now();
         outcomes.failed(&full(), false, now);
         outcomes.committed(Written::Nothing, now);
         assert!(outcomes.fault(now).is_some());
@@ -155,7 +156,8 @@ mod tests {
 
     #[test]
     fn a_transaction_without_an_end_is_a_fault_until_it_ends() {
-        let (outcomes, now) = (Outcomes::default(), Instant::now());
+        let outcomes = Outcomes::default();
+        let now = Instant::now();
         outcomes.begin(now);
         assert_eq!(outcomes.fault(now + Duration::from_secs(4)), None);
         let fault = outcomes.fault(now + Duration::from_secs(5)).unwrap();

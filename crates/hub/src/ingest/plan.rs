@@ -37,8 +37,10 @@ impl Present {
     /// The present by the clock that the node had when it made a report, if that is known: the node may have set its clock
     /// since.
     pub(crate) fn when_made(self, id: Uuid, age: Option<ReportAge>) -> Self {
-        let made_s = age.and_then(|age| age.made_s).filter(|_| id.get_version_num() == 7);
-        let made_s = made_s.and_then(|made_s| i64::try_from(made_s).ok());
+        let made_s = age
+            .and_then(|age| age.made_s)
+            .filter(|_| id.get_version_num() == 7)
+            .and_then(|made_s| i64::try_from(made_s).ok());
         Self {
             node_ms: made_s.map_or(self.node_ms, |made_s| {
                 made_ms(id).saturating_add(made_s.saturating_mul(1000))
@@ -93,7 +95,8 @@ pub(crate) fn key(
     if id.get_version_num() != 7 || !believable.contains(&made_ms) {
         return Ok((undated, None));
     }
-    let (claimed, kept) = (today - own_day, i64::from(IDENTITY_DAYS));
+    let claimed = today - own_day;
+    let kept = i64::from(IDENTITY_DAYS);
     if claimed <= kept {
         let dated = ReportKey {
             day: own_day,
@@ -175,7 +178,8 @@ impl Counts {
             return Seen::Expected;
         }
         if self.base == 0 {
-            (self.base, self.highest) = (count, count);
+            self.base = count;
+            self.highest = count;
             if count > 1 {
                 self.ranges.push((1, count - 1));
             }
@@ -196,8 +200,9 @@ impl Counts {
         let mut ranges = self.ranges.iter();
         if let Some(place) = ranges.position(|(first, last)| (*first..=*last).contains(&count)) {
             let (first, last) = self.ranges.remove(place);
-            let rest = [(first, count - 1), (count + 1, last)];
-            let rest = rest.into_iter().filter(|(first, last)| first <= last);
+            let rest = [(first, count - 1), (count + 1, last)]
+                .into_iter()
+                .filter(|(first, last)| first <= last);
             self.ranges.splice(place..place, rest);
             self.ranges.truncate(MOST_RANGES);
             return Seen::Expected;

@@ -84,7 +84,7 @@ impl Recorder {
             let reason = beginning(reason);
             tracing::warn!(node, reason, "a batch cannot be read");
             let detail = json!({ "reason": reason });
-            (self.events).push(event(now_ms, "refused", node, detail));
+            self.events.push(event(now_ms, "refused", node, detail));
         }
     }
 
@@ -171,7 +171,8 @@ impl Recorder {
             reason: format!("the node has {MOST_CAMERAS} cameras already"),
             text: Some(String::new()),
         };
-        let (mut clips, mut aside) = (Vec::new(), Vec::new());
+        let mut clips = Vec::new();
+        let mut aside = Vec::new();
         let mut refused = BTreeSet::new();
         let mut recorded = Recorded::default();
         let counts = &mut recorded.counts;
@@ -184,9 +185,12 @@ impl Recorder {
             let node = nodes.get_mut(&batch.node).ok_or_else(|| lost("a node"))?;
             let cameras = cameras.entry(node.node_id).or_default();
             let mut answer = ReportAnswer::default();
-            let (mut invalid, mut clocks_off, mut too_old) = (0, 0, None);
+            let mut invalid = 0;
+            let mut clocks_off = 0;
+            let mut too_old = None;
             for report in &batch.reports {
-                let (mut is_new, mut rejected) = (false, None);
+                let mut is_new = false;
+                let mut rejected = None;
                 let doubtful = report.doubt.as_ref().map(|doubt| Rejected {
                     reason: doubt.reason.clone(),
                     text: None,

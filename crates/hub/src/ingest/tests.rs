@@ -169,7 +169,8 @@ fn invented_counts_fill_no_memory() {
 proptest! {
     #[test]
     fn exactly_the_reports_that_never_arrived_are_missing(came in prop::collection::vec(1_u64..60, 1..80)) {
-        let (mut counts, mut known) = (Counts::default(), BTreeSet::new());
+        let mut counts = Counts::default();
+        let mut known = BTreeSet::new();
         let base = came[0];
         for count in came {
             // No count has two ids.

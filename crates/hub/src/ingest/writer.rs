@@ -75,7 +75,8 @@ impl Shared {
 
     /// Queues a batch, or refuses it. Never waits.
     fn take(&self, mut query: Query, queue: &Sender<Waiting>) {
-        let (now, counters) = (Instant::now(), &self.view.ingest);
+        let now = Instant::now();
+        let counters = &self.view.ingest;
         let node = NodeKeys::node_of(query.key_expr().as_str()).map(str::to_owned);
         let payload = query.payload_mut().map(std::mem::take);
         let (Some(node), Some(payload)) = (node, payload) else {
@@ -140,11 +141,14 @@ type Group = Vec<(Waiting, Result<Batch, String>)>;
 /// Parses batches and hands them over in groups, at most one in each `pause`, until the queue is dropped and empty. Without
 /// batches it hands over empty groups, with which changes of presence are written.
 fn gather(queue: &Receiver<Waiting>, groups: &SyncSender<Group>, pause: Duration) {
-    let (mut due, mut ended) = (Instant::now(), false);
+    let mut due = Instant::now();
+    let mut ended = false;
     while !ended {
         let mut next = queue.recv_timeout(IDLE.max(pause));
         ended = matches!(next, Err(RecvTimeoutError::Disconnected));
-        let (mut group, mut reports, mut bytes) = (Group::new(), 0, 0);
+        let mut group = Group::new();
+        let mut reports = 0;
+        let mut bytes = 0;
         while let Ok(waiting) = next {
             let batch = decode(&waiting.node, &waiting.payload, unix_milliseconds());
             reports += batch.as_ref().map_or(0, |batch| batch.reports.len());
@@ -174,7 +178,8 @@ impl Writer {
             let first = group.first();
             let since = first.map_or_else(Instant::now, |(oldest, _)| oldest.since);
             self.shared.view.ingest.writing(Some(since));
-            let (mut waiting, mut batches) = (Vec::new(), Vec::new());
+            let mut waiting = Vec::new();
+            let mut batches = Vec::new();
             for (one, batch) in group {
                 match batch {
                     Ok(batch) => {
@@ -192,8 +197,8 @@ impl Writer {
 
     fn unreadable(&mut self, Waiting { node, query, .. }: Waiting, error: &str) {
         self.shared.limits.charge(&node, UNREADABLE_COST);
-        (self.recorder).unreadable(&node, error, unix_milliseconds());
-        (self.shared).refuse(query, RefusalReason::Unreadable, error, None);
+        self.recorder.unreadable(&node, error, unix_milliseconds());
+        self.shared.refuse(query, RefusalReason::Unreadable, error, None);
     }
 
     /// Commits a group of batches, and the changes of presence: also without either, so that an absent database is

@@ -328,7 +328,8 @@ impl Fleet {
             node.since_ms = now.unix_ms;
         }
         if (state, why.as_str()) != (node.state, node.why.as_str()) {
-            (node.state, node.why) = (state, why);
+            node.state = state;
+            node.why = why;
             self.dirty.lock().insert(node.node.clone());
         }
     }

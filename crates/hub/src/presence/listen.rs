@@ -36,43 +36,48 @@ pub(crate) async fn listen(
     replies: Replies,
 ) -> Result<(Subscriber<()>, Subscriber<()>, Queryable<()>), HubError> {
     let hub = view.clone();
-    let statuses = session.declare_subscriber(keys.status());
-    let statuses = statuses.callback(move |sample| {
-        if let Some(node) = NodeKeys::node_of(sample.key_expr().as_str()) {
-            hear(&hub, node, sample.payload());
-        }
-    });
-    let statuses = statuses.await;
-    let statuses = statuses.map_err(HubError::at("status messages cannot be subscribed to"))?;
+    let statuses = session
+        .declare_subscriber(keys.status())
+        .callback(move |sample| {
+            if let Some(node) = NodeKeys::node_of(sample.key_expr().as_str()) {
+                hear(&hub, node, sample.payload());
+            }
+        })
+        .await
+        .map_err(HubError::at("status messages cannot be subscribed to"))?;
     let hub = view.clone();
-    let tokens = session.liveliness();
-    let tokens = tokens.declare_subscriber(keys.alive()).history(true);
-    let tokens = tokens.callback(move |sample| {
-        if let Some(node) = NodeKeys::node_of(sample.key_expr().as_str()) {
-            hub.fleet.token(node, sample.kind() == SampleKind::Put);
-        }
-    });
-    let tokens = tokens.await;
+    let tokens = session
+        .liveliness()
+        .declare_subscriber(keys.alive())
+        .history(true)
+        .callback(move |sample| {
+            if let Some(node) = NodeKeys::node_of(sample.key_expr().as_str()) {
+                hub.fleet.token(node, sample.kind() == SampleKind::Put);
+            }
+        })
+        .await;
     let tokens = tokens.map_err(HubError::at("liveliness tokens cannot be watched"))?;
     let hub = view.clone();
-    let pulls = session.declare_queryable(keys.pull()).complete(true);
-    let pulls = pulls.callback(move |mut query| {
-        hub.ingest.count(|counts| counts.pulls += 1);
-        // The query waits for its answer without it.
-        let payload = query.payload_mut().map(std::mem::take);
-        match albireo_wire::read::<PullRequest>(&payload.unwrap_or_default().to_bytes()) {
-            Ok(_) => {
-                let node = NodeKeys::node_of(query.key_expr().as_str());
-                let desired = hub.desired(node.unwrap_or_default());
-                replies.answer(query, &desired);
+    let pulls = session
+        .declare_queryable(keys.pull())
+        .complete(true)
+        .callback(move |mut query| {
+            hub.ingest.count(|counts| counts.pulls += 1);
+            // The query waits for its answer without it.
+            let payload = query.payload_mut().map(std::mem::take);
+            match albireo_wire::read::<PullRequest>(&payload.unwrap_or_default().to_bytes()) {
+                Ok(_) => {
+                    let node = NodeKeys::node_of(query.key_expr().as_str());
+                    let desired = hub.desired(node.unwrap_or_default());
+                    replies.answer(query, &desired);
+                }
+                Err(error) => {
+                    let reason = RefusalReason::Unreadable;
+                    replies.refuse(query, reason, &error.to_string(), None);
+                }
             }
-            Err(error) => {
-                let reason = RefusalReason::Unreadable;
-                replies.refuse(query, reason, &error.to_string(), None);
-            }
-        }
-    });
-    let pulls = pulls.await;
+        })
+        .await;
     let pulls = pulls.map_err(HubError::at("pulls cannot be answered"))?;
     Ok((statuses, tokens, pulls))
 }
@@ -97,7 +102,7 @@ fn hear(hub: &HubView, node: &str, payload: &ZBytes) {
             }
         }
         Err(error) => {
-            (hub.ingest).count(|counts| counts.statuses_unreadable += 1);
+            hub.ingest.count(|counts| counts.statuses_unreadable += 1);
             tracing::debug!(node, error, "a status cannot be read");
         }
     }

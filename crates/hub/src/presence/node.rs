@@ -100,8 +100,7 @@ impl NodeView {
 
     /// Its target, or its threshold if it holds no target.
     pub(crate) fn setting(&self) -> Option<DesiredSetting> {
-        let target = self.target();
-        let target = target.map(|target| DesiredSetting::Target(Some(target)));
+        let target = self.target().map(|target| DesiredSetting::Target(Some(target)));
         target.or_else(|| self.threshold().map(DesiredSetting::Threshold))
     }
 
@@ -152,9 +151,10 @@ pub(crate) mod tests {
             reason: "range".to_owned(),
         });
         NodeView {
-            state: match reachable {
-                true => PresenceState::Online,
-                false => PresenceState::Silent,
+            state: if reachable {
+                PresenceState::Online
+            } else {
+                PresenceState::Silent
             },
             revision,
             status: Some(Arc::new(status)),

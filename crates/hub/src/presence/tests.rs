@@ -15,8 +15,10 @@ fn the_state_follows_the_table_in_the_documentation() {
     let heard = |seconds, health, reasons: &str, identity: Option<&str>| {
         let mut node = Entry::new("a", 0);
         node.health = health;
-        let reasons = reasons.split_once(": ").into_iter();
-        let reasons = reasons.map(|(part, reason)| (part.to_owned(), reason.to_owned()));
+        let reasons = reasons
+            .split_once(": ")
+            .into_iter()
+            .map(|(part, reason)| (part.to_owned(), reason.to_owned()));
         node.node.status = Some(Arc::new(NodeStatus {
             health: HealthStatus {
                 state: health,
@@ -129,7 +131,8 @@ fn a_heartbeat_confirms_the_last_status_of_its_run_and_another_run_requests_the_
         full: Some(Box::new(STATUS.clone())),
         ..life(0)
     };
-    let (run, waiting) = (first.run, 3);
+    let run = first.run;
+    let waiting = 3;
     assert!(!fleet.apply_status("a", first, at(0)));
     let sign = |seq| Heartbeat { run, seq, waiting };
     assert!(!fleet.alive("a", sign(1), at(90)));

@@ -63,7 +63,7 @@ pub(crate) trait Database: Send {
     /// Runs a statement and returns the whole number in its first row, if any.
     fn number(&mut self, text: &str, values: &[Value]) -> Result<Option<i64>, StoreError> {
         let rows = self.query(text, values)?;
-        Ok((rows.first()).and_then(|row| row.values().next()?.as_i64()))
+        Ok(rows.first().and_then(|row| row.values().next()?.as_i64()))
     }
 }
 
@@ -119,8 +119,11 @@ impl dyn Database + '_ {
         let Some(first) = rows.first() else {
             return Ok(Vec::new());
         };
-        let columns = first.iter().map(|(column, _)| format!("\"{column}\""));
-        let columns = columns.collect::<Vec<_>>().join(", ");
+        let columns = first
+            .iter()
+            .map(|(column, _)| format!("\"{column}\""))
+            .collect::<Vec<_>>()
+            .join(", ");
         let values = match self.kind() {
             Kind::Sqlite => format!("VALUES ({})", vec!["?"; first.len()].join(", ")),
             Kind::Postgres => {
@@ -206,8 +209,10 @@ impl dyn Database + '_ {
         let conflict = "ON CONFLICT (policy, threshold, value, model, provider, power_source, total_from) \
                         DO UPDATE SET policy = excluded.policy RETURNING *";
         let setups = setups.into_iter().map(columns).collect();
-        let numbered = self.insert_rows("setups", setups, conflict)?.into_iter();
-        let numbered = numbered.filter_map(|mut setup| Some((setup.remove("id")?, setup)));
+        let numbered = self
+            .insert_rows("setups", setups, conflict)?
+            .into_iter()
+            .filter_map(|mut setup| Some((setup.remove("id")?, setup)));
         let ids = numbered.filter_map(|(id, setup)| Some((setup, id.as_i64()?)));
         Ok(ids.collect())
     }
@@ -230,8 +235,8 @@ impl dyn Database + '_ {
             Kind::Postgres => include_str!("sql/new_reports_postgres.sql"),
         };
         let rows = keys.iter().map(row).collect::<Result<Vec<_>, _>>()?;
-        let rows = rows.iter().map(columns).collect();
-        let new: Vec<New> = read_all(self.each(text, rows)?)?;
+        let columns = rows.iter().map(columns).collect();
+        let new: Vec<New> = read_all(self.each(text, columns)?)?;
         Ok(new.into_iter().map(|one| one.id).collect())
     }
 

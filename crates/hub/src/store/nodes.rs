@@ -24,8 +24,9 @@ impl dyn Database + '_ {
         let text = "SELECT name, state, since_ms FROM nodes WHERE name IN";
         let before: Vec<Before> = read_all(self.among(text, &names)?)?;
         let before: HashMap<&str, &Before> =
-            (before.iter()).map(|node| (node.name.as_str(), node)).collect();
-        let (mut rows, mut events) = (Vec::new(), Vec::new());
+            before.iter().map(|node| (node.name.as_str(), node)).collect();
+        let mut rows = Vec::new();
+        let mut events = Vec::new();
         for node in nodes {
             let row = before.get(node.node.as_str());
             // A node that was forgotten since then stays forgotten.

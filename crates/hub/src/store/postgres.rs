@@ -112,7 +112,7 @@ fn bound<'q>(
 /// Converts any number of rows to one parameter.
 fn recordset(rows: Vec<Columns<'_>>) -> String {
     let column = |(name, value): (&str, _)| (name.to_owned(), storable(value));
-    let rows = (rows.into_iter()).map(|row| row.into_iter().map(column).collect());
+    let rows = rows.into_iter().map(|row| row.into_iter().map(column).collect());
     Value::Array(rows.map(Value::Object).collect()).to_string()
 }
 

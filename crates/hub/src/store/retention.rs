@@ -21,12 +21,16 @@ pub(crate) fn retain(
     is_believed: bool,
 ) -> Result<bool, StoreError> {
     let today = now_ms.div_euclid(DAY_MS);
-    let first = |days: u32| match is_believed {
-        true => today - i64::from(days),
-        false => NO_DAY,
+    let first = |days: u32| {
+        if is_believed {
+            today - i64::from(days)
+        } else {
+            NO_DAY
+        }
     };
     // One day more, because a report of the day before is still accepted.
-    let (clips, ids) = (first(history.clips_days), first(IDENTITY_DAYS + 1));
+    let clips = first(history.clips_days);
+    let ids = first(IDENTITY_DAYS + 1);
     let sums = first(history.five_minutes_days);
     if database.kind() == Kind::Postgres {
         // Creating or dropping a partition locks its table for a moment. Each table has its own transaction, so that

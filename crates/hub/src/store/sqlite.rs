@@ -88,8 +88,8 @@ impl Sqlite {
         let mut statement = self.connection.prepare_cached(text)?;
         // `$2` is the second parameter, wherever it is; a `?` is the next one.
         let place = |at| Ok(statement.parameter_index(&format!("${at}"))?.unwrap_or(at));
-        let places = (1..=statement.parameter_count()).map(place);
-        let places: Vec<usize> = places.collect::<rusqlite::Result<_>>()?;
+        let places: Vec<usize> =
+            (1..=statement.parameter_count()).map(place).collect::<rusqlite::Result<_>>()?;
         let mut returned = Vec::new();
         for values in lists {
             for (value, place) in values.into_iter().zip(&places) {
@@ -152,7 +152,7 @@ fn for_each_row(
     statement: &mut Statement<'_>,
     take: &mut dyn FnMut(Row) -> Result<(), StoreError>,
 ) -> Result<(), StoreError> {
-    let columns: Vec<String> = (statement.column_names().into_iter()).map(str::to_owned).collect();
+    let columns: Vec<String> = statement.column_names().into_iter().map(str::to_owned).collect();
     let mut rows = statement.raw_query();
     while let Some(row) = rows.next()? {
         let cell = |(at, name): (usize, &String)| Ok((name.clone(), read(row.get_ref(at)?)?));

@@ -40,7 +40,8 @@ pub async fn to_postgres(
             to.shown()
         )));
     }
-    let (from, shown) = (from.to_owned(), to.shown());
+    let from = from.to_owned();
+    let shown = to.shown();
     let timeout_ms = to.timeout_ms;
     let source = super::blocking(move || {
         let refused = |error: StoreError| {
@@ -58,8 +59,8 @@ pub async fn to_postgres(
             check(&mut source).map_err(refused)?;
         }
         Ok(source)
-    });
-    let source = source.await?;
+    })
+    .await?;
     // Creates the tables if there are none.
     let store = Store::open(to).await?;
     let copied = super::blocking(move || {

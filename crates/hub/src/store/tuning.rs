@@ -79,7 +79,7 @@ impl dyn Database + '_ {
         for node in &mut nodes {
             node.at.ask.revision = change.revision.unsigned_abs();
         }
-        let desired = (nodes.iter()).map(|Wanted { at, setting, .. }| {
+        let desired = nodes.iter().map(|Wanted { at, setting, .. }| {
             json!({ "node": at.node, "revision": at.ask.revision, "setting": setting })
         });
         self.insert(

@@ -70,7 +70,8 @@ impl Tuner {
         let taken = self.taken().await?;
         let is_selected = |node: &NodeView| request.select.selects(&node.node, node.labels());
         for node in self.fleet.views(is_selected) {
-            let taken = (taken.get(&node.node))
+            let taken = taken
+                .get(&node.node)
                 .map(|other| format!("takes part in {other}: end or return that first"));
             let refused = taken.or_else(|| self.implausible(node.revision));
             let (outcome, detail) = match refused.or_else(|| node.unable(setting)) {
@@ -92,8 +93,12 @@ impl Tuner {
                 line(name.to_owned(), None, Outcome::Refused, detail);
             }
         }
-        let awaited = (change.nodes.iter()).filter(|line| line.ask.outcome == Outcome::Pending);
-        let awaited: Vec<_> = awaited.map(|line| line.node.clone()).collect();
+        let awaited: Vec<_> = change
+            .nodes
+            .iter()
+            .filter(|line| line.ask.outcome == Outcome::Pending)
+            .map(|line| line.node.clone())
+            .collect();
         if !awaited.is_empty() {
             let row = ChangeRow {
                 revision: 0,
@@ -150,7 +155,7 @@ impl Tuner {
     /// True if the node has the setting, and no other setting is desired that would replace it. "No target" is compatible with
     /// any desired threshold.
     fn has_it(&self, node: &NodeView, setting: DesiredSetting) -> bool {
-        let desired = (self.desires.get(&node.node)).map(|wanted| wanted.setting);
+        let desired = self.desires.get(&node.node).map(|wanted| wanted.setting);
         let wanted = match setting {
             DesiredSetting::Target(None) => {
                 !matches!(desired, Some(DesiredSetting::Target(Some(_))))

@@ -84,7 +84,8 @@ pub struct Effect {
 impl Effect {
     /// Compares the changes of two groups of nodes. `None` if either has fewer than [`FEWEST_NODES`].
     pub fn of(scale: Scale, changed: &[f64], unchanged: &[f64]) -> Option<Self> {
-        let (a, b) = (Typical::of(changed)?, Typical::of(unchanged)?);
+        let a = Typical::of(changed)?;
+        let b = Typical::of(unchanged)?;
         let variance = a.variance + b.variance;
         Some(Self {
             scale,
@@ -164,7 +165,7 @@ impl Typical {
         sorted.sort_by(f64::total_cmp);
         let trimmed = (TRIMMED * count as f64) as usize;
         let kept = &sorted[trimmed..count - trimmed];
-        let pulled_in = (sorted.iter()).map(|change| change.clamp(kept[0], kept[kept.len() - 1]));
+        let pulled_in = sorted.iter().map(|change| change.clamp(kept[0], kept[kept.len() - 1]));
         let freedom = kept.len() as f64 - 1.0;
         Some(Self {
             mean: kept.mean(),
@@ -190,7 +191,8 @@ impl Silence {
         if self.silent == 0 || others.nodes == 0 {
             return 1.0;
         }
-        let (all, silent) = (self.nodes + others.nodes, self.silent + others.silent);
+        let all = self.nodes + others.nodes;
+        let silent = self.silent + others.silent;
         Hypergeometric::new(all, silent, self.nodes).map_or(1.0, |drawn| drawn.sf(self.silent - 1))
     }
 }

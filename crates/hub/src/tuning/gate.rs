@@ -49,7 +49,8 @@ impl Gate {
 
     /// The verdict on an effect.
     fn judge(&self, effect: &Effect, rates: ErrorRates) -> Verdict {
-        let (fail, pass) = (effect.interval(rates.fail), effect.interval(rates.pass));
+        let fail = effect.interval(rates.fail);
+        let pass = effect.interval(rates.pass);
         let bound = self.bound();
         let (beyond, inside) = if self.metric.more_is_worse() {
             (fail.lower > bound, pass.upper <= bound)
@@ -103,7 +104,9 @@ impl FromStr for Gate {
 
 impl fmt::Display for Gate {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (metric, sign, number) = (self.metric, self.metric.sign(), self.number);
+        let metric = self.metric;
+        let sign = self.metric.sign();
+        let number = self.number;
         let percent = match self.scale {
             Scale::Relative => "%",
             Scale::Absolute => "",
@@ -173,7 +176,7 @@ pub(crate) fn judge(
     };
     let mut results = Vec::new();
     for gate in gates {
-        let mut figures: Vec<_> = (gate.metric.figures().filter(reported)).map(Some).collect();
+        let mut figures: Vec<_> = gate.metric.figures().filter(reported).map(Some).collect();
         if figures.is_empty() {
             figures.push(None);
         }

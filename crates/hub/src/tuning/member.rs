@@ -88,8 +88,11 @@ impl Ask {
             DesiredSetting::Target(Some(_)) if node.is_reachable() => node.unable(wanted),
             _ => None,
         };
-        let refused = (node.status.as_ref()).and_then(|status| status.refused.as_ref());
-        let refused = refused.filter(|refused| refused.revision == self.revision);
+        let refused = node
+            .status
+            .as_ref()
+            .and_then(|status| status.refused.as_ref())
+            .filter(|refused| refused.revision == self.revision);
         let next = if node.revision >= self.revision && node.has(wanted) {
             Outcome::Applied
         } else if let Some(reason) = unable.or_else(|| Some(refused?.reason.clone())) {

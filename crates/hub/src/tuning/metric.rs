@@ -38,7 +38,9 @@ impl Metric {
 
     /// The figures that are compared, whose names begin with its own. Measured and estimated energy are separate figures.
     pub(crate) fn figures(self) -> impl Iterator<Item = Figure> {
-        (Figure::ALL.into_iter()).filter(move |figure| figure.name().starts_with(self.name()))
+        Figure::ALL
+            .into_iter()
+            .filter(move |figure| figure.name().starts_with(self.name()))
     }
 }
 

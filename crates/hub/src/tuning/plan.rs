@@ -199,7 +199,7 @@ impl RolloutPlan {
         if !(1..=MOST).contains(&self.stages.len()) {
             return Err(format!("stages: must be from 1 to {MOST} sizes"));
         }
-        if let Some(wrong) = (self.stages.iter()).find(|size| stage_size(size, 1).is_none()) {
+        if let Some(wrong) = self.stages.iter().find(|size| stage_size(size, 1).is_none()) {
             return Err(format!(
                 "stages: `{wrong}` is not the size of a stage; write `1`, `10%` or `all`"
             ));

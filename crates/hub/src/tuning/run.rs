@@ -244,7 +244,8 @@ impl Run {
             }
             Kind::Trial { plan } => {
                 plan.check()?;
-                let (nodes, values) = (members.len(), plan.values.len());
+                let nodes = members.len();
+                let values = plan.values.len();
                 if nodes < values * FEWEST_NODES {
                     return Err(format!(
                         "select: {nodes} nodes in reach are too few for {values} values: each needs at least {FEWEST_NODES}"
@@ -315,7 +316,7 @@ impl Run {
                 continue;
             };
             let node = member.node.clone();
-            match (orders.iter_mut()).find(|order| order.threshold == threshold) {
+            match orders.iter_mut().find(|order| order.threshold == threshold) {
                 Some(order) => order.nodes.push(node),
                 None => orders.push(Order {
                     threshold,
@@ -471,8 +472,13 @@ impl Run {
     pub(crate) fn windows(&self, now: Millis) -> Vec<[Window; 2]> {
         let baseline = milliseconds(self.kind.basics().baseline_s);
         let since = self.since_ms;
-        let asked = self.members.iter().filter(|m| self.is_in_stage(m));
-        let asked = asked.map(|m| m.ask.asked_ms).min().unwrap_or(since);
+        let asked = self
+            .members
+            .iter()
+            .filter(|m| self.is_in_stage(m))
+            .map(|m| m.ask.asked_ms)
+            .min()
+            .unwrap_or(since);
         let windows = self.members.iter().filter_map(|member| {
             // After a resumption only later clips count.
             let (asked, value, from) = match member.applied_ms() {
@@ -513,7 +519,8 @@ impl Run {
         let (verdict, text, gates) = self.judge(plan, found);
         self.looks += 1;
         let entry = self.noted(now, What::Judged, &text);
-        (entry.verdict, entry.gates) = (Some(verdict), gates);
+        entry.verdict = Some(verdict);
+        entry.gates = gates;
         let reason = format!("stage {}: {text}", self.stage);
         match verdict {
             Verdict::Failed => self.fail(&reason, now),
@@ -548,7 +555,8 @@ impl Run {
     ) -> Result<(), String> {
         use Phase::{Finishing, Held, Returned, Returning};
         let returning = matches!(self.phase, Returning | Returned);
-        let (ended, is_held) = (self.phase.has_ended(), self.phase == Held);
+        let ended = self.phase.has_ended();
+        let is_held = self.phase == Held;
         let is_paused = self.paused_ms.is_some();
         let (what, possible) = match command {
             Command::Pause => (What::Paused, !ended && !returning && !is_paused),
@@ -602,7 +610,8 @@ impl Run {
     }
 
     fn enter_stage(&mut self, stage: usize, now: Millis) {
-        (self.stage, self.soaks) = (stage, 0);
+        self.stage = stage;
+        self.soaks = 0;
         self.enter(Phase::Applying, "", now);
         let is_trial = matches!(self.kind, Kind::Trial { .. });
         let mut count = 0;
@@ -646,7 +655,10 @@ impl Run {
             _ => (Phase::Done, What::Done),
         };
         let without = |m: &&Member| !matches!(m.ask.outcome, Outcome::Applied | Outcome::Untouched);
-        let names: Vec<String> = (self.members.iter().filter(without))
+        let names: Vec<String> = self
+            .members
+            .iter()
+            .filter(without)
             .map(|m| format!("{} {}", m.node, m.ask.outcome))
             .collect();
         let text = match names.as_slice() {
@@ -658,7 +670,9 @@ impl Run {
     }
 
     fn enter(&mut self, phase: Phase, reason: &str, now: Millis) {
-        (self.phase, self.since_ms, self.looks) = (phase, now, 0);
+        self.phase = phase;
+        self.since_ms = now;
+        self.looks = 0;
         self.reason = reason.to_owned();
         self.unsaved = true;
     }

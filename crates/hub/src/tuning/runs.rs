@@ -112,10 +112,12 @@ impl Tuner {
     pub async fn begin(&self, kind: Kind, who: &str, now: Millis) -> Result<Run, Problem> {
         let mut runs = self.runs.lock().await;
         let taken = self.taken().await?;
-        let (mut candidates, mut left_out) = (Vec::new(), Vec::new());
+        let mut candidates = Vec::new();
+        let mut left_out = Vec::new();
         let select = &kind.basics().select;
-        for node in (self.fleet).views(|node| select.selects(&node.node, node.labels())) {
-            let (able, reachable) = (able(&node, &kind, &taken), node.is_reachable());
+        for node in self.fleet.views(|node| select.selects(&node.node, node.labels())) {
+            let able = able(&node, &kind, &taken);
+            let reachable = node.is_reachable();
             match able {
                 Ok(before) => candidates.push(Member::new(node.node, before, reachable)),
                 Err(why) => left_out.push(LeftOut {
@@ -200,20 +202,22 @@ impl Tuner {
         for run in runs.running.values_mut() {
             // A failed run does not stop the others; its progress is saved.
             let advanced = self.advance(run, now).await;
-            let saved = match run.unsaved {
-                true => self.save(run, now).await,
-                false => Ok(()),
+            let saved = if run.unsaved {
+                self.save(run, now).await
+            } else {
+                Ok(())
             };
             failed = advanced.and(saved).err().or(failed);
         }
-        (runs.running).retain(|_, run| run.unsaved || run.ended_ms.is_none());
+        runs.running.retain(|_, run| run.unsaved || run.ended_ms.is_none());
         failed.map_or(Ok(()), Err)
     }
 
     async fn claim(&self, runs: &mut Runs, now: Millis) -> Result<(), StoreError> {
         let driver = self.driver.clone();
-        let claimed =
-            (self.store).write(move |writing| writing.claim_runs(&driver, now, now + CLAIM_MS));
+        let claimed = self
+            .store
+            .write(move |writing| writing.claim_runs(&driver, now, now + CLAIM_MS));
         let mine = claimed.await?;
         runs.claimed_ms = now;
         runs.running.retain(|key, _| mine.contains(key));
@@ -266,9 +270,10 @@ impl Tuner {
         let has_ended = run.phase.has_ended() && run.due().is_empty();
         run.ended_ms = has_ended.then(|| run.ended_ms.unwrap_or(now));
         run.count_stages();
-        let (row, driver) = (run.clone(), self.driver.clone());
+        let row = run.clone();
+        let driver = self.driver.clone();
         let written =
-            (self.store).write(move |writing| writing.save_run(row, &driver, now + CLAIM_MS));
+            self.store.write(move |writing| writing.save_run(row, &driver, now + CLAIM_MS));
         run.id = written.await?;
         run.unsaved = false;
         Ok(())

@@ -44,7 +44,8 @@ impl Selector {
         }
         let read = |term: &T| {
             let term = term.as_ref().trim();
-            (parts(term).try_for_each(|part| part.check()))
+            parts(term)
+                .try_for_each(|part| part.check())
                 .map_err(|reason| fault(term, reason))?;
             Ok(term.to_owned())
         };

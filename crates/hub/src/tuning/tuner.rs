@@ -134,7 +134,7 @@ impl Tuner {
 
     /// The reason that a node that reports `revision` gets no order; `None` if it can.
     pub(super) fn implausible(&self, revision: u64) -> Option<String> {
-        let most = (self.learned.load(Ordering::Relaxed)).saturating_add(FARTHEST_AHEAD);
+        let most = self.learned.load(Ordering::Relaxed).saturating_add(FARTHEST_AHEAD);
         (revision > most).then(|| {
             format!(
                 "it reports revision {revision}, but no hub gave one above {most}: \
@@ -165,7 +165,8 @@ impl Tuner {
         change: ChangeRow,
         nodes: Vec<String>,
     ) -> Result<u64, StoreError> {
-        let (now, setting) = (change.at_ms, change.setting);
+        let now = change.at_ms;
+        let setting = change.setting;
         let is_set_back = change.origin == SET_BACK;
         // A restored database lacks the revisions given after its backup, and offline nodes may have them. So that none is given
         // twice, revisions start at the time, in seconds, and above those that the nodes report.
@@ -176,9 +177,10 @@ impl Tuner {
             if self.implausible(view.revision).is_none() {
                 above = above.max(view.revision);
             }
-            let outcome = match view.is_reachable() {
-                true => Outcome::Pending,
-                false => Outcome::Waiting,
+            let outcome = if view.is_reachable() {
+                Outcome::Pending
+            } else {
+                Outcome::Waiting
             };
             asked.push(Wanted {
                 setting,
@@ -191,7 +193,7 @@ impl Tuner {
                 drifted_ms: None,
             });
         }
-        let written = (self.store).write(move |writing| writing.order(change, asked, above));
+        let written = self.store.write(move |writing| writing.order(change, asked, above));
         let mut revision = 0;
         for wanted in written.await? {
             revision = wanted.at.ask.revision;
@@ -211,14 +213,14 @@ impl Tuner {
         let mut answered = Vec::new();
         for mut wanted in self.desires.list(|one| one.at.ask.outcome.is_open()) {
             if let Some(view) = self.fleet.view(&wanted.at.node)
-                && (wanted.at.ask).observe(&view, wanted.setting, patience, now)
+                && wanted.at.ask.observe(&view, wanted.setting, patience, now)
             {
                 answered.push(wanted);
             }
         }
         if !answered.is_empty() {
             let rows = answered.clone();
-            let written = (self.store).write(move |writing| writing.outcomes(&rows));
+            let written = self.store.write(move |writing| writing.outcomes(&rows));
             written.await?;
         }
         for wanted in answered {
@@ -233,9 +235,11 @@ impl Tuner {
     /// # Errors
     /// When the database cannot be written; the next call finds them again.
     pub async fn look_for_drift(&self, now: Millis) -> Result<(), StoreError> {
-        let (mut events, mut drifted) = (Vec::new(), Vec::new());
+        let mut events = Vec::new();
+        let mut drifted = Vec::new();
         for mut wanted in self.desires.list(|_| true) {
-            let (node, revision) = (&wanted.at.node, wanted.at.ask.revision);
+            let node = &wanted.at.node;
+            let revision = wanted.at.ask.revision;
             if wanted.at.ask.outcome == Outcome::Pending {
                 self.desires.notify(node);
             }
@@ -259,7 +263,7 @@ impl Tuner {
             }
         }
         if !events.is_empty() {
-            let written = (self.store).write(move |writing| writing.insert("events", &events, ""));
+            let written = self.store.write(move |writing| writing.insert("events", &events, ""));
             written.await?;
         }
         // Only after the events are stored: after an error the next call finds the drift again.
@@ -294,7 +298,7 @@ impl Tuner {
                 since_ms: wanted.drifted_ms?,
                 desired: wanted.setting,
                 in_force: view.setting(),
-                why: (view.status.as_ref()).and_then(|status| status.target_off.clone()),
+                why: view.status.as_ref().and_then(|status| status.target_off.clone()),
                 set_back: wanted.set_back,
                 node: wanted.at.node,
             })

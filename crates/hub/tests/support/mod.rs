@@ -70,7 +70,8 @@ impl Hub {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let http = format!("http://{}", listener.local_addr().unwrap());
         let shutdown = CancellationToken::new();
-        let (given, stop) = (config.clone(), shutdown.clone());
+        let given = config.clone();
+        let stop = shutdown.clone();
         let task = tokio::spawn(async move { albireo_hub::run(&given, listener, stop).await });
         let zenoh = [&config.zenoh.listen[..], &config.zenoh.connect].concat()[0].clone();
         let hub = Self {
@@ -94,7 +95,8 @@ impl Hub {
     }
 
     pub(crate) async fn restart(mut self) -> Self {
-        let (config, folder) = (self.config.clone(), self.folder.take());
+        let config = self.config.clone();
+        let folder = self.folder.take();
         self.stop().await;
         Self {
             folder,
@@ -176,8 +178,7 @@ impl Hub {
     /// The desired setting that the hub answers to a node's query.
     pub(crate) async fn pull(&self, node: &str) -> Desired {
         let request = json!({"v": VERSION, "revision": 0}).to_string();
-        let query = self.uplink.get(format!("albireo/@pull/{node}"));
-        let query = query.payload(request);
+        let query = self.uplink.get(format!("albireo/@pull/{node}")).payload(request);
         let replies = query.timeout(Duration::from_secs(20)).await.unwrap();
         let sample = replies.recv_async().await.unwrap().into_result().unwrap();
         albireo_wire::read(&sample.payload().to_bytes()).unwrap()

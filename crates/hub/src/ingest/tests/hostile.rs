@@ -82,9 +82,10 @@ fn payload(random: &mut Pcg64Mcg) -> Vec<u8> {
     // A fault in the batch itself rejects it whole; most faults should get further.
     for _ in 0..random.next_u64() % 3 {
         let whole = random.next_u64().is_multiple_of(4) || batch["reports"][0].is_null();
-        let part = match whole {
-            true => &mut batch,
-            false => &mut batch["reports"][0],
+        let part = if whole {
+            &mut batch
+        } else {
+            &mut batch["reports"][0]
         };
         corrupt(part, random);
     }
@@ -133,7 +134,8 @@ fn now() -> Now {
 
 #[tokio::test]
 async fn what_a_node_can_repeat_fills_no_table_with_events() {
-    let (folder, now) = (tempfile::tempdir().unwrap(), now());
+    let folder = tempfile::tempdir().unwrap();
+    let now = now();
     let (store, mut recorder) = recorder(&folder, now).await;
     for round in 0..100 {
         let state = [PresenceState::Online, PresenceState::Silent][round % 2];
@@ -157,11 +159,16 @@ async fn hostile_batches_break_nothing_and_every_acknowledged_report_is_accounte
     // More by hand: ALBIREO_BATCHES=100000.
     let batches: u64 =
         std::env::var("ALBIREO_BATCHES").map_or(10_000, |text| text.parse().unwrap());
-    let (folder, now) = (tempfile::tempdir().unwrap(), now());
+    let folder = tempfile::tempdir().unwrap();
+    let now = now();
     let (store, mut recorder) = recorder(&folder, now).await;
     let mut random = Pcg64Mcg::seed_from_u64(20_261_122);
-    let (mut unreadable, mut group) = (0_u64, Vec::new());
-    let (mut clips, mut again, mut aside, mut refused) = (0, 0, 0, 0);
+    let mut unreadable = 0_u64;
+    let mut group = Vec::new();
+    let mut clips = 0;
+    let mut again = 0;
+    let mut aside = 0;
+    let mut refused = 0;
     let mut stored = BTreeSet::<Uuid>::new();
     for number in 1..=batches {
         match decode("car-1", &payload(&mut random), NOW_MS) {
@@ -175,8 +182,9 @@ async fn hostile_batches_break_nothing_and_every_acknowledged_report_is_accounte
             continue;
         }
         let group = std::mem::take(&mut group);
-        let done = recorder.record(&group, &[], now);
-        let done = done.expect("the database accepts the rows of any batch");
+        let done = recorder
+            .record(&group, &[], now)
+            .expect("the database accepts the rows of any batch");
         clips += done.counts.clips;
         again += done.counts.again;
         aside += done.counts.set_aside;

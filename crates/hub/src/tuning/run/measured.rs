@@ -104,7 +104,8 @@ impl Run {
         found: &'a Measured,
         is: impl Fn(&Member) -> bool,
     ) -> (Vec<&'a BeforeAfter>, Silence) {
-        let (mut side, mut silence) = (Vec::new(), Silence::default());
+        let mut side = Vec::new();
+        let mut silence = Silence::default();
         for member in self.members.iter().filter(|member| is(member)) {
             let Some(clips) = found.get(&member.node) else {
                 continue;
@@ -138,7 +139,9 @@ impl Run {
                     clips: clips.map(|mean| mean.clips).sum(),
                     before,
                     mean,
-                    difference: (found.effect.filter(|_| arm > 0))
+                    difference: found
+                        .effect
+                        .filter(|_| arm > 0)
                         .map(|effect| effect.interval(miss)),
                 })
             };
@@ -163,7 +166,7 @@ impl Run {
     /// can pass, because every stage has to pass every gate.
     pub(super) fn error_rates(&self, plan: &RolloutPlan) -> ErrorRates {
         let error = (1.0 - plan.basics.confidence) * 0.5_f64.powi(i32::from(self.soaks));
-        let figures: usize = (plan.gates.iter()).map(|gate| gate.metric.figures().count()).sum();
+        let figures: usize = plan.gates.iter().map(|gate| gate.metric.figures().count()).sum();
         // One more for nodes that fall silent.
         let tests = (self.stage_count() * (figures + 1)) as f64 * f64::from(LOOKS);
         ErrorRates {
@@ -174,7 +177,9 @@ impl Run {
 }
 
 fn named(results: &[GateResult], verdict: Verdict) -> String {
-    let names: Vec<String> = (results.iter().filter(|r| r.verdict == verdict))
+    let names: Vec<String> = results
+        .iter()
+        .filter(|r| r.verdict == verdict)
         .map(|r| match r.figure {
             Some(figure) => format!("{} ({figure})", r.gate),
             None => format!("{} (not measured)", r.gate),

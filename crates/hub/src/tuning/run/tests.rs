@@ -24,7 +24,8 @@ pub(super) fn clips(mean: f64) -> Mean {
 
 fn in_windows(windows: &[[Window; 2]], clips: impl Fn(&Window) -> Figures) -> Measured {
     let one = |[before, after]: &[Window; 2]| {
-        let (before, node) = (clips(before), after.node.clone());
+        let before = clips(before);
+        let node = after.node.clone();
         let after = clips(after);
         (node, BeforeAfter { before, after })
     };
@@ -114,7 +115,8 @@ impl World {
         self.most_new = self.most_new.max(self.have(new()));
         rollout.observe(self.now, |name| {
             let node = self.nodes.get(name)?;
-            let (revision, has) = (node.revision, node.has);
+            let revision = node.revision;
+            let has = node.has;
             Some(reported(node.reachable, revision, has, node.refused))
         });
         if let Some(windows) = rollout.tick(self.now) {
@@ -129,9 +131,10 @@ impl World {
     }
 
     fn clips(&self, window: &Window) -> Figures {
-        let factor = match window.value == new().value.to_string() {
-            true => self.nodes[&window.node].factor,
-            false => 1.0,
+        let factor = if window.value == new().value.to_string() {
+            self.nodes[&window.node].factor
+        } else {
+            1.0
         };
         // Each node has its own level.
         let number: f64 = window.node["cam-".len()..].parse().unwrap();
@@ -326,7 +329,8 @@ fn a_stage_that_cannot_be_judged_is_held_then_undone_and_resuming_it_costs_no_er
     assert!((150..160).contains(&seconds), "{seconds}");
     let reason = &rollout.reason;
     assert!(reason.contains("recall>=-0.02 (not measured)"), "{reason}");
-    let (mut alone, mut undecided) = (world.clone(), rollout.clone());
+    let mut alone = world.clone();
+    let mut undecided = rollout.clone();
     alone.run(&mut undecided, 400);
     assert_eq!(undecided.phase.name(), "held");
     alone.run_until(&mut undecided, "returned");
@@ -353,8 +357,12 @@ fn unreachable_nodes_come_last_do_not_stop_the_rollout_and_are_missed_after_thei
         world.nodes.get_mut(name).unwrap().reachable = false;
     }
     let mut rollout = world.begin(plan());
-    let held_back = rollout.members.iter().filter(|m| m.group == 2);
-    let held_back: Vec<_> = held_back.map(|m| m.node.as_str()).collect();
+    let held_back: Vec<_> = rollout
+        .members
+        .iter()
+        .filter(|m| m.group == 2)
+        .map(|m| m.node.as_str())
+        .collect();
     for name in ["cam-001", "cam-004"] {
         assert!(held_back.contains(&name), "{held_back:?}");
     }

@@ -73,7 +73,8 @@ impl Fleet {
                 continue;
             }
             let noise = |what: u64| {
-                let (hour, each) = (hour as u64, 8 * what);
+                let hour = hour as u64;
+                let each = 8 * what;
                 SIGMA * normal(self.seed + each, [node, hour])
                     + WITHIN * normal(self.seed + each + 1, [node, hour])
             };
@@ -163,7 +164,7 @@ fn run(nodes: usize, stages: &[&str], driving_hours: f64, change: f64, rollouts:
         ) {
             fleet.step(&mut rollout);
         }
-        let failed = (rollout.record.iter()).any(|e| e.verdict == Some(Verdict::Failed));
+        let failed = rollout.record.iter().any(|e| e.verdict == Some(Verdict::Failed));
         match rollout.phase {
             Phase::Returning if failed => ends.failed += 1,
             Phase::Returning => ends.undecided += 1,
