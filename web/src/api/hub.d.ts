@@ -2243,7 +2243,7 @@ export interface components {
         HubReadiness: {
             /** @description True if every part works. */
             ready: boolean;
-            /** @description The reason of each part that does not work: `database`, `zenoh`, `tasks`. */
+            /** @description The reason of each part that does not work, or works only in part: `database`, `zenoh`, `fleet`, `tuning`, `tasks`. */
             reasons: {
                 [key: string]: string;
             };
