@@ -1,8 +1,10 @@
 //! Sets up the log: on standard error, with the last lines kept in memory.
 
 mod tail;
+mod writer;
 
 pub use tail::{LogLine, conceal, lines_after};
+pub use writer::{dropped_lines, finish, last_words};
 
 use crate::ServiceError;
 use crate::config::{LogConfig, LogFormat, check_level};
@@ -44,7 +46,7 @@ pub fn start(config: &LogConfig) -> Result<(), ServiceError> {
 
 /// Creates the subscriber for the level and format. The level was checked.
 fn subscriber(level: &str, format: LogFormat) -> impl Subscriber + Send + Sync {
-    let written = tracing_subscriber::fmt::layer().with_writer(std::io::stderr);
+    let written = tracing_subscriber::fmt::layer().with_writer(writer::lines());
     let written = match format {
         LogFormat::Human => written
             .with_ansi(std::io::stderr().is_terminal())

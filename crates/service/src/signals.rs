@@ -1,17 +1,19 @@
-//! Handles Ctrl-C and SIGTERM.
+//! Handles Ctrl-C, SIGTERM and SIGHUP.
 
-use signal_hook::consts::{SIGINT, SIGTERM};
+use crate::logging;
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
-use signal_hook::low_level::signal_name;
+use signal_hook::low_level::{exit, signal_name};
 use std::time::{Duration, Instant};
-use std::{io, process, thread};
+use std::{io, thread};
 use tokio_util::sync::CancellationToken;
 
 /// Signals this soon after the first are the same request: `timeout` signals its child, then the whole group.
 const ONE_REQUEST: Duration = Duration::from_secs(1);
 
-/// Returns a token that the first Ctrl-C or SIGTERM cancels. A second one, at least a second later, ends the program at
-/// once, with exit code 130; it also ends, with exit code 1, if it still runs `limit` after the first signal.
+/// Returns a token that the first Ctrl-C, SIGTERM or SIGHUP (a closed terminal) cancels. A second signal, at least a
+/// second later, ends the program at once, with exit code 130; it also ends, with exit code 1, if it still runs `limit`
+/// after the first signal. Both leave out what the C library does at an exit: threads may still use other libraries.
 ///
 /// # Errors
 /// An I/O error if the signal handlers cannot be installed.
@@ -21,7 +23,7 @@ pub fn shutdown(limit: Option<Duration>) -> io::Result<CancellationToken> {
     let failed = |error: io::Error| {
         io::Error::other(format!("the signal handlers cannot be installed: {error}"))
     };
-    let mut signals = Signals::new([SIGTERM, SIGINT]).map_err(failed)?;
+    let mut signals = Signals::new([SIGTERM, SIGINT, SIGHUP]).map_err(failed)?;
     // In a separate thread: a signal is handled even if all workers of the program are blocked.
     thread::Builder::new()
         .name("signals".to_owned())
@@ -32,19 +34,22 @@ pub fn shutdown(limit: Option<Duration>) -> io::Result<CancellationToken> {
                 match first {
                     None => {
                         first = Some(Instant::now());
-                        tracing::info!("{name}: stopping");
+                        // Before anything else, which may fail or wait.
                         cancelled.cancel();
                         if let Some(limit) = limit {
                             thread::spawn(move || {
                                 thread::sleep(limit);
                                 tracing::error!("not stopped within {limit:?}: exiting");
-                                process::exit(1);
+                                logging::finish();
+                                exit(1);
                             });
                         }
+                        tracing::info!("{name}: stopping");
                     }
                     Some(at) if at.elapsed() >= ONE_REQUEST => {
                         tracing::warn!("{name} again: exiting at once");
-                        process::exit(130);
+                        logging::finish();
+                        exit(130);
                     }
                     Some(_) => {}
                 }
