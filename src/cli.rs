@@ -36,11 +36,12 @@ mod simulate;
 mod values;
 mod variables;
 
+use albireo_service::logging;
 use albireo_vision::detector::end_all_sessions;
 use anyhow::Context;
 use clap::{Parser, Subcommand};
+use std::io::Write;
 use std::net::SocketAddr;
-use std::process::ExitCode;
 use std::time::Duration;
 use tokio::net::TcpListener;
 
@@ -143,7 +144,8 @@ impl Command {
         }
     }
 
-    fn run(self) -> anyhow::Result<ExitCode> {
+    /// Runs the subcommand and returns the exit code of the process.
+    fn run(self) -> anyhow::Result<i32> {
         match self {
             Self::Node(arguments) => node::run(&arguments)?,
             #[cfg(feature = "hub")]
@@ -178,19 +180,24 @@ impl Command {
             Self::Man(arguments) => man::run(&arguments)?,
             Self::Completions(arguments) => completions::run(&arguments)?,
         }
-        Ok(ExitCode::SUCCESS)
+        Ok(0)
     }
 }
 
-/// Runs the subcommand that the arguments of this process name, and prints its error to standard error. Invalid
-/// arguments end the process with a message.
-pub fn run() -> ExitCode {
+/// Runs the subcommand that the arguments of this process name, prints its error to standard error, and ends the process.
+/// Invalid arguments end it with a message.
+pub fn run() -> ! {
     let command = Arguments::parse().command;
     variables::start_with(command.variables());
-    command.run().unwrap_or_else(|error| {
-        eprintln!("albireo: {}", in_words(&error));
-        ExitCode::FAILURE
-    })
+    let code = command.run().unwrap_or_else(|error| {
+        logging::last_words(&format!("albireo: {}", in_words(&error)));
+        1
+    });
+    // A model may still be loading on a thread of ONNX Runtime, and the C library would tear that library down beside
+    // it. All that must be kept was committed before; only what standard output and the log hold back is written here.
+    let _ = std::io::stdout().flush();
+    logging::finish();
+    signal_hook::low_level::exit(code)
 }
 
 /// Formats an error and its causes in one line, without the locations in Zenoh's sources. Skips a cause that the text

@@ -46,6 +46,7 @@ mod power_live;
 mod power_tegrastats;
 mod power_telemetry;
 mod replay;
+mod stopping;
 mod structure;
 mod supervision;
 mod wheel;

@@ -10,7 +10,6 @@ mod units;
 use clap::Subcommand;
 use client::Client;
 use serde_json::{Value, json};
-use std::process::ExitCode;
 
 /// Arguments of `albireo fleet`.
 #[derive(Debug, clap::Args)]
@@ -149,7 +148,7 @@ impl Context {
     }
 }
 
-pub(super) async fn run(arguments: Arguments) -> anyhow::Result<ExitCode> {
+pub(super) async fn run(arguments: Arguments) -> anyhow::Result<i32> {
     let context = Context {
         client: Client::new(&arguments.hub, arguments.token)?,
         json: arguments.json,
@@ -171,5 +170,5 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<ExitCode> {
         Command::Energy(arguments) => nodes::energy(&context, arguments).await,
         Command::Watch { looks } => nodes::watch(&context, looks).await,
     }?;
-    Ok(ExitCode::from(ended as u8))
+    Ok(ended as i32)
 }

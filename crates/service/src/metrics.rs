@@ -41,8 +41,13 @@ impl MetricsPage {
         self.family(name, "counter", help, samples);
     }
 
-    /// Adds the resource usage of the process; nothing if it cannot be read.
+    /// Adds the resource usage of the process, as far as it can be read, and the log lines that were dropped.
     pub fn process(&mut self) {
+        self.counter(
+            "albireo_log_lines_dropped_total",
+            "Log lines that were not written, because nobody read standard error fast enough",
+            crate::logging::dropped_lines() as f64,
+        );
         let _ = process::add(self);
     }
 

@@ -9,7 +9,9 @@
 use crate::readiness::sentence;
 use albireo_wire::{HealthState, HealthStatus};
 use sd_notify::NotifyState;
+use std::sync::mpsc::{Receiver, sync_channel};
 use std::time::Duration;
+use tokio::sync::oneshot;
 use tokio::time::{Instant, MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
 
@@ -18,6 +20,9 @@ const STARTED_AFTER: Duration = Duration::from_secs(30);
 
 /// The check interval if the manager has no watchdog.
 const CHECK_INTERVAL: Duration = Duration::from_secs(5);
+
+/// The time limit for the last message to be sent.
+const PARTING: Duration = Duration::from_secs(1);
 
 /// The maximum length of a text, characters.
 const LONGEST: usize = 400;
@@ -33,19 +38,40 @@ pub async fn run(
         return;
     }
     let period = sd_notify::watchdog_enabled().map(|watchdog| watchdog / 2);
-    let mut failed = false;
+    let (outgoing, queue) = sync_channel::<String>(1);
+    let (ended, all_sent) = oneshot::channel::<()>();
+    // A manager that does not read its socket holds up this thread and nothing else.
+    let sender = std::thread::Builder::new().name("notify".to_owned()).spawn(move || {
+        send_all(&queue);
+        drop(ended);
+    });
+    if let Err(error) = sender {
+        tracing::warn!(%error, "the service manager cannot be notified");
+        return;
+    }
     let send = |messages: &[NotifyState<'_>]| {
-        let sent = sd_notify::notify(messages);
+        let lines: Vec<String> = messages.iter().map(ToString::to_string).collect();
+        outgoing.try_send(lines.join("\n")).is_ok()
+    };
+    watch_state(send, period, read, shutdown).await;
+    drop(outgoing);
+    let _ = tokio::time::timeout(PARTING, all_sent).await;
+}
+
+/// Sends messages until their sender is gone.
+fn send_all(queue: &Receiver<String>) {
+    let mut failed = false;
+    for message in queue {
+        let sent = sd_notify::notify(&[NotifyState::Custom(&message)]);
         if let (Err(error), false) = (&sent, failed) {
             tracing::warn!(%error, "the service manager cannot be notified");
         }
         failed = sent.is_err();
-    };
-    watch_state(send, period, read, shutdown).await;
+    }
 }
 
 async fn watch_state(
-    mut send: impl FnMut(&[NotifyState<'_>]),
+    send: impl Fn(&[NotifyState<'_>]) -> bool,
     watchdog: Option<Duration>,
     read: impl Fn() -> (HealthStatus, Option<String>),
     shutdown: CancellationToken,
@@ -55,7 +81,8 @@ async fn watch_state(
     let mut ticks = interval(period.clamp(Duration::from_millis(1), CHECK_INTERVAL));
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let begun = Instant::now();
-    let (mut started, mut starving) = (false, false);
+    let mut started = false;
+    let mut starving = false;
     loop {
         tokio::select! {
             biased;
@@ -66,8 +93,8 @@ async fn watch_state(
         let status = status(&health, stuck.as_deref());
         let mut messages = vec![NotifyState::Status(&status)];
         let is_ready = health.state != HealthState::NotReady;
-        if !started && (is_ready || begun.elapsed() >= STARTED_AFTER) {
-            started = true;
+        let starts = !started && (is_ready || begun.elapsed() >= STARTED_AFTER);
+        if starts {
             messages.push(NotifyState::Ready);
         }
         if watchdog.is_some() && stuck.is_none() {
@@ -77,7 +104,8 @@ async fn watch_state(
             tracing::error!(reason, "no longer feeding the watchdog");
         }
         starving = stuck.is_some();
-        send(&messages);
+        // What could not be sent is said again with the next message.
+        started |= send(&messages) && starts;
     }
     send(&[NotifyState::Stopping, NotifyState::Status("stopping")]);
 }
@@ -113,6 +141,7 @@ mod tests {
             let period = Some(Duration::from_secs(1));
             let send = |sent: &[NotifyState<'_>]| {
                 messages.lock().extend(sent.iter().map(ToString::to_string));
+                true
             };
             let forever = CancellationToken::new();
             watch_state(send, period, || read.lock().clone(), forever).await;

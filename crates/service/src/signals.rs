@@ -1,6 +1,7 @@
 //! Handles Ctrl-C, SIGTERM and SIGHUP.
 
 use crate::logging;
+use procfs::process::Process;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 use signal_hook::low_level::{exit, signal_name};
@@ -23,7 +24,11 @@ pub fn shutdown(limit: Option<Duration>) -> io::Result<CancellationToken> {
     let failed = |error: io::Error| {
         io::Error::other(format!("the signal handlers cannot be installed: {error}"))
     };
-    let mut signals = Signals::new([SIGTERM, SIGINT, SIGHUP]).map_err(failed)?;
+    let mut wanted = vec![SIGTERM, SIGINT];
+    if !ignores_hangup() {
+        wanted.push(SIGHUP);
+    }
+    let mut signals = Signals::new(wanted).map_err(failed)?;
     // In a separate thread: a signal is handled even if all workers of the program are blocked.
     thread::Builder::new()
         .name("signals".to_owned())
@@ -57,4 +62,11 @@ pub fn shutdown(limit: Option<Duration>) -> io::Result<CancellationToken> {
         })
         .map_err(failed)?;
     Ok(token)
+}
+
+/// True if this process was started so that it survives its terminal, as by `nohup`.
+fn ignores_hangup() -> bool {
+    let status = Process::myself().and_then(|process| process.status());
+    // Bit n - 1 stands for signal n.
+    status.is_ok_and(|status| status.sigign >> (SIGHUP - 1) & 1 == 1)
 }

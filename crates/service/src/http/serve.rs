@@ -18,6 +18,7 @@ use std::time::Duration;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::{AbortHandle, JoinSet};
 use tokio_util::sync::CancellationToken;
+use tower_http::classify::ServerErrorsFailureClass;
 use tower_http::cors::CorsLayer;
 use tower_http::timeout::TimeoutLayer;
 use tower_http::trace::TraceLayer;
@@ -150,10 +151,24 @@ fn layered(config: &HttpConfig, methods: &[Method], router: Router, allowed: Gua
         );
     }
     // Without the query: a client may have put a secret in it by mistake.
-    router.layer(
-        TraceLayer::new_for_http().make_span_with(|request: &Request| {
-            let (method, path) = (request.method(), request.uri().path());
+    let trace = TraceLayer::new_for_http()
+        .make_span_with(|request: &Request| {
+            let method = request.method();
+            let path = request.uri().path();
             tracing::info_span!("http", %method, path)
-        }),
-    )
+        })
+        .on_failure(log_failure);
+    router.layer(trace)
+}
+
+/// Logs a failed answer, unless it only says that the service is not ready: whoever may send requests could otherwise fill
+/// the log, and the log already has the reason once.
+fn log_failure(failure: ServerErrorsFailureClass, latency: Duration, _span: &tracing::Span) {
+    let is_not_ready = matches!(
+        failure,
+        ServerErrorsFailureClass::StatusCode(StatusCode::SERVICE_UNAVAILABLE)
+    );
+    if !is_not_ready {
+        tracing::error!(%failure, ?latency, "an HTTP request failed");
+    }
 }

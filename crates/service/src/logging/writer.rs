@@ -3,10 +3,18 @@
 use parking_lot::Mutex;
 use std::io::{self, Write as _};
 use std::sync::OnceLock;
+use std::sync::mpsc::sync_channel;
+use std::time::Duration;
 use tracing_appender::non_blocking::{ErrorCounter, NonBlocking, NonBlockingBuilder, WorkerGuard};
 
 /// The number of lines that may wait to be written; further ones are dropped and counted.
 const WAITING: usize = 4096;
+
+/// The time limit for the waiting lines to be written at the end.
+const PARTING: Duration = Duration::from_millis(1500);
+
+/// The time between two looks at the number of dropped lines.
+const LOOK_EVERY: Duration = Duration::from_secs(5);
 
 struct Writer {
     lines: NonBlocking,
@@ -27,12 +35,37 @@ fn writer(to: impl io::Write + Send + 'static) -> &'static Writer {
         let builder = NonBlockingBuilder::default();
         let builder = builder.lossy(true).buffered_lines_limit(WAITING);
         let (lines, thread) = builder.thread_name("log").finish(to);
+        let dropped = lines.error_counter();
+        // Without a thread for it the metric still tells.
+        let _ = std::thread::Builder::new()
+            .name("log-watch".to_owned())
+            .spawn(move || tell_drops(&dropped));
         Writer {
             dropped: lines.error_counter(),
             lines,
             thread: Mutex::new(Some(thread)),
         }
     })
+}
+
+/// Says in the log how many lines it lacks, once it is written again.
+fn tell_drops(counter: &ErrorCounter) {
+    let mut told = 0;
+    loop {
+        std::thread::sleep(LOOK_EVERY);
+        let dropped = counter.dropped_lines();
+        if dropped == told {
+            continue;
+        }
+        tracing::warn!(
+            dropped = dropped - told,
+            "the log lacks lines: nobody read standard error fast enough"
+        );
+        // If this line was dropped, too, it is repeated.
+        if counter.dropped_lines() == dropped {
+            told = dropped;
+        }
+    }
 }
 
 /// The log lines that were not written since the start, because whatever reads standard error did not keep up.
@@ -42,8 +75,18 @@ pub fn dropped_lines() -> u64 {
 
 /// Writes the lines that wait, for about a second at most. Later ones are dropped: call it at the end of the program.
 pub fn finish() {
-    if let Some(writer) = WRITER.get() {
-        drop(writer.thread.lock().take());
+    let Some(thread) = WRITER.get().and_then(|writer| writer.thread.lock().take()) else {
+        return;
+    };
+    // On a thread of its own: where the log cannot be finished, the library says so on standard output, which may be the
+    // same pipe that nobody reads.
+    let (finished, waiting) = sync_channel::<()>(1);
+    let finishing = std::thread::Builder::new().spawn(move || {
+        drop(thread);
+        let _ = finished.send(());
+    });
+    if finishing.is_ok() {
+        let _ = waiting.recv_timeout(PARTING);
     }
 }
 

@@ -1,0 +1,153 @@
+//! A stop ends a node in order, whatever it is doing and whoever does not listen.
+
+use crate::support::detectors::model;
+use crate::support::{
+    Node, PATIENCE, albireo, development, free_port, signal, text_at, until, until_ready, value_of,
+};
+use rstest::rstest;
+use std::os::unix::net::UnixDatagram;
+use std::path::Path;
+use std::process::{ExitStatus, Stdio};
+use std::time::{Duration, Instant};
+use tokio::process::{Child, Command};
+
+/// Starts a node at a known address, whose standard error goes to `log`.
+fn start(mut command: Command, folder: &Path, settings: &str, log: Stdio) -> (Child, String) {
+    let http = format!("127.0.0.1:{}", free_port());
+    let file = folder.join("node.toml");
+    let own = format!(
+        "http.listen = \"{http}\"\nzenoh.listen = [\"tcp/127.0.0.1:{}\"]\n",
+        free_port()
+    );
+    std::fs::write(&file, own + settings).unwrap();
+    let child = command
+        .args(["node", "--config"])
+        .arg(&file)
+        .env("ALBIREO_DEVELOPMENT", development(settings))
+        .stderr(log)
+        .spawn()
+        .unwrap();
+    (child, format!("http://{http}"))
+}
+
+/// Sends a signal to the process, and waits until it ends, at most `limit`.
+async fn stop(child: &mut Child, name: &str, limit: Duration) -> ExitStatus {
+    signal(child.id().unwrap(), name);
+    let ended = tokio::time::timeout(limit, child.wait()).await;
+    ended.expect("the process ends").unwrap()
+}
+
+fn detector(name: &str) -> String {
+    format!("detector.model = {:?}\n", model(name))
+}
+
+/// A model loads on a thread of ONNX Runtime. A process that left through the C library's exit tore the library down
+/// beside that thread, and one stop of eight ended with SIGSEGV. `ALBIREO_STOPS` sets the number of tries.
+#[rstest]
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+#[ignore = "needs ONNX Runtime"]
+async fn a_stop_while_the_model_is_loaded_ends_in_order() {
+    let tries = std::env::var("ALBIREO_STOPS").map_or(100, |tries| tries.parse().unwrap());
+    let settings = detector("hungry.onnx");
+    for number in 0..tries {
+        let folder = tempfile::tempdir().unwrap();
+        let (mut child, _) = start(albireo(), folder.path(), &settings, Stdio::null());
+        // Spread over the start: from the exec to some time after the model is loaded.
+        tokio::time::sleep(Duration::from_millis(10 + number * 37 % 400)).await;
+        let status = stop(&mut child, "-TERM", PATIENCE).await;
+        // Before the handler is installed, the signal itself ends the process.
+        let ended_well = status.success() || status.to_string().contains("SIGTERM");
+        assert!(ended_well, "try {number}: {status}");
+    }
+}
+
+#[rstest]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn a_log_that_nobody_reads_holds_up_neither_health_nor_a_stop_and_its_drops_are_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    // The pipe's reader stays open and never reads; `2>&1` sends standard output there, too.
+    let (reader, writer) = std::io::pipe().unwrap();
+    let mut command = albireo();
+    command.stdout(writer.try_clone().unwrap());
+    let settings = detector("hungry.onnx") + "log.level = \"trace\"\n";
+    let (mut child, http) = start(command, folder.path(), &settings, writer.into());
+    until_ready(&http).await;
+    let dropped = async || {
+        let metrics = text_at(&format!("{http}/metrics")).await;
+        value_of(&metrics, "albireo_log_lines_dropped_total") > 0.0
+    };
+    until("lines are dropped", dropped).await;
+    let begun = Instant::now();
+    for _ in 0..20 {
+        text_at(&format!("{http}/healthz")).await;
+    }
+    assert!(begun.elapsed() < Duration::from_secs(20));
+    let status = stop(&mut child, "-TERM", Duration::from_secs(30)).await;
+    assert!(status.success(), "{status}");
+    drop(reader);
+}
+
+#[rstest]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn a_service_manager_that_reads_nothing_holds_up_neither_health_nor_a_stop() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("notify");
+    let _manager = UnixDatagram::bind(&path).unwrap();
+    let stuffing = UnixDatagram::unbound().unwrap();
+    stuffing.set_nonblocking(true).unwrap();
+    while stuffing.send_to(b"STATUS=full", &path).is_ok() {}
+    let mut command = albireo();
+    command.env("NOTIFY_SOCKET", &path);
+    let settings = detector("hungry.onnx");
+    let (mut child, http) = start(command, folder.path(), &settings, Stdio::null());
+    until_ready(&http).await;
+    for _ in 0..20 {
+        text_at(&format!("{http}/healthz")).await;
+    }
+    let status = stop(&mut child, "-TERM", Duration::from_secs(30)).await;
+    assert!(status.success(), "{status}");
+}
+
+#[rstest]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn a_closed_terminal_stops_a_node_as_sigterm_does_unless_it_was_started_with_nohup() {
+    let settings = detector("hungry.onnx");
+    let node = Node::start(&settings).await;
+    signal(node.id(), "-HUP");
+    let (status, _, log, _) = node.ended().await;
+    assert!(status.success(), "{status}:\n{log}");
+
+    let mut command = Command::new("nohup");
+    command.arg(albireo().as_std().get_program()).stdout(Stdio::null());
+    let folder = tempfile::tempdir().unwrap();
+    let (mut child, http) = start(command, folder.path(), &settings, Stdio::null());
+    until_ready(&http).await;
+    signal(child.id().unwrap(), "-HUP");
+    text_at(&format!("{http}/healthz")).await;
+    let status = stop(&mut child, "-TERM", Duration::from_secs(30)).await;
+    assert!(status.success(), "{status}");
+}
+
+#[rstest]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_probe_that_is_told_not_ready_writes_no_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("log");
+    // A router that never answers: not ready for ever.
+    let settings = "zenoh.mode = \"client\"\nzenoh.connect = [\"tcp/127.0.0.1:1\"]\n";
+    let file = std::fs::File::create(&log).unwrap();
+    let (mut child, http) = start(albireo(), folder.path(), settings, file.into());
+    let listens = async || reqwest::get(format!("{http}/healthz")).await.is_ok();
+    until("the node listens", listens).await;
+    for _ in 0..50 {
+        let answer = reqwest::get(format!("{http}/readyz")).await.unwrap();
+        assert_eq!(answer.status(), 503);
+    }
+    stop(&mut child, "-TERM", Duration::from_secs(30)).await;
+    let written = std::fs::read_to_string(&log).unwrap();
+    let about_requests = written.lines().filter(|line| line.contains("HTTP request failed"));
+    assert_eq!(about_requests.count(), 0, "{written}");
+}
