@@ -1,6 +1,5 @@
 //! Prints the tables of crates/eval/examples/equal_skip.md: every policy beside `expected-loss` at the same mean skip rate.
-//! All boxes of a policy are judged, also those too faint to be published; how late newcomers are found is of the published
-//! ones.
+//! All boxes of a policy are judged, also those too faint to be published.
 //!
 //! `cargo run --release -p albireo-eval --example equal_skip -- DIR [--half-rate] [--confidence 0.5]`
 #![allow(clippy::print_stdout)]
@@ -75,13 +74,6 @@ impl Point {
 
     pub(crate) fn mean(&self, figure: Figure) -> f64 {
         mean(self.figure(figure)).unwrap_or(f64::NAN)
-    }
-
-    /// How late newcomers are found in each clip, frames.
-    fn newcomers(&self) -> impl Iterator<Item = f64> {
-        self.clips
-            .iter()
-            .map(|clip| clip.newcomers.map_or(f64::NAN, |new| new.delay_frames))
     }
 
     fn minus(&self, other: &Self, figure: Figure) -> Vec<f64> {
@@ -164,10 +156,8 @@ impl Recordings {
         print!("| {name} | {skip:.3} | {theirs:.3} | {value:.3} | {own:.3} |");
         for (_, figure) in FIGURES {
             let points = ours.minus(other, figure).into_iter().map(|points| 100.0 * points);
-            print!(" {} |", with_interval(&points.collect::<Vec<f64>>(), 1));
+            print!(" {} |", with_interval(&points.collect::<Vec<f64>>()));
         }
-        let later = ours.newcomers().zip(other.newcomers()).map(|(own, other)| own - other);
-        print!(" {} |", with_interval(&later.collect::<Vec<f64>>(), 2));
         let changes = ours.minus(other, ap50).into_iter();
         println!(" {} |", changes.filter(|change| *change < 0.0).count());
         Ok(())
@@ -175,10 +165,10 @@ impl Recordings {
 }
 
 /// The mean of `differences` with its 95 % interval; nothing if there is none.
-fn with_interval(differences: &[f64], decimals: usize) -> String {
+fn with_interval(differences: &[f64]) -> String {
     let found = Difference::of(differences).and_then(|found| Some((found.mean, found.interval?)));
     found.map_or_else(String::new, |(mean, [lower, upper])| {
-        format!("{mean:+.decimals$} [{lower:+.decimals$}, {upper:+.decimals$}]")
+        format!("{mean:+.1} [{lower:+.1}, {upper:+.1}]")
     })
 }
 
@@ -194,9 +184,9 @@ fn main() -> Outcome<()> {
         let figures = FIGURES.map(|(name, figure)| format!("{name} {:.3}", point.mean(figure)));
         println!("- {policy}: {}", figures.join(", "));
     }
-    let figures = "Δ AP@50 | Δ AP@75 | Δ mAP | Δ F1@50 ≥ 0.3 | Δ newcomers, frames";
+    let figures = "Δ AP@50 | Δ AP@75 | Δ mAP | Δ F1@50 ≥ 0.3";
     println!("\n| policy | skip | AP@50 | λ | AP@50 | {figures} | worse |");
-    println!("| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |");
+    println!("| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |");
     for rate in SKIP_RATES {
         let even = recordings.at_skip_rate("even-skip-in-tracker", rate)?;
         recordings.row("even calls", &even)?;

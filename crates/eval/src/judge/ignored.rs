@@ -8,17 +8,26 @@ use super::average_precision::IOU_THRESHOLDS;
 use super::truth::{Ignored, Mark, Truth};
 use super::{Classes, average_precision};
 use crate::boxes::ScoredBox;
+use std::borrow::Cow;
 
 /// The overlap from which a box is taken to be on an object.
 const SAME_OBJECT: f64 = IOU_THRESHOLDS[0];
 
 /// Returns `predictions` without those that a [`Mark`] with a fixed threshold leaves out. Those of COCO's marks remain: the
 /// matching of average precision decides on them.
-pub(super) fn without_fixed(
-    predictions: &[Vec<ScoredBox>],
+pub(super) fn without_fixed<'a>(
+    predictions: &'a [Vec<ScoredBox>],
     truth: Truth<'_>,
     classes: Classes,
-) -> Vec<Vec<ScoredBox>> {
+) -> Cow<'a, [Vec<ScoredBox>]> {
+    // Most data marks nothing, and a million boxes need not be copied then.
+    if truth
+        .ignored
+        .iter()
+        .all(|marks| marks.iter().all(|ignored| is_of_coco(ignored.mark)))
+    {
+        return Cow::Borrowed(predictions);
+    }
     let frames = predictions.iter().enumerate();
     frames
         .map(|(frame, found)| {
@@ -35,7 +44,7 @@ pub(super) fn without_ignored(
     truth: Truth<'_>,
     classes: Classes,
 ) -> Vec<Vec<ScoredBox>> {
-    let mut kept = without_fixed(predictions, truth, classes);
+    let mut kept = without_fixed(predictions, truth, classes).into_owned();
     for (frame, found) in kept.iter_mut().enumerate() {
         let ignored = truth.ignored(frame);
         if ignored.iter().any(|ignored| is_of_coco(ignored.mark)) {
