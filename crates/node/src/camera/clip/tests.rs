@@ -2,7 +2,7 @@ use super::*;
 use crate::camera::evidence::Times;
 use crate::camera::{FrameRecord, answer};
 use albireo_core::policy::{Albireo, FrameState};
-use albireo_power::{Meter, MeterError, PowerHandle, Reading, Value};
+use albireo_power::{Meter, MeterError, PowerHandle, Reading, Value, Values};
 use albireo_wire::{AuditReport, ClipReport, DroppedFrames, Latency, Threshold};
 use proptest::prelude::*;
 use std::time::Duration;
@@ -20,7 +20,10 @@ impl<F: FnMut(Instant) -> Option<Value> + Send> Meter for FakeMeter<F> {
     fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
         let reading = |total| Reading {
             at: Some(now),
-            values: [Some(total), None, None, None],
+            values: Values {
+                total: Some(total),
+                ..Values::default()
+            },
             total_from: "input_rail".into(),
             rails: Vec::new(),
         };
