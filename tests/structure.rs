@@ -148,3 +148,105 @@ fn every_ignored_test_names_needs_that_run_sh_knows() {
     }
     assert!(seen > 0);
 }
+
+/// The tables of floors on the page: for each crate its rooms, from the ground up, each with the rooms it uses.
+fn floors(page: &str) -> Vec<(String, Vec<(String, BTreeSet<String>)>)> {
+    page.split("\n### Floors of `")
+        .skip(1)
+        .map(|section| {
+            let (name, rest) = section.split_once('`').unwrap();
+            let rows = rest
+                .lines()
+                .skip_while(|line| !line.starts_with("| room |"))
+                .skip(2)
+                .take_while(|line| line.starts_with('|'))
+                .map(|line| {
+                    let cells: Vec<&str> = line.split('|').map(str::trim).collect();
+                    let uses = cells[cells.len() - 2].split('`').skip(1).step_by(2);
+                    let room = cells[1].trim_matches('`').to_owned();
+                    (room, uses.map(str::to_owned).collect())
+                });
+            (name.to_owned(), rows.collect())
+        })
+        .collect()
+}
+
+/// The product code of a crate, by room: a module of the crate's root with the folder of its name.
+fn rooms(source: &Path) -> BTreeMap<String, String> {
+    let mut rooms = BTreeMap::<String, String>::new();
+    for entry in std::fs::read_dir(source).unwrap() {
+        let path = entry.unwrap().path();
+        let room = path.file_stem().unwrap().to_str().unwrap().to_owned();
+        if room != "lib" && room != "main" {
+            product_code(&path, rooms.entry(room).or_default());
+        }
+    }
+    rooms
+}
+
+/// Adds the code of a file, or of the files in a folder, without tests and comments.
+fn product_code(path: &Path, code: &mut String) {
+    if path.is_dir() {
+        if !path.ends_with("tests") {
+            let entries = std::fs::read_dir(path).unwrap();
+            entries.for_each(|entry| product_code(&entry.unwrap().path(), code));
+        }
+        return;
+    }
+    let is_rust = path.extension().is_some_and(|kind| kind == "rs");
+    if !is_rust || path.ends_with("tests.rs") {
+        return;
+    }
+    let text = std::fs::read_to_string(path).unwrap();
+    // Tests stand at the end of a file.
+    let text = text.split("\n#[cfg(test)]\nmod tests {").next().unwrap();
+    let lines = text.lines().filter(|line| !line.trim_start().starts_with("//"));
+    lines.for_each(|line| *code += &format!("{line}\n"));
+}
+
+/// The names that follow `crate::` in the code, also in braces.
+fn crate_paths(code: &str) -> BTreeSet<&str> {
+    let is_name = |c: char| c.is_alphanumeric() || c == '_';
+    let first = |path: &'_ str| path.trim().find(|c| !is_name(c)).unwrap_or(path.trim().len());
+    let mut names = BTreeSet::new();
+    for path in code.split("crate::").skip(1) {
+        if let Some(group) = path.strip_prefix('{') {
+            let group = group.split('}').next().unwrap();
+            names.extend(group.split(',').map(|path| &path.trim()[..first(path)]));
+        } else {
+            names.insert(&path[..first(path)]);
+        }
+    }
+    names
+}
+
+#[test]
+fn rooms_use_the_floors_below_them_alone() {
+    let page = text("ARCHITECTURE.md");
+    let floors = floors(&page);
+    assert!(!floors.is_empty(), "the page has no floors");
+    for (name, table) in floors {
+        let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("crates").join(&name).join("src");
+        let code = rooms(&source);
+        let root = std::fs::read_to_string(source.join("lib.rs")).unwrap();
+        let listed: BTreeSet<&str> = table.iter().map(|(room, _)| room.as_str()).collect();
+        let there: BTreeSet<&str> = code.keys().map(String::as_str).collect();
+        assert_eq!(listed, there, "{name}: left the page, right the code");
+        let mut below = BTreeSet::new();
+        for (room, uses) in &table {
+            let found = crate_paths(&code[room]).into_iter().map(|path| {
+                // A type that the crate's root exports is in a room.
+                let line = root.lines().find(|line| {
+                    line.starts_with("pub use") && line.trim_end_matches(';').ends_with(&format!("::{path}"))
+                });
+                let exported = line.and_then(|line| line["pub use ".len()..].split("::").next());
+                exported.unwrap_or(path).to_owned()
+            });
+            let found: BTreeSet<String> = found.filter(|path| path != room && there.contains(&**path)).collect();
+            assert_eq!(uses, &found, "{name}: {room} uses; left the page, right the code");
+            let above: Vec<_> = found.difference(&below).collect();
+            assert!(above.is_empty(), "{name}: {room} uses {above:?} on no lower floor");
+            below.insert(room.clone());
+        }
+    }
+}

@@ -17,119 +17,17 @@ pub use energy::Energy;
 pub use nodes::{NodeDetail, NodeList};
 pub use runs::Runs;
 
-use crate::config::HubConfig;
-use crate::desired::Desires;
-use crate::ingest::IngestCounters;
-use crate::presence::Fleet;
-use crate::store::{EnergyBy, Sort, Store, StoreError, StoredEvent};
-use crate::tuning::Tuner;
+use crate::history::{EnergyBy, Sort, StoredEvent};
+use crate::hub::Hub;
 use crate::tuning::run::Command;
 use albireo_service::http::{self, Problem};
-use albireo_service::readiness::Readiness;
-use albireo_wire::{CountersMessage, Desired};
-use axum::http::StatusCode;
+use albireo_wire::CountersMessage;
 use axum::routing::get;
 use axum::{Json, Router};
-use std::sync::{Arc, OnceLock};
-use std::time::Instant;
-use tokio::sync::Semaphore;
-use tokio_util::sync::CancellationToken;
 use utoipa::OpenApi as _;
 use utoipa::openapi::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
-use zenoh::Session;
-
-/// The state that all routes share.
-#[derive(Clone, Debug)]
-pub struct HubView {
-    /// The faults of its parts: `database`, `zenoh`, `fleet`, `tuning`, `tasks`.
-    pub readiness: Readiness,
-    /// All nodes.
-    pub fleet: Arc<Fleet>,
-    /// The desired settings of the nodes.
-    pub desires: Arc<Desires>,
-    /// Counters of what is received and stored.
-    pub ingest: Arc<IngestCounters>,
-    /// Cancelled when the hub stops.
-    pub shutdown: CancellationToken,
-    /// The tuner, once the database is open.
-    pub(crate) opened: Arc<OnceLock<Arc<Tuner>>>,
-    /// The Zenoh session, once it is open.
-    pub(crate) session: Arc<OnceLock<Session>>,
-    /// The prefix of all keys.
-    prefix: Arc<str>,
-    /// Limits the number of readers that watch nodes at a time.
-    live: Arc<Semaphore>,
-    /// Days that five-minute sums are kept.
-    five_minutes_days: u32,
-    /// The configuration without its secrets.
-    config: Arc<serde_json::Value>,
-    started: Instant,
-}
-
-impl HubView {
-    /// A hub that knows no node yet.
-    pub(crate) fn new(config: &HubConfig, desires: Desires, shutdown: CancellationToken) -> Self {
-        Self {
-            readiness: Readiness::default(),
-            fleet: Arc::new(Fleet::new(&config.presence)),
-            desires: Arc::new(desires),
-            ingest: Arc::default(),
-            shutdown,
-            opened: Arc::default(),
-            session: Arc::default(),
-            prefix: config.hub.prefix.as_str().into(),
-            live: Arc::new(Semaphore::new(live::MOST_LIVE)),
-            five_minutes_days: config.history.five_minutes_days,
-            config: Arc::new(diag::without_secrets(config)),
-            started: Instant::now(),
-        }
-    }
-
-    /// The answer to a pull of `node`: its desired setting, and true if it should send its full status.
-    pub(crate) fn desired(&self, node: &str) -> Desired {
-        Desired {
-            heartbeat_s: Some(self.fleet.heartbeat_s()),
-            send_full_status: self.fleet.needs_full_status(node),
-            ..self.desires.of(node)
-        }
-    }
-
-    /// The tuner.
-    ///
-    /// # Errors
-    /// A problem document while the database is not open yet.
-    pub(crate) fn tuner(&self) -> Result<&Arc<Tuner>, Problem> {
-        attached(&self.opened, "the database")
-    }
-
-    /// The database.
-    ///
-    /// # Errors
-    /// A problem document while it is not open yet.
-    pub(crate) fn store(&self) -> Result<&Store, Problem> {
-        Ok(&self.tuner()?.store)
-    }
-}
-
-fn attached<'a, T>(part: &'a OnceLock<T>, name: &str) -> Result<&'a T, Problem> {
-    part.get().ok_or_else(|| {
-        let detail = format!("{name} is not open yet; /readyz says why");
-        Problem::new(StatusCode::SERVICE_UNAVAILABLE, detail)
-    })
-}
-
-impl From<StoreError> for Problem {
-    fn from(error: StoreError) -> Self {
-        let status = if error.passes() {
-            StatusCode::SERVICE_UNAVAILABLE
-        } else {
-            StatusCode::INTERNAL_SERVER_ERROR
-        };
-        Self::new(status, error.to_string())
-    }
-}
 
 #[derive(utoipa::OpenApi)]
 #[openapi(
@@ -153,7 +51,7 @@ impl From<StoreError> for Problem {
 )]
 struct Description;
 
-fn described() -> (Router<HubView>, OpenApi) {
+fn described() -> (Router<Hub>, OpenApi) {
     let routes = OpenApiRouter::with_openapi(Description::openapi())
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))
@@ -192,9 +90,9 @@ pub fn openapi() -> OpenApi {
 }
 
 /// Returns all routes, with their description.
-pub(crate) fn router(view: HubView) -> Router {
+pub(crate) fn router(hub: Hub) -> Router {
     let (router, _) = described();
     http::with_page(router, "hub.html")
         .route("/openapi.json", get(|| async { Json(openapi()) }))
-        .with_state(view)
+        .with_state(hub)
 }

@@ -7,18 +7,20 @@
 mod clip;
 mod counters;
 mod decode;
+mod inbox;
 mod limits;
 mod outcomes;
 mod plan;
 mod recorder;
-mod replies;
+mod retention;
+mod tables;
 #[cfg(test)]
 mod tests;
 mod writer;
 
 pub use counters::{IngestCounters, IngestCounts};
 pub use decode::{Batch, decode};
-pub(crate) use plan::Counts;
+pub(crate) use inbox::{Inbox, Refusal};
 pub use recorder::{Recorded, Recorder};
-pub(crate) use replies::Replies;
+pub use tables::ReportCounts;
 pub(crate) use writer::start;

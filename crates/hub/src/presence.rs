@@ -2,14 +2,13 @@
 
 mod entry;
 mod fleet;
-mod listen;
 mod node;
+mod tables;
 #[cfg(test)]
 mod tests;
 mod today;
 
 pub use fleet::Fleet;
-pub(crate) use listen::{listen, send_notices, watch};
 #[cfg(test)]
 pub(crate) use node::tests::reported;
 pub use node::{NodeView, PresenceState};

@@ -1,13 +1,15 @@
 //! Runs a hub and its HTTP interface.
 
 use crate::HubError;
+use crate::answers::{Answers, Replies, SESSION, follow_router, send_notices};
 use crate::config::{HubConfig, MAX_PAYLOAD_BYTES};
-use crate::desired::Desires;
-use crate::http::{self, HubView};
-use crate::ingest::{self, Replies};
-use crate::presence::{NodeView, follow_today, listen, send_notices, watch};
+use crate::http;
+use crate::hub::Hub;
+use crate::ingest::{self, Recorder};
+use crate::presence::follow_today;
 use crate::store::{Store, StoreError};
-use crate::tuning::{self, Tuner};
+use crate::tuning::{self, Desires, Tuner};
+use albireo_service::clock::Now;
 use albireo_service::config::ZenohMode;
 use albireo_service::notify;
 use albireo_service::supervise::{Supervisor, TaskFailures};
@@ -19,27 +21,12 @@ use std::sync::Arc;
 use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 use tokio::net::TcpListener;
-use tokio::task::spawn_blocking;
+use tokio::task::{JoinHandle, spawn_blocking};
 use tokio_util::sync::CancellationToken;
 use uuid::Uuid;
-
-/// The Zenoh settings of a hub, in addition to the configured ones. The lease is long because many joining nodes can
-/// keep a router busy for 30 s: a session that is lost then declares everything again, which keeps the router busy for
-/// longer. The limits leave room for nodes that connect to the hub itself: by default Zenoh silently refuses sessions
-/// beyond 1,000.
-const SESSION: &[(&str, &str)] = &[
-    ("transport/link/tx/lease", "60000"),
-    ("transport/unicast/max_sessions", "12000"),
-    ("transport/unicast/accept_pending", "2000"),
-    // There are few hubs, so they may reconnect immediately.
-    (
-        "connect/retry",
-        r#"{"period_init_ms":250,"period_max_ms":2000,"period_increase_factor":2}"#,
-    ),
-];
-
-/// The `max_sessions` of [`SESSION`], for the metrics.
-pub(crate) const MAX_SESSIONS: u64 = 12_000;
+use zenoh::Session;
+use zenoh::pubsub::Subscriber;
+use zenoh::query::Queryable;
 
 /// The writer counts as stuck if, for this long, batches wait while none is answered and no transaction is tried.
 const STUCK_AFTER: Duration = Duration::from_secs(120);
@@ -60,173 +47,248 @@ pub async fn run(
     listener: TcpListener,
     shutdown: CancellationToken,
 ) -> Result<(), HubError> {
-    let address = listener.local_addr();
-    let address = address.map_err(HubError::at("the listener has no address"))?;
+    let address = listener.local_addr().map_err(HubError::at("the listener has no address"))?;
     config.database.passwords().for_each(logging::conceal);
     let (desires, notices) = Desires::new();
-    let view = HubView::new(config, desires, shutdown.clone());
-    view.readiness.part("zenoh").not_ready("the session is not open yet");
-    view.readiness.part("database").not_ready("it is not open yet");
+    let hub = Hub::new(config, desires, shutdown.clone());
+    hub.readiness.part("zenoh").not_ready("the session is not open yet");
+    hub.readiness.part("database").not_ready("it is not open yet");
     // HTTP stops last, so that the state can be read until the end.
     let serving = CancellationToken::new();
     let http = albireo_service::http::run(
         &config.http,
         &config.tokens,
         &[Method::GET, Method::PUT, Method::POST, Method::DELETE],
-        http::router(view.clone()),
+        http::router(hub.clone()),
         listener,
         serving.clone(),
     );
-    let manager = tokio::spawn(notify::run(service_state(view.clone()), shutdown.clone()));
+    let manager = tokio::spawn(notify::run(service_state(hub.clone()), shutdown.clone()));
     tracing::info!(
         http = format!("http://{address}"),
         prefix = config.hub.prefix,
         "listening"
     );
-    let hub = async {
-        let ended = parts(config, &view, notices).await;
+    let work = async {
+        let ended = parts(config, &hub, notices).await;
         serving.cancel();
         ended
     };
-    let (http, hub) = tokio::join!(
+    let (http, work) = tokio::join!(
         async {
             let ended = http.await.map_err(HubError::at("[http]"));
             // Without its HTTP interface a hub cannot be monitored or controlled, so it stops.
             shutdown.cancel();
             ended
         },
-        hub
+        work
     );
     // The service manager learns of the stop before the process exits, also after an error.
     let _ = manager.await;
-    hub.and(http)
+    work.and(http)
 }
 
 /// Returns the hub's state for the service manager: not ready while the router or the database is absent, and stuck if
 /// the writer does nothing while batches wait.
-fn service_state(view: HubView) -> impl Fn() -> (HealthStatus, Option<String>) {
+fn service_state(hub: Hub) -> impl Fn() -> (HealthStatus, Option<String>) {
     let moved = Mutex::new((0, Instant::now()));
     move || {
-        let health = view.readiness.health();
-        let all = view.ingest.counts();
+        let health = hub.readiness.health();
+        let all = hub.ingest.counts();
         let tried = all.commits + all.database_errors;
         let mut moved = moved.lock();
-        if view.ingest.queued() == 0 || tried != moved.0 {
+        if hub.ingest.queued() == 0 || tried != moved.0 {
             *moved = (tried, Instant::now());
         }
-        let stuck = moved.1.elapsed() >= STUCK_AFTER;
-        let stuck = stuck.then(|| "batches wait and the writer does nothing".to_owned());
-        (health.status(), stuck)
+        let is_stuck = moved.1.elapsed() >= STUCK_AFTER;
+        let why = is_stuck.then(|| "batches wait and the writer does nothing".to_owned());
+        (health.status(), why)
     }
 }
 
 /// Starts the parts in order, waits for the shutdown, and stops them in reverse order.
 async fn parts(
     config: &HubConfig,
-    view: &HubView,
+    hub: &Hub,
     notices: Receiver<(String, u64)>,
 ) -> Result<(), HubError> {
-    let readiness = &view.readiness;
-    let shutdown = &view.shutdown;
-    let database = readiness.part("database");
-    let zenoh = readiness.part("zenoh");
+    let Some(tuner) = open_database(config, hub).await? else {
+        return Ok(());
+    };
+    let store = tuner.store.clone();
+    let Some(session) = open_session(config, hub).await? else {
+        store.close().await;
+        return Ok(());
+    };
+    let mut running = start(config, hub, &tuner, &session, notices).await?;
+    let locators = session.info().locators().await;
+    tracing::info!(zenoh = ?locators, "ready");
+    let watched = running.tasks.watch().await;
+
+    // After a failure the other tasks have to stop.
+    hub.shutdown.cancel();
+    hub.readiness.part("zenoh").not_ready("the hub is stopping");
+    let stop = running.stop(session, store);
+    if tokio::time::timeout(STOP_LIMIT, stop).await.is_err() {
+        tracing::warn!("stopping took too long; nodes keep the reports that were not committed");
+    }
+    watched.map_err(HubError::of)
+}
+
+/// Opens the database, and reads from it the nodes and what was ordered. Tries again until it can be opened; `None` after a
+/// shutdown.
+async fn open_database(config: &HubConfig, hub: &Hub) -> Result<Option<Arc<Tuner>>, HubError> {
+    let database = hub.readiness.part("database");
+    let shown = config.database.shown();
     let tuner = loop {
-        let error = match open(config, view).await {
+        let error = match open(config, hub).await {
             Ok(opened) => break opened,
             Err(error) => error,
         };
-        let shown = config.database.shown();
         if !error.passes() {
             return Err(HubError::at(&format!("[database] {shown}"))(error));
         }
         tracing::warn!(%error, database = shown, "trying again");
         database.not_ready(error.to_string());
         let pause = tokio::time::sleep(DATABASE_RETRY);
-        if shutdown.run_until_cancelled(pause).await.is_none() {
-            return Ok(());
+        if hub.shutdown.run_until_cancelled(pause).await.is_none() {
+            return Ok(None);
         }
     };
-    let store = tuner.store.clone();
-    tracing::info!(database = store.kind(), "database opened");
-    let _ = view.opened.set(Arc::clone(&tuner));
-    let ingest = Arc::clone(&view.ingest);
+    tracing::info!(database = tuner.store.kind(), "database opened");
+    let _ = hub.opened.set(Arc::clone(&tuner));
     // From now on the outcome of the transactions decides.
-    readiness.probe("database", "", move || {
+    let ingest = Arc::clone(&hub.ingest);
+    hub.readiness.probe("database", "", move || {
         ingest.outcomes.fault(Instant::now())
     });
-    let fleet = Arc::clone(&view.fleet);
-    readiness.probe("fleet", "", move || fleet.fault());
-    let opening = session::open(&config.zenoh, MAX_PAYLOAD_BYTES, SESSION, true, |error| {
-        zenoh.not_ready(error.to_string());
-    });
-    let opened = shutdown.run_until_cancelled(opening).await.transpose();
-    let Some(session) = opened.map_err(|error| HubError(error.to_string()))? else {
-        store.close().await;
-        return Ok(());
-    };
-    let _ = view.session.set(session.clone());
-    let notified = session.clone();
-    let prefix = config.hub.prefix.clone();
-    spawn_blocking(move || send_notices(&notified, &prefix, &notices));
-
-    let (replies, replier) = Replies::start(Arc::clone(&view.ingest));
-    let (take, written) = ingest::start(config, view, &store, &replies);
-    // A hub that lost a task would look healthy and do half of its work. So the hub stops when a task ends, and the
-    // service manager restarts it.
-    let mut tasks = Supervisor::new(readiness.clone(), TaskFailures::default(), shutdown.clone());
-    tasks.essential("writer", written);
-    let keys = NodeKeys::all(&config.hub.prefix).map_err(HubError::at("[hub]"))?;
-    let listening = listen(&keys, view, &session, replies).await?;
-    let router = (config.zenoh.mode == ZenohMode::Client).then(|| session.clone());
-    tasks.until_shutdown("presence", watch(view.clone(), router));
-    // Logs each change of the health.
-    tasks.until_shutdown("readiness", readiness.clone().watch(Duration::from_secs(1)));
-    let today = follow_today(Arc::clone(&view.fleet), store.clone());
-    tasks.until_shutdown("today", today);
-    let reports = session.declare_queryable(keys.report()).complete(true).callback(take).await;
-    let reports = reports.map_err(HubError::at("reports cannot be received"))?;
-    tasks.essential(
-        "tuning",
-        tuning::follow(tuner, readiness.part("tuning"), shutdown.clone()),
-    );
-    // Known nodes report their state now instead of at their next interval.
-    view.fleet.each(|NodeView { node, .. }| view.desires.notify(node));
-    zenoh.works();
-    let locators = session.info().locators().await;
-    tracing::info!(zenoh = ?locators, "ready");
-
-    let watched = tasks.watch().await;
-    // After a failure the other tasks have to stop.
-    shutdown.cancel();
-    zenoh.not_ready("the hub is stopping");
-    // This drops the queue's only sender: the writer commits the waiting batches and ends.
-    drop(reports);
-    let stop = async {
-        tasks.finish().await;
-        drop(listening);
-        // The last answers are sent before the session closes.
-        let _ = replier.await;
-        if let Err(error) = session.close().await {
-            tracing::warn!(%error, "Zenoh session not closed cleanly");
-        }
-        store.close().await;
-    };
-    if tokio::time::timeout(STOP_LIMIT, stop).await.is_err() {
-        tracing::warn!("stopping took too long; nodes keep the reports that were not committed");
-    }
-    watched.map_err(|error| HubError(error.to_string()))
+    let fleet = Arc::clone(&hub.fleet);
+    hub.readiness.probe("fleet", "", move || fleet.fault());
+    Ok(Some(tuner))
 }
 
-/// Opens the database, and reads from it the nodes and what was ordered.
-async fn open(config: &HubConfig, view: &HubView) -> Result<Arc<Tuner>, StoreError> {
+async fn open(config: &HubConfig, hub: &Hub) -> Result<Arc<Tuner>, StoreError> {
     let store = Store::open(&config.database).await?;
-    view.fleet.remember(store.nodes().await?, Instant::now());
+    hub.fleet.remember(store.nodes().await?, Instant::now());
     let tuner = Tuner::open(
         store,
-        Arc::clone(&view.fleet),
-        Arc::clone(&view.desires),
+        Arc::clone(&hub.fleet),
+        Arc::clone(&hub.desires),
         config.tuning.clone(),
         Uuid::now_v7().to_string(),
     );
     Ok(Arc::new(tuner.await?))
+}
+
+/// Opens the Zenoh session; `None` after a shutdown.
+async fn open_session(config: &HubConfig, hub: &Hub) -> Result<Option<Session>, HubError> {
+    let zenoh = hub.readiness.part("zenoh");
+    let opening = session::open(&config.zenoh, MAX_PAYLOAD_BYTES, SESSION, true, |error| {
+        zenoh.not_ready(error.to_string());
+    });
+    let session = hub
+        .shutdown
+        .run_until_cancelled(opening)
+        .await
+        .transpose()
+        .map_err(HubError::of)?;
+    if let Some(session) = &session {
+        let _ = hub.session.set(session.clone());
+    }
+    Ok(session)
+}
+
+/// What a hub does while it runs.
+struct Running {
+    tasks: Supervisor,
+    /// What the session declared, but for the queryable of reports.
+    listening: (Subscriber<()>, Subscriber<()>, Queryable<()>),
+    /// Dropping it drops the inbox: the writer commits the waiting batches and ends.
+    reports: Queryable<()>,
+    /// Ends when the last answer is sent.
+    replier: JoinHandle<()>,
+}
+
+/// Starts everything between the session and the database, reports last: they are taken once all else works.
+async fn start(
+    config: &HubConfig,
+    hub: &Hub,
+    tuner: &Arc<Tuner>,
+    session: &Session,
+    notices: Receiver<(String, u64)>,
+) -> Result<Running, HubError> {
+    let store = &tuner.store;
+    // A hub that lost a task would look healthy and do half of its work. So the hub stops when a task ends, and the
+    // service manager restarts it.
+    let mut tasks = Supervisor::new(
+        hub.readiness.clone(),
+        TaskFailures::default(),
+        hub.shutdown.clone(),
+    );
+
+    // Ingest: batches are parsed, and stored in one transaction with the nodes' states.
+    let recorder =
+        Recorder::new(store, &config.history, Now::system()).also_deletes(tuning::delete_old);
+    let fleet = Arc::clone(&hub.fleet);
+    let (inbox, written) = ingest::start(&config.ingest, recorder, fleet, Arc::clone(&hub.ingest));
+    tasks.essential("writer", written);
+
+    // Answers: statuses, tokens and pulls come from Zenoh, answers and notices go there.
+    let keys = NodeKeys::all(&config.hub.prefix).map_err(HubError::at("[hub]"))?;
+    let (replies, replier) = Replies::start(Arc::clone(&hub.ingest));
+    let answers = Answers {
+        fleet: Arc::clone(&hub.fleet),
+        desires: Arc::clone(&hub.desires),
+        counters: Arc::clone(&hub.ingest),
+        replies,
+    };
+    let listening = (
+        answers.hear_statuses(&keys, session).await?,
+        answers.hear_tokens(&keys, session).await?,
+        answers.answer_pulls(&keys, session).await?,
+    );
+    let notified = session.clone();
+    let prefix = config.hub.prefix.clone();
+    spawn_blocking(move || send_notices(&notified, &prefix, &notices));
+
+    // Presence: nodes become silent, unless the hub itself is cut off.
+    let router = (config.zenoh.mode == ZenohMode::Client).then(|| session.clone());
+    let connection = hub.readiness.part_of("zenoh", "router");
+    let sweeping = follow_router(Arc::clone(&hub.fleet), connection, router);
+    tasks.until_shutdown("presence", sweeping);
+    let today = follow_today(Arc::clone(&hub.fleet), store.clone());
+    tasks.until_shutdown("today", today);
+
+    // Tuning: settings are followed at the nodes, rollouts and trials go on.
+    let part = hub.readiness.part("tuning");
+    let following = tuning::follow(Arc::clone(tuner), part, hub.shutdown.clone());
+    tasks.essential("tuning", following);
+    // Logs each change of the health.
+    let health = hub.readiness.clone().watch(Duration::from_secs(1));
+    tasks.until_shutdown("readiness", health);
+
+    let reports = answers.take_reports(&keys, session, inbox).await?;
+    // Known nodes report their state now instead of at their next interval.
+    hub.fleet.each(|node| hub.desires.notify(&node.node));
+    hub.readiness.part("zenoh").works();
+    Ok(Running {
+        tasks,
+        listening,
+        reports,
+        replier,
+    })
+}
+
+impl Running {
+    /// Stops in the reverse order: what was taken is stored and answered before the session closes.
+    async fn stop(mut self, session: Session, store: Store) {
+        drop(self.reports);
+        self.tasks.finish().await;
+        drop(self.listening);
+        let _ = self.replier.await;
+        if let Err(error) = session.close().await {
+            tracing::warn!(%error, "Zenoh session not closed cleanly");
+        }
+        store.close().await;
+    }
 }

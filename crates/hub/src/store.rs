@@ -1,4 +1,5 @@
-//! The database: SQLite in one file, or PostgreSQL, behind one synchronous trait.
+//! The connection to the database and its transactions: SQLite in one file, or PostgreSQL, behind one synchronous trait. What
+//! is in the tables belongs to the rooms above.
 //!
 //! A commit survives a power loss: `synchronous=FULL` in write-ahead mode, `synchronous_commit=on`. Readers have their own
 //! connections and never wait for the writer.
@@ -7,23 +8,15 @@ mod database;
 mod error;
 mod file;
 mod migrate;
-mod nodes;
+mod partitions;
 mod postgres;
-mod read;
-pub(crate) mod retention;
 pub(crate) mod row;
 mod sqlite;
 pub mod transfer;
-mod tuning;
 
-pub(crate) use database::{Database, MOST_CAMERAS, ReportKey};
+pub(crate) use database::Database;
 pub use error::StoreError;
-pub(crate) use read::audit_figures;
-pub use read::{
-    ClipQuery, EnergyBy, EnergyGroup, EnergyQuery, ReportCounts, Resolution, Sort, StoredClip,
-    StoredEvent, StoredSetAside,
-};
-pub use tuning::{ChangeRow, ChangeView};
+pub(crate) use partitions::{DAILY, keep_days};
 
 use crate::config::DatabaseConfig;
 use parking_lot::Mutex;
@@ -166,7 +159,7 @@ impl Store {
     }
 
     /// Runs a query and returns its rows. At most [`READERS`] queries run at a time; the others wait.
-    async fn query(
+    pub(crate) async fn query(
         &self,
         text: impl Into<Cow<'static, str>>,
         values: Vec<Value>,
@@ -190,6 +183,11 @@ impl Store {
             Ok(rows)
         })
         .await
+    }
+
+    /// The kind of database.
+    pub(crate) fn database_kind(&self) -> Kind {
+        self.0.kind
     }
 
     /// `sqlite` or `postgres`.

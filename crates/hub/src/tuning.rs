@@ -4,6 +4,7 @@
 //! All decisions are pure: [`selector`], [`gate`] and [`run`] use no clock, network or database.
 
 pub mod change;
+pub mod desired;
 pub mod effect;
 pub mod gate;
 pub mod member;
@@ -12,7 +13,11 @@ pub mod plan;
 pub mod run;
 pub mod runs;
 pub mod selector;
+mod tables;
 pub mod tuner;
 
+pub use desired::Desires;
+pub(crate) use tables::delete_old;
+pub use tables::{ChangeRow, ChangeView};
 pub use tuner::Tuner;
 pub(crate) use tuner::follow;

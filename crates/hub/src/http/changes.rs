@@ -1,9 +1,10 @@
 //! Serves changes of a threshold or a target on selected nodes, their history, and the nodes that drifted.
 
-pub use crate::store::ChangeView;
+pub use crate::tuning::ChangeView;
 pub use crate::tuning::change::OrderAnswer;
 
-use super::{HubView, body};
+use super::body;
+use crate::hub::Hub;
 use crate::tuning::change::NewChange;
 use crate::tuning::member::ChangeNode;
 use crate::tuning::plan::check_why;
@@ -54,14 +55,14 @@ pub enum OrderLine {
     responses((status = 200, body = OrderAnswer))
 )]
 pub(super) async fn set_threshold(
-    State(view): State<HubView>,
+    State(hub): State<Hub>,
     Extension(caller): Extension<Caller>,
     headers: HeaderMap,
     bytes: Bytes,
 ) -> Result<Response, Problem> {
     let (threshold, change) = body::with_threshold(body::object(&bytes)?)?;
     let setting = DesiredSetting::Threshold(threshold);
-    carry_out(&view, &caller, &headers, setting, change).await
+    carry_out(&hub, &caller, &headers, setting, change).await
 }
 
 /// Sets a target on selected nodes instead of a threshold
@@ -75,7 +76,7 @@ pub(super) async fn set_threshold(
     responses((status = 200, body = OrderAnswer))
 )]
 pub(super) async fn set_target(
-    State(view): State<HubView>,
+    State(hub): State<Hub>,
     Extension(caller): Extension<Caller>,
     headers: HeaderMap,
     bytes: Bytes,
@@ -93,13 +94,13 @@ pub(super) async fn set_target(
         .map_err(|error| names(error.to_string()))?;
     let change = body::rest(object)?;
     let setting = DesiredSetting::Target(target);
-    carry_out(&view, &caller, &headers, setting, change).await
+    carry_out(&hub, &caller, &headers, setting, change).await
 }
 
 /// Orders a setting, and answers with the outcomes: as a stream of lines if the caller accepts one, else after `wait_s`
 /// seconds at most.
 async fn carry_out(
-    view: &HubView,
+    hub: &Hub,
     caller: &Caller,
     headers: &HeaderMap,
     setting: DesiredSetting,
@@ -119,7 +120,7 @@ async fn carry_out(
             "wait_s: must be from 0 to {most}, not {wait}"
         )));
     }
-    let tuner = Arc::clone(view.tuner()?);
+    let tuner = Arc::clone(hub.tuner()?);
     let now = unix_milliseconds();
     let mut change = tuner.change(setting, request, &caller.name, now).await?;
     if change.nodes.is_empty() {
@@ -184,13 +185,13 @@ pub(super) struct WhichChanges {
     responses((status = 200, body = Changes))
 )]
 pub(super) async fn changes(
-    State(view): State<HubView>,
+    State(hub): State<Hub>,
     Query(which): Query<WhichChanges>,
 ) -> Result<Json<Changes>, Problem> {
     let limit = which.limit.unwrap_or(50).clamp(1, MOST);
     let before = which.before.unwrap_or(i64::MAX);
     let node = which.node.as_deref();
-    let mut changes = view.store()?.changes(before, node, limit + 1).await?;
+    let mut changes = hub.store()?.changes(before, node, limit + 1).await?;
     let next = body::next(&mut changes, limit, |found| found.change.revision);
     Ok(Json(Changes { changes, next }))
 }
@@ -202,10 +203,10 @@ pub(super) async fn changes(
     responses((status = 200, body = ChangeView))
 )]
 pub(super) async fn change(
-    State(view): State<HubView>,
+    State(hub): State<Hub>,
     Path(number): Path<i64>,
 ) -> Result<Json<ChangeView>, Problem> {
-    let store = view.store()?;
+    let store = hub.store()?;
     let mut found = store
         .changes(number.saturating_add(1), None, 1)
         .await?
@@ -223,6 +224,6 @@ pub(super) async fn change(
 ///
 /// These nodes applied the desired setting, and somebody changed it at the node since then.
 #[utoipa::path(get, operation_id = "list_drift", path = "/api/v1/drift", tag = "tuning", responses((status = 200, body = Vec<Drift>)))]
-pub(super) async fn drift(State(view): State<HubView>) -> Result<Json<Vec<Drift>>, Problem> {
-    Ok(Json(view.tuner()?.drift()))
+pub(super) async fn drift(State(hub): State<Hub>) -> Result<Json<Vec<Drift>>, Problem> {
+    Ok(Json(hub.tuner()?.drift()))
 }

@@ -1,8 +1,9 @@
 //! Serves clips, as pages of JSON and as CSV, and the reports that were set aside.
 
-use super::HubView;
 use super::body::next;
-use crate::store::{ClipQuery, StoreError, StoredClip, StoredSetAside};
+use crate::history::{ClipQuery, StoredClip, StoredSetAside};
+use crate::hub::Hub;
+use crate::store::StoreError;
 use albireo_service::http::Problem;
 use axum::body::Body;
 use axum::extract::{Query, State};
@@ -34,12 +35,12 @@ pub(super) struct ClipPage {
     responses((status = 200, body = ClipPage))
 )]
 pub(super) async fn list(
-    State(view): State<HubView>,
+    State(hub): State<Hub>,
     Query(wanted): Query<ClipQuery>,
 ) -> Result<Json<ClipPage>, Problem> {
     check(&wanted)?;
     let limit = wanted.limit.unwrap_or(100).clamp(1, MOST);
-    let mut clips = view.store()?.clips(&wanted, limit + 1).await?;
+    let mut clips = hub.store()?.clips(&wanted, limit + 1).await?;
     let next = next(&mut clips, limit, |clip| clip.id);
     Ok(Json(ClipPage { clips, next }))
 }
@@ -61,12 +62,12 @@ fn check(wanted: &ClipQuery) -> Result<(), Problem> {
     responses((status = 200, content_type = "text/csv", body = String))
 )]
 pub(super) async fn csv(
-    State(view): State<HubView>,
+    State(hub): State<Hub>,
     Query(wanted): Query<ClipQuery>,
 ) -> Result<Response, Problem> {
     check(&wanted)?;
     let left = wanted.limit.unwrap_or(i64::MAX).max(1);
-    let begin = (view.store()?.clone(), wanted, left);
+    let begin = (hub.store()?.clone(), wanted, left);
     let pages = stream::try_unfold(begin, |(store, mut wanted, left)| async move {
         let clips = store.clips(&wanted, left.min(MOST)).await?;
         let Some(last) = clips.last() else {
@@ -129,11 +130,11 @@ pub(super) struct AsidePage {
     responses((status = 200, body = AsidePage))
 )]
 pub(super) async fn set_aside(
-    State(view): State<HubView>,
+    State(hub): State<Hub>,
     Query(selection): Query<AsideSelection>,
 ) -> Result<Json<AsidePage>, Problem> {
     let limit = selection.limit.unwrap_or(20).clamp(1, 100);
-    let store = view.store()?;
+    let store = hub.store()?;
     let node = selection.node.as_deref();
     let mut reports = store.set_aside(node, selection.cursor, limit + 1).await?;
     let next = next(&mut reports, limit, |report| report.id);

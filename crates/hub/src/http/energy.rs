@@ -1,7 +1,7 @@
 //! Serves the energy of the fleet's clips.
 
-use super::HubView;
-use crate::store::{EnergyGroup, EnergyQuery, Resolution, audit_figures};
+use crate::history::{EnergyGroup, EnergyQuery, Resolution, audit_figures};
+use crate::hub::Hub;
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::http::Problem;
 use albireo_wire::{AuditFigures, AuditReport};
@@ -40,14 +40,14 @@ pub struct Energy {
     responses((status = 200, body = Energy))
 )]
 pub(super) async fn sums(
-    State(view): State<HubView>,
+    State(hub): State<Hub>,
     Query(mut wanted): Query<EnergyQuery>,
 ) -> Result<Json<Energy>, Problem> {
     let now_s = unix_milliseconds().div_euclid(1000);
     let asked = [wanted.since_ms, wanted.until_ms].map(|ms| Some(ms?.div_euclid(1000)));
     let mut times = asked.iter().flatten();
     let whole_hours = times.all(|time| time.rem_euclid(HOUR) == 0);
-    let kept_s = now_s - i64::from(view.five_minutes_days) * DAY;
+    let kept_s = now_s - i64::from(hub.five_minutes_days) * DAY;
     let (resolution, span) = if whole_hours || asked[0].is_some_and(|since| since < kept_s) {
         (Resolution::Hour, HOUR)
     } else {
@@ -57,7 +57,7 @@ pub(super) async fn sums(
     let since_s = down(asked[0].unwrap_or(now_s - 7 * DAY));
     let until_s = down(asked[1].unwrap_or(now_s + DAY).saturating_add(span - 1));
     wanted.limit = Some(wanted.limit.unwrap_or(1000).clamp(1, 10_000));
-    let sums = view.store()?.energy(&wanted, resolution, since_s..until_s);
+    let sums = hub.store()?.energy(&wanted, resolution, since_s..until_s);
     let groups = sums.await?;
     let mut audit = AuditReport::default();
     for group in &groups {

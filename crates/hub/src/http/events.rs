@@ -1,7 +1,7 @@
 //! Serves the fleet's events as numbered server-sent events: a reader that reconnects gets the events it missed.
 
-use super::HubView;
-use crate::store::StoredEvent;
+use crate::history::StoredEvent;
+use crate::hub::Hub;
 use albireo_service::http::Problem;
 use axum::extract::{Query, State};
 use axum::http::{HeaderMap, StatusCode};
@@ -41,7 +41,7 @@ pub(super) struct Selection {
     responses((status = 200, content_type = "text/event-stream", body = String))
 )]
 pub(super) async fn stream(
-    State(view): State<HubView>,
+    State(hub): State<Hub>,
     headers: HeaderMap,
     Query(selection): Query<Selection>,
 ) -> Result<Sse<impl Stream<Item = Result<sse::Event, axum::Error>>>, Problem> {
@@ -55,7 +55,7 @@ pub(super) async fn stream(
             })?)
         }
     };
-    let store = view.store()?.clone();
+    let store = hub.store()?.clone();
     let newest = store.last_event().await?;
     let last = last_id.unwrap_or(newest);
     let missed = match newest.saturating_sub(last) {
@@ -93,7 +93,7 @@ pub(super) async fn stream(
             let written = sse::Event::default().event(&event.kind);
             written.id(event.id.to_string()).json_data(&event)
         })
-        .take_until(view.shutdown.cancelled_owned());
+        .take_until(hub.shutdown.cancelled_owned());
     let events = stream::iter(resync).chain(news);
     Ok(Sse::new(events).keep_alive(KeepAlive::new().interval(Duration::from_secs(15))))
 }

@@ -1,6 +1,6 @@
 //! Serves what the hub is: its version and its routes, whether it answers, and whether it is ready.
 
-use super::HubView;
+use crate::hub::Hub;
 use albireo_service::http::{self, Problem, Route};
 use axum::Json;
 use axum::extract::State;
@@ -84,8 +84,8 @@ pub(super) async fn healthz() -> Json<Health> {
         (status = 503, body = HubNotReady, content_type = "application/problem+json"),
     )
 )]
-pub(super) async fn readyz(State(view): State<HubView>) -> Response {
-    let health = view.readiness.health();
+pub(super) async fn readyz(State(hub): State<Hub>) -> Response {
+    let health = hub.readiness.health();
     let text = health.status().text();
     let readiness = HubReadiness {
         ready: health.is_ready(),

@@ -2,7 +2,7 @@
 //! expires by itself, so a closed page or a stopped hub costs the node nothing for long.
 
 use super::nodes::unknown;
-use super::{HubView, attached};
+use crate::hub::{Hub, MOST_LIVE, attached};
 use albireo_service::http::Problem;
 use albireo_wire::{CountersMessage, NodeKeys};
 use axum::extract::{Path, State};
@@ -20,8 +20,6 @@ use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::{Reply, ReplyError};
 use zenoh::sample::Sample;
 
-/// Most readers of live counters at a time.
-pub(super) const MOST_LIVE: usize = 64;
 /// The duration of a lease.
 const LEASE: Duration = Duration::from_secs(30);
 /// Time between two renewals of a lease.
@@ -35,7 +33,7 @@ const LARGEST: usize = 16 << 10;
 /// The header with the sequence number of a picture's frame.
 const FRAME: HeaderName = HeaderName::from_static("albireo-frame");
 
-impl HubView {
+impl Hub {
     /// The session and the keys to reach a known node.
     fn way_to(&self, node: &str) -> Result<(&Session, NodeKeys), Problem> {
         let session = attached(&self.session, "the Zenoh session")?;
@@ -55,11 +53,11 @@ impl HubView {
     responses((status = 200, content_type = "text/event-stream", body = String))
 )]
 pub(super) async fn live(
-    State(view): State<HubView>,
+    State(hub): State<Hub>,
     Path(node): Path<String>,
 ) -> Result<Sse<impl Stream<Item = Result<sse::Event, axum::Error>>>, Problem> {
-    let (session, keys) = view.way_to(&node)?;
-    let place = Arc::clone(&view.live).try_acquire_owned().map_err(|_| {
+    let (session, keys) = hub.way_to(&node)?;
+    let place = Arc::clone(&hub.live).try_acquire_owned().map_err(|_| {
         let detail = format!("{MOST_LIVE} nodes are being watched; close one and try again");
         Problem::new(StatusCode::SERVICE_UNAVAILABLE, detail)
     })?;
@@ -76,14 +74,14 @@ pub(super) async fn live(
         .map_err(unavailable)?;
     let mut renew = tokio::time::interval(RENEW);
     renew.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let shutdown = view.shutdown.clone().cancelled_owned();
-    let watching = (view, node, renew, counters, place);
+    let shutdown = hub.shutdown.clone().cancelled_owned();
+    let watching = (hub, node, renew, counters, place);
     let events = stream::unfold(watching, |mut watching| async move {
-        let (view, node, renew, counters, _place) = &mut watching;
+        let (hub, node, renew, counters, _place) = &mut watching;
         loop {
             let sample = tokio::select! {
                 _ = renew.tick() => {
-                    view.desires.watch(node, LEASE);
+                    hub.desires.watch(node, LEASE);
                     continue;
                 }
                 sample = counters.recv_async() => sample.ok()?,
@@ -125,15 +123,15 @@ fn timed_out(reply: &Reply) -> bool {
     )
 )]
 pub(super) async fn picture(
-    State(view): State<HubView>,
+    State(hub): State<Hub>,
     Path((node, camera)): Path<(String, String)>,
 ) -> Result<Response, Problem> {
-    let (session, keys) = view.way_to(&node)?;
+    let (session, keys) = hub.way_to(&node)?;
     let key = keys
         .camera(&camera)
         .map_err(|error| Problem::new(StatusCode::NOT_FOUND, error.to_string()))?
         .picture();
-    view.desires.watch(&node, LEASE);
+    hub.desires.watch(&node, LEASE);
     let asking = async {
         loop {
             let replies = session

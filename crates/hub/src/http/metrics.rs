@@ -1,6 +1,6 @@
 //! Serves metrics for Prometheus.
 
-use super::HubView;
+use crate::hub::Hub;
 use albireo_service::metrics::MetricsPage;
 use albireo_wire::TargetStatus;
 use axum::extract::State;
@@ -12,12 +12,12 @@ use axum::extract::State;
     get, operation_id = "metrics", path = "/metrics", tag = "metrics",
     responses((status = 200, content_type = "text/plain", body = String))
 )]
-pub(super) async fn text(State(view): State<HubView>) -> MetricsPage {
-    page(&view).await
+pub(super) async fn text(State(hub): State<Hub>) -> MetricsPage {
+    page(&hub).await
 }
 
 /// All metrics.
-pub(super) async fn page(view: &HubView) -> MetricsPage {
+pub(super) async fn page(hub: &Hub) -> MetricsPage {
     let mut page = MetricsPage::default();
     page.gauges(
         "albireo_hub_build_info",
@@ -27,12 +27,12 @@ pub(super) async fn page(view: &HubView) -> MetricsPage {
     page.gauge(
         "albireo_hub_ready",
         "Whether reports are accepted and committed",
-        f64::from(u8::from(view.readiness.health().is_ready())),
+        f64::from(u8::from(hub.readiness.health().is_ready())),
     );
     page.process();
-    presence(&mut page, view);
-    ingest(&mut page, view);
-    let sessions = match view.session.get() {
+    presence(&mut page, hub);
+    ingest(&mut page, hub);
+    let sessions = match hub.session.get() {
         Some(session) => Some(session.info().transports().await.count() as f64),
         None => None,
     };
@@ -44,24 +44,24 @@ pub(super) async fn page(view: &HubView) -> MetricsPage {
     page.gauge(
         "albireo_hub_sessions_limit",
         "Most Zenoh sessions of this hub, where it is its nodes' router",
-        crate::run::MAX_SESSIONS as f64,
+        crate::answers::MAX_SESSIONS as f64,
     );
     page
 }
 
-fn presence(page: &mut MetricsPage, view: &HubView) {
+fn presence(page: &mut MetricsPage, hub: &Hub) {
     let mut missing = 0;
     let mut behind = 0;
     let mut waiting = 0;
     let mut targets = [0; TargetStatus::ALL.len()];
-    view.fleet.each(|node| {
+    hub.fleet.each(|node| {
         waiting += node.waiting;
         if !node.is_reachable() {
             let expected = node.labels().get("expected");
             missing += u32::from(expected.is_some_and(|when| when == "always"));
             return;
         }
-        let desired = view.desires.get(&node.node);
+        let desired = hub.desires.get(&node.node);
         behind += u32::from(desired.is_some_and(|desired| node.revision < desired.at.ask.revision));
         if let Some(target) = node.status.as_ref().and_then(|status| status.target) {
             targets[target.status.unwrap_or(TargetStatus::Measuring) as usize] += 1;
@@ -80,14 +80,14 @@ fn presence(page: &mut MetricsPage, view: &HubView) {
     page.gauge(
         "albireo_hub_nodes_drifted",
         "Nodes whose setting was changed at the node and differs from the desired one",
-        view.tuner().map_or(0, |tuner| tuner.drift().len()) as f64,
+        hub.tuner().map_or(0, |tuner| tuner.drift().len()) as f64,
     );
     page.gauge(
         "albireo_hub_twin_names",
         "Names that more than one node uses",
-        view.fleet.twins() as f64,
+        hub.fleet.twins() as f64,
     );
-    let (names, statuses) = view.fleet.refused();
+    let (names, statuses) = hub.fleet.refused();
     page.counters(
         "albireo_hub_statuses_dropped_total",
         "Statuses that were not kept: of too many names that never sent a report, or too large for the memory of all",
@@ -101,7 +101,7 @@ fn presence(page: &mut MetricsPage, view: &HubView) {
         "Clip reports that wait in the nodes' outboxes, as far as they have reported",
         waiting as f64,
     );
-    let states = view.fleet.by_state().into_iter();
+    let states = hub.fleet.by_state().into_iter();
     page.gauges(
         "albireo_hub_nodes",
         "Nodes by state",
@@ -115,8 +115,8 @@ fn presence(page: &mut MetricsPage, view: &HubView) {
     );
 }
 
-fn ingest(page: &mut MetricsPage, view: &HubView) {
-    let counts = view.ingest.counts();
+fn ingest(page: &mut MetricsPage, hub: &Hub) {
+    let counts = hub.ingest.counts();
     for (name, help, count) in counts.named() {
         page.counter(name, help, count as f64);
     }
@@ -161,21 +161,21 @@ fn ingest(page: &mut MetricsPage, view: &HubView) {
     page.gauge(
         "albireo_hub_acknowledged_after_p99_seconds",
         "99th percentile of the time from a batch's arrival to its acknowledgement, over the most recent batches",
-        view.ingest.acknowledged_after.p99_s(),
+        hub.ingest.acknowledged_after.p99_s(),
     );
     page.gauge(
         "albireo_hub_commit_p99_seconds",
         "99th percentile of the duration of a transaction, over the most recent ones",
-        view.ingest.committed_in.p99_s(),
+        hub.ingest.committed_in.p99_s(),
     );
     page.gauge(
         "albireo_hub_queue_batches",
         "Batches that were received and are not answered yet",
-        view.ingest.queued() as f64,
+        hub.ingest.queued() as f64,
     );
     page.gauge(
         "albireo_hub_queue_bytes",
         "Compressed bytes of the batches that are not answered yet",
-        view.ingest.queued_bytes() as f64,
+        hub.ingest.queued_bytes() as f64,
     );
 }

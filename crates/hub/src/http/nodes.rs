@@ -1,10 +1,10 @@
 //! Lists the nodes, shows one node, and forgets one. The hub sorts, filters and pages the list, so that a client holds
 //! only what it shows.
 
-use super::HubView;
 use super::body::unusable;
+use crate::hub::Hub;
+use crate::ingest::ReportCounts;
 use crate::presence::{NodeView, PresenceState};
-use crate::store::ReportCounts;
 use crate::tuning::selector::Selector;
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::http::{Caller, Problem};
@@ -86,7 +86,7 @@ pub struct NodeList {
     responses((status = 200, body = NodeList))
 )]
 pub(super) async fn list(
-    State(view): State<HubView>,
+    State(hub): State<Hub>,
     Query(selection): Query<Selection>,
 ) -> Result<Json<NodeList>, Problem> {
     let names = selection.state.as_deref().unwrap_or_default().split(',');
@@ -113,7 +113,7 @@ pub(super) async fn list(
 
     let mut waiting = 0;
     let mut found = Vec::new();
-    view.fleet.each(|node| {
+    hub.fleet.each(|node| {
         waiting += node.waiting;
         let is_wanted = (wanted.is_empty() || wanted.contains(&node.state))
             && node.node.contains(&search)
@@ -139,11 +139,11 @@ pub(super) async fn list(
     let limit = selection.limit.unwrap_or(100).min(MOST);
     let nodes = found.iter().skip(selection.offset).take(limit);
     Ok(Json(NodeList {
-        counts: view.fleet.by_state(),
+        counts: hub.fleet.by_state(),
         waiting,
         total: found.len(),
         offset: selection.offset,
-        nodes: nodes.filter_map(|(_, name)| view.fleet.view(name)).collect(),
+        nodes: nodes.filter_map(|(_, name)| hub.fleet.view(name)).collect(),
     }))
 }
 
@@ -166,11 +166,11 @@ pub struct NodeDetail {
     responses((status = 200, body = NodeDetail))
 )]
 pub(super) async fn one(
-    State(view): State<HubView>,
+    State(hub): State<Hub>,
     Path(node): Path<String>,
 ) -> Result<Json<NodeDetail>, Problem> {
-    let reports = view.store()?.report_counts(&node).await?;
-    let known = view.fleet.view(&node).ok_or_else(|| unknown(&node))?;
+    let reports = hub.store()?.report_counts(&node).await?;
+    let known = hub.fleet.view(&node).ok_or_else(|| unknown(&node))?;
     Ok(Json(NodeDetail {
         node: known,
         reports,
@@ -193,18 +193,18 @@ pub(super) fn unknown(node: &str) -> Problem {
     responses((status = 204, description = "It is forgotten."))
 )]
 pub(super) async fn forget(
-    State(view): State<HubView>,
+    State(hub): State<Hub>,
     Extension(caller): Extension<Caller>,
     Path(node): Path<String>,
 ) -> Result<StatusCode, Problem> {
-    let known = view.fleet.view(&node).ok_or_else(|| unknown(&node))?;
+    let known = hub.fleet.view(&node).ok_or_else(|| unknown(&node))?;
     if known.is_reachable() {
         let detail = format!(
             "`{node}` is online or degraded and would come back immediately: stop it first"
         );
         return Err(Problem::new(StatusCode::CONFLICT, detail));
     }
-    let tuner = view.tuner()?;
+    let tuner = hub.tuner()?;
     let now = unix_milliseconds();
     tuner.forget(&node, &caller.name, now).await?;
     Ok(StatusCode::NO_CONTENT)

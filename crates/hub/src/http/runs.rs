@@ -1,7 +1,7 @@
 //! Serves rollouts and trials, and their commands.
 
-use super::HubView;
 use super::body;
+use crate::hub::Hub;
 use crate::tuning::plan::{RolloutPlan, TrialPlan};
 use crate::tuning::run::{Command, Kind, Run};
 use albireo_service::clock::unix_milliseconds;
@@ -38,10 +38,10 @@ pub struct Runs {
 }
 
 /// A page of runs.
-async fn page(view: &HubView, kind: &str, which: &Which) -> Result<Json<Runs>, Problem> {
+async fn page(hub: &Hub, kind: &str, which: &Which) -> Result<Json<Runs>, Problem> {
     let limit = which.limit.unwrap_or(20).clamp(1, MOST);
     let before = which.before.unwrap_or(i64::MAX);
-    let mut runs = view.store()?.runs(kind, before, limit + 1).await?;
+    let mut runs = hub.store()?.runs(kind, before, limit + 1).await?;
     let next = body::next(&mut runs, limit, |run| run.id);
     for run in &mut runs {
         run.record.clear();
@@ -50,25 +50,21 @@ async fn page(view: &HubView, kind: &str, which: &Which) -> Result<Json<Runs>, P
     Ok(Json(Runs { runs, next }))
 }
 
-async fn begin(
-    view: &HubView,
-    kind: Kind,
-    caller: &Caller,
-) -> Result<(StatusCode, Json<Run>), Problem> {
+async fn begin(hub: &Hub, kind: Kind, caller: &Caller) -> Result<(StatusCode, Json<Run>), Problem> {
     let now = unix_milliseconds();
-    let begun = view.tuner()?.begin(kind, &caller.name, now).await?;
+    let begun = hub.tuner()?.begin(kind, &caller.name, now).await?;
     Ok((StatusCode::CREATED, Json(begun)))
 }
 
 /// Executes a command, and shows the run after it.
 async fn order(
-    view: &HubView,
+    hub: &Hub,
     kind: &str,
     id: i64,
     command: Command,
     caller: &Caller,
 ) -> Result<Json<Run>, Problem> {
-    let tuner = view.tuner()?;
+    let tuner = hub.tuner()?;
     let now = unix_milliseconds();
     tuner.command(kind, id, command, &caller.name, now).await?;
     tuner.run(kind, id).await.map(Json)
@@ -83,12 +79,12 @@ async fn order(
     responses((status = 201, body = Run))
 )]
 pub(super) async fn begin_rollout(
-    State(view): State<HubView>,
+    State(hub): State<Hub>,
     Extension(caller): Extension<Caller>,
     bytes: Bytes,
 ) -> Result<(StatusCode, Json<Run>), Problem> {
     let (to, plan): (_, RolloutPlan) = body::with_threshold(body::object(&bytes)?)?;
-    begin(&view, Kind::Rollout { to, plan }, &caller).await
+    begin(&hub, Kind::Rollout { to, plan }, &caller).await
 }
 
 /// Rollouts, the newest first
@@ -97,10 +93,10 @@ pub(super) async fn begin_rollout(
     responses((status = 200, body = Runs))
 )]
 pub(super) async fn rollouts(
-    State(view): State<HubView>,
+    State(hub): State<Hub>,
     Query(which): Query<Which>,
 ) -> Result<Json<Runs>, Problem> {
-    page(&view, "rollout", &which).await
+    page(&hub, "rollout", &which).await
 }
 
 /// A rollout with its record and its nodes
@@ -109,10 +105,10 @@ pub(super) async fn rollouts(
     responses((status = 200, body = Run))
 )]
 pub(super) async fn one_rollout(
-    State(view): State<HubView>,
+    State(hub): State<Hub>,
     Path(id): Path<i64>,
 ) -> Result<Json<Run>, Problem> {
-    view.tuner()?.run("rollout", id).await.map(Json)
+    hub.tuner()?.run("rollout", id).await.map(Json)
 }
 
 /// Pauses, resumes, advances, returns or stops a rollout
@@ -125,7 +121,7 @@ pub(super) async fn one_rollout(
     responses((status = 200, body = Run))
 )]
 pub(super) async fn command_rollout(
-    State(view): State<HubView>,
+    State(hub): State<Hub>,
     Extension(caller): Extension<Caller>,
     Path((id, command)): Path<(i64, String)>,
 ) -> Result<Json<Run>, Problem> {
@@ -133,7 +129,7 @@ pub(super) async fn command_rollout(
         let detail = format!("`{command}` is not a command of rollouts");
         Problem::new(StatusCode::NOT_FOUND, detail).allowing(Command::ALL.map(Command::name))
     })?;
-    order(&view, "rollout", id, command, &caller).await
+    order(&hub, "rollout", id, command, &caller).await
 }
 
 /// Begins a trial
@@ -144,7 +140,7 @@ pub(super) async fn command_rollout(
     responses((status = 201, body = Run))
 )]
 pub(super) async fn begin_trial(
-    State(view): State<HubView>,
+    State(hub): State<Hub>,
     Extension(caller): Extension<Caller>,
     bytes: Bytes,
 ) -> Result<(StatusCode, Json<Run>), Problem> {
@@ -153,7 +149,7 @@ pub(super) async fn begin_trial(
         values.iter_mut().try_for_each(body::name_threshold)?;
     }
     let plan: TrialPlan = body::rest(object)?;
-    begin(&view, Kind::Trial { plan }, &caller).await
+    begin(&hub, Kind::Trial { plan }, &caller).await
 }
 
 /// Trials, the newest first
@@ -162,10 +158,10 @@ pub(super) async fn begin_trial(
     responses((status = 200, body = Runs))
 )]
 pub(super) async fn trials(
-    State(view): State<HubView>,
+    State(hub): State<Hub>,
     Query(which): Query<Which>,
 ) -> Result<Json<Runs>, Problem> {
-    page(&view, "trial", &which).await
+    page(&hub, "trial", &which).await
 }
 
 /// A trial with its result and its nodes
@@ -174,10 +170,10 @@ pub(super) async fn trials(
     responses((status = 200, body = Run))
 )]
 pub(super) async fn one_trial(
-    State(view): State<HubView>,
+    State(hub): State<Hub>,
     Path(id): Path<i64>,
 ) -> Result<Json<Run>, Problem> {
-    view.tuner()?.run("trial", id).await.map(Json)
+    hub.tuner()?.run("trial", id).await.map(Json)
 }
 
 /// Ends a trial before its time
@@ -188,9 +184,9 @@ pub(super) async fn one_trial(
     responses((status = 200, body = Run))
 )]
 pub(super) async fn end_trial(
-    State(view): State<HubView>,
+    State(hub): State<Hub>,
     Extension(caller): Extension<Caller>,
     Path(id): Path<i64>,
 ) -> Result<Json<Run>, Problem> {
-    order(&view, "trial", id, Command::Return, &caller).await
+    order(&hub, "trial", id, Command::Return, &caller).await
 }

@@ -3,7 +3,7 @@
 
 use super::clip::{Clip, clip};
 use super::plan::{Doubt, Present, key};
-use crate::store::ReportKey;
+use super::tables::ReportKey;
 use crate::store::row::beginning;
 use albireo_wire::{
     ClipReport, MOST_REPORTS, ReportAge, VERSION, check_segment, check_version, decompress_batch,

@@ -1,7 +1,7 @@
 //! Decides under which key a report is stored, and keeps the running counts of a node. It uses no clock and no
 //! database.
 
-use crate::store::ReportKey;
+use super::tables::ReportKey;
 use crate::store::row::json_text;
 use albireo_service::clock::DAY_MS;
 use albireo_wire::{IDENTITY_DAYS, ReportAge};

@@ -5,11 +5,12 @@ use super::decode::{Batch, Rejected};
 use super::limits::{ClockCheck, EVENTS, EntryLimit, PRESENCE, SET_ASIDE};
 use super::outcomes::Written;
 use super::plan::{Doubt, Seen};
+use super::retention::{DeleteOld, retain};
+use super::tables::MOST_CAMERAS;
 use crate::config::HistoryConfig;
 use crate::presence::NodeView;
-use crate::store::retention::retain;
 use crate::store::row::{Columns, beginning, event};
-use crate::store::{Access, Database, MOST_CAMERAS, Store, StoreError};
+use crate::store::{Access, Database, Store, StoreError};
 use albireo_service::clock::{DAY_MS, Now};
 use albireo_wire::{RefusedReport, ReportAnswer};
 use serde_json::{Value, json};
@@ -32,6 +33,8 @@ pub struct Recorder {
     store: Store,
     database: Option<Box<dyn Database>>,
     history: HistoryConfig,
+    /// Deletes old rows of other rooms' tables.
+    delete_more: Option<DeleteOld>,
     /// Events of unreadable batches, which the next commit writes.
     events: Vec<Value>,
     event_limit: EntryLimit,
@@ -63,6 +66,7 @@ impl Recorder {
             store: store.clone(),
             database: None,
             history: history.clone(),
+            delete_more: None,
             events: Vec::new(),
             event_limit: EntryLimit::new(EVENTS),
             presence_limit: EntryLimit::new(PRESENCE),
@@ -70,6 +74,14 @@ impl Recorder {
             clock: ClockCheck::new(now.at, now.unix_ms),
             retention_due: now.at,
             proves_writing: false,
+        }
+    }
+
+    /// Deletes old rows of other tables, too, when it deletes its own: it knows whether the clock may be believed.
+    pub(crate) fn also_deletes(self, delete: DeleteOld) -> Self {
+        Self {
+            delete_more: Some(delete),
+            ..self
         }
     }
 
@@ -144,7 +156,13 @@ impl Recorder {
     fn retain(&mut self, now: Now) -> Result<bool, StoreError> {
         let mut database = self.store.connect(Access::Write, self.database.take())?;
         let is_believed = self.clock.is_believed(now.at, now.unix_ms);
-        let more = retain(&mut *database, &self.history, now.unix_ms, is_believed)?;
+        let more = retain(
+            &mut *database,
+            &self.history,
+            self.delete_more,
+            now.unix_ms,
+            is_believed,
+        )?;
         self.database = Some(database);
         Ok(more)
     }

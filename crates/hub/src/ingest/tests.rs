@@ -1,7 +1,7 @@
 mod hostile;
 
 use super::plan::{Counts, Present, Seen};
-use crate::store::ReportKey;
+use super::tables::ReportKey;
 use crate::store::row::{read, row};
 use albireo_service::clock::DAY_MS;
 use albireo_wire::ReportAge;

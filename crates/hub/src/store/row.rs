@@ -12,7 +12,7 @@ pub(crate) type Row = Map<String, Value>;
 pub(crate) type Columns<'a> = Vec<(&'a str, Value)>;
 
 /// The columns of a row.
-pub(super) fn columns<'a>(row: &'a Row) -> Columns<'a> {
+pub(crate) fn columns<'a>(row: &'a Row) -> Columns<'a> {
     let column = |(name, value): (&'a String, &Value)| (name.as_str(), value.clone());
     row.iter().map(column).collect()
 }
@@ -84,48 +84,4 @@ pub(crate) mod json_text {
 /// Reads a whole number that the database summed as a floating-point number.
 pub(crate) fn whole<'de, D: Deserializer<'de>>(from: D) -> Result<i64, D::Error> {
     f64::deserialize(from).map(|number| number as i64)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::tuning::member::{Ask, ChangeNode, Outcome};
-    use albireo_wire::{DesiredSetting, Target, Threshold};
-    use proptest::prelude::*;
-
-    proptest! {
-        #[test]
-        fn a_setting_reads_back_as_the_same(value in prop::num::f64::NORMAL, which in 0..Target::NAMES.len()) {
-            let target = Target::named(Target::NAMES[which], value);
-            for from in [
-                Some(DesiredSetting::Threshold(Threshold::new("u", value))),
-                Some(DesiredSetting::Target(target)),
-                Some(DesiredSetting::Target(None)),
-                None,
-            ] {
-                let given = ChangeNode {
-                    node: "a".to_owned(),
-                    from,
-                    ask: Ask::new(7, 1, Outcome::Applied),
-                };
-                let mut written = row(&given).unwrap();
-                prop_assert_eq!(&read::<ChangeNode>(written.clone()).unwrap(), &given);
-                // In a table it is text.
-                if written["from"].is_object() {
-                    written["from"] = written["from"].to_string().into();
-                }
-                prop_assert_eq!(read::<ChangeNode>(written).unwrap(), given);
-            }
-        }
-    }
-
-    #[test]
-    fn a_column_of_another_type_or_a_missing_one_is_a_clear_error() {
-        let mut row = row(&serde_json::json!({ "revision": "seven" })).unwrap();
-        let error = read::<Ask>(row.clone()).unwrap_err();
-        assert!(error.to_string().contains("seven"), "{error}");
-        row.clear();
-        let error = read::<Ask>(row).unwrap_err();
-        assert!(error.to_string().contains("revision"), "{error}");
-    }
 }

@@ -3,7 +3,7 @@
 use super::migrate::{check, tables};
 use super::row::columns;
 use super::sqlite::Sqlite;
-use super::{Access, Database, Kind, Row, Store, StoreError, retention};
+use super::{Access, DAILY, Database, Kind, Row, Store, StoreError, keep_days};
 use crate::config::DatabaseConfig;
 use albireo_service::clock::{DAY_MS, unix_milliseconds};
 use serde_json::Value;
@@ -94,8 +94,8 @@ fn copy(
     }
     target.query("DELETE FROM counters", &[])?;
     let today = unix_milliseconds().div_euclid(DAY_MS);
-    for table in retention::DAILY {
-        retention::keep_days(target, table, 0, today)?;
+    for table in DAILY {
+        keep_days(target, table, 0, today)?;
     }
     let mut rows = 0;
     for table in &tables {

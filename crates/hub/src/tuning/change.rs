@@ -2,9 +2,10 @@
 
 use super::member::{Ask, ChangeNode, Millis, Outcome};
 use super::selector::Selector;
+use super::tables::ChangeRow;
 use super::tuner::Tuner;
 use crate::presence::NodeView;
-use crate::store::{ChangeRow, StoreError};
+use crate::store::StoreError;
 use albireo_wire::DesiredSetting;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

@@ -2,10 +2,11 @@
 
 use super::member::{Member, Millis};
 use super::run::{Command, Kind, LeftOut, Run};
+use super::tables::ChangeRow;
 use super::tuner::Tuner;
 use crate::presence::NodeView;
+use crate::store::StoreError;
 use crate::store::row::event;
-use crate::store::{ChangeRow, StoreError};
 use albireo_service::http::Problem;
 use albireo_wire::{DesiredSetting, Threshold};
 use axum::http::StatusCode;
@@ -76,7 +77,8 @@ impl Tuner {
         let event = event(now, "forgotten", node, json!({ "who": who }));
         let forgotten = node.to_owned();
         let written = self.store.write(move |writing| {
-            writing.forget(&forgotten, now)?;
+            writing.drop_desired(&forgotten, now)?;
+            writing.forget_node(&forgotten, now)?;
             writing.insert("events", &[event], "").map(drop)
         });
         written.await?;

@@ -1,12 +1,13 @@
 //! Carries out orders: stores them, notifies the nodes, and follows their reports.
 
+use super::desired::{Desires, Wanted};
 use super::member::{Ask, ChangeNode, Millis, Outcome};
 use super::run::milliseconds;
+use super::tables::ChangeRow;
 use crate::config::{LocalChange, TuningConfig};
-use crate::desired::{Desires, Wanted};
 use crate::presence::Fleet;
 use crate::store::row::event;
-use crate::store::{ChangeRow, Store, StoreError};
+use crate::store::{Store, StoreError};
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::readiness::Part;
 use albireo_wire::DesiredSetting;

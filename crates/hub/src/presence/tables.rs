@@ -1,8 +1,8 @@
-//! Stores and reads the state of each node.
+//! The table of nodes.
 
-use super::row::{Row, event, read, read_all};
-use super::{Database, Store, StoreError};
-use crate::presence::{NodeView, PresenceState, TodaysEnergy};
+use super::{NodeView, PresenceState, TodaysEnergy};
+use crate::store::row::{Row, event, read, read_all};
+use crate::store::{Database, Store, StoreError};
 use serde::Deserialize;
 use serde_json::{Value, json};
 use std::collections::HashMap;
@@ -60,14 +60,8 @@ impl dyn Database + '_ {
         Ok(events)
     }
 
-    /// Removes a node from the list, and drops its desired setting; its clips and its history stay.
-    pub(crate) fn forget(&mut self, node: &str, now_ms: i64) -> Result<(), StoreError> {
-        self.query(
-            "UPDATE order_nodes SET outcome = 'missed', at_ms = $2, detail = 'the node was forgotten' \
-             WHERE node = $1 AND outcome IN ('pending', 'waiting', 'timed_out')",
-            &[node.into(), now_ms.into()],
-        )?;
-        self.query("DELETE FROM desired WHERE node = $1", &[node.into()])?;
+    /// Removes a node from the list; its clips and its history stay.
+    pub(crate) fn forget_node(&mut self, node: &str, now_ms: i64) -> Result<(), StoreError> {
         self.query(
             "UPDATE nodes SET state = 'forgotten', since_ms = $2, status = NULL, heard_ms = NULL WHERE name = $1",
             &[node.into(), now_ms.into()],

@@ -1,12 +1,12 @@
-//! Stores orders, desired settings and outcomes, and rollouts and trials.
+//! The tables of tuning: orders, desired settings and outcomes, and rollouts and trials.
 
-use super::row::{json_text, read_all};
-use super::{Database, Kind, Row, Store, StoreError};
-use crate::desired::Wanted;
-use crate::tuning::member::{ChangeNode, Outcome};
-use crate::tuning::metric::{BeforeAfter, Figure, Mean};
-use crate::tuning::run::{Measured, Run, Window};
-use crate::tuning::runs::RunKey;
+use super::desired::Wanted;
+use super::member::{ChangeNode, Outcome};
+use super::metric::{BeforeAfter, Figure, Mean};
+use super::run::{Measured, Run, Window};
+use super::runs::RunKey;
+use crate::store::row::{Row, json_text, read_all};
+use crate::store::{Database, Kind, Store, StoreError};
 use albireo_wire::DesiredSetting;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -55,6 +55,15 @@ fn runs(rows: &[Row]) -> Result<Vec<Run>, StoreError> {
         Ok::<Run, StoreError>(serde_json::from_str(state.unwrap_or_default())?)
     };
     rows.iter().map(run).collect()
+}
+
+/// Deletes changes before `day`, at most 1000 rows of each table. Returns the largest number of rows of one table.
+pub(crate) fn delete_old(database: &mut dyn Database, day: i64) -> Result<usize, StoreError> {
+    let mut most = 0;
+    for text in include_str!("sql/delete_old.sql").split(';') {
+        most = most.max(database.query(text, &[day.into()])?.len());
+    }
+    Ok(most)
 }
 
 impl dyn Database + '_ {
@@ -107,6 +116,17 @@ impl dyn Database + '_ {
                         at_ms = excluded.at_ms, detail = excluded.detail \
                         WHERE order_nodes.outcome IN ('pending', 'waiting', 'timed_out')";
         self.insert("order_nodes", &nodes, conflict).map(drop)
+    }
+
+    /// Drops the desired setting of a node, and ends the orders that it has not answered.
+    pub(crate) fn drop_desired(&mut self, node: &str, now_ms: i64) -> Result<(), StoreError> {
+        self.query(
+            "UPDATE order_nodes SET outcome = 'missed', at_ms = $2, detail = 'the node was forgotten' \
+             WHERE node = $1 AND outcome IN ('pending', 'waiting', 'timed_out')",
+            &[node.into(), now_ms.into()],
+        )?;
+        self.query("DELETE FROM desired WHERE node = $1", &[node.into()])?;
+        Ok(())
     }
 
     /// Stores a rollout or trial, and renews the claim of `driver`, unless another hub drives it; nobody drives one that has
@@ -181,7 +201,7 @@ impl Store {
         node: Option<&str>,
         limit: i64,
     ) -> Result<Vec<ChangeView>, StoreError> {
-        let object = match self.0.kind {
+        let object = match self.database_kind() {
             Kind::Sqlite => "json_group_object",
             Kind::Postgres => "jsonb_object_agg",
         };
@@ -222,7 +242,7 @@ impl Store {
 
     /// Measures the clips of each node in its two windows.
     pub(crate) async fn measure(&self, windows: &[[Window; 2]]) -> Result<Measured, StoreError> {
-        let rows = match self.0.kind {
+        let rows = match self.database_kind() {
             Kind::Sqlite => "json_each($1)",
             Kind::Postgres => "jsonb_array_elements($1::jsonb)",
         };
@@ -259,5 +279,49 @@ impl Store {
             }
         }
         Ok(found)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::member::{Ask, ChangeNode, Outcome};
+    use crate::store::row::{read, row};
+    use albireo_wire::{DesiredSetting, Target, Threshold};
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn a_setting_reads_back_as_the_same(value in prop::num::f64::NORMAL, which in 0..Target::NAMES.len()) {
+            let target = Target::named(Target::NAMES[which], value);
+            for from in [
+                Some(DesiredSetting::Threshold(Threshold::new("u", value))),
+                Some(DesiredSetting::Target(target)),
+                Some(DesiredSetting::Target(None)),
+                None,
+            ] {
+                let given = ChangeNode {
+                    node: "a".to_owned(),
+                    from,
+                    ask: Ask::new(7, 1, Outcome::Applied),
+                };
+                let mut written = row(&given).unwrap();
+                prop_assert_eq!(&read::<ChangeNode>(written.clone()).unwrap(), &given);
+                // In a table it is text.
+                if written["from"].is_object() {
+                    written["from"] = written["from"].to_string().into();
+                }
+                prop_assert_eq!(read::<ChangeNode>(written).unwrap(), given);
+            }
+        }
+    }
+
+    #[test]
+    fn a_column_of_another_type_or_a_missing_one_is_a_clear_error() {
+        let mut row = row(&serde_json::json!({ "revision": "seven" })).unwrap();
+        let error = read::<Ask>(row.clone()).unwrap_err();
+        assert!(error.to_string().contains("seven"), "{error}");
+        row.clear();
+        let error = read::<Ask>(row).unwrap_err();
+        assert!(error.to_string().contains("revision"), "{error}");
     }
 }

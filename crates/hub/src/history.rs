@@ -1,12 +1,12 @@
-//! Queries the database on the connections for reading.
+//! Reads the history: clips, sums of energy, events, and what was set aside.
 
 mod energy;
-mod history;
+mod rows;
 
 pub use energy::{EnergyBy, EnergyGroup, EnergyQuery, Resolution, Sort};
-pub use history::{ClipQuery, ReportCounts, StoredClip, StoredEvent, StoredSetAside};
+pub use rows::{ClipQuery, StoredClip, StoredEvent, StoredSetAside};
 
-use super::row::Row;
+use crate::store::row::Row;
 use albireo_wire::{AuditFigures, AuditReport, AuditSquares, AuditSums};
 use serde_json::Value;
 

@@ -1,6 +1,7 @@
 //! Reads clips, events, report counts and invalid reports.
 
 use super::{audit, audit_figures};
+use crate::ingest::ReportCounts;
 use crate::store::row::{json_text, read, read_all};
 use crate::store::{Store, StoreError};
 use albireo_wire::{AuditFigures, EnergyQuality};
@@ -104,12 +105,9 @@ pub struct StoredClip {
     pub audit: Option<AuditFigures>,
 }
 
-const CLIPS: &str = concat!(
-    include_str!("../sql/clips.sql"),
-    "ORDER BY c.id DESC LIMIT $4"
-);
+const CLIPS: &str = concat!(include_str!("sql/clips.sql"), "ORDER BY c.id DESC LIMIT $4");
 const CLIPS_OF_NODE: &str = concat!(
-    include_str!("../sql/clips.sql"),
+    include_str!("sql/clips.sql"),
     // From the index alone: the clips of a camera lie far apart.
     "AND c.id IN (SELECT x.id FROM clips x WHERE x.camera_id IN (SELECT k.id FROM cameras k JOIN nodes o ON o.id = k.node_id \
      WHERE o.name = $5 AND ($6 = '' OR k.name = $6)) AND x.id < $1 AND x.at_ms >= $2 AND x.at_ms < $3 \
@@ -147,25 +145,6 @@ pub struct StoredSetAside {
     pub cause: String,
     /// Its text, at most 2 KiB.
     pub body: String,
-}
-
-/// Counts of a node's reports.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct ReportCounts {
-    /// When the first batch was received, milliseconds since the Unix epoch.
-    pub first_ms: i64,
-    /// When the last batch was received.
-    pub last_ms: i64,
-    /// Reports stored.
-    pub stored: i64,
-    /// Invalid reports.
-    pub set_aside: i64,
-    /// Reports refused, because they were too old.
-    pub refused: i64,
-    /// Reports that were never received, by their running counts.
-    pub missing: u64,
-    /// How often the running count restarted: the node's state was new, older or a copy.
-    pub resets: i64,
 }
 
 impl Store {

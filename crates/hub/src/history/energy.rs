@@ -148,9 +148,9 @@ impl Store {
         };
         let text = format!(
             "{} FROM {table} t {} {cameras} {}",
-            include_str!("../sql/energy_sums.sql"),
-            include_str!("../sql/energy_groups.sql"),
-            include_str!("../sql/energy_order.sql"),
+            include_str!("sql/energy_sums.sql"),
+            include_str!("sql/energy_groups.sql"),
+            include_str!("sql/energy_order.sql"),
         );
         let values = vec![
             json!(wanted.by),

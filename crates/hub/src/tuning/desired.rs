@@ -1,8 +1,8 @@
 //! Keeps the desired setting of each node in memory, for answering pulls, and what became of it at the node. Notifies nodes
 //! that they should pull.
 
+use super::member::{ChangeNode, Millis};
 use crate::store::row::json_text;
-use crate::tuning::member::{ChangeNode, Millis};
 use albireo_wire::{Desired, DesiredSetting};
 use parking_lot::RwLock;
 use serde::Deserialize;
@@ -125,8 +125,8 @@ impl Desires {
 
 #[cfg(test)]
 mod tests {
+    use super::super::member::{Ask, Outcome};
     use super::*;
-    use crate::tuning::member::{Ask, Outcome};
     use albireo_wire::{Target, Threshold};
     use proptest::prelude::*;
 

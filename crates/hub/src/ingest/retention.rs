@@ -1,8 +1,8 @@
 //! Deletes old rows: whole days in PostgreSQL, else a small range at a time, so that the thread that writes never waits
 //! long.
 
-use super::{Database, Kind, StoreError};
 use crate::config::HistoryConfig;
+use crate::store::{DAILY, Database, Kind, StoreError, keep_days};
 use albireo_service::clock::DAY_MS;
 use albireo_wire::IDENTITY_DAYS;
 
@@ -12,11 +12,16 @@ const STEP: usize = 1000;
 /// Earlier than any day of a row.
 const NO_DAY: i64 = -1_000_000;
 
+/// Deletes at most [`STEP`] rows of each of a room's tables that are older than the day (since the Unix epoch) up to which
+/// events and changes are kept. Returns the largest number of rows of one table.
+pub(crate) type DeleteOld = fn(&mut dyn Database, i64) -> Result<usize, StoreError>;
+
 /// Deletes at most [`STEP`] rows of each table that are too old at `now_ms`, and whole partitions. If the clock is not
 /// believed (`is_believed`), it only creates the partitions of the next days. Returns true if there are more old rows.
 pub(crate) fn retain(
     database: &mut dyn Database,
     history: &HistoryConfig,
+    delete_more: Option<DeleteOld>,
     now_ms: i64,
     is_believed: bool,
 ) -> Result<bool, StoreError> {
@@ -45,7 +50,7 @@ pub(crate) fn retain(
     }
     let events = first(history.events_days);
     let aside = first(history.set_aside_days);
-    let bounds = [clips, ids, ids, sums, events, events, events, aside];
+    let bounds = [clips, ids, ids, sums, events, aside];
     let days = match database.kind() {
         Kind::Sqlite => include_str!("sql/delete_days_sqlite.sql"),
         Kind::Postgres => include_str!("sql/delete_days_postgres.sql"),
@@ -56,21 +61,9 @@ pub(crate) fn retain(
     for (text, bound) in texts.zip(bounds) {
         most = most.max(database.query(text, &[bound.into()])?.len());
     }
+    if let Some(delete) = delete_more {
+        most = most.max(delete(database, events)?);
+    }
     database.commit()?;
     Ok(most >= STEP)
-}
-
-/// The tables that PostgreSQL partitions by day, and the units of their keys per day.
-pub(super) const DAILY: [(&str, i64); 3] = [("clips", 1), ("report_ids", 1), ("sums_5m", 86_400)];
-
-/// Creates and drops partitions of a table in PostgreSQL; days before `first` are dropped.
-pub(super) fn keep_days(
-    database: &mut dyn Database,
-    (table, unit): (&str, i64),
-    first: i64,
-    today: i64,
-) -> Result<(), StoreError> {
-    let values = [table.into(), unit.into(), first.into(), today.into()];
-    let kept = database.query("SELECT keep_days($1, $2, $3, $4)", &values);
-    kept.map(drop)
 }

@@ -1,6 +1,6 @@
 //! Sends answers on a separate thread, because a reply over a slow network may block for seconds.
 
-use super::IngestCounters;
+use crate::ingest::IngestCounters;
 use crate::per_node::{PerNode, Place};
 use crate::store::row::beginning;
 use albireo_wire::{NodeKeys, RefusalReason, ReportRefusal, VERSION};

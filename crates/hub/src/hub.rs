@@ -1,0 +1,128 @@
+//! Holds the parts of a running hub that its HTTP routes read and change.
+
+use crate::config::HubConfig;
+use crate::ingest::IngestCounters;
+use crate::presence::Fleet;
+use crate::store::Store;
+use crate::tuning::{Desires, Tuner};
+use albireo_service::config;
+use albireo_service::http::Problem;
+use albireo_service::readiness::Readiness;
+use axum::http::StatusCode;
+use serde_json::Value;
+use std::sync::{Arc, OnceLock};
+use std::time::Instant;
+use tokio::sync::Semaphore;
+use tokio_util::sync::CancellationToken;
+use zenoh::Session;
+
+/// Most readers of live counters at a time.
+pub(crate) const MOST_LIVE: usize = 64;
+
+/// A running hub. Clones share it.
+#[derive(Clone, Debug)]
+pub(crate) struct Hub {
+    /// The faults of its parts: `database`, `zenoh`, `fleet`, `tuning`, `tasks`.
+    pub(crate) readiness: Readiness,
+    /// All nodes.
+    pub(crate) fleet: Arc<Fleet>,
+    /// The desired settings of the nodes.
+    pub(crate) desires: Arc<Desires>,
+    /// Counters of what is received and stored.
+    pub(crate) ingest: Arc<IngestCounters>,
+    /// Cancelled when the hub stops.
+    pub(crate) shutdown: CancellationToken,
+    /// The tuner, once the database is open.
+    pub(crate) opened: Arc<OnceLock<Arc<Tuner>>>,
+    /// The Zenoh session, once it is open.
+    pub(crate) session: Arc<OnceLock<Session>>,
+    /// The prefix of all keys.
+    pub(crate) prefix: Arc<str>,
+    /// Limits the number of readers that watch nodes at a time.
+    pub(crate) live: Arc<Semaphore>,
+    /// Days that five-minute sums are kept.
+    pub(crate) five_minutes_days: u32,
+    /// The configuration without its secrets.
+    pub(crate) config: Arc<Value>,
+    pub(crate) started: Instant,
+}
+
+impl Hub {
+    /// A hub that knows no node yet.
+    pub(crate) fn new(config: &HubConfig, desires: Desires, shutdown: CancellationToken) -> Self {
+        Self {
+            readiness: Readiness::default(),
+            fleet: Arc::new(Fleet::new(&config.presence)),
+            desires: Arc::new(desires),
+            ingest: Arc::default(),
+            shutdown,
+            opened: Arc::default(),
+            session: Arc::default(),
+            prefix: config.hub.prefix.as_str().into(),
+            live: Arc::new(Semaphore::new(MOST_LIVE)),
+            five_minutes_days: config.history.five_minutes_days,
+            config: Arc::new(without_secrets(config)),
+            started: Instant::now(),
+        }
+    }
+
+    /// The tuner.
+    ///
+    /// # Errors
+    /// A problem document while the database is not open yet.
+    pub(crate) fn tuner(&self) -> Result<&Arc<Tuner>, Problem> {
+        attached(&self.opened, "the database")
+    }
+
+    /// The database.
+    ///
+    /// # Errors
+    /// A problem document while it is not open yet.
+    pub(crate) fn store(&self) -> Result<&Store, Problem> {
+        Ok(&self.tuner()?.store)
+    }
+}
+
+pub(crate) fn attached<'a, T>(part: &'a OnceLock<T>, name: &str) -> Result<&'a T, Problem> {
+    part.get().ok_or_else(|| {
+        let detail = format!("{name} is not open yet; /readyz says why");
+        Problem::new(StatusCode::SERVICE_UNAVAILABLE, detail)
+    })
+}
+
+/// The configuration with every secret masked.
+fn without_secrets(config: &HubConfig) -> Value {
+    let mut shown = config::without_secrets(config);
+    shown["database"]["url"] = config.database.shown().into();
+    shown
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use albireo_service::config::{NamedToken, Token};
+
+    #[test]
+    fn no_secret_of_the_configuration_is_shown() {
+        let mut config = HubConfig::default();
+        config.http.token = Some(Token::new("the-token-of-everything"));
+        config.tokens = vec![NamedToken {
+            name: "dashboard".into(),
+            token: Some(Token::new("the-token-of-the-dashboard")),
+            ..NamedToken::default()
+        }];
+        config.database.url =
+            "postgres://hub:the-password@db.example/fleet?password=the-other".into();
+        let hidden: Vec<_> = config.database.passwords().collect();
+        assert_eq!(hidden, ["the-password", "the-other"]);
+        let shown = without_secrets(&config).to_string();
+        let logged = format!("{:?}", config.database);
+        for secret in ["the-token", "the-password", "the-other"] {
+            assert!(!shown.contains(secret), "{shown}");
+            assert!(!logged.contains(secret), "{logged}");
+        }
+        for kept in ["dashboard", "postgres://hub@db.example/fleet", "commit_ms"] {
+            assert!(shown.contains(kept), "{shown}");
+        }
+    }
+}

@@ -1,0 +1,204 @@
+//! The tables of ingest: identities of reports, clips and their sums, cameras, setups, and counts of reports.
+
+use super::plan::Counts;
+use crate::store::row::{Columns, Row, columns, read_all, row};
+use crate::store::{Database, Kind, StoreError};
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeSet, HashMap, HashSet};
+use utoipa::ToSchema;
+use uuid::Uuid;
+
+/// The statements that add clips to sums, with the length of their spans in seconds.
+const ADD_SUMS: [(&str, i64); 2] = [
+    (
+        concat!("INSERT INTO sums_5m", include_str!("sql/add_sums.sql")),
+        300,
+    ),
+    (
+        concat!("INSERT INTO sums_hour", include_str!("sql/add_sums.sql")),
+        3600,
+    ),
+];
+
+/// The largest sum. Sums saturate there, so that none is too large for its column.
+const LARGEST_SUM: i64 = 1 << 62;
+
+/// The unique key of a report.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+pub(crate) struct ReportKey {
+    /// The day under which it is stored: the identity's own day, or the negative day of receipt if that is not
+    /// believed.
+    pub(crate) day: i64,
+    /// Its identity.
+    #[serde(with = "uuid::serde::compact")]
+    pub(crate) id: Uuid,
+    /// The identity's own day, believed or not.
+    pub(crate) own_day: i64,
+}
+
+/// Counts of a node's reports.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct ReportCountsRow {
+    /// The node's name, if the query returns it.
+    #[serde(default, skip_serializing)]
+    pub(crate) name: String,
+    pub(crate) node_id: i64,
+    #[serde(flatten)]
+    pub(crate) totals: ReportCounts,
+    #[serde(flatten)]
+    pub(crate) counts: Counts,
+}
+
+/// Most cameras of a node.
+pub(crate) const MOST_CAMERAS: usize = 64;
+
+/// Counts of a node's reports.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct ReportCounts {
+    /// When the first batch was received, milliseconds since the Unix epoch.
+    pub first_ms: i64,
+    /// When the last batch was received.
+    pub last_ms: i64,
+    /// Reports stored.
+    pub stored: i64,
+    /// Invalid reports.
+    pub set_aside: i64,
+    /// Reports refused, because they were too old.
+    pub refused: i64,
+    /// Reports that were never received, by their running counts.
+    pub missing: u64,
+    /// How often the running count restarted: the node's state was new, older or a copy.
+    pub resets: i64,
+}
+
+impl dyn Database + '_ {
+    /// Returns the report counts of nodes, by name. Adds new nodes.
+    pub(crate) fn reporting_nodes(
+        &mut self,
+        names: &[&str],
+        now_ms: i64,
+    ) -> Result<HashMap<String, ReportCountsRow>, StoreError> {
+        let text = include_str!("sql/reporting_nodes.sql");
+        let mut nodes = self.among(text, names)?;
+        if nodes.len() < names.len() {
+            let add = "INSERT INTO nodes (name, state, since_ms, why) \
+                       VALUES ($1, 'silent', $2, 'no status was received yet') ON CONFLICT (name) DO NOTHING";
+            for name in names {
+                self.query(add, &[(*name).into(), now_ms.into()])?;
+            }
+            nodes = self.among(text, names)?;
+        }
+        let nodes: Vec<ReportCountsRow> = read_all(nodes)?;
+        let nodes = nodes.into_iter().map(|mut node| {
+            // Only of a new row; that of an old one is not changed.
+            node.totals.first_ms = now_ms;
+            (node.name.clone(), node)
+        });
+        Ok(nodes.collect())
+    }
+
+    /// Returns the ids of the cameras of these nodes, by node id and name.
+    pub(crate) fn cameras(
+        &mut self,
+        nodes: &[&str],
+    ) -> Result<HashMap<i64, HashMap<String, i64>>, StoreError> {
+        #[derive(Deserialize)]
+        struct Camera {
+            id: i64,
+            node_id: i64,
+            name: String,
+        }
+        let mut cameras: HashMap<i64, HashMap<String, i64>> = HashMap::new();
+        let text = "SELECT c.id, c.node_id, c.name FROM cameras c JOIN nodes n ON n.id = c.node_id WHERE n.name IN";
+        for camera in read_all::<Camera>(self.among(text, nodes)?)? {
+            let known = cameras.entry(camera.node_id).or_default();
+            known.insert(camera.name, camera.id);
+        }
+        Ok(cameras)
+    }
+
+    /// Adds a camera to a node, and returns its id.
+    pub(crate) fn add_camera(&mut self, node_id: i64, name: &str) -> Result<i64, StoreError> {
+        let text = "INSERT INTO cameras (node_id, name) VALUES ($1, $2) RETURNING id";
+        let id = self.number(text, &[node_id.into(), name.into()])?;
+        id.ok_or_else(|| StoreError::Statement(format!("the camera {name} got no id")))
+    }
+
+    /// Returns the ids of setups. Adds new setups.
+    pub(crate) fn setups(
+        &mut self,
+        setups: HashSet<&Row>,
+    ) -> Result<HashMap<Row, i64>, StoreError> {
+        // The update changes nothing; it makes the statement return the row.
+        let conflict = "ON CONFLICT (policy, threshold, value, model, provider, power_source, total_from) \
+                        DO UPDATE SET policy = excluded.policy RETURNING *";
+        let setups = setups.into_iter().map(columns).collect();
+        let numbered = self
+            .insert_rows("setups", setups, conflict)?
+            .into_iter()
+            .filter_map(|mut setup| Some((setup.remove("id")?, setup)));
+        let ids = numbered.filter_map(|(id, setup)| Some((setup, id.as_i64()?)));
+        Ok(ids.collect())
+    }
+
+    /// Stores the identities of reports, and returns those that are new.
+    pub(crate) fn new_reports(
+        &mut self,
+        keys: &BTreeSet<ReportKey>,
+    ) -> Result<BTreeSet<Uuid>, StoreError> {
+        #[derive(Deserialize)]
+        struct New {
+            #[serde(with = "uuid::serde::compact")]
+            id: Uuid,
+        }
+        if keys.is_empty() {
+            return Ok(BTreeSet::new());
+        }
+        let text = match self.kind() {
+            Kind::Sqlite => include_str!("sql/new_reports_sqlite.sql"),
+            Kind::Postgres => include_str!("sql/new_reports_postgres.sql"),
+        };
+        let rows = keys.iter().map(row).collect::<Result<Vec<_>, _>>()?;
+        let columns = rows.iter().map(columns).collect();
+        let new: Vec<New> = read_all(self.each(text, columns)?)?;
+        Ok(new.into_iter().map(|one| one.id).collect())
+    }
+
+    /// Removes identities that [`new_reports`](Self::new_reports) stored, of reports that are refused.
+    pub(crate) fn forget_reports(&mut self, keys: &BTreeSet<ReportKey>) -> Result<(), StoreError> {
+        if keys.is_empty() {
+            return Ok(());
+        }
+        let text = match self.kind() {
+            Kind::Sqlite => "DELETE FROM report_ids WHERE day = ?1 AND id = ?2 AND ?3 = ?3",
+            Kind::Postgres => {
+                "DELETE FROM report_ids r USING jsonb_to_recordset($1::jsonb) AS k (day BIGINT, id BYTEA) \
+                 WHERE r.day = k.day AND r.id = k.id"
+            }
+        };
+        let rows = keys.iter().map(row).collect::<Result<Vec<_>, _>>()?;
+        self.each(text, rows.iter().map(columns).collect()).map(drop)
+    }
+
+    /// Writes the report counts of nodes.
+    pub(crate) fn write_report_counts(
+        &mut self,
+        rows: Vec<ReportCountsRow>,
+    ) -> Result<(), StoreError> {
+        let conflict = "ON CONFLICT (node_id) DO UPDATE SET last_ms = excluded.last_ms, \
+                        stored = excluded.stored, set_aside = excluded.set_aside, refused = excluded.refused, \
+                        resets = excluded.resets, base = excluded.base, highest = excluded.highest, \
+                        missing = excluded.missing, ranges = excluded.ranges";
+        self.insert("report_counts", &rows, conflict).map(drop)
+    }
+
+    /// Inserts clips, and adds them to the sums of their cameras and of the fleet.
+    pub(crate) fn insert_clips(&mut self, clips: Vec<Columns<'_>>) -> Result<(), StoreError> {
+        let first = self.number("SELECT COALESCE(max(id), 0) + 1 FROM clips", &[])?;
+        self.insert_rows("clips", clips, "")?;
+        for (text, seconds) in ADD_SUMS {
+            self.query(text, &[first.into(), seconds.into(), LARGEST_SUM.into()])?;
+        }
+        Ok(())
+    }
+}
