@@ -7,6 +7,8 @@
 mod clip;
 mod counters;
 mod decode;
+mod fate;
+mod group;
 mod inbox;
 mod limits;
 mod outcomes;

@@ -1,20 +1,18 @@
 //! Writes groups of batches, each in one transaction, and builds their answers. It uses no thread, network or clock.
 
 use super::counters::IngestCounts;
-use super::decode::{Batch, Rejected};
+use super::decode::Batch;
+use super::group::Group;
 use super::limits::{ClockCheck, EVENTS, EntryLimit, PRESENCE, SET_ASIDE};
 use super::outcomes::Written;
-use super::plan::{Doubt, Seen};
 use super::retention::{DeleteOld, retain};
-use super::tables::MOST_CAMERAS;
 use crate::config::HistoryConfig;
 use crate::presence::NodeView;
-use crate::store::row::{Columns, beginning, event};
+use crate::store::row::{beginning, event};
 use crate::store::{Access, Database, Store, StoreError};
-use albireo_service::clock::{DAY_MS, Now};
-use albireo_wire::{RefusedReport, ReportAnswer};
+use albireo_service::clock::Now;
+use albireo_wire::ReportAnswer;
 use serde_json::{Value, json};
-use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
 /// Interval between two searches for old rows, after one that found none.
@@ -22,11 +20,6 @@ const RETENTION: Duration = Duration::from_secs(60);
 
 /// Most events of unreadable batches that wait for the database; further ones are dropped.
 const MOST_EVENTS: usize = 1000;
-
-/// Most reports that count as missing in one gap, and most of a node: more than a node makes in a year. A number that one node
-/// invents must not be the fleet's figure.
-const LARGEST_GAP: u64 = 1_000_000;
-const MOST_MISSING: u64 = 32 * LARGEST_GAP;
 
 /// Stores batches in a database.
 pub struct Recorder {
@@ -175,174 +168,20 @@ impl Recorder {
         now_ms: i64,
         events: &mut Vec<Value>,
     ) -> Result<Recorded, StoreError> {
-        let names: BTreeSet<&str> = batches.iter().map(|batch| batch.node.as_str()).collect();
-        let names: Vec<&str> = names.into_iter().collect();
-        let mut nodes = database.reporting_nodes(&names, now_ms)?;
-        let mut cameras = database.cameras(&names)?;
-        let reports = batches.iter().flat_map(|batch| &batch.reports);
-        let accepted = reports.filter_map(|report| report.content.as_ref().ok());
-        let mut new = database.new_reports(&accepted.clone().map(|(key, _)| *key).collect())?;
-        let setups = accepted.filter(|(key, _)| new.contains(&key.id));
-        let setups = database.setups(setups.map(|(_, clip)| &clip.setup).collect())?;
-
-        let too_many = Rejected {
-            reason: format!("the node has {MOST_CAMERAS} cameras already"),
-            text: Some(String::new()),
-        };
-        let mut clips = Vec::new();
-        let mut aside = Vec::new();
-        let mut refused = BTreeSet::new();
+        let mut group = Group::load(database, batches, now_ms)?;
         let mut recorded = Recorded::default();
-        let counts = &mut recorded.counts;
-        let mut note = |node: &str, kind: &'static str, detail: Value| {
-            if self.event_limit.allows(node, kind, now_ms) {
-                events.push(event(now_ms, kind, node, detail));
-            }
-        };
         for batch in batches {
-            let node = nodes.get_mut(&batch.node).ok_or_else(|| lost("a node"))?;
-            let cameras = cameras.entry(node.node_id).or_default();
-            let mut answer = ReportAnswer::default();
-            let mut invalid = 0;
-            let mut clocks_off = 0;
-            let mut too_old = None;
-            for report in &batch.reports {
-                let mut is_new = false;
-                let mut rejected = None;
-                let doubtful = report.doubt.as_ref().map(|doubt| Rejected {
-                    reason: doubt.reason.clone(),
-                    text: None,
-                });
-                let cleared = |doubt: &Doubt| node.counts.lack(report.count, doubt.first);
-                let is_doubtful = !report.doubt.as_ref().is_none_or(cleared);
-                match &report.content {
-                    Err(why) => rejected = Some(why),
-                    Ok((key, _))
-                        if is_doubtful && (new.remove(&key.id) || refused.contains(key)) =>
-                    {
-                        refused.insert(*key);
-                        rejected = doubtful.as_ref();
-                    }
-                    // It was stored before, or earlier in this group.
-                    Ok((key, _)) if !new.remove(&key.id) => counts.again += 1,
-                    Ok((key, clip)) => {
-                        is_new = true;
-                        let mut camera = cameras.get(&clip.camera).copied();
-                        if camera.is_none() && cameras.len() < MOST_CAMERAS {
-                            let added = database.add_camera(node.node_id, &clip.camera)?;
-                            cameras.insert(clip.camera.clone(), added);
-                            camera = Some(added);
-                        }
-                        if let Some(camera) = camera {
-                            let setup = setups.get(&clip.setup);
-                            let setup = *setup.ok_or_else(|| lost("a setup"))?;
-                            let today = now_ms.div_euclid(DAY_MS);
-                            let day = if key.day > 0 { key.day } else { today };
-                            let mut row = clip.row.clone();
-                            let more = [("day", day), ("camera_id", camera), ("setup_id", setup)];
-                            row.extend(more.map(|(column, number)| (column, number.into())));
-                            *counts += counted(&row);
-                            clips.push(row);
-                            clocks_off += u64::from(!clip.clock);
-                            node.totals.stored += 1;
-                        } else {
-                            rejected = Some(&too_many);
-                        }
-                    }
-                }
-                if let Some(Rejected { reason, text }) = rejected {
-                    if let Some(text) = text {
-                        invalid += 1;
-                        if self.aside_limit.allows(&batch.node, "", now_ms) {
-                            aside.push(json!({
-                                "node_id": node.node_id,
-                                "report_id": report.id.map(|id| id.to_string()),
-                                "received_ms": now_ms,
-                                "cause": reason,
-                                "body": text,
-                            }));
-                        }
-                    } else {
-                        counts.too_old += 1;
-                        node.totals.refused += 1;
-                        let (reports, _) = too_old.get_or_insert_with(|| (0_u64, reason.clone()));
-                        *reports += 1;
-                    }
-                    let reason = reason.clone();
-                    let refused = report.id.map(|id| RefusedReport { id, reason });
-                    answer.refused.extend(refused);
-                    // A report that is not stored counts as missing.
-                    continue;
-                }
-                let seen = report.count.map(|count| node.counts.see(count, is_new));
-                let (kind, detail) = match seen {
-                    Some(Seen::Gap(first, last)) => {
-                        let missing = (last - first + 1).min(LARGEST_GAP);
-                        counts.missing = counts.missing.saturating_add(missing);
-                        let detail = json!({ "first": first, "last": last, "missing": missing });
-                        ("gap", detail)
-                    }
-                    Some(Seen::Reset) => {
-                        counts.resets += 1;
-                        node.totals.resets += 1;
-                        ("reset", json!({ "count": report.count }))
-                    }
-                    Some(Seen::Expected) | None => continue,
-                };
-                note(&batch.node, kind, detail);
-            }
-            counts.set_aside += invalid;
-            counts.clock_off += clocks_off;
-            node.totals.set_aside += i64::try_from(invalid).unwrap_or(i64::MAX);
-            node.totals.last_ms = now_ms.max(node.totals.last_ms);
-            if let Some((reports, reason)) = too_old {
-                note(
-                    &batch.node,
-                    "refused",
-                    json!({ "reports": reports, "reason": reason }),
-                );
-            }
-            for (kind, what, count) in [
-                ("set_aside", "reports", invalid),
-                ("clock_off", "clips", clocks_off),
-            ] {
-                if count > 0 {
-                    note(&batch.node, kind, json!({ what: count }));
+            let (result, cameras) = group.add(database, batch, &mut self.aside_limit)?;
+            for (kind, detail) in result.events {
+                if self.event_limit.allows(&batch.node, kind, now_ms) {
+                    events.push(event(now_ms, kind, &batch.node, detail));
                 }
             }
-            node.totals.missing = node.counts.missing().min(MOST_MISSING);
-            answer.missing = node.counts.wanted().to_vec();
-            recorded.answers.push(answer);
-            recorded.cameras.push(cameras.len());
+            recorded.counts += result.counts;
+            recorded.answers.push(result.answer);
+            recorded.cameras.push(cameras);
         }
-        database.forget_reports(&refused)?;
-        database.write_report_counts(nodes.into_values().collect())?;
-        database.insert("set_aside", &aside, "")?;
-        database.insert_clips(clips)?;
+        group.write(database)?;
         Ok(recorded)
-    }
-}
-
-fn lost(what: &str) -> StoreError {
-    StoreError::Statement(format!("{what} has no id after it was written"))
-}
-
-/// The additions to the counters for a stored clip; null counts as 0.
-fn counted(clip: &Columns<'_>) -> IngestCounts {
-    let count = |column: &str| {
-        let found = clip.iter().find(|(name, _)| *name == column);
-        found.and_then(|(_, value)| value.as_u64()).unwrap_or(0)
-    };
-    IngestCounts {
-        clips: 1,
-        frames: count("frames"),
-        frames_skipped: count("avoided_calls"),
-        audit_frames: count("audit_frames"),
-        audit_missed: count("audit_missed"),
-        audit_detected: count("audit_detected"),
-        audit_shown: count("audit_shown"),
-        audit_paired: count("audit_paired"),
-        energy_uj: count("energy_uj"),
-        ..IngestCounts::default()
     }
 }

@@ -1,7 +1,8 @@
 //! The tables of ingest: identities of reports, clips and their sums, cameras, setups, and counts of reports.
 
+use super::clip::SetupRow;
 use super::plan::Counts;
-use crate::store::row::{Columns, Row, columns, read_all, row};
+use crate::store::row::{Columns, columns, read_all, row};
 use crate::store::{Database, Kind, StoreError};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeSet, HashMap, HashSet};
@@ -127,18 +128,20 @@ impl dyn Database + '_ {
     /// Returns the ids of setups. Adds new setups.
     pub(crate) fn setups(
         &mut self,
-        setups: HashSet<&Row>,
-    ) -> Result<HashMap<Row, i64>, StoreError> {
+        setups: HashSet<&SetupRow>,
+    ) -> Result<HashMap<SetupRow, i64>, StoreError> {
+        #[derive(Deserialize)]
+        struct Numbered {
+            id: i64,
+            #[serde(flatten)]
+            setup: SetupRow,
+        }
         // The update changes nothing; it makes the statement return the row.
         let conflict = "ON CONFLICT (policy, threshold, value, model, provider, power_source, total_from) \
                         DO UPDATE SET policy = excluded.policy RETURNING *";
-        let setups = setups.into_iter().map(columns).collect();
-        let numbered = self
-            .insert_rows("setups", setups, conflict)?
-            .into_iter()
-            .filter_map(|mut setup| Some((setup.remove("id")?, setup)));
-        let ids = numbered.filter_map(|(id, setup)| Some((setup, id.as_i64()?)));
-        Ok(ids.collect())
+        let setups: Vec<&SetupRow> = setups.into_iter().collect();
+        let numbered: Vec<Numbered> = read_all(self.insert("setups", &setups, conflict)?)?;
+        Ok(numbered.into_iter().map(|one| (one.setup, one.id)).collect())
     }
 
     /// Stores the identities of reports, and returns those that are new.

@@ -1,0 +1,158 @@
+//! A group of batches in one transaction: what the database knows of them, and what is written for them.
+
+use super::clip::{Clip, SetupRow};
+use super::decode::{Batch, Received};
+use super::fate::{BatchResult, Fate, Identity};
+use super::limits::EntryLimit;
+use super::tables::{MOST_CAMERAS, ReportCountsRow, ReportKey};
+use crate::store::row::Columns;
+use crate::store::{Database, StoreError};
+use albireo_service::clock::DAY_MS;
+use serde_json::{Value, json};
+use std::collections::{BTreeSet, HashMap};
+use uuid::Uuid;
+
+/// The rows of a group.
+pub(super) struct Group {
+    now_ms: i64,
+    /// The nodes' counts of reports, by name.
+    nodes: HashMap<String, ReportCountsRow>,
+    /// The ids of their cameras, by node id and name.
+    cameras: HashMap<i64, HashMap<String, i64>>,
+    /// The identities that were not stored before this group.
+    new: BTreeSet<Uuid>,
+    /// New identities of reports that are refused.
+    refused: BTreeSet<ReportKey>,
+    setups: HashMap<SetupRow, i64>,
+    clips: Vec<Columns<'static>>,
+    aside: Vec<Value>,
+}
+
+impl Group {
+    /// Reads what the database knows of the batches' nodes, and stores the new identities, nodes and setups.
+    pub(super) fn load(
+        database: &mut dyn Database,
+        batches: &[Batch],
+        now_ms: i64,
+    ) -> Result<Self, StoreError> {
+        let names: BTreeSet<&str> = batches.iter().map(|batch| batch.node.as_str()).collect();
+        let names: Vec<&str> = names.into_iter().collect();
+        let nodes = database.reporting_nodes(&names, now_ms)?;
+        let cameras = database.cameras(&names)?;
+        let valid = batches
+            .iter()
+            .flat_map(|batch| &batch.reports)
+            .filter_map(|report| report.content.as_ref().ok());
+        let new = database.new_reports(&valid.clone().map(|(key, _)| *key).collect())?;
+        let setups = valid
+            .filter(|(key, _)| new.contains(&key.id))
+            .map(|(_, clip)| &clip.setup)
+            .collect();
+        Ok(Self {
+            now_ms,
+            nodes,
+            cameras,
+            setups: database.setups(setups)?,
+            new,
+            refused: BTreeSet::new(),
+            clips: Vec::new(),
+            aside: Vec::new(),
+        })
+    }
+
+    /// Decides on each report of a batch, and collects its rows. Returns the result, and the number of the node's cameras.
+    pub(super) fn add(
+        &mut self,
+        database: &mut dyn Database,
+        batch: &Batch,
+        aside_limit: &mut EntryLimit,
+    ) -> Result<(BatchResult, usize), StoreError> {
+        let mut result = BatchResult::default();
+        let mut node = self.nodes.remove(&batch.node).ok_or_else(|| lost("a node"))?;
+        for report in &batch.reports {
+            let identity = self.identity(report);
+            let doubt = report
+                .doubt
+                .as_ref()
+                .filter(|doubt| !node.counts.lack(report.count, doubt.first));
+            let cameras = self.cameras.entry(node.node_id).or_default();
+            let fate = Fate::of(report, identity, doubt, |camera| {
+                cameras.contains_key(camera) || cameras.len() < MOST_CAMERAS
+            });
+            match &fate {
+                Fate::Stored(key, clip) => self.store(database, node.node_id, *key, clip)?,
+                Fate::TooOld { noted, .. } => self.refused.extend(noted),
+                Fate::Invalid { reason, text }
+                    if aside_limit.allows(&batch.node, "", self.now_ms) =>
+                {
+                    self.set_aside(node.node_id, report, reason, text);
+                }
+                Fate::Again | Fate::Invalid { .. } => {}
+            }
+            result.add(report, &fate, &mut node);
+        }
+        result.end(&mut node, self.now_ms);
+        let cameras = self.cameras.get(&node.node_id).map_or(0, HashMap::len);
+        self.nodes.insert(batch.node.clone(), node);
+        Ok((result, cameras))
+    }
+
+    /// What is known of the identity of a report, which no later report of this group can have as a new one.
+    fn identity(&mut self, report: &Received) -> Identity {
+        match &report.content {
+            Ok((key, _)) if self.new.remove(&key.id) => Identity::New,
+            Ok((key, _)) if self.refused.contains(key) => Identity::Refused,
+            _ => Identity::Known,
+        }
+    }
+
+    /// Collects the row of a clip; its camera is added if the node has not had it yet.
+    fn store(
+        &mut self,
+        database: &mut dyn Database,
+        node_id: i64,
+        key: ReportKey,
+        clip: &Clip,
+    ) -> Result<(), StoreError> {
+        let cameras = self.cameras.entry(node_id).or_default();
+        let camera_id = match cameras.get(&clip.camera) {
+            Some(known) => *known,
+            None => {
+                let added = database.add_camera(node_id, &clip.camera)?;
+                cameras.insert(clip.camera.clone(), added);
+                added
+            }
+        };
+        let setup_id = *self.setups.get(&clip.setup).ok_or_else(|| lost("a setup"))?;
+        // A day that is not believed is negative; the clip is kept from the day of its receipt on.
+        let day = if key.day > 0 {
+            key.day
+        } else {
+            self.now_ms.div_euclid(DAY_MS)
+        };
+        self.clips.push(clip.row.columns(day, camera_id, setup_id));
+        Ok(())
+    }
+
+    fn set_aside(&mut self, node_id: i64, report: &Received, reason: &str, text: &str) {
+        self.aside.push(json!({
+            "node_id": node_id,
+            "report_id": report.id.map(|id| id.to_string()),
+            "received_ms": self.now_ms,
+            "cause": reason,
+            "body": text,
+        }));
+    }
+
+    /// Writes the collected rows.
+    pub(super) fn write(self, database: &mut dyn Database) -> Result<(), StoreError> {
+        database.forget_reports(&self.refused)?;
+        database.write_report_counts(self.nodes.into_values().collect())?;
+        database.insert("set_aside", &self.aside, "")?;
+        database.insert_clips(self.clips)
+    }
+}
+
+fn lost(what: &str) -> StoreError {
+    StoreError::Statement(format!("{what} has no id after it was written"))
+}
