@@ -6,6 +6,7 @@
 
 mod database;
 mod error;
+mod events;
 mod file;
 mod migrate;
 mod partitions;
@@ -16,6 +17,7 @@ pub mod transfer;
 
 pub(crate) use database::Database;
 pub use error::StoreError;
+pub(crate) use events::EventRow;
 pub(crate) use partitions::{DAILY, keep_days};
 
 use crate::config::DatabaseConfig;

@@ -1,7 +1,7 @@
 //! Reads sums over time and fleet. Measured, partial and estimated energy are never added.
 
-use super::{audit, audit_figures};
-use crate::store::row::{read, whole};
+use super::{AuditColumns, audit_figures};
+use crate::store::row::{Row, read, whole};
 use crate::store::{Store, StoreError};
 use albireo_wire::{AuditFigures, AuditReport, EnergyQuality};
 use serde::{Deserialize, Serialize};
@@ -161,8 +161,9 @@ impl Store {
             wanted.node.as_deref().unwrap_or_default().into(),
         ];
         let rows = self.query(text, values).await?.into_iter();
-        let group = |row| {
-            let audit_counts = audit(&row);
+        let group = |row: Row| {
+            let audit: AuditColumns = read(row.clone())?;
+            let audit_counts = audit.report();
             Ok(EnergyGroup {
                 audit: audit_figures(&audit_counts),
                 audit_counts,

@@ -1,8 +1,8 @@
 //! Reads clips, events, report counts and invalid reports.
 
-use super::{audit, audit_figures};
+use super::{AuditColumns, audit_figures};
 use crate::ingest::ReportCounts;
-use crate::store::row::{json_text, read, read_all};
+use crate::store::row::{Row, json_text, read, read_all};
 use crate::store::{Store, StoreError};
 use albireo_wire::{AuditFigures, EnergyQuality};
 use serde::{Deserialize, Serialize};
@@ -172,9 +172,10 @@ impl Store {
             None => CLIPS,
         };
         let rows = self.query(text, values).await?.into_iter();
-        let clip = |row| {
+        let clip = |row: Row| {
+            let audit: AuditColumns = read(row.clone())?;
             Ok(StoredClip {
-                audit: audit_figures(&audit(&row)),
+                audit: audit_figures(&audit.report()),
                 ..read(row)?
             })
         };
@@ -187,9 +188,12 @@ impl Store {
     /// When the database cannot be read.
     pub(crate) async fn last_event(&self) -> Result<i64, StoreError> {
         let text = "SELECT COALESCE(max(id), 0) AS id FROM events";
-        let rows = self.query(text, Vec::new()).await?;
-        let id = rows.first().and_then(|row| row.get("id")?.as_i64());
-        Ok(id.unwrap_or(0))
+        #[derive(Deserialize)]
+        struct Last {
+            id: i64,
+        }
+        let rows: Vec<Last> = read_all(self.query(text, Vec::new()).await?)?;
+        Ok(rows.first().map_or(0, |last| last.id))
     }
 
     /// Events with numbers above `id`, in order.

@@ -8,9 +8,19 @@ use super::tables::{MOST_CAMERAS, ReportCountsRow, ReportKey};
 use crate::store::row::Columns;
 use crate::store::{Database, StoreError};
 use albireo_service::clock::DAY_MS;
-use serde_json::{Value, json};
+use serde::Serialize;
 use std::collections::{BTreeSet, HashMap};
 use uuid::Uuid;
+
+/// The row of an invalid report.
+#[derive(Serialize)]
+struct SetAsideRow {
+    node_id: i64,
+    report_id: Option<String>,
+    received_ms: i64,
+    cause: String,
+    body: String,
+}
 
 /// The rows of a group.
 pub(super) struct Group {
@@ -25,7 +35,7 @@ pub(super) struct Group {
     refused: BTreeSet<ReportKey>,
     setups: HashMap<SetupRow, i64>,
     clips: Vec<Columns<'static>>,
-    aside: Vec<Value>,
+    aside: Vec<SetAsideRow>,
 }
 
 impl Group {
@@ -135,13 +145,13 @@ impl Group {
     }
 
     fn set_aside(&mut self, node_id: i64, report: &Received, reason: &str, text: &str) {
-        self.aside.push(json!({
-            "node_id": node_id,
-            "report_id": report.id.map(|id| id.to_string()),
-            "received_ms": self.now_ms,
-            "cause": reason,
-            "body": text,
-        }));
+        self.aside.push(SetAsideRow {
+            node_id,
+            report_id: report.id.map(|id| id.to_string()),
+            received_ms: self.now_ms,
+            cause: reason.to_owned(),
+            body: text.to_owned(),
+        });
     }
 
     /// Writes the collected rows.

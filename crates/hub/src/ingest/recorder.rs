@@ -8,11 +8,11 @@ use super::outcomes::Written;
 use super::retention::{DeleteOld, retain};
 use crate::config::HistoryConfig;
 use crate::presence::NodeView;
-use crate::store::row::{beginning, event};
-use crate::store::{Access, Database, Store, StoreError};
+use crate::store::row::beginning;
+use crate::store::{Access, Database, EventRow, Store, StoreError};
 use albireo_service::clock::Now;
 use albireo_wire::ReportAnswer;
-use serde_json::{Value, json};
+use serde_json::json;
 use std::time::{Duration, Instant};
 
 /// Interval between two searches for old rows, after one that found none.
@@ -29,7 +29,7 @@ pub struct Recorder {
     /// Deletes old rows of other rooms' tables.
     delete_more: Option<DeleteOld>,
     /// Events of unreadable batches, which the next commit writes.
-    events: Vec<Value>,
+    events: Vec<EventRow>,
     event_limit: EntryLimit,
     presence_limit: EntryLimit,
     aside_limit: EntryLimit,
@@ -89,7 +89,7 @@ impl Recorder {
             let reason = beginning(reason);
             tracing::warn!(node, reason, "a batch cannot be read");
             let detail = json!({ "reason": reason });
-            self.events.push(event(now_ms, "refused", node, detail));
+            self.events.push(EventRow::of(now_ms, "refused", node, detail));
         }
     }
 
@@ -116,7 +116,7 @@ impl Recorder {
         database.begin()?;
         let mut events = database.write_nodes(nodes)?;
         events.retain(|event| {
-            let node = event["node"].as_str().unwrap_or_default();
+            let node = event.node.as_deref().unwrap_or_default();
             self.presence_limit.allows(node, "node", now.unix_ms)
         });
         events.extend_from_slice(&self.events);
@@ -124,7 +124,7 @@ impl Recorder {
             [] => Recorded::default(),
             _ => self.write(&mut *database, batches, now.unix_ms, &mut events)?,
         };
-        database.insert("events", &events, "")?;
+        database.insert_events(&events)?;
         if self.proves_writing {
             database.prove_writing(now.unix_ms)?;
         }
@@ -166,7 +166,7 @@ impl Recorder {
         database: &mut dyn Database,
         batches: &[Batch],
         now_ms: i64,
-        events: &mut Vec<Value>,
+        events: &mut Vec<EventRow>,
     ) -> Result<Recorded, StoreError> {
         let mut group = Group::load(database, batches, now_ms)?;
         let mut recorded = Recorded::default();
@@ -174,7 +174,7 @@ impl Recorder {
             let (result, cameras) = group.add(database, batch, &mut self.aside_limit)?;
             for (kind, detail) in result.events {
                 if self.event_limit.allows(&batch.node, kind, now_ms) {
-                    events.push(event(now_ms, kind, &batch.node, detail));
+                    events.push(EventRow::of(now_ms, kind, &batch.node, detail));
                 }
             }
             recorded.counts += result.counts;

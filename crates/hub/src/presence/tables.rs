@@ -1,16 +1,30 @@
 //! The table of nodes.
 
 use super::{NodeView, PresenceState, TodaysEnergy};
-use crate::store::row::{Row, event, read, read_all};
-use crate::store::{Database, Store, StoreError};
-use serde::Deserialize;
-use serde_json::{Value, json};
+use crate::store::row::{Row, read, read_all};
+use crate::store::{Database, EventRow, Store, StoreError};
+use albireo_wire::NodeStatus;
+use serde::{Deserialize, Serialize};
+use serde_json::json;
 use std::collections::HashMap;
+
+/// The columns of a node that its messages change.
+#[derive(Serialize)]
+struct NodeRow<'a> {
+    name: &'a str,
+    state: PresenceState,
+    since_ms: i64,
+    why: &'a str,
+    heard_ms: Option<i64>,
+    revision: i64,
+    /// The last full status; the table keeps the one before it if there is none.
+    status: Option<&'a NodeStatus>,
+}
 
 impl dyn Database + '_ {
     /// Writes nodes, and returns the events to write with them. If several hubs see the same change of a node, only one
     /// of them writes the event.
-    pub(crate) fn write_nodes(&mut self, nodes: &[NodeView]) -> Result<Vec<Value>, StoreError> {
+    pub(crate) fn write_nodes(&mut self, nodes: &[NodeView]) -> Result<Vec<EventRow>, StoreError> {
         #[derive(Deserialize)]
         struct Before {
             name: String,
@@ -33,19 +47,19 @@ impl dyn Database + '_ {
             if row.is_some_and(|row| row.state == "forgotten" && row.since_ms >= node.since_ms) {
                 continue;
             }
-            rows.push(json!({
-                "name": node.node,
-                "state": node.state,
-                "since_ms": node.since_ms,
-                "why": node.why,
-                "heard_ms": node.heard_ms,
-                "revision": i64::try_from(node.revision).unwrap_or(i64::MAX),
-                "status": node.status,
-            }));
+            rows.push(NodeRow {
+                name: &node.node,
+                state: node.state,
+                since_ms: node.since_ms,
+                why: &node.why,
+                heard_ms: node.heard_ms,
+                revision: i64::try_from(node.revision).unwrap_or(i64::MAX),
+                status: node.status.as_deref(),
+            });
             let from = row.map_or(PresenceState::Silent.name(), |row| &row.state);
             if from != node.state.name() {
                 let detail = json!({ "from": from, "to": node.state, "why": node.why });
-                events.push(event(node.since_ms, "node", &node.node, detail));
+                events.push(EventRow::of(node.since_ms, "node", &node.node, detail));
             }
         }
         self.insert(
@@ -84,8 +98,12 @@ impl dyn Database + '_ {
             )?;
         }
         let detail = json!({ "who": "hub", "nodes": names.len() });
-        let event = json!({ "at_ms": now_ms, "kind": "forgotten", "node": null, "detail": detail });
-        self.insert("events", &[event], "").map(drop)
+        self.insert_events(&[EventRow {
+            at_ms: now_ms,
+            kind: "forgotten",
+            node: None,
+            detail,
+        }])
     }
 }
 

@@ -41,6 +41,17 @@ pub(crate) trait Database: Send {
         self.query(text, &[now_ms.to_string().into()]).map(drop)
     }
 
+    /// Runs a query for one column of text, and returns it.
+    fn texts(&mut self, text: &str) -> Result<Vec<String>, StoreError> {
+        let rows = self.query(text, &[])?;
+        rows.into_iter()
+            .map(|row| match row.into_iter().next() {
+                Some((_, Value::String(text))) => Ok(text),
+                other => Err(StoreError::Statement(format!("{other:?} is no text"))),
+            })
+            .collect()
+    }
+
     /// Runs a statement and returns the whole number in its first row, if any.
     fn number(&mut self, text: &str, values: &[Value]) -> Result<Option<i64>, StoreError> {
         let rows = self.query(text, values)?;

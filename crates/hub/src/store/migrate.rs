@@ -1,6 +1,6 @@
 //! Creates the tables. A database of another program or of another version is refused and not changed.
 
-use super::{Database, Kind, Row, StoreError};
+use super::{Database, Kind, StoreError};
 
 /// The version of the tables, which the schemas store.
 const VERSION: i64 = 14;
@@ -34,9 +34,8 @@ pub(super) fn check(database: &mut dyn Database) -> Result<(), StoreError> {
     }
     let text = "SELECT v.value FROM hub_meta p JOIN hub_meta v ON v.key = 'version' \
                 WHERE p.key = 'program' AND p.value = 'albireo-hub'";
-    let rows = database.query(text, &[])?;
-    let version = rows.first().and_then(|row| row.get("value")?.as_str());
-    match version.and_then(|version| version.parse::<i64>().ok()) {
+    let versions = database.texts(text)?;
+    match versions.first().and_then(|version| version.parse::<i64>().ok()) {
         Some(VERSION) => Ok(()),
         Some(found) => Err(StoreError::Refused(format!(
             "the tables of the database have version {found}, and this albireo reads only version {VERSION}: run the older \
@@ -59,7 +58,5 @@ pub(super) fn tables(database: &mut dyn Database) -> Result<Vec<String>, StoreEr
             "SELECT CAST(tablename AS TEXT) AS name FROM pg_tables WHERE schemaname = current_schema()"
         }
     };
-    let tables = database.query(text, &[])?.into_iter();
-    let name = |table: Row| Some(table.get("name")?.as_str()?.to_owned());
-    Ok(tables.filter_map(name).collect())
+    database.texts(text)
 }

@@ -3,7 +3,7 @@
 use super::StoreError;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
-use serde_json::{Map, Value, json};
+use serde_json::{Map, Value};
 
 /// A row: its columns by name. The id of a report is an array of 16 bytes.
 pub(crate) type Row = Map<String, Value>;
@@ -33,11 +33,6 @@ pub(crate) fn row(of: &impl Serialize) -> Result<Row, StoreError> {
         Value::Object(row) => Ok(row),
         other => Err(StoreError::Statement(format!("{other} is not a row"))),
     }
-}
-
-/// The row of an event of a node.
-pub(crate) fn event(at_ms: i64, kind: &str, node: &str, detail: Value) -> Value {
-    json!({ "at_ms": at_ms, "kind": kind, "node": node, "detail": detail })
 }
 
 /// The bytes of an id.

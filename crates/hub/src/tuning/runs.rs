@@ -5,8 +5,7 @@ use super::run::{Command, Kind, LeftOut, Run};
 use super::tables::ChangeRow;
 use super::tuner::Tuner;
 use crate::presence::NodeView;
-use crate::store::StoreError;
-use crate::store::row::event;
+use crate::store::{EventRow, StoreError};
 use albireo_service::http::Problem;
 use albireo_wire::{DesiredSetting, Threshold};
 use axum::http::StatusCode;
@@ -74,12 +73,12 @@ impl Tuner {
                 "the node {node} takes part in a rollout or trial: end or return that first"
             )));
         }
-        let event = event(now, "forgotten", node, json!({ "who": who }));
+        let event = EventRow::of(now, "forgotten", node, json!({ "who": who }));
         let forgotten = node.to_owned();
         let written = self.store.write(move |writing| {
             writing.drop_desired(&forgotten, now)?;
             writing.forget_node(&forgotten, now)?;
-            writing.insert("events", &[event], "").map(drop)
+            writing.insert_events(&[event])
         });
         written.await?;
         self.desires.remove(node);

@@ -2,14 +2,14 @@
 
 use super::desired::Wanted;
 use super::member::{ChangeNode, Outcome};
-use super::metric::{BeforeAfter, Figure, Mean};
+use super::metric::{BeforeAfter, Figure, Figures, Mean};
 use super::run::{Measured, Run, Window};
 use super::runs::RunKey;
 use crate::store::row::{Row, json_text, read_all};
 use crate::store::{Database, Kind, Store, StoreError};
 use albireo_wire::DesiredSetting;
 use serde::{Deserialize, Serialize};
-use serde_json::{Value, json};
+use serde_json::Value;
 use std::collections::BTreeMap;
 use utoipa::ToSchema;
 
@@ -48,13 +48,87 @@ pub struct ChangeView {
     pub nodes: Vec<ChangeNode>,
 }
 
-/// Reads rollouts and trials, which are JSON in one column.
-fn runs(rows: &[Row]) -> Result<Vec<Run>, StoreError> {
-    let run = |row: &Row| {
-        let state = row.get("state").and_then(Value::as_str);
-        Ok::<Run, StoreError>(serde_json::from_str(state.unwrap_or_default())?)
-    };
-    rows.iter().map(run).collect()
+/// A rollout or trial, which is JSON in one column.
+#[derive(Deserialize)]
+struct RunState {
+    #[serde(deserialize_with = "json_text::deserialize")]
+    state: Run,
+}
+
+/// Reads rollouts and trials.
+fn runs(rows: Vec<Row>) -> Result<Vec<Run>, StoreError> {
+    let runs: Vec<RunState> = read_all(rows)?;
+    Ok(runs.into_iter().map(|run| run.state).collect())
+}
+
+/// The row of a rollout or trial.
+#[derive(Serialize)]
+struct RunRow<'a> {
+    kind: &'a str,
+    id: i64,
+    ended_ms: Option<i64>,
+    driver: &'a str,
+    driven_until_ms: i64,
+    state: String,
+}
+
+/// The row of a node's desired setting.
+#[derive(Serialize)]
+struct DesiredRow<'a> {
+    node: &'a str,
+    revision: u64,
+    setting: DesiredSetting,
+}
+
+/// The clips of a node in a window: for each figure how many clips have it, and their sum.
+#[derive(Deserialize)]
+struct SumsRow {
+    node: String,
+    clips_skip_rate: u64,
+    sum_skip_rate: Option<f64>,
+    clips_joules_measured: u64,
+    sum_joules_measured: Option<f64>,
+    clips_joules_estimated: u64,
+    sum_joules_estimated: Option<f64>,
+    clips_edp_measured: u64,
+    sum_edp_measured: Option<f64>,
+    clips_edp_estimated: u64,
+    sum_edp_estimated: Option<f64>,
+    clips_latency_p99: u64,
+    sum_latency_p99: Option<f64>,
+    clips_degraded: u64,
+    sum_degraded: Option<f64>,
+    clips_recall: u64,
+    sum_recall: Option<f64>,
+    clips_precision: u64,
+    sum_precision: Option<f64>,
+}
+
+impl SumsRow {
+    /// The figures that at least one clip has.
+    fn figures(&self) -> Figures {
+        let figures = Figure::ALL.into_iter().filter_map(|figure| {
+            let (clips, sum) = match figure {
+                Figure::SkipRate => (self.clips_skip_rate, self.sum_skip_rate),
+                Figure::JoulesMeasured => (self.clips_joules_measured, self.sum_joules_measured),
+                Figure::JoulesEstimated => (self.clips_joules_estimated, self.sum_joules_estimated),
+                Figure::EdpMeasured => (self.clips_edp_measured, self.sum_edp_measured),
+                Figure::EdpEstimated => (self.clips_edp_estimated, self.sum_edp_estimated),
+                Figure::LatencyP99 => (self.clips_latency_p99, self.sum_latency_p99),
+                Figure::Degraded => (self.clips_degraded, self.sum_degraded),
+                Figure::Recall => (self.clips_recall, self.sum_recall),
+                Figure::Precision => (self.clips_precision, self.sum_precision),
+            };
+            Some((
+                figure,
+                Mean {
+                    clips,
+                    sum: sum.filter(|_| clips > 0)?,
+                },
+            ))
+        });
+        figures.collect()
+    }
 }
 
 /// Deletes changes before `day`, at most 1000 rows of each table. Returns the largest number of rows of one table.
@@ -88,8 +162,10 @@ impl dyn Database + '_ {
         for node in &mut nodes {
             node.at.ask.revision = change.revision.unsigned_abs();
         }
-        let desired = nodes.iter().map(|Wanted { at, setting, .. }| {
-            json!({ "node": at.node, "revision": at.ask.revision, "setting": setting })
+        let desired = nodes.iter().map(|Wanted { at, setting, .. }| DesiredRow {
+            node: &at.node,
+            revision: at.ask.revision,
+            setting: *setting,
         });
         self.insert(
             "desired",
@@ -142,14 +218,14 @@ impl dyn Database + '_ {
             let text = "UPDATE counters SET value = value + 1 WHERE name = $1 RETURNING value";
             run.id = self.next(text, kind.into())?;
         }
-        let row = json!({
-            "kind": kind,
-            "id": run.id,
-            "ended_ms": run.ended_ms,
-            "driver": driver,
-            "driven_until_ms": until_ms,
-            "state": serde_json::to_string(&run)?,
-        });
+        let row = RunRow {
+            kind,
+            id: run.id,
+            ended_ms: run.ended_ms,
+            driver,
+            driven_until_ms: until_ms,
+            state: serde_json::to_string(&run)?,
+        };
         let conflict = "ON CONFLICT (kind, id) DO UPDATE SET ended_ms = excluded.ended_ms, state = excluded.state, \
                         driver = excluded.driver, driven_until_ms = excluded.driven_until_ms \
                         WHERE runs.driver = excluded.driver OR runs.ended_ms IS NOT NULL";
@@ -225,13 +301,13 @@ impl Store {
     ) -> Result<Vec<Run>, StoreError> {
         let text = "SELECT state FROM runs WHERE kind = $1 AND id < $2 ORDER BY id DESC LIMIT $3";
         let values = vec![kind.into(), before.into(), limit.into()];
-        runs(&self.query(text, values).await?)
+        runs(self.query(text, values).await?)
     }
 
     /// The rollouts and trials that have not ended, of all hubs.
     pub(crate) async fn open_runs(&self) -> Result<Vec<Run>, StoreError> {
         let text = "SELECT state FROM runs WHERE ended_ms IS NULL";
-        runs(&self.query(text, Vec::new()).await?)
+        runs(self.query(text, Vec::new()).await?)
     }
 
     /// One rollout or trial.
@@ -259,21 +335,14 @@ impl Store {
             for windows in windows.chunks(500) {
                 let windows: Vec<_> = windows.iter().map(|both| &both[side]).collect();
                 let values = vec![serde_json::to_string(&windows)?.into()];
-                for row in self.query(text.clone(), values).await? {
-                    let node = row.get("node").and_then(Value::as_str);
-                    let Some(clips) = node.and_then(|node| found.get_mut(node)) else {
+                let rows: Vec<SumsRow> = read_all(self.query(text.clone(), values).await?)?;
+                for row in rows {
+                    let Some(clips) = found.get_mut(&row.node) else {
                         continue;
                     };
-                    let figures = match side {
-                        0 => &mut clips.before,
-                        _ => &mut clips.after,
-                    };
-                    let number = |column: String| row.get(&column).and_then(Value::as_f64);
-                    for figure in Figure::ALL {
-                        let clips = number(format!("clips_{figure}")).unwrap_or(0.0) as u64;
-                        if let Some(sum) = number(format!("sum_{figure}")).filter(|_| clips > 0) {
-                            figures.insert(figure, Mean { clips, sum });
-                        }
+                    match side {
+                        0 => clips.before = row.figures(),
+                        _ => clips.after = row.figures(),
                     }
                 }
             }

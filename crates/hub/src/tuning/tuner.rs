@@ -6,8 +6,7 @@ use super::run::milliseconds;
 use super::tables::ChangeRow;
 use crate::config::{LocalChange, TuningConfig};
 use crate::presence::Fleet;
-use crate::store::row::event;
-use crate::store::{Store, StoreError};
+use crate::store::{EventRow, Store, StoreError};
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::readiness::Part;
 use albireo_wire::DesiredSetting;
@@ -254,7 +253,7 @@ impl Tuner {
                         "desired": wanted.setting,
                         "in_force": view.setting(),
                     });
-                    events.push(event(now, "drift", node, detail));
+                    events.push(EventRow::of(now, "drift", node, detail));
                     wanted.drifted_ms = Some(now);
                 }
                 drifted.push(wanted);
@@ -264,7 +263,7 @@ impl Tuner {
             }
         }
         if !events.is_empty() {
-            let written = self.store.write(move |writing| writing.insert("events", &events, ""));
+            let written = self.store.write(move |writing| writing.insert_events(&events));
             written.await?;
         }
         // Only after the events are stored: after an error the next call finds the drift again.
