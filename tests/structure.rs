@@ -237,16 +237,51 @@ fn rooms_use_the_floors_below_them_alone() {
             let found = crate_paths(&code[room]).into_iter().map(|path| {
                 // A type that the crate's root exports is in a room.
                 let line = root.lines().find(|line| {
-                    line.starts_with("pub use") && line.trim_end_matches(';').ends_with(&format!("::{path}"))
+                    line.starts_with("pub use")
+                        && line.trim_end_matches(';').ends_with(&format!("::{path}"))
                 });
                 let exported = line.and_then(|line| line["pub use ".len()..].split("::").next());
                 exported.unwrap_or(path).to_owned()
             });
-            let found: BTreeSet<String> = found.filter(|path| path != room && there.contains(&**path)).collect();
-            assert_eq!(uses, &found, "{name}: {room} uses; left the page, right the code");
+            let found: BTreeSet<String> =
+                found.filter(|path| path != room && there.contains(&**path)).collect();
+            assert_eq!(
+                uses, &found,
+                "{name}: {room} uses; left the page, right the code"
+            );
             let above: Vec<_> = found.difference(&below).collect();
-            assert!(above.is_empty(), "{name}: {room} uses {above:?} on no lower floor");
+            assert!(
+                above.is_empty(),
+                "{name}: {room} uses {above:?} on no lower floor"
+            );
             below.insert(room.clone());
         }
+    }
+}
+
+/// The names of the types in a crate's code.
+fn types(code: &str) -> Vec<&str> {
+    let lines = code.lines().map(str::trim_start);
+    let declared = lines.filter_map(|line| {
+        let mut words = line.split_whitespace().skip_while(|word| word.starts_with("pub"));
+        let kind = words.next()?;
+        let name = words.next().filter(|_| ["struct", "enum", "type", "trait"].contains(&kind))?;
+        name.split(|c: char| !c.is_alphanumeric()).next()
+    });
+    declared.collect()
+}
+
+#[test]
+fn no_two_types_of_a_crate_with_floors_have_the_same_name() {
+    // The error of a parser, which its trait names.
+    const OF_TRAITS: [&str; 1] = ["Err"];
+    for (name, _) in floors(&text("ARCHITECTURE.md")) {
+        let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("crates").join(&name).join("src");
+        let code: String = rooms(&source).into_values().collect();
+        let mut seen = BTreeSet::new();
+        let twice: Vec<_> = types(&code).into_iter().filter(|name| !seen.insert(*name)).collect();
+        let twice: Vec<_> = twice.into_iter().filter(|name| !OF_TRAITS.contains(name)).collect();
+        assert!(seen.len() > 50, "{name}: {seen:?}");
+        assert!(twice.is_empty(), "{name}: {twice:?}");
     }
 }

@@ -36,14 +36,14 @@ const READERS: usize = 4;
 
 /// The kind of database.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Kind {
+pub(crate) enum DatabaseKind {
     /// One file.
     Sqlite,
     /// A server, which several hubs may share.
     Postgres,
 }
 
-impl Kind {
+impl DatabaseKind {
     /// The kind of database that a URL names.
     fn of(url: &str) -> Self {
         if url.starts_with("sqlite:") {
@@ -59,7 +59,7 @@ impl Kind {
 pub struct Store(Arc<Shared>);
 
 struct Shared {
-    kind: Kind,
+    kind: DatabaseKind,
     url: String,
     timeout_ms: u64,
     /// The file of SQLite.
@@ -85,8 +85,8 @@ impl Store {
     /// [`StoreError::Refused`] when the database holds other data, or was written by another version of the program: a retry
     /// does not help. [`StoreError::Unavailable`] when it cannot be reached now.
     pub async fn open(config: &DatabaseConfig) -> Result<Self, StoreError> {
-        let kind = Kind::of(&config.url);
-        let file = (kind == Kind::Sqlite).then(|| {
+        let kind = DatabaseKind::of(&config.url);
+        let file = (kind == DatabaseKind::Sqlite).then(|| {
             let path = sqlite::file(&config.url);
             file::DatabaseFile::new(path)
         });
@@ -134,8 +134,8 @@ impl Store {
         let url = &self.0.url;
         let timeout_ms = self.0.timeout_ms;
         Ok(match self.0.kind {
-            Kind::Sqlite => Box::new(sqlite::Sqlite::open(url, timeout_ms, access)?),
-            Kind::Postgres => {
+            DatabaseKind::Sqlite => Box::new(sqlite::Sqlite::open(url, timeout_ms, access)?),
+            DatabaseKind::Postgres => {
                 let runtime = self.0.runtime.clone();
                 Box::new(postgres::PostgresServer::open(url, timeout_ms, runtime)?)
             }
@@ -188,15 +188,15 @@ impl Store {
     }
 
     /// The kind of database.
-    pub(crate) fn database_kind(&self) -> Kind {
+    pub(crate) fn database_kind(&self) -> DatabaseKind {
         self.0.kind
     }
 
     /// `sqlite` or `postgres`.
     pub fn kind(&self) -> &'static str {
         match self.0.kind {
-            Kind::Sqlite => "sqlite",
-            Kind::Postgres => "postgres",
+            DatabaseKind::Sqlite => "sqlite",
+            DatabaseKind::Postgres => "postgres",
         }
     }
 

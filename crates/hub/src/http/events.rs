@@ -24,7 +24,7 @@ const LOOK: Duration = Duration::from_millis(500);
 #[derive(Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
-pub(super) struct Selection {
+pub(super) struct EventSelection {
     /// Number of the last event that the reader has; the header `Last-Event-ID` takes precedence.
     last_event_id: Option<i64>,
     /// Only these kinds, separated by commas; all kinds by default.
@@ -37,13 +37,13 @@ pub(super) struct Selection {
 /// at the node), `forgotten`, and `resync`: too many events were missed, so read the present state again.
 /// `curl -N http://127.0.0.1:8090/api/v1/events`
 #[utoipa::path(
-    get, operation_id = "stream_events", path = "/api/v1/events", tag = "events", params(Selection),
+    get, operation_id = "stream_events", path = "/api/v1/events", tag = "events", params(EventSelection),
     responses((status = 200, content_type = "text/event-stream", body = String))
 )]
 pub(super) async fn stream(
     State(hub): State<Hub>,
     headers: HeaderMap,
-    Query(selection): Query<Selection>,
+    Query(selection): Query<EventSelection>,
 ) -> Result<Sse<impl Stream<Item = Result<sse::Event, axum::Error>>>, Problem> {
     let last_id = match headers.get("last-event-id") {
         None => selection.last_event_id,

@@ -22,7 +22,7 @@ const MOST: usize = 1000;
 /// The sort order of rows; equal rows are in the order of their names.
 #[derive(Clone, Copy, Debug, Default, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
-enum Order {
+enum NodeSort {
     /// Name.
     #[default]
     Name,
@@ -42,7 +42,7 @@ enum Order {
 #[derive(Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
-pub(super) struct Selection {
+pub(super) struct NodeSelection {
     /// Only nodes in these states, separated by commas: `degraded,silent`.
     state: Option<String>,
     /// Only nodes with this text in the name.
@@ -52,7 +52,7 @@ pub(super) struct Selection {
     /// The sort order.
     #[serde(default)]
     #[param(inline)]
-    sort: Order,
+    sort: NodeSort,
     /// Reverses the order.
     #[serde(default)]
     down: bool,
@@ -82,12 +82,12 @@ pub struct NodeList {
 ///
 /// `curl 'http://127.0.0.1:8090/api/v1/nodes?state=degraded,silent&select=region=north&sort=waiting&down=true'`
 #[utoipa::path(
-    get, operation_id = "list_nodes", path = "/api/v1/nodes", tag = "nodes", params(Selection),
+    get, operation_id = "list_nodes", path = "/api/v1/nodes", tag = "nodes", params(NodeSelection),
     responses((status = 200, body = NodeList))
 )]
 pub(super) async fn list(
     State(hub): State<Hub>,
-    Query(selection): Query<Selection>,
+    Query(selection): Query<NodeSelection>,
 ) -> Result<Json<NodeList>, Problem> {
     let names = selection.state.as_deref().unwrap_or_default().split(',');
     let wanted: Vec<PresenceState> = names
@@ -120,12 +120,12 @@ pub(super) async fn list(
             && select.as_ref().is_none_or(|it| it.selects(&node.node, node.labels()));
         if is_wanted {
             let key = match selection.sort {
-                Order::Name => found.len() as i64,
-                Order::State => node.state as i64,
-                Order::Since => node.since_ms,
-                Order::Heard => node.heard_ms.unwrap_or(i64::MIN),
-                Order::Joules => node.today.largest_uj(),
-                Order::Waiting => i64::try_from(node.waiting).unwrap_or(i64::MAX),
+                NodeSort::Name => found.len() as i64,
+                NodeSort::State => node.state as i64,
+                NodeSort::Since => node.since_ms,
+                NodeSort::Heard => node.heard_ms.unwrap_or(i64::MIN),
+                NodeSort::Joules => node.today.largest_uj(),
+                NodeSort::Waiting => i64::try_from(node.waiting).unwrap_or(i64::MAX),
             };
             found.push((key, node.node.clone()));
         }

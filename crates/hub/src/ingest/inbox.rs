@@ -47,13 +47,13 @@ impl Refusal {
 }
 
 /// Answers a batch.
-pub(crate) type Reply = Box<dyn FnOnce(Result<ReportAnswer, Refusal>) + Send>;
+pub(crate) type OnOutcome = Box<dyn FnOnce(Result<ReportAnswer, Refusal>) + Send>;
 
 /// A batch that waits.
 pub(super) struct Waiting {
     /// Its compressed bytes.
     pub(super) payload: Bytes,
-    pub(super) reply: Reply,
+    pub(super) reply: OnOutcome,
     /// When it arrived.
     pub(super) since: Instant,
     /// Its node.
@@ -72,7 +72,7 @@ pub(crate) struct Inbox {
 
 impl Inbox {
     /// Queues the batch of a node, or refuses it. Never waits.
-    pub(crate) fn take(&self, node: String, payload: &ZBytes, reply: Reply) {
+    pub(crate) fn take(&self, node: String, payload: &ZBytes, reply: OnOutcome) {
         match self.place(&node, payload) {
             Ok(places) => {
                 let waiting = Waiting {

@@ -2,7 +2,7 @@
 //! long.
 
 use crate::config::HistoryConfig;
-use crate::store::{DAILY, Database, Kind, StoreError, keep_days};
+use crate::store::{DAILY, Database, DatabaseKind, StoreError, keep_days};
 use albireo_service::clock::DAY_MS;
 use albireo_wire::IDENTITY_DAYS;
 
@@ -37,7 +37,7 @@ pub(crate) fn retain(
     let clips = first(history.clips_days);
     let ids = first(IDENTITY_DAYS + 1);
     let sums = first(history.five_minutes_days);
-    if database.kind() == Kind::Postgres {
+    if database.kind() == DatabaseKind::Postgres {
         // Creating or dropping a partition locks its table for a moment. Each table has its own transaction, so that
         // none waits for one table while holding another.
         for (table, first) in DAILY.into_iter().zip([clips, ids, sums]) {
@@ -52,8 +52,8 @@ pub(crate) fn retain(
     let aside = first(history.set_aside_days);
     let bounds = [clips, ids, ids, sums, events, aside];
     let days = match database.kind() {
-        Kind::Sqlite => include_str!("sql/delete_days_sqlite.sql"),
-        Kind::Postgres => include_str!("sql/delete_days_postgres.sql"),
+        DatabaseKind::Sqlite => include_str!("sql/delete_days_sqlite.sql"),
+        DatabaseKind::Postgres => include_str!("sql/delete_days_postgres.sql"),
     };
     let texts = days.split(';').chain(include_str!("sql/delete_old.sql").split(';'));
     database.begin()?;

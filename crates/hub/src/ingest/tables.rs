@@ -3,7 +3,7 @@
 use super::clip::SetupRow;
 use super::plan::Counts;
 use crate::store::row::{Columns, columns, read_all, row};
-use crate::store::{Database, Kind, StoreError};
+use crate::store::{Database, DatabaseKind, StoreError};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeSet, HashMap, HashSet};
 use utoipa::ToSchema;
@@ -158,8 +158,8 @@ impl dyn Database + '_ {
             return Ok(BTreeSet::new());
         }
         let text = match self.kind() {
-            Kind::Sqlite => include_str!("sql/new_reports_sqlite.sql"),
-            Kind::Postgres => include_str!("sql/new_reports_postgres.sql"),
+            DatabaseKind::Sqlite => include_str!("sql/new_reports_sqlite.sql"),
+            DatabaseKind::Postgres => include_str!("sql/new_reports_postgres.sql"),
         };
         let rows = keys.iter().map(row).collect::<Result<Vec<_>, _>>()?;
         let columns = rows.iter().map(columns).collect();
@@ -173,8 +173,8 @@ impl dyn Database + '_ {
             return Ok(());
         }
         let text = match self.kind() {
-            Kind::Sqlite => "DELETE FROM report_ids WHERE day = ?1 AND id = ?2 AND ?3 = ?3",
-            Kind::Postgres => {
+            DatabaseKind::Sqlite => "DELETE FROM report_ids WHERE day = ?1 AND id = ?2 AND ?3 = ?3",
+            DatabaseKind::Postgres => {
                 "DELETE FROM report_ids r USING jsonb_to_recordset($1::jsonb) AS k (day BIGINT, id BYTEA) \
                  WHERE r.day = k.day AND r.id = k.id"
             }

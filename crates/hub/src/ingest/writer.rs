@@ -65,17 +65,17 @@ pub(crate) fn start(
 }
 
 /// Batches, each parsed, or with the reason that it cannot be read.
-type Group = Vec<(Waiting, Result<Batch, String>)>;
+type ParsedGroup = Vec<(Waiting, Result<Batch, String>)>;
 
 /// Parses batches and hands them over in groups, at most one in each `pause`, until the queue is dropped and empty. Without
 /// batches it hands over empty groups, with which changes of presence are written.
-fn gather(queue: &Receiver<Waiting>, groups: &SyncSender<Group>, pause: Duration) {
+fn gather(queue: &Receiver<Waiting>, groups: &SyncSender<ParsedGroup>, pause: Duration) {
     let mut due = Instant::now();
     let mut ended = false;
     while !ended {
         let mut next = queue.recv_timeout(IDLE.max(pause));
         ended = matches!(next, Err(RecvTimeoutError::Disconnected));
-        let mut group = Group::new();
+        let mut group = ParsedGroup::new();
         let mut reports = 0;
         let mut bytes = 0;
         while let Ok(waiting) = next {
@@ -104,7 +104,7 @@ struct Writer {
 
 impl Writer {
     /// Runs until no more groups come.
-    fn run(mut self, groups: &Receiver<Group>) {
+    fn run(mut self, groups: &Receiver<ParsedGroup>) {
         for group in groups {
             let first = group.first();
             let since = first.map_or_else(Instant::now, |(oldest, _)| oldest.since);

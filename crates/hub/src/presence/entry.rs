@@ -25,7 +25,7 @@ pub(super) fn json_bytes(status: &NodeStatus) -> usize {
 
 /// One node.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Entry {
+pub(crate) struct NodeEntry {
     pub(crate) node: NodeView,
     pub(super) heard: Option<Instant>,
     /// True if its liveliness token disappeared, and no status was received since.
@@ -46,7 +46,7 @@ pub(crate) struct Entry {
     pub(super) notified: Option<Instant>,
 }
 
-impl Entry {
+impl NodeEntry {
     /// Creates the entry of a node that has sent no status yet.
     pub(super) fn new(name: &str, now_ms: i64) -> Self {
         Self {

@@ -1,6 +1,6 @@
 //! Keeps the states of all nodes in memory.
 
-use super::entry::{Entry, json_bytes};
+use super::entry::{NodeEntry, json_bytes};
 use super::node::{NodeView, PresenceState};
 use super::today::TodaysEnergy;
 use crate::config::PresenceConfig;
@@ -45,7 +45,7 @@ fn slower(nodes: usize) -> f64 {
 #[derive(Debug, Default)]
 pub struct Fleet {
     config: PresenceConfig,
-    nodes: RwLock<BTreeMap<String, Entry>>,
+    nodes: RwLock<BTreeMap<String, NodeEntry>>,
     /// Nodes whose rows wait to be written.
     dirty: Mutex<BTreeSet<String>>,
     /// Sums over `nodes`, which change only with it.
@@ -68,17 +68,17 @@ struct Sums {
 }
 
 impl Sums {
-    fn add(&mut self, entry: &Entry) {
+    fn add(&mut self, entry: &NodeEntry) {
         self.status_bytes += entry.status_bytes;
         *self.kind_of(entry) += 1;
     }
 
-    fn remove(&mut self, entry: &Entry) {
+    fn remove(&mut self, entry: &NodeEntry) {
         self.status_bytes -= entry.status_bytes;
         *self.kind_of(entry) -= 1;
     }
 
-    fn kind_of(&mut self, entry: &Entry) -> &mut usize {
+    fn kind_of(&mut self, entry: &NodeEntry) -> &mut usize {
         if entry.has_reported {
             &mut self.reporting
         } else {
@@ -115,7 +115,7 @@ impl Fleet {
         let mut sums = self.sums.lock();
         for node in nodes {
             let name = node.node.clone();
-            let entry = Entry::remembered(node, now);
+            let entry = NodeEntry::remembered(node, now);
             sums.add(&entry);
             if let Some(before) = known.insert(name, entry) {
                 sums.remove(&before);
@@ -169,7 +169,12 @@ impl Fleet {
 
     /// Updates a node's entry by `take`, which returns whether the row has to be written, or `None` if the message says
     /// nothing new of a known run. Returns true if the node should be asked for a full status.
-    fn heard(&self, node: &str, now: Now, take: impl FnOnce(&mut Entry) -> Option<bool>) -> bool {
+    fn heard(
+        &self,
+        node: &str,
+        now: Now,
+        take: impl FnOnce(&mut NodeEntry) -> Option<bool>,
+    ) -> bool {
         let mut nodes = self.nodes.write();
         let slower = slower(nodes.len());
         if !nodes.contains_key(node) {
@@ -178,7 +183,7 @@ impl Fleet {
                 sums.names_refused += 1;
                 return false;
             }
-            let entry = Entry::new(node, now.unix_ms);
+            let entry = NodeEntry::new(node, now.unix_ms);
             sums.add(&entry);
             nodes.insert(node.to_owned(), entry);
         }
@@ -226,7 +231,7 @@ impl Fleet {
         let mut nodes = self.nodes.write();
         let mut sums = self.sums.lock();
         let mut entry = nodes.remove(node).map_or_else(
-            || Entry::new(node, now_ms),
+            || NodeEntry::new(node, now_ms),
             |entry| {
                 sums.remove(&entry);
                 entry
@@ -243,7 +248,7 @@ impl Fleet {
     /// such name: somebody misses it.
     pub(crate) fn strangers(&self, most: usize, now_ms: i64) -> Vec<String> {
         let nodes = self.nodes.read();
-        let is_stranger = |entry: &&Entry| {
+        let is_stranger = |entry: &&NodeEntry| {
             let is_offline = entry.node.state == PresenceState::Offline;
             let is_old = now_ms.saturating_sub(entry.node.since_ms) >= STRANGER_MS;
             let is_expected = entry.node.labels().contains_key("expected");
@@ -307,7 +312,7 @@ impl Fleet {
     }
 
     /// Judges a node's state, and notes a change.
-    fn settle(&self, entry: &mut Entry, slower: f64, now: Now) {
+    fn settle(&self, entry: &mut NodeEntry, slower: f64, now: Now) {
         let silent_s = self.config.silent_after_s * slower;
         entry.identity.take_if(|(_, until)| *until <= now.at);
         let heard_ago = match (entry.heard, entry.node.heard_ms) {
@@ -364,7 +369,7 @@ impl Fleet {
 
     /// The number of names that more than one node uses.
     pub(crate) fn twins(&self) -> usize {
-        let has_twin = |entry: &&Entry| entry.identity.is_some();
+        let has_twin = |entry: &&NodeEntry| entry.identity.is_some();
         self.nodes.read().values().filter(has_twin).count()
     }
 

@@ -1,4 +1,4 @@
-use super::entry::Entry;
+use super::entry::NodeEntry;
 use super::node::tests::STATUS;
 use super::*;
 use crate::config::PresenceConfig;
@@ -13,7 +13,7 @@ fn the_state_follows_the_table_in_the_documentation() {
     use HealthState::{Degraded as Bad, NotReady, Ready};
     use PresenceState::{Degraded, Offline, Online, Silent};
     let heard = |seconds, health, reasons: &str, identity: Option<&str>| {
-        let mut node = Entry::new("a", 0);
+        let mut node = NodeEntry::new("a", 0);
         node.health = health;
         let reasons = reasons
             .split_once(": ")

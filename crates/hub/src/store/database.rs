@@ -1,13 +1,13 @@
 //! Defines a connection to a database, and the statements that all rooms share.
 
 use super::row::{Columns, Row, columns, row};
-use super::{Kind, StoreError};
+use super::{DatabaseKind, StoreError};
 use serde::Serialize;
 use serde_json::{Value, json};
 
 /// A connection to a database. Dropping it rolls back an open transaction.
 pub(crate) trait Database: Send {
-    fn kind(&self) -> Kind;
+    fn kind(&self) -> DatabaseKind;
 
     /// True if it can still be used: a server that restarts closes it.
     ///
@@ -88,8 +88,8 @@ impl dyn Database + '_ {
             .collect::<Vec<_>>()
             .join(", ");
         let values = match self.kind() {
-            Kind::Sqlite => format!("VALUES ({})", vec!["?"; first.len()].join(", ")),
-            Kind::Postgres => {
+            DatabaseKind::Sqlite => format!("VALUES ({})", vec!["?"; first.len()].join(", ")),
+            DatabaseKind::Postgres => {
                 format!("SELECT {columns} FROM jsonb_populate_recordset(NULL::{table}, $1::jsonb)")
             }
         };
@@ -102,8 +102,8 @@ impl dyn Database + '_ {
     /// Runs a query that ends with a text column and `IN`, for the given texts.
     pub(crate) fn among(&mut self, query: &str, texts: &[&str]) -> Result<Vec<Row>, StoreError> {
         let list = match self.kind() {
-            Kind::Sqlite => "(SELECT value FROM json_each($1))",
-            Kind::Postgres => "(SELECT jsonb_array_elements_text($1::jsonb))",
+            DatabaseKind::Sqlite => "(SELECT value FROM json_each($1))",
+            DatabaseKind::Postgres => "(SELECT jsonb_array_elements_text($1::jsonb))",
         };
         self.query(
             &format!("{query} {list}"),

@@ -1,6 +1,6 @@
 //! Creates the tables. A database of another program or of another version is refused and not changed.
 
-use super::{Database, Kind, StoreError};
+use super::{Database, DatabaseKind, StoreError};
 
 /// The version of the tables, which the schemas store.
 const VERSION: i64 = 14;
@@ -10,8 +10,8 @@ pub(super) fn migrate(database: &mut dyn Database) -> Result<(), StoreError> {
     database.begin()?;
     if tables(database)?.is_empty() {
         database.script(match database.kind() {
-            Kind::Sqlite => include_str!("schema/sqlite.sql"),
-            Kind::Postgres => include_str!("schema/postgres.sql"),
+            DatabaseKind::Sqlite => include_str!("schema/sqlite.sql"),
+            DatabaseKind::Postgres => include_str!("schema/postgres.sql"),
         })?;
     }
     check(database)?;
@@ -50,11 +50,11 @@ pub(super) fn check(database: &mut dyn Database) -> Result<(), StoreError> {
 /// The names of its tables; in SQLite each follows the tables that it refers to.
 pub(super) fn tables(database: &mut dyn Database) -> Result<Vec<String>, StoreError> {
     let text = match database.kind() {
-        Kind::Sqlite => {
+        DatabaseKind::Sqlite => {
             "SELECT name FROM sqlite_master WHERE type = 'table' AND name NOT LIKE 'sqlite_%' \
              UNION ALL SELECT name FROM sqlite_temp_master WHERE name = 'sums_hour'"
         }
-        Kind::Postgres => {
+        DatabaseKind::Postgres => {
             "SELECT CAST(tablename AS TEXT) AS name FROM pg_tables WHERE schemaname = current_schema()"
         }
     };

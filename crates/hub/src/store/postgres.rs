@@ -1,7 +1,7 @@
 //! Connects to PostgreSQL. Every statement has a time limit.
 
 use super::row::{Columns, Row, bytes, text};
-use super::{Database, Kind, StoreError};
+use super::{Database, DatabaseKind, StoreError};
 use serde_json::Value;
 use sqlx::postgres::{PgArguments, PgRow};
 use sqlx::query::Query;
@@ -60,8 +60,8 @@ impl PostgresServer {
 }
 
 impl Database for PostgresServer {
-    fn kind(&self) -> Kind {
-        Kind::Postgres
+    fn kind(&self) -> DatabaseKind {
+        DatabaseKind::Postgres
     }
 
     fn is_open(&mut self) -> Result<bool, StoreError> {

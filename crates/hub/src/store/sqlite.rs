@@ -2,7 +2,7 @@
 
 use super::file::{FileIdentity, gone, identity};
 use super::row::{Columns, Row};
-use super::{Database, Kind, StoreError};
+use super::{Database, DatabaseKind, StoreError};
 use rusqlite::types::{ToSqlOutput, ValueRef};
 use rusqlite::{Connection, MAIN_DB, OpenFlags, Statement, ToSql};
 use serde_json::Value;
@@ -105,8 +105,8 @@ impl Sqlite {
 }
 
 impl Database for Sqlite {
-    fn kind(&self) -> Kind {
-        Kind::Sqlite
+    fn kind(&self) -> DatabaseKind {
+        DatabaseKind::Sqlite
     }
 
     fn is_open(&mut self) -> Result<bool, StoreError> {

@@ -3,7 +3,7 @@
 use super::migrate::{check, tables};
 use super::row::columns;
 use super::sqlite::Sqlite;
-use super::{Access, DAILY, Database, Kind, Row, Store, StoreError, keep_days};
+use super::{Access, DAILY, Database, DatabaseKind, Row, Store, StoreError, keep_days};
 use crate::config::DatabaseConfig;
 use albireo_service::clock::{DAY_MS, unix_milliseconds};
 use serde_json::Value;
@@ -34,7 +34,7 @@ pub async fn to_postgres(
     to: &DatabaseConfig,
     progress: impl Fn(Progress) + Send + 'static,
 ) -> Result<u64, StoreError> {
-    if Kind::of(&to.url) != Kind::Postgres || !to.url.contains("://") {
+    if DatabaseKind::of(&to.url) != DatabaseKind::Postgres || !to.url.contains("://") {
         return Err(StoreError::Refused(format!(
             "{} is not the URL of a PostgreSQL database: write postgres://USER:PASSWORD@HOST/DATABASE",
             to.shown()

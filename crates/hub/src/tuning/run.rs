@@ -3,7 +3,7 @@
 //!
 //! A [`Run`] is a state machine without clock, network or database. The caller passes in the nodes' states
 //! ([`Run::observe`]), the time ([`Run::tick`]), measurements that were requested ([`Run::measured`]) and commands
-//! ([`Run::command`]), and gets the orders that are due ([`Run::due`]). The whole state is serialised; a run that is
+//! ([`Run::command`]), and gets the values that are due ([`Run::due`]). The whole state is serialised; a run that is
 //! read from the database continues.
 
 mod measured;
@@ -106,9 +106,9 @@ impl Window {
     }
 }
 
-/// An order that is due: nodes to ask for a value.
+/// A value that is due: nodes to ask for it.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Order {
+pub(crate) struct DueValue {
     /// The value.
     pub(crate) threshold: Threshold,
     /// The nodes.
@@ -307,34 +307,34 @@ impl Run {
             .filter(|wanted| member.asked != Some(*wanted))
     }
 
-    /// The orders that are due, even after its end: nodes that missed their deadline get the old value. The caller calls
-    /// [`Run::asked`] once an order is in the database.
-    pub(crate) fn due(&self) -> Vec<Order> {
-        let mut orders: Vec<Order> = Vec::new();
+    /// The values that are due, even after its end: nodes that missed their deadline get the old value. The caller calls
+    /// [`Run::asked`] once a revision with the value is in the database.
+    pub(crate) fn due(&self) -> Vec<DueValue> {
+        let mut values: Vec<DueValue> = Vec::new();
         for member in &self.members {
             let Some(threshold) = self.next(member) else {
                 continue;
             };
             let node = member.node.clone();
-            match orders.iter_mut().find(|order| order.threshold == threshold) {
-                Some(order) => order.nodes.push(node),
-                None => orders.push(Order {
+            match values.iter_mut().find(|due| due.threshold == threshold) {
+                Some(due) => due.nodes.push(node),
+                None => values.push(DueValue {
                     threshold,
                     nodes: vec![node],
                 }),
             }
         }
-        orders
+        values
     }
 
-    /// Notes that `order` was given, with that revision.
-    pub(crate) fn asked(&mut self, order: &Order, revision: u64, now: Millis) {
+    /// Notes that the value was given, with that revision.
+    pub(crate) fn asked(&mut self, due: &DueValue, revision: u64, now: Millis) {
         self.unsaved = true;
         let mut members = std::mem::take(&mut self.members);
         for member in &mut members {
-            if self.next(member) == Some(order.threshold) {
-                member.asked = Some(order.threshold);
-                // A node that missed its order remains listed as missed.
+            if self.next(member) == Some(due.threshold) {
+                member.asked = Some(due.threshold);
+                // A node that missed its value remains listed as missed.
                 let outcome = match member.ask.outcome {
                     Outcome::Missed => Outcome::Missed,
                     _ => Outcome::Pending,

@@ -39,7 +39,7 @@ pub(crate) struct RunKey {
 
 /// The rollouts and trials that this hub drives.
 #[derive(Debug, Default)]
-pub(crate) struct Runs {
+pub(crate) struct DrivenRuns {
     running: BTreeMap<RunKey, Run>,
     claimed_ms: Millis,
 }
@@ -214,7 +214,7 @@ impl Tuner {
         failed.map_or(Ok(()), Err)
     }
 
-    async fn claim(&self, runs: &mut Runs, now: Millis) -> Result<(), StoreError> {
+    async fn claim(&self, runs: &mut DrivenRuns, now: Millis) -> Result<(), StoreError> {
         let driver = self.driver.clone();
         let claimed = self
             .store

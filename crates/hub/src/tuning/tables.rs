@@ -6,7 +6,7 @@ use super::metric::{BeforeAfter, Figure, Figures, Mean};
 use super::run::{Measured, Run, Window};
 use super::runs::RunKey;
 use crate::store::row::{Row, json_text, read_all};
-use crate::store::{Database, Kind, Store, StoreError};
+use crate::store::{Database, DatabaseKind, Store, StoreError};
 use albireo_wire::DesiredSetting;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -242,8 +242,8 @@ impl dyn Database + '_ {
         until_ms: i64,
     ) -> Result<Vec<RunKey>, StoreError> {
         let free_ms = match self.kind() {
-            Kind::Sqlite => i64::MAX,
-            Kind::Postgres => now_ms,
+            DatabaseKind::Sqlite => i64::MAX,
+            DatabaseKind::Postgres => now_ms,
         };
         let rows = self.query(
             "UPDATE runs SET driver = $1, driven_until_ms = $2 WHERE ended_ms IS NULL \
@@ -278,8 +278,8 @@ impl Store {
         limit: i64,
     ) -> Result<Vec<ChangeView>, StoreError> {
         let object = match self.database_kind() {
-            Kind::Sqlite => "json_group_object",
-            Kind::Postgres => "jsonb_object_agg",
+            DatabaseKind::Sqlite => "json_group_object",
+            DatabaseKind::Postgres => "jsonb_object_agg",
         };
         let text = format!(
             "SELECT o.*, (SELECT coalesce(CAST({object}(c.outcome, c.nodes) AS TEXT), '{{}}') FROM (SELECT outcome, \
@@ -319,8 +319,8 @@ impl Store {
     /// Measures the clips of each node in its two windows.
     pub(crate) async fn measure(&self, windows: &[[Window; 2]]) -> Result<Measured, StoreError> {
         let rows = match self.database_kind() {
-            Kind::Sqlite => "json_each($1)",
-            Kind::Postgres => "jsonb_array_elements($1::jsonb)",
+            DatabaseKind::Sqlite => "json_each($1)",
+            DatabaseKind::Postgres => "jsonb_array_elements($1::jsonb)",
         };
         let text = format!(
             "WITH w AS (SELECT value ->> 'node' AS node, value ->> 'threshold' AS threshold, value ->> 'value' AS value, \

@@ -59,7 +59,7 @@ pub struct Tuner {
     /// The highest revision that was read from the database. Orders of this hub do not count: there may be lower
     /// revisions of other hubs that were not read yet.
     learned: AtomicU64,
-    pub(super) runs: tokio::sync::Mutex<super::runs::Runs>,
+    pub(super) runs: tokio::sync::Mutex<super::runs::DrivenRuns>,
 }
 
 /// Interval at which the nodes' reports are read.

@@ -3,10 +3,10 @@
 use super::super::hub::{HubFile, Image};
 use super::super::timeline::BEGIN;
 use albireo_hub::config::{HistoryConfig, PresenceConfig, TuningConfig};
-use albireo_hub::tuning::Desires;
 use albireo_hub::ingest::Recorder;
 use albireo_hub::presence::Fleet;
 use albireo_hub::store::Store;
+use albireo_hub::tuning::Desires;
 use albireo_hub::tuning::Tuner;
 use albireo_hub::tuning::change::NewChange;
 use albireo_hub::tuning::member::Outcome;
