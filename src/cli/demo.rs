@@ -43,9 +43,9 @@ pub(super) struct Arguments {
     /// Stop this many seconds after the camera starts [default: run until Ctrl-C]
     #[arg(long, value_name = "SECONDS")]
     seconds: Option<u64>,
-    /// Frames per second
-    #[arg(long, value_name = "FPS", default_value_t = 10.0, value_parser = super::values::parse_rate)]
-    rate: f64,
+    /// Frames per second [default: the clip's own, 25 for `demo`]
+    #[arg(long, value_name = "FPS", value_parser = super::values::parse_rate)]
+    rate: Option<f64>,
     /// A video file, a folder of pictures, or a tar archive of such folders; `demo` is demo/road.tar
     #[arg(long, value_name = "FILE", default_value = "demo")]
     clip: SourceName,
@@ -181,9 +181,9 @@ async fn camera(
     endpoint: String,
     shutdown: CancellationToken,
 ) -> anyhow::Result<()> {
-    let source = arguments.clip.open(Some(arguments.rate), VideoEncoding::default())?;
+    let source = arguments.clip.open(arguments.rate, VideoEncoding::default())?;
     let options = PublishOptions {
-        rate: Some(arguments.rate),
+        rate: arguments.rate,
         repeat: true,
         ..PublishOptions::default()
     };

@@ -3,7 +3,7 @@
 use super::{LOOKED, RunArguments, conclude, listed, policies, rates, settings, streams_asked};
 use crate::cli::progress;
 use albireo_eval::data::{Clip, LoadReport, recorded};
-use albireo_eval::data::{GroundTruth, StepTimes, TruthFormat, vanilla_as_truth};
+use albireo_eval::data::{GroundTruth, Rules, StepTimes, TruthFormat, vanilla_as_truth};
 use albireo_eval::footage::{Downsampled, FrameSource, SourceName, VideoEncoding};
 use albireo_eval::pictures::{LOWEST_CONFIDENCE, ModelRunner, PassSettings, run_pass};
 use albireo_eval::report::Report;
@@ -20,7 +20,7 @@ use albireo_vision::screen::ScreenConfig;
 use anyhow::{bail, ensure};
 use clap::Args;
 use clap::builder::RangedU64ValueParser;
-use std::collections::HashSet;
+use std::collections::{BTreeSet, HashSet};
 use std::path::PathBuf;
 
 /// Time limit of a detector run, milliseconds. No camera waits for it, so the limit is high.
@@ -30,14 +30,15 @@ const TIMEOUT_MS: u64 = 60_000;
 #[derive(Debug, Args)]
 pub(super) struct VideoArguments {
     /// Video files (these need ffmpeg), folders of JPEG and PNG files, or tar archives of such folders; `demo` is
-    /// demo/road.tar. Each is a clip named after its file; each folder of an archive is one
+    /// demo/road.tar at 25 frames/s with its ground truth. Each is a clip named after its file; each folder of an archive
+    /// is one
     #[arg(required = true, value_name = "CLIP")]
     clips: Vec<SourceName>,
     /// How a video's frames are encoded on the way from ffmpeg to the detector.
     #[arg(long, value_enum, default_value_t)]
     encoding: VideoEncoding,
-    /// Ground truth; may be repeated. Clips that it does not name are left out. Without any, clips are judged
-    /// against Vanilla's own output.
+    /// Ground truth; may be repeated. Clips that it does not name are left out. Without any, `demo` is judged by
+    /// demo/truth.json, and all else against Vanilla's own output.
     #[arg(long, value_name = "PATH", requires = "truth_format")]
     ground_truth: Vec<PathBuf>,
     /// Layout of the ground truth.
@@ -92,11 +93,7 @@ pub(super) fn run(video: &VideoArguments) -> anyhow::Result<()> {
         "--fps leaves out frames of which --ground-truth tells: save the detections of all frames with --save-detections, and \
          give --fps to `albireo eval recorded`"
     );
-    let rules = arguments.settings.rules()?;
-    let truth = video
-        .truth_format
-        .map(|format| GroundTruth::read(&video.ground_truth, format, rules))
-        .transpose()?;
+    let truth = ground_truth(video, arguments.settings.rules()?)?;
     if let Some(truth) = &truth {
         truth.check(&names)?;
     }
@@ -154,6 +151,22 @@ fn with_screen(video: &VideoArguments) -> anyhow::Result<RunArguments> {
     Ok(arguments)
 }
 
+/// Reads the ground truth that was named, or the one that belongs to the clips if it belongs to all of them.
+fn ground_truth(video: &VideoArguments, rules: Rules) -> anyhow::Result<Option<GroundTruth>> {
+    let (paths, format) = match video.truth_format {
+        Some(format) => (video.ground_truth.clone(), format),
+        // It tells of every frame, so it cannot judge a clip of which frames were left out.
+        None if video.run.fps.is_some() => return Ok(None),
+        None => {
+            let own: Option<BTreeSet<PathBuf>> =
+                video.clips.iter().map(|clip| clip.truth().map(PathBuf::from)).collect();
+            let Some(own) = own else { return Ok(None) };
+            (own.into_iter().collect(), TruthFormat::Bdd100k)
+        }
+    };
+    Ok(Some(GroundTruth::read(&paths, format, rules)?))
+}
+
 /// The names of all clips; results, truth and files are told apart by them.
 fn clip_names(clips: &[SourceName]) -> anyhow::Result<Vec<String>> {
     let mut names: Vec<String> = Vec::new();
@@ -191,7 +204,7 @@ impl Evaluation<'_> {
     /// Pictures alone have none.
     fn rate(&self, name: &SourceName, source: &dyn FrameSource) -> Option<f64> {
         let own = || match name {
-            SourceName::Video(_) => Some(source.rate()),
+            SourceName::Video(_) | SourceName::Demo => Some(source.rate()),
             SourceName::Pictures(_) | SourceName::Archive(_) => {
                 self.truth.as_ref()?.rate(source.name(), self.names.len() == 1)
             }
@@ -412,7 +425,7 @@ pub(super) fn look_at(
         for mut source in clip.open_clips(rate, VideoEncoding::default())? {
             let mut looked_at = pass_over(source.as_mut(), &mut models, &settings, &mut report)?;
             // Pictures have no rate of their own; what was assumed for playing is no fact to be saved.
-            if !matches!(clip, SourceName::Video(_)) {
+            if !matches!(clip, SourceName::Video(_) | SourceName::Demo) {
                 looked_at.frame_rate = rate;
             }
             pictured.push(looked_at);

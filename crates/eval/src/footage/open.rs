@@ -9,16 +9,21 @@ use std::fmt::{Display, Formatter};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-/// The demonstration's road, relative to the project's folder.
+/// The demonstration's road and its ground truth, relative to the project's folder.
 const ROAD: &str = "demo/road.tar";
+const ROAD_TRUTH: &str = "demo/truth.json";
+/// Frames per second of the cameras that recorded the road.
+const ROAD_RATE: f64 = 25.0;
 
 /// Footage, named on the command line.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum SourceName {
     /// A folder of JPEG and PNG files, or one such file.
     Pictures(PathBuf),
-    /// A tar archive of such folders; `demo` is the demonstration's road.
+    /// A tar archive of such folders.
     Archive(PathBuf),
+    /// `demo`: the demonstration's road, which is such an archive.
+    Demo,
     /// A video file.
     Video(PathBuf),
 }
@@ -27,7 +32,10 @@ impl FromStr for SourceName {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let path = Path::new(if text == "demo" { ROAD } else { text });
+        if text == "demo" {
+            return Ok(Self::Demo);
+        }
+        let path = Path::new(text);
         if path.extension().is_some_and(|extension| extension == "tar") {
             return Ok(Self::Archive(path.to_path_buf()));
         }
@@ -48,11 +56,12 @@ impl SourceName {
         rate: Option<f64>,
         encoding: VideoEncoding,
     ) -> Result<Box<dyn FrameSource>, EvalError> {
-        let pictures_rate = rate.unwrap_or(Pictures::DEFAULT_RATE);
         let path = self.existing()?;
         Ok(match self {
-            Self::Pictures(_) => Box::new(Pictures::of_folder(path, pictures_rate)?),
-            Self::Archive(_) => Box::new(Pictures::of_archive(path, pictures_rate)?),
+            Self::Pictures(_) => Box::new(Pictures::of_folder(path, self.pictures_rate(rate))?),
+            Self::Archive(_) | Self::Demo => {
+                Box::new(Pictures::of_archive(path, self.pictures_rate(rate))?)
+            }
             Self::Video(_) => {
                 let file = path.to_string_lossy();
                 Box::new(Video::open(&file, rate, encoding, Ffmpeg::default())?)
@@ -60,9 +69,29 @@ impl SourceName {
         })
     }
 
+    /// Returns the ground truth that belongs to the source: a file of labels in the Scalabel form.
+    pub fn truth(&self) -> Option<&'static Path> {
+        matches!(self, Self::Demo).then_some(Path::new(ROAD_TRUTH))
+    }
+
+    /// Returns `rate`, or the frames per second that pictures are taken to have.
+    fn pictures_rate(&self, rate: Option<f64>) -> f64 {
+        rate.unwrap_or(match self {
+            Self::Demo => ROAD_RATE,
+            _ => Pictures::DEFAULT_RATE,
+        })
+    }
+
+    fn path(&self) -> &Path {
+        match self {
+            Self::Pictures(path) | Self::Archive(path) | Self::Video(path) => path,
+            Self::Demo => Path::new(ROAD),
+        }
+    }
+
     /// Returns the path if it exists, or if it is an address, which [`Video::open`] refuses.
     fn existing(&self) -> Result<&Path, EvalError> {
-        let (Self::Pictures(path) | Self::Archive(path) | Self::Video(path)) = self;
+        let path = self.path();
         if path.exists() || path.to_string_lossy().contains("://") {
             Ok(path)
         } else {
@@ -79,10 +108,10 @@ impl SourceName {
         rate: Option<f64>,
         encoding: VideoEncoding,
     ) -> Result<Vec<Box<dyn FrameSource>>, EvalError> {
-        let Self::Archive(path) = self else {
+        if !matches!(self, Self::Archive(_) | Self::Demo) {
             return Ok(vec![self.open(rate, encoding)?]);
-        };
-        let archive = Pictures::of_archive(path, rate.unwrap_or(Pictures::DEFAULT_RATE))?;
+        }
+        let archive = Pictures::of_archive(self.existing()?, self.pictures_rate(rate))?;
         let clips = archive.into_clips().into_iter();
         Ok(clips.map(|clip| Box::new(clip) as Box<dyn FrameSource>).collect())
     }
@@ -94,7 +123,7 @@ impl SourceName {
     pub fn clip_names(&self) -> Result<Vec<String>, EvalError> {
         let path = self.existing()?;
         match self {
-            Self::Archive(_) => {
+            Self::Archive(_) | Self::Demo => {
                 let clips = Pictures::of_archive(path, Pictures::DEFAULT_RATE)?.into_clips();
                 return Ok(clips.iter().map(|clip| clip.name().to_owned()).collect());
             }
@@ -108,8 +137,7 @@ impl SourceName {
 
 impl Display for SourceName {
     fn fmt(&self, formatter: &mut Formatter<'_>) -> std::fmt::Result {
-        let (Self::Pictures(path) | Self::Archive(path) | Self::Video(path)) = self;
-        path.display().fmt(formatter)
+        self.path().display().fmt(formatter)
     }
 }
 
@@ -123,7 +151,7 @@ mod tests {
         for (text, expected) in [
             ("drive.mp4", SourceName::Video("drive.mp4".into())),
             ("one.PNG", SourceName::Pictures("one.PNG".into())),
-            ("demo", SourceName::Archive("demo/road.tar".into())),
+            ("demo", SourceName::Demo),
             ("other.tar", SourceName::Archive("other.tar".into())),
             (folder, SourceName::Pictures(folder.into())),
         ] {
@@ -146,12 +174,14 @@ mod tests {
     fn each_folder_of_the_demo_is_a_clip() {
         let road = concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo/road.tar");
         let name: SourceName = road.parse().unwrap();
-        let names = ["busy", "sparse", "empty-then-car", "night"];
+        let names = ["busy", "sparse", "two-near", "empty-then-car"];
         assert_eq!(name.clip_names().unwrap(), names);
-        let clips = name.open_clips(Some(10.0), VideoEncoding::Jpeg).unwrap();
+        let clips = name.open_clips(Some(ROAD_RATE), VideoEncoding::Jpeg).unwrap();
         let seconds: f64 =
-            clips.iter().map(|clip| clip.frames().unwrap() as f64 / clip.rate()).sum();
+            (clips.iter()).map(|clip| clip.frames().unwrap() as f64 / clip.rate()).sum();
         assert!(seconds >= 40.0, "{seconds}");
-        assert!(std::fs::metadata(road).unwrap().len() <= 8_000_000);
+        let demo = Path::new(road).parent().unwrap();
+        let bytes = |file: &str| std::fs::metadata(demo.join(file)).unwrap().len();
+        assert!(bytes("road.tar") + bytes("truth.json") <= 14_000_000);
     }
 }

@@ -84,9 +84,9 @@ const CLIPS: &str = "
 7 --clip c --clip-seconds 0.3: 3 c-0001, 3 c-0002, 1 c-0003
 7 --clip c --clip-seconds 0.3 --rate max: 3 c-0001, 3 c-0002, 1 c-0003
 2 --clip c: 2 c
-road --frames 90: 88 busy, 2 sparse
-road --frames 450 --loop: 88 busy-0001, 272 sparse-0002, 30 empty-then-car-0003, 52 night-0004, 8 busy-0005
-road --frames 90 --clip drive: 88 drive-0001, 2 drive-0002
+road --frames 230: 221 busy, 9 sparse
+road --frames 1100 --loop: 221 busy-0001, 681 sparse-0002, 116 two-near-0003, 76 empty-then-car-0004, 6 busy-0005
+road --frames 230 --clip drive: 221 drive-0001, 9 drive-0002
 road --frames 90 --loop --no-clip: 90 none
 ";
 
