@@ -10,9 +10,9 @@ use tokio::io::{AsyncBufReadExt, BufReader};
 #[ignore = "needs ONNX Runtime"]
 async fn the_demo_has_a_hub_that_receives_its_clips_and_shows_its_node() {
     let temporary = tempfile::tempdir().unwrap();
-    // At four times the normal rate, so that clips are short.
+    // At four times its own rate, so that clips are short.
     let mut demo = albireo()
-        .args(["demo", "--port", "0", "--hub-port", "0", "--rate", "40"])
+        .args(["demo", "--port", "0", "--hub-port", "0", "--rate", "100"])
         .env("TMPDIR", temporary.path())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
@@ -54,7 +54,7 @@ async fn the_demo_has_a_hub_that_receives_its_clips_and_shows_its_node() {
     let table = after.take_while(|line| !line.is_empty());
     let clips: Vec<_> = table.map(|line| line.split_whitespace().next()).collect();
     assert!(clips.len() >= 2, "{said}");
-    let road = ["busy", "sparse", "empty-then-car", "night"];
+    let road = ["busy", "sparse", "two-near", "empty-then-car"];
     for (number, clip) in clips.iter().enumerate() {
         let expected = format!("{}-{:04}", road[number % 4], number + 1);
         assert_eq!(*clip, Some(&*expected));

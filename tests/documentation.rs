@@ -314,7 +314,7 @@ async fn the_python_examples_publish_and_listen() {
     let heard = tokio::spawn(listening.wait_with_output());
     while !heard.is_finished() {
         let said = run_line(folder.path(), &example("publish.py", &publish)).await;
-        assert_contains(&said, &["88 frames sent on albireo/node/front/frame"]);
+        assert_contains(&said, &["221 frames sent on albireo/node/front/frame"]);
     }
     let said = Ended::from(heard.await.unwrap().unwrap()).succeeds();
     assert_eq!(said.lines().count(), 10, "{said}");

@@ -13,7 +13,7 @@ import zenoh
 folder = pathlib.Path(sys.argv[1])
 key = sys.argv[2] if len(sys.argv) > 2 else "albireo/node/front/frame"
 endpoint = sys.argv[3] if len(sys.argv) > 3 else "tcp/127.0.0.1:7447"
-rate = 10.0
+rate = 25.0  # that of the recorded road
 
 config = zenoh.Config()
 config.insert_json5("mode", '"client"')
