@@ -7,6 +7,9 @@ use crate::text::signed;
 /// Loss of AP@50 up to which a policy counts as keeping it: the interval of its change must not reach below this loss.
 const MARGIN: f64 = 0.01;
 
+/// The number of clips from which on an interval over clips is worth choosing a policy by. With fewer it describes the clips.
+const ENOUGH_CLIPS: usize = 8;
+
 /// Names the policy that skips most and keeps the accuracy, and the most accurate one with about half of the calls.
 pub fn conclusion(summaries: &[PolicySummary]) -> Vec<String> {
     let Some(baseline) = summaries.iter().find(|found| found.policy == BASELINE) else {
@@ -20,6 +23,7 @@ pub fn conclusion(summaries: &[PolicySummary]) -> Vec<String> {
                 .to_owned(),
         );
     } else {
+        sentences.extend(too_short(baseline));
         let kept = others.iter().filter(|found| {
             lower_end(found).is_some_and(|lower| lower >= -MARGIN) && found.skip_rate > 0.0
         });
@@ -54,6 +58,19 @@ pub fn conclusion(summaries: &[PolicySummary]) -> Vec<String> {
         ));
     }
     sentences
+}
+
+/// Says that there are too few clips to choose a policy by, if there are.
+fn too_short(baseline: &PolicySummary) -> Option<String> {
+    let judged = baseline.clips;
+    let noun = if judged == 1 { "clip" } else { "clips" };
+    (judged < ENOUGH_CLIPS).then(|| {
+        format!(
+            "{judged} {noun}, {} frames: too short to choose a policy by, whatever an interval says. What follows describes these \
+             clips only.",
+            baseline.frames
+        )
+    })
 }
 
 fn accuracy(summary: &PolicySummary) -> f64 {
