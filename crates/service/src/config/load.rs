@@ -2,7 +2,7 @@
 
 use super::{ConfigError, Finding};
 use figment::Figment;
-use figment::error::{Kind, OneOf};
+use figment::error::{Actual, Kind, OneOf};
 use figment::providers::{Env, Format, Serialized, Toml};
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
@@ -187,7 +187,46 @@ fn finding(error: &Kind, path: &[String], removed: &str) -> Finding {
     let mut removed = removed.lines().filter_map(|line| line.split_once(": "));
     match removed.find(|(name, _)| *name == gone) {
         Some((_, became)) => Finding::new(key, format!("was removed: {became}")),
+        None if may_hold_a_secret(path) => Finding::new(key, reason(&without_value(error))),
         None => Finding::new(key, reason(error)),
+    }
+}
+
+/// True for keys whose value is never quoted.
+fn may_hold_a_secret(path: &[String]) -> bool {
+    let keys = ["token", "source", "source_options", "url"];
+    let named = path.iter().rfind(|part| !is_index(part));
+    named.is_some_and(|named| keys.contains(&named.as_str()))
+}
+
+/// The error without the value that was found.
+fn without_value(error: &Kind) -> Kind {
+    let kind = |found: &Actual| {
+        let kind = match found {
+            Actual::Str(_) => "a string",
+            Actual::Seq => "a list",
+            Actual::Map => "a table",
+            _ => "such a value",
+        };
+        Actual::Other(kind.to_owned())
+    };
+    match error {
+        Kind::InvalidType(found, expected) => Kind::InvalidType(kind(found), expected.clone()),
+        Kind::InvalidValue(found, expected) => Kind::InvalidValue(kind(found), expected.clone()),
+        other => other.clone(),
+    }
+}
+
+/// An error of the file's form, which comes with a copy of the line: that may hold a password or a token, and is left out.
+fn without_line(message: &str) -> String {
+    let is_copy = |line: &&str| {
+        line.trim_start_matches(|c: char| c == ' ' || c.is_ascii_digit())
+            .starts_with('|')
+    };
+    let said: Vec<_> = message.lines().filter(|line| !is_copy(line)).collect();
+    match said.split_first() {
+        Some((place, reasons)) if !reasons.is_empty() => format!("{place}: {}", reasons.join("; ")),
+        _ => message.to_owned(),
     }
 }
 
@@ -217,6 +256,7 @@ fn reason(kind: &Kind) -> String {
         Kind::InvalidType(found, expected) | Kind::InvalidValue(found, expected) => {
             format!("must be {}, not {found}", in_words(expected))
         }
+        Kind::Message(message) => without_line(message),
         other => other.to_string(),
     }
 }
@@ -259,6 +299,27 @@ mod tests {
         }
     }
 
+    #[derive(serde::Deserialize, Default)]
+    #[serde(default)]
+    struct Secretive {
+        token: Vec<SecretiveToken>,
+    }
+
+    #[derive(serde::Deserialize, Default)]
+    #[serde(default)]
+    struct SecretiveToken {
+        token: String,
+    }
+
+    impl Configuration for Secretive {
+        const SECTIONS: &'static [&'static str] = &[];
+
+        fn findings(&self) -> Vec<Finding> {
+            let broken = self.token.iter().filter(|token| token.token.is_empty());
+            broken.map(|_| Finding::new("token", "is empty")).collect()
+        }
+    }
+
     #[test]
     fn all_errors_in_a_file_are_reported_at_once_in_plain_words() {
         let text = "[http]\ntimeout = \"long\"\nloud = 1\nprot = 8080\n[[camera]]\nring = \"two\"\n\
@@ -277,6 +338,28 @@ mod tests {
             "http.timeout: must be a number, not string \"long\"",
         ];
         assert_eq!(reported, expected);
+    }
+
+    #[test]
+    fn no_error_quotes_a_line_or_value_that_may_be_a_secret() {
+        for (text, error) in [
+            (
+                "[http]\ntoken = [hidden\"\n",
+                "TOML parse error at line 2, column 10: invalid array; expected `]`",
+            ),
+            (
+                "token = \"hidden\"\n",
+                "token: must be a sequence, not a string",
+            ),
+            (
+                "[[token]]\ntoken = [\"hidden\"]\n",
+                "token[0].token: must be a string, not a list",
+            ),
+        ] {
+            let (_, findings) = examine_text::<Secretive>(text);
+            let reported: Vec<_> = findings.iter().map(ToString::to_string).collect();
+            assert_eq!(reported, [error], "{text}");
+        }
     }
 
     #[test]
