@@ -44,6 +44,7 @@ fn nothing(_: &mut DetectorConfig) {}
 #[case::missing("missing.onnx", nothing, &["cannot be loaded"])]
 #[case::foreign("make_models.py", nothing, &["cannot be loaded"])]
 #[case::wrong_opset("wrong_opset.onnx", nothing, &["cannot be loaded", "opset"])]
+#[case::wrong_for_any_provider("wrong_opset.onnx", |c: &mut DetectorConfig| c.providers = vec![ExecutionProvider::Cuda], &["cannot be loaded", "opset"])]
 #[case::data_outside("outside.onnx", nothing, &["cannot be loaded"])]
 #[case::too_large("large.onnx", nothing, &["does not fit", "between 1 and 8192"])]
 #[case::signed_bytes("yolo_signed.onnx", nothing, &[

@@ -71,13 +71,19 @@ pub(crate) async fn batches(arguments: &Arguments, model: &Path) -> anyhow::Resu
     let until = Instant::now() + arguments.limit();
     let pictures = frames()?;
     let mut rows = Vec::new();
+    let mut longest = Duration::ZERO;
     for (done, batch) in BATCHES.into_iter().enumerate() {
         let config = DetectorConfig {
             batch_size: batch,
             ..arguments.detector(model)
         };
-        // What the batches before have left, in equal parts for this one and those after it.
-        let left = until.saturating_duration_since(Instant::now());
+        let begun = Instant::now();
+        let left = until.saturating_duration_since(begun);
+        // What is measured counts more than a batch for which the time is too short.
+        if left < longest {
+            break;
+        }
+        // The time that is left, in equal parts for this batch and those after it.
         let each = left / (BATCHES.len() - done) as u32 / 3;
         let mut cells = vec![name_of(model), batch.to_string()];
         match together(arguments, &config, &pictures, each).await {
@@ -88,6 +94,7 @@ pub(crate) async fn batches(arguments: &Arguments, model: &Path) -> anyhow::Resu
                 cells.resize(7, NONE.to_owned());
             }
         }
+        longest = longest.max(begun.elapsed());
         let refused = cells[3] == NONE;
         rows.push(Row {
             table: TableName::Batches,

@@ -288,6 +288,7 @@ fn judge(
             variant: scheduled.variant,
             cpu_s: played.cpu.as_secs_f64(),
             meter_share_of_core: played.meter_share_of_core,
+            frame_ms: played.frame_ms(player.rate),
             report: played.report,
             agreement: agreement(boxes, &reference),
         });

@@ -71,6 +71,16 @@ impl Played {
         })
     }
 
+    /// The mean time of a frame until its answer, milliseconds. Without a rate the next frame is sent while the node works
+    /// on the one before: its wait there says nothing about the node.
+    pub(super) fn frame_ms(&self, rate: Option<f64>) -> f64 {
+        let times = self.answers.iter().map(|answer| match rate {
+            Some(_) => answer.latency_ms.total,
+            None => answer.latency_ms.total - answer.latency_ms.waiting,
+        });
+        times.sum::<f64>() / self.answers.len().max(1) as f64
+    }
+
     /// Returns the boxes of the clip's frames, of which the first has the sequence number `first`.
     pub(super) fn boxes(&self, first: u64, classes: &mut ClassNumbers) -> Boxes {
         (self.answers.iter())
@@ -299,6 +309,25 @@ fn process_cpu() -> Duration {
 mod tests {
     use super::*;
     use albireo_wire::Target;
+
+    #[test]
+    fn an_unpaced_frame_takes_no_longer_for_waiting_behind_the_one_before() {
+        let answer = |total: f64, waiting: f64| {
+            let text = format!(
+                r#"{{"v":1,"seq":0,"t_ns":0,"clip":"","state":"E","width":1,"height":1,"boxes":[],
+                "latency_ms":{{"total":{total},"waiting":{waiting},"policy":0}}}}"#
+            );
+            Arc::new(serde_json::from_str(&text).unwrap())
+        };
+        let played = Played {
+            report: ClipReport::default(),
+            cpu: Duration::ZERO,
+            meter_share_of_core: 0.0,
+            answers: vec![answer(31.0, 16.0), answer(30.0, 15.0)],
+        };
+        assert_eq!(played.frame_ms(None), 15.0);
+        assert_eq!(played.frame_ms(Some(30.0)), 30.5);
+    }
 
     #[test]
     fn a_comparison_reports_to_no_hub_and_holds_no_target() {

@@ -15,7 +15,7 @@ pub enum Figure {
     Edp,
     /// CPU time of the process, seconds.
     CpuSeconds,
-    /// Mean time of a frame from reception to publication, milliseconds.
+    /// Mean time of a frame until its answer, milliseconds: [`Run::frame_ms`].
     FrameMilliseconds,
     /// The number of detector runs.
     DetectorCalls,
@@ -53,7 +53,7 @@ impl Figure {
             Self::Joules => report.energy.whole_joules(),
             Self::Edp => report.energy.edp.filter(|_| report.energy.is_whole()),
             Self::CpuSeconds => Some(run.cpu_s),
-            Self::FrameMilliseconds => Some(report.total_latency_ms.mean),
+            Self::FrameMilliseconds => Some(run.frame_ms),
             Self::DetectorCalls => Some(report.detector_latency_ms.count as f64),
             Self::SkipRate => Some(report.skip_rate),
             Self::Dropped => Some(report.dropped.total() as f64),

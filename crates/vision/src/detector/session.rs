@@ -14,7 +14,6 @@ use ort::logging::LogLevel;
 use ort::session::{RunOptions, Session};
 use ort::value::{DynValue, Outlet, TensorElementType, TensorRef, ValueType};
 use std::borrow::Cow;
-use std::path::Path;
 use std::sync::Arc;
 use tracing::warn;
 
@@ -63,7 +62,7 @@ impl OnnxSession {
         provider: ExecutionProvider,
     ) -> Result<Self, StartError> {
         let (session, options, entry) = build(environment, settings, provider)
-            .map_err(|error| refusal(&settings.model, provider, in_words(&error)))?;
+            .map_err(|error| refusal(environment, settings, provider, in_words(&error)))?;
         let signature = Signature {
             inputs: session.inputs().iter().map(spec).collect(),
             outputs: session.outputs().iter().map(spec).collect(),
@@ -218,17 +217,25 @@ fn build(
     Ok((session, options, entry))
 }
 
-/// A missing device shows only when the session is created, so the error names the provider, except on the CPU, where
-/// it can only be the model.
-fn refusal(model: &Path, provider: ExecutionProvider, reason: String) -> StartError {
-    match provider {
-        ExecutionProvider::Cpu => StartError::unreadable(model, reason),
-        ExecutionProvider::Cuda | ExecutionProvider::TensorRt => StartError(format!(
-            "the execution provider `{}` does not work here: {reason}. Install what it needs, or list another in \
-             detector.providers",
-            provider.as_str()
-        )),
+/// A missing device shows only when the session is created, in words of many kinds, so the model is tried on the CPU,
+/// which is always there: what does not load there either is the model's fault, and no provider needs to be installed.
+fn refusal(
+    environment: &Environment,
+    settings: &DetectorConfig,
+    provider: ExecutionProvider,
+    reason: String,
+) -> StartError {
+    if provider == ExecutionProvider::Cpu {
+        return StartError::unreadable(&settings.model, reason);
     }
+    if let Err(error) = build(environment, settings, ExecutionProvider::Cpu) {
+        return StartError::unreadable(&settings.model, in_words(&error));
+    }
+    StartError(format!(
+        "the execution provider `{}` does not work here: {reason}. Install what it needs, or list another in \
+         detector.providers",
+        provider.as_str()
+    ))
 }
 
 fn spec(outlet: &Outlet) -> TensorSpec {

@@ -29,6 +29,7 @@ pub(crate) fn run(round: usize, variant: usize, calls: u64, joules: Option<f64>)
         variant,
         cpu_s: calls as f64 / 50.0,
         meter_share_of_core: 0.001,
+        frame_ms: 12.5,
         agreement: None,
         advice: None,
         report: ClipReport {
@@ -36,7 +37,6 @@ pub(crate) fn run(round: usize, variant: usize, calls: u64, joules: Option<f64>)
             frames: 100,
             states,
             skip_rate: states.skip_rate(0),
-            total_latency_ms: times(100, 12.5),
             detector_latency_ms: times(calls, 20.0),
             energy,
             ..ClipReport::default()
