@@ -4,6 +4,7 @@
 use super::address::Secrets;
 use rustix::process::{Pid, Resource, Rlimit, Signal, kill_process_group, prlimit};
 use std::collections::VecDeque;
+use std::ffi::OsString;
 use std::io::{self, ErrorKind, Read};
 use std::process::{ExitStatus, Stdio};
 use std::time::Duration;
@@ -69,7 +70,7 @@ impl PictureProgram {
         command
             .args(&self.arguments)
             .env_clear()
-            .envs(std::env::vars_os().filter(|(name, _)| name.to_str().is_some_and(is_passed_on)))
+            .envs(environment())
             .stdin(match self.input {
                 Some(_) => Stdio::piped(),
                 None => Stdio::null(),
@@ -116,6 +117,11 @@ impl PictureProgram {
             runtime,
         })
     }
+}
+
+/// The variables that a program receives.
+fn environment() -> impl Iterator<Item = (OsString, OsString)> {
+    std::env::vars_os().filter(|(name, _)| name.to_str().is_some_and(is_passed_on))
 }
 
 fn is_passed_on(name: &str) -> bool {
@@ -322,6 +328,7 @@ fn codec(line: &str) -> Option<String> {
 /// An I/O error if it exists but cannot be started.
 pub(super) fn output_of(program: &'static str, argument: &str) -> Result<Option<String>, String> {
     let mut command = std::process::Command::new(program);
+    command.env_clear().envs(environment());
     match command.arg(argument).stdin(Stdio::null()).output() {
         Ok(output) => Ok(Some(String::from_utf8_lossy(&output.stdout).into_owned())),
         Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
@@ -474,6 +481,8 @@ mod tests {
         let variables = output(&mut start("env"));
         assert!(variables.contains("PATH="), "{variables}");
         assert!(!variables.contains("CARGO"), "{variables}");
+        let own = output_of("printenv", "CARGO_MANIFEST_DIR");
+        assert_eq!(own.unwrap().as_deref(), Some(""), "asked for its version");
     }
 
     #[test]
