@@ -140,7 +140,7 @@ impl Corners {
     /// Returns the area; zero for an inverted box.
     #[inline]
     pub fn area(self) -> f64 {
-        (self.x2 - self.x1).max(0.0) * (self.y2 - self.y1).max(0.0)
+        larger(self.x2 - self.x1, 0.0) * larger(self.y2 - self.y1, 0.0)
     }
 
     /// Returns an area that overlaps every box whose intersection over union with this one is at least `gate`. With I
@@ -163,10 +163,10 @@ impl Corners {
     #[inline]
     pub fn shared_area(self, other: Self) -> f64 {
         let shared = Self {
-            x1: self.x1.max(other.x1),
-            y1: self.y1.max(other.y1),
-            x2: self.x2.min(other.x2),
-            y2: self.y2.min(other.y2),
+            x1: larger(self.x1, other.x1),
+            y1: larger(self.y1, other.y1),
+            x2: smaller(self.x2, other.x2),
+            y2: smaller(self.y2, other.y2),
         };
         shared.area()
     }
@@ -178,4 +178,14 @@ impl Corners {
         let union = self.area() + other.area() - overlap;
         if union > 0.0 { overlap / union } else { 0.0 }
     }
+}
+
+/// The larger of two numbers that are not NaN: one instruction, where `f64::max` takes several to see to NaN.
+fn larger(one: f64, other: f64) -> f64 {
+    if one > other { one } else { other }
+}
+
+/// The smaller of two numbers that are not NaN.
+fn smaller(one: f64, other: f64) -> f64 {
+    if one < other { one } else { other }
 }

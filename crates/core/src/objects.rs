@@ -9,10 +9,10 @@ mod collection;
 mod components;
 mod life_cycle;
 mod matching;
+mod near;
 mod pairing;
 mod screening;
 mod state;
-mod sweep;
 
 use assignment::AssignmentSolver;
 pub use collection::ObjectSettings;

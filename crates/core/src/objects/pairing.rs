@@ -1,7 +1,7 @@
 //! Pairs of objects and detections within a gate, made in stages: a later stage pairs only those still free.
 
 use super::components::{ComponentSolver, Edge};
-use super::sweep::Sweep;
+use super::near::NearBoxes;
 use crate::detection::Detection;
 use crate::geometry::{BoundingBox, Corners};
 
@@ -21,7 +21,7 @@ pub(crate) fn overlaps(cost: f64, gate: f64) -> bool {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Pairing {
     solver: ComponentSolver,
-    sweep: Sweep,
+    near: NearBoxes,
     edges: Vec<Edge>,
     pairs: Vec<(u32, u32)>,
     detection_of: Vec<Option<u32>>,
@@ -42,7 +42,7 @@ impl Pairing {
         self.is_free.extend(usable);
         let boxes = detections.iter().zip(0..).zip(&self.is_free);
         let usable = boxes.filter(|(_, is_usable)| **is_usable);
-        self.sweep
+        self.near
             .fill(usable.map(|((detection, place), _)| (detection.bounding_box.corners(), place)));
     }
 
@@ -60,7 +60,7 @@ impl Pairing {
             let Some((area, cost_of)) = of(row as usize) else {
                 continue;
             };
-            self.sweep.visit(area, |column| {
+            self.near.visit(area, |column| {
                 let cost = cost_of(detections[column as usize].bounding_box);
                 if within(cost) && self.is_free[column as usize] {
                     self.edges.push(Edge { row, column, cost });
