@@ -37,7 +37,7 @@ mod values;
 mod variables;
 
 use albireo_service::logging;
-use albireo_vision::detector::end_all_sessions;
+use albireo_vision::onnx::end_all_sessions;
 use anyhow::Context;
 use clap::{Parser, Subcommand};
 use std::io::Write;

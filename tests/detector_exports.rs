@@ -6,7 +6,7 @@ use super::support::detectors::{
 };
 use albireo_core::geometry::PictureSize;
 use albireo_vision::detector::{
-    ClassNames, DetectorHandle, DetectorNetwork, DetectorStatus, HeadName, InferenceError,
+    ClassNames, DetectorHandle, DetectorNetwork, HeadName, ModelStatus, RunError,
 };
 
 const NAMES: [&str; 2] = ["car", "traffic light"];
@@ -46,7 +46,7 @@ async fn float16_and_bytes_with_channels_last_give_the_results_of_float32() {
         assert_the_box(&detected(&detector, [204, 51, 0]).await, 0, 0.8);
         assert_the_box(&detected(&detector, [0, 153, 0]).await, 1, 0.6);
         assert_eq!(detected(&detector, [90, 90, 90]).await, []);
-        assert_eq!(detector.counters().head, Default::default());
+        assert_eq!(detector.head_meter().read(), Default::default());
     }
 }
 
@@ -55,7 +55,7 @@ async fn float16_and_bytes_with_channels_last_give_the_results_of_float32() {
 async fn impossible_unknown_and_outside_boxes_are_counted_and_the_valid_one_is_reported() {
     let detector = started(&config("end_to_end.onnx")).await;
     assert_the_box(&detected(&detector, [230, 0, 0]).await, 2, 0.902);
-    let counts = detector.counters().head;
+    let counts = detector.head_meter().read();
     let counted = [counts.rejected, counts.unknown_class, counts.outside];
     assert_eq!(counted, [1, 1, 1]);
     assert_eq!(detector.counters().failed, 0);
@@ -76,7 +76,7 @@ async fn a_model_that_returns_only_impossible_boxes_is_reported_and_recovers_by_
     assert_eq!(detector.counters().failed, 0);
     for run in 0..6 {
         let answer = detector.detect(CAMERA, one_colour(DARK)).await;
-        let is_ready = matches!(*detector.status().borrow(), DetectorStatus::Ready { .. });
+        let is_ready = matches!(*detector.status().borrow(), ModelStatus::Ready { .. });
         assert_eq!((answer.is_ok(), is_ready), (run < 4, run < 4), "run {run}");
     }
     let status = detector.status().borrow().clone();
@@ -96,7 +96,7 @@ async fn boxes_above_the_cap_are_counted_and_dropped() {
         let capped = changed("crowd.onnx", |config| config.most_detections = most);
         let detector = started(&capped).await;
         assert_eq!(detected(&detector, [204, 0, 0]).await.len(), most);
-        assert_eq!(detector.counters().head.over_limit > 0, most < 42);
+        assert_eq!(detector.head_meter().read().over_limit > 0, most < 42);
     }
 }
 
@@ -119,9 +119,9 @@ async fn a_failed_run_is_explained_and_counted_and_the_next_picture_is_answered(
     assert_eq!(detected(&detector, dark).await.len(), found);
     let bright = detector.detect(CAMERA, one_colour([255, 0, 0])).await;
     let error = bright.unwrap_err();
-    assert!(matches!(error, InferenceError::Failed(_)), "{error}");
+    assert!(matches!(error, RunError::Failed(_)), "{error}");
     assert_contains(&error.to_string(), parts);
-    let is_ready = |status: &DetectorStatus| matches!(status, DetectorStatus::Ready { .. });
+    let is_ready = |status: &ModelStatus| matches!(status, ModelStatus::Ready { .. });
     detector.status().wait_for(is_ready).await.unwrap();
     assert_eq!(detected(&detector, dark).await.len(), found);
     let counts = detector.counters();

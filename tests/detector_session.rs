@@ -5,7 +5,7 @@ use super::support::detectors::{
 };
 use super::support::{assert_contains, run_command};
 use albireo_vision::detector::{
-    CameraSlot, DetectorConfig, DetectorStatus, ExecutionProvider, HeadName,
+    CameraSlot, DetectorConfig, ExecutionProvider, HeadName, ModelStatus,
 };
 use albireo_vision::picture::ColorOrder;
 use albireo_vision::screen::{ScreenConfig, ScreenHandle};
@@ -25,7 +25,7 @@ async fn a_fitting_model_runs_on_the_pixels_of_the_picture_and_one_with_too_few_
     short.pixels.pop();
     let error = detector.detect(CAMERA, Arc::new(short)).await.unwrap_err();
     assert_contains(&error.to_string(), &["24575"]);
-    let is_ready = matches!(*detector.status().borrow(), DetectorStatus::Ready { .. });
+    let is_ready = matches!(*detector.status().borrow(), ModelStatus::Ready { .. });
     assert!(is_ready);
     assert_the_box(&detected(&detector, [51, 204, 0]).await, 1, 0.8);
     assert_eq!(detector.counters().completed, 3);
@@ -39,7 +39,7 @@ fn nothing(_: &mut DetectorConfig) {}
     "`logits` float32 [1, 2]", "is not recognised", "yolo: one output [1, 4 + classes, anchors]", "end-to-end:", "detr:",
     "yolox:", "fastestdet:",
 ])]
-#[case::another_head("colours.onnx", |c: &mut DetectorConfig| c.head = HeadName::Yolox, &["[1, 11, 1]", "`yolox`", "[1, 42, 5 + classes]"])]
+#[case::another_head("colours.onnx", |c: &mut DetectorConfig| c.head = HeadName::Yolox.into(), &["[1, 11, 1]", "`yolox`", "[1, 42, 5 + classes]"])]
 #[case::truncated("truncated.onnx", nothing, &["cannot be loaded"])]
 #[case::missing("missing.onnx", nothing, &["cannot be loaded"])]
 #[case::foreign("make_models.py", nothing, &["cannot be loaded"])]
@@ -91,7 +91,7 @@ async fn a_missing_provider_is_an_error_unless_the_list_has_another() {
     let detector = started(&of(&[TensorRt, Cuda, Cpu])).await;
     // The status shows the provider that runs, not the requested one.
     assert_eq!(detector.provider(), Cpu);
-    let ready = DetectorStatus::Ready { provider: Cpu };
+    let ready = ModelStatus::Ready { provider: Cpu };
     assert_eq!(*detector.status().borrow(), ready);
 }
 

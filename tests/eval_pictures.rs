@@ -299,7 +299,7 @@ fn only_a_policy_that_uses_pixels_makes_the_pass_keep_them() {
 fn shared_a_real_clip_is_decided_alike_live_replayed_and_from_stored_detections() {
     let detector = DetectorConfig {
         model: shared("models/yolox_nano_416.onnx"),
-        head: HeadName::Yolox,
+        head: HeadName::Yolox.into(),
         confidence: LOWEST_CONFIDENCE,
         timeout_ms: 60_000,
         ..DetectorConfig::default()

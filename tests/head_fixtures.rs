@@ -2,8 +2,9 @@
 
 use super::support::project;
 use albireo_core::geometry::{Corners, PictureSize};
+use albireo_vision::detector::HeadName;
 use albireo_vision::detector::head::{self, Suppression, TensorView, keep_best, suppress};
-use albireo_vision::detector::{ElementType, HeadName, Metadata, Signature, TensorSpec};
+use albireo_vision::onnx::{ElementType, Metadata, Signature, TensorSpec};
 use albireo_vision::picture::{
     ColorOrder, Fit, InputFormat, Letterbox, Picture, PixelLayout, TensorLayout, ValueRange,
 };

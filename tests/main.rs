@@ -18,6 +18,7 @@ mod deploy_files;
 mod deploy_systemd;
 mod deploy_watching;
 mod detector_exports;
+mod detector_families;
 mod detector_models;
 mod detector_quantised;
 mod detector_session;

@@ -4,8 +4,8 @@ use super::arguments::{Arguments, without_folder};
 use super::pieces::{Row, Table, TableName};
 use albireo_core::geometry::PictureSize;
 use albireo_vision::detector::{
-    CameraSlot, DetectorConfig, DetectorHandle, DetectorNetwork, DetectorStatus, ExecutionProvider,
-    GpuConfig,
+    CameraSlot, DetectorConfig, DetectorHandle, DetectorNetwork, ExecutionProvider, GpuConfig,
+    ModelStatus,
 };
 use albireo_vision::picture::Picture;
 use std::path::Path;
@@ -115,7 +115,7 @@ async fn out_of_memory_while_it_runs(config: &DetectorConfig) -> anyhow::Result<
         anyhow::bail!("the run was answered");
     };
     let mut status = detector.status();
-    let ready = |status: &DetectorStatus| matches!(status, DetectorStatus::Ready { .. });
+    let ready = |status: &ModelStatus| matches!(status, ModelStatus::Ready { .. });
     tokio::time::timeout(Duration::from_secs(60), status.wait_for(ready)).await??;
     detector.detect(camera, red(102)).await?;
     let counters = detector.counters();

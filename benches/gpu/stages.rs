@@ -6,9 +6,9 @@ use super::page::{NONE, median, ms};
 use super::pieces::{Row, Table, TableName};
 use albireo_eval::footage::{FrameSource, Pictures};
 use albireo_vision::detector::{
-    CameraSlot, DetectorConfig, DetectorHandle, DetectorNetwork, ElementType, OnnxSession,
-    Preparation, PreparedPicture,
+    CameraSlot, DetectorConfig, DetectorHandle, DetectorNetwork, Preparation, PreparedPicture,
 };
+use albireo_vision::onnx::{ElementType, OnnxSession};
 use albireo_vision::picture::{EncodedPicture, FrameLimits, Picture, PixelLayout, decode};
 use albireo_vision::screen::decoding_target;
 use anyhow::bail;
@@ -247,20 +247,21 @@ fn bare(
     runs: usize,
     longest: Duration,
 ) -> anyhow::Result<f64> {
-    let mut session = OnnxSession::open(config)?;
+    let mut session = OnnxSession::open(&config.session_settings())?;
     let mut prepared = Vec::new();
     for picture in pictures.iter().cycle().take(config.batch_size) {
         prepared.push(preparation.prepare(picture)?);
     }
     let inputs: Vec<_> = prepared.iter().map(PreparedPicture::values).collect();
     let shape = preparation.format().shape();
+    let size = preparation.format().size;
     // The first runs lay out memory.
     for _ in 0..3 {
-        session.run(shape, &inputs, |_| ())?;
+        session.run(shape, size, &inputs, |_| ()).map_err(anyhow::Error::msg)?;
     }
     let (start, mut done) = (Instant::now(), 0);
     while done < runs && start.elapsed() < longest {
-        session.run(shape, &inputs, |_| ())?;
+        session.run(shape, size, &inputs, |_| ()).map_err(anyhow::Error::msg)?;
         done += 1;
     }
     Ok((done * config.batch_size) as f64 / start.elapsed().as_secs_f64())

@@ -13,7 +13,7 @@ use albireo_node::state::board::Board;
 use albireo_power::tegrastats_rails;
 use albireo_router::authority::Entry;
 use albireo_service::config::{Configuration, examine_text};
-use albireo_vision::detector::Metadata;
+use albireo_vision::onnx::Metadata;
 use albireo_vision::picture::{
     FrameLimits, Picture, PixelLayout, decode, read_part, read_png, read_ppm,
 };

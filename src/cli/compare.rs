@@ -14,7 +14,7 @@ use albireo_eval::spec::{BASELINE, PolicySpec};
 use albireo_node::config::NodeConfig;
 use albireo_power::PowerConfig;
 use albireo_service::{logging, signals};
-use albireo_vision::detector::HeadName;
+use albireo_vision::detector::HeadSetting;
 use albireo_wire::EnergyQuality;
 use anyhow::{Context, bail, ensure};
 use indicatif::HumanDuration;
@@ -97,7 +97,7 @@ pub(super) struct Arguments {
     detector: Option<PathBuf>,
     /// How the detector's output is read
     #[arg(long, value_enum, help_heading = NODE, requires = "detector")]
-    head: Option<HeadName>,
+    head: Option<HeadSetting>,
     /// The empty-scene screen, an ONNX file
     #[arg(long, help_heading = NODE, value_name = "FILE")]
     screen_model: Option<PathBuf>,
@@ -173,8 +173,8 @@ fn prepare(arguments: &Arguments) -> anyhow::Result<(NodeConfig, Vec<PolicySpec>
         "{}: no such file; run this in the project's folder, or name an ONNX file with --detector or --config",
         model.display()
     );
-    if let Some(head) = arguments.head {
-        config.detector.head = head;
+    if let Some(head) = &arguments.head {
+        config.detector.head = head.clone();
     }
     if let Some(screen) = &arguments.screen_model {
         config.screen.model = Some(screen.clone());

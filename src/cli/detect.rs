@@ -5,14 +5,14 @@ use super::values::parse_size;
 use albireo_core::detection::Detection;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_vision::detector::{
-    ClassNames, DetectorConfig, DetectorNetwork, ExecutionProvider, Found, HeadName,
+    ClassNames, DetectorConfig, DetectorNetwork, ExecutionProvider, Found, HeadCounts, HeadSetting,
 };
 use albireo_vision::picture::{
-    EncodedPicture, FrameLimits, Picture, PictureFormat, PixelLayout, decode, picture_files,
-    read_picture_file, to_jpeg,
+    ColorOrder, EncodedPicture, Fit, FrameLimits, Picture, PictureFormat, PixelLayout, ValueRange,
+    decode, picture_files, read_picture_file, to_jpeg,
 };
 use albireo_vision::screen::decoding_target;
-use anyhow::{Context, ensure};
+use anyhow::{Context, bail, ensure};
 use serde_json::json;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -25,21 +25,38 @@ Examples:
   albireo detect yolo26n.onnx                       print how the model is read
   albireo detect yolo26n.onnx frame.jpg             and what it finds
   albireo detect yolo26n.onnx frame.jpg --out seen   and draw the boxes
-  albireo detect yolo26n.onnx pictures/ --json      one JSON object per picture")]
+  albireo detect yolo26n.onnx pictures/ --json      one JSON object per picture
+  albireo detect plates.onnx frame.jpg --head 'columns=batch x1 y1 x2 y2 class score'
+
+The options --head, --class-names, --input-size, --range, --color-order and
+--fit are the keys of the same name in [detector].
+
+A picture that cannot be used is named and counted, and the others are looked
+at; the exit code is then 1.")]
 pub(super) struct Arguments {
     /// The ONNX file.
     model: PathBuf,
     /// Pictures, or folders of pictures.
     pictures: Vec<PathBuf>,
-    /// How the model's output is read.
-    #[arg(long, value_enum, default_value_t = HeadName::Auto)]
-    head: HeadName,
-    /// Names of its classes, one per line [default: those of its metadata, or the head's own list]
+    /// How the model's output is read: auto, yolo, yolov5, yolox, yolo-nas, end-to-end, detr, rt-detr, d-fine, rtmdet,
+    /// fastestdet, or the columns of its output, `columns=batch x1 y1 x2 y2 class score`.
+    #[arg(long, default_value_t)]
+    head: HeadSetting,
+    /// Names of its classes, one per line; `coco` for COCO's 80 [default: those of its metadata, or the head's own list]
     #[arg(long, value_name = "FILE")]
     class_names: Option<PathBuf>,
-    /// Report all classes of the model under their own names and numbers, not only those of BDD100K.
+    /// Report all classes of the model under their own names and numbers; of COCO's 80, only those of BDD100K otherwise.
     #[arg(long)]
     all_classes: bool,
+    /// The range of the input's values [default: the head's]
+    #[arg(long, value_enum)]
+    range: Option<ValueRange>,
+    /// The order of the input's colours [default: the head's]
+    #[arg(long, value_enum)]
+    color_order: Option<ColorOrder>,
+    /// How a picture is fitted to the input [default: the head's]
+    #[arg(long, value_enum)]
+    fit: Option<Fit>,
     /// Columns x rows of the input, if the model leaves them open.
     #[arg(long, value_parser = parse_size)]
     input_size: Option<PictureSize>,
@@ -77,40 +94,117 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     loading.finish_and_clear();
     let mut network = network?;
     let names = network.class_names().to_vec();
-    let (head, input) = (network.head().as_str(), network.input_format().shape());
+    let mut pictures = 0;
+    let mut unusable = 0;
     if arguments.json {
         let model = &arguments.model;
-        let facts = json!({"model": model, "head": head, "input": input, "classes": names});
+        let facts = json!({
+            "model": model, "head": network.head().as_str(), "input": network.input_format().shape(),
+            "classes": names, "not_reported": network.left_out(),
+        });
         println!("{facts}");
     } else {
         println!("{}: {}", arguments.model.display(), network.signature());
         println!(
-            "head {head}, fed {input:?} ({:?}, {:?}, {:?}), reports {} classes: {}",
-            network.input_format().fit,
-            network.input_format().color_order,
-            network.input_format().value_range,
-            names.len(),
-            names.join(", ")
+            "{}, runs on {}",
+            network.description(),
+            network.provider().as_str()
         );
+        println!("{}", classes(&names, network.left_out()));
     }
     for path in &arguments.pictures {
         for file in picture_files(path)? {
-            let encoded = read_picture_file(&file)?;
-            look(arguments, &mut network, &file, &encoded, &names)
-                .with_context(|| file.display().to_string())?;
+            pictures += 1;
+            let outcome =
+                read_picture_file(&file).map_err(anyhow::Error::from).and_then(|encoded| {
+                    look(arguments, &mut network, &file, &encoded, &names)
+                        .with_context(|| file.display().to_string())
+                });
+            // One bad file does not hide what is in the others.
+            if let Err(error) = outcome {
+                unusable += 1;
+                eprintln!("albireo: {error:#}");
+            }
         }
     }
-    let counts = network.counts();
-    if counts != Default::default() {
-        eprintln!("albireo: not reported: {counts:?}");
+    for line in not_reported(&network.counts(), network.left_out()) {
+        eprintln!("albireo: {line}");
     }
+    if let Some(doubt) = network.doubt() {
+        bail!(
+            "nothing that the model finds is possible: {doubt}. Choose another head, or list the columns of its output \
+             (--head 'columns=x1 y1 x2 y2 score class')"
+        );
+    }
+    ensure!(
+        unusable == 0,
+        "{unusable} of {pictures} pictures could not be used"
+    );
     Ok(())
+}
+
+/// The classes that are reported, and those that are not.
+fn classes(reported: &[String], left_out: &[String]) -> String {
+    let mut text = format!(
+        "reports {}: {}",
+        counted(reported.len(), "class", "classes"),
+        reported.join(", ")
+    );
+    if !left_out.is_empty() {
+        let first: Vec<_> = left_out.iter().take(8).map(String::as_str).collect();
+        let more = if left_out.len() > first.len() {
+            ", …"
+        } else {
+            ""
+        };
+        text.push_str(&format!(
+            "\nnot reported: {} of the model ({}{more}); --all-classes, or detector.report_classes = [], reports them",
+            counted(left_out.len(), "class", "classes"),
+            first.join(", "),
+        ));
+    }
+    text
+}
+
+/// What the model found and was not reported, a line for each reason.
+fn not_reported(counts: &HeadCounts, left_out: &[String]) -> Vec<String> {
+    let of_others = if left_out.is_empty() {
+        ""
+    } else {
+        " (--all-classes reports them)"
+    };
+    [
+        (counts.other_class, format!("of classes that are not reported{of_others}")),
+        (
+            counts.rejected,
+            "impossible: a number that is not finite or no score, a box without an area or much larger than the \
+             input"
+                .to_owned(),
+        ),
+        (counts.outside, "outside of the picture".to_owned()),
+        (
+            counts.unknown_class,
+            "of a class number for which there is no name (--class-names)".to_owned(),
+        ),
+        (counts.over_limit, "beyond the limit of detections (--most)".to_owned()),
+    ]
+    .into_iter()
+    .filter(|(count, _)| *count > 0)
+    .map(|(count, reason)| format!("not reported: {} {reason}", counted(count as usize, "box", "boxes")))
+    .collect()
+}
+
+fn counted(count: usize, one: &str, several: &str) -> String {
+    format!("{count} {}", if count == 1 { one } else { several })
 }
 
 fn configuration(arguments: &Arguments) -> DetectorConfig {
     DetectorConfig {
         model: arguments.model.clone(),
-        head: arguments.head,
+        head: arguments.head.clone(),
+        range: arguments.range,
+        color_order: arguments.color_order,
+        fit: arguments.fit,
         input_size: arguments.input_size.map(|size| [size.width, size.height]),
         class_names: arguments.class_names.clone().map(ClassNames::File),
         report_classes: arguments.all_classes.then(Vec::new),
@@ -174,9 +268,9 @@ fn look(
     } else {
         writeln!(
             out,
-            "{} {size}: {} detections (decode {decode:.1} ms, letterbox {letterbox:.1} ms, model {model:.1} ms, head {head:.1} ms)",
+            "{} {size}: {} (decode {decode:.1} ms, letterbox {letterbox:.1} ms, model {model:.1} ms, head {head:.1} ms)",
             file.display(),
-            found.detections.len(),
+            counted(found.detections.len(), "detection", "detections"),
         )?;
         for found in &found.detections {
             let Corners { x1, y1, x2, y2 } = found.bounding_box.pixel_corners(size);

@@ -1,7 +1,7 @@
 use super::served::{Served, answered, clip, frame};
 use crate::support::{assert_has, until};
 use albireo_core::policy::FrameState;
-use albireo_vision::detector::{DetectorStatus, ExecutionProvider};
+use albireo_vision::detector::{ExecutionProvider, ModelStatus};
 use reqwest::Response;
 use rstest::rstest;
 use serde_json::{Value, json};
@@ -77,7 +77,7 @@ async fn the_current_state_comes_first_and_then_each_event_in_order_until_the_no
     node.board.publish_counters(5);
     assert_eq!(events.expect("counters").await["frames"], 2);
     assert_eq!(events.expect("counters").await["frames"], 0);
-    node.board.set_detector_status(DetectorStatus::Degraded {
+    node.board.set_detector_status(ModelStatus::Degraded {
         reason: "it took too long".to_owned(),
         provider: ExecutionProvider::Cpu,
     });
@@ -119,7 +119,7 @@ async fn invalid_filters_and_too_many_streams_are_rejected() {
     // A place is free again once the node notices a closed stream.
     drop(open.pop());
     until("a place is free again", async || {
-        node.board.set_detector_status(DetectorStatus::Starting);
+        node.board.set_detector_status(ModelStatus::Starting);
         node.get("/api/v1/events").await.status() == 200
     })
     .await;

@@ -2,7 +2,7 @@ use super::served::{Served, answered, answered_all, clip, frame, problem, receiv
 use crate::support::{assert_contains, assert_has};
 use albireo_core::policy::FrameState;
 use albireo_service::config::HttpConfig;
-use albireo_vision::detector::{DetectorStatus, ExecutionProvider};
+use albireo_vision::detector::{ExecutionProvider, ModelStatus};
 use albireo_vision::picture::PictureFormat;
 use albireo_wire::{CallCause, DroppedFrames};
 use reqwest::Method;
@@ -61,7 +61,7 @@ async fn readiness_names_the_provider_in_use_and_why_the_node_is_not_ready() {
     node.ready();
     let ready = node.json("/readyz").await;
     assert_has(&ready, &json!({"provider": "cpu", "reasons": []}));
-    node.board.set_detector_status(DetectorStatus::Degraded {
+    node.board.set_detector_status(ModelStatus::Degraded {
         reason: "the run took longer than 2000 ms".to_owned(),
         provider: ExecutionProvider::Cpu,
     });

@@ -9,7 +9,7 @@ use albireo_node::state::board::{Board, CameraBoard, LatestFrame};
 use albireo_service::ServiceError;
 use albireo_service::config::HttpConfig;
 use albireo_service::http;
-use albireo_vision::detector::{DetectorStatus, ExecutionProvider};
+use albireo_vision::detector::{ExecutionProvider, ModelStatus};
 use albireo_vision::picture::{EncodedPicture, PictureFormat};
 use albireo_wire::{CallCause, ClipReport, DetectionsMessage};
 use reqwest::{Client, Method, RequestBuilder, Response, StatusCode};
@@ -112,7 +112,7 @@ impl Served {
     }
 
     pub(crate) fn ready(&self) {
-        self.board.set_detector_status(DetectorStatus::Ready {
+        self.board.set_detector_status(ModelStatus::Ready {
             provider: ExecutionProvider::Cpu,
         });
     }

@@ -5,6 +5,7 @@ pub(crate) mod camera;
 pub(crate) mod detectors;
 pub(crate) mod fleet;
 pub(crate) mod live_camera;
+pub(crate) mod onnx;
 mod ports;
 #[path = "../../crates/hub/tests/support/postgres.rs"]
 pub(crate) mod postgres;

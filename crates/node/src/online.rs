@@ -8,9 +8,12 @@ use albireo_service::clock::milliseconds;
 use albireo_service::config::{ZenohConfig, ZenohMode};
 use albireo_service::session;
 use albireo_vision::detector::{DetectorConfig, DetectorNetwork};
-use albireo_vision::picture::Picture;
+use albireo_vision::picture::{EncodedPicture, FrameLimits, Picture, PixelLayout, decode};
 use albireo_vision::screen::ScreenHandle;
+use parking_lot::Mutex;
 use std::error::Error;
+use std::fmt::Display;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::mpsc::channel;
 use tokio_util::sync::CancellationToken;
@@ -33,7 +36,11 @@ pub async fn try_all(config: &NodeConfig, mut each: impl FnMut(&str, Result<Stri
     };
     let detector = config.detector.clone();
     let found = tokio::task::spawn_blocking(move || try_detector(&detector)).await;
-    report("detector", found.unwrap_or_else(|error| Err(error.into())));
+    let (network, outcome) = match found.unwrap_or_else(|error| Err(error.into())) {
+        Ok((network, text)) => (Some(Arc::new(Mutex::new(network))), Ok(text)),
+        Err(error) => (None, Err(error)),
+    };
+    report("detector", outcome);
     let onnxruntime = config.detector.onnxruntime.as_deref();
     if let Some(screen) = (ScreenHandle::start(&config.screen, onnxruntime).await).transpose() {
         let shape = screen.map(|screen| screen.input_format().shape());
@@ -43,7 +50,12 @@ pub async fn try_all(config: &NodeConfig, mut each: impl FnMut(&str, Result<Stri
     for camera in &config.cameras {
         if let Some(settings) = camera.source_settings(config.frame) {
             let key = format!("camera.{}.source", camera.name);
-            report(&key, try_source(settings).await);
+            let arrived = try_source(settings).await;
+            let limits = config.frame;
+            let network = network.clone();
+            let looked =
+                tokio::task::spawn_blocking(move || look(&arrived?, &limits, network.as_deref()));
+            report(&key, looked.await.unwrap_or_else(|error| Err(error.into())));
         }
     }
     if config.uplink.is_set() {
@@ -64,8 +76,59 @@ async fn in_time(
     Ok(opened.map_err(silent)??)
 }
 
-/// Returns the provider that runs the model, and the time of a run.
-fn try_detector(config: &DetectorConfig) -> Result<String, Failure> {
+/// Decodes the picture of a camera and, if there is a detector, runs it on the picture.
+fn look(
+    picture: &EncodedPicture,
+    limits: &FrameLimits,
+    network: Option<&Mutex<DetectorNetwork>>,
+) -> Result<String, Failure> {
+    let unusable = |reason: &dyn Display| -> Failure {
+        format!("a picture arrived that cannot be used: {reason}").into()
+    };
+    let mut decoded = Picture::default();
+    decode(picture, limits, PixelLayout::Rgb8, None, &mut decoded)
+        .map_err(|fault| unusable(&fault))?;
+    let kilobytes = picture.bytes.len().div_ceil(1000);
+    let mut text = format!(
+        "a picture of {} arrived and was decoded, {kilobytes} kB as {}",
+        picture.size,
+        picture.format.as_str()
+    );
+    let Some(network) = network else {
+        return Ok(text);
+    };
+    let mut network = network.lock();
+    let before = network.counts();
+    let prepared = network.preparation().prepare(&decoded).map_err(|fault| unusable(&fault))?;
+    let found = network.detect(&prepared)?;
+    if let Some(doubt) = network.doubt() {
+        return Err(format!(
+            "the detector finds only what is impossible: {doubt}; choose another detector.head, or list the columns of \
+             the model's output"
+        )
+        .into());
+    }
+    let mut classes: Vec<&str> = found
+        .detections
+        .iter()
+        .filter_map(|detection| network.class_names().get(usize::from(detection.class.0)))
+        .map(String::as_str)
+        .collect();
+    classes.sort_unstable();
+    classes.dedup();
+    text.push_str(&format!("; the detector finds {}", found.detections.len()));
+    if !classes.is_empty() {
+        text.push_str(&format!(" ({})", classes.join(", ")));
+    }
+    let left_out = network.counts().other_class - before.other_class;
+    if left_out > 0 {
+        text.push_str(&format!(" and {left_out} of classes that are not reported"));
+    }
+    Ok(text)
+}
+
+/// Returns the detector, and in words how it is read, the provider that runs it, and the time of a run.
+fn try_detector(config: &DetectorConfig) -> Result<(DetectorNetwork, String), Failure> {
     let begun = Instant::now();
     let mut network = DetectorNetwork::open(config)?;
     let loaded = begun.elapsed();
@@ -80,7 +143,11 @@ fn try_detector(config: &DetectorConfig) -> Result<String, Failure> {
     let median = took.get(PICTURES / 2).copied().unwrap_or_default();
     let provider = network.provider();
     let mut text = format!(
-        "runs on {}, {:.1} ms per picture (median of {PICTURES}), loaded in {:.1} s",
+        "{}; reports {} of {} classes ({}); runs on {}, {:.1} ms per picture (median of {PICTURES}), loaded in {:.1} s",
+        network.description(),
+        network.class_names().len(),
+        network.class_names().len() + network.left_out().len(),
+        network.class_names().join(", "),
         provider.as_str(),
         milliseconds(median),
         loaded.as_secs_f64(),
@@ -93,11 +160,11 @@ fn try_detector(config: &DetectorConfig) -> Result<String, Failure> {
             first.as_str()
         ));
     }
-    Ok(text)
+    Ok((network, text))
 }
 
 /// Waits for the first picture.
-async fn try_source(settings: SourceSettings) -> Result<String, Failure> {
+async fn try_source(settings: SourceSettings) -> Result<EncodedPicture, Failure> {
     let patience = settings.silence.min(Duration::from_secs(600)) + ANSWER;
     let source = tokio::task::spawn_blocking(move || LiveSource::find(settings)).await??;
     let (sender, mut found) = channel(1);
@@ -113,9 +180,7 @@ async fn try_source(settings: SourceSettings) -> Result<String, Failure> {
     match first {
         Ok(Some(SourceEvent::Picture { picture, .. })) => {
             let unusable = |fault| format!("a picture arrived that cannot be used: {fault}");
-            let picture = picture.map_err(unusable)?;
-            let (kilobytes, format) = (picture.bytes.len().div_ceil(1000), picture.format.as_str());
-            Ok(format!("a picture arrived, {kilobytes} kB as {format}"))
+            Ok(picture.map_err(unusable)?)
         }
         Ok(Some(SourceEvent::Failed { reason, .. })) => Err(reason.into()),
         Ok(None) => Err("the reader of the source ended".into()),

@@ -8,13 +8,13 @@ use crate::config::NodeConfig;
 use crate::delivery::outbox::retry_disk;
 use crate::delivery::uplink::{Uplink, UplinkSetup};
 use crate::error::NodeError;
-use crate::state::board::{Board, provider};
+use crate::state::board::{Board, ModelReading, provider};
 use crate::state::{counters, readiness};
 use albireo_core::policy::{Policy, PolicyConfigError};
 use albireo_service::readiness::Fault;
 use albireo_service::session;
 use albireo_service::supervise::Supervisor;
-use albireo_vision::detector::{CameraSlot, DetectorHandle, DetectorStatus};
+use albireo_vision::detector::{CameraSlot, DetectorHandle, ModelStatus};
 use albireo_vision::pixel_work::PixelWork;
 use albireo_vision::screen::ScreenHandle;
 use camera::{Cameras, Subscriptions};
@@ -113,6 +113,24 @@ impl PreparedNode {
         let detector = DetectorHandle::start(&config.detector)
             .await
             .map_err(NodeError::of("[detector]"))?;
+        let left_out = detector.left_out();
+        tracing::info!(
+            reads = detector.description(),
+            provider = detector.provider().as_str(),
+            reports = detector.class_names().join(", "),
+            not_reported = left_out.len(),
+            "the detector is ready{}",
+            match left_out {
+                [] => "",
+                _ => "; detector.report_classes = [] reports all classes of the model",
+            }
+        );
+        let _ = board.reading.set(ModelReading {
+            description: detector.description().to_owned(),
+            classes: detector.class_names().to_vec(),
+            left_out: left_out.to_vec(),
+            meter: detector.head_meter(),
+        });
         let screen = ScreenHandle::start(&config.screen, config.detector.onnxruntime.as_deref())
             .await
             .map_err(NodeError::of("[screen]"))?;
@@ -273,7 +291,7 @@ impl Node {
 }
 
 /// Copies the detector's status to the board.
-async fn follow(mut from: watch::Receiver<DetectorStatus>, to: Arc<Board>) {
+async fn follow(mut from: watch::Receiver<ModelStatus>, to: Arc<Board>) {
     loop {
         let status = from.borrow_and_update().clone();
         to.set_detector_status(status);

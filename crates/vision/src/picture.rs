@@ -10,8 +10,11 @@ mod fault;
 mod files;
 mod format;
 mod header;
+mod huffman;
 mod letterbox;
 mod limits;
+mod orientation;
+mod raw;
 mod stream;
 
 pub use decode::{decode, decode_grey_half, decode_small_grey, to_jpeg};
@@ -22,7 +25,8 @@ pub use header::{format_of, picture_of_file, picture_of_kind};
 pub use letterbox::{
     ColorOrder, Fit, InputFormat, InputMapping, Letterbox, TensorLayout, ValueRange,
 };
-pub use limits::{FrameLimits, check_payload, check_picture, check_raw_length};
+pub use limits::{FrameLimits, check_payload, check_picture};
+pub use raw::raw_picture;
 pub use stream::{read_part, read_png, read_ppm};
 
 /// The maximum number of scans of a progressive JPEG file; encoders use about ten. Each costs a pass over the picture,

@@ -7,16 +7,18 @@
 //! process: [`Worker::ended`] reports it.
 
 mod counters;
+mod error;
 mod queue;
+mod status;
 #[cfg(test)]
 mod tests;
 mod thread;
 
 pub use counters::{WorkerCounts, WorkerMeter};
+pub use error::RunError;
+pub use status::ModelStatus;
 
-use crate::detector::{
-    CameraSlot, DetectorStatus, ExecutionProvider, InferenceError, StartError, fault,
-};
+use crate::onnx::{ExecutionProvider, StartError, fault};
 use queue::{Queue, Request};
 use std::sync::Arc;
 use std::time::Duration;
@@ -39,6 +41,10 @@ const STUCK_AFTER: Duration = Duration::from_secs(30);
 /// limit: TensorRT builds engines for minutes.
 const STILL_BUILDING: Duration = Duration::from_secs(10);
 
+/// A caller whose pictures take turns with those of others, such as a camera by its place in the configuration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub(crate) struct Asker(pub(crate) usize);
+
 /// A model that answers pictures, built and used on one thread.
 pub(crate) trait Model: 'static {
     /// A picture in the form that the model accepts.
@@ -56,7 +62,7 @@ pub(crate) trait Model: 'static {
     ///
     /// # Errors
     /// If the run failed.
-    fn run(&mut self, pictures: &[Self::Input]) -> Result<Vec<Self::Output>, InferenceError>;
+    fn run(&mut self, pictures: &[Self::Input]) -> Result<Vec<Self::Output>, RunError>;
 
     /// The provider that runs the model.
     fn provider(&self) -> ExecutionProvider;
@@ -69,9 +75,9 @@ pub(crate) struct WorkerSettings {
     pub(crate) name: &'static str,
     /// The longest time that a run may take.
     pub(crate) timeout: Duration,
-    /// The maximum number of pictures in a run, each from another camera.
+    /// The maximum number of pictures in a run, each from another asker.
     pub(crate) batch_size: usize,
-    /// The longest time that a picture waits for pictures of other cameras to share its run, from its request.
+    /// The longest time that a picture waits for pictures of other askers to share its run, from its request.
     pub(crate) batch_wait: Duration,
 }
 
@@ -92,7 +98,7 @@ pub struct Answer<T> {
 pub(crate) struct Worker<I, T> {
     requests: mpsc::UnboundedSender<Request<I, T>>,
     /// The worker's status, updated as it changes.
-    pub(crate) status: watch::Receiver<DetectorStatus>,
+    pub(crate) status: watch::Receiver<ModelStatus>,
     idle: watch::Receiver<bool>,
     ended: watch::Receiver<Option<Result<(), String>>>,
     /// Counters for metrics; does not keep the worker running.
@@ -127,7 +133,7 @@ impl<I: Send + 'static, T: Send + 'static> Worker<I, T> {
         let thread = ModelThread::spawn(settings.name, build)
             .map_err(|error| StartError::thread(settings.name, error))?;
         let (requests, received) = mpsc::unbounded_channel();
-        let (status, watched) = watch::channel(DetectorStatus::Starting);
+        let (status, watched) = watch::channel(ModelStatus::Starting);
         let (idle, is_idle) = watch::channel(false);
         let (end, ended) = watch::channel(None);
         let stop = CancellationToken::new();
@@ -171,9 +177,9 @@ impl<I: Send + 'static, T: Send + 'static> Worker<I, T> {
     ///
     /// # Errors
     /// The error that [`run`](Self::run) would return at once.
-    pub(crate) fn accepts(&self) -> Result<(), InferenceError> {
+    pub(crate) fn accepts(&self) -> Result<(), RunError> {
         if self.stop.0.is_cancelled() {
-            return Err(InferenceError::Stopped);
+            return Err(RunError::Stopped);
         }
         let Some(refusal) = self.status.borrow().refusal() else {
             return Ok(());
@@ -182,26 +188,25 @@ impl<I: Send + 'static, T: Send + 'static> Worker<I, T> {
         Err(refusal)
     }
 
-    /// Runs the model on a camera's `picture`, or, without a camera, on one when no camera waits. Waits for its turn and
-    /// for the run. When this returns `Ok`, the worker no longer holds the picture. May be cancelled at any time.
+    /// Runs the model on the `picture` of an asker, or, without one, on a picture when no asker waits. Waits for its turn
+    /// and for the run. When this returns `Ok`, the worker no longer holds the picture. May be cancelled at any time.
     ///
     /// # Errors
-    /// See [`InferenceError`]; a run that takes too long is answered at its deadline, not later.
+    /// See [`RunError`]; a run that takes too long is answered at its deadline, not later.
     pub(crate) async fn run(
         &self,
-        camera: Option<CameraSlot>,
+        asker: Option<Asker>,
         picture: I,
-    ) -> Result<Answer<T>, InferenceError> {
+    ) -> Result<Answer<T>, RunError> {
         let (reply, answer) = oneshot::channel();
         let request = Request {
-            camera,
+            asker,
             picture,
             requested_at: Instant::now(),
             reply,
         };
-        let sent = self.requests.send(request);
-        sent.map_err(|_| InferenceError::Stopped)?;
-        answer.await.unwrap_or(Err(InferenceError::Stopped))
+        self.requests.send(request).map_err(|_| RunError::Stopped)?;
+        answer.await.unwrap_or(Err(RunError::Stopped))
     }
 
     /// Waits until the model has nothing to do; returns `None` once the worker has been stopped.
@@ -258,7 +263,7 @@ struct Task<M: Model> {
     /// True once the worker is stopped: every request is refused.
     is_stopping: bool,
     provider: ExecutionProvider,
-    status: watch::Sender<DetectorStatus>,
+    status: watch::Sender<ModelStatus>,
     idle: watch::Sender<bool>,
     meter: WorkerMeter,
     stop: CancellationToken,
@@ -324,11 +329,11 @@ impl<M: Model> Task<M> {
     }
 
     /// The immediate answer to every request while no session can accept pictures.
-    fn refusal(&self) -> Option<InferenceError> {
-        match self.is_stopping {
-            true => Some(InferenceError::Stopped),
-            false => self.status.borrow().refusal(),
+    fn refusal(&self) -> Option<RunError> {
+        if self.is_stopping {
+            return Some(RunError::Stopped);
         }
+        self.status.borrow().refusal()
     }
 
     /// Returns when the next run may begin.
@@ -351,7 +356,7 @@ impl<M: Model> Task<M> {
         let started = Instant::now();
         let batch = self.queue.take_batch();
         self.count_waiting();
-        let is_spare = batch.iter().all(|request| request.camera.is_none());
+        let is_spare = batch.iter().all(|request| request.asker.is_none());
         let (pictures, waiting): (Vec<_>, Vec<_>) = batch
             .into_iter()
             .map(|request| (request.picture, (request.reply, request.requested_at)))
@@ -403,7 +408,7 @@ impl<M: Model> Task<M> {
         for (reply, requested_at) in waiting {
             let answer = match &mut outputs {
                 // The thread ensures one output per picture.
-                Ok(outputs) => outputs.next().ok_or(InferenceError::Stopped),
+                Ok(outputs) => outputs.next().ok_or(RunError::Stopped),
                 Err(error) => Err(error.clone()),
             };
             // The asker may have given up.
@@ -422,12 +427,13 @@ impl<M: Model> Task<M> {
 
     /// Counts and reports a successful run. The pictures of a run that returned too late do not count.
     fn ran_well(&mut self, pictures: u32, is_spare: bool) {
-        self.open(DetectorStatus::Ready {
+        self.open(ModelStatus::Ready {
             provider: self.provider,
         });
-        self.meter.update(|counts| match is_spare {
-            true => counts.spare += u64::from(pictures),
-            false => {
+        self.meter.update(|counts| {
+            if is_spare {
+                counts.spare += u64::from(pictures);
+            } else {
                 counts.completed += u64::from(pictures);
                 counts.batches += u64::from(pictures > 0);
             }
@@ -435,7 +441,7 @@ impl<M: Model> Task<M> {
     }
 
     /// Answers the askers of a run that exceeds its deadline, and refuses others until the run has come back.
-    fn too_late(&mut self, waiting: Vec<Asker<M::Output>>) {
+    fn too_late(&mut self, waiting: Vec<Reply<M::Output>>) {
         let timeout = self.settings.timeout.as_millis();
         warn!(
             worker = self.settings.name,
@@ -443,7 +449,7 @@ impl<M: Model> Task<M> {
             "a run takes too long"
         );
         self.meter.update(|counts| counts.timed_out += 1);
-        let error = InferenceError::TimedOut {
+        let error = RunError::TimedOut {
             timeout_ms: u64::try_from(timeout).unwrap_or(u64::MAX),
         };
         self.degraded(error.to_string(), false);
@@ -453,14 +459,14 @@ impl<M: Model> Task<M> {
     }
 
     /// Counts and reports a failed run; returns true if the model is lost.
-    fn failed(&mut self, error: &InferenceError) -> bool {
+    fn failed(&mut self, error: &RunError) -> bool {
         let reason = error.to_string();
         self.meter.update(|counts| match error {
-            InferenceError::Panicked(_) => counts.panicked += 1,
+            RunError::Panicked(_) => counts.panicked += 1,
             _ => counts.failed += 1,
         });
-        if let InferenceError::Implausible(_) = error {
-            self.open(DetectorStatus::Implausible {
+        if let RunError::Implausible(_) = error {
+            self.open(ModelStatus::Implausible {
                 reason,
                 provider: self.provider,
             });
@@ -499,13 +505,14 @@ impl<M: Model> Task<M> {
     async fn build(&mut self) -> Result<Result<M::Facts, StartError>, End> {
         // If the thread is gone, `event` reports it below.
         let _ = self.thread.commands.send(Command::Build);
-        let (begun, mut patience) = (Instant::now(), STILL_BUILDING);
+        let begun = Instant::now();
+        let mut patience = STILL_BUILDING;
         loop {
             match self.event(Some(begun + patience)).await? {
                 Event::Outcome(Outcome::Built(built)) => {
                     return Ok(built.map(|(provider, facts)| {
                         self.provider = provider;
-                        self.open(DetectorStatus::Ready { provider });
+                        self.open(ModelStatus::Ready { provider });
                         facts
                     }));
                 }
@@ -523,7 +530,7 @@ impl<M: Model> Task<M> {
     }
 
     /// Accepts pictures from now on, unless the worker is stopping.
-    fn open(&mut self, status: DetectorStatus) {
+    fn open(&mut self, status: ModelStatus) {
         if !self.is_stopping {
             self.status.send_if_modified(|now| {
                 let changed = *now != status;
@@ -540,9 +547,10 @@ impl<M: Model> Task<M> {
             return;
         }
         let provider = self.provider;
-        self.status.send_replace(match lost {
-            true => DetectorStatus::Lost { reason, provider },
-            false => DetectorStatus::Degraded { reason, provider },
+        self.status.send_replace(if lost {
+            ModelStatus::Lost { reason, provider }
+        } else {
+            ModelStatus::Degraded { reason, provider }
         });
         self.refuse_waiting();
     }
@@ -564,11 +572,10 @@ impl<M: Model> Task<M> {
     fn refuse(
         &self,
         requests: impl IntoIterator<Item = Request<M::Input, M::Output>>,
-        error: &InferenceError,
+        error: &RunError,
     ) {
         for request in requests {
-            self.meter
-                .update(|counts| counts.refused += u64::from(request.camera.is_some()));
+            self.meter.update(|counts| counts.refused += u64::from(request.asker.is_some()));
             let _ = request.reply.send(Err(error.clone()));
         }
     }
@@ -588,4 +595,4 @@ impl<M: Model> Task<M> {
 }
 
 /// The channel for the answer to a request, and the time of the request.
-type Asker<T> = (oneshot::Sender<Result<Answer<T>, InferenceError>>, Instant);
+type Reply<T> = (oneshot::Sender<Result<Answer<T>, RunError>>, Instant);

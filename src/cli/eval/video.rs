@@ -14,7 +14,7 @@ use albireo_eval::run::streams::{self, StreamResults};
 use albireo_eval::settings::{ScreenRule, Settings};
 use albireo_eval::spec::PolicySpec;
 use albireo_eval::summary;
-use albireo_vision::detector::{ClassNames, DetectorConfig, ExecutionProvider, HeadName};
+use albireo_vision::detector::{ClassNames, DetectorConfig, ExecutionProvider, HeadSetting};
 use albireo_vision::picture::ColorOrder;
 use albireo_vision::screen::ScreenConfig;
 use anyhow::{bail, ensure};
@@ -56,10 +56,11 @@ pub(super) struct PassArguments {
     /// The detector: an ONNX file.
     #[arg(long, help_heading = LOOKED, value_name = "MODEL", default_value = "models/yolox_nano.onnx")]
     detector: PathBuf,
-    /// How the detector's output is read.
-    #[arg(long, help_heading = LOOKED, value_enum, default_value_t = HeadName::Auto)]
-    head: HeadName,
-    /// Names of the detector's classes, one per line [default: those of its metadata, or the head's own list]
+    /// How the detector's output is read: the name of a head, or `columns=x1 y1 x2 y2 score class`.
+    #[arg(long, help_heading = LOOKED, default_value_t)]
+    head: HeadSetting,
+    /// Names of the detector's classes, one per line; `coco` for COCO's 80 [default: those of its metadata, or the head's
+    /// own list]
     #[arg(long, help_heading = LOOKED, value_name = "FILE")]
     class_names: Option<PathBuf>,
     /// The execution provider that runs the detector.
@@ -278,7 +279,7 @@ impl Evaluation<'_> {
             format!(
                 "{} (head {}), run by {}",
                 pass.detector.display(),
-                pass.head.as_str(),
+                pass.head,
                 self.models.provider().as_str()
             ),
         ));
@@ -352,7 +353,7 @@ fn start_models(pass: &PassArguments) -> anyhow::Result<ModelRunner> {
     Ok(ModelRunner::start(
         &DetectorConfig {
             model: pass.detector.clone(),
-            head: pass.head,
+            head: pass.head.clone(),
             class_names: pass.class_names.clone().map(ClassNames::File),
             // The evaluation maps classes itself.
             report_classes: Some(Vec::new()),

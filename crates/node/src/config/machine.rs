@@ -5,7 +5,8 @@ use super::NodeConfig;
 use crate::input::source::LiveSource;
 use albireo_service::config::{Finding, Findings};
 use albireo_service::http::read_token;
-use albireo_vision::detector::{ExecutionProvider, find_library};
+use albireo_vision::detector::{DetectorConfig, DetectorNetwork};
+use albireo_vision::onnx::{ExecutionProvider, StartErrorKind, find_library};
 use std::fmt::Display;
 use std::net::TcpListener;
 use std::path::Path;
@@ -18,6 +19,9 @@ impl NodeConfig {
             file(key, path, &mut findings);
         }
         self.check_library(&mut findings);
+        if findings.0.is_empty() {
+            self.check_detector(&mut findings);
+        }
         if let Some(file) = &self.http.token_file {
             findings.check("http.token_file", read_token(file));
         }
@@ -59,6 +63,25 @@ impl NodeConfig {
             }
         }
         findings.0
+    }
+
+    /// Opens the detector's model, which finds its head and holds the configured classes against it. On the processor: a GPU
+    /// may build engines for minutes, and `--online` tries it.
+    fn check_detector(&self, findings: &mut Findings) {
+        let here = DetectorConfig {
+            providers: vec![ExecutionProvider::Cpu],
+            batch_size: self.detector.batch_size,
+            ..self.detector.clone()
+        };
+        let Err(error) = DetectorNetwork::open(&here) else {
+            return;
+        };
+        let text = error.to_string();
+        // Such an error begins with its key.
+        let of_key =
+            text.split_once(": ").filter(|_| error.kind() == StartErrorKind::Configuration);
+        let (key, reason) = of_key.unwrap_or(("detector.model", &text));
+        findings.add(key, reason);
     }
 
     fn check_library(&self, findings: &mut Findings) {

@@ -65,9 +65,9 @@ policy.expected_loss: its numbers are fitted to recordings and fixed; `expected-
 audit.wait_s: a drawn frame waits 5 s for the detector
 uplink.lease_ms: the lease of the uplink is 120 s
 uplink.reopen_s: after 300 s without an answer the uplink is opened again
-frame.max_width: a picture may have 7680x4320 pixels and 128 MiB when decoded
-frame.max_height: a picture may have 7680x4320 pixels and 128 MiB when decoded
-frame.max_decoded_bytes: a picture may have 7680x4320 pixels and 128 MiB when decoded
+frame.max_width: frame.max_pixels limits columns times rows
+frame.max_height: frame.max_pixels limits columns times rows
+frame.max_decoded_bytes: frame.max_pixels limits columns times rows
 power.source = battery: a battery updates its figures too rarely to measure clips; `estimate` works on every \
     machine
 power.source = sum: name one meter in power.source: `rapl` for the processor or `nvml` for the cards

@@ -6,8 +6,8 @@ use super::{FrameNumber, PayloadFormat};
 use albireo_core::geometry::PictureSize;
 use albireo_service::clock::unix_nanoseconds;
 use albireo_vision::picture::{
-    EncodedPicture, FrameFault, FrameLimits, PictureFormat, check_payload, check_picture,
-    check_raw_length, format_of, picture_of_kind,
+    EncodedPicture, FrameFault, FrameLimits, PictureFormat, check_payload, format_of,
+    picture_of_kind, raw_picture,
 };
 use albireo_wire::FrameAttachment;
 use bytes::Bytes;
@@ -166,20 +166,13 @@ fn read_by_encoding(
                 return Err(FrameFault::unknown_format(reason));
             };
             let size = PictureSize::new(width, height);
-            check_picture(size, limits)?;
-            check_raw_length(format, size, bytes.len())?;
-            Ok(EncodedPicture {
-                format,
-                bytes,
-                size,
-            })
+            raw_picture(format, size, bytes, limits)
         }
         _ => Err(unknown_encoding(&raw.encoding)),
     }
 }
 
-const ENCODINGS: &str =
-    "send image/jpeg, image/png, or image/raw;FORMAT with rgb8, bgr8, rgba8, bgra8, gray8 or nv12";
+const ENCODINGS: &str = "send image/jpeg, image/png, or image/raw;FORMAT with rgb8, bgr8, rgba8, bgra8, gray8, nv12, i420, yuyv or uyvy";
 
 fn unknown_encoding(encoding: &str) -> FrameFault {
     let start: String = encoding.chars().take(64).collect();

@@ -242,6 +242,9 @@ impl FrameReceiver {
         let mut more = DroppedFrames::default();
         *kind(&mut more) = number;
         self.board.record_dropped(&more);
+        if more.undecodable + more.oversized + more.unknown_format > 0 {
+            self.board.record_unusable(&reason.to_string());
+        }
         let counted = more.by_kind().into_iter().find(|(_, number)| *number > 0);
         let kind = counted.map_or("", |(name, _)| name);
         let expected = more.overrun > 0;

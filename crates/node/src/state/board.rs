@@ -25,7 +25,7 @@ pub use albireo_power::PowerSnapshot;
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::readiness::{Fault, Readiness};
 use albireo_service::supervise::TaskFailures;
-use albireo_vision::detector::{DetectorStatus, ExecutionProvider};
+use albireo_vision::detector::{ExecutionProvider, HeadMeter, ModelStatus};
 use albireo_vision::worker::{WorkerCounts, WorkerMeter};
 use albireo_wire::{AuditReport, ClipReport, CountersMessage, SettingSource};
 use camera::Shared;
@@ -74,12 +74,27 @@ pub struct Board {
     pub(crate) target: NodeTarget,
     shared: Shared,
     clips: Mutex<VecDeque<Arc<ClipReport>>>,
-    detector: Arc<Mutex<DetectorStatus>>,
+    detector: Arc<Mutex<ModelStatus>>,
     /// The meters of the detector and the screen, once these have started.
     pub(crate) meters: OnceLock<(WorkerMeter, Option<WorkerMeter>)>,
+    /// How the detector's model is read, once it has started.
+    pub(crate) reading: OnceLock<ModelReading>,
     power: Mutex<PowerPast>,
     started_ms: i64,
     today: Mutex<Today>,
+}
+
+/// How the detector's model is read, and what of its output is left out.
+#[derive(Debug)]
+pub(crate) struct ModelReading {
+    /// Head and input, in words.
+    pub(crate) description: String,
+    /// The classes that are reported.
+    pub(crate) classes: Vec<String>,
+    /// The model's classes that are not reported.
+    pub(crate) left_out: Vec<String>,
+    /// The counts of boxes that were not reported.
+    pub(crate) meter: HeadMeter,
 }
 
 impl Board {
@@ -104,7 +119,7 @@ impl Board {
         });
         let cameras = cameras.collect::<Result<_, _>>().map_err(NodeError::new)?;
         let readiness = Readiness::default();
-        let detector = Arc::new(Mutex::new(DetectorStatus::Starting));
+        let detector = Arc::new(Mutex::new(ModelStatus::Starting));
         let status = Arc::clone(&detector);
         readiness.probe(readiness::DETECTOR, "", move || {
             readiness::of_detector(&status.lock())
@@ -139,6 +154,7 @@ impl Board {
             clips: Mutex::default(),
             detector,
             meters: OnceLock::new(),
+            reading: OnceLock::new(),
             power: Mutex::default(),
             started_ms,
             today: Mutex::new(Today {
@@ -286,12 +302,12 @@ impl Board {
     }
 
     /// The present status of the detector.
-    pub(crate) fn detector_status(&self) -> DetectorStatus {
+    pub(crate) fn detector_status(&self) -> ModelStatus {
         self.detector.lock().clone()
     }
 
     /// Sets the detector's status and sends it to subscribers.
-    pub fn set_detector_status(&self, status: DetectorStatus) {
+    pub fn set_detector_status(&self, status: ModelStatus) {
         let news = News::Detector(DetectorEvent::new(&status));
         *self.detector.lock() = status;
         let _ = self.shared.events.send(Event::new(news));

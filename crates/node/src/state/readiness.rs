@@ -16,7 +16,7 @@ use crate::delivery::outbox::OutboxCounts;
 use crate::state::board::Board;
 use albireo_power::PowerHandle;
 use albireo_service::readiness::{Fault, Readiness};
-use albireo_vision::detector::DetectorStatus;
+use albireo_vision::detector::ModelStatus;
 use albireo_wire::{EnergyQuality, HealthState, HealthStatus};
 use std::sync::Arc;
 use std::time::Duration;
@@ -58,16 +58,16 @@ pub(crate) const PARTS: [&str; 9] = [
 /// GPU does so at once.
 pub(crate) fn service_state(
     readiness: &Readiness,
-    detector: &DetectorStatus,
+    detector: &ModelStatus,
     stuck_after_s: f64,
 ) -> (HealthStatus, Option<String>) {
     let health = readiness.health();
     let lost = match detector {
-        DetectorStatus::Lost { reason, .. } => Some(format!("{DETECTOR}: {reason}")),
+        ModelStatus::Lost { reason, .. } => Some(format!("{DETECTOR}: {reason}")),
         _ => None,
     };
     // The detector starts once the session is open: until then, the session is the cause.
-    let waits_for_session = *detector == DetectorStatus::Starting
+    let waits_for_session = *detector == ModelStatus::Starting
         && (health.faults.iter()).any(|fault| fault.part == ZENOH && fault.subject.is_empty());
     let stuck = health.faults.iter().find(|fault| {
         let own = match fault.part {
@@ -83,15 +83,15 @@ pub(crate) fn service_state(
 }
 
 /// The fault of the node if the detector has this status: without the detector there are only predictions.
-pub(crate) fn of_detector(status: &DetectorStatus) -> Option<Fault> {
+pub(crate) fn of_detector(status: &ModelStatus) -> Option<Fault> {
     match status {
-        DetectorStatus::Starting => Some(Fault::not_ready("the session is being built")),
+        ModelStatus::Starting => Some(Fault::not_ready("the session is being built")),
         _ => (status.fault()).map(|reason| Fault::not_ready(format!("degraded: {reason}"))),
     }
 }
 
 /// The fault of the node if the screen has this status: without the screen the detector is called.
-pub(crate) fn of_screen(status: &DetectorStatus) -> Option<Fault> {
+pub(crate) fn of_screen(status: &ModelStatus) -> Option<Fault> {
     of_detector(status).map(|fault| Fault::degraded(fault.reason))
 }
 
@@ -113,13 +113,23 @@ const CAMERA_SILENCE: Duration = Duration::from_secs(30);
 /// Adds probes for frames from every camera without a source; a source reports its own faults.
 pub(crate) fn look_at_cameras(board: &Board) {
     let start = tokio::time::Instant::now();
-    let cameras = board.cameras.iter();
-    for camera in cameras.filter(|camera| camera.source.is_none()) {
+    for camera in &board.cameras {
         let name = camera.name().to_owned();
         let camera = Arc::clone(camera);
+        if camera.source.is_some() {
+            // The source itself reports whether it works, under the camera's name.
+            board.readiness.probe(CAMERAS, format!("{name} (pictures)"), move || {
+                camera.snapshot().unusable().map(Fault::degraded)
+            });
+            continue;
+        }
         board.readiness.probe(CAMERAS, name, move || {
             let limit = CAMERA_SILENCE;
-            let (age, reason) = match camera.snapshot().last_frame_age() {
+            let now = camera.snapshot();
+            if let Some(reason) = now.unusable() {
+                return Some(Fault::degraded(reason));
+            }
+            let (age, reason) = match now.last_frame_age() {
                 Some(age) => (age, format!("no frame for more than {} s", limit.as_secs())),
                 None => (
                     start.elapsed(),
@@ -153,11 +163,10 @@ mod tests {
     async fn only_lasting_faults_of_the_node_itself_are_stuck() {
         let readiness = Readiness::default();
         let limit = Duration::from_secs(60);
-        let state =
-            |status: &DetectorStatus| service_state(&readiness, status, limit.as_secs_f64());
-        let stuck = |status: &DetectorStatus| state(status).1.unwrap_or_default();
-        let starting = DetectorStatus::Starting;
-        let failed = DetectorStatus::Degraded {
+        let state = |status: &ModelStatus| service_state(&readiness, status, limit.as_secs_f64());
+        let stuck = |status: &ModelStatus| state(status).1.unwrap_or_default();
+        let starting = ModelStatus::Starting;
+        let failed = ModelStatus::Degraded {
             reason: "the run does not come back".to_owned(),
             provider: ExecutionProvider::Cpu,
         };
@@ -197,7 +206,7 @@ mod tests {
 
     #[test]
     fn a_lost_gpu_calls_for_a_restart_at_once() {
-        let lost = DetectorStatus::Lost {
+        let lost = ModelStatus::Lost {
             reason: "the GPU is lost to this process".to_owned(),
             provider: ExecutionProvider::Cuda,
         };

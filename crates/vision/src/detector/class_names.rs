@@ -1,6 +1,8 @@
 //! The names of a model's classes: configured, from its metadata, or the list that belongs to its head.
 
-use super::{ClassNames, HeadName, Metadata, StartError};
+use super::head::Head;
+use super::{ClassNames, HeadName, StartError};
+use crate::onnx::Metadata;
 
 /// The 80 classes of the COCO detection task (Lin et al., "Microsoft COCO", 2014), in the order of their
 /// category numbers, which is the order detectors trained on it use.
@@ -13,59 +15,58 @@ const UNUSED_CATEGORIES: [usize; 11] = [0, 12, 26, 29, 30, 45, 66, 68, 69, 71, 8
 fn coco_categories() -> Vec<String> {
     let mut names = COCO_CLASSES.lines();
     (0..=90)
-        .map(|number| match UNUSED_CATEGORIES.contains(&number) {
-            true => String::new(),
-            false => names.next().unwrap_or_default().to_owned(),
+        .map(|number| {
+            if UNUSED_CATEGORIES.contains(&number) {
+                return String::new();
+            }
+            names.next().unwrap_or_default().to_owned()
         })
         .collect()
 }
 
+/// The names that stand for a list of COCO instead of a file: by class, and by category number.
+const LISTS: [&str; 2] = ["coco", "coco91"];
+
+/// True if these are the classes of COCO, however a few of them are written (`aeroplane`, `motorbike`, `tv monitor`).
+pub(super) fn are_of_coco(names: &[String]) -> bool {
+    let known = |name: &&String| COCO_CLASSES.lines().any(|known| known.eq_ignore_ascii_case(name));
+    let used = names.iter().filter(|name| !name.is_empty()).count();
+    used == 80 && names.iter().filter(known).count() >= 70
+}
+
+/// The number of names that are configured or in the metadata, if there are any that can be read.
+pub(super) fn count(configured: Option<&ClassNames>, metadata: &Metadata) -> Option<usize> {
+    let (names, _) = given(configured, metadata).ok()?;
+    Some(names?.len())
+}
+
 /// Returns the names of the model's classes: the configured ones, else those of its metadata, else the list that
-/// belongs to its head. `classes` is the number of classes in the outputs, if known. An empty name is a class that does
-/// not occur.
+/// belongs to its head. An empty name is a class that does not occur.
 ///
 /// # Errors
 /// If there are no names, too few or too many, or they cannot be read.
 pub(super) fn read(
     configured: Option<&ClassNames>,
     metadata: &Metadata,
-    head: HeadName,
-    classes: Option<usize>,
+    head: &Head,
 ) -> Result<Vec<String>, StartError> {
     let wrong = |reason: String| StartError::configuration("detector.class_names", reason);
-    let (names, source) = match configured {
-        Some(ClassNames::List(names)) => (Some(names.clone()), "the list".to_owned()),
-        Some(ClassNames::File(path)) => {
-            let source = path.display().to_string();
-            let text = std::fs::read_to_string(path).map_err(|error| error.to_string());
-            let names = text
-                .and_then(|text| lines(&text))
-                .map_err(|error| wrong(format!("{source}: {error}")))?;
-            (Some(names), source)
-        }
-        None => {
-            let names = metadata.class_names().map_err(|error| {
-                wrong(format!(
-                    "the class names in the model's metadata cannot be read ({error}); give a file or a list"
-                ))
-            })?;
-            (names, "its metadata".to_owned())
-        }
-    };
+    let (names, source) = given(configured, metadata).map_err(wrong)?;
     let Some(names) = names else {
-        return own_list(head, classes).ok_or_else(|| {
-            let classes = classes.map_or_else(String::new, |classes| format!("{classes} "));
+        return own_list(head).ok_or_else(|| {
+            let classes = head.classes.map_or_else(String::new, |classes| format!("{classes} "));
             wrong(format!(
-                "the model does not name its {classes}classes; give a file with one name per line, or a list"
+                "the model does not name its {classes}classes; give a file with one name per line, or a list, or \
+                 \"coco\" if it was trained on COCO (\"coco91\" if its numbers are COCO's categories)"
             ))
         });
     };
     let count = names.len();
-    // Models of the DETR family may end with a class for "no object".
-    let fits = |classes| count == classes || (head == HeadName::Detr && count + 1 == classes);
-    if let Some(classes) = classes.filter(|classes| !fits(*classes)) {
+    if let Some(classes) = head.classes.filter(|_| !head.fits_names(count)) {
         return Err(wrong(format!(
-            "the model has {classes} classes, and {source} has {count} names"
+            "the model, read with the head `{}`, has {classes} classes, and {source} has {count} names; if the names are \
+             right, another head belongs to the model (detector.head)",
+            head.name.as_str()
         )));
     }
     if names.len() > usize::from(u16::MAX) {
@@ -74,28 +75,123 @@ pub(super) fn read(
     Ok(names)
 }
 
+/// The names that are configured, else those of the metadata, if there are any, and where they are from.
+fn given(
+    configured: Option<&ClassNames>,
+    metadata: &Metadata,
+) -> Result<(Option<Vec<String>>, String), String> {
+    match configured {
+        Some(ClassNames::List(names)) => Ok((Some(names.clone()), "the list".to_owned())),
+        Some(ClassNames::File(path)) => {
+            let source = path.display().to_string();
+            if let Some(list) = path.to_str().filter(|name| LISTS.contains(name) && !path.exists())
+            {
+                let names = if list == "coco91" {
+                    coco_categories()
+                } else {
+                    coco()
+                };
+                return Ok((Some(names), source));
+            }
+            let names = std::fs::read(path)
+                .map_err(|error| error.to_string())
+                .and_then(|bytes| of_file(&bytes))
+                .map_err(|error| format!("{source}: {error}"))?;
+            Ok((Some(names), source))
+        }
+        None => {
+            let names = metadata.class_names().map_err(|error| {
+                format!(
+                    "the class names in the model's metadata cannot be read ({error}); give a file or a list"
+                )
+            })?;
+            Ok((names, "its metadata".to_owned()))
+        }
+    }
+}
+
+fn coco() -> Vec<String> {
+    COCO_CLASSES.lines().map(str::to_owned).collect()
+}
+
 /// The list that belongs to a head, if it has as many names as there are classes.
-fn own_list(head: HeadName, classes: Option<usize>) -> Option<Vec<String>> {
-    match (head, classes?) {
-        (_, 80) => Some(COCO_CLASSES.lines().map(str::to_owned).collect()),
-        (HeadName::Detr, 91) => Some(coco_categories()),
+fn own_list(head: &Head) -> Option<Vec<String>> {
+    match (head.name, head.classes?) {
+        (_, 80) => Some(coco()),
+        (HeadName::Detr | HeadName::RtDetr, 91) => Some(coco_categories()),
         _ => None,
     }
 }
 
-fn lines(text: &str) -> Result<Vec<String>, String> {
-    let names: Vec<String> = text.trim_end().lines().map(|line| line.trim().to_owned()).collect();
-    match names.iter().position(String::is_empty) {
-        _ if names.is_empty() => Err("it is empty; one name per line is needed".to_owned()),
-        Some(line) => Err(format!("line {} is empty", line + 1)),
-        None => Ok(names),
+/// The names of a file, as programs and editors write them: one per line, perhaps numbered, or a dictionary or a list as
+/// in Python or JSON; with a byte-order mark, in UTF-8 or UTF-16; lines that begin with `#` are comments.
+fn of_file(bytes: &[u8]) -> Result<Vec<String>, String> {
+    let text = text_of(bytes)?;
+    let text = text.trim_start_matches('\u{feff}').trim();
+    if text.starts_with(['{', '[']) {
+        return metadata_names(text);
     }
+    let names: Vec<&str> =
+        text.lines().map(str::trim).filter(|line| !line.starts_with('#')).collect();
+    if names.iter().all(|name| name.is_empty()) {
+        return Err("it is empty; one name per line is needed".to_owned());
+    }
+    if let Some(line) = names.iter().position(|name| name.is_empty()) {
+        return Err(format!("line {} is empty", line + 1));
+    }
+    let numbered: Option<Vec<_>> = names
+        .iter()
+        .enumerate()
+        .map(|(place, name)| after_number(name, place))
+        .collect();
+    Ok(numbered.unwrap_or(names).into_iter().map(str::to_owned).collect())
+}
+
+/// The text of a file in UTF-8, or in UTF-16 with a byte-order mark.
+fn text_of(bytes: &[u8]) -> Result<String, String> {
+    let wide = |from: fn([u8; 2]) -> u16, rest: &[u8]| {
+        let units: Vec<u16> = rest.as_chunks::<2>().0.iter().map(|pair| from(*pair)).collect();
+        String::from_utf16(&units).map_err(|error| error.to_string())
+    };
+    match bytes {
+        [0xff, 0xfe, rest @ ..] => wide(u16::from_le_bytes, rest),
+        [0xfe, 0xff, rest @ ..] => wide(u16::from_be_bytes, rest),
+        _ => String::from_utf8(bytes.to_vec()).map_err(|_| "it is not text in UTF-8".to_owned()),
+    }
+}
+
+/// What follows the number `place` on a line such as `2 car`, `2: car` or `2,car`.
+fn after_number(line: &str, place: usize) -> Option<&str> {
+    let rest = line.strip_prefix(&place.to_string())?;
+    let name = rest.trim_start_matches([':', ',', ';', '=']).trim().trim_matches(['"', '\'']);
+    (name.len() < rest.len() && !name.is_empty()).then_some(name)
+}
+
+fn metadata_names(text: &str) -> Result<Vec<String>, String> {
+    let metadata = Metadata::new([("names".to_owned(), text.to_owned())]);
+    metadata.class_names()?.ok_or_else(|| "it has no names".to_owned())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::detector::metadata::tests::metadata;
+    use crate::detector::head::tests::bound;
+    use crate::onnx::metadata;
+
+    /// A head of this name for a model with this number of classes.
+    fn head(name: HeadName, classes: Option<usize>) -> Head {
+        let classes = classes.map_or(-1, |classes| classes as i64);
+        match name {
+            HeadName::Detr => bound(
+                name,
+                &[1, 3, 32, 64],
+                &[("dets", &[1, 4, 4]), ("labels", &[1, 4, classes])],
+            ),
+            HeadName::EndToEnd => bound(name, &[1, 3, 32, 64], &[("output", &[1, 5, 6])]),
+            HeadName::Yolox => bound(name, &[1, 3, 32, 64], &[("output", &[1, 42, 5 + classes])]),
+            _ => bound(name, &[1, 3, 32, 64], &[("output", &[1, 4 + classes, 42])]),
+        }
+    }
 
     fn file_with(text: &str) -> (tempfile::TempPath, ClassNames) {
         let file = tempfile::NamedTempFile::new().unwrap().into_temp_path();
@@ -108,7 +204,7 @@ mod tests {
     fn without_names_the_heads_list_is_used_if_its_length_fits() {
         use HeadName::{Detr, EndToEnd, Yolo, Yolox};
         let none = Metadata::default();
-        let names = |head, classes| read(None, &none, head, classes);
+        let names = |head, classes| read(None, &none, &super::tests::head(head, classes));
         assert_eq!(names(Yolox, Some(80)).unwrap()[2], "car");
         assert_eq!(names(Yolo, Some(80)).unwrap().len(), 80);
         let categories = names(Detr, Some(91)).unwrap();
@@ -139,7 +235,10 @@ mod tests {
             (Some(&own), &broken, Yolo, Some(2), ["Auto", "Bus"]),
             (Some(&lines), &two, Yolo, Some(2), ["Auto", "traffic light"]),
         ] {
-            assert_eq!(read(given, metadata, head, classes).unwrap(), expected);
+            assert_eq!(
+                read(given, metadata, &super::tests::head(head, classes)).unwrap(),
+                expected
+            );
         }
     }
 
@@ -156,10 +255,46 @@ mod tests {
             (Some(lines), two, gap.to_str().unwrap()),
         ] {
             let metadata = metadata(&[("names", names)]);
-            let read = read(given.as_ref(), &metadata, HeadName::Yolo, Some(3));
+            let read = read(given.as_ref(), &metadata, &head(HeadName::Yolo, Some(3)));
             let error = read.unwrap_err().to_string();
             assert!(error.starts_with("detector.class_names"), "{error}");
             assert!(error.contains(said), "{error}");
         }
+    }
+
+    #[test]
+    fn a_class_file_is_read_as_editors_and_programs_write_it() {
+        let utf16: Vec<u8> =
+            "\u{feff}person\r\ncar\r\n".encode_utf16().flat_map(u16::to_le_bytes).collect();
+        for bytes in [
+            &b"\xef\xbb\xbfperson\r\ncar\r\n"[..],
+            b"# classes\nperson\ncar",
+            b"0 person\n1 car\n",
+            b"0: person\n1: 'car'\n",
+            b"[\"person\", \"car\"]",
+            b"{0: 'person', 1: 'car'}",
+            &utf16,
+        ] {
+            assert_eq!(of_file(bytes).unwrap(), ["person", "car"]);
+        }
+        // A name may begin with a number that is not its place.
+        assert_eq!(of_file(b"4x4\n18-wheeler").unwrap(), ["4x4", "18-wheeler"]);
+        assert!(of_file(b"\xff\x00\x01").is_err());
+    }
+
+    #[test]
+    fn the_lists_of_coco_stand_for_a_file() {
+        let names = |name: &str| {
+            let list = ClassNames::File(name.into());
+            read(
+                Some(&list),
+                &Metadata::default(),
+                &head(HeadName::EndToEnd, None),
+            )
+            .unwrap()
+        };
+        assert_eq!(names("coco")[2], "car");
+        assert_eq!(names("coco91")[3], "car");
+        assert!(are_of_coco(&names("coco")) && are_of_coco(&names("coco91")));
     }
 }

@@ -1,6 +1,6 @@
 //! Selects the classes that are reported, with their names and numbers.
 
-use super::{DetectorConfig, StartError};
+use super::{DetectorConfig, StartError, class_names};
 use albireo_core::detection::{BDD100K_CLASSES, ClassId};
 
 /// Names in COCO and other data sets for classes of BDD100K.
@@ -17,6 +17,8 @@ const SYNONYMS: [(&str, &str); 5] = [
 pub(super) struct Classes {
     /// The names of the reported classes, by reported number.
     pub(super) reported: Vec<String>,
+    /// The names of the model's classes that are not reported.
+    pub(super) left_out: Vec<String>,
     /// The reported number of each class of the model; `None` if it is not reported.
     by_model: Vec<Option<ClassId>>,
 }
@@ -51,14 +53,10 @@ impl Classes {
                     None => classes,
                 }
             }
-            None => {
-                let classes = Self::only(&renamed, &BDD100K_CLASSES);
-                if classes.by_model.iter().all(Option::is_none) {
-                    Self::all(&renamed)
-                } else {
-                    classes
-                }
-            }
+            // The paper's choice, for the data set that its detectors know. Whoever trained a model of his own wants to
+            // see its classes.
+            None if class_names::are_of_coco(names) => Self::only(&renamed, &BDD100K_CLASSES),
+            None => Self::all(&renamed),
         };
         Ok(classes)
     }
@@ -72,7 +70,7 @@ impl Classes {
     /// The `wanted` classes, under their own name or a synonym.
     fn only(names: &[&str], wanted: &[&str]) -> Self {
         let place = |name: &str| wanted.iter().position(|&wanted| wanted == name);
-        let by_model = names
+        let by_model: Vec<_> = names
             .iter()
             .map(|&name| {
                 let synonym = || {
@@ -86,6 +84,7 @@ impl Classes {
             .collect();
         Self {
             reported: wanted.iter().map(|&name| name.to_owned()).collect(),
+            left_out: left_out(names, &by_model),
             by_model,
         }
     }
@@ -102,8 +101,22 @@ impl Classes {
             });
             by_model.push((!name.is_empty()).then(|| number(place)));
         }
-        Self { reported, by_model }
+        Self {
+            reported,
+            left_out: Vec::new(),
+            by_model,
+        }
     }
+}
+
+/// The names of the classes that are not reported, without those that do not occur.
+fn left_out(names: &[&str], by_model: &[Option<ClassId>]) -> Vec<String> {
+    names
+        .iter()
+        .zip(by_model)
+        .filter(|(name, reported)| reported.is_none() && !name.is_empty())
+        .map(|(name, _)| (*name).to_owned())
+        .collect()
 }
 
 /// An index into a list of names as a class number; no list is longer than the numbers reach.
@@ -144,7 +157,8 @@ mod tests {
     }
 
     #[test]
-    fn by_default_the_seven_classes_of_bdd100k_are_reported_or_all_if_there_is_none_of_them() {
+    fn by_default_the_seven_classes_of_bdd100k_are_reported_of_coco_and_all_of_a_model_of_one_s_own()
+     {
         let names: Vec<_> = COCO_CLASSES.lines().collect();
         let coco = classes(&names, &DetectorConfig::default());
         assert_eq!(coco.reported, BDD100K_CLASSES);
@@ -155,6 +169,11 @@ mod tests {
         assert_eq!(coco.reported_as(ClassId(80)), None);
         let own = classes(&BDD100K_CLASSES, &DetectorConfig::default());
         assert!(has_own_numbers(&own, 7));
+        assert_eq!(coco.left_out.len(), 74);
+        assert!(coco.left_out.contains(&"traffic light".to_owned()));
+        let own = classes(&["helmet", "person", "vest"], &DetectorConfig::default());
+        assert_eq!(own.reported, ["helmet", "person", "vest"]);
+        assert!(has_own_numbers(&own, 3) && own.left_out.is_empty());
         let fish = classes(&["cod", "", "ray"], &DetectorConfig::default());
         let names = [0, 1, 2].map(|number| name(&fish, number));
         assert_eq!(names, [Some("cod"), None, Some("ray")]);

@@ -1,35 +1,13 @@
 //! The `[detector]` section of the configuration.
 
-use super::{GpuConfig, HeadName, StartError};
+use super::head::HeadOverrides;
+use super::{ExecutionProvider, GpuConfig, HeadSetting, StartError};
+use crate::onnx::SessionSettings;
+use crate::picture::{ColorOrder, Fit, ValueRange};
 use albireo_core::geometry::PictureSize;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-
-/// An execution provider of ONNX Runtime.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
-#[serde(rename_all = "lowercase")]
-pub enum ExecutionProvider {
-    /// NVIDIA TensorRT.
-    #[cfg_attr(feature = "cli", value(name = "tensorrt"))]
-    TensorRt,
-    /// NVIDIA CUDA.
-    Cuda,
-    /// ONNX Runtime's own CPU kernels.
-    Cpu,
-}
-
-impl ExecutionProvider {
-    /// Its name in configuration and reports.
-    pub const fn as_str(self) -> &'static str {
-        match self {
-            Self::TensorRt => "tensorrt",
-            Self::Cuda => "cuda",
-            Self::Cpu => "cpu",
-        }
-    }
-}
 
 /// The longest time limit that can be set: one day.
 pub(crate) const LONGEST_TIMEOUT_MS: u64 = 24 * 3600 * 1000;
@@ -38,7 +16,7 @@ pub(crate) const LONGEST_TIMEOUT_MS: u64 = 24 * 3600 * 1000;
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum ClassNames {
-    /// A text file, one name per line.
+    /// A text file, one name per line; or `coco` or `coco91`, the lists of that data set.
     File(PathBuf),
     /// The names, in the order of the model's class numbers.
     List(Vec<String>),
@@ -51,16 +29,22 @@ pub struct DetectorConfig {
     /// The ONNX file.
     pub model: PathBuf,
     /// The head that reads its output.
-    pub head: HeadName,
+    pub head: HeadSetting,
     /// Columns and rows of the input, for a model that leaves them open. Default: those of its metadata.
     pub input_size: Option<[u32; 2]>,
+    /// The range of the input's values. Default: as the head's models are trained.
+    pub range: Option<ValueRange>,
+    /// The order of the input's colours. Default: as the head's models are trained.
+    pub color_order: Option<ColorOrder>,
+    /// The way a picture is fitted to the input. Default: as the head's models are trained.
+    pub fit: Option<Fit>,
     /// Names of the model's classes. Default: those of its metadata, else the list that belongs to its head if it is as
     /// long (80: COCO; 91: COCO's category numbers).
     pub class_names: Option<ClassNames>,
     /// Other names for classes: from the model's name to the reported one. Several may get the same new name.
     pub class_map: BTreeMap<String, String>,
-    /// Names of the classes to report; an empty list for all of the model. Default: the seven of BDD100K, or all if the
-    /// model has none of these.
+    /// Names of the classes to report; an empty list for all of the model. Default: all, or the seven of BDD100K if the
+    /// model's classes are COCO's eighty.
     pub report_classes: Option<Vec<String>>,
     /// Detections below this confidence are dropped (paper: 0.5).
     pub confidence: f64,
@@ -93,8 +77,11 @@ impl Default for DetectorConfig {
     fn default() -> Self {
         Self {
             model: PathBuf::from("models/yolox_nano.onnx"),
-            head: HeadName::Auto,
+            head: HeadSetting::default(),
             input_size: None,
+            range: None,
+            color_order: None,
+            fit: None,
             class_names: None,
             class_map: BTreeMap::new(),
             report_classes: None,
@@ -116,6 +103,26 @@ impl DetectorConfig {
     /// The configured size for an open input.
     pub(crate) fn input_size(&self) -> Option<PictureSize> {
         self.input_size.map(|[width, height]| PictureSize::new(width, height))
+    }
+
+    /// The file of the model, and what runs it.
+    pub fn session_settings(&self) -> SessionSettings {
+        SessionSettings {
+            model: self.model.clone(),
+            providers: self.providers.clone(),
+            gpu: self.gpu.clone(),
+            threads: self.threads,
+            onnxruntime: self.onnxruntime.clone(),
+        }
+    }
+
+    /// How the model wants its pictures, where that is configured.
+    pub(super) fn overrides(&self) -> HeadOverrides {
+        HeadOverrides {
+            value_range: self.range,
+            color_order: self.color_order,
+            fit: self.fit,
+        }
     }
 
     /// Returns every problem that can be found without opening a file: the key within `[detector]`, and the reason.

@@ -2,12 +2,11 @@
 
 use super::network::DetectorNetwork;
 use super::preparation::prepare_off_thread;
-use super::{
-    CameraSlot, DetectorConfig, DetectorStatus, ExecutionProvider, Found, InferenceError,
-    Preparation, PreparedPicture, StartError,
-};
+use super::{CameraSlot, DetectorConfig, ExecutionProvider, Found, HeadMeter, Preparation};
+use super::{PreparedPicture, StartError};
 use crate::picture::Picture;
-use crate::worker::{Answer, Worker, WorkerCounts, WorkerMeter, WorkerSettings};
+use crate::worker::{Answer, Asker, ModelStatus, RunError, Worker, WorkerCounts};
+use crate::worker::{WorkerMeter, WorkerSettings};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
@@ -21,6 +20,9 @@ pub struct DetectorHandle {
     worker: Worker<PreparedPicture, Found>,
     model_name: Arc<str>,
     class_names: Arc<[String]>,
+    left_out: Arc<[String]>,
+    description: Arc<str>,
+    head_meter: HeadMeter,
     preparation: Preparation,
     spare: Arc<Semaphore>,
 }
@@ -41,17 +43,20 @@ impl DetectorHandle {
             batch_size: config.batch_size,
             batch_wait: Duration::from_millis(config.batch_wait_ms),
         };
-        let model_name = config.model.file_name().unwrap_or_default();
-        let model_name = model_name.to_string_lossy().into();
-        let (config, meter) = (config.clone(), WorkerMeter::default());
-        let counting = meter.clone();
+        let model_name = config.model.file_name().unwrap_or_default().to_string_lossy().into();
+        let config = config.clone();
+        let head_meter = HeadMeter::default();
+        let counting = head_meter.clone();
         let build = move || DetectorNetwork::open_counting(&config, counting.clone());
-        let (worker, (class_names, input)) = Worker::start(settings, meter, build).await?;
+        let (worker, facts) = Worker::start(settings, WorkerMeter::default(), build).await?;
         Ok(Self {
             worker,
             model_name,
-            class_names: class_names.into(),
-            preparation: Preparation::new(input),
+            class_names: facts.class_names.into(),
+            left_out: facts.left_out.into(),
+            description: facts.description.into(),
+            head_meter,
+            preparation: Preparation::new(facts.input),
             spare: Arc::new(Semaphore::new(1)),
         })
     }
@@ -65,12 +70,12 @@ impl DetectorHandle {
     /// run. After `Ok` the detector no longer holds the picture.
     ///
     /// # Errors
-    /// See [`InferenceError`].
+    /// See [`RunError`].
     pub async fn detect(
         &self,
         camera: CameraSlot,
         picture: Arc<Picture>,
-    ) -> Result<Detected, InferenceError> {
+    ) -> Result<Detected, RunError> {
         let prepared = prepare_off_thread(self.preparation.clone(), picture).await?;
         self.detect_prepared(camera, prepared).await
     }
@@ -79,14 +84,14 @@ impl DetectorHandle {
     /// camera's turn and for the run.
     ///
     /// # Errors
-    /// See [`InferenceError`]. After any error, the frame can be answered from prediction. A run that takes too long is
+    /// See [`RunError`]. After any error, the frame can be answered from prediction. A run that takes too long is
     /// answered at the limit, not later; while no session can accept pictures, the error comes at once.
     pub async fn detect_prepared(
         &self,
         camera: CameraSlot,
         picture: PreparedPicture,
-    ) -> Result<Detected, InferenceError> {
-        self.worker.run(Some(camera), picture).await
+    ) -> Result<Detected, RunError> {
+        self.worker.run(Some(Asker(camera.0)), picture).await
     }
 
     /// Waits until the model has nothing to do; returns the right to call [`detect_spare`](Self::detect_spare), one at
@@ -101,12 +106,12 @@ impl DetectorHandle {
     /// first, and it counts only in [`WorkerCounts::spare`]. May be cancelled at any time.
     ///
     /// # Errors
-    /// See [`InferenceError`].
+    /// See [`RunError`].
     pub async fn detect_spare(
         &self,
         _turn: SpareTurn,
         picture: PreparedPicture,
-    ) -> Result<Detected, InferenceError> {
+    ) -> Result<Detected, RunError> {
         self.worker.run(None, picture).await
     }
 
@@ -114,12 +119,12 @@ impl DetectorHandle {
     ///
     /// # Errors
     /// The error that [`detect_prepared`](Self::detect_prepared) would return at once.
-    pub fn accepts(&self) -> Result<(), InferenceError> {
+    pub fn accepts(&self) -> Result<(), RunError> {
         self.worker.accepts()
     }
 
     /// The detector's status, updated as it changes.
-    pub fn status(&self) -> watch::Receiver<DetectorStatus> {
+    pub fn status(&self) -> watch::Receiver<ModelStatus> {
         self.worker.status.clone()
     }
 
@@ -136,6 +141,21 @@ impl DetectorHandle {
     /// The names of the reported classes, by class number.
     pub fn class_names(&self) -> &[String] {
         &self.class_names
+    }
+
+    /// The names of the model's classes that are not reported.
+    pub fn left_out(&self) -> &[String] {
+        &self.left_out
+    }
+
+    /// The head and the input, in one line.
+    pub fn description(&self) -> &str {
+        &self.description
+    }
+
+    /// The counts of boxes that were not reported; does not keep the detector running.
+    pub fn head_meter(&self) -> HeadMeter {
+        self.head_meter.clone()
     }
 
     /// The model's file name.

@@ -1,42 +1,50 @@
-//! Heads: pure functions from a model's output tensors to candidates, one file per head.
+//! Heads: pure functions from a model's output tensors to candidates. The table in `families.rs` says what each head
+//! expects; `dense.rs`, `yolo.rs`, `columns.rs`, `detr.rs` and `fastestdet.rs` are the arithmetic.
 
+mod columns;
+mod dense;
 mod detr;
-mod end_to_end;
+mod families;
 mod fastestdet;
 mod reading;
 mod recognise;
 mod suppression;
+mod unread;
 mod yolo;
-mod yolox;
 
-pub use recognise::recognise;
+pub use columns::ColumnList;
+pub use recognise::{Recognised, recognise};
 pub use suppression::{Suppression, keep_best, suppress};
 
-use super::{HeadName, PictureInput, Signature};
+use super::{HeadName, HeadSetting};
+use crate::onnx::{PictureInput, Signature, TensorView};
 use crate::picture::{ColorOrder, Fit, InputFormat, ValueRange};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::Corners;
+use families::{Family, family};
 use reading::Rows;
-
-/// An output tensor as borrowed float32 values.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TensorView<'a> {
-    /// Its dimensions.
-    pub shape: &'a [i64],
-    /// Its elements, the last dimension fastest.
-    pub values: &'a [f32],
-}
 
 /// A box that a head has read, before suppression.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Candidate {
     /// In pixels of the model's input.
     pub corners: Corners,
-    /// The most probable class, by its number in the model. End-to-end models give the number themselves, so the model
-    /// may have no name for it.
+    /// The most probable class, by its number in the model. Models with final boxes give the number themselves, so the
+    /// model may have no name for it.
     pub class: ClassId,
     /// Confidence, 0 to 1.
     pub confidence: f32,
+}
+
+/// How a model wants its pictures where that is configured; `None` is as its head says.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct HeadOverrides {
+    /// The range of the values.
+    pub value_range: Option<ValueRange>,
+    /// The order of the colours.
+    pub color_order: Option<ColorOrder>,
+    /// The way a picture is fitted to the input.
+    pub fit: Option<Fit>,
 }
 
 /// A head bound to a model that fits it.
@@ -51,6 +59,17 @@ pub struct Head {
     /// True if one object may give several overlapping boxes, which the program then suppresses.
     pub overlaps: bool,
     reader: Box<dyn ReadOutputs>,
+}
+
+/// What the values of a run say about a head.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Evidence {
+    /// They are what this head reads.
+    For,
+    /// They are something else: the reason.
+    Against(String),
+    /// They decide nothing.
+    None,
 }
 
 impl Head {
@@ -68,47 +87,106 @@ impl Head {
         let mut rows = Rows {
             confidence,
             candidates,
+            size: self.input_format.size,
             rejected: 0,
         };
         self.reader.read(outputs, &mut rows)?;
         Ok(rows.rejected)
     }
+
+    /// What the outputs of a run say about this head, by rows of at least `confidence`.
+    pub fn evidence(&self, outputs: &[TensorView<'_>], confidence: f64) -> Evidence {
+        self.reader.evidence(outputs, confidence)
+    }
+
+    /// True if the model can have this number of class names. Models of the DETR family may end with a class for "no
+    /// object".
+    pub(super) fn fits_names(&self, names: usize) -> bool {
+        let has_background = matches!(self.name, HeadName::Detr | HeadName::RtDetr);
+        self.classes
+            .is_none_or(|classes| classes == names || (has_background && classes == names + 1))
+    }
 }
 
-/// [`Head::read`] for one kind of outputs.
+/// [`Head::read`] and [`Head::evidence`] for one kind of outputs.
 trait ReadOutputs: std::fmt::Debug {
     fn read(&self, outputs: &[TensorView<'_>], rows: &mut Rows<'_>) -> Result<(), String>;
+
+    fn evidence(&self, _outputs: &[TensorView<'_>], _confidence: f64) -> Evidence {
+        Evidence::None
+    }
 }
 
-/// The number of classes, if the outputs show it, and what reads them; or the first difference to what the head expects.
-type Bound = Result<(Option<usize>, Box<dyn ReadOutputs>), String>;
+/// A head's reader for one model.
+struct Bound {
+    /// The number of classes, if the outputs show it.
+    classes: Option<usize>,
+    /// True if overlapping boxes remain to be suppressed.
+    overlaps: bool,
+    reader: Box<dyn ReadOutputs>,
+}
 
-/// Binds the head `name` to a model with `signature` whose picture input is `input`. [`HeadName::Auto`] never fits:
-/// [`recognise`] finds the name.
+impl HeadName {
+    /// The outputs of its models, in words.
+    pub(super) fn looks_for(self) -> &'static str {
+        family(self).map_or("outputs with these columns", |family| family.looks_for)
+    }
+}
+
+/// Binds a head to a model with `signature` whose picture input is `input`. [`HeadName::Auto`] never fits: [`recognise`]
+/// finds the name.
 ///
 /// # Errors
 /// If this head cannot read the model: the first difference.
-pub fn bind(name: HeadName, signature: &Signature, input: PictureInput) -> Result<Head, String> {
-    use ColorOrder::{Bgr, Rgb};
-    use Fit::{Centre, Stretch, TopLeft};
-    use ValueRange::{ImageNet, To255, ToOne};
-    let size = input.size;
-    let (bound, fit, color_order, value_range, overlaps) = match name {
-        HeadName::Auto => return Err("the model was not recognised before".to_owned()),
-        HeadName::Yolo => (yolo::bind(signature), Centre, Rgb, ToOne, true),
-        HeadName::EndToEnd => (end_to_end::bind(signature), Centre, Rgb, ToOne, false),
-        HeadName::Detr => (detr::bind(signature, size), Stretch, Rgb, ImageNet, false),
-        HeadName::Yolox => (yolox::bind(signature, size), TopLeft, Bgr, To255, true),
-        HeadName::FastestDet => (fastestdet::bind(signature, size), Stretch, Bgr, ToOne, true),
-    };
-    let (classes, reader) = bound?;
-    Ok(Head {
+pub fn bind(
+    setting: &HeadSetting,
+    signature: &Signature,
+    input: PictureInput,
+    overrides: HeadOverrides,
+) -> Result<Head, String> {
+    match setting {
+        HeadSetting::Columns(list) => {
+            let bound = columns::bind(list, signature, input.size)?;
+            // As most exports with suppression inside want their pictures.
+            let usual = (Fit::Centre, ColorOrder::Rgb, ValueRange::ToOne);
+            Ok(head(HeadName::Columns, bound, usual, input, overrides))
+        }
+        HeadSetting::Named(name) => match family(*name) {
+            Some(family) => bind_family(family, signature, input, overrides),
+            None => Err("the model was not recognised before".to_owned()),
+        },
+    }
+}
+
+fn bind_family(
+    family: &Family,
+    signature: &Signature,
+    input: PictureInput,
+    overrides: HeadOverrides,
+) -> Result<Head, String> {
+    let bound = (family.bind)(signature, input.size)?;
+    let wants = (family.fit, family.color_order, family.value_range);
+    Ok(head(family.name, bound, wants, input, overrides))
+}
+
+fn head(
+    name: HeadName,
+    bound: Bound,
+    (fit, color_order, value_range): (Fit, ColorOrder, ValueRange),
+    input: PictureInput,
+    overrides: HeadOverrides,
+) -> Head {
+    Head {
         name,
-        classes,
-        input_format: input.format(fit, color_order, value_range),
-        overlaps,
-        reader,
-    })
+        classes: bound.classes,
+        input_format: input.format(
+            overrides.fit.unwrap_or(fit),
+            overrides.color_order.unwrap_or(color_order),
+            overrides.value_range.unwrap_or(value_range),
+        ),
+        overlaps: bound.overlaps,
+        reader: bound.reader,
+    }
 }
 
 #[cfg(test)]

@@ -1,61 +1,213 @@
-//! The names of the heads.
+//! The names of the heads, and the setting that chooses one.
 
+use super::head::ColumnList;
 use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::str::FromStr;
 
-/// The head that reads a model's output tensors.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
-#[serde(rename_all = "kebab-case")]
+/// The head that reads a model's output tensors. What each expects is in the table of `head/families.rs`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum HeadName {
-    /// By the model's metadata, or its outputs' names and shapes.
+    /// By the model's metadata, its outputs' names and shapes, and the values of its first run.
     Auto,
-    /// YOLOv8, YOLO11, YOLO26 one-to-many: `[1, 4 + classes, anchors]`, suppression by us.
+    /// YOLOv8, YOLOv9, YOLO11, YOLO12, YOLO26 one-to-many: a score per class, no objectness.
     Yolo,
-    /// YOLO26, YOLOv10 and exports with suppression inside: `[1, boxes, 6]`.
-    EndToEnd,
-    /// RF-DETR: `[1, queries, 4]` and `[1, queries, classes]`.
-    Detr,
-    /// YOLOX: `[1, cells, 5 + classes]`, not decoded.
+    /// YOLOv5, YOLOv6, YOLOv7: objectness and a score per class, or final boxes in rows of seven.
+    Yolov5,
+    /// YOLOX, decoded in the graph or not.
     Yolox,
-    /// FastestDet: `[1, 5 + classes, rows, columns]`, not decoded.
-    #[serde(rename = "fastestdet")]
-    #[cfg_attr(feature = "cli", value(name = "fastestdet"))]
+    /// YOLO-NAS, flat or raw.
+    YoloNas,
+    /// YOLO26, YOLOv10, DeepStream-Yolo and exports with suppression inside: rows of six.
+    EndToEnd,
+    /// RF-DETR and others of its family with ImageNet's normalisation: boxes and logits.
+    Detr,
+    /// RT-DETR of Ultralytics and of transformers, D-FINE and DEIM without their last step.
+    RtDetr,
+    /// D-FINE, DEIM and RT-DETR of their authors: labels, boxes, scores.
+    DFine,
+    /// RTMDet as mmdeploy exports it.
+    Rtmdet,
+    /// FastestDet: not decoded.
     FastestDet,
+    /// Final boxes in columns that the setting lists.
+    Columns,
 }
 
-impl HeadName {
-    /// The heads that `auto` can find.
-    pub(crate) const RECOGNISED: [Self; 5] = [
-        Self::Yolo,
-        Self::EndToEnd,
-        Self::Detr,
-        Self::Yolox,
-        Self::FastestDet,
-    ];
+/// Each head with its name in configuration and messages.
+const NAMES: [(HeadName, &str); 12] = [
+    (HeadName::Auto, "auto"),
+    (HeadName::Yolo, "yolo"),
+    (HeadName::Yolov5, "yolov5"),
+    (HeadName::Yolox, "yolox"),
+    (HeadName::YoloNas, "yolo-nas"),
+    (HeadName::EndToEnd, "end-to-end"),
+    (HeadName::Detr, "detr"),
+    (HeadName::RtDetr, "rt-detr"),
+    (HeadName::DFine, "d-fine"),
+    (HeadName::Rtmdet, "rtmdet"),
+    (HeadName::FastestDet, "fastestdet"),
+    (HeadName::Columns, "columns"),
+];
 
+/// Names of models that people give instead of a head's, without dashes and in small letters.
+const MEANT: [(&str, HeadName); 16] = [
+    ("yolov8", HeadName::Yolo),
+    ("yolov9", HeadName::Yolo),
+    ("yolov11", HeadName::Yolo),
+    ("yolo11", HeadName::Yolo),
+    ("yolo12", HeadName::Yolo),
+    ("yolo26", HeadName::Yolo),
+    ("ultralytics", HeadName::Yolo),
+    ("yolov6", HeadName::Yolov5),
+    ("yolov7", HeadName::Yolov5),
+    ("yolov10", HeadName::EndToEnd),
+    ("e2e", HeadName::EndToEnd),
+    ("nms", HeadName::EndToEnd),
+    ("rfdetr", HeadName::Detr),
+    ("deim", HeadName::DFine),
+    ("deepstream", HeadName::EndToEnd),
+    ("mmdeploy", HeadName::Rtmdet),
+];
+
+impl HeadName {
     /// Its name in configuration and messages.
-    pub const fn as_str(self) -> &'static str {
+    pub fn as_str(self) -> &'static str {
+        NAMES.iter().find(|(head, _)| *head == self).map_or("", |(_, name)| name)
+    }
+}
+
+/// The setting `detector.head`: the name of a head, or the columns of the output.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "Written", into = "Written")]
+pub enum HeadSetting {
+    /// A head by its name; never [`HeadName::Columns`].
+    Named(HeadName),
+    /// The columns of final boxes.
+    Columns(ColumnList),
+}
+
+impl Default for HeadSetting {
+    fn default() -> Self {
+        Self::Named(HeadName::Auto)
+    }
+}
+
+impl HeadSetting {
+    /// The name of the head.
+    pub fn name(&self) -> HeadName {
         match self {
-            Self::Auto => "auto",
-            Self::Yolo => "yolo",
-            Self::EndToEnd => "end-to-end",
-            Self::Detr => "detr",
-            Self::Yolox => "yolox",
-            Self::FastestDet => "fastestdet",
+            Self::Named(name) => *name,
+            Self::Columns(_) => HeadName::Columns,
         }
     }
+}
 
-    /// The outputs of its models, in words.
-    pub(crate) const fn looks_for(self) -> &'static str {
-        match self {
-            Self::Auto => "any of the others",
-            Self::Yolo => "one output [1, 4 + classes, anchors]",
-            Self::EndToEnd => "one output [1, boxes, 6]",
-            Self::Detr => {
-                "outputs `dets` [1, queries, 4] and `labels` [1, queries, classes], or `pred_boxes` and `logits`"
-            }
-            Self::Yolox => "one output [1, cells of strides 8, 16 and 32, 5 + classes]",
-            Self::FastestDet => "one output [1, 5 + classes, rows / 16, columns / 16]",
+impl From<HeadName> for HeadSetting {
+    fn from(name: HeadName) -> Self {
+        Self::Named(name)
+    }
+}
+
+/// The setting as it is written in a configuration file.
+#[derive(Clone, Serialize, Deserialize)]
+#[serde(
+    untagged,
+    expecting = "expected the name of a head, or { columns = \"x1 y1 x2 y2 score class\" }"
+)]
+enum Written {
+    Name(String),
+    Columns { columns: String },
+}
+
+impl TryFrom<Written> for HeadSetting {
+    type Error = String;
+
+    fn try_from(written: Written) -> Result<Self, String> {
+        match written {
+            Written::Name(name) => name.parse(),
+            Written::Columns { columns } => Ok(Self::Columns(columns.parse()?)),
         }
+    }
+}
+
+impl From<HeadSetting> for Written {
+    fn from(setting: HeadSetting) -> Self {
+        match setting {
+            HeadSetting::Named(name) => Self::Name(name.as_str().to_owned()),
+            HeadSetting::Columns(columns) => Self::Columns {
+                columns: columns.to_string(),
+            },
+        }
+    }
+}
+
+/// As on a command line: a name, or `columns=x1 y1 x2 y2 score class`.
+impl FromStr for HeadSetting {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        if let Some(columns) = text.strip_prefix("columns=") {
+            return Ok(Self::Columns(columns.parse()?));
+        }
+        let named = NAMES.iter().find(|(head, name)| *name == text && *head != HeadName::Columns);
+        if let Some((head, _)) = named {
+            return Ok(Self::Named(*head));
+        }
+        let plain = |name: &str| name.to_lowercase().replace(['-', '_', ' '], "");
+        let meant = MEANT
+            .iter()
+            .copied()
+            .chain(NAMES.iter().map(|(head, name)| (*name, *head)))
+            .find(|(name, _)| plain(name) == plain(text))
+            .map(|(_, head)| match head {
+                HeadName::Columns => {
+                    " (the columns are listed: { columns = \"x1 y1 x2 y2 score class\" })"
+                        .to_owned()
+                }
+                head => format!(" (you mean `{}`)", head.as_str()),
+            });
+        let names: Vec<_> = NAMES.iter().map(|(_, name)| *name).collect();
+        Err(format!(
+            "`{text}` is no head{}; the heads are {}",
+            meant.unwrap_or_default(),
+            names.join(", ")
+        ))
+    }
+}
+
+impl fmt::Display for HeadSetting {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Named(name) => f.write_str(name.as_str()),
+            Self::Columns(columns) => write!(f, "columns={columns}"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_head_is_named_or_its_columns_are_listed_and_a_model_s_name_is_answered_with_the_head() {
+        for (text, said) in [
+            ("yolov8", "you mean `yolo`"),
+            ("RF-DETR", "you mean `detr`"),
+            ("YOLO_NAS", "you mean `yolo-nas`"),
+            ("columns", "{ columns ="),
+            ("zebra", "auto, yolo, yolov5"),
+            ("columns=x1 y1 x2 y2", "score"),
+        ] {
+            let error = text.parse::<HeadSetting>().unwrap_err();
+            assert!(error.contains(said), "{error}");
+        }
+        for text in ["auto", "d-fine", "columns=batch x1 y1 x2 y2 class score"] {
+            assert_eq!(text.parse::<HeadSetting>().unwrap().to_string(), text);
+        }
+        let written = r#"{"columns":"x1 y1 x2 y2 score class"}"#;
+        let setting: HeadSetting = serde_json::from_str(written).unwrap();
+        assert_eq!(setting.name(), HeadName::Columns);
+        assert_eq!(serde_json::to_string(&setting).unwrap(), written);
     }
 }

@@ -1,14 +1,14 @@
-//! The real detector: runs the session and then the head on the worker's thread, for one picture or all of a run.
+//! A detector network: ONNX Runtime session, preparation, head and class names, all on the caller's thread.
 
 use super::classes::Classes;
-use super::head::{self, Head, TensorView};
-use super::reader::{HeadCounts, Parts, Reader};
-use super::{
-    DetectorConfig, ExecutionProvider, HeadName, InferenceError, OnnxSession, Preparation,
-    PreparedPicture, Signature, StartError, TensorSpec, class_names,
-};
-use crate::picture::{InputFormat, Picture};
-use crate::worker::{Model, WorkerMeter};
+use super::head::{self, Evidence, Head};
+use super::reader::{Parts, Reader};
+use super::{DetectorConfig, HeadCounts, HeadMeter, HeadName, HeadSetting, Preparation};
+use super::{PreparedPicture, class_names};
+use crate::onnx::{ExecutionProvider, OnnxSession, PictureInput, Signature};
+use crate::onnx::{StartError, StartErrorKind, TensorSpec, TensorView};
+use crate::picture::{ColorOrder, Fit, InputFormat, Picture, ValueRange};
+use crate::worker::{Model, RunError};
 use albireo_core::detection::Detection;
 use std::time::{Duration, Instant};
 
@@ -33,10 +33,15 @@ pub struct DetectorNetwork {
     reader: Reader,
     /// The number of consecutive runs with only impossible results.
     impossible_runs: u32,
+    /// What the last of these showed, if it showed that another head is needed.
+    doubt: Option<String>,
 }
 
 /// This many consecutive runs with only impossible results are a fault of the model.
 const IMPOSSIBLE_RUNS: u32 = 5;
+
+/// Scores of a real run are above it, and unused rows are 0.
+const LEAST_SCORE: f64 = 1e-4;
 
 impl DetectorNetwork {
     /// Loads the model, finds and binds its head, and runs it once, so that the first picture is not slow.
@@ -45,21 +50,20 @@ impl DetectorNetwork {
     /// If the library, the model, its head or the execution provider is not as configured.
     pub fn open(config: &DetectorConfig) -> Result<Self, StartError> {
         config.check()?;
-        Self::open_counting(config, WorkerMeter::default())
+        Self::open_counting(config, HeadMeter::default())
     }
 
     pub(super) fn open_counting(
         config: &DetectorConfig,
-        meter: WorkerMeter,
+        meter: HeadMeter,
     ) -> Result<Self, StartError> {
-        let session = OnnxSession::open(config)?;
+        let mut session = OnnxSession::open(&config.session_settings())?;
         check_batch(config, session.signature())?;
-        let head = head_for(config, session.signature())?;
+        let head = head_for(config, &mut session)?;
         let names = class_names::read(
             config.class_names.as_ref(),
             &session.signature().metadata,
-            head.name,
-            head.classes,
+            &head,
         )?;
         let classes = Classes::new(&names, config)?;
         let mut network = Self {
@@ -67,6 +71,7 @@ impl DetectorNetwork {
             preparation: Preparation::new(head.input_format),
             reader: Reader::new(head, classes, config),
             impossible_runs: 0,
+            doubt: None,
         };
         network
             .warm_up(config.batch_size)
@@ -74,6 +79,7 @@ impl DetectorNetwork {
         // Counting begins with the first picture.
         network.reader.meter = meter;
         network.impossible_runs = 0;
+        network.doubt = None;
         Ok(network)
     }
 
@@ -100,9 +106,9 @@ impl DetectorNetwork {
     ///
     /// # Errors
     /// If the run failed.
-    pub fn detect(&mut self, picture: &PreparedPicture) -> Result<Found, InferenceError> {
+    pub fn detect(&mut self, picture: &PreparedPicture) -> Result<Found, RunError> {
         let found = self.run(std::slice::from_ref(picture))?.pop();
-        found.ok_or_else(|| InferenceError::Failed("the model returned no answer".to_owned()))
+        found.ok_or_else(|| RunError::Failed("the model returned no answer".to_owned()))
     }
 
     /// Makes the model's input from pictures.
@@ -118,6 +124,34 @@ impl DetectorNetwork {
     /// The head that reads the model's output.
     pub fn head(&self) -> HeadName {
         self.reader.head.name
+    }
+
+    /// The names of the model's classes that are not reported.
+    pub fn left_out(&self) -> &[String] {
+        &self.reader.classes.left_out
+    }
+
+    /// What the last pictures showed if nothing in them was possible and another head is needed.
+    pub fn doubt(&self) -> Option<&str> {
+        self.doubt.as_deref()
+    }
+
+    /// The head, the input and the classes, in one line.
+    pub fn description(&self) -> String {
+        let InputFormat {
+            size,
+            fit,
+            color_order,
+            value_range,
+            ..
+        } = self.input_format();
+        format!(
+            "head {}, input {size} ({}, {}, {})",
+            self.head().as_str(),
+            fit.as_str(),
+            color_order.as_str(),
+            value_range.as_str(),
+        )
     }
 
     /// The execution provider that runs the model: not the first configured one if that does not work and a fallback is
@@ -138,61 +172,149 @@ impl DetectorNetwork {
 
     /// Rows and boxes of the model's output that were not reported.
     pub fn counts(&self) -> HeadCounts {
-        self.reader.meter.read().head
+        self.reader.meter.read()
     }
 }
 
-/// Checks that the model accepts as many pictures at once as configured.
+/// Checks that the model accepts and returns as many pictures at once as configured.
 fn check_batch(config: &DetectorConfig, signature: &Signature) -> Result<(), StartError> {
-    let is_open = |input: &TensorSpec| input.shape.first() == Some(&-1);
-    if config.batch_size == 1 || signature.inputs.iter().all(is_open) {
+    let is_open = |tensor: &TensorSpec| tensor.shape.first() == Some(&-1);
+    // An output of rows has those of all pictures one after another.
+    let is_split = |output: &TensorSpec| {
+        output.shape.len() > 2 || output.name == "labels" || output.name == "scores"
+    };
+    if config.batch_size == 1
+        || signature.inputs.iter().all(is_open) && signature.outputs.iter().all(is_split)
+    {
         return Ok(());
     }
-    Err(StartError(format!(
-        "detector.batch_size: is {}, and {} takes one picture at a time ({signature}); export it with an open batch \
-         (Ultralytics: dynamic=True), or leave batch_size at 1",
-        config.batch_size,
-        config.model.display()
-    )))
+    Err(StartError::configuration(
+        "detector.batch_size",
+        format_args!(
+            "is {}, and {} takes one picture at a time ({signature}); export it with an open batch (Ultralytics: \
+             dynamic=True), or leave batch_size at 1",
+            config.batch_size,
+            config.model.display()
+        ),
+    ))
 }
 
 /// The head for a model: the configured one, or the recognised one.
-fn head_for(config: &DetectorConfig, signature: &Signature) -> Result<Head, StartError> {
-    let does_not_fit = |name: HeadName, expected: &str, reason: String| {
-        let head = (name.as_str(), expected);
-        StartError::does_not_fit(&config.model, signature, head, reason)
-    };
-    let input = signature.picture_input(config.input_size());
-    let input = input.map_err(|reason| {
-        let expected = "one picture input [1, 3, rows, columns] or [1, rows, columns, 3]";
-        does_not_fit(config.head, expected, reason)
-    })?;
+fn head_for(config: &DetectorConfig, session: &mut OnnxSession) -> Result<Head, StartError> {
+    let signature = session.signature().clone();
+    let name = config.head.name();
     let not_recognised = |reason: String| {
-        StartError(format!(
-            "the model {} is not recognised: {reason}. The model has {signature}. If you know how to read it, set \
-             detector.head",
-            config.model.display()
-        ))
+        StartError::new(
+            StartErrorKind::DoesNotFit,
+            format_args!(
+                "the model {} is not recognised: {reason}\n  The model has {signature}.\n  If you know how to read it, \
+                 set detector.head",
+                config.model.display()
+            ),
+        )
     };
-    let name = match config.head {
-        HeadName::Auto => head::recognise(signature, input).map_err(not_recognised)?,
-        name => name,
+    let does_not_fit = |reason: String| match name {
+        HeadName::Auto => not_recognised(reason),
+        name => {
+            let head = (name.as_str(), name.looks_for());
+            StartError::does_not_fit(&config.model, &signature, head, reason)
+        }
     };
-    head::bind(name, signature, input)
-        .map_err(|reason| does_not_fit(name, name.looks_for(), reason))
+    let names = class_names::count(config.class_names.as_ref(), &signature.metadata);
+    if signature.lacks_size(config.input_size()) {
+        // A model that no head reads is not asked for its size first.
+        let any = signature.picture_input(Some(ANY_SIZE)).map_err(&does_not_fit)?;
+        if name == HeadName::Auto {
+            head::recognise(&signature, any, names).map_err(|reason| {
+                not_recognised(format!(
+                    "{reason}\n  Its input size is open as well: set detector.input_size, for example [640, 640]"
+                ))
+            })?;
+        }
+        return Err(StartError::configuration(
+            "detector.input_size",
+            format_args!(
+                "the input size of {} is open: set it to the columns and rows that the model was trained with, for \
+                 example [640, 640]",
+                config.model.display()
+            ),
+        ));
+    }
+    let input = signature.picture_input(config.input_size()).map_err(&does_not_fit)?;
+    let setting = match name {
+        HeadName::Auto => {
+            let found = head::recognise(&signature, input, names).map_err(&not_recognised)?;
+            let name = match found.only() {
+                Some(name) => name,
+                None => look_at_black(session, input, |outputs| {
+                    found.by_values(&signature, outputs)
+                })
+                .map_err(|reason| StartError::first_run(&config.model, reason))?
+                .map_err(&not_recognised)?,
+            };
+            HeadSetting::Named(name)
+        }
+        _ => config.head.clone(),
+    };
+    let bound =
+        head::bind(&setting, &signature, input, config.overrides()).map_err(&does_not_fit)?;
+    let evidence = look_at_black(session, input, |outputs| {
+        bound.evidence(outputs, LEAST_SCORE)
+    });
+    match evidence.map_err(|reason| StartError::first_run(&config.model, reason))? {
+        Evidence::Against(reason) => Err(does_not_fit(format!(
+            "its shapes are those of the head `{}`, but {reason}. If you know the columns of its output, list them: \
+             detector.head = {{ columns = \"x1 y1 x2 y2 score class\" }}",
+            setting.name().as_str()
+        ))),
+        Evidence::For | Evidence::None => Ok(bound),
+    }
+}
+
+/// A size to try heads with while that of the input is open.
+const ANY_SIZE: albireo_core::geometry::PictureSize =
+    albireo_core::geometry::PictureSize::new(640, 640);
+
+/// Runs the model on zeros, which are black in most ranges, and shows the outputs.
+fn look_at_black<R>(
+    session: &mut OnnxSession,
+    input: PictureInput,
+    look: impl FnOnce(&[TensorView<'_>]) -> R,
+) -> Result<R, String> {
+    let format = input.format(Fit::Stretch, ColorOrder::Rgb, ValueRange::To255);
+    let pixels = 3 * usize::try_from(format.size.pixels()).unwrap_or_default();
+    session.run(format.shape(), format.size, &[&vec![0.0; pixels]], look)
+}
+
+/// What users of a detector rely on: the class names, whose numbers are in use, and the input that pictures are prepared
+/// for.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Facts {
+    /// The names of the reported classes, by class number.
+    pub class_names: Vec<String>,
+    /// The names of the model's classes that are not reported.
+    pub left_out: Vec<String>,
+    /// The input that pictures are prepared for.
+    pub input: InputFormat,
+    /// Head and input, in words.
+    pub description: String,
 }
 
 impl Model for DetectorNetwork {
     type Input = PreparedPicture;
     type Output = Found;
-    /// The class names, whose numbers are in use, and the input that pictures are prepared for.
-    type Facts = (Vec<String>, InputFormat);
+    type Facts = Facts;
 
-    fn facts(&self) -> Self::Facts {
-        (self.class_names().to_vec(), self.input_format())
+    fn facts(&self) -> Facts {
+        Facts {
+            class_names: self.class_names().to_vec(),
+            left_out: self.left_out().to_vec(),
+            input: self.input_format(),
+            description: self.description(),
+        }
     }
 
-    fn run(&mut self, pictures: &[PreparedPicture]) -> Result<Vec<Found>, InferenceError> {
+    fn run(&mut self, pictures: &[PreparedPicture]) -> Result<Vec<Found>, RunError> {
         let Self {
             session,
             preparation,
@@ -202,12 +324,15 @@ impl Model for DetectorNetwork {
         let started = Instant::now();
         let inputs: Vec<_> = pictures.iter().map(PreparedPicture::values).collect();
         let mut impossible = 0;
-        let found = session.run(preparation.format().shape(), &inputs, |outputs| {
+        let mut doubt = None;
+        let format = preparation.format();
+        let found = session.run(format.shape(), format.size, &inputs, |outputs| {
             let model = started.elapsed();
             let mut read = |picture: &PreparedPicture, outputs: &[TensorView<'_>]| {
                 let start = Instant::now();
                 let read = reader.read(outputs, picture.mapping())?;
                 impossible += usize::from(read.is_impossible);
+                doubt = doubt.take().or(read.doubt);
                 Ok(Found {
                     detections: read.detections,
                     letterbox: picture.took(),
@@ -222,16 +347,27 @@ impl Model for DetectorNetwork {
             let each = pictures.iter().enumerate();
             each.map(|(number, picture)| read(picture, &parts.get(outputs, number)))
                 .collect()
-        })??;
-        self.impossible_runs = match impossible == pictures.len() {
-            true => self.impossible_runs.saturating_add(1),
-            false => 0,
-        };
+        });
+        let found = found.map_err(RunError::Failed)??;
+        if impossible < pictures.len() {
+            self.impossible_runs = 0;
+            self.doubt = None;
+            return Ok(found);
+        }
+        self.impossible_runs = self.impossible_runs.saturating_add(1);
+        self.doubt = doubt;
         if self.impossible_runs >= IMPOSSIBLE_RUNS {
-            return Err(InferenceError::Implausible(format!(
-                "everything that the model finds is impossible (numbers that are not finite, boxes without an area or \
-                 outside of the picture), {IMPOSSIBLE_RUNS} runs in a row or more: export it again, without half \
-                 precision if it has that"
+            let cause = match &self.doubt {
+                Some(reason) => format!(
+                    "{reason}: it is not a model of the head `{}`; set detector.head to another, or to the columns of \
+                     its output, {{ columns = \"x1 y1 x2 y2 score class\" }}",
+                    self.head().as_str()
+                ),
+                None => "export it again, without half precision if it has that".to_owned(),
+            };
+            return Err(RunError::Implausible(format!(
+                "everything that the model finds is impossible (numbers that are not finite, boxes without an area, \
+                 outside of the picture or much larger than it), {IMPOSSIBLE_RUNS} runs in a row or more: {cause}"
             )));
         }
         Ok(found)

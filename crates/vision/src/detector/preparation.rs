@@ -1,8 +1,8 @@
 //! Turns pictures into the input of one model by letterbox, on any thread, so that the model's own thread only runs the
 //! model. Buffers are reused.
 
-use super::InferenceError;
 use crate::picture::{FrameFault, InputFormat, InputMapping, Letterbox, Picture};
+use crate::worker::RunError;
 use parking_lot::Mutex;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -65,16 +65,16 @@ impl Preparation {
 pub(crate) async fn prepare_off_thread(
     preparation: Preparation,
     picture: Arc<Picture>,
-) -> Result<PreparedPicture, InferenceError> {
+) -> Result<PreparedPicture, RunError> {
     let work = move || {
         let prepared = preparation.prepare(&picture);
         // Before the result is sent, so that its receiver is the only owner.
         drop(picture);
-        prepared.map_err(|error| InferenceError::BadPicture(error.to_string()))
+        prepared.map_err(|error| RunError::BadPicture(error.to_string()))
     };
     tokio::task::spawn_blocking(work)
         .await
-        .unwrap_or_else(|error| Err(InferenceError::BadPicture(error.to_string())))
+        .unwrap_or_else(|error| Err(RunError::BadPicture(error.to_string())))
 }
 
 impl PreparedPicture {

@@ -1,17 +1,20 @@
 //! Turns the model's output into detections: the head, classes, suppression, and counts of what is dropped.
 
+use super::DetectorConfig;
 use super::classes::Classes;
-use super::head::{Candidate, Head, Suppression, TensorView, keep_best, suppress};
-use super::{DetectorConfig, InferenceError, shape_text};
+use super::head::{Candidate, Evidence, Head, Suppression, keep_best, suppress};
+use crate::onnx::{TensorView, shape_text};
 use crate::picture::InputMapping;
-use crate::worker::WorkerMeter;
+use crate::worker::RunError;
 use albireo_core::detection::Detection;
 use albireo_core::geometry::PictureSize;
+use parking_lot::Mutex;
+use std::sync::Arc;
 
 /// Rows and boxes of the model's output that were not reported.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct HeadCounts {
-    /// Rows with a number that is not finite or not possible.
+    /// Rows with a number that is not finite or not possible, and boxes much larger than the input.
     pub rejected: u64,
     /// Boxes outside the picture.
     pub outside: u64,
@@ -20,6 +23,23 @@ pub struct HeadCounts {
     /// Boxes beyond `MOST_CANDIDATES` of the suppression or the configured maximum of detections; at least one per
     /// frame that has any.
     pub over_limit: u64,
+    /// Boxes of classes that are not reported (`detector.report_classes`).
+    pub other_class: u64,
+}
+
+/// The counts of a detector's head for metrics; does not keep the detector running.
+#[derive(Clone, Debug, Default)]
+pub struct HeadMeter(Arc<Mutex<HeadCounts>>);
+
+impl HeadMeter {
+    /// Returns the counts since the detector started.
+    pub fn read(&self) -> HeadCounts {
+        *self.0.lock()
+    }
+
+    fn update(&self, update: impl FnOnce(&mut HeadCounts)) {
+        update(&mut self.0.lock());
+    }
 }
 
 /// The results in the output for one picture.
@@ -27,6 +47,8 @@ pub(super) struct ReadOut {
     pub(super) detections: Vec<Detection>,
     /// True if there are results and all of them are impossible.
     pub(super) is_impossible: bool,
+    /// What then shows that another head is needed.
+    pub(super) doubt: Option<String>,
 }
 
 /// Turns the model's output into detections.
@@ -36,7 +58,9 @@ pub(super) struct Reader {
     suppression: Suppression,
     pub(super) classes: Classes,
     candidates: Vec<Candidate>,
-    pub(super) meter: WorkerMeter,
+    /// Candidates of classes that are not reported.
+    others: Vec<Candidate>,
+    pub(super) meter: HeadMeter,
 }
 
 impl Reader {
@@ -52,7 +76,8 @@ impl Reader {
             },
             classes,
             candidates: Vec::new(),
-            meter: WorkerMeter::default(),
+            others: Vec::new(),
+            meter: HeadMeter::default(),
         }
     }
 
@@ -64,13 +89,19 @@ impl Reader {
         &mut self,
         outputs: &[TensorView<'_>],
         mapping: InputMapping,
-    ) -> Result<ReadOut, InferenceError> {
+    ) -> Result<ReadOut, RunError> {
         self.candidates.clear();
         let rejected = self
             .head
             .read(outputs, self.confidence, &mut self.candidates)
-            .map_err(InferenceError::Failed)?;
-        Ok(self.detections(mapping, rejected))
+            .map_err(RunError::Failed)?;
+        let mut read = self.detections(mapping, rejected);
+        if read.is_impossible
+            && let Evidence::Against(reason) = self.head.evidence(outputs, self.confidence)
+        {
+            read.doubt = Some(reason);
+        }
+        Ok(read)
     }
 
     /// Returns the candidates that stay, as detections in the source picture; counts the others and the `rejected`.
@@ -80,18 +111,24 @@ impl Reader {
             ..HeadCounts::default()
         };
         let classes = &self.classes;
-        let read = self.candidates.len();
+        let others = &mut self.others;
+        others.clear();
         self.candidates.retain_mut(|candidate| {
             let Some(reported) = classes.reported_as(candidate.class) else {
                 counts.unknown_class += 1;
                 return false;
             };
-            if let Some(class) = reported {
-                candidate.class = class;
+            match reported {
+                Some(class) => candidate.class = class,
+                None => others.push(*candidate),
             }
             reported.is_some()
         });
-        let are_all_reported = self.candidates.len() == read;
+        let are_all_reported = others.is_empty() && counts.unknown_class == 0;
+        if self.head.overlaps {
+            suppress(others, self.suppression);
+        }
+        counts.other_class = others.len() as u64;
         counts.over_limit = if self.head.overlaps {
             suppress(&mut self.candidates, self.suppression)
         } else {
@@ -104,15 +141,17 @@ impl Reader {
             .collect();
         counts.outside = (self.candidates.len() - detections.len()) as u64;
         self.meter.update(|total| {
-            total.head.rejected += counts.rejected;
-            total.head.outside += counts.outside;
-            total.head.unknown_class += counts.unknown_class;
-            total.head.over_limit += counts.over_limit;
+            total.rejected += counts.rejected;
+            total.outside += counts.outside;
+            total.unknown_class += counts.unknown_class;
+            total.over_limit += counts.over_limit;
+            total.other_class += counts.other_class;
         });
         let some_are_impossible = counts.rejected + counts.outside > 0;
         ReadOut {
             is_impossible: some_are_impossible && are_all_reported && detections.is_empty(),
             detections,
+            doubt: None,
         }
     }
 }
@@ -138,12 +177,12 @@ impl Parts {
     ///
     /// # Errors
     /// If an output is for another number of pictures.
-    pub(super) fn of(outputs: &[TensorView<'_>], pictures: usize) -> Result<Self, InferenceError> {
+    pub(super) fn of(outputs: &[TensorView<'_>], pictures: usize) -> Result<Self, RunError> {
         let shape_of_one = |output: &TensorView<'_>| match output.shape {
             [batch, rest @ ..] if usize::try_from(*batch) == Ok(pictures) => {
                 Ok([&[1], rest].concat())
             }
-            shape => Err(InferenceError::Failed(format!(
+            shape => Err(RunError::Failed(format!(
                 "the model returned an output of {} for {pictures} pictures",
                 shape_text(shape)
             ))),

@@ -2,10 +2,11 @@
 
 #[cfg(feature = "turbojpeg")]
 use super::decode_jpeg_scaled;
-use super::limits::{check_payload, check_picture, check_raw_length, decoded_bytes};
+use super::limits::{check_payload, check_picture, decoded_bytes};
+use super::orientation::orientation;
 use super::{
     EncodedPicture, FrameFault, FrameLimits, Picture, PictureFormat, PixelLayout, decode_jpeg,
-    decode_png, decode_raw,
+    decode_png, decode_raw, raw_picture,
 };
 use albireo_core::geometry::PictureSize;
 use bytes::Bytes;
@@ -19,7 +20,8 @@ const JPEG_QUALITY: u8 = 85;
 /// directions is then scaled by a half, a quarter or an eighth while it is decoded, never below `target`, if the
 /// program was built with the feature `turbojpeg`.
 ///
-/// Grey is luma with the weights of BT.601, full range. Alpha is ignored. Samples of 16 bits keep their upper eight.
+/// Grey is luma with the weights of BT.601, full range. Alpha is ignored. Samples of 16 bits keep the upper eight of the
+/// bits that are used (10, 12, 14 or all). A file whose Exif data say that it lies on its side is turned upright.
 ///
 /// # Errors
 /// [`FrameFault`] if a limit is exceeded or the picture is broken, even if only its end is missing. The pixels of
@@ -33,6 +35,25 @@ pub fn decode(
 ) -> Result<(), FrameFault> {
     check_payload(picture.bytes.len(), limits)?;
     check_picture(picture.size, limits)?;
+    let orientation = orientation(picture.format, &picture.bytes);
+    let stored = EncodedPicture {
+        size: orientation.turned(picture.size),
+        ..picture.clone()
+    };
+    let target = target.map(|target| orientation.turned(target));
+    decode_stored(&stored, limits, layout, target, into)?;
+    orientation.apply(into);
+    Ok(())
+}
+
+/// [`decode`] without turning.
+fn decode_stored(
+    picture: &EncodedPicture,
+    limits: &FrameLimits,
+    layout: PixelLayout,
+    target: Option<PictureSize>,
+    into: &mut Picture,
+) -> Result<(), FrameFault> {
     #[cfg(feature = "turbojpeg")]
     if let (PictureFormat::Jpeg, Some(target)) = (picture.format, target)
         && let Some(scale) = decode_jpeg_scaled::Scale::towards(target, picture.size)
@@ -51,16 +72,35 @@ pub fn decode(
     make_room(&mut into.pixels, length)?;
     let pixels = into.pixels.as_mut_slice();
     match picture.format {
-        PictureFormat::Jpeg => contain("JPEG", || decode_jpeg::decode(picture, layout, pixels)),
+        PictureFormat::Jpeg => {
+            contain("JPEG", || decode_jpeg::decode(picture, layout, pixels))?;
+            #[cfg(feature = "turbojpeg")]
+            if ends_in_one_colour(into) {
+                contain("JPEG", || decode_jpeg_scaled::check_to_the_end(picture))?;
+            }
+            Ok(())
+        }
         PictureFormat::Png => contain("PNG", || {
             decode_png::decode(picture, limits, layout, pixels)
         }),
         _ => {
-            check_raw_length(picture.format, picture.size, picture.bytes.len())?;
-            decode_raw::decode(picture, layout, pixels);
+            let raw = raw_picture(picture.format, picture.size, picture.bytes.clone(), limits)?;
+            decode_raw::decode(&raw, layout, pixels);
             Ok(())
         }
     }
+}
+
+/// True if the last rows of a picture have one colour, as those have that a decoder fills in for missing data.
+#[cfg(feature = "turbojpeg")]
+fn ends_in_one_colour(picture: &Picture) -> bool {
+    let channels = picture.layout.channels();
+    let row = picture.size.width as usize * channels;
+    // Data are coded in squares of eight pixels.
+    let rows = picture.pixels.len().saturating_sub(8 * row);
+    let mut pixels = picture.pixels[rows..].chunks_exact(channels);
+    let first = pixels.next();
+    pixels.all(|pixel| Some(pixel) == first)
 }
 
 /// Makes `buffer` as long as a picture needs it. If there is no memory for this picture, only this one is lost.
@@ -131,7 +171,8 @@ fn halve(into: &mut Picture) -> Result<(), FrameFault> {
             "a picture of {width}x{height} has no half"
         )));
     }
-    let (row, half_row) = (width as usize, half.width as usize);
+    let row = width as usize;
+    let half_row = half.width as usize;
     // Works in place: a value is always written below the addresses that are still to be read.
     for y in 0..half.height as usize {
         for x in 0..half_row {

@@ -70,7 +70,8 @@ pub(super) fn decode(
     let Scale { factor, size } = scale;
     decompressor.set_scaling_factor(factor).map_err(broken)?;
     decompressor.set_scan_limit(MAX_SCANS).map_err(broken)?;
-    let (width, height) = (size.width as usize, size.height as usize);
+    let width = size.width as usize;
+    let height = size.height as usize;
     into.size = size;
     into.source_size = picture.size;
     into.layout = layout;
@@ -88,6 +89,22 @@ pub(super) fn decode(
     // A warning, such as of missing data that was filled with grey, is an error here too.
     decompressor.decompress(&picture.bytes, output).map_err(broken)?;
     Ok(true)
+}
+
+/// Decodes `picture` at an eighth of its size, to find out whether its data are complete: unlike other decoders,
+/// libjpeg-turbo reports what it filled in.
+///
+/// # Errors
+/// [`FrameFault`] if data are missing.
+pub(super) fn check_to_the_end(picture: &EncodedPicture) -> Result<(), FrameFault> {
+    let factor = ScalingFactor::ONE_EIGHTH;
+    let scale = Scale {
+        factor,
+        size: scaled(picture.size, factor),
+    };
+    let mut thrown_away = Picture::default();
+    decode(picture, scale, PixelLayout::Gray8, &mut thrown_away)?;
+    Ok(())
 }
 
 #[cfg(test)]

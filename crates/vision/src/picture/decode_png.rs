@@ -14,19 +14,18 @@ pub(super) fn decode(
     pixels: &mut [u8],
 ) -> Result<(), FrameFault> {
     let memory = Limits {
-        bytes: limits.max_decoded_bytes,
+        // A pixel of the richest kind has four samples of 16 bits.
+        bytes: usize::try_from(limits.max_pixels.saturating_mul(8)).unwrap_or(usize::MAX),
     };
     let mut decoder = Decoder::new_with_limits(Cursor::new(picture.bytes.as_ref()), memory);
-    // Palettes become colours, 16 bits become 8. Text and colour profiles are ignored.
-    decoder.set_transformations(Transformations::EXPAND | Transformations::STRIP_16);
+    // Palettes become colours. Text and colour profiles are ignored.
+    decoder.set_transformations(Transformations::EXPAND);
     decoder.set_ignore_text_chunk(true);
     decoder.set_ignore_iccp_chunk(true);
     let mut reader = decoder.read_info().map_err(fault)?;
     let (color, depth) = reader.output_color_type();
     let info = reader.info();
-    if (info.width, info.height) != (picture.size.width, picture.size.height)
-        || depth != BitDepth::Eight
-    {
+    if (info.width, info.height) != (picture.size.width, picture.size.height) {
         return Err(FrameFault::undecodable(format!(
             "the PNG file contradicts its header, which says {}",
             picture.size
@@ -41,25 +40,32 @@ pub(super) fn decode(
             return Err(FrameFault::undecodable("the PNG file has no palette"));
         }
     };
-    let length = decoded_bytes(picture.size, channels, limits)?;
+    let wide = depth == BitDepth::Sixteen;
+    let length = decoded_bytes(picture.size, channels * if wide { 2 } else { 1 }, limits)?;
     if reader.output_buffer_size() != Some(length) {
         return Err(FrameFault::undecodable(format!(
             "the rows of the PNG file do not make a picture of {}",
             picture.size
         )));
     }
-    if matches!(
-        (color, layout),
-        (ColorType::Rgb, PixelLayout::Rgb8) | (ColorType::Grayscale, PixelLayout::Gray8)
-    ) {
+    if !wide
+        && matches!(
+            (color, layout),
+            (ColorType::Rgb, PixelLayout::Rgb8) | (ColorType::Grayscale, PixelLayout::Gray8)
+        )
+    {
         reader.next_frame(pixels).map_err(fault)?;
         return Ok(());
     }
     let mut samples = Vec::new();
     make_room(&mut samples, length)?;
     reader.next_frame(&mut samples).map_err(fault)?;
+    if wide {
+        samples = upper_bits(&samples);
+    }
     match (color, layout) {
-        (ColorType::Grayscale, _) => decode_raw::grey_to_rgb::<1>(&samples, pixels),
+        (ColorType::Grayscale, PixelLayout::Rgb8) => decode_raw::grey_to_rgb::<1>(&samples, pixels),
+        (ColorType::Grayscale, PixelLayout::Gray8) => pixels.copy_from_slice(&samples),
         (ColorType::GrayscaleAlpha, PixelLayout::Rgb8) => {
             decode_raw::grey_to_rgb::<2>(&samples, pixels);
         }
@@ -69,9 +75,23 @@ pub(super) fn decode(
             }
         }
         (ColorType::Rgba, _) => decode_raw::colours::<4>(&samples, [0, 1, 2], layout, pixels),
-        (ColorType::Rgb | ColorType::Indexed, _) => decode_raw::rgb_to_grey(&samples, pixels),
+        (ColorType::Rgb | ColorType::Indexed, _) => {
+            decode_raw::colours::<3>(&samples, [0, 1, 2], layout, pixels)
+        }
     }
     Ok(())
+}
+
+/// The upper eight of the used bits of samples of 16 bits. Cameras write 10, 12 or 14 bits without shifting them up; the
+/// brightest sample tells how many are used.
+fn upper_bits(samples: &[u8]) -> Vec<u8> {
+    let (samples, _) = samples.as_chunks::<2>();
+    let brightest = samples.iter().map(|pair| u16::from_be_bytes(*pair)).max().unwrap_or_default();
+    let used = [10, 12, 14].into_iter().find(|bits| brightest >> bits == 0).unwrap_or(16);
+    samples
+        .iter()
+        .map(|pair| (u16::from_be_bytes(*pair) >> (used - 8)) as u8)
+        .collect()
 }
 
 fn fault(error: DecodingError) -> FrameFault {

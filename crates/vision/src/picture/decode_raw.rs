@@ -1,6 +1,7 @@
 //! Converts raw pixels from one layout to another. Lengths have been checked.
 
 use super::{EncodedPicture, PictureFormat, PixelLayout};
+use albireo_core::geometry::PictureSize;
 
 /// Converts into `pixels`, which has the length for `picture.size` and `layout`; `picture.bytes` has the length for its
 /// size and format.
@@ -15,7 +16,10 @@ pub(super) fn decode(picture: &EncodedPicture, layout: PixelLayout, pixels: &mut
         (PictureFormat::Bgr8, _) => colours::<3>(bytes, [2, 1, 0], layout, pixels),
         (PictureFormat::Rgba8, _) => colours::<4>(bytes, [0, 1, 2], layout, pixels),
         (PictureFormat::Bgra8, _) => colours::<4>(bytes, [2, 1, 0], layout, pixels),
-        (PictureFormat::Nv12, _) => nv12(picture, layout, pixels),
+        (
+            PictureFormat::Nv12 | PictureFormat::I420 | PictureFormat::Yuyv | PictureFormat::Uyvy,
+            _,
+        ) => ycbcr(picture, layout, pixels),
         // Not raw.
         (PictureFormat::Jpeg | PictureFormat::Png, _) => {}
     }
@@ -65,38 +69,46 @@ pub(super) fn grey_to_rgb<const N: usize>(from: &[u8], to: &mut [u8]) {
     }
 }
 
-/// Converts NV12 in the limited range of BT.601 (ITU-R BT.601-7, section 2.5: black 16, white 235); each chroma pair
-/// applies to its square of four pixels. Fixed-point factors: 298/256 = 255/219, and so on.
-fn nv12(picture: &EncodedPicture, layout: PixelLayout, pixels: &mut [u8]) {
+/// Where the samples of a YCbCr picture lie: for a pixel in column `x` of row `y`, the places of its luma, Cb and Cr.
+fn samples(format: PictureFormat, size: PictureSize) -> impl Fn(usize, usize) -> [usize; 3] {
+    let width = size.width as usize;
+    let luma = width * size.height as usize;
+    let pairs = width.div_ceil(2);
+    let quarter = pairs * (size.height as usize).div_ceil(2);
+    move |x, y| {
+        let in_plane = y / 2 * pairs + x / 2;
+        let pair = 4 * (y * pairs + x / 2);
+        match format {
+            PictureFormat::I420 => [y * width + x, luma + in_plane, luma + quarter + in_plane],
+            PictureFormat::Yuyv => [pair + 2 * (x % 2), pair + 1, pair + 3],
+            PictureFormat::Uyvy => [pair + 1 + 2 * (x % 2), pair, pair + 2],
+            _ => [y * width + x, luma + 2 * in_plane, luma + 2 * in_plane + 1],
+        }
+    }
+}
+
+/// Converts YCbCr in the limited range of BT.601 (ITU-R BT.601-7, section 2.5: black 16, white 235); a chroma sample
+/// applies to all pixels of its pair or square. Fixed-point factors: 298/256 = 255/219, and so on.
+fn ycbcr(picture: &EncodedPicture, layout: PixelLayout, pixels: &mut [u8]) {
     let width = picture.size.width as usize;
-    let height = picture.size.height as usize;
-    let (luma_plane, chroma_plane) = picture.bytes.split_at(width * height);
+    let bytes = picture.bytes.as_ref();
+    let places = samples(picture.format, picture.size);
     let scaled = |luma: u8| 298 * (i32::from(luma) - 16) + 128;
     let byte = |value: i32| (value >> 8).clamp(0, 255) as u8;
-    match layout {
-        PixelLayout::Gray8 => {
-            for (to, from) in pixels.iter_mut().zip(luma_plane) {
-                *to = byte(scaled(*from));
-            }
-        }
-        PixelLayout::Rgb8 => {
-            let chroma_row = 2 * width.div_ceil(2);
-            for (y, (to, from)) in pixels
-                .chunks_exact_mut(3 * width)
-                .zip(luma_plane.chunks_exact(width))
-                .enumerate()
-            {
-                let chroma = &chroma_plane[y / 2 * chroma_row..][..chroma_row];
-                let (to, _) = to.as_chunks_mut::<3>();
-                for (x, (to, from)) in to.iter_mut().zip(from).enumerate() {
-                    let blue_difference = i32::from(chroma[x & !1]) - 128;
-                    let red_difference = i32::from(chroma[x | 1]) - 128;
-                    let luma = scaled(*from);
-                    *to = [
+    for (y, to) in pixels.chunks_exact_mut(layout.channels() * width).enumerate() {
+        for (x, to) in to.chunks_exact_mut(layout.channels()).enumerate() {
+            let [luma, blue, red] = places(x, y);
+            let luma = scaled(bytes[luma]);
+            match to {
+                [grey] => *grey = byte(luma),
+                colours => {
+                    let blue_difference = i32::from(bytes[blue]) - 128;
+                    let red_difference = i32::from(bytes[red]) - 128;
+                    colours.copy_from_slice(&[
                         byte(luma + 409 * red_difference),
                         byte(luma - 100 * blue_difference - 208 * red_difference),
                         byte(luma + 516 * blue_difference),
-                    ];
+                    ]);
                 }
             }
         }

@@ -59,15 +59,20 @@ pub fn picture_files(path: &Path) -> Result<Vec<PathBuf>, PictureFileError> {
 fn natural_key(file: &Path) -> (String, PathBuf) {
     let name = file.file_name().unwrap_or_default().to_string_lossy();
     let is_digit = |byte: &u8| byte.is_ascii_digit();
-    let parts = (name.as_bytes()).chunk_by(|a, b| is_digit(a) == is_digit(b));
-    let parts = parts.map(|part| {
+    let padded = |part: &[u8]| {
         let text = String::from_utf8_lossy(part);
-        match part.iter().all(is_digit) {
-            true => format!("{:0>20}", text.trim_start_matches('0')),
-            false => text.into_owned(),
+        if part.iter().all(is_digit) {
+            format!("{:0>20}", text.trim_start_matches('0'))
+        } else {
+            text.into_owned()
         }
-    });
-    (parts.collect(), file.to_path_buf())
+    };
+    let key = name
+        .as_bytes()
+        .chunk_by(|a, b| is_digit(a) == is_digit(b))
+        .map(padded)
+        .collect();
+    (key, file.to_path_buf())
 }
 
 /// Reads a file, and its header as a node would.

@@ -1,5 +1,6 @@
 //! Pictures before and after decoding.
 
+use super::raw::Plane;
 use albireo_core::geometry::PictureSize;
 use bytes::Bytes;
 
@@ -23,6 +24,13 @@ pub enum PictureFormat {
     /// A plane of luma, then a plane of Cb, Cr pairs at half the size in each direction (rounded up):
     /// YCbCr 4:2:0, BT.601, limited range (luma 16 to 235).
     Nv12,
+    /// As [`Nv12`](Self::Nv12), with a plane of Cb, then one of Cr.
+    I420,
+    /// Pairs of pixels as luma, Cb, luma, Cr: YCbCr 4:2:2, BT.601, limited range. Rows of an odd number of pixels end with
+    /// a whole pair.
+    Yuyv,
+    /// The same as Cb, luma, Cr, luma.
+    Uyvy,
 }
 
 impl PictureFormat {
@@ -37,10 +45,13 @@ impl PictureFormat {
             Self::Bgra8 => "bgra8",
             Self::Gray8 => "gray8",
             Self::Nv12 => "nv12",
+            Self::I420 => "i420",
+            Self::Yuyv => "yuyv",
+            Self::Uyvy => "uyvy",
         }
     }
 
-    /// The raw format with this name.
+    /// The raw format with this name, or one of the names that cameras and ffmpeg give it.
     pub fn raw_from_name(name: &str) -> Option<Self> {
         [
             Self::Rgb8,
@@ -49,23 +60,65 @@ impl PictureFormat {
             Self::Bgra8,
             Self::Gray8,
             Self::Nv12,
+            Self::I420,
+            Self::Yuyv,
+            Self::Uyvy,
         ]
         .into_iter()
-        .find(|format| format.as_str().eq_ignore_ascii_case(name))
+        .find(|format| {
+            let others: &[&str] = match format {
+                Self::Yuyv => &["yuyv422", "yuy2"],
+                Self::Uyvy => &["uyvy422"],
+                Self::I420 => &["yuv420p"],
+                Self::Gray8 => &["mono8", "grey"],
+                _ => &[],
+            };
+            let known = others.iter().copied().chain([format.as_str()]);
+            known.into_iter().any(|known| known.eq_ignore_ascii_case(name))
+        })
     }
 
     /// The number of bytes of a raw picture of `size`; `None` for the compressed formats and if the number does not fit
     /// in 64 bits.
     pub(crate) fn raw_bytes(self, size: PictureSize) -> Option<u64> {
+        let pairs = u64::from(size.width.div_ceil(2));
         match self {
             Self::Jpeg | Self::Png => None,
+            Self::Yuyv | Self::Uyvy => (4 * pairs).checked_mul(u64::from(size.height)),
             Self::Rgb8 | Self::Bgr8 => size.pixels().checked_mul(3),
             Self::Rgba8 | Self::Bgra8 => size.pixels().checked_mul(4),
             Self::Gray8 => Some(size.pixels()),
-            Self::Nv12 => {
+            Self::Nv12 | Self::I420 => {
                 let chroma = PictureSize::new(size.width.div_ceil(2), size.height.div_ceil(2));
                 size.pixels().checked_add(chroma.pixels().checked_mul(2)?)
             }
+        }
+    }
+
+    /// The planes of a raw picture of `size`, which is within the limits; none for the compressed formats.
+    pub(super) fn planes(self, size: PictureSize) -> Vec<Plane> {
+        let width = size.width as usize;
+        let rows = size.height as usize;
+        let half_width = width.div_ceil(2);
+        let half_rows = rows.div_ceil(2);
+        let whole = |row: usize| Plane {
+            rows,
+            row,
+            share: 2,
+        };
+        let chroma = |row: usize, share: usize| Plane {
+            rows: half_rows,
+            row,
+            share,
+        };
+        match self {
+            Self::Jpeg | Self::Png => Vec::new(),
+            Self::Rgb8 | Self::Bgr8 => vec![whole(3 * width)],
+            Self::Rgba8 | Self::Bgra8 => vec![whole(4 * width)],
+            Self::Gray8 => vec![whole(width)],
+            Self::Yuyv | Self::Uyvy => vec![whole(4 * half_width)],
+            Self::Nv12 => vec![whole(width), chroma(2 * half_width, 2)],
+            Self::I420 => vec![whole(width), chroma(half_width, 1), chroma(half_width, 1)],
         }
     }
 }

@@ -1,6 +1,8 @@
 //! Reads format and size from the first bytes of a JPEG or PNG file, without decoding it.
 
+use super::huffman::with_tables;
 use super::limits::{check_payload, check_picture};
+use super::orientation::orientation;
 use super::{EncodedPicture, FrameFault, FrameLimits, PictureFormat};
 use albireo_core::geometry::PictureSize;
 use bytes::Bytes;
@@ -55,11 +57,9 @@ pub(super) fn jpeg_size(bytes: &[u8]) -> Result<PictureSize, FrameFault> {
         match marker {
             // Baseline, extended sequential and progressive Huffman coding.
             0xC0..=0xC2 => {
-                let (precision, height, width) = (
-                    content.first().copied(),
-                    big_endian_u16(content, 1),
-                    big_endian_u16(content, 3),
-                );
+                let precision = content.first().copied();
+                let height = big_endian_u16(content, 1);
+                let width = big_endian_u16(content, 3);
                 return match (precision, width, height) {
                     (Some(8), Some(width), Some(height)) => {
                         Ok(PictureSize::new(u32::from(width), u32::from(height)))
@@ -107,6 +107,54 @@ pub(super) fn check_jpeg_is_whole(bytes: &[u8]) -> Result<(), FrameFault> {
         }
     }
     Err(FrameFault::undecodable("the JPEG file has no pixels"))
+}
+
+/// True if a JPEG file is coded with the tables of Motion JPEG, which it does not contain.
+fn lacks_huffman_tables(bytes: &[u8]) -> bool {
+    let Ok(mut segments) = JpegSegments::new(bytes) else {
+        return false;
+    };
+    while let Ok(Some((marker, _))) = segments.next() {
+        match marker {
+            // Tables; other codings have none of these.
+            0xC4 | 0xC2..=0xC3 | 0xC5..=0xCF => return false,
+            START_OF_SCAN => return true,
+            _ => {}
+        }
+    }
+    false
+}
+
+/// The Exif data of a JPEG file: a TIFF structure in its first application segment of that name.
+pub(super) fn jpeg_exif(bytes: &[u8]) -> Option<&[u8]> {
+    let mut segments = JpegSegments::new(bytes).ok()?;
+    while let Ok(Some((marker, content))) = segments.next() {
+        match marker {
+            0xE1 => {
+                if let Some(exif) = content.strip_prefix(b"Exif\0\0") {
+                    return Some(exif);
+                }
+            }
+            START_OF_SCAN => return None,
+            _ => {}
+        }
+    }
+    None
+}
+
+/// The Exif data of a PNG file, which come before its pixels.
+pub(super) fn png_exif(bytes: &[u8]) -> Option<&[u8]> {
+    let mut rest = bytes.strip_prefix(PNG_SIGNATURE)?;
+    loop {
+        let length = usize::try_from(big_endian_u32(rest, 0)?).ok()?;
+        let content = rest.get(8..length.checked_add(8)?)?;
+        match rest.get(4..8)? {
+            b"eXIf" => return Some(content),
+            b"IDAT" | b"IEND" => return None,
+            _ => {}
+        }
+        rest = rest.get(length.checked_add(12)?..)?;
+    }
 }
 
 /// The marker segments of a JPEG file up to its first scan.
@@ -202,6 +250,12 @@ pub fn picture_of_kind(
         _ => jpeg_size(&bytes)?,
     };
     check_picture(size, limits)?;
+    let size = orientation(format, &bytes).turned(size);
+    let bytes = if format == PictureFormat::Jpeg && lacks_huffman_tables(&bytes) {
+        with_tables(&bytes)
+    } else {
+        bytes
+    };
     Ok(EncodedPicture {
         format,
         bytes,

@@ -19,32 +19,75 @@ pub enum ColorOrder {
     Bgr,
 }
 
+impl ColorOrder {
+    /// Its name in configuration and messages.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Rgb => "rgb",
+            Self::Bgr => "bgr",
+        }
+    }
+}
+
 /// The grey of the margin, the same for YOLOX and Ultralytics.
 const MARGIN: f32 = 114.0;
 
 /// The way a picture is fitted to the network's input.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum Fit {
     /// Aspect ratio kept, in the top-left corner, the rest filled with grey (YOLOX).
+    #[serde(rename = "letterbox-corner")]
+    #[cfg_attr(feature = "cli", value(name = "letterbox-corner"))]
     TopLeft,
     /// Aspect ratio kept, in the middle, the rest filled with grey (Ultralytics).
+    #[serde(rename = "letterbox")]
+    #[cfg_attr(feature = "cli", value(name = "letterbox"))]
     Centre,
     /// Both sides stretched to those of the input.
+    #[serde(rename = "stretch")]
     Stretch,
 }
 
+impl Fit {
+    /// Its name in configuration and messages.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::TopLeft => "letterbox-corner",
+            Self::Centre => "letterbox",
+            Self::Stretch => "stretch",
+        }
+    }
+}
+
 /// The conversion of pixel values from 0 to 255.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum ValueRange {
     /// Unchanged.
+    #[serde(rename = "0..255")]
+    #[cfg_attr(feature = "cli", value(name = "0..255"))]
     To255,
     /// Divided by 255.
+    #[serde(rename = "0..1")]
+    #[cfg_attr(feature = "cli", value(name = "0..1"))]
     ToOne,
     /// Divided by 255, then normalised by the mean and standard deviation of their colour in ImageNet.
+    #[serde(rename = "imagenet")]
+    #[cfg_attr(feature = "cli", value(name = "imagenet"))]
     ImageNet,
 }
 
 impl ValueRange {
+    /// Its name in configuration and messages.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::To255 => "0..255",
+            Self::ToOne => "0..1",
+            Self::ImageNet => "imagenet",
+        }
+    }
+
     /// The factor of a value, and the offset added afterwards, for red, green and blue.
     fn factors(self) -> [(f32, f32); 3] {
         match self {

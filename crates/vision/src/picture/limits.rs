@@ -1,6 +1,6 @@
 //! The checks made before memory is allocated.
 
-use super::{FrameFault, PictureFormat, PixelLayout};
+use super::FrameFault;
 use albireo_core::geometry::PictureSize;
 use serde::{Deserialize, Serialize};
 
@@ -10,24 +10,16 @@ use serde::{Deserialize, Serialize};
 pub struct FrameLimits {
     /// The maximum size of a payload, in bytes.
     pub max_payload_bytes: usize,
-    /// The maximum number of columns of a picture.
-    #[serde(skip)]
-    pub max_width: u32,
-    /// The maximum number of rows of a picture.
-    #[serde(skip)]
-    pub max_height: u32,
-    /// The maximum size of a decoded picture, in bytes.
-    #[serde(skip)]
-    pub max_decoded_bytes: usize,
+    /// The maximum number of pixels of a picture, columns times rows. Decoded, each takes three bytes, and while a PNG file
+    /// is decoded up to eight more.
+    pub max_pixels: u64,
 }
 
 impl Default for FrameLimits {
     fn default() -> Self {
         Self {
             max_payload_bytes: 16 << 20,
-            max_width: 7680,
-            max_height: 4320,
-            max_decoded_bytes: 128 << 20,
+            max_pixels: 7680 * 4320,
         }
     }
 }
@@ -49,7 +41,7 @@ pub fn check_payload(bytes: usize, limits: &FrameLimits) -> Result<(), FrameFaul
     Ok(())
 }
 
-/// Checks a picture's size, and that it fits `max_decoded_bytes` when decoded to RGB.
+/// Checks a picture's size.
 ///
 /// # Errors
 /// If it exceeds a limit.
@@ -59,50 +51,27 @@ pub fn check_picture(size: PictureSize, limits: &FrameLimits) -> Result<(), Fram
             "a picture of {size} has no pixels"
         )));
     }
-    if size.width > limits.max_width || size.height > limits.max_height {
+    if size.pixels() > limits.max_pixels {
         return Err(FrameFault::oversized(format!(
-            "the picture is {size}; at most {}x{} is accepted",
-            limits.max_width, limits.max_height
+            "the picture is {size}, {} pixels; frame.max_pixels allows {}",
+            size.pixels(),
+            limits.max_pixels
         )));
     }
-    decoded_bytes(size, PixelLayout::Rgb8.channels(), limits).map(|_| ())
+    Ok(())
 }
 
-/// The number of bytes of a picture of `size` with `bytes_per_pixel`, if within `max_decoded_bytes`.
+/// The number of bytes of a picture of `size` with `bytes_per_pixel`, if it is within the limit.
 pub(super) fn decoded_bytes(
     size: PictureSize,
     bytes_per_pixel: usize,
     limits: &FrameLimits,
 ) -> Result<usize, FrameFault> {
+    check_picture(size, limits)?;
     size.pixels()
         .checked_mul(bytes_per_pixel as u64)
         .and_then(|bytes| usize::try_from(bytes).ok())
-        .filter(|bytes| *bytes <= limits.max_decoded_bytes)
         .ok_or_else(|| {
-            FrameFault::oversized(format!(
-                "the picture is {size}; decoded, it would exceed the limit of {} bytes",
-                limits.max_decoded_bytes
-            ))
+            FrameFault::oversized(format!("the picture is {size}, more than memory holds"))
         })
-}
-
-/// Checks that a raw picture has exactly the number of bytes that its size requires.
-///
-/// # Errors
-/// If it has another number.
-pub fn check_raw_length(
-    format: PictureFormat,
-    size: PictureSize,
-    bytes: usize,
-) -> Result<(), FrameFault> {
-    match format.raw_bytes(size) {
-        Some(expected) if expected == bytes as u64 => Ok(()),
-        Some(expected) => Err(FrameFault::undecodable(format!(
-            "a raw {} picture of {size} must have {expected} bytes, not {bytes}",
-            format.as_str()
-        ))),
-        None => Err(FrameFault::oversized(format!(
-            "a picture of {size} is too large"
-        ))),
-    }
 }

@@ -22,8 +22,8 @@ pub fn read_part(stream: &mut impl BufRead, most: u64) -> io::Result<Option<Vec<
                 Err(io::Error::other("it ends inside a head"))
             };
         }
-        let text = String::from_utf8_lossy(&line);
-        let text = text.trim();
+        let whole = String::from_utf8_lossy(&line);
+        let text = whole.trim();
         if let Some((name, value)) = text.split_once(':') {
             let value = value.trim();
             if name.eq_ignore_ascii_case("content-length") {
@@ -173,7 +173,7 @@ mod tests {
         let stream = b"P6\n2 1\n255\nabcdefP6\n3 1\n255\nabcdefghiP6\n1 1\n255\nxyz";
         let mut reader = &stream[..];
         let limits = FrameLimits {
-            max_width: 2,
+            max_pixels: 2,
             ..FrameLimits::default()
         };
         let mut next = || read_ppm(&mut reader, &limits).unwrap();

@@ -2,12 +2,10 @@
 
 use super::network::ScreenNetwork;
 use super::{Logits, ScreenConfig};
-use crate::detector::{
-    CameraSlot, DetectorStatus, InferenceError, Preparation, PreparedPicture, StartError,
-    prepare_off_thread,
-};
+use crate::detector::{CameraSlot, Preparation, PreparedPicture, prepare_off_thread};
+use crate::onnx::StartError;
 use crate::picture::{InputFormat, Picture};
-use crate::worker::{Worker, WorkerMeter, WorkerSettings};
+use crate::worker::{Asker, ModelStatus, RunError, Worker, WorkerMeter, WorkerSettings};
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
@@ -68,24 +66,25 @@ impl ScreenHandle {
     /// Decides whether nothing is in view in `picture`. Equal outputs count as not empty.
     ///
     /// # Errors
-    /// See [`InferenceError`]. After any error, the frame counts as not empty.
+    /// See [`RunError`]. After any error, the frame counts as not empty.
     pub async fn ask(
         &self,
         camera: CameraSlot,
         picture: Arc<Picture>,
-    ) -> Result<ScreenVerdict, InferenceError> {
+    ) -> Result<ScreenVerdict, RunError> {
         let prepared = prepare_off_thread(self.preparation.clone(), picture).await?;
-        let logits = self.worker.run(Some(camera), prepared).await?.output;
+        let logits = self.worker.run(Some(Asker(camera.0)), prepared).await?.output;
         let [first, second] = logits;
-        let empty = match self.empty_is_second {
-            true => second > first,
-            false => first > second,
+        let empty = if self.empty_is_second {
+            second > first
+        } else {
+            first > second
         };
         Ok(ScreenVerdict { empty, logits })
     }
 
     /// The screen's status, updated as it changes.
-    pub fn status(&self) -> watch::Receiver<DetectorStatus> {
+    pub fn status(&self) -> watch::Receiver<ModelStatus> {
         self.worker.status.clone()
     }
 

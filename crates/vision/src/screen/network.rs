@@ -1,12 +1,13 @@
 //! The screen's network: any two-class model with a picture input, on the CPU.
 
 use super::ScreenConfig;
-use crate::detector::{
-    DetectorConfig, ExecutionProvider, InferenceError, OnnxSession, PictureInput, Preparation,
-    PreparedPicture, Signature, StartError,
+use crate::detector::{Preparation, PreparedPicture};
+use crate::onnx::{
+    ExecutionProvider, GpuConfig, OnnxSession, PictureInput, SessionSettings, Signature, StartError,
 };
 use crate::picture::{Fit, InputFormat, Picture, ValueRange};
-use crate::worker::Model;
+use crate::worker::{Model, RunError};
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
 /// The two outputs of the network, before any normalisation.
@@ -28,11 +29,12 @@ impl ScreenNetwork {
         config: &ScreenConfig,
         onnxruntime: Option<PathBuf>,
     ) -> Result<Self, StartError> {
-        let session = OnnxSession::open(&DetectorConfig {
+        let session = OnnxSession::open(&SessionSettings {
             model: model.to_owned(),
+            providers: vec![ExecutionProvider::Cpu],
+            gpu: GpuConfig::default(),
             threads: 1,
             onnxruntime,
-            ..DetectorConfig::default()
         })?;
         let signature = session.signature();
         let input = picture_input(signature).map_err(|reason| {
@@ -40,27 +42,30 @@ impl ScreenNetwork {
         })?;
         let format = input.format(Fit::Stretch, config.color_order, ValueRange::ToOne);
         let mut network = Self { session, format };
-        let black = Preparation::new(format).prepare(&Picture::black(format.size));
-        let black = black.map_err(|error| StartError::first_run(model, error))?;
-        let first = network.infer(&black);
-        first.map_err(|error| StartError::first_run(model, error))?;
+        let failed = |error: &dyn Display| StartError::first_run(model, error);
+        let black = Preparation::new(format)
+            .prepare(&Picture::black(format.size))
+            .map_err(|error| failed(&error))?;
+        network.infer(&black).map_err(|error| failed(&error))?;
         Ok(network)
     }
 
-    fn infer(&mut self, picture: &PreparedPicture) -> Result<Logits, InferenceError> {
+    fn infer(&mut self, picture: &PreparedPicture) -> Result<Logits, RunError> {
+        let InputFormat { size, .. } = self.format;
         let shape = self.format.shape();
-        self.session.run(shape, &[picture.values()], |outputs| {
+        let ran = self.session.run(shape, size, &[picture.values()], |outputs| {
             let values = outputs.first().map(|output| output.values);
             match values {
                 Some(&[first, second]) if first.is_finite() && second.is_finite() => {
                     Ok([first, second])
                 }
-                _ => Err(InferenceError::Failed(format!(
+                _ => Err(RunError::Failed(format!(
                     "the screen returned {} instead of two finite numbers",
                     values.map_or_else(|| "nothing".to_owned(), |values| format!("{values:?}"))
                 ))),
             }
-        })?
+        });
+        ran.map_err(RunError::Failed)?
     }
 }
 
@@ -82,7 +87,7 @@ impl Model for ScreenNetwork {
         self.format
     }
 
-    fn run(&mut self, pictures: &[PreparedPicture]) -> Result<Vec<Logits>, InferenceError> {
+    fn run(&mut self, pictures: &[PreparedPicture]) -> Result<Vec<Logits>, RunError> {
         pictures.iter().map(|picture| self.infer(picture)).collect()
     }
 

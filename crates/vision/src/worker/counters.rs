@@ -1,6 +1,5 @@
 //! The counters of a worker.
 
-use crate::detector::HeadCounts;
 use parking_lot::Mutex;
 use std::sync::Arc;
 
@@ -27,10 +26,8 @@ pub struct WorkerCounts {
     pub rebuilds_failed: u64,
     /// Pictures that wait for their turn: a gauge, not a counter.
     pub waiting: u64,
-    /// Pictures answered on behalf of no frame, while no camera waited; not included in the other counts.
+    /// Pictures answered on behalf of no frame, while no asker waited; not included in the other counts.
     pub spare: u64,
-    /// What a detector found in the model's output and did not report.
-    pub head: HeadCounts,
 }
 
 /// A worker's counters for metrics; does not keep the worker running.

@@ -1,7 +1,6 @@
-//! The pictures that wait for a run: cameras take turns, and a run takes at most one picture per camera.
+//! The pictures that wait for a run: askers take turns, and a run takes at most one picture of each.
 
-use super::Answer;
-use crate::detector::{CameraSlot, InferenceError};
+use super::{Answer, Asker, RunError};
 use std::collections::BTreeSet;
 use std::time::Duration;
 use tokio::sync::oneshot;
@@ -9,22 +8,22 @@ use tokio::time::Instant;
 
 /// A picture that waits for its run.
 pub(super) struct Request<I, T> {
-    /// The camera that asked; `None` for a picture that runs only when no camera waits.
-    pub(super) camera: Option<CameraSlot>,
+    /// Who asked; `None` for a picture that runs only when no asker waits.
+    pub(super) asker: Option<Asker>,
     pub(super) picture: I,
     pub(super) requested_at: Instant,
-    pub(super) reply: oneshot::Sender<Result<Answer<T>, InferenceError>>,
+    pub(super) reply: oneshot::Sender<Result<Answer<T>, RunError>>,
 }
 
 /// The waiting requests, in order of arrival.
 pub(super) struct Queue<I, T> {
     waiting: Vec<Request<I, T>>,
-    /// All cameras that have ever asked: a batch cannot have more pictures.
-    cameras: BTreeSet<CameraSlot>,
-    last_served: Option<CameraSlot>,
+    /// All that have ever asked: a batch cannot have more pictures.
+    askers: BTreeSet<Asker>,
+    last_served: Option<Asker>,
     /// The maximum number of pictures in a run.
     batch_size: usize,
-    /// The longest time that a picture waits for pictures of other cameras, from its request.
+    /// The longest time that a picture waits for pictures of other askers, from its request.
     batch_wait: Duration,
 }
 
@@ -32,7 +31,7 @@ impl<I, T> Queue<I, T> {
     pub(super) fn new(batch_size: usize, batch_wait: Duration) -> Self {
         Self {
             waiting: Vec::new(),
-            cameras: BTreeSet::new(),
+            askers: BTreeSet::new(),
             last_served: None,
             batch_size: batch_size.max(1),
             batch_wait,
@@ -40,20 +39,20 @@ impl<I, T> Queue<I, T> {
     }
 
     pub(super) fn push(&mut self, request: Request<I, T>) {
-        self.cameras.extend(request.camera);
+        self.askers.extend(request.asker);
         self.waiting.push(request);
     }
 
-    /// The number of waiting pictures of cameras.
+    /// The number of waiting pictures of askers.
     pub(super) fn waiting(&self) -> usize {
-        self.of_cameras().count()
+        self.of_askers().count()
     }
 
-    fn of_cameras(&self) -> impl Iterator<Item = &Request<I, T>> {
-        (self.waiting.iter()).filter(|request| request.camera.is_some())
+    fn of_askers(&self) -> impl Iterator<Item = &Request<I, T>> {
+        self.waiting.iter().filter(|request| request.asker.is_some())
     }
 
-    /// Drops the requests whose requester gave up; returns how many of them came from cameras.
+    /// Drops the requests whose requester gave up; returns how many of them came from askers.
     pub(super) fn drop_cancelled(&mut self) -> usize {
         let before = self.waiting();
         self.waiting.retain(|request| !request.reply.is_closed());
@@ -63,29 +62,32 @@ impl<I, T> Queue<I, T> {
     /// The time at which the next run may begin: as soon as its pictures are there, or once the first of them has
     /// waited long enough for others. `None` if nothing waits.
     pub(super) fn begins_at(&self) -> Option<Instant> {
-        let Some(first) = self.of_cameras().map(|request| request.requested_at).min() else {
+        let Some(first) = self.of_askers().map(|request| request.requested_at).min() else {
             return self.waiting.first().map(|request| request.requested_at);
         };
-        let waiting: BTreeSet<_> = self.of_cameras().map(|request| request.camera).collect();
-        if waiting.len() >= self.batch_size.min(self.cameras.len()) {
+        let waiting: BTreeSet<_> = self.of_askers().map(|request| request.asker).collect();
+        if waiting.len() >= self.batch_size.min(self.askers.len()) {
             Some(first)
         } else {
             Some(first + self.batch_wait)
         }
     }
 
-    /// Takes the pictures of the next run: those of the next cameras in round-robin order, else one of no camera.
+    /// Takes the pictures of the next run: those of the next askers in round-robin order, else one of nobody.
     pub(super) fn take_batch(&mut self) -> Vec<Request<I, T>> {
         let mut batch: Vec<Request<I, T>> = Vec::new();
         while batch.len() < self.batch_size {
             let last = self.last_served;
-            let next = (self.waiting.iter().enumerate())
-                .filter(|(_, request)| request.camera.is_some())
-                .filter(|(_, request)| batch.iter().all(|other| other.camera != request.camera))
-                .min_by_key(|(_, request)| (request.camera <= last, request.camera));
+            let next = self
+                .waiting
+                .iter()
+                .enumerate()
+                .filter(|(_, request)| request.asker.is_some())
+                .filter(|(_, request)| batch.iter().all(|other| other.asker != request.asker))
+                .min_by_key(|(_, request)| (request.asker <= last, request.asker));
             let Some((place, _)) = next else { break };
             let request = self.waiting.remove(place);
-            self.last_served = request.camera;
+            self.last_served = request.asker;
             batch.push(request);
         }
         if batch.is_empty() && !self.waiting.is_empty() {

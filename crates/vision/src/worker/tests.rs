@@ -26,10 +26,10 @@ enum Step {
 const FAIL: Step = Step::Fail("scripted failure");
 
 /// The picture of a scripted model: its camera, and shared data.
-type Scene = (CameraSlot, Arc<()>);
+type Scene = (Asker, Arc<()>);
 
 struct Script {
-    started: mpsc::UnboundedSender<Vec<CameraSlot>>,
+    started: mpsc::UnboundedSender<Vec<Asker>>,
     steps: Mutex<blocking::Receiver<Step>>,
     ended: mpsc::UnboundedSender<()>,
     next: Mutex<Next>,
@@ -49,14 +49,14 @@ struct Scripted(Arc<Script>);
 
 impl Model for Scripted {
     type Input = Scene;
-    type Output = CameraSlot;
+    type Output = Asker;
     type Facts = usize;
 
     fn facts(&self) -> usize {
         self.0.next.lock().facts
     }
 
-    fn run(&mut self, pictures: &[Scene]) -> Result<Vec<CameraSlot>, InferenceError> {
+    fn run(&mut self, pictures: &[Scene]) -> Result<Vec<Asker>, RunError> {
         let cameras: Vec<_> = pictures.iter().map(|(camera, _)| *camera).collect();
         self.0.started.send(cameras.clone()).ok();
         let step = self.0.steps.lock().recv();
@@ -64,13 +64,13 @@ impl Model for Scripted {
             Ok(Step::Answer) => return Ok(cameras),
             Ok(Step::AnswerTooFew) => return Ok(cameras[1..].to_vec()),
             Ok(Step::Implausible) => {
-                return Err(InferenceError::Implausible("scripted nonsense".to_owned()));
+                return Err(RunError::Implausible("scripted nonsense".to_owned()));
             }
             Ok(Step::Panic) => panic!("scripted panic"),
             Ok(Step::Fail(reason)) => reason,
             Err(_) => "the test is over",
         };
-        Err(InferenceError::Failed(reason.to_owned()))
+        Err(RunError::Failed(reason.to_owned()))
     }
 
     fn provider(&self) -> ExecutionProvider {
@@ -89,8 +89,8 @@ impl Drop for Scripted {
 }
 
 struct Stage {
-    worker: Worker<Scene, CameraSlot>,
-    started: mpsc::UnboundedReceiver<Vec<CameraSlot>>,
+    worker: Worker<Scene, Asker>,
+    started: mpsc::UnboundedReceiver<Vec<Asker>>,
     ended: mpsc::UnboundedReceiver<()>,
     steps: blocking::Sender<Step>,
     script: Arc<Script>,
@@ -140,11 +140,11 @@ fn settings() -> WorkerSettings {
     }
 }
 
-type Asked = tokio::task::JoinHandle<Result<Answer<CameraSlot>, InferenceError>>;
+type Asked = tokio::task::JoinHandle<Result<Answer<Asker>, RunError>>;
 
 impl Stage {
     fn ask(&self, camera: usize) -> Asked {
-        let (worker, camera) = (self.worker.clone(), CameraSlot(camera));
+        let (worker, camera) = (self.worker.clone(), Asker(camera));
         tokio::spawn(async move {
             let shared = Arc::new(());
             let picture = (camera, Arc::clone(&shared));
@@ -157,7 +157,7 @@ impl Stage {
 
     async fn next_run(&mut self) -> Vec<usize> {
         let cameras = self.started.recv().await.unwrap().into_iter();
-        cameras.map(|CameraSlot(camera)| camera).collect()
+        cameras.map(|Asker(camera)| camera).collect()
     }
 
     async fn begin(&mut self, camera: usize) -> Asked {
@@ -171,20 +171,20 @@ impl Stage {
     }
 
     /// Ends the run well, and returns the answer to one of its callers.
-    async fn answer(&self, asked: Asked) -> Answer<CameraSlot> {
+    async fn answer(&self, asked: Asked) -> Answer<Asker> {
         self.end(Step::Answer);
         asked.await.unwrap().unwrap()
     }
 
     /// Asks for a picture of camera 0 and ends its run. Returns the caller's answer.
-    async fn run(&mut self, step: Step) -> Result<Answer<CameraSlot>, InferenceError> {
+    async fn run(&mut self, step: Step) -> Result<Answer<Asker>, RunError> {
         let asked = self.begin(0).await;
         self.end(step);
         asked.await.unwrap()
     }
 
     /// Like [`run`](Self::run), for a run that ends the model. Returns the caller's error.
-    async fn fail(&mut self, step: Step) -> InferenceError {
+    async fn fail(&mut self, step: Step) -> RunError {
         let error = self.run(step).await.unwrap_err();
         self.ended.recv().await.unwrap();
         error
@@ -204,16 +204,16 @@ impl Stage {
     }
 
     async fn until_ready(&self) {
-        let ready = |status: &DetectorStatus| matches!(status, DetectorStatus::Ready { .. });
+        let ready = |status: &ModelStatus| matches!(status, ModelStatus::Ready { .. });
         self.worker.status.clone().wait_for(ready).await.unwrap();
     }
 
     async fn until_degraded(&self) -> String {
-        let degraded = |status: &DetectorStatus| matches!(status, DetectorStatus::Degraded { .. });
+        let degraded = |status: &ModelStatus| matches!(status, ModelStatus::Degraded { .. });
         self.until_fault(degraded).await
     }
 
-    async fn until_fault(&self, fits: fn(&DetectorStatus) -> bool) -> String {
+    async fn until_fault(&self, fits: fn(&ModelStatus) -> bool) -> String {
         let mut status = self.worker.status.clone();
         let status = status.wait_for(fits).await.unwrap();
         status.fault().unwrap().to_owned()
@@ -272,24 +272,24 @@ async fn a_slow_run_is_answered_at_the_limit_and_keeps_its_session() {
     assert!(!late.is_finished());
     pass(Duration::from_millis(1)).await;
     let error = late.await.unwrap().unwrap_err();
-    assert_eq!(error, InferenceError::TimedOut { timeout_ms: 2000 });
+    assert_eq!(error, RunError::TimedOut { timeout_ms: 2000 });
     assert_eq!(begun.elapsed(), TIMEOUT);
     let refused = waiting.await.unwrap().unwrap_err();
-    assert!(matches!(refused, InferenceError::Unavailable(_)));
+    assert!(matches!(refused, RunError::Unavailable(_)));
     let reason = stage.until_degraded().await;
     assert!(reason.contains("2000 ms"), "{reason}");
 
     // Until the run returns, requests are refused at once.
     assert!(stage.worker.accepts().is_err());
     let refused = stage.ask(2).await.unwrap().unwrap_err();
-    assert!(matches!(refused, InferenceError::Unavailable(_)));
+    assert!(matches!(refused, RunError::Unavailable(_)));
     assert_eq!(stage.counts().refused, 3);
 
     pass(STUCK_AFTER - Duration::from_millis(1)).await;
     stage.end(Step::Answer);
     stage.until_ready().await;
     let after = stage.begin(3).await;
-    assert_eq!(stage.answer(after).await.output, CameraSlot(3));
+    assert_eq!(stage.answer(after).await.output, Asker(3));
     let expected = WorkerCounts {
         completed: 1,
         batches: 1,
@@ -315,7 +315,7 @@ async fn a_thread_that_never_returns_ends_the_worker_with_an_error() {
         }
         pass(TIMEOUT).await;
         let error = hanging.await.unwrap().unwrap_err();
-        assert_eq!(error, InferenceError::TimedOut { timeout_ms: 2000 });
+        assert_eq!(error, RunError::TimedOut { timeout_ms: 2000 });
         let worker = stage.worker.clone();
         let ended = tokio::spawn(async move { worker.ended().await });
         pass(STUCK_AFTER - Duration::from_millis(1)).await;
@@ -326,7 +326,7 @@ async fn a_thread_that_never_returns_ends_the_worker_with_an_error() {
         assert!(reason.contains(said), "{reason}");
         assert_eq!(stage.until_degraded().await, reason);
         let error = stage.ask(1).await.unwrap().unwrap_err();
-        assert_eq!(error, InferenceError::Stopped);
+        assert_eq!(error, RunError::Stopped);
         assert_eq!(stage.counts().rebuilds, 0);
     }
 }
@@ -334,8 +334,8 @@ async fn a_thread_that_never_returns_ends_the_worker_with_an_error() {
 #[tokio::test(start_paused = true)]
 async fn a_run_that_fails_or_panics_is_counted_and_the_session_rebuilt() {
     let mut stage = stage(settings()).await;
-    let failed = |reason: &str| InferenceError::Failed(reason.to_owned());
-    let panicked = InferenceError::Panicked("scripted panic".to_owned());
+    let failed = |reason: &str| RunError::Failed(reason.to_owned());
+    let panicked = RunError::Panicked("scripted panic".to_owned());
     let too_few = failed("the model answered 0 of 1 pictures");
     for (pause, step, expected) in [
         (100, FAIL, failed("scripted failure")),
@@ -345,7 +345,7 @@ async fn a_run_that_fails_or_panics_is_counted_and_the_session_rebuilt() {
         let error = stage.fail(step).await;
         assert_eq!(error, expected);
         // The status is set before the answer is sent.
-        let degraded = DetectorStatus::Degraded {
+        let degraded = ModelStatus::Degraded {
             reason: error.to_string(),
             provider: ExecutionProvider::Cpu,
         };
@@ -395,7 +395,7 @@ async fn waiting_pictures_share_a_run_and_each_gets_its_own_answer_and_times() {
     stage.end(Step::Answer);
     for (camera, answer) in (1..).zip(asked) {
         let answer = answer.await.unwrap().unwrap();
-        assert_eq!(answer.output, CameraSlot(camera));
+        assert_eq!(answer.output, Asker(camera));
         let expected = match camera {
             4 => (WAITED + RUN, Duration::ZERO, 1),
             _ => (WAITED, RUN, 3),
@@ -430,7 +430,7 @@ async fn a_picture_waits_for_others_only_for_the_configured_time_or_until_the_wo
     let waiting = stage.ask(1);
     stage.until_waiting(1).await;
     stage.worker.stop().await;
-    assert_eq!(waiting.await.unwrap().unwrap_err(), InferenceError::Stopped);
+    assert_eq!(waiting.await.unwrap().unwrap_err(), RunError::Stopped);
 }
 
 #[tokio::test(start_paused = true)]
@@ -444,7 +444,7 @@ async fn a_late_batch_is_answered_for_all_its_pictures_and_if_it_then_fails_the_
     pass(TIMEOUT).await;
     for answer in asked {
         let error = answer.await.unwrap().unwrap_err();
-        assert_eq!(error, InferenceError::TimedOut { timeout_ms: 2000 });
+        assert_eq!(error, RunError::TimedOut { timeout_ms: 2000 });
     }
     stage.end(FAIL);
     // The task knows of the failure, and its backoff has begun.
@@ -497,9 +497,9 @@ async fn stopping_finishes_the_current_run_and_rejects_the_rest_and_spare_pictur
     let waiting = stage.ask(1);
     stage.until_waiting(1).await;
     let stopping = stage.stop();
-    assert_eq!(waiting.await.unwrap().unwrap_err(), InferenceError::Stopped);
+    assert_eq!(waiting.await.unwrap().unwrap_err(), RunError::Stopped);
     let refused = stage.ask(2).await.unwrap().unwrap_err();
-    assert_eq!(refused, InferenceError::Stopped);
+    assert_eq!(refused, RunError::Stopped);
     assert!(!stopping.is_finished());
     stage.answer(current).await;
     stopping.await.unwrap();
@@ -520,7 +520,7 @@ async fn stopping_waits_for_a_hanging_run_only_up_to_its_limit() {
         pass(TIMEOUT - stopped_after).await;
         stopping.await.unwrap();
         let error = hanging.await.unwrap().unwrap_err();
-        assert!(matches!(error, InferenceError::TimedOut { .. }));
+        assert!(matches!(error, RunError::TimedOut { .. }));
     }
 }
 
@@ -543,7 +543,7 @@ async fn a_picture_whose_caller_is_gone_is_not_run() {
     stage.until_waiting(2).await;
     stage.end(Step::Answer);
     stage.answer(first).await;
-    assert_eq!(last.await.unwrap().unwrap().output, CameraSlot(2));
+    assert_eq!(last.await.unwrap().unwrap().output, Asker(2));
     let counters = stage.counts();
     assert_eq!((counters.completed, counters.cancelled), (2, 1));
 }

@@ -1,7 +1,7 @@
 //! The thread on which a model is built, run and dropped.
 
-use super::Model;
-use crate::detector::{ExecutionProvider, InferenceError, StartError};
+use super::{Model, RunError};
+use crate::onnx::{ExecutionProvider, StartError, StartErrorKind};
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -19,8 +19,8 @@ pub(super) enum Command<I> {
 pub(super) enum Outcome<M: Model> {
     /// The provider that runs the model, and the facts that its users rely on.
     Built(Result<(ExecutionProvider, M::Facts), StartError>),
-    /// One output per picture. After any error but [`InferenceError::Implausible`] the model is gone.
-    Ran(Result<Vec<M::Output>, InferenceError>),
+    /// One output per picture. After any error but [`RunError::Implausible`] the model is gone.
+    Ran(Result<Vec<M::Output>, RunError>),
 }
 
 /// The ends of the thread's two channels; the thread exits when `commands` is dropped.
@@ -59,10 +59,13 @@ fn work<M: Model>(
                 Outcome::Built(built.and_then(|built| {
                     let facts = built.facts();
                     if first_facts.get_or_insert_with(|| facts.clone()) != &facts {
-                        return Err(StartError(format!(
-                            "the model of the {name} has other classes or another input than when the program \
-                             started; restart the program to use the new file"
-                        )));
+                        return Err(StartError::new(
+                            StartErrorKind::DoesNotFit,
+                            format_args!(
+                                "the model of the {name} has other classes or another input than when the program \
+                                 started; restart the program to use the new file"
+                            ),
+                        ));
                     }
                     let provider = built.provider();
                     model = Some(built);
@@ -71,11 +74,11 @@ fn work<M: Model>(
             }
             Command::Run(pictures) => {
                 let ran = catch_unwind(AssertUnwindSafe(|| run(&mut model, &pictures)))
-                    .unwrap_or_else(|panic| Err(InferenceError::Panicked(message(&*panic))));
+                    .unwrap_or_else(|panic| Err(RunError::Panicked(message(&*panic))));
                 // Before the answer is sent, so that the asker can reuse the buffers.
                 drop(pictures);
                 if let Err(error) = &ran
-                    && !matches!(error, InferenceError::Implausible(_))
+                    && !matches!(error, RunError::Implausible(_))
                 {
                     // Its memory must be free before a new model is built: a GPU may not have room for two.
                     let failed = model.take();
@@ -90,16 +93,13 @@ fn work<M: Model>(
     }
 }
 
-fn run<M: Model>(
-    model: &mut Option<M>,
-    pictures: &[M::Input],
-) -> Result<Vec<M::Output>, InferenceError> {
+fn run<M: Model>(model: &mut Option<M>, pictures: &[M::Input]) -> Result<Vec<M::Output>, RunError> {
     let Some(model) = model else {
-        return Err(InferenceError::Failed("there is no model".to_owned()));
+        return Err(RunError::Failed("there is no model".to_owned()));
     };
     match model.run(pictures) {
         Ok(outputs) if outputs.len() == pictures.len() => Ok(outputs),
-        Ok(outputs) => Err(InferenceError::Failed(format!(
+        Ok(outputs) => Err(RunError::Failed(format!(
             "the model answered {} of {} pictures",
             outputs.len(),
             pictures.len()
@@ -110,7 +110,10 @@ fn run<M: Model>(
 
 /// The message of a panic.
 fn message(panic: &(dyn Any + Send)) -> String {
-    let text = panic.downcast_ref::<&str>().copied();
-    let text = text.or_else(|| panic.downcast_ref::<String>().map(String::as_str));
-    text.unwrap_or("no message").to_owned()
+    panic
+        .downcast_ref::<&str>()
+        .copied()
+        .or_else(|| panic.downcast_ref::<String>().map(String::as_str))
+        .unwrap_or("no message")
+        .to_owned()
 }

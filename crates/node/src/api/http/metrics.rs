@@ -90,7 +90,7 @@ fn node(page: &mut MetricsPage, board: &Board) {
 /// The counts of the detector and of the empty-scene screen.
 fn detector(page: &mut MetricsPage, board: &Board) {
     let (counts, screen) = board.worker_counts();
-    let head = &counts.head;
+    let head = board.reading.get().map(|reading| reading.meter.read()).unwrap_or_default();
     page.counter(
         "albireo_detector_batches_total",
         "Completed runs of the model: fewer than completed pictures where cameras share a run",
@@ -106,6 +106,7 @@ fn detector(page: &mut MetricsPage, board: &Board) {
         ("outside", head.outside),
         ("unknown_class", head.unknown_class),
         ("over_limit", head.over_limit),
+        ("other_class", head.other_class),
     ];
     page.counters(
         "albireo_detector_boxes_dropped_total",

@@ -2,7 +2,7 @@
 
 use super::RouteState;
 use super::health::{Readiness, readiness};
-use crate::state::board::Savings;
+use crate::state::board::{ModelReading, Savings};
 use albireo_service::clock::seconds;
 use albireo_service::http::{Route, routes};
 use albireo_wire::OutboxStatus;
@@ -10,6 +10,22 @@ use axum::Json;
 use axum::extract::State;
 use serde::Serialize;
 use utoipa::ToSchema;
+
+/// How the detector's model is read, and which of its classes are reported.
+#[derive(Serialize, ToSchema)]
+pub(super) struct DetectorReading {
+    /// Head and input, in words.
+    head: String,
+    /// Names of the classes that are reported, by class number.
+    classes: Vec<String>,
+    /// Names of the model's classes that are not reported (`detector.report_classes`).
+    left_out: Vec<String>,
+    /// Boxes of these classes since the start.
+    boxes_left_out: u64,
+    /// Rows of the model's output that were impossible since the start: a number that is not finite, or a box without an
+    /// area or much larger than the input.
+    boxes_impossible: u64,
+}
 
 /// A node: its readiness, run time, energy and savings.
 #[derive(Serialize, ToSchema)]
@@ -20,6 +36,9 @@ pub(super) struct NodeOverview {
     uptime_s: f64,
     #[serde(flatten)]
     readiness: Readiness,
+    /// How the detector's model is read; absent while it starts.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    detector: Option<DetectorReading>,
     /// Reports that wait for a hub.
     outbox: OutboxStatus,
     /// The source of its figures of power: `rapl`, `estimate`, …; `none` without one.
@@ -28,6 +47,17 @@ pub(super) struct NodeOverview {
     since_start: Savings,
     /// Savings of today: since midnight UTC, or since the start if that is later.
     today: Savings,
+}
+
+fn detector(reading: &ModelReading) -> DetectorReading {
+    let counts = reading.meter.read();
+    DetectorReading {
+        head: reading.description.clone(),
+        classes: reading.classes.clone(),
+        left_out: reading.left_out.clone(),
+        boxes_left_out: counts.other_class,
+        boxes_impossible: counts.rejected,
+    }
 }
 
 /// The node in one answer
@@ -42,6 +72,7 @@ pub(super) async fn overview(State(shared): State<RouteState>) -> Json<NodeOverv
         version: env!("CARGO_PKG_VERSION"),
         uptime_s: seconds(board.uptime()),
         readiness: readiness(board),
+        detector: board.reading.get().map(detector),
         outbox: board.outbox.counts().status,
         power_source: board.power().source,
         since_start,

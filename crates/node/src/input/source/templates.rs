@@ -111,7 +111,7 @@ pub(super) fn ffmpeg(
         packets
     } else {
         // Rows of decoded pictures are padded.
-        packets.max(limits.max_decoded_bytes / 4 * 5)
+        packets.max(usize::try_from(limits.max_pixels.saturating_mul(5)).unwrap_or(usize::MAX))
     } as u64;
 
     let mut arguments = Vec::new();

@@ -92,7 +92,12 @@ pub struct CameraSnapshot {
     pub last_frame: Option<Instant>,
     /// Messages about it that were not published.
     pub unpublished: u64,
+    /// The frames in a row, up to now, that were no usable picture, and the fault of the last.
+    pub unusable: (u64, Arc<str>),
 }
+
+/// So many unusable frames in a row are a fault of the camera, and not of a frame.
+const UNUSABLE_IN_A_ROW: u64 = 5;
 
 impl CameraSnapshot {
     /// The share of frames that skipped the detector, without degraded ones.
@@ -103,6 +108,13 @@ impl CameraSnapshot {
     /// The time since the newest frame was answered.
     pub fn last_frame_age(&self) -> Option<Duration> {
         Some(self.last_frame?.elapsed())
+    }
+
+    /// The fault of the camera's frames, if the last of them were all unusable.
+    pub fn unusable(&self) -> Option<String> {
+        let (frames, fault) = &self.unusable;
+        (*frames >= UNUSABLE_IN_A_ROW)
+            .then(|| format!("its last {frames} frames could not be used: {fault}"))
     }
 
     /// Counts a frame with its final answer.
@@ -265,6 +277,7 @@ impl CameraBoard {
     pub fn show(&self, detections: Arc<DetectionsMessage>) {
         let mut counts = self.counts.lock();
         counts.shown.last_frame = Some(Instant::now());
+        counts.shown.unusable.0 = 0;
         let before = counts.shown.latest.replace(Arc::clone(&detections));
         drop(counts);
         if before.is_none() {
@@ -305,6 +318,12 @@ impl CameraBoard {
     /// Counts a message about it that was not published.
     pub(crate) fn count_unpublished(&self) {
         self.counts.lock().shown.unpublished += 1;
+    }
+
+    /// Remembers a frame that was no usable picture, and why.
+    pub(crate) fn record_unusable(&self, fault: &str) {
+        let unusable = &mut self.counts.lock().shown.unusable;
+        *unusable = (unusable.0 + 1, fault.into());
     }
 
     /// Adds unprocessed frames, by kind.

@@ -1,6 +1,6 @@
 //! The events of a node.
 
-use albireo_vision::detector::{DetectorStatus, ExecutionProvider};
+use albireo_vision::detector::{ExecutionProvider, ModelStatus};
 use albireo_wire::{ClipReport, CountersMessage, DetectionsMessage, Threshold};
 use serde::Serialize;
 use std::sync::{Arc, OnceLock};
@@ -110,11 +110,11 @@ pub struct DetectorEvent {
 }
 
 impl DetectorEvent {
-    pub(super) fn new(status: &DetectorStatus) -> Self {
+    pub(super) fn new(status: &ModelStatus) -> Self {
         Self {
             status: match status {
-                DetectorStatus::Starting => "starting",
-                DetectorStatus::Ready { .. } => "ready",
+                ModelStatus::Starting => "starting",
+                ModelStatus::Ready { .. } => "ready",
                 _ => "degraded",
             },
             provider: provider(status),
@@ -124,6 +124,6 @@ impl DetectorEvent {
 }
 
 /// The provider in use, according to the status.
-pub(crate) fn provider(status: &DetectorStatus) -> Option<&'static str> {
+pub(crate) fn provider(status: &ModelStatus) -> Option<&'static str> {
     status.provider().map(ExecutionProvider::as_str)
 }

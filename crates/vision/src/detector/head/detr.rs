@@ -1,17 +1,20 @@
-//! The head of RF-DETR and other models of the DETR family with sigmoid scores: `[1, queries, 4]` boxes (centre x,
-//! centre y, width, height, from 0 to 1) and `[1, queries, classes]` logits. The best pairs of query and class are
-//! kept, as many as there are queries, so one query may give boxes of several classes; nothing is suppressed. The
-//! picture is stretched to the input and normalised as for ImageNet.
+//! The arithmetic of the DETR family with sigmoid scores: `[1, queries, 4]` boxes (centre x, centre y, width, height,
+//! from 0 to 1) and `[1, queries, classes]` logits. The best pairs of query and class are kept, as many as there are
+//! queries, so one query may give boxes of several classes; nothing is suppressed.
 
+use super::dense::sigmoid;
 use super::reading::{Rows, around, candidate, count, elements};
 use super::suppression::keep_best;
-use super::{Bound, ReadOutputs, TensorView};
-use crate::detector::{Signature, TensorSpec};
+use super::{Bound, ReadOutputs};
+use crate::onnx::{Signature, TensorSpec, TensorView};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::PictureSize;
 
-/// Names of the outputs with boxes and logits, in RF-DETR's exporter and in the Transformers library.
-const NAMES: [[&str; 2]; 2] = [["dets", "labels"], ["pred_boxes", "logits"]];
+/// Names of the outputs with boxes and logits in RF-DETR's exporter.
+pub(super) const RF_DETR: [&str; 2] = ["dets", "labels"];
+
+/// The same in the transformers library, and in the repositories of D-FINE and DEIM.
+pub(super) const OTHERS: [[&str; 2]; 2] = [["pred_boxes", "logits"], ["pred_boxes", "pred_logits"]];
 
 /// The parameters for reading the output.
 #[derive(Debug)]
@@ -25,20 +28,24 @@ struct Detr {
     classes: usize,
 }
 
-pub(super) fn bind(signature: &Signature, size: PictureSize) -> Bound {
-    let ((boxes, dets), (logits, labels)) = NAMES
-        .iter()
-        .find_map(|[boxes, logits]| {
-            Some((
-                signature.output(boxes).ok()?,
-                signature.output(logits).ok()?,
-            ))
-        })
-        .ok_or("it has no such outputs")?;
+/// Binds the outputs with the first of these `names` that the model has.
+pub(super) fn bind(
+    names: &[[&str; 2]],
+    signature: &Signature,
+    size: PictureSize,
+) -> Result<Bound, String> {
+    let is_there = |[boxes, logits]: &&[&str; 2]| {
+        signature.output(boxes).is_ok() && signature.output(logits).is_ok()
+    };
+    let [boxes, logits] = names.iter().find(is_there).ok_or("it has no such outputs")?;
+    let (boxes, dets) = signature.output(boxes)?;
+    let (logits, labels) = signature.output(logits)?;
     let sides = |output: &TensorSpec| match *output.shape.as_slice() {
         [1 | -1, queries, last] if queries == -1 || queries > 0 => Some((queries, count(last))),
         _ => None,
     };
+    dets.float()?;
+    labels.float()?;
     match (sides(dets), sides(labels)) {
         (Some((queries, 4)), Some((same, classes)))
             if queries == same && (1..=usize::from(u16::MAX)).contains(&classes) =>
@@ -50,16 +57,14 @@ pub(super) fn bind(signature: &Signature, size: PictureSize) -> Bound {
                 queries,
                 classes,
             };
-            Ok((Some(classes), Box::new(reader)))
+            Ok(Bound {
+                classes: Some(classes),
+                overlaps: false,
+                reader: Box::new(reader),
+            })
         }
         _ => Err("its outputs have other shapes".to_owned()),
     }
-}
-
-/// True if the outputs have RF-DETR's names, so that its scores and colours are known to apply.
-pub(super) fn is_named(signature: &Signature) -> bool {
-    let [boxes, logits] = NAMES[0];
-    signature.output(boxes).is_ok() && signature.output(logits).is_ok()
 }
 
 impl ReadOutputs for Detr {
@@ -74,8 +79,22 @@ impl ReadOutputs for Detr {
         let boxes = elements(boxes, &[1, self.queries, 4])?;
         let queries = boxes.len() / 4;
         let logits = elements(logits, &[1, queries as i64, self.classes as i64])?;
-        let (width, height) = (f64::from(self.size.width), f64::from(self.size.height));
-        let least = logit(rows.confidence);
+        let width = f64::from(self.size.width);
+        let height = f64::from(self.size.height);
+        // Some exports end with the sigmoid. Logits of a real run are mostly negative.
+        let are_probabilities = logits.iter().all(|&number| (0.0..=1.0).contains(&number));
+        let least = if are_probabilities {
+            rows.confidence
+        } else {
+            logit(rows.confidence)
+        };
+        let probability = |number: f32| {
+            if are_probabilities {
+                number
+            } else {
+                sigmoid(number)
+            }
+        };
         let mut found = Vec::new();
         for (sides, logits) in boxes.chunks_exact(4).zip(logits.chunks_exact(self.classes)) {
             let before = found.len();
@@ -87,7 +106,7 @@ impl ReadOutputs for Detr {
             ]);
             let sound = logits.iter().enumerate().all(|(class, &logit)| {
                 if f64::from(logit) >= least {
-                    match candidate(corners, ClassId(class as u16), sigmoid(logit)) {
+                    match candidate(corners, ClassId(class as u16), probability(logit)) {
                         Some(candidate) => found.push(candidate),
                         None => return false,
                     }
@@ -103,10 +122,6 @@ impl ReadOutputs for Detr {
         rows.candidates.append(&mut found);
         Ok(())
     }
-}
-
-fn sigmoid(logit: f32) -> f32 {
-    1.0 / (1.0 + (-logit).exp())
 }
 
 /// The logit of `score`: infinite for 0 and 1.

@@ -2,8 +2,8 @@
 //! pixels; the channels are objectness, four numbers of the box, and class scores. Overlaps remain to be suppressed.
 
 use super::reading::{Rows, around, best_class, candidate, count, is_score, only};
-use super::{Bound, ReadOutputs, TensorView};
-use crate::detector::Signature;
+use super::{Bound, ReadOutputs};
+use crate::onnx::{Signature, TensorView};
 use albireo_core::geometry::PictureSize;
 
 /// Objectness and box, before the class scores.
@@ -17,8 +17,9 @@ struct FastestDet {
     classes: usize,
 }
 
-pub(super) fn bind(signature: &Signature, size: PictureSize) -> Bound {
-    let (width, height) = (size.width / STRIDE, size.height / STRIDE);
+pub(super) fn bind(signature: &Signature, size: PictureSize) -> Result<Bound, String> {
+    let width = size.width / STRIDE;
+    let height = size.height / STRIDE;
     match *signature.only_output()?.shape.as_slice() {
         [1 | -1, channels, rows, columns]
             if count(channels) > BEFORE_CLASSES
@@ -27,7 +28,11 @@ pub(super) fn bind(signature: &Signature, size: PictureSize) -> Bound {
                 && rows * columns > 0 =>
         {
             let classes = count(channels) - BEFORE_CLASSES;
-            Ok((Some(classes), Box::new(FastestDet { size, classes })))
+            Ok(Bound {
+                classes: Some(classes),
+                overlaps: true,
+                reader: Box::new(FastestDet { size, classes }),
+            })
         }
         _ => Err(format!(
             "its output has another shape than [1, 5 + classes, {height}, {width}]"

@@ -1,7 +1,7 @@
 //! Functions that the heads share: finding outputs, checking shapes, making boxes from numbers.
 
-use super::{Candidate, TensorView};
-use crate::detector::shape_text;
+use super::Candidate;
+use crate::onnx::{TensorView, shape_text};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
 
@@ -31,14 +31,26 @@ pub(super) struct Rows<'a> {
     /// The least confidence of a candidate.
     pub(super) confidence: f64,
     pub(super) candidates: &'a mut Vec<Candidate>,
+    /// The input: a box of more than [`LARGEST_BOX`] times its side is not possible.
+    pub(super) size: PictureSize,
     /// Rows with a number that is not finite or not possible.
     pub(super) rejected: u64,
 }
 
+/// The longest possible side of a box, in sides of the input. Objects at the border give boxes that reach beyond it; a box
+/// that is much longer has been read wrong.
+const LARGEST_BOX: f64 = 2.0;
+
 impl Rows<'_> {
-    /// Adds the candidate of a row if it is confident enough; `None` is a row to reject.
+    /// Adds the candidate of a row if it is confident enough; `None` is a row to reject, as is a box much larger than the
+    /// input.
     pub(super) fn add(&mut self, row: Option<Candidate>) {
-        match row {
+        let fits = |candidate: &Candidate| {
+            let Corners { x1, y1, x2, y2 } = candidate.corners;
+            x2 - x1 <= LARGEST_BOX * f64::from(self.size.width)
+                && y2 - y1 <= LARGEST_BOX * f64::from(self.size.height)
+        };
+        match row.filter(fits) {
             Some(candidate) if f64::from(candidate.confidence) >= self.confidence => {
                 self.candidates.push(candidate);
             }
@@ -97,6 +109,41 @@ pub(super) fn best_class(scores: &[f32]) -> Option<(ClassId, f32)> {
     }
     let class = u16::try_from(best.0).ok()?;
     (!scores.is_empty()).then_some((ClassId(class), best.1.clamp(0.0, 1.0)))
+}
+
+/// The unit of a model's boxes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Unit {
+    /// Pixels of the input.
+    Pixels,
+    /// Sides of the input, which has this size: from 0 to 1.
+    Sides(PictureSize),
+}
+
+impl Unit {
+    /// The corners in pixels of the input.
+    pub(super) fn pixels(self, corners: Corners) -> Corners {
+        let Self::Sides(size) = self else {
+            return corners;
+        };
+        let (width, height) = (f64::from(size.width), f64::from(size.height));
+        Corners {
+            x1: corners.x1 * width,
+            y1: corners.y1 * height,
+            x2: corners.x2 * width,
+            y2: corners.y2 * height,
+        }
+    }
+}
+
+/// The unit of boxes whose largest number is `largest`: no box of a run with boxes in pixels is all within the first two
+/// pixels, and none in sides of the input reaches far beyond it.
+pub(super) fn unit(largest: f64, size: PictureSize) -> Unit {
+    if largest <= LARGEST_BOX {
+        Unit::Sides(size)
+    } else {
+        Unit::Pixels
+    }
 }
 
 /// The corners of a box, given its centre x, centre y, width and height.

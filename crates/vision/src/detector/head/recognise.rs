@@ -1,94 +1,171 @@
-//! Finds the head that a model needs: from the exporter's metadata if present, otherwise from names and shapes.
+//! Finds the head that a model needs: by the exporter's metadata, names and shapes, and, where formats share these, by
+//! the values of the model's first run.
 
-use super::reading::{STRIDES, can_be, cells};
-use super::{bind, detr};
-use crate::detector::{HeadName, PictureInput, Signature};
+use super::families::{FAMILIES, Family};
+use super::{Evidence, Head, HeadOverrides, bind_family, unread};
+use crate::detector::HeadName;
+use crate::onnx::{PictureInput, Signature, TensorView};
 
-/// The sets of strides of YOLO models: three feature maps, or four with a finer or a coarser one.
-const YOLO_STRIDES: [&[u32]; 3] = [&STRIDES, &[4, 8, 16, 32], &[8, 16, 32, 64]];
+/// The heads that a model could need by its signature: at least one.
+pub struct Recognised(Vec<Head>);
 
-/// The maximum number of boxes of end-to-end models. More rows of six numbers are cells of something else.
-const MOST_BOXES: i64 = 1000;
-
-/// Returns the head for a model with this signature and picture input. Never [`HeadName::Auto`].
+/// Returns the heads for a model with this signature, picture input and number of class names, if known.
 ///
 /// # Errors
-/// If no head fits, if several do, or if the metadata describe a model that is not a detector: the reason, and each head
-/// that was tried, the outputs it needs, and why the model does not fit.
-pub fn recognise(signature: &Signature, input: PictureInput) -> Result<HeadName, String> {
+/// If no head fits, or if the metadata describe a model that is not a detector: the reason, and what to do.
+pub fn recognise(
+    signature: &Signature,
+    input: PictureInput,
+    names: Option<usize>,
+) -> Result<Recognised, String> {
     let metadata = &signature.metadata;
-    let refused = |reason: String| {
-        let looked_for = HeadName::RECOGNISED.map(|head| {
-            let found = looks_like(head, signature, input).err();
-            let found = found.unwrap_or_else(|| "it could be".to_owned());
-            format!("{}: {} ({found})", head.as_str(), head.looks_for())
-        });
-        format!("{reason}. Looked for {}", looked_for.join("; "))
-    };
     if let Some(task) = metadata.get("task").filter(|&task| task != "detect") {
-        return Err(refused(format!(
-            "its metadata say that its task is `{task}`; a model for the task `detect` is needed"
-        )));
+        return Err(refused(
+            signature,
+            input,
+            format_args!(
+                "its metadata say that its task is `{task}`; a model for the task `detect` is needed"
+            ),
+        ));
     }
-    if metadata.is_ultralytics() {
-        let head = if metadata.is_end_to_end() {
-            HeadName::EndToEnd
-        } else {
-            HeadName::Yolo
-        };
-        return match bind(head, signature, input) {
-            Ok(_) => Ok(head),
-            Err(reason) => Err(refused(format!(
-                "its metadata are those of an Ultralytics export for the head `{}`, and {reason}",
-                head.as_str()
-            ))),
-        };
+    if metadata.is_end_to_end() {
+        return fitting(signature, input, &[HeadName::EndToEnd]).map_err(|reason| {
+            refused(
+                signature,
+                input,
+                format_args!(
+                    "its metadata are those of an export for the head `end-to-end`, and {reason}"
+                ),
+            )
+        });
     }
-    let fitting: Vec<_> = HeadName::RECOGNISED
-        .into_iter()
-        .filter(|&head| looks_like(head, signature, input).is_ok())
-        .collect();
-    match fitting.as_slice() {
-        [head] => Ok(*head),
-        [] => Err(refused("it looks like none of them".to_owned())),
-        several => {
-            let names: Vec<_> = several.iter().map(|head| head.as_str()).collect();
-            Err(refused(format!(
-                "it looks like each of {}, and its metadata do not say which",
-                names.join(", ")
-            )))
+    let all: Vec<_> = FAMILIES.iter().map(|family| family.name).collect();
+    let Recognised(mut heads) = fitting(signature, input, &all).map_err(|_| {
+        let reason = unread::reason(signature)
+            .unwrap_or_else(|| "it looks like none of the models that are read".into());
+        refused(signature, input, reason)
+    })?;
+    // Formats with another number of numbers before the classes have another number of classes.
+    let known = names.unwrap_or(80);
+    if heads.iter().any(|head| head.fits_names(known)) {
+        heads.retain(|head| head.fits_names(known));
+    }
+    Ok(Recognised(heads))
+}
+
+/// The heads among `names` that a model looks like.
+fn fitting(
+    signature: &Signature,
+    input: PictureInput,
+    names: &[HeadName],
+) -> Result<Recognised, String> {
+    let mut heads = Vec::new();
+    let mut first_reason = None;
+    for family in FAMILIES.iter().filter(|family| names.contains(&family.name)) {
+        match looks_like(family, signature, input) {
+            Ok(head) => heads.push(head),
+            Err(reason) => {
+                first_reason.get_or_insert(reason);
+            }
         }
+    }
+    if heads.is_empty() {
+        return Err(first_reason.unwrap_or_default());
+    }
+    Ok(Recognised(heads))
+}
+
+/// Binds a head to a model that looks like one of it, whether or not a user said so.
+fn looks_like(family: &Family, signature: &Signature, input: PictureInput) -> Result<Head, String> {
+    let head = bind_family(family, signature, input, HeadOverrides::default())?;
+    match (family.looks_other)(signature, input.size) {
+        Some(reason) => Err(reason),
+        None => Ok(head),
     }
 }
 
-/// Checks that a model without metadata looks like one for `head`. Stricter than binding, which is for a user who knows
-/// the head.
-fn looks_like(head: HeadName, signature: &Signature, input: PictureInput) -> Result<(), String> {
-    bind(head, signature, input)?;
-    let all_cells = || YOLO_STRIDES.map(|strides| cells(input.size, strides));
-    let dimension = |place: usize| {
-        signature
-            .outputs
-            .first()
-            .and_then(|output| output.shape.get(place))
-            .copied()
-            .unwrap_or(0)
-    };
-    match head {
-        HeadName::Yolo if !all_cells().iter().any(|&cells| can_be(dimension(2), cells)) => {
-            Err(format!(
-                "it has {} anchors, and an input of {} has {:?} (by strides)",
-                dimension(2),
-                input.size,
-                all_cells()
-            ))
+impl Recognised {
+    /// The head, if the signature alone tells it.
+    pub fn only(&self) -> Option<HeadName> {
+        match self.0.as_slice() {
+            [head] => Some(head.name),
+            _ => None,
         }
-        HeadName::EndToEnd if dimension(1) > MOST_BOXES => {
-            Err(format!("it has {} boxes", dimension(1)))
-        }
-        HeadName::Detr if !detr::is_named(signature) => {
-            Err("its outputs have other names, so its scores and colours are not known".to_owned())
-        }
-        _ => Ok(()),
     }
+
+    /// The head that the outputs of a run on a black picture tell, or else the exporter's convention.
+    ///
+    /// # Errors
+    /// If nothing decides: the settings that would.
+    pub fn by_values(
+        self,
+        signature: &Signature,
+        outputs: &[TensorView<'_>],
+    ) -> Result<HeadName, String> {
+        let mut left: Vec<(HeadName, bool)> = Vec::new();
+        let mut against = Vec::new();
+        for head in &self.0 {
+            match head.evidence(outputs, LEAST_SCORE) {
+                Evidence::Against(reason) => {
+                    against.push(format!("no `{}`: {reason}", head.name.as_str()))
+                }
+                Evidence::For => left.push((head.name, true)),
+                Evidence::None => left.push((head.name, false)),
+            }
+        }
+        let sure: Vec<_> =
+            left.iter().filter(|(_, is_sure)| *is_sure).map(|(name, _)| *name).collect();
+        let names: Vec<_> = left.iter().map(|(name, _)| *name).collect();
+        for only in [&sure, &names] {
+            if let [name] = only.as_slice() {
+                return Ok(*name);
+            }
+        }
+        if let Some(name) = by_convention(signature).filter(|name| names.contains(name)) {
+            return Ok(name);
+        }
+        if names.is_empty() {
+            return Err(format!(
+                "its shapes are known, and the values of its first run are not: {}. If you know the columns of its \
+                 output, set detector.head = {{ columns = \"x1 y1 x2 y2 score class\" }}",
+                against.join("; ")
+            ));
+        }
+        let choices: Vec<_> = names.iter().map(|name| format!("\"{}\"", name.as_str())).collect();
+        Err(format!(
+            "it could be any of {}, which share the shape of its output; set detector.head to the one that it is (the \
+             number of names in detector.class_names tells some of them apart)",
+            choices.join(", ")
+        ))
+    }
+}
+
+/// Scores of a real run are above it, and unused rows are 0.
+const LEAST_SCORE: f64 = 1e-4;
+
+/// The head whose exporter gives the only output this name. YOLOX with decoding in the graph and YOLOv6 have outputs of
+/// the same shape and meaning, and want their pictures differently.
+fn by_convention(signature: &Signature) -> Option<HeadName> {
+    match signature.outputs.as_slice() {
+        [output] if output.name == "output" => Some(HeadName::Yolox),
+        [output] if output.name == "outputs" => Some(HeadName::Yolov5),
+        _ => None,
+    }
+}
+
+/// The whole refusal: the reason, and for each head the first difference.
+fn refused(signature: &Signature, input: PictureInput, reason: impl std::fmt::Display) -> String {
+    let heads: Vec<_> = FAMILIES
+        .iter()
+        .map(|family| {
+            let found = looks_like(family, signature, input).err();
+            let found = found.unwrap_or_else(|| "it could be".to_owned());
+            format!(
+                "    {}: {} ({found})",
+                family.name.as_str(),
+                family.looks_for
+            )
+        })
+        .collect();
+    format!("{reason}.\n  Looked for\n{}", heads.join("\n"))
 }

@@ -1,7 +1,7 @@
 //! The heads on handmade tensors. `tests/head_fixtures.rs` compares all but YOLOX and FastestDet with the vendors' code.
 
 use super::*;
-use crate::detector::{ElementType, Metadata, TensorSpec};
+use crate::onnx::{ElementType, Metadata, TensorSpec};
 use proptest::prelude::*;
 
 mod fitting;
@@ -28,7 +28,8 @@ pub(in crate::detector) fn bound(
     outputs: &[(&str, &[i64])],
 ) -> Head {
     let signature = signature(input, outputs);
-    bind(name, &signature, signature.picture_input(None).unwrap()).unwrap()
+    let input = signature.picture_input(None).unwrap();
+    bind(&name.into(), &signature, input, HeadOverrides::default()).unwrap()
 }
 
 type Shapes = Vec<Vec<i64>>;

@@ -1,14 +1,15 @@
-//! The head of YOLOv8, YOLO11 and of YOLO26 in its one-to-many form, as Ultralytics exports them: one output
-//! `[1, 4 + classes, anchors]`, decoded. The rows are centre x, centre y, width and height in input pixels, then one
-//! score per class; there is no objectness. Overlaps remain to be suppressed.
+//! The arithmetic of YOLOv8 and its successors, as Ultralytics exports them: one output `[1, 4 + classes, anchors]`. The
+//! rows are centre x, centre y, width and height, then one score per class; there is no objectness.
 
-use super::reading::{Rows, around, candidate, count, is_score, only};
-use super::{Bound, ReadOutputs, TensorView};
-use crate::detector::Signature;
+use super::ReadOutputs;
+use super::dense::{are_logits, sigmoid};
+use super::reading::{Rows, around, candidate, elements, is_score, unit};
+use crate::onnx::TensorView;
 use albireo_core::detection::ClassId;
+use albireo_core::geometry::PictureSize;
 
 /// The box, before the class scores.
-const BEFORE_CLASSES: usize = 4;
+pub(super) const BEFORE_CLASSES: usize = 4;
 
 /// The number of anchors processed together, so that the scores of one class lie side by side in memory and the best so
 /// far stay in the processor's cache.
@@ -16,56 +17,75 @@ const BLOCK: usize = 64;
 
 /// The parameters for reading the output.
 #[derive(Debug)]
-struct Yolo {
-    classes: usize,
+pub(super) struct Yolo {
+    pub(super) size: PictureSize,
+    pub(super) output: usize,
+    pub(super) classes: usize,
     /// -1 if the model leaves the number open.
-    anchors: i64,
-}
-
-pub(super) fn bind(signature: &Signature) -> Bound {
-    match *signature.only_output()?.shape.as_slice() {
-        [1 | -1, rows, anchors]
-            if count(rows) > BEFORE_CLASSES
-                && count(rows) - BEFORE_CLASSES <= usize::from(u16::MAX)
-                && (anchors == -1 || anchors > 0) =>
-        {
-            let classes = count(rows) - BEFORE_CLASSES;
-            Ok((Some(classes), Box::new(Yolo { classes, anchors })))
-        }
-        _ => Err("its output has another shape".to_owned()),
-    }
+    pub(super) anchors: i64,
 }
 
 impl ReadOutputs for Yolo {
     fn read(&self, outputs: &[TensorView<'_>], rows: &mut Rows<'_>) -> Result<(), String> {
         let numbers = BEFORE_CLASSES + self.classes;
-        let values = only(outputs, &[1, numbers as i64, self.anchors])?;
+        let output = outputs
+            .get(self.output)
+            .ok_or_else(|| format!("the model returned {} outputs", outputs.len()))?;
+        let values = elements(output, &[1, numbers as i64, self.anchors])?;
         let anchors = values.len() / numbers;
         let row = |number: usize| &values[number * anchors..][..anchors];
         let sides = [row(0), row(1), row(2), row(3)];
+        let largest = sides
+            .iter()
+            .flat_map(|row| row.iter())
+            .filter(|side| side.is_finite())
+            .fold(0.0_f32, |largest, side| largest.max(side.abs()));
+        let unit = unit(f64::from(largest), self.size);
+        let has_logits = are_logits(row(BEFORE_CLASSES).iter().copied());
         for start in (0..anchors).step_by(BLOCK) {
             let length = BLOCK.min(anchors - start);
-            let mut best = [(f32::NEG_INFINITY, 0_u16); BLOCK];
-            let mut sound = [true; BLOCK];
-            for class in 0..self.classes {
-                let scores = &row(BEFORE_CLASSES + class)[start..][..length];
-                for ((best, sound), &score) in best.iter_mut().zip(&mut sound).zip(scores) {
-                    *sound &= is_score(score);
-                    if score > best.0 {
-                        *best = (score, class as u16);
-                    }
-                }
-            }
+            let of_class = |class: usize| &row(BEFORE_CLASSES + class)[start..][..length];
+            let classes = (0..self.classes).map(of_class);
+            // A logit that is not finite is a fault like a probability that is none.
+            let (best, sound) = if has_logits {
+                best_of_block(classes, f32::is_finite)
+            } else {
+                best_of_block(classes, is_score)
+            };
             for place in 0..length {
-                let (score, class) = best[place];
+                let (highest, class) = best[place];
+                let score = if has_logits {
+                    sigmoid(highest)
+                } else {
+                    highest
+                };
                 if sound[place] && f64::from(score) < rows.confidence {
                     continue;
                 }
                 let corners = around(sides.map(|row| f64::from(row[start + place])));
-                let read = candidate(corners, ClassId(class), score);
+                let read = candidate(unit.pixels(corners), ClassId(class), score);
                 rows.add(read.filter(|_| sound[place]));
             }
         }
         Ok(())
     }
+}
+
+/// The best score of each anchor of a block with its class, and whether all its scores are sound. `classes` has the
+/// scores of the block for one class after the other.
+fn best_of_block<'a>(
+    classes: impl Iterator<Item = &'a [f32]>,
+    is_sound: impl Fn(f32) -> bool,
+) -> ([(f32, u16); BLOCK], [bool; BLOCK]) {
+    let mut best = [(f32::NEG_INFINITY, 0_u16); BLOCK];
+    let mut sound = [true; BLOCK];
+    for (class, scores) in classes.enumerate() {
+        for ((best, sound), &score) in best.iter_mut().zip(&mut sound).zip(scores) {
+            *sound &= is_sound(score);
+            if score > best.0 {
+                *best = (score, class as u16);
+            }
+        }
+    }
+    (best, sound)
 }

@@ -42,7 +42,7 @@ async fn play(script: Vec<Happens>) {
             Happens::Ask(camera) => asked.push((camera, stage.ask(camera))),
             Happens::AskSpare => {
                 let worker = stage.worker.clone();
-                let picture = (CameraSlot(SPARE), Arc::default());
+                let picture = (Asker(SPARE), Arc::default());
                 let spare = tokio::spawn(async move { worker.run(None, picture).await });
                 asked.push((SPARE, spare));
             }
@@ -63,13 +63,13 @@ async fn play(script: Vec<Happens>) {
     for (camera, answer) in asked {
         match answer.await {
             Ok(Ok(answer)) => {
-                assert_eq!(answer.output, CameraSlot(camera), "another one's answer");
+                assert_eq!(answer.output, Asker(camera), "another one's answer");
                 well += u64::from(camera != SPARE);
                 spare += u64::from(camera == SPARE);
             }
-            Ok(Err(InferenceError::Unavailable(_))) => refused += u64::from(camera != SPARE),
+            Ok(Err(RunError::Unavailable(_))) => refused += u64::from(camera != SPARE),
             // Refused; counted only while the worker's task runs.
-            Ok(Err(InferenceError::Stopped)) => stopped += 1,
+            Ok(Err(RunError::Stopped)) => stopped += 1,
             Ok(Err(_)) => {}
             Err(aborted) => {
                 assert!(aborted.is_cancelled());
@@ -81,7 +81,7 @@ async fn play(script: Vec<Happens>) {
         let cameras: std::collections::BTreeSet<_> = run.iter().collect();
         assert!(run.len() <= 3 && cameras.len() == run.len(), "{run:?}");
         let is_shared = run.len() > 1;
-        assert!(!is_shared || !run.contains(&CameraSlot(SPARE)), "{run:?}");
+        assert!(!is_shared || !run.contains(&Asker(SPARE)), "{run:?}");
     }
     // An abandoned picture may already have been answered or refused.
     let counts = stage.counts();

@@ -1,7 +1,7 @@
 //! A GPU that runs out of memory or is lost, with the errors of ONNX Runtime's CUDA provider.
 
 use super::*;
-use crate::detector::fault;
+use crate::onnx::fault;
 
 const OUT_OF_MEMORY: &str =
     "CUDA failure 2: out of memory ; GPU=0 ; hostname=board ; expr=cudaMalloc((void**)&p, size); ";
@@ -26,13 +26,13 @@ async fn a_gpu_that_no_new_session_restores_is_reported_lost_and_still_retried()
     for (pause, failed) in [(200, 2), (400, 3)] {
         pass(Duration::from_millis(pause)).await;
         stage.until(|counts| counts.rebuilds_failed, failed).await;
-        let is_lost = |status: &DetectorStatus| matches!(status, DetectorStatus::Lost { .. });
+        let is_lost = |status: &ModelStatus| matches!(status, ModelStatus::Lost { .. });
         let reason = stage.until_fault(is_lost).await;
         for part in ["scripted.onnx", lost, "restarting the program"] {
             assert!(reason.contains(part), "{reason}");
         }
         let refused = stage.ask(1).await.unwrap().unwrap_err();
-        assert!(matches!(refused, InferenceError::Unavailable(_)));
+        assert!(matches!(refused, RunError::Unavailable(_)));
     }
     // The GPU comes back after all.
     pass(Duration::from_millis(800)).await;
@@ -52,7 +52,7 @@ async fn a_failure_is_reported_after_the_failed_session_has_freed_its_memory() {
     assert!(!failing.is_finished());
     go_on.send(()).unwrap();
     let error = failing.await.unwrap().unwrap_err();
-    assert!(matches!(error, InferenceError::Failed(_)), "{error}");
+    assert!(matches!(error, RunError::Failed(_)), "{error}");
     pass(Duration::from_millis(100)).await;
     stage.until_ready().await;
     assert_eq!(stage.counts().rebuilds, 1);

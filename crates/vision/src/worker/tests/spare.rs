@@ -1,11 +1,11 @@
 use super::*;
 
-type SpareAsked = tokio::task::JoinHandle<Option<Result<Answer<CameraSlot>, InferenceError>>>;
+type SpareAsked = tokio::task::JoinHandle<Option<Result<Answer<Asker>, RunError>>>;
 
 impl Stage {
     /// Requests a spare run of `camera`'s picture that begins within `wait`.
     pub(super) fn ask_spare(&self, camera: usize, wait: Duration) -> SpareAsked {
-        let (worker, camera) = (self.worker.clone(), CameraSlot(camera));
+        let (worker, camera) = (self.worker.clone(), Asker(camera));
         tokio::spawn(async move {
             let answer = async {
                 worker.idle().await?;
@@ -38,7 +38,7 @@ async fn frames_precede_a_spare_picture_which_is_dropped_if_too_late_and_fails_a
     stage.until_waiting(1).await;
     stage.end(Step::Answer);
     let answer = spare.await.unwrap().unwrap().unwrap();
-    assert_eq!((answer.output, answer.pictures), (CameraSlot(8), 1));
+    assert_eq!((answer.output, answer.pictures), (Asker(8), 1));
     assert_eq!(stage.next_run().await, [2]);
     stage.answer(third).await;
     let counts = stage.counts();

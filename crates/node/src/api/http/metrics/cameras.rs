@@ -111,14 +111,15 @@ fn newest(page: &mut MetricsPage, board: &Board, cameras: &[Camera<'_>]) {
     };
     page.gauges(
         "albireo_camera_state",
-        "Whether frames come from a camera: 1 for the state it is in (live, stale, never_seen), 0 for the others",
+        "Whether frames come from a camera: 1 for the state it is in (live, stale, never_seen, unusable), 0 for the others",
         cameras.iter().flat_map(|(camera, _, snapshot)| {
             let now = match snapshot.last_frame_age() {
+                _ if snapshot.unusable().is_some() => "unusable",
                 None => "never_seen",
                 Some(_) if silent(camera.1) => "stale",
                 Some(_) => "live",
             };
-            ["live", "stale", "never_seen"]
+            ["live", "stale", "never_seen", "unusable"]
                 .map(|state| ([*camera, ("state", state)], flag(state == now)))
         }),
     );

@@ -17,6 +17,10 @@ pub enum ElementType {
     Float16,
     /// Bytes: unchanged pixel values.
     Uint8,
+    /// Whole numbers of 32 bits.
+    Int32,
+    /// Whole numbers of 64 bits.
+    Int64,
     /// Any other type, by its name.
     Other(String),
 }
@@ -76,28 +80,45 @@ impl PictureInput {
     }
 }
 
+/// An input beside the picture, by which a model learns of the picture's size: its name, its elements, and its two
+/// numbers for an input of some columns and rows.
+type BesidePicture = (&'static str, ElementType, fn(f32, f32) -> [f32; 2]);
+
+/// The inputs beside the picture that exporters write. With these numbers a model answers in pixels of its input.
+const BESIDE_PICTURE: [BesidePicture; 3] = [
+    // D-FINE, DEIM and RT-DETR of its authors.
+    ("orig_target_sizes", ElementType::Int64, |columns, rows| {
+        [columns, rows]
+    }),
+    // PaddleDetection.
+    ("scale_factor", ElementType::Float32, |_, _| [1.0, 1.0]),
+    ("im_shape", ElementType::Float32, |columns, rows| {
+        [rows, columns]
+    }),
+];
+
 impl Signature {
     /// Returns the model's only picture input: float32, float16 or uint8, `[1, 3, rows, columns]` or
-    /// `[1, rows, columns, 3]`. An open batch dimension counts as 1. Open sides come from `wanted`, else from the
-    /// metadata.
+    /// `[1, rows, columns, 3]`. An open batch dimension counts as 1, open colours as 3. Open sides come from `wanted`, else
+    /// from the metadata.
     ///
     /// # Errors
     /// The problem with the inputs or with `wanted`.
     pub fn picture_input(&self, wanted: Option<PictureSize>) -> Result<PictureInput, String> {
-        let [input] = self.inputs.as_slice() else {
+        let input = self.only_picture()?;
+        if !matches!(
+            input.element,
+            ElementType::Float32 | ElementType::Float16 | ElementType::Uint8
+        ) {
             return Err(format!(
-                "it has {} inputs instead of one",
-                self.inputs.len()
-            ));
-        };
-        if let ElementType::Other(name) = &input.element {
-            return Err(format!(
-                "the elements of its input are {name} instead of float32, float16 or uint8"
+                "the elements of its input are {} instead of float32, float16 or uint8",
+                input.element
             ));
         }
         let (batch, layout, rows, columns) = match *input.shape.as_slice() {
             [batch, 3, rows, columns] => (batch, TensorLayout::Nchw, rows, columns),
             [batch, rows, columns, 3] => (batch, TensorLayout::Nhwc, rows, columns),
+            [batch, -1, rows, columns] => (batch, TensorLayout::Nchw, rows, columns),
             _ => {
                 let both = "[1, 3, rows, columns] nor [1, rows, columns, 3]";
                 return Err(format!("its input is neither {both}"));
@@ -128,6 +149,44 @@ impl Signature {
         }
     }
 
+    /// True if the sides of the picture input are open, and neither `wanted` nor the metadata name any.
+    pub(crate) fn lacks_size(&self, wanted: Option<PictureSize>) -> bool {
+        let are_open = self
+            .picture()
+            .is_some_and(|input| input.shape.iter().skip(1).any(|&side| side == -1));
+        are_open
+            && wanted.or_else(|| self.metadata.image_size()).is_none()
+            && self.picture_input(Some(PictureSize::new(640, 640))).is_ok()
+    }
+
+    /// The first input that is not one of those beside the picture.
+    pub(super) fn picture(&self) -> Option<&TensorSpec> {
+        self.inputs.iter().find(|input| !input.is_beside_picture())
+    }
+
+    /// The only input that is a picture; all others must be known inputs beside it.
+    fn only_picture(&self) -> Result<&TensorSpec, String> {
+        let mut pictures = self.inputs.iter().filter(|input| !input.is_beside_picture());
+        match (pictures.next(), pictures.next()) {
+            (Some(picture), None) => Ok(picture),
+            (None, _) => Err(format!(
+                "none of its {} inputs is a picture",
+                self.inputs.len()
+            )),
+            (Some(_), Some(other)) => {
+                let known: Vec<_> =
+                    BESIDE_PICTURE.iter().map(|(name, ..)| format!("`{name}`")).collect();
+                Err(format!(
+                    "it has {} inputs, and what `{}` should get is not known (known beside a picture are {}, two \
+                     numbers each)",
+                    self.inputs.len(),
+                    other.name,
+                    known.join(", ")
+                ))
+            }
+        }
+    }
+
     /// Returns the model's only output, which must be float32 or float16.
     ///
     /// # Errors
@@ -142,21 +201,22 @@ impl Signature {
         output.float()
     }
 
-    /// Returns the output `name`, which must be float32 or float16, and its index.
+    /// Returns the output `name` and its index.
     ///
     /// # Errors
-    /// If there is none, or it has other elements.
+    /// If there is none.
     pub fn output(&self, name: &str) -> Result<(usize, &TensorSpec), String> {
         let found = self.outputs.iter().enumerate().find(|(_, output)| output.name == name);
-        match found {
-            Some((place, output)) => Ok((place, output.float()?)),
-            None => Err(format!("it has no output `{name}`")),
-        }
+        found.ok_or_else(|| format!("it has no output `{name}`"))
     }
 }
 
 impl TensorSpec {
-    fn float(&self) -> Result<&Self, String> {
+    /// This output, if it is float32 or float16.
+    ///
+    /// # Errors
+    /// If it has other elements.
+    pub(crate) fn float(&self) -> Result<&Self, String> {
         if matches!(self.element, ElementType::Float32 | ElementType::Float16) {
             Ok(self)
         } else {
@@ -165,6 +225,19 @@ impl TensorSpec {
                 self.name, self.element
             ))
         }
+    }
+
+    /// The numbers of this input beside a picture of `size`; `None` if it is no such input.
+    pub(super) fn beside_picture(&self, size: PictureSize) -> Option<[f32; 2]> {
+        let (_, _, numbers) = BESIDE_PICTURE
+            .iter()
+            .find(|(name, element, _)| self.name == *name && self.element == *element)?;
+        Some(numbers(size.width as f32, size.height as f32))
+    }
+
+    fn is_beside_picture(&self) -> bool {
+        self.beside_picture(PictureSize::new(1, 1)).is_some()
+            && matches!(self.shape.as_slice(), [_, 2])
     }
 }
 
@@ -189,6 +262,8 @@ impl fmt::Display for ElementType {
             Self::Float32 => "float32",
             Self::Float16 => "float16",
             Self::Uint8 => "uint8",
+            Self::Int32 => "int32",
+            Self::Int64 => "int64",
             Self::Other(name) => name,
         })
     }
@@ -221,12 +296,15 @@ pub(crate) fn shape_text(shape: &[i64]) -> String {
 impl fmt::Display for Signature {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let list = |specs: &[TensorSpec]| {
-            specs.iter().map(ToString::to_string).collect::<Vec<_>>().join(" and ")
+            specs.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
         };
+        let plural = |specs: &[TensorSpec]| if specs.len() == 1 { "" } else { "s" };
         write!(
             f,
-            "input {} and output {}",
+            "input{} {} and output{} {}",
+            plural(&self.inputs),
             list(&self.inputs),
+            plural(&self.outputs),
             list(&self.outputs)
         )
     }

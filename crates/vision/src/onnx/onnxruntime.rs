@@ -1,6 +1,6 @@
 //! Finds the ONNX Runtime library and keeps the only environment of the process.
 
-use super::StartError;
+use super::{StartError, StartErrorKind};
 use ort::environment::Environment;
 use ort::logging::LogLevel;
 use parking_lot::Mutex;
@@ -26,10 +26,13 @@ pub(super) fn environment(configured: Option<&Path>) -> Result<Environment, Star
     }
     let path = Search::here(configured).find()?;
     let unusable = |reason: &dyn Display| {
-        StartError(format!(
-            "the ONNX Runtime library {} cannot be used: {reason}; version 1.22 or newer is needed",
-            path.display()
-        ))
+        StartError::new(
+            StartErrorKind::Library,
+            format_args!(
+                "the ONNX Runtime library {} cannot be used: {reason}; version 1.22 or newer is needed",
+                path.display()
+            ),
+        )
     };
     let environment = ort::init_from(&path)
         .map_err(|error| unusable(&error))?
@@ -84,10 +87,13 @@ impl Search {
         let named = configured
             .map(|path| ("detector.onnxruntime", path.to_owned()))
             .or_else(variable);
-        let program = std::env::current_exe().ok();
-        let beside = program.as_deref().and_then(Path::parent).map(Path::to_owned);
-        let listed = std::env::var_os("LD_LIBRARY_PATH").unwrap_or_default();
-        let listed = std::env::split_paths(&listed).filter(|path| !path.as_os_str().is_empty());
+        let beside = std::env::current_exe()
+            .ok()
+            .as_deref()
+            .and_then(Path::parent)
+            .map(Path::to_owned);
+        let loader = std::env::var_os("LD_LIBRARY_PATH").unwrap_or_default();
+        let listed = std::env::split_paths(&loader).filter(|path| !path.as_os_str().is_empty());
         let multiarch = format!("/usr/lib/{}-linux-gnu", std::env::consts::ARCH);
         let usual = [
             "/usr/local/lib",
@@ -96,7 +102,8 @@ impl Search {
             "/usr/lib",
             "/opt/onnxruntime/lib",
         ];
-        let folders = (beside.into_iter())
+        let folders = beside
+            .into_iter()
             .chain([PathBuf::from(".cache/onnxruntime")])
             .chain(listed)
             .chain(usual.map(PathBuf::from))
@@ -112,21 +119,20 @@ impl Search {
                 (file.or_else(|| library_in(path)), vec![looked_at])
             }
             None => {
-                let folders = self.folders.iter();
-                let looked_at = folders.clone().map(|folder| folder.display().to_string());
-                let looked_at = looked_at.collect();
-                (
-                    folders.map(PathBuf::as_path).find_map(library_in),
-                    looked_at,
-                )
+                let found = self.folders.iter().find_map(|folder| library_in(folder));
+                let shown = self.folders.iter().map(|folder| folder.display().to_string());
+                (found, shown.collect())
             }
         };
         found.ok_or_else(|| {
-            StartError(format!(
-                "no ONNX Runtime library was found; looked at {}. Run `make onnxruntime`, or name the library in \
-                 detector.onnxruntime or ORT_DYLIB_PATH",
-                looked_at.join(", ")
-            ))
+            StartError::new(
+                StartErrorKind::Library,
+                format_args!(
+                    "no ONNX Runtime library was found; looked at {}. Run `make onnxruntime`, or name the library \
+                     in detector.onnxruntime or ORT_DYLIB_PATH",
+                    looked_at.join(", ")
+                ),
+            )
         })
     }
 }
@@ -144,8 +150,8 @@ fn library_in(folder: &Path) -> Option<PathBuf> {
         .ok()?
         .filter_map(Result::ok)
         .filter_map(|entry| {
-            let name = entry.file_name();
-            let name = name.to_str()?;
+            let file = entry.file_name();
+            let name = file.to_str()?;
             let version = if name == plain {
                 vec![u32::MAX]
             } else {

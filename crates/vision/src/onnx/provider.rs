@@ -1,8 +1,34 @@
 //! Execution providers: the configured list, in order, without a silent fallback.
 
-use super::{ExecutionProvider, GpuConfig, StartError};
+use super::{GpuConfig, StartError};
 use ort::ep::{ArenaExtendStrategy, CUDA, ExecutionProviderDispatch, TensorRT};
+use serde::{Deserialize, Serialize};
 use tracing::warn;
+
+/// An execution provider of ONNX Runtime.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[serde(rename_all = "lowercase")]
+pub enum ExecutionProvider {
+    /// NVIDIA TensorRT.
+    #[cfg_attr(feature = "cli", value(name = "tensorrt"))]
+    TensorRt,
+    /// NVIDIA CUDA.
+    Cuda,
+    /// ONNX Runtime's own CPU kernels.
+    Cpu,
+}
+
+impl ExecutionProvider {
+    /// Its name in configuration and reports.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::TensorRt => "tensorrt",
+            Self::Cuda => "cuda",
+            Self::Cpu => "cpu",
+        }
+    }
+}
 
 /// The providers that ONNX Runtime registers for `provider`; none for the CPU, which is always there. TensorRT leaves
 /// to CUDA what it cannot run, if CUDA is among the `configured`. By default, ONNX Runtime would continue without a
@@ -88,6 +114,7 @@ pub(super) fn first_that_works<T>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::onnx::StartErrorKind;
     use ExecutionProvider::{Cpu, Cuda, TensorRt};
 
     #[test]
@@ -97,7 +124,10 @@ mod tests {
             let found = first_that_works(providers, |provider| {
                 tried.push(provider);
                 match provider {
-                    TensorRt => Err(StartError("`tensorrt` is not here".to_owned())),
+                    TensorRt => Err(StartError::new(
+                        StartErrorKind::Provider,
+                        "`tensorrt` is not here",
+                    )),
                     works => Ok(works),
                 }
             });

@@ -21,16 +21,15 @@ impl Metadata {
         self.0.get(key).map(String::as_str)
     }
 
-    /// True if an Ultralytics exporter wrote it: by its author, or by its task, stride and class names.
-    pub(crate) fn is_ultralytics(&self) -> bool {
-        self.get("author") == Some("Ultralytics")
-            || ["task", "stride", "names"].iter().all(|key| self.0.contains_key(*key))
-    }
-
     /// True if the model ends with boxes that need no suppression: `end2end`, or the exporter's argument `nms`.
     pub fn is_end_to_end(&self) -> bool {
         self.get("end2end").is_some_and(|value| value.eq_ignore_ascii_case("true"))
-            || self.get("args").is_some_and(|value| value.contains("'nms': True"))
+            || self.get("nms").is_some_and(|value| value.eq_ignore_ascii_case("true"))
+            || self.get("args").is_some_and(|value| {
+                let plain: String =
+                    value.to_lowercase().chars().filter(|sign| !sign.is_whitespace()).collect();
+                ["'nms':true", "\"nms\":true"].iter().any(|argument| plain.contains(argument))
+            })
     }
 
     /// The input size of the export: `imgsz`, rows first.
@@ -38,10 +37,11 @@ impl Metadata {
         let text = self.get("imgsz")?.trim();
         let list = [('[', ']'), ('(', ')')]
             .into_iter()
-            .find_map(|(open, close)| text.strip_prefix(open)?.strip_suffix(close));
-        let numbers = list.unwrap_or(text).split(',');
-        let numbers: Option<Vec<u32>> = numbers.map(|side| side.trim().parse().ok()).collect();
-        match *numbers?.as_slice() {
+            .find_map(|(open, close)| text.strip_prefix(open)?.strip_suffix(close))
+            .unwrap_or(text);
+        let numbers: Vec<u32> =
+            list.split(',').map(|side| side.trim().parse().ok()).collect::<Option<_>>()?;
+        match *numbers.as_slice() {
             [side] => Some(PictureSize::new(side, side)),
             [rows, columns] => Some(PictureSize::new(columns, rows)),
             _ => None,
@@ -56,6 +56,10 @@ impl Metadata {
         let Some(text) = self.get("names") else {
             return Ok(None);
         };
+        // Python writes `None` for what was never set.
+        if matches!(text.trim(), "None" | "null") {
+            return Ok(None);
+        }
         let names = Literal(text.trim_start()).names()?;
         let mut listed = Vec::with_capacity(names.len());
         for (place, (number, name)) in names.into_iter().enumerate() {
@@ -95,7 +99,7 @@ impl Literal<'_> {
             } else {
                 names.len()
             };
-            let name = self.quoted()?;
+            let name = self.name()?;
             if names.insert(number, name).is_some() {
                 return Err(format!("class {number} is listed twice"));
             }
@@ -129,43 +133,99 @@ impl Literal<'_> {
         }
     }
 
-    /// Reads a class number, plain or quoted as in JSON.
+    /// Reads a class number, plain or quoted as in JSON, whole or written as `2.0`.
     fn number(&mut self) -> Result<usize, String> {
-        if self.0.starts_with(['"', '\'']) {
-            let digits = self.quoted()?;
-            return digits.parse().map_err(|_| format!("`{digits}` is not a class number"));
-        }
-        let end = self.0.find(|sign: char| !sign.is_ascii_digit()).unwrap_or(self.0.len());
-        let (digits, rest) = self.0.split_at(end);
-        let number = digits.parse().map_err(|_| self.expected("a class number"))?;
+        let digits = if self.0.starts_with(['"', '\'']) {
+            self.quoted()?
+        } else {
+            self.bare().to_owned()
+        };
+        let whole = digits.strip_suffix(".0").unwrap_or(&digits);
+        whole.parse().map_err(|_| {
+            if digits.is_empty() {
+                self.expected("a class number")
+            } else {
+                format!("`{digits}` is not a class number")
+            }
+        })
+    }
+
+    /// Reads signs up to the next that ends a value.
+    fn bare(&mut self) -> &str {
+        let end = self.0.find([':', ',', '}', ']', ' ', '\n']).unwrap_or(self.0.len());
+        let (value, rest) = self.0.split_at(end);
         self.0 = rest.trim_start();
-        Ok(number)
+        value
+    }
+
+    /// Reads a name: quoted, or a number, which some exporters write without quotes.
+    fn name(&mut self) -> Result<String, String> {
+        if self.0.starts_with(|sign: char| sign.is_ascii_digit()) {
+            return Ok(self.bare().to_owned());
+        }
+        self.quoted()
     }
 
     fn quoted(&mut self) -> Result<String, String> {
-        let mut signs = self.0.char_indices();
-        let quote = match signs.next() {
-            Some((_, quote @ ('"' | '\''))) => quote,
+        let quote = match self.0.chars().next() {
+            Some(quote @ ('"' | '\'')) => quote,
             _ => return Err(self.expected("a quoted name")),
         };
         let mut name = String::new();
-        while let Some((at, sign)) = signs.next() {
-            match sign {
-                '\\' => match signs.next() {
-                    Some((_, 'n')) => name.push('\n'),
-                    Some((_, 't')) => name.push('\t'),
-                    Some((_, sign @ ('\\' | '\'' | '"'))) => name.push(sign),
-                    _ => return Err(self.expected("a name without such an escape")),
-                },
-                sign if sign == quote => {
-                    self.0 = self.0[at + 1..].trim_start();
-                    return Ok(name);
-                }
-                sign => name.push(sign),
+        let mut rest = &self.0[1..];
+        loop {
+            let Some(sign) = rest.chars().next() else {
+                return Err(self.expected("a name with an end"));
+            };
+            rest = &rest[sign.len_utf8()..];
+            if sign == quote {
+                self.0 = rest.trim_start();
+                return Ok(name);
             }
+            if sign != '\\' {
+                name.push(sign);
+                continue;
+            }
+            let Some((sign, after)) = escaped(rest) else {
+                return Err(self.expected("a name without such an escape"));
+            };
+            name.push(sign);
+            rest = after;
         }
-        Err(self.expected("a name with an end"))
     }
+}
+
+/// The sign that an escape of JSON or Python means, without its backslash, and the text after it.
+fn escaped(text: &str) -> Option<(char, &str)> {
+    let kind = text.chars().next()?;
+    let rest = &text[kind.len_utf8()..];
+    let plain = |sign| Some((sign, rest));
+    match kind {
+        'n' => plain('\n'),
+        't' => plain('\t'),
+        'r' => plain('\r'),
+        'b' => plain('\u{8}'),
+        'f' => plain('\u{c}'),
+        '\\' | '\'' | '"' | '/' => plain(kind),
+        'x' => by_code(rest, 2),
+        'U' => by_code(rest, 8),
+        'u' => by_code(rest, 4).or_else(|| surrogates(rest)),
+        _ => None,
+    }
+}
+
+/// The sign whose number is in the first `digits` hexadecimal digits.
+fn by_code(text: &str, digits: usize) -> Option<(char, &str)> {
+    let code = u32::from_str_radix(text.get(..digits)?, 16).ok()?;
+    Some((char::from_u32(code)?, &text[digits..]))
+}
+
+/// The sign that JSON writes as two halves: `d83d\\ude97`.
+fn surrogates(text: &str) -> Option<(char, &str)> {
+    let half = |text: &str| u16::from_str_radix(text.get(..4)?, 16).ok();
+    let rest = text.get(4..)?.strip_prefix("\\u")?;
+    let sign = char::decode_utf16([half(text)?, half(rest)?]).next()?.ok()?;
+    Some((sign, &rest[4..]))
 }
 
 #[cfg(test)]
@@ -173,7 +233,7 @@ pub(super) mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    pub(in crate::detector) fn metadata(entries: &[(&str, &str)]) -> Metadata {
+    pub(crate) fn metadata(entries: &[(&str, &str)]) -> Metadata {
         let owned = |&(key, value): &(&str, &str)| (key.to_owned(), value.to_owned());
         Metadata::new(entries.iter().map(owned))
     }
@@ -191,10 +251,17 @@ pub(super) mod tests {
             "{\"0\": \"car\", \"1\": \"driver's cab\"}",
             "['car', \"driver's cab\"]",
             "{1: 'driver\\'s cab', 0: 'car'}",
+            "{0.0: 'car', 1.0: 'driver\\x27s cab'}",
+            "{\"0\": \"c\\u0061r\", \"1\": \"driver\\u0027s cab\"}",
         ] {
             assert_eq!(names(text).unwrap(), ["car", "driver's cab"], "{text}");
         }
-        assert_eq!(metadata(&[]).class_names(), Ok(None));
+        let signs = "{\"0\": \"\\u884c\\u4eba\", \"1\": \"caf\\u00e9 \\ud83d\\ude97\", \"2\": \"car\\xa0red\"}";
+        assert_eq!(names(signs).unwrap(), ["行人", "café 🚗", "car\u{a0}red"]);
+        assert_eq!(names("{0: 0, 1: 7}").unwrap(), ["0", "7"]);
+        for none in [&[][..], &[("names", "None")]] {
+            assert_eq!(metadata(none).class_names(), Ok(None));
+        }
     }
 
     #[test]

@@ -1,10 +1,11 @@
-//! The state of the detector, for readiness, metrics and clip reports.
+//! The state of a model's worker, for readiness, metrics and clip reports.
 
-use super::{ExecutionProvider, InferenceError};
+use super::RunError;
+use crate::onnx::ExecutionProvider;
 
 /// The state of a model's worker, published on a watch channel.
 #[derive(Clone, Debug, PartialEq)]
-pub enum DetectorStatus {
+pub enum ModelStatus {
     /// The session is being built and warmed up.
     Starting,
     /// The model runs.
@@ -37,7 +38,7 @@ pub enum DetectorStatus {
     },
 }
 
-impl DetectorStatus {
+impl ModelStatus {
     /// The fault, if there is one.
     pub fn fault(&self) -> Option<&str> {
         match self {
@@ -49,12 +50,12 @@ impl DetectorStatus {
     }
 
     /// The error with which a picture is refused now, if it is.
-    pub(crate) fn refusal(&self) -> Option<InferenceError> {
+    pub(crate) fn refusal(&self) -> Option<RunError> {
         match self {
             Self::Ready { .. } | Self::Implausible { .. } => None,
-            Self::Starting => Some(InferenceError::Unavailable("it is starting".to_owned())),
+            Self::Starting => Some(RunError::Unavailable("it is starting".to_owned())),
             Self::Degraded { reason, .. } | Self::Lost { reason, .. } => {
-                Some(InferenceError::Unavailable(reason.clone()))
+                Some(RunError::Unavailable(reason.clone()))
             }
         }
     }

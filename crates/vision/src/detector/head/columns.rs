@@ -1,0 +1,347 @@
+//! The head of final boxes: outputs whose columns are the sides of a box, its score and its class, in any order. Most
+//! exports with suppression inside are of this kind, and differ only in the order of the columns.
+
+use super::reading::{Rows, candidate, count, elements, unit};
+use super::{Bound, Evidence, ReadOutputs};
+use crate::onnx::{ElementType, Signature, TensorSpec, TensorView};
+use albireo_core::detection::ClassId;
+use albireo_core::geometry::{Corners, PictureSize};
+use std::fmt;
+use std::str::FromStr;
+
+/// The maximum number of final boxes. More rows are cells of which several may show one object.
+pub(super) const MOST_BOXES: i64 = 1000;
+
+/// The meaning of a column.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Column {
+    /// The number of the picture in the batch; rows of other pictures than the first are unused.
+    Batch,
+    X1,
+    Y1,
+    X2,
+    Y2,
+    CentreX,
+    CentreY,
+    Width,
+    Height,
+    Score,
+    Class,
+    /// Anything else.
+    Skipped,
+}
+
+/// Each column with its name in a setting.
+const COLUMNS: [(Column, &str); 12] = [
+    (Column::Batch, "batch"),
+    (Column::X1, "x1"),
+    (Column::Y1, "y1"),
+    (Column::X2, "x2"),
+    (Column::Y2, "y2"),
+    (Column::CentreX, "cx"),
+    (Column::CentreY, "cy"),
+    (Column::Width, "w"),
+    (Column::Height, "h"),
+    (Column::Score, "score"),
+    (Column::Class, "class"),
+    (Column::Skipped, "_"),
+];
+
+/// The columns of one output.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct OutputColumns {
+    /// The output's name; `None` for the only output.
+    output: Option<String>,
+    columns: Vec<Column>,
+}
+
+/// The columns of a model's outputs, as a setting lists them: `x1 y1 x2 y2 score class` for the only output, or
+/// `boxes: x1 y1 x2 y2, scores: score, labels: class` for several by name.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ColumnList(Vec<OutputColumns>);
+
+impl FromStr for ColumnList {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let known = || COLUMNS.map(|(_, name)| name).join(" ");
+        let mut outputs = Vec::new();
+        let mut seen = Vec::new();
+        for part in text.split(',') {
+            // A name may hold a colon itself: `detection_boxes:0: y1 x1 y2 x2`.
+            let (output, columns) = match part.rsplit_once(": ") {
+                Some((name, columns)) => (Some(name.trim().to_owned()), columns),
+                None => (None, part),
+            };
+            let columns = columns
+                .split_whitespace()
+                .map(|name| {
+                    let column = COLUMNS.iter().find(|(_, known)| *known == name);
+                    column.map(|(column, _)| *column).ok_or_else(|| {
+                        format!("`{name}` in the columns `{text}` is none of {}", known())
+                    })
+                })
+                .collect::<Result<Vec<_>, _>>()?;
+            seen.extend(columns.iter().copied().filter(|column| *column != Column::Skipped));
+            outputs.push(OutputColumns { output, columns });
+        }
+        let is_named_twice = (1..seen.len()).any(|place| seen[..place].contains(&seen[place]));
+        if is_named_twice {
+            return Err(format!("the columns `{text}` name one column twice"));
+        }
+        if outputs.len() > 1 && outputs.iter().any(|output| output.output.is_none()) {
+            return Err(format!(
+                "the columns `{text}` are of several outputs, which all need a name: `boxes: x1 y1 x2 y2, scores: score`"
+            ));
+        }
+        let has = |column: Column| seen.contains(&column);
+        let spans = |first: Column, last: Column, centre: Column, length: Column| {
+            [has(first), has(last), has(centre), has(length)]
+                .into_iter()
+                .filter(|it| *it)
+                .count()
+                == 2
+                && (has(first) && (has(last) || has(length)) || has(centre) && has(length))
+        };
+        let is_box = spans(Column::X1, Column::X2, Column::CentreX, Column::Width)
+            && spans(Column::Y1, Column::Y2, Column::CentreY, Column::Height);
+        if !is_box || !has(Column::Score) {
+            return Err(format!(
+                "the columns `{text}` need a box (x1 y1 x2 y2, or cx cy w h, or x1 y1 w h) and a score; `class` is \
+                 left out if there is one class, `_` skips a column"
+            ));
+        }
+        Ok(Self(outputs))
+    }
+}
+
+impl fmt::Display for ColumnList {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (place, output) in self.0.iter().enumerate() {
+            if place > 0 {
+                f.write_str(", ")?;
+            }
+            if let Some(name) = &output.output {
+                write!(f, "{name}: ")?;
+            }
+            let names: Vec<_> = output.columns.iter().map(|column| column.name()).collect();
+            f.write_str(&names.join(" "))?;
+        }
+        Ok(())
+    }
+}
+
+impl Column {
+    fn name(self) -> &'static str {
+        COLUMNS.iter().find(|(column, _)| *column == self).map_or("", |(_, name)| name)
+    }
+}
+
+/// The place of a column: the index of its output, and its place in a row of it.
+type Place = (usize, usize);
+
+/// The parameters for reading the outputs.
+#[derive(Debug)]
+struct Finished {
+    size: PictureSize,
+    /// For each output that is read: its index in the model, its shape, and the length of a row.
+    outputs: Vec<(usize, Vec<i64>, usize)>,
+    batch: Option<Place>,
+    /// Left or centre, and right or width: the columns and what they mean.
+    across: [(Column, Place); 2],
+    down: [(Column, Place); 2],
+    score: Place,
+    class: Option<Place>,
+}
+
+/// Binds the columns to a model.
+pub(super) fn bind(
+    list: &ColumnList,
+    signature: &Signature,
+    size: PictureSize,
+) -> Result<Bound, String> {
+    let mut outputs = Vec::new();
+    let mut places = Vec::new();
+    let mut rows = None;
+    for part in &list.0 {
+        let (index, spec) = match &part.output {
+            Some(name) => signature.output(name)?,
+            None => (0, signature.only_output()?),
+        };
+        if matches!(spec.element, ElementType::Uint8 | ElementType::Other(_)) {
+            return Err(format!(
+                "the elements of its output `{}` are {}",
+                spec.name, spec.element
+            ));
+        }
+        let length = part.columns.len();
+        let these = rows_of(spec, length)?;
+        if rows.is_some_and(|rows| rows != -1 && these != -1 && rows != these) {
+            return Err("its outputs have different numbers of rows".to_owned());
+        }
+        rows = Some(rows.filter(|rows| *rows != -1).unwrap_or(these));
+        let place = outputs.len();
+        places.extend(part.columns.iter().enumerate().map(|(at, column)| (*column, (place, at))));
+        outputs.push((index, spec.shape.clone(), length));
+    }
+    let find = |wanted: Column| places.iter().find(|(column, _)| *column == wanted).copied();
+    let pair = |options: [Column; 4]| {
+        let mut found = options.into_iter().filter_map(find);
+        Some([found.next()?, found.next()?])
+    };
+    // The list was checked when it was read.
+    let incomplete = || "its columns are incomplete".to_owned();
+    let finished = Finished {
+        size,
+        batch: find(Column::Batch).map(|(_, place)| place),
+        across: pair([Column::X1, Column::CentreX, Column::X2, Column::Width])
+            .ok_or_else(incomplete)?,
+        down: pair([Column::Y1, Column::CentreY, Column::Y2, Column::Height])
+            .ok_or_else(incomplete)?,
+        score: find(Column::Score).ok_or_else(incomplete)?.1,
+        class: find(Column::Class).map(|(_, place)| place),
+        outputs,
+    };
+    Ok(Bound {
+        classes: finished.class.is_none().then_some(1),
+        overlaps: rows.is_some_and(|rows| rows > MOST_BOXES),
+        reader: Box::new(finished),
+    })
+}
+
+/// The number of rows of an output with rows of `length`, -1 if open: `[rows, length]`, `[1, rows, length]`, or without
+/// the last dimension if there is one column.
+fn rows_of(spec: &TensorSpec, length: usize) -> Result<i64, String> {
+    let is_one = |side: i64| side == 1 || side == -1;
+    match *spec.shape.as_slice() {
+        [batch, rows, last] if is_one(batch) && count(last) == length => Ok(rows),
+        [batch, rows] if length == 1 && is_one(batch) => Ok(rows),
+        [rows, last] if count(last) == length && length > 1 => Ok(rows),
+        [rows] if length == 1 => Ok(rows),
+        _ => Err(format!(
+            "its output `{}` has another shape than [rows, {length}] or [1, rows, {length}]",
+            spec.name
+        )),
+    }
+}
+
+impl Finished {
+    /// The numbers of all outputs that are read, each with the length of its rows, and the number of rows.
+    fn numbers<'a>(
+        &self,
+        outputs: &[TensorView<'a>],
+    ) -> Result<(Vec<(&'a [f32], usize)>, usize), String> {
+        let mut numbers = Vec::with_capacity(self.outputs.len());
+        let mut rows = None;
+        for (index, shape, length) in &self.outputs {
+            let output = outputs
+                .get(*index)
+                .ok_or_else(|| format!("the model returned {} outputs", outputs.len()))?;
+            // The first of three dimensions is the batch, which may be open and is 1.
+            let mut expected = shape.clone();
+            if let [batch, _, _] = expected.as_mut_slice() {
+                *batch = 1;
+            }
+            let values = elements(output, &expected)?;
+            let these = values.len() / length;
+            if rows.is_some_and(|rows| rows != these) {
+                return Err("the model returned outputs with different numbers of rows".to_owned());
+            }
+            rows = Some(these);
+            numbers.push((values, *length));
+        }
+        Ok((numbers, rows.unwrap_or_default()))
+    }
+
+    /// The left and the right side, or the upper and the lower one, of a row.
+    fn sides(columns: &[(Column, Place); 2], number: impl Fn(Place) -> f32) -> (f64, f64) {
+        let [(first, start), (second, end)] = columns;
+        let (start, end) = (f64::from(number(*start)), f64::from(number(*end)));
+        let is_length = matches!(second, Column::Width | Column::Height);
+        match first {
+            Column::CentreX | Column::CentreY => (start - end / 2.0, start + end / 2.0),
+            _ if is_length => (start, start + end),
+            _ => (start, end),
+        }
+    }
+
+    /// Calls `each` with every row of the first picture that is at least as confident as `least`, or whose score is not a
+    /// number: its corners in the model's own unit, its score, and its class if that is a whole number.
+    fn each_row(
+        &self,
+        outputs: &[TensorView<'_>],
+        least: f64,
+        mut each: impl FnMut(Corners, f32, Option<ClassId>),
+    ) -> Result<(), String> {
+        let (numbers, rows) = self.numbers(outputs)?;
+        for row in 0..rows {
+            let number = |(output, place): Place| {
+                let (values, length) = numbers[output];
+                values[row * length + place]
+            };
+            let score = number(self.score);
+            let is_unused = self.batch.is_some_and(|place| number(place) != 0.0);
+            // Unused rows are all 0 or -1. NaN is not skipped, so that it is counted.
+            if is_unused || f64::from(score) < least {
+                continue;
+            }
+            let (x1, x2) = Self::sides(&self.across, number);
+            let (y1, y2) = Self::sides(&self.down, number);
+            let class = self.class.map_or(Some(ClassId(0)), |place| class_number(number(place)));
+            each(Corners { x1, y1, x2, y2 }, score, class);
+        }
+        Ok(())
+    }
+}
+
+impl ReadOutputs for Finished {
+    fn read(&self, outputs: &[TensorView<'_>], rows: &mut Rows<'_>) -> Result<(), String> {
+        let mut found = Vec::new();
+        let mut largest: f64 = 0.0;
+        self.each_row(outputs, rows.confidence, |corners, score, class| {
+            for side in [corners.x1, corners.y1, corners.x2, corners.y2] {
+                if side.is_finite() {
+                    largest = largest.max(side.abs());
+                }
+            }
+            found.push((corners, score, class));
+        })?;
+        let written_in = unit(largest, self.size);
+        for (corners, score, class) in found {
+            rows.add(class.and_then(|class| candidate(written_in.pixels(corners), class, score)));
+        }
+        Ok(())
+    }
+
+    fn evidence(&self, outputs: &[TensorView<'_>], confidence: f64) -> Evidence {
+        let mut total = 0_u32;
+        let mut no_class = 0_u32;
+        let mut no_box = 0_u32;
+        let mut no_score = 0_u32;
+        let read = self.each_row(outputs, confidence, |corners, score, class| {
+            total += 1;
+            no_class += u32::from(class.is_none());
+            no_box += u32::from(corners.x2 <= corners.x1 || corners.y2 <= corners.y1);
+            no_score += u32::from(score > 1.001);
+        });
+        let most = |count: u32| 2 * count > total;
+        let against = |reason: &str| Evidence::Against(reason.to_owned());
+        if read.is_err() || total == 0 {
+            Evidence::None
+        } else if most(no_class) {
+            against("the numbers in the column of its class are not whole")
+        } else if most(no_score) {
+            against("the numbers in the column of its score are above 1")
+        } else if most(no_box) {
+            against("the right and lower sides of its boxes are not beyond the left and upper ones")
+        } else {
+            Evidence::For
+        }
+    }
+}
+
+/// A class number written as a floating-point number.
+fn class_number(value: f32) -> Option<ClassId> {
+    let whole = value.fract() == 0.0 && (0.0..=f32::from(u16::MAX)).contains(&value);
+    whole.then_some(ClassId(value as u16))
+}

@@ -1,0 +1,290 @@
+//! The head of models with a row per anchor: a box, perhaps an objectness, and a score per class, side by side. Most
+//! families differ only in where these are and in how the box is written. What their shapes do not tell, the values of
+//! each run do: sides in pixels, as parts of the input, or as logarithms; scores as probabilities or as logits.
+
+use super::reading::{
+    Rows, Unit, around, best_class, candidate, cells, count, elements, is_score, unit,
+};
+use super::{Evidence, ReadOutputs};
+use crate::onnx::{TensorView, shape_text};
+use albireo_core::detection::ClassId;
+use albireo_core::geometry::{Corners, PictureSize};
+
+/// Logarithms of sides stay below it: e^8 cells are longer than any input. Sides in pixels do not: a model whose boxes
+/// are all of at most eight pixels finds nothing.
+const LARGEST_LOGARITHM: f64 = 8.0;
+
+/// The way in which four numbers are a box.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum BoxForm {
+    /// Centre x, centre y, width, height.
+    Centre,
+    /// The same, as parts of the input's sides.
+    CentreInSides,
+    /// Left, upper, right, lower.
+    Corners,
+    /// As [`Centre`](Self::Centre), or, not decoded, as offsets in cells and logarithms of sides. The cells are those of
+    /// these strides in sequence, each row by row.
+    PerhapsCells(&'static [u32]),
+}
+
+/// The parameters for reading the outputs.
+#[derive(Debug)]
+pub(super) struct Dense {
+    /// The input.
+    pub(super) size: PictureSize,
+    pub(super) form: BoxForm,
+    /// -1 if the model leaves the number open.
+    pub(super) anchors: i64,
+    pub(super) classes: usize,
+    pub(super) has_objectness: bool,
+    /// The index of the output with the boxes; their rows also hold the scores unless these have an output of their own.
+    pub(super) boxes: usize,
+    /// The index of the output with a row of scores per anchor, if it is another.
+    pub(super) scores: Option<usize>,
+}
+
+/// The values of one run, by anchor.
+struct Anchors<'a> {
+    boxes: &'a [f32],
+    box_row: usize,
+    scores: &'a [f32],
+    score_row: usize,
+    /// The place of the first class in a row of scores.
+    first_class: usize,
+    has_objectness: bool,
+}
+
+impl<'a> Anchors<'a> {
+    /// The box, the objectness if there is one, and the scores of each anchor.
+    fn rows(&self) -> impl Iterator<Item = Anchor<'a>> {
+        let first_class = self.first_class;
+        let has_objectness = self.has_objectness;
+        let boxes = self.boxes.chunks_exact(self.box_row);
+        boxes.zip(self.scores.chunks_exact(self.score_row)).map(move |(row, scores)| {
+            let sides = [row[0], row[1], row[2], row[3]];
+            (
+                sides,
+                has_objectness.then(|| row[4]),
+                &scores[first_class..],
+            )
+        })
+    }
+}
+
+/// A box, the objectness if there is one, and the scores.
+type Anchor<'a> = ([f32; 4], Option<f32>, &'a [f32]);
+
+/// The way in which the boxes of one run are written.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Writing {
+    Unit(Unit),
+    Cells(&'static [u32]),
+}
+
+impl Dense {
+    fn anchors<'a>(&self, outputs: &[TensorView<'a>]) -> Result<Anchors<'a>, String> {
+        let missing = || format!("the model returned {} outputs", outputs.len());
+        let boxes = outputs.get(self.boxes).ok_or_else(missing)?;
+        let before = 4 + usize::from(self.has_objectness);
+        match self.scores {
+            None => {
+                let row = before + self.classes;
+                let values = elements(boxes, &[1, self.anchors, row as i64])?;
+                Ok(Anchors {
+                    boxes: values,
+                    box_row: row,
+                    scores: values,
+                    score_row: row,
+                    first_class: before,
+                    has_objectness: self.has_objectness,
+                })
+            }
+            Some(scores) => {
+                let scores = outputs.get(scores).ok_or_else(missing)?;
+                let sides = elements(boxes, &[1, self.anchors, before as i64])?;
+                let anchors = (sides.len() / before) as i64;
+                Ok(Anchors {
+                    boxes: sides,
+                    box_row: before,
+                    scores: elements(scores, &[1, anchors, self.classes as i64])?,
+                    score_row: self.classes,
+                    first_class: 0,
+                    has_objectness: self.has_objectness,
+                })
+            }
+        }
+    }
+
+    /// How the boxes of this run are written. One odd number decides nothing alone: it is as likely to be a fault.
+    fn writing(&self, anchors: &Anchors<'_>) -> Writing {
+        let mut largest: f64 = 0.0;
+        for (sides, _, _) in anchors.rows() {
+            for side in sides {
+                if side.is_finite() {
+                    largest = largest.max(f64::from(side.abs()));
+                }
+            }
+        }
+        match self.form {
+            BoxForm::PerhapsCells(strides) if largest <= LARGEST_LOGARITHM => {
+                Writing::Cells(strides)
+            }
+            BoxForm::PerhapsCells(_) => Writing::Unit(Unit::Pixels),
+            _ => Writing::Unit(unit(largest, self.size)),
+        }
+    }
+
+    /// The corners of anchor number `anchor`, in pixels of the input.
+    fn corners(&self, sides: [f32; 4], writing: Writing, anchor: usize) -> Corners {
+        let sides = sides.map(f64::from);
+        match writing {
+            Writing::Unit(unit) if self.form == BoxForm::Corners => {
+                let [x1, y1, x2, y2] = sides;
+                unit.pixels(Corners { x1, y1, x2, y2 })
+            }
+            Writing::Unit(unit) => unit.pixels(around(sides)),
+            Writing::Cells(strides) => in_cell(sides, strides, self.size, anchor),
+        }
+    }
+}
+
+/// The corners of a box that is written by its cell: offsets of the centre in cells, logarithms of the sides in cells.
+fn in_cell(
+    [x, y, width, height]: [f64; 4],
+    strides: &[u32],
+    size: PictureSize,
+    anchor: usize,
+) -> Corners {
+    let mut first = 0;
+    for &stride in strides {
+        let here = cells(size, &[stride]);
+        if anchor < first + here {
+            let cell = anchor - first;
+            let columns = (size.width / stride) as usize;
+            let stride = f64::from(stride);
+            return around([
+                (x + (cell % columns) as f64) * stride,
+                (y + (cell / columns) as f64) * stride,
+                width.exp() * stride,
+                height.exp() * stride,
+            ]);
+        }
+        first += here;
+    }
+    // There are as many anchors as cells.
+    around([f64::NAN; 4])
+}
+
+/// True if scores are logits: most of them are no probabilities. A few that are none are faults.
+pub(super) fn are_logits(scores: impl Iterator<Item = f32>) -> bool {
+    let mut total = 0_usize;
+    let mut outside = 0_usize;
+    for score in scores {
+        total += 1;
+        outside += usize::from(score.is_finite() && !is_score(score));
+    }
+    2 * outside > total
+}
+
+/// The class with the largest logit, and its probability; `None` if one of them is not a number.
+fn best_logit(logits: &[f32]) -> Option<(ClassId, f32)> {
+    let mut best = (0, f32::NEG_INFINITY);
+    for (class, &logit) in logits.iter().enumerate() {
+        if logit.is_nan() {
+            return None;
+        }
+        if logit > best.1 {
+            best = (class, logit);
+        }
+    }
+    Some((ClassId(u16::try_from(best.0).ok()?), sigmoid(best.1)))
+}
+
+/// The probability of a logit.
+pub(super) fn sigmoid(logit: f32) -> f32 {
+    1.0 / (1.0 + (-logit).exp())
+}
+
+impl ReadOutputs for Dense {
+    fn read(&self, outputs: &[TensorView<'_>], rows: &mut Rows<'_>) -> Result<(), String> {
+        let anchors = self.anchors(outputs)?;
+        let writing = self.writing(&anchors);
+        let first = |(_, objectness, scores): Anchor<'_>| {
+            objectness.or_else(|| scores.first().copied()).unwrap_or_default()
+        };
+        let has_logits = are_logits(anchors.rows().map(first));
+        for (anchor, (sides, raw, scores)) in anchors.rows().enumerate() {
+            let objectness = match raw {
+                Some(logit) if has_logits => sigmoid(logit),
+                Some(probability) => probability,
+                None => 1.0,
+            };
+            // Class scores are at most 1, so most anchors end here. NaN is not skipped, so that it is counted.
+            if f64::from(objectness) < rows.confidence {
+                continue;
+            }
+            let best = if has_logits {
+                best_logit(scores)
+            } else {
+                best_class(scores)
+            };
+            if best.is_some_and(|(_, score)| f64::from(score) < rows.confidence) {
+                continue;
+            }
+            let read = best.filter(|_| is_score(objectness)).and_then(|(class, score)| {
+                let corners = self.corners(sides, writing, anchor);
+                candidate(corners, class, objectness * score)
+            });
+            rows.add(read);
+        }
+        Ok(())
+    }
+
+    fn evidence(&self, outputs: &[TensorView<'_>], confidence: f64) -> Evidence {
+        let Ok(anchors) = self.anchors(outputs) else {
+            return Evidence::None;
+        };
+        let against = |reason: &str| Evidence::Against(reason.to_owned());
+        let writing = self.writing(&anchors);
+        if self.form == BoxForm::CentreInSides && writing == Writing::Unit(Unit::Pixels) {
+            return against("its boxes are in pixels, and not from 0 to 1");
+        }
+        // Logarithms of sides shorter than a cell are negative, and sides never are.
+        let negative = |(sides, _, _): &Anchor<'_>| sides[2] < -1e-3 || sides[3] < -1e-3;
+        let total = anchors.boxes.len() / anchors.box_row;
+        let are_many = 10 * anchors.rows().filter(negative).count() > total;
+        match writing {
+            Writing::Cells(_) if are_many => return Evidence::For,
+            Writing::Unit(_) if are_many => {
+                return against("the sides of its boxes are negative: it is not decoded");
+            }
+            _ => {}
+        }
+        let is_sure = |objectness: f32| f64::from(objectness) >= confidence;
+        let sure = anchors.rows().filter(|(_, objectness, _)| objectness.is_some_and(is_sure));
+        let of_no_class = |(_, _, scores): &Anchor<'_>| scores.iter().all(|&score| score == 0.0);
+        let (of_none, of_one): (Vec<_>, Vec<_>) = sure.partition(of_no_class);
+        if of_none.len() > of_one.len() {
+            return against("its surest boxes have no class at all");
+        }
+        Evidence::None
+    }
+}
+
+/// The number of anchors and classes of an output `[1, anchors, before + classes]`.
+pub(super) fn rows_with_classes(shape: &[i64], before: usize) -> Result<(i64, usize), String> {
+    match *shape {
+        [1 | -1, anchors, row] if count(row) > before && (anchors == -1 || anchors > 0) => {
+            let classes = count(row) - before;
+            if classes > usize::from(u16::MAX) {
+                return Err(format!("it has {classes} classes"));
+            }
+            Ok((anchors, classes))
+        }
+        _ => Err(format!(
+            "its output has another shape than [1, anchors, {before} + classes]: {}",
+            shape_text(shape)
+        )),
+    }
+}

@@ -1,0 +1,379 @@
+//! The table of heads: for each, the outputs that it reads, how its models want their pictures, and how `auto` finds it.
+
+use super::columns::{self, ColumnList, MOST_BOXES};
+use super::dense::{BoxForm, Dense, rows_with_classes};
+use super::reading::{STRIDES, can_be, cells, count};
+use super::yolo::{BEFORE_CLASSES, Yolo};
+use super::{Bound, detr, fastestdet};
+use crate::detector::HeadName;
+use crate::onnx::Signature;
+use crate::picture::ColorOrder::{self, Bgr, Rgb};
+use crate::picture::Fit::{self, Centre, Stretch, TopLeft};
+use crate::picture::ValueRange::{self, ImageNet, To255, ToOne};
+use albireo_core::geometry::PictureSize;
+
+/// Binds a head to a model whose input has this size; the first difference if it does not fit.
+type Bind = fn(&Signature, PictureSize) -> Result<Bound, String>;
+
+/// One head: a row of the table.
+pub(super) struct Family {
+    pub(super) name: HeadName,
+    /// The outputs of its models, in words.
+    pub(super) looks_for: &'static str,
+    pub(super) fit: Fit,
+    pub(super) color_order: ColorOrder,
+    pub(super) value_range: ValueRange,
+    pub(super) bind: Bind,
+    /// The reason why a model that could be bound does not look like one of this head; stricter than binding, which is for
+    /// a user who knows the head.
+    pub(super) looks_other: fn(&Signature, PictureSize) -> Option<String>,
+}
+
+/// All heads that have a name of their own.
+pub(super) const FAMILIES: [Family; 10] = [
+    Family {
+        name: HeadName::Yolo,
+        looks_for: "an output [1, 4 + classes, anchors] or [1, anchors, 4 + classes]",
+        fit: Centre,
+        color_order: Rgb,
+        value_range: ToOne,
+        bind: bind_yolo,
+        looks_other: yolo_has_other_anchors,
+    },
+    Family {
+        name: HeadName::Yolov5,
+        looks_for: "one output [1, anchors, 5 + classes], decoded, or rows `batch x1 y1 x2 y2 class score`",
+        fit: Centre,
+        color_order: Rgb,
+        value_range: ToOne,
+        bind: bind_yolov5,
+        looks_other: |signature, size| {
+            let [.., anchors, _] = signature.outputs.first()?.shape.as_slice() else {
+                return None;
+            };
+            let per_cell = anchors_of(*anchors, size);
+            let is_flat = signature.outputs.first()?.shape.len() == 2;
+            let has_flat_name = signature.outputs.first()?.name.contains("flat_predictions");
+            if is_flat && has_flat_name {
+                return Some("its output has the name of YOLO-NAS".to_owned());
+            }
+            (!is_flat && per_cell.is_none()).then(|| other_anchors(*anchors, size))
+        },
+    },
+    Family {
+        name: HeadName::Yolox,
+        looks_for: "one output [1, cells of strides 8, 16 and 32, 5 + classes]",
+        fit: TopLeft,
+        color_order: Bgr,
+        value_range: To255,
+        bind: bind_yolox,
+        looks_other: |_, _| None,
+    },
+    Family {
+        name: HeadName::YoloNas,
+        looks_for: "rows `batch x1 y1 x2 y2 score class`, or an output [1, cells, 4] and one [1, cells, classes]",
+        fit: Centre,
+        color_order: Rgb,
+        value_range: ToOne,
+        bind: bind_yolo_nas,
+        looks_other: |signature, _| {
+            let output = signature.outputs.first()?;
+            let is_other = output.shape.len() == 2 && !output.name.contains("flat_predictions");
+            is_other
+                .then(|| "its output has another name than `graph2_flat_predictions`".to_owned())
+        },
+    },
+    Family {
+        name: HeadName::EndToEnd,
+        looks_for: "one output [1, boxes, 6] with rows `x1 y1 x2 y2 score class`",
+        fit: Centre,
+        color_order: Rgb,
+        value_range: ToOne,
+        bind: |signature, size| listed("x1 y1 x2 y2 score class", signature, size),
+        looks_other: |signature, size| {
+            let rows = signature.outputs.first()?.shape.iter().rev().nth(1).copied()?;
+            let are_cells = anchors_of(rows, size).is_some();
+            if signature.outputs.first()?.shape.len() != 3 {
+                return Some(
+                    "its output has no dimension for the batch, as exports of other columns do"
+                        .to_owned(),
+                );
+            }
+            (rows > MOST_BOXES && !are_cells).then(|| format!("it has {rows} boxes"))
+        },
+    },
+    Family {
+        name: HeadName::Detr,
+        looks_for: "outputs `dets` [1, queries, 4] and `labels` [1, queries, classes], or `pred_boxes` and `logits`",
+        fit: Stretch,
+        color_order: Rgb,
+        value_range: ImageNet,
+        bind: |signature, size| {
+            let [boxes, logits] = detr::RF_DETR;
+            if let (Ok(_), Ok((_, labels))) = (signature.output(boxes), signature.output(logits)) {
+                labels.float()?;
+            }
+            detr::bind(
+                &[detr::RF_DETR, detr::OTHERS[0], detr::OTHERS[1]],
+                signature,
+                size,
+            )
+        },
+        looks_other: |signature, size| {
+            detr::bind(&[detr::RF_DETR], signature, size)
+                .err()
+                .map(|_| RANGE_IS_OPEN.to_owned())
+        },
+    },
+    Family {
+        name: HeadName::RtDetr,
+        looks_for: "one output [1, queries, 4 + classes], or outputs `pred_boxes` and `logits` or `pred_logits`",
+        fit: Stretch,
+        color_order: Rgb,
+        value_range: ToOne,
+        bind: bind_rt_detr,
+        looks_other: |signature, size| {
+            let [output] = signature.outputs.as_slice() else {
+                return Some(RANGE_IS_OPEN.to_owned());
+            };
+            let queries = output.shape.get(1).copied().unwrap_or_default();
+            if anchors_of(queries, size).is_some() || queries > MOST_BOXES {
+                return Some(format!("it has {queries} rows, and not some hundred"));
+            }
+            None
+        },
+    },
+    Family {
+        name: HeadName::DFine,
+        looks_for: "outputs `labels` [1, queries], `boxes` [1, queries, 4] and `scores` [1, queries]",
+        fit: Stretch,
+        color_order: Rgb,
+        value_range: ToOne,
+        bind: |signature, size| {
+            listed(
+                "boxes: x1 y1 x2 y2, scores: score, labels: class",
+                signature,
+                size,
+            )
+        },
+        looks_other: |signature, _| {
+            let has_sizes = signature.inputs.iter().any(|input| input.name == "orig_target_sizes");
+            (!has_sizes).then(|| "it has no input `orig_target_sizes`".to_owned())
+        },
+    },
+    Family {
+        name: HeadName::Rtmdet,
+        looks_for: "outputs `dets` [1, boxes, 5] and `labels` int64 [1, boxes]",
+        fit: TopLeft,
+        color_order: Bgr,
+        value_range: ImageNet,
+        bind: |signature, size| listed("dets: x1 y1 x2 y2 score, labels: class", signature, size),
+        looks_other: |_, _| Some("its outputs do not tell how it wants its pictures".to_owned()),
+    },
+    Family {
+        name: HeadName::FastestDet,
+        looks_for: "one output [1, 5 + classes, rows / 16, columns / 16]",
+        fit: Stretch,
+        color_order: Bgr,
+        value_range: ToOne,
+        bind: fastestdet::bind,
+        looks_other: |_, _| None,
+    },
+];
+
+/// The reason why outputs with the names of the transformers library do not tell the head.
+const RANGE_IS_OPEN: &str = "its outputs do not tell how it wants its pictures";
+
+/// The row of `name`; `None` for [`HeadName::Auto`] and [`HeadName::Columns`].
+pub(super) fn family(name: HeadName) -> Option<&'static Family> {
+    FAMILIES.iter().find(|family| family.name == name)
+}
+
+/// Binds final boxes in these columns.
+fn listed(columns: &str, signature: &Signature, size: PictureSize) -> Result<Bound, String> {
+    columns::bind(&columns.parse::<ColumnList>()?, signature, size)
+}
+
+/// The sets of strides of YOLO models: three feature maps, or four with a finer or a coarser one.
+const YOLO_STRIDES: [&[u32]; 3] = [&STRIDES, &[4, 8, 16, 32], &[8, 16, 32, 64]];
+
+/// The number of anchors per cell, 1 or 3, if `anchors`, which may be open, can be those of an input of `size`.
+fn anchors_of(anchors: i64, size: PictureSize) -> Option<usize> {
+    [1, 3].into_iter().find(|per_cell| {
+        YOLO_STRIDES
+            .iter()
+            .any(|strides| can_be(anchors, per_cell * cells(size, strides)))
+    })
+}
+
+fn other_anchors(anchors: i64, size: PictureSize) -> String {
+    let all = YOLO_STRIDES.map(|strides| cells(size, strides).to_string());
+    format!(
+        "it has {anchors} anchors, and an input of {size} has {} (by strides)",
+        all.join(", ")
+    )
+}
+
+/// The one output that fits an anchor's worth of numbers; exports for training have others beside it.
+fn with_anchors(signature: &Signature, size: PictureSize) -> Result<usize, String> {
+    let of_anchors = |shape: &[i64]| matches!(shape, [1 | -1, a, b] if *a != -1 && *b != -1 && (is_cells(*a, size) || is_cells(*b, size)));
+    match signature.outputs.as_slice() {
+        [_] => Ok(0),
+        several => {
+            let mut fitting =
+                several.iter().enumerate().filter(|(_, output)| of_anchors(&output.shape));
+            match (fitting.next(), fitting.next()) {
+                (Some((place, _)), None) => Ok(place),
+                _ => Err(format!("it has {} outputs instead of one", several.len())),
+            }
+        }
+    }
+}
+
+fn is_cells(side: i64, size: PictureSize) -> bool {
+    side != -1 && YOLO_STRIDES.iter().any(|strides| can_be(side, cells(size, strides)))
+}
+
+/// A row of scores per class, in either direction of the output: the direction that has as many anchors as the input has
+/// cells, else one row per number.
+fn bind_yolo(signature: &Signature, size: PictureSize) -> Result<Bound, String> {
+    let index = with_anchors(signature, size)?;
+    let output = signature.outputs.get(index).ok_or("it has no output")?.float()?;
+    let [1 | -1, first, second] = *output.shape.as_slice() else {
+        return Err("its output has another shape".to_owned());
+    };
+    let is_transposed = (is_cells(first, size) && !is_cells(second, size))
+        || (first == -1 && count(second) > BEFORE_CLASSES);
+    if is_transposed {
+        let (anchors, classes) = rows_with_classes(&output.shape, BEFORE_CLASSES)?;
+        let reader = Dense {
+            size,
+            form: BoxForm::Centre,
+            anchors,
+            classes,
+            has_objectness: false,
+            boxes: index,
+            scores: None,
+        };
+        return Ok(dense(reader, true));
+    }
+    let classes = count(first).saturating_sub(BEFORE_CLASSES);
+    if !(1..=usize::from(u16::MAX)).contains(&classes) || !(second == -1 || second > 0) {
+        return Err("its output has another shape".to_owned());
+    }
+    Ok(Bound {
+        classes: Some(classes),
+        overlaps: true,
+        reader: Box::new(Yolo {
+            size,
+            output: index,
+            classes,
+            anchors: second,
+        }),
+    })
+}
+
+fn yolo_has_other_anchors(signature: &Signature, size: PictureSize) -> Option<String> {
+    let index = with_anchors(signature, size).ok()?;
+    let shape = &signature.outputs.get(index)?.shape;
+    let sides = [shape.get(1).copied()?, shape.get(2).copied()?];
+    let fits = sides.iter().any(|&side| side == -1 || is_cells(side, size));
+    (!fits).then(|| other_anchors(sides[1], size))
+}
+
+fn dense(reader: Dense, overlaps: bool) -> Bound {
+    Bound {
+        classes: Some(reader.classes),
+        overlaps,
+        reader: Box::new(reader),
+    }
+}
+
+/// Objectness and a score per class for each anchor, of which a cell has one (YOLOv6) or three; or final boxes.
+fn bind_yolov5(signature: &Signature, size: PictureSize) -> Result<Bound, String> {
+    let output = signature.only_output()?;
+    if output.shape.len() == 2 {
+        return listed("batch x1 y1 x2 y2 class score", signature, size);
+    }
+    let (anchors, classes) = rows_with_classes(&output.shape, BEFORE_CLASSES + 1)?;
+    let reader = Dense {
+        size,
+        form: BoxForm::Centre,
+        anchors,
+        classes,
+        has_objectness: true,
+        boxes: 0,
+        scores: None,
+    };
+    Ok(dense(reader, true))
+}
+
+fn bind_yolox(signature: &Signature, size: PictureSize) -> Result<Bound, String> {
+    if !size.width.is_multiple_of(32) || !size.height.is_multiple_of(32) {
+        return Err(format!(
+            "its input of {size} has a side that is not a multiple of 32"
+        ));
+    }
+    let cells = cells(size, &STRIDES);
+    let (rows, classes) = rows_with_classes(&signature.only_output()?.shape, BEFORE_CLASSES + 1)
+        .map_err(|_| format!("its output has another shape than [1, {cells}, 5 + classes]"))?;
+    if !can_be(rows, cells) {
+        return Err(format!(
+            "its output has another shape than [1, {cells}, 5 + classes]"
+        ));
+    }
+    let reader = Dense {
+        size,
+        form: BoxForm::PerhapsCells(&STRIDES),
+        anchors: cells as i64,
+        classes,
+        has_objectness: true,
+        boxes: 0,
+        scores: None,
+    };
+    Ok(dense(reader, true))
+}
+
+fn bind_yolo_nas(signature: &Signature, size: PictureSize) -> Result<Bound, String> {
+    let [first, second] = signature.outputs.as_slice() else {
+        return listed("batch x1 y1 x2 y2 score class", signature, size);
+    };
+    let is_boxes = |shape: &[i64]| matches!(shape, [1 | -1, _, 4]);
+    let (boxes, scores) = match (is_boxes(&first.shape), is_boxes(&second.shape)) {
+        (true, _) => (0, 1),
+        (_, true) => (1, 0),
+        _ => return Err("none of its outputs is [1, cells, 4]".to_owned()),
+    };
+    let of_boxes = signature.outputs[boxes].float()?;
+    let (anchors, classes) = rows_with_classes(&signature.outputs[scores].float()?.shape, 0)?;
+    if of_boxes.shape.get(1) != Some(&anchors) || !(anchors == -1 || is_cells(anchors, size)) {
+        return Err("its outputs do not have a row for each cell".to_owned());
+    }
+    let reader = Dense {
+        size,
+        form: BoxForm::Corners,
+        anchors,
+        classes,
+        has_objectness: false,
+        boxes,
+        scores: Some(scores),
+    };
+    Ok(dense(reader, true))
+}
+
+fn bind_rt_detr(signature: &Signature, size: PictureSize) -> Result<Bound, String> {
+    let [output] = signature.outputs.as_slice() else {
+        return detr::bind(&detr::OTHERS, signature, size);
+    };
+    let (anchors, classes) = rows_with_classes(&output.float()?.shape, BEFORE_CLASSES)?;
+    let reader = Dense {
+        size,
+        form: BoxForm::CentreInSides,
+        anchors,
+        classes,
+        has_objectness: false,
+        boxes: 0,
+        scores: None,
+    };
+    Ok(dense(reader, false))
+}

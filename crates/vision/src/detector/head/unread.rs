@@ -1,0 +1,132 @@
+//! Models that no head reads by itself, each with what to do.
+
+use crate::onnx::{Signature, TensorSpec};
+
+/// The reason why a model of a known kind is not read, with the way out; `None` if its kind is not known.
+pub(super) fn reason(signature: &Signature) -> Option<String> {
+    [
+        tensorflow,
+        paddle,
+        plug_in,
+        transformers,
+        mmdeploy,
+        training_heads,
+        segmentation,
+        classifier,
+    ]
+    .into_iter()
+    .find_map(|kind| kind(signature))
+}
+
+/// Models of the DETR family, whose names do not tell how they want their pictures.
+fn transformers(signature: &Signature) -> Option<String> {
+    signature.output("pred_boxes").ok()?;
+    Some(
+        "its outputs have the names that every model of the DETR family has, and not how it wants its pictures. Set \
+         detector.head = \"rt-detr\" for RT-DETR, D-FINE and DEIM (values from 0 to 1), or \"detr\" for those that are \
+         normalised as for ImageNet"
+            .to_owned(),
+    )
+}
+
+/// Models that mmdeploy exported.
+fn mmdeploy(signature: &Signature) -> Option<String> {
+    let (_, boxes) = signature.output("dets").ok()?;
+    signature.output("labels").ok()?;
+    matches!(boxes.shape.as_slice(), [.., 5]).then(|| {
+        "mmdeploy writes these outputs for every detector, and not how it wants its pictures. Set detector.head = \
+         \"rtmdet\" for RTMDet; for another, also set detector.range, color_order and fit"
+            .to_owned()
+    })
+}
+
+/// The full name of the output that has `part` in it.
+fn named<'a>(signature: &'a Signature, part: &str) -> Option<&'a str> {
+    let output = signature.outputs.iter().find(|output| output.name.contains(part));
+    output.map(|output| output.name.as_str())
+}
+
+/// SSD and others of TensorFlow's model zoo.
+fn tensorflow(signature: &Signature) -> Option<String> {
+    let boxes = named(signature, "detection_boxes")?;
+    let scores = named(signature, "detection_scores")?;
+    let classes = named(signature, "detection_classes")?;
+    Some(format!(
+        "its outputs are those of TensorFlow's models (SSD and others), which do not say how they want their pictures. \
+         Set detector.head = {{ columns = \"{boxes}: y1 x1 y2 x2, {scores}: score, {classes}: class\" }}, detector.fit = \
+         \"stretch\", detector.range = \"0..255\" unless it takes bytes, and detector.input_size to the size that it was \
+         trained with. Its class numbers begin with 1: the first of detector.class_names is one that does not occur"
+    ))
+}
+
+/// PP-YOLOE and others of PaddleDetection.
+fn paddle(signature: &Signature) -> Option<String> {
+    if !signature.inputs.iter().any(|input| input.name == "scale_factor") {
+        return None;
+    }
+    let is_rows = |output: &&TensorSpec| matches!(output.shape.as_slice(), [.., 6]);
+    Some(match signature.outputs.iter().find(is_rows) {
+        Some(output) => format!(
+            "it is a model of PaddleDetection (PP-YOLOE and others), which does not say how it wants its pictures. Set \
+             detector.head = {{ columns = \"{}: class score x1 y1 x2 y2\" }}, detector.fit = \"stretch\", and \
+             detector.range = \"0..1\" for PP-YOLOE+ or \"imagenet\" for PP-YOLOE",
+            output.name
+        ),
+        None => "it is a model of PaddleDetection (PP-YOLOE and others) without its suppression: export it with \
+                 `export.nms=True`"
+            .to_owned(),
+    })
+}
+
+/// TensorRT's suppression, if this ONNX Runtime could load it.
+fn plug_in(signature: &Signature) -> Option<String> {
+    let boxes = named(signature, "det_boxes").or_else(|| named(signature, "nmsed_boxes"))?;
+    let scores = named(signature, "det_scores").or_else(|| named(signature, "nmsed_scores"))?;
+    let classes = named(signature, "det_classes").or_else(|| named(signature, "nmsed_classes"))?;
+    Some(format!(
+        "its outputs are those of a suppression plug-in, which do not say how the model wants its pictures. Set \
+         detector.head = {{ columns = \"{boxes}: x1 y1 x2 y2, {scores}: score, {classes}: class\" }}, and detector.range, \
+         color_order and fit if they are not \"0..1\", \"rgb\" and \"letterbox\""
+    ))
+}
+
+/// Feature maps with three boxes per cell, or several of them.
+fn training_heads(signature: &Signature) -> Option<String> {
+    let is_map = |output: &TensorSpec| output.shape.len() == 5;
+    if signature.outputs.iter().filter(|output| is_map(output)).count() >= 2 {
+        return Some(
+            "its outputs are feature maps of YOLOv5 or YOLOv7 that are not decoded: export it for inference (YOLOv5: \
+             `python export.py --include onnx`; YOLOv7: `python export.py --grid`)"
+                .to_owned(),
+        );
+    }
+    (signature.outputs.len() >= 4).then(|| {
+        format!(
+            "its {} outputs are feature maps that are not decoded (as of NanoDet, PicoDet or CenterFace), which nothing \
+             here reads: export it with its decoding in the graph, as one output with a row per box, and list the row's \
+             columns in detector.head = {{ columns = \"x1 y1 x2 y2 score class\" }}",
+            signature.outputs.len()
+        )
+    })
+}
+
+fn segmentation(signature: &Signature) -> Option<String> {
+    let has_masks = signature
+        .outputs
+        .iter()
+        .any(|output| matches!(output.shape.as_slice(), [_, 32, _, _]));
+    (has_masks && signature.outputs.len() == 2).then(|| {
+        "it is a segmentation model, whose masks nothing here reads: use the detection model of the same family"
+            .to_owned()
+    })
+}
+
+fn classifier(signature: &Signature) -> Option<String> {
+    let [output] = signature.outputs.as_slice() else {
+        return None;
+    };
+    let is_row = matches!(output.shape.as_slice(), [1 | -1, classes] if !(4..=8).contains(classes));
+    is_row.then(|| {
+        "its output is one row of scores: it is a classifier and finds no boxes; a detector is needed".to_owned()
+    })
+}

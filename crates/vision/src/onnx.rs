@@ -1,0 +1,24 @@
+//! ONNX models on ONNX Runtime: the library, sessions and their execution providers, a model's signature and metadata.
+
+mod error;
+pub(crate) mod fault;
+mod file_kind;
+mod gpu;
+mod metadata;
+mod onnxruntime;
+mod provider;
+mod session;
+mod sessions;
+mod signature;
+
+pub use error::{StartError, StartErrorKind};
+pub use gpu::GpuConfig;
+pub use metadata::Metadata;
+#[cfg(test)]
+pub(crate) use metadata::tests::metadata;
+pub use onnxruntime::find_library;
+pub use provider::ExecutionProvider;
+pub use session::{OnnxSession, SessionSettings, TensorView};
+pub use sessions::end_all_sessions;
+pub(crate) use signature::shape_text;
+pub use signature::{ElementType, PictureInput, Signature, TensorSpec};

@@ -1,0 +1,187 @@
+//! Says what a file is that was given as a model and is no ONNX file, by its first bytes.
+
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+/// What other files begin with: the place of the bytes, the bytes, and what the file is with the way out.
+const OTHERS: [(usize, &[u8], &str); 13] = [
+    (
+        0,
+        b"version https://git-lfs",
+        "a Git LFS pointer, the placeholder of a file that was not fetched: run `git lfs pull` in its repository, or \
+         download the file itself",
+    ),
+    (
+        0,
+        b"PK\x03\x04",
+        "a ZIP archive, as PyTorch writes its models (.pt): export it, for Ultralytics with `yolo export model=FILE \
+         format=onnx`, or unpack it if it holds an .onnx file",
+    ),
+    (
+        0,
+        b"\x80\x02",
+        "a Python pickle, as old versions of PyTorch write their models (.pt): export it to ONNX",
+    ),
+    (
+        4,
+        b"TFL3",
+        "a TensorFlow Lite model: export the model to ONNX from its training framework, or convert this file with \
+         `python -m tf2onnx.convert --tflite FILE --output FILE.onnx`",
+    ),
+    (0, b"ptrt", TENSORRT),
+    (0, b"ftrt", TENSORRT),
+    (
+        0,
+        b"\x89HDF",
+        "an HDF5 file, as Keras writes its models (.h5): convert it with tf2onnx",
+    ),
+    (
+        0,
+        b"RKNN",
+        "a model for Rockchip's NPU: give the ONNX file that it was made of",
+    ),
+    (
+        0,
+        b"\x01HEF",
+        "a model for Hailo's accelerator: give the ONNX file that it was made of",
+    ),
+    (
+        0,
+        b"7767517",
+        "a model of ncnn: give the ONNX file that it was made of, or export the model to ONNX",
+    ),
+    (
+        0,
+        b"\x1f\x8b",
+        "compressed with gzip: unpack it with `gunzip`",
+    ),
+    (
+        0,
+        b"\xff\xd8\xff",
+        "a JPEG picture: the model comes first, then the pictures",
+    ),
+    (
+        0,
+        b"\x89PNG",
+        "a PNG picture: the model comes first, then the pictures",
+    ),
+];
+
+const TENSORRT: &str = "a TensorRT engine, which works on one GPU and version only: give the ONNX file that it was made \
+                        of, and detector.providers = [\"tensorrt\", \"cuda\"] builds the engine";
+
+/// What `model` is, with the way out, if it is certainly no ONNX file.
+pub(super) fn other_kind(model: &Path) -> Option<String> {
+    if model.is_dir() {
+        return Some(
+            "it is a folder: name the .onnx file; a folder of OpenVINO or TensorFlow holds no ONNX model".to_owned(),
+        );
+    }
+    let mut head = Vec::new();
+    File::open(model).ok()?.take(4096).read_to_end(&mut head).ok()?;
+    if head.is_empty() {
+        return Some("it is empty: copy or download it again".to_owned());
+    }
+    let kind = OTHERS
+        .iter()
+        .find(|(at, bytes, _)| head.get(*at..).is_some_and(|rest| rest.starts_with(bytes)))
+        .map(|(_, _, kind)| (*kind).to_owned())
+        .or_else(|| text(&head))
+        .or_else(|| ultralytics_engine(&head))?;
+    Some(format!("it is no ONNX file but {kind}"))
+}
+
+/// What a text file is: no ONNX file is text.
+fn text(head: &[u8]) -> Option<String> {
+    let is_text = |byte: &u8| matches!(byte, b'\t' | b'\n' | b'\r' | 0x20..=0x7e | 0x80..);
+    if !head.iter().all(is_text) {
+        return None;
+    }
+    let words = String::from_utf8_lossy(head).to_lowercase();
+    let start = words.trim_start_matches('\u{feff}').trim_start();
+    let kind = if start.starts_with("<!doctype html") || start.starts_with("<html") {
+        "a web page: the download got an error page or a login; open the address in a browser, or use its link for \
+         the raw file"
+    } else if start.starts_with("<?xml") || start.starts_with("<net") {
+        "an XML file, as OpenVINO writes its models: give the ONNX file that it was made of, or export the model to \
+         ONNX"
+    } else {
+        let first: String = start.lines().next().unwrap_or_default().chars().take(60).collect();
+        return Some(format!(
+            "a text that begins with `{first}`: name the .onnx file"
+        ));
+    };
+    Some(kind.to_owned())
+}
+
+/// Ultralytics writes the length of its metadata, the metadata as JSON, and then the engine.
+fn ultralytics_engine(head: &[u8]) -> Option<String> {
+    let (length, rest) = head.split_first_chunk::<4>()?;
+    let is_metadata = u32::from_le_bytes(*length) < 1 << 20 && rest.starts_with(b"{\"");
+    is_metadata.then(|| TENSORRT.to_owned())
+}
+
+/// ONNX Runtime's reason for not loading `model`, preceded by its meaning if that is known.
+pub(super) fn in_words(model: &Path, reason: &str) -> String {
+    let bytes = std::fs::metadata(model).map_or(0, |file| file.len());
+    let lower = reason.to_lowercase();
+    if lower.contains("protobuf parsing failed") || lower.contains("invalid protobuf") {
+        return format!(
+            "it is no ONNX file, or one that is damaged or cut short (it has {bytes} bytes): copy or export it again, \
+             and compare its size ({reason})"
+        );
+    }
+    if lower.contains("efficientnms_trt") || lower.contains("batchednms") {
+        return format!(
+            "its suppression is a plug-in of TensorRT that ONNX Runtime does not have: export it without the plug-in \
+             (Ultralytics: nms=True; YOLOv7: --grid --end2end --max-wh 640, or --grid alone) ({reason})"
+        );
+    }
+    if lower.contains("is not a registered function/op") || lower.contains("no op registered") {
+        return format!(
+            "it uses an operator that this ONNX Runtime does not have: export it without plug-ins, or with a lower \
+             opset ({reason})"
+        );
+    }
+    reason.to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_that_is_no_model_is_named_for_what_it_is_with_the_way_out() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("model.onnx");
+        for (bytes, said) in [
+            (&b""[..], "empty"),
+            (
+                b"version https://git-lfs.github.com/spec/v1\noid sha256:4d",
+                "git lfs pull",
+            ),
+            (b"PK\x03\x04\x14\0\0\0", "format=onnx"),
+            (b"\x80\x02}q\0", "pickle"),
+            (b"\x1c\0\0\0TFL3\0\0\0\0", "tf2onnx"),
+            (b"ptrt\0\0\0\0", "TensorRT engine"),
+            (
+                b"\x40\0\0\0{\"description\": \"Ultralytics\"}ftrt",
+                "TensorRT engine",
+            ),
+            (b"<?xml version=\"1.0\"?>\n<net name=\"y\">", "OpenVINO"),
+            (b"\xef\xbb\xbf<!DOCTYPE html><html>", "web page"),
+            (b"\n<html><head>", "web page"),
+            (b"404: Not Found", "`404: not found`"),
+            (b"person\ncar\n", "`person`"),
+        ] {
+            std::fs::write(&file, bytes).unwrap();
+            let kind = other_kind(&file).unwrap();
+            assert!(kind.contains(said), "{kind}");
+        }
+        assert!(other_kind(folder.path()).unwrap().contains("folder"));
+        // The field `ir_version`, then a name.
+        std::fs::write(&file, b"\x08\x08\x12\x07pytorch").unwrap();
+        assert_eq!(other_kind(&file), None);
+    }
+}

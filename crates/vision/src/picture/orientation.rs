@@ -1,0 +1,173 @@
+//! The orientation of a picture in its Exif data (JEITA CP-3451, tag 0x0112): how its pixels must be turned to stand
+//! upright, as browsers and vision libraries show it.
+
+use super::{Picture, PictureFormat};
+use albireo_core::geometry::PictureSize;
+
+/// How stored pixels become upright ones, by the eight values of the tag.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Orientation {
+    /// True if rows become columns.
+    transposed: bool,
+    /// True if the stored picture, before it is transposed, is mirrored left to right.
+    from_right: bool,
+    /// True if it is mirrored top to bottom.
+    from_bottom: bool,
+}
+
+impl Orientation {
+    pub(super) const UPRIGHT: Self = Self::new(false, false, false);
+
+    const fn new(transposed: bool, from_right: bool, from_bottom: bool) -> Self {
+        Self {
+            transposed,
+            from_right,
+            from_bottom,
+        }
+    }
+
+    fn from_tag(value: u16) -> Self {
+        match value {
+            2 => Self::new(false, true, false),
+            3 => Self::new(false, true, true),
+            4 => Self::new(false, false, true),
+            5 => Self::new(true, false, false),
+            6 => Self::new(true, false, true),
+            7 => Self::new(true, true, true),
+            8 => Self::new(true, true, false),
+            _ => Self::UPRIGHT,
+        }
+    }
+
+    /// The size of the upright picture whose stored size is `size`, and the other way round.
+    pub(super) fn turned(self, size: PictureSize) -> PictureSize {
+        if self.transposed {
+            PictureSize::new(size.height, size.width)
+        } else {
+            size
+        }
+    }
+
+    /// Turns the pixels of `picture` upright.
+    pub(super) fn apply(self, picture: &mut Picture) {
+        if self == Self::UPRIGHT {
+            return;
+        }
+        let stored = picture.size;
+        let channels = picture.layout.channels();
+        let columns = stored.width as usize;
+        let rows = stored.height as usize;
+        let upright = self.turned(stored);
+        let mut turned = Vec::with_capacity(picture.pixels.len());
+        for y in 0..upright.height as usize {
+            for x in 0..upright.width as usize {
+                let (column, row) = if self.transposed { (y, x) } else { (x, y) };
+                let column = if self.from_right {
+                    columns - 1 - column
+                } else {
+                    column
+                };
+                let row = if self.from_bottom {
+                    rows - 1 - row
+                } else {
+                    row
+                };
+                let at = (row * columns + column) * channels;
+                turned.extend_from_slice(&picture.pixels[at..at + channels]);
+            }
+        }
+        picture.pixels = turned;
+        picture.size = upright;
+        picture.source_size = self.turned(picture.source_size);
+    }
+}
+
+/// The orientation of a file; upright if it has none or it cannot be read.
+pub(super) fn orientation(format: PictureFormat, bytes: &[u8]) -> Orientation {
+    let tag = match format {
+        PictureFormat::Jpeg => super::header::jpeg_exif(bytes).and_then(tag),
+        PictureFormat::Png => super::header::png_exif(bytes).and_then(tag),
+        _ => None,
+    };
+    tag.map_or(Orientation::UPRIGHT, Orientation::from_tag)
+}
+
+/// The orientation in a TIFF structure, whose first directory lists it.
+fn tag(tiff: &[u8]) -> Option<u16> {
+    const ORIENTATION: u16 = 0x0112;
+    let is_little = match tiff.get(..4)? {
+        b"II*\0" => true,
+        b"MM\0*" => false,
+        _ => return None,
+    };
+    let short = |at: usize| {
+        let pair = tiff.get(at..at.checked_add(2)?)?.try_into().ok()?;
+        Some(if is_little {
+            u16::from_le_bytes(pair)
+        } else {
+            u16::from_be_bytes(pair)
+        })
+    };
+    let long = |at: usize| {
+        let four = tiff.get(at..at.checked_add(4)?)?.try_into().ok()?;
+        Some(if is_little {
+            u32::from_le_bytes(four)
+        } else {
+            u32::from_be_bytes(four)
+        })
+    };
+    let directory = usize::try_from(long(4)?).ok()?;
+    let entries = usize::from(short(directory)?);
+    // An entry has 12 bytes: tag, type, count, value.
+    (0..entries)
+        .map_while(|entry| directory.checked_add(2 + 12 * entry))
+        .find(|&at| short(at) == Some(ORIENTATION))
+        .and_then(|at| short(at.checked_add(8)?))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::picture::PixelLayout;
+
+    #[test]
+    fn each_orientation_turns_the_picture_as_the_standard_says() {
+        // Two rows of three pixels: 1 2 3 / 4 5 6.
+        for (value, columns, expected) in [
+            (1, 3, [1, 2, 3, 4, 5, 6]),
+            (2, 3, [3, 2, 1, 6, 5, 4]),
+            (3, 3, [6, 5, 4, 3, 2, 1]),
+            (4, 3, [4, 5, 6, 1, 2, 3]),
+            (5, 2, [1, 4, 2, 5, 3, 6]),
+            (6, 2, [4, 1, 5, 2, 6, 3]),
+            (7, 2, [6, 3, 5, 2, 4, 1]),
+            (8, 2, [3, 6, 2, 5, 1, 4]),
+            (9, 3, [1, 2, 3, 4, 5, 6]),
+        ] {
+            let size = PictureSize::new(3, 2);
+            let mut picture = Picture {
+                size,
+                source_size: size,
+                layout: PixelLayout::Gray8,
+                pixels: vec![1, 2, 3, 4, 5, 6],
+            };
+            Orientation::from_tag(value).apply(&mut picture);
+            assert_eq!(
+                (picture.size.width, &picture.pixels[..]),
+                (columns, &expected[..]),
+                "{value}"
+            );
+        }
+    }
+
+    #[test]
+    fn the_tag_is_read_in_either_byte_order_and_damage_is_no_orientation() {
+        let little = b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0";
+        let big = b"MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0";
+        assert_eq!([tag(little), tag(big)], [Some(6); 2]);
+        for length in 0..18 {
+            assert_eq!(tag(&little[..length]), None);
+        }
+        assert_eq!(tag(b"II*\0\xff\xff\xff\xff"), None);
+    }
+}

@@ -1,0 +1,132 @@
+//! Raw pictures as senders publish them: of one length, or with rows that are padded.
+
+use super::limits::check_picture;
+use super::{EncodedPicture, FrameFault, FrameLimits, PictureFormat};
+use albireo_core::geometry::PictureSize;
+use bytes::{Bytes, BytesMut};
+
+/// The most bytes by which a row is padded. More is a picture of another size.
+const MOST_PADDING: usize = 512;
+
+/// Makes a picture of raw pixels in `format`. Rows that are padded to a multiple of four bytes, as cameras and graphics
+/// cards align them, lose their padding.
+///
+/// # Errors
+/// If it exceeds a limit, or has another number of bytes than its size requires.
+pub fn raw_picture(
+    format: PictureFormat,
+    size: PictureSize,
+    bytes: Bytes,
+    limits: &FrameLimits,
+) -> Result<EncodedPicture, FrameFault> {
+    check_picture(size, limits)?;
+    let Some(expected) = format.raw_bytes(size) else {
+        return Err(FrameFault::oversized(format!(
+            "a picture of {size} is too large"
+        )));
+    };
+    let bytes = if expected == bytes.len() as u64 {
+        bytes
+    } else {
+        without_padding(format, size, &bytes).ok_or_else(|| {
+            FrameFault::undecodable(format!(
+                "a raw {} picture of {size} must have {expected} bytes, not {}; rows may be padded, all alike, to a \
+                 multiple of four bytes",
+                format.as_str(),
+                bytes.len()
+            ))
+        })?
+    };
+    Ok(EncodedPicture {
+        format,
+        bytes,
+        size,
+    })
+}
+
+/// The pixels without the padding of their rows; `None` if padding does not explain the length.
+fn without_padding(format: PictureFormat, size: PictureSize, bytes: &Bytes) -> Option<Bytes> {
+    let planes = format.planes(size);
+    let first = planes.first()?;
+    // The rows of all planes are padded in proportion to the first's.
+    let (units, whole) = planes.iter().fold((0, 0), |(units, whole), plane| {
+        (
+            units + plane.rows * plane.share,
+            whole + plane.rows * plane.row,
+        )
+    });
+    let stride = bytes.len().checked_mul(PARTS)?.checked_div(units)?;
+    let is_exact = stride.checked_mul(units)? == bytes.len() * PARTS;
+    let padding = stride.checked_sub(first.row)?;
+    if !is_exact || !stride.is_multiple_of(4) || padding == 0 || padding > MOST_PADDING {
+        return None;
+    }
+    let mut packed = BytesMut::with_capacity(whole);
+    let mut rest = &bytes[..];
+    for plane in &planes {
+        let step = stride * plane.share / PARTS;
+        for _ in 0..plane.rows {
+            let (row, after) = rest.split_at_checked(step)?;
+            packed.extend_from_slice(row.get(..plane.row)?);
+            rest = after;
+        }
+    }
+    Some(packed.freeze())
+}
+
+/// The parts of a row in which [`Plane::share`] counts.
+const PARTS: usize = 2;
+
+/// A plane of a raw picture.
+pub(super) struct Plane {
+    pub(super) rows: usize,
+    /// The bytes of a row without padding.
+    pub(super) row: usize,
+    /// The length of its padded rows, in halves of those of the first plane.
+    pub(super) share: usize,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn padding_of_rows_is_removed_and_another_length_refused() {
+        let size = PictureSize::new(3, 2);
+        let made = |format, bytes: &[u8], size| {
+            let picture = raw_picture(
+                format,
+                size,
+                Bytes::copy_from_slice(bytes),
+                &FrameLimits::default(),
+            );
+            picture.map(|picture| picture.bytes.to_vec())
+        };
+        let grey = [1, 2, 3, 0, 4, 5, 6, 0];
+        assert_eq!(
+            made(PictureFormat::Gray8, &grey, size).unwrap(),
+            [1, 2, 3, 4, 5, 6]
+        );
+        assert_eq!(
+            made(PictureFormat::Gray8, &[1, 2, 3, 4, 5, 6], size).unwrap().len(),
+            6
+        );
+        for length in [5, 7, 9, 10, 2000] {
+            let refused =
+                made(PictureFormat::Gray8, &vec![0; length], size).unwrap_err().to_string();
+            assert!(refused.contains("must have 6 bytes"), "{refused}");
+        }
+        // Two columns of four bytes: luma, then chroma at half the size.
+        let size = PictureSize::new(2, 2);
+        let nv12 = [1, 2, 0, 0, 3, 4, 0, 0, 5, 6, 0, 0];
+        assert_eq!(
+            made(PictureFormat::Nv12, &nv12, size).unwrap(),
+            [1, 2, 3, 4, 5, 6]
+        );
+        let i420 = [1, 2, 0, 0, 3, 4, 0, 0, 5, 0, 6, 0];
+        assert_eq!(
+            made(PictureFormat::I420, &i420, size).unwrap(),
+            [1, 2, 3, 4, 5, 6]
+        );
+    }
+}

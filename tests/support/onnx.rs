@@ -1,0 +1,188 @@
+//! Writes small ONNX files from numbers: a graph whose outputs are constants, so that every box in them is known. The
+//! fields are those of `onnx.proto` (ONNX 1.16), by number.
+
+use std::path::{Path, PathBuf};
+
+/// The numbers of an output.
+#[derive(Clone, Debug)]
+pub(crate) enum Numbers {
+    Floats(Vec<f32>),
+    Whole(Vec<i64>),
+}
+
+/// A tensor's name, and its dimensions; -1 for one that is declared open.
+pub(crate) type Declared = (&'static str, Vec<i64>);
+
+/// A model of constants.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Planted {
+    /// Inputs of float32, and the one of int64 that some models have beside the picture.
+    inputs: Vec<(Declared, u64)>,
+    outputs: Vec<(Declared, Vec<i64>, Numbers)>,
+    metadata: Vec<(&'static str, String)>,
+}
+
+const FLOAT: u64 = 1;
+const UINT8: u64 = 2;
+const INT64: u64 = 7;
+
+impl Planted {
+    pub(crate) fn input(mut self, name: &'static str, shape: &[i64]) -> Self {
+        self.inputs.push(((name, shape.to_vec()), FLOAT));
+        self
+    }
+
+    pub(crate) fn bytes_input(mut self, name: &'static str, shape: &[i64]) -> Self {
+        self.inputs.push(((name, shape.to_vec()), UINT8));
+        self
+    }
+
+    pub(crate) fn whole_input(mut self, name: &'static str, shape: &[i64]) -> Self {
+        self.inputs.push(((name, shape.to_vec()), INT64));
+        self
+    }
+
+    /// An output that is declared with `declared` and has `shape`, in which all numbers but those at the given places are
+    /// `rest`.
+    pub(crate) fn output(
+        mut self,
+        name: &'static str,
+        declared: &[i64],
+        shape: &[i64],
+        rest: f32,
+        places: &[(usize, f32)],
+    ) -> Self {
+        let mut values = vec![rest; shape.iter().product::<i64>() as usize];
+        for &(place, value) in places {
+            values[place] = value;
+        }
+        let numbers = Numbers::Floats(values);
+        self.outputs.push(((name, declared.to_vec()), shape.to_vec(), numbers));
+        self
+    }
+
+    pub(crate) fn whole_output(mut self, name: &'static str, shape: &[i64], first: i64) -> Self {
+        let mut values = vec![0; shape.iter().product::<i64>() as usize];
+        values[0] = first;
+        self.outputs.push((
+            (name, shape.to_vec()),
+            shape.to_vec(),
+            Numbers::Whole(values),
+        ));
+        self
+    }
+
+    pub(crate) fn entry(mut self, key: &'static str, value: &str) -> Self {
+        self.metadata.push((key, value.to_owned()));
+        self
+    }
+
+    /// Writes the file into `folder`.
+    pub(crate) fn write(&self, folder: &Path) -> PathBuf {
+        let mut graph = Message::default();
+        for ((name, _), _, _) in &self.outputs {
+            let mut node = Message::default();
+            node.text(1, &format!("planted_{name}")).text(2, name).text(4, "Identity");
+            graph.message(1, &node);
+        }
+        graph.text(2, "planted");
+        for ((name, _), shape, numbers) in &self.outputs {
+            graph.message(5, &tensor(&format!("planted_{name}"), shape, numbers));
+        }
+        for ((name, shape), element) in &self.inputs {
+            graph.message(11, &value_info(name, *element, shape));
+        }
+        for ((name, declared), _, numbers) in &self.outputs {
+            let element = match numbers {
+                Numbers::Floats(_) => FLOAT,
+                Numbers::Whole(_) => INT64,
+            };
+            graph.message(12, &value_info(name, element, declared));
+        }
+        let mut opset = Message::default();
+        opset.text(1, "").number(2, 17);
+        let mut model = Message::default();
+        model.number(1, 8).message(7, &graph).message(8, &opset);
+        for (key, value) in &self.metadata {
+            let mut entry = Message::default();
+            entry.text(1, key).text(2, value);
+            model.message(14, &entry);
+        }
+        let file = folder.join("model.onnx");
+        std::fs::write(&file, &model.0).unwrap();
+        file
+    }
+}
+
+fn tensor(name: &str, shape: &[i64], numbers: &Numbers) -> Message {
+    let mut tensor = Message::default();
+    for &side in shape {
+        tensor.number(1, side as u64);
+    }
+    let (element, bytes): (u64, Vec<u8>) = match numbers {
+        Numbers::Floats(values) => (
+            FLOAT,
+            values.iter().flat_map(|it| it.to_le_bytes()).collect(),
+        ),
+        Numbers::Whole(values) => (
+            INT64,
+            values.iter().flat_map(|it| it.to_le_bytes()).collect(),
+        ),
+    };
+    tensor.number(2, element).text(8, name).bytes(9, &bytes);
+    tensor
+}
+
+fn value_info(name: &str, element: u64, shape: &[i64]) -> Message {
+    let mut sides = Message::default();
+    for (place, &side) in shape.iter().enumerate() {
+        let mut dimension = Message::default();
+        match side {
+            -1 => dimension.text(2, &format!("open{place}")),
+            side => dimension.number(1, side as u64),
+        };
+        sides.message(1, &dimension);
+    }
+    let mut tensor_type = Message::default();
+    tensor_type.number(1, element).message(2, &sides);
+    let mut kind = Message::default();
+    kind.message(1, &tensor_type);
+    let mut info = Message::default();
+    info.text(1, name).message(2, &kind);
+    info
+}
+
+/// A message of protocol buffers that is being written.
+#[derive(Default)]
+struct Message(Vec<u8>);
+
+impl Message {
+    fn varint(&mut self, mut value: u64) {
+        while value >= 0x80 {
+            self.0.push(value as u8 | 0x80);
+            value >>= 7;
+        }
+        self.0.push(value as u8);
+    }
+
+    fn number(&mut self, field: u64, value: u64) -> &mut Self {
+        self.varint(field << 3);
+        self.varint(value);
+        self
+    }
+
+    fn bytes(&mut self, field: u64, bytes: &[u8]) -> &mut Self {
+        self.varint(field << 3 | 2);
+        self.varint(bytes.len() as u64);
+        self.0.extend_from_slice(bytes);
+        self
+    }
+
+    fn text(&mut self, field: u64, text: &str) -> &mut Self {
+        self.bytes(field, text.as_bytes())
+    }
+
+    fn message(&mut self, field: u64, message: &Self) -> &mut Self {
+        self.bytes(field, &message.0)
+    }
+}
