@@ -21,9 +21,14 @@ async fn a_dynamic_export_has_the_size_and_classes_of_its_metadata_reported_as_c
     let detector = started(&all).await;
     assert_eq!(detector.class_names(), NAMES);
     assert_the_box(&detected(&detector, [51, 204, 0]).await, 1, 0.8);
-    // By default only the classes of BDD100K are reported, without traffic lights.
-    let detector = started(&config("yolo_open.onnx")).await;
+    // A class that is not reported is left out, and counted.
+    let cars = changed("yolo_open.onnx", |config| {
+        config.report_classes = Some(vec!["car".to_owned()]);
+    });
+    let detector = started(&cars).await;
     assert_eq!(detected(&detector, [0, 204, 0]).await, []);
+    assert!(detector.head_meter().read().other_class > 0);
+    let detector = started(&config("yolo_open.onnx")).await;
     let class = async |detector: &DetectorHandle, color| {
         let found = detected(detector, color).await[0].class;
         detector.class_names()[usize::from(found.0)].to_owned()

@@ -1,9 +1,10 @@
 //! Pictures are decoded correctly or rejected, without panics and within the memory limit.
 
+use super::support::shared;
 use albireo_core::geometry::PictureSize;
 use albireo_vision::picture::{
     EncodedPicture, FrameFault, FrameLimits, Picture, PictureFormat, PixelLayout, decode,
-    decode_grey_half, decode_small_grey, to_jpeg,
+    decode_grey_half, decode_small_grey, read_picture_file, to_jpeg,
 };
 use bytes::Bytes;
 use jpeg_encoder::ColorType as JpegColor;
@@ -342,4 +343,35 @@ proptest! {
             Err(fault) => prop_assert!(!fault.to_string().contains("panicked"), "{}", fault),
         }
     }
+}
+
+/// The forms of one frame that cameras send: decoded as the frame, or refused with the reason.
+#[test]
+#[ignore = "needs ../shared"]
+fn shared_a_frame_in_the_forms_of_cameras_is_decoded_or_refused() {
+    let read = |name: &str| {
+        let picture = read_picture_file(&shared(&format!("cases/pictures/{name}"))).unwrap();
+        let mut into = Picture::default();
+        let limits = FrameLimits::default();
+        decode(&picture, &limits, PixelLayout::Rgb8, None, &mut into).map(|()| (picture.size, into))
+    };
+    let (size, plain) = read("plain.jpg").unwrap();
+    let (_, without_tables) = read("no_huffman_tables.jpg").unwrap();
+    assert_eq!(without_tables.size, size);
+    // The stored picture lies on its side.
+    let (turned_size, turned) = read("exif_orientation_6.jpg").unwrap();
+    assert_eq!(
+        (turned.size, turned.source_size),
+        (turned_size, turned_size)
+    );
+    let mean = |picture: &Picture| {
+        let sum: u64 = picture.pixels.iter().map(|&value| u64::from(value)).sum();
+        sum as f64 / picture.pixels.len() as f64
+    };
+    let (_, thermal) = read("png_12_bits_in_16.png").unwrap();
+    assert!(mean(&thermal) > 0.5 * mean(&plain), "{}", mean(&thermal));
+    assert!(read("no_end_marker.jpg").unwrap_err().to_string().contains("cut short"));
+    let half = read("half_then_end_marker.jpg");
+    // Only libjpeg-turbo reports what it filled in.
+    assert!(half.is_err() || !cfg!(feature = "turbojpeg"));
 }

@@ -109,7 +109,7 @@ impl Head {
 }
 
 /// [`Head::read`] and [`Head::evidence`] for one kind of outputs.
-trait ReadOutputs: std::fmt::Debug {
+trait ReadOutputs: std::fmt::Debug + Send {
     fn read(&self, outputs: &[TensorView<'_>], rows: &mut Rows<'_>) -> Result<(), String>;
 
     fn evidence(&self, _outputs: &[TensorView<'_>], _confidence: f64) -> Evidence {

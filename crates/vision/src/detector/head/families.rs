@@ -277,6 +277,11 @@ fn yolo_has_other_anchors(signature: &Signature, size: PictureSize) -> Option<St
     let index = with_anchors(signature, size).ok()?;
     let shape = &signature.outputs.get(index)?.shape;
     let sides = [shape.get(1).copied()?, shape.get(2).copied()?];
+    // As many names as classes leave no doubt, whatever strides the model has.
+    let names = signature.metadata.class_names().ok().flatten();
+    if names.is_some_and(|names| count(sides[0]) == BEFORE_CLASSES + names.len()) {
+        return None;
+    }
     let fits = sides.iter().any(|&side| side == -1 || is_cells(side, size));
     (!fits).then(|| other_anchors(sides[1], size))
 }

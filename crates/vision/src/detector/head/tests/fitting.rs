@@ -51,7 +51,7 @@ fn a_model_that_does_not_fit_is_rejected_with_the_first_difference() {
     let one = |shape: &[i64]| plain(416, "output", shape);
     let mut bytes = one(&[1, 84, 3549]);
     bytes.outputs[0].element = ElementType::Other("int8".to_owned());
-    let two = model(416, &[("a", &[1, 84, 3549]), ("b", &[1])], &[]);
+    let two = model(416, &[("a", &[1, 84, 3549]), ("b", &[1, 84, 3549])], &[]);
     for (name, model, reason) in [
         (Yolox, one(&[1, 84, 8400]), "[1, 3549, 5 + classes]"),
         (Yolox, one(&[1, 3549, 5]), "another shape"),
