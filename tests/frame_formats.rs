@@ -179,7 +179,7 @@ fn the_encoding_the_attachment_or_the_first_bytes_tell_what_a_payload_is() {
         (&[1; 9], "image/raw;nv12", sent, "undecodable"),
         (&[1; 18], "image/raw;rgb8", None, "unknown_format"),
         (&[1; 18], "image/raw;rgb8", no_height, "unknown_format"),
-        (&[1; 18], "image/raw;yuyv", sent, "unknown_format"),
+        (&[1; 18], "image/raw;p010", sent, "unknown_format"),
         (&[1; 18], "image/raw", sent, "unknown_format"),
         (&jpeg, "image/jpeg", later_version, "unknown_format"),
         (&jpeg, "image/jpeg", no_json, "unknown_format"),

@@ -3,8 +3,8 @@
 use super::support::project;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_vision::detector::HeadName;
-use albireo_vision::detector::head::{self, Suppression, TensorView, keep_best, suppress};
-use albireo_vision::onnx::{ElementType, Metadata, Signature, TensorSpec};
+use albireo_vision::detector::head::{self, HeadOverrides, Suppression, keep_best, suppress};
+use albireo_vision::onnx::{ElementType, Metadata, Signature, TensorSpec, TensorView};
 use albireo_vision::picture::{
     ColorOrder, Fit, InputFormat, Letterbox, Picture, PixelLayout, TensorLayout, ValueRange,
 };
@@ -85,16 +85,24 @@ fn the_boxes_agree_with_the_vendors_code(
         metadata: Metadata::default(),
     };
     let input = signature.picture_input(None).expect("a picture input");
-    let found = head::recognise(&signature, input).expect("recognised");
+    let views: Vec<_> = fixture
+        .outputs
+        .iter()
+        .map(|output| TensorView {
+            shape: &output.shape,
+            values: &output.values,
+        })
+        .collect();
+    let fitting = head::recognise(&signature, input, None).expect("recognised");
+    let found = match fitting.only() {
+        Some(name) => name,
+        None => fitting.by_values(&signature, &views).expect("told by its values"),
+    };
     assert_eq!(found, expected_head);
-    let head = head::bind(found, &signature, input).expect("it fits");
+    let overrides = HeadOverrides::default();
+    let head = head::bind(&found.into(), &signature, input, overrides).expect("it fits");
     let format = head.input_format;
     assert_eq!((format.fit, format.value_range), expected_input);
-    let views = fixture.outputs.iter().map(|output| TensorView {
-        shape: &output.shape,
-        values: &output.values,
-    });
-    let views: Vec<_> = views.collect();
     let (width, height) = (fixture.columns as f64, fixture.rows as f64);
     let mut boxes = 0;
     for case in &fixture.cases {

@@ -72,14 +72,7 @@ fn decode_stored(
     make_room(&mut into.pixels, length)?;
     let pixels = into.pixels.as_mut_slice();
     match picture.format {
-        PictureFormat::Jpeg => {
-            contain("JPEG", || decode_jpeg::decode(picture, layout, pixels))?;
-            #[cfg(feature = "turbojpeg")]
-            if ends_in_one_colour(into) {
-                contain("JPEG", || decode_jpeg_scaled::check_to_the_end(picture))?;
-            }
-            Ok(())
-        }
+        PictureFormat::Jpeg => contain("JPEG", || decode_jpeg::decode(picture, layout, pixels)),
         PictureFormat::Png => contain("PNG", || {
             decode_png::decode(picture, limits, layout, pixels)
         }),
@@ -89,18 +82,6 @@ fn decode_stored(
             Ok(())
         }
     }
-}
-
-/// True if the last rows of a picture have one colour, as those have that a decoder fills in for missing data.
-#[cfg(feature = "turbojpeg")]
-fn ends_in_one_colour(picture: &Picture) -> bool {
-    let channels = picture.layout.channels();
-    let row = picture.size.width as usize * channels;
-    // Data are coded in squares of eight pixels.
-    let rows = picture.pixels.len().saturating_sub(8 * row);
-    let mut pixels = picture.pixels[rows..].chunks_exact(channels);
-    let first = pixels.next();
-    pixels.all(|pixel| Some(pixel) == first)
 }
 
 /// Makes `buffer` as long as a picture needs it. If there is no memory for this picture, only this one is lost.

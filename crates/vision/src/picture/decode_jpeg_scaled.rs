@@ -91,21 +91,5 @@ pub(super) fn decode(
     Ok(true)
 }
 
-/// Decodes `picture` at an eighth of its size, to find out whether its data are complete: unlike other decoders,
-/// libjpeg-turbo reports what it filled in.
-///
-/// # Errors
-/// [`FrameFault`] if data are missing.
-pub(super) fn check_to_the_end(picture: &EncodedPicture) -> Result<(), FrameFault> {
-    let factor = ScalingFactor::ONE_EIGHTH;
-    let scale = Scale {
-        factor,
-        size: scaled(picture.size, factor),
-    };
-    let mut thrown_away = Picture::default();
-    decode(picture, scale, PixelLayout::Gray8, &mut thrown_away)?;
-    Ok(())
-}
-
 #[cfg(test)]
 mod tests;

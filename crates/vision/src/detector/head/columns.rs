@@ -15,7 +15,7 @@ pub(super) const MOST_BOXES: i64 = 1000;
 /// The meaning of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Column {
-    /// The number of the picture in the batch; rows of other pictures than the first are unused.
+    /// The number of the picture in the batch; there is one, and unused rows have -1.
     Batch,
     X1,
     Y1,
@@ -280,7 +280,8 @@ impl Finished {
                 values[row * length + place]
             };
             let score = number(self.score);
-            let is_unused = self.batch.is_some_and(|place| number(place) != 0.0);
+            let batch = self.batch.map_or(0.0, number);
+            let is_unused = batch == -1.0;
             // Unused rows are all 0 or -1. NaN is not skipped, so that it is counted.
             if is_unused || f64::from(score) < least {
                 continue;
@@ -288,6 +289,8 @@ impl Finished {
             let (x1, x2) = Self::sides(&self.across, number);
             let (y1, y2) = Self::sides(&self.down, number);
             let class = self.class.map_or(Some(ClassId(0)), |place| class_number(number(place)));
+            // There is one picture, number 0: another number is something else.
+            let class = class.filter(|_| batch == 0.0);
             each(Corners { x1, y1, x2, y2 }, score, class);
         }
         Ok(())
@@ -329,7 +332,9 @@ impl ReadOutputs for Finished {
         if read.is_err() || total == 0 {
             Evidence::None
         } else if most(no_class) {
-            against("the numbers in the column of its class are not whole")
+            against(
+                "the columns of its class or batch hold something else: no whole numbers, or no 0",
+            )
         } else if most(no_score) {
             against("the numbers in the column of its score are above 1")
         } else if most(no_box) {

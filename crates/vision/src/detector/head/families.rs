@@ -78,7 +78,8 @@ pub(super) const FAMILIES: [Family; 10] = [
         bind: bind_yolo_nas,
         looks_other: |signature, _| {
             let output = signature.outputs.first()?;
-            let is_other = output.shape.len() == 2 && !output.name.contains("flat_predictions");
+            let is_other =
+                signature.outputs.len() == 1 && !output.name.contains("flat_predictions");
             is_other
                 .then(|| "its output has another name than `graph2_flat_predictions`".to_owned())
         },

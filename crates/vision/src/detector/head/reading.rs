@@ -39,7 +39,10 @@ pub(super) struct Rows<'a> {
 
 /// The longest possible side of a box, in sides of the input. Objects at the border give boxes that reach beyond it; a box
 /// that is much longer has been read wrong.
-const LARGEST_BOX: f64 = 2.0;
+const LARGEST_BOX: f64 = 4.0;
+
+/// The largest number of boxes in sides of the input.
+const LARGEST_SIDE: f64 = 2.0;
 
 impl Rows<'_> {
     /// Adds the candidate of a row if it is confident enough; `None` is a row to reject, as is a box much larger than the
@@ -139,7 +142,7 @@ impl Unit {
 /// The unit of boxes whose largest number is `largest`: no box of a run with boxes in pixels is all within the first two
 /// pixels, and none in sides of the input reaches far beyond it.
 pub(super) fn unit(largest: f64, size: PictureSize) -> Unit {
-    if largest <= LARGEST_BOX {
+    if largest <= LARGEST_SIDE {
         Unit::Sides(size)
     } else {
         Unit::Pixels
