@@ -143,15 +143,17 @@ fn try_detector(config: &DetectorConfig) -> Result<(DetectorNetwork, String), Fa
     let median = took.get(PICTURES / 2).copied().unwrap_or_default();
     let provider = network.provider();
     let mut text = format!(
-        "{}; reports {} of {} classes ({}); runs on {}, {:.1} ms per picture (median of {PICTURES}), loaded in {:.1} s",
-        network.description(),
-        network.class_names().len(),
-        network.class_names().len() + network.left_out().len(),
-        network.class_names().join(", "),
+        "runs on {}, {:.1} ms per picture (median of {PICTURES}), loaded in {:.1} s; {}; reports {}",
         provider.as_str(),
         milliseconds(median),
         loaded.as_secs_f64(),
+        network.description(),
+        network.class_names().join(", "),
     );
+    if !network.left_out().is_empty() {
+        let others = network.left_out().len();
+        text.push_str(&format!(" and not {others} other classes of the model"));
+    }
     if let Some(first) = config.providers.first()
         && *first != provider
     {

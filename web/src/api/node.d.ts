@@ -1811,7 +1811,7 @@ export interface components {
         CameraThreshold: {
             /** @description Camera. */
             camera: string;
-            /** @description True if a value set at run time survives a restart: a `state_dir` is set and can be written to. */
+            /** @description True if what was set at run time survives a restart: a `state_dir` is set, and the settings are written there. */
             survives_restart: boolean;
             threshold_spec?: components["schemas"]["ThresholdSpec"] | null;
         };
@@ -1874,7 +1874,10 @@ export interface components {
             saved_joules_estimated?: number | null;
             /** @description Source of the figures: `rapl`, `estimate`, … */
             source: string;
-            /** @description Method that computes `joules` of the total domain: `input_rail`, `sum_of_rails`, or the estimate's formula. */
+            /**
+             * @description What `joules` of the total domain includes: `input_rail` for the whole machine, `sum_of_rails` of a board, the
+             *     parts in words (`processor + card`; `processor, without card`), or the estimate's formula.
+             */
             total_from: string;
         };
         /** @description The report of one clip. */
@@ -2119,6 +2122,26 @@ export interface components {
             reason?: string | null;
             /** @description `starting`, `ready` or `degraded`. */
             status: string;
+        };
+        /** @description How the detector's model is read, and which of its classes are reported. */
+        DetectorReading: {
+            /**
+             * Format: int64
+             * @description Rows of the model's output that were impossible since the start: a number that is not finite, or a box without an
+             *     area or much larger than the input.
+             */
+            boxes_impossible: number;
+            /**
+             * Format: int64
+             * @description Boxes of these classes since the start.
+             */
+            boxes_left_out: number;
+            /** @description Names of the classes that are reported, by class number. */
+            classes: string[];
+            /** @description Head and input, in words. */
+            head: string;
+            /** @description Names of the model's classes that are not reported (`detector.report_classes`). */
+            left_out: string[];
         };
         /** @description Energy of one domain of the board. */
         DomainEnergy: {
@@ -2463,6 +2486,7 @@ export interface components {
         };
         /** @description A node: its readiness, run time, energy and savings. */
         NodeOverview: components["schemas"]["Readiness"] & {
+            detector?: components["schemas"]["DetectorReading"] | null;
             /** @description Reports that wait for a hub. */
             outbox: components["schemas"]["OutboxStatus"];
             /** @description The source of its figures of power: `rapl`, `estimate`, …; `none` without one. */
@@ -2716,6 +2740,16 @@ export interface components {
             /** @description Human-readable reason. */
             reason: string;
         };
+        /** @description What a node knows of a report's age without its wall clock. */
+        ReportAge: {
+            /** @description True if this node made it and never sent it before. */
+            first?: boolean;
+            /**
+             * Format: int64
+             * @description Seconds since it was made, by a clock that nobody sets; absent if the machine was started since then.
+             */
+            made_s?: number | null;
+        };
         /** @description The acknowledgement of a batch, sent after the hub's commit: all its reports are stored, except the refused ones. */
         ReportAnswer: {
             desired?: components["schemas"]["Desired"] | null;
@@ -2740,6 +2774,11 @@ export interface components {
          *     Zstandard and that dictionary (`crates/wire/src/report/dictionary-1.json`).
          */
         ReportBatch: {
+            /**
+             * @description What the node knows of the age of each report, in the same order: its wall clock may have been wrong, and set since.
+             *     Empty from nodes that do not say it.
+             */
+            ages?: components["schemas"]["ReportAge"][];
             /** @description Node; the same in every report. */
             node: string;
             /** @description The reports. */
