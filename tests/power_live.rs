@@ -188,10 +188,10 @@ async fn the_survey_lists_every_source_and_runs_tegrastats_through_a_configured_
         let sources = found.as_array().unwrap();
         let names = sources.iter().map(|one| one["source"].as_str().unwrap());
         let names: Vec<_> = names.collect();
-        assert_eq!(names.join(" "), "ina tegrastats rapl nvml estimate");
-        assert_has(&sources[1], &json!({"why_not": null, "automatic": true}));
-        assert_eq!(sources[1]["watts"][0][1], 20.0, "{found}");
-        let reason = &sources[0]["why_not"];
+        assert_eq!(names.join(" "), "command ina tegrastats rapl+nvml rapl nvml estimate");
+        assert_has(&sources[2], &json!({"why_not": null, "automatic": true}));
+        assert_eq!(sources[2]["watts"][0][1], 20.0, "{found}");
+        let reason = &sources[1]["why_not"];
         assert!(reason.is_string(), "a reason why not: {found}");
         let log = std::fs::read_to_string(folder.path().join("sudo.log")).unwrap_or_default();
         let expected = format!("-n {} --interval 100", program.display());

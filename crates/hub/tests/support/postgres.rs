@@ -102,7 +102,7 @@ impl Postgres {
         let kill =
             |signal: &str| Command::new("kill").args([signal, id.as_str()]).status().unwrap();
         // Stopped first, it starts no child that would outlive it and keep its shared memory.
-        assert!(kill("-STOP").success(), "the server's process {id} runs");
+        self.signal("-STOP");
         let _ = Command::new("pkill").args(["-9", "-P", &id]).status();
         assert!(kill("-9").success(), "the server's process {id} is killed");
     }
