@@ -153,7 +153,8 @@ class Camera(threading.Thread):
                     attachment = {"v": 1, "seq": seq, "width": WIDTH, "height": HEIGHT}
                     encoding = "image/raw;gray8"
                     payload = random_.integers(0, 100, WIDTH * HEIGHT, numpy.uint8).tobytes()
-                    if self.bright.is_set():
+                    # In a restart it might be lost.
+                    if self.bright.is_set() and seq > 20:
                         self.bright.clear()
                         payload, self.hangs = b"\xff" * len(payload), self.hangs + 1
                     elif seq % 50 == 25:
