@@ -188,7 +188,10 @@ async fn the_survey_lists_every_source_and_runs_tegrastats_through_a_configured_
         let sources = found.as_array().unwrap();
         let names = sources.iter().map(|one| one["source"].as_str().unwrap());
         let names: Vec<_> = names.collect();
-        assert_eq!(names.join(" "), "command ina tegrastats rapl+nvml rapl nvml estimate");
+        assert_eq!(
+            names.join(" "),
+            "command ina tegrastats rapl+nvml rapl nvml estimate"
+        );
         assert_has(&sources[2], &json!({"why_not": null, "automatic": true}));
         assert_eq!(sources[2]["watts"][0][1], 20.0, "{found}");
         let reason = &sources[1]["why_not"];

@@ -26,7 +26,8 @@ Examples:
   albireo detect yolo26n.onnx frame.jpg             and what it finds
   albireo detect yolo26n.onnx frame.jpg --out seen   and draw the boxes
   albireo detect yolo26n.onnx pictures/ --json      one JSON object per picture
-  albireo detect plates.onnx frame.jpg --head 'columns=batch x1 y1 x2 y2 class score'
+  albireo detect plates.onnx frame.jpg \\
+      --head 'columns=batch x1 y1 x2 y2 class score'
 
 The options --head, --class-names, --input-size, --range, --color-order and
 --fit are the keys of the same name in [detector].
