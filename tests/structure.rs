@@ -149,8 +149,11 @@ fn every_ignored_test_names_needs_that_run_sh_knows() {
     assert!(seen > 0);
 }
 
-/// The tables of floors on the page: for each crate its rooms, from the ground up, each with the rooms it uses.
-fn floors(page: &str) -> Vec<(String, Vec<(String, BTreeSet<String>)>)> {
+/// A room of a crate, and the rooms it uses.
+type Room = (String, BTreeSet<String>);
+
+/// The tables of floors on the page: for each crate its rooms, from the ground up.
+fn floors(page: &str) -> Vec<(String, Vec<Room>)> {
     page.split("\n### Floors of `")
         .skip(1)
         .map(|section| {

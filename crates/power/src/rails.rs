@@ -128,8 +128,10 @@ impl RailMap {
             let all: f64 = rails.iter().map(|r| r.watts.max(0.0)).sum();
             ((!rails.is_empty()).then_some(all), UNKNOWN_BOARD)
         };
-        let mut values = Values::default();
-        values.total = total.map(Value::Power);
+        let mut values = Values {
+            total: total.map(Value::Power),
+            ..Values::default()
+        };
         for (domain, names) in table.into_iter().flat_map(RailTable::domains) {
             values[domain] = added(names).map(Value::Power);
         }

@@ -117,7 +117,7 @@ fn lacks_huffman_tables(bytes: &[u8]) -> bool {
     while let Ok(Some((marker, _))) = segments.next() {
         match marker {
             // Tables; other codings have none of these.
-            0xC4 | 0xC2..=0xC3 | 0xC5..=0xCF => return false,
+            0xC2..=0xCF => return false,
             START_OF_SCAN => return true,
             _ => {}
         }

@@ -145,7 +145,7 @@ impl Node {
 
     /// Flips one bit of a file of the node, which is off: of the reports', or of their counts.
     pub(super) fn flip(&self, random: u64) {
-        let name = if random % 8 == 0 {
+        let name = if random.is_multiple_of(8) {
             "node.count"
         } else {
             "node.db"

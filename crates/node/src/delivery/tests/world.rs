@@ -76,6 +76,8 @@ pub(super) struct World {
     /// Flipped bits, and the reports that may have been damaged.
     flips: u64,
     damaged: BTreeSet<usize>,
+    /// True if a node's state was restored after a flip.
+    losses_are_rewound: bool,
     /// True if a node's state was damaged, restored or copied, or its counts were not on the disk.
     is_rewound: bool,
 }
@@ -95,6 +97,7 @@ impl World {
             forgotten: BTreeSet::new(),
             flips: 0,
             damaged: BTreeSet::new(),
+            losses_are_rewound: false,
             is_rewound: false,
         };
         world.end_ms = world.time.between(HOUR, 4 * HOUR);
@@ -353,7 +356,7 @@ impl World {
         put(&node.file(), &state);
         self.is_rewound = true;
         // What the node counted as lost since that state is counted no more.
-        self.damaged.clear();
+        self.losses_are_rewound |= self.flips > 0;
         self.excuse(lost);
         self.node_on(at);
     }
@@ -458,7 +461,7 @@ impl World {
         // of what the first one took; the log has told it then.
         let is_gone = |one: &&usize| !stored.contains_key(one) && !self.forgotten.contains(one);
         let gone = match self.flips {
-            1 => self.damaged.iter().filter(is_gone).count() as u64,
+            1 if !self.losses_are_rewound => self.damaged.iter().filter(is_gone).count() as u64,
             _ => 0,
         };
         holds(

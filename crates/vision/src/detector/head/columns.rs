@@ -225,12 +225,12 @@ fn rows_of(spec: &TensorSpec, length: usize) -> Result<i64, String> {
     }
 }
 
+/// The numbers of an output, and the length of its rows.
+type Numbers<'a> = (&'a [f32], usize);
+
 impl Finished {
     /// The numbers of all outputs that are read, each with the length of its rows, and the number of rows.
-    fn numbers<'a>(
-        &self,
-        outputs: &[TensorView<'a>],
-    ) -> Result<(Vec<(&'a [f32], usize)>, usize), String> {
+    fn numbers<'a>(&self, outputs: &[TensorView<'a>]) -> Result<(Vec<Numbers<'a>>, usize), String> {
         let mut numbers = Vec::with_capacity(self.outputs.len());
         let mut rows = None;
         for (index, shape, length) in &self.outputs {
