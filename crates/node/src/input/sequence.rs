@@ -183,17 +183,17 @@ impl Stream {
             return Arrival::Stray;
         }
         let is_known = matches!(self.numbering, Numbering::Step(_)) && distance % by == 0;
-        if distance > 0 && !is_known {
-            return Arrival::Late;
+        if distance == 0 || is_known {
+            let bit = 1 << (distance / by);
+            let has_come = self.came & bit != 0;
+            self.came |= bit;
+            if has_come {
+                return Arrival::Duplicate;
+            }
         }
-        let bit = 1 << (distance / by);
-        let has_come = self.came & bit != 0;
-        self.came |= bit;
-        if has_come {
-            Arrival::Duplicate
-        } else {
-            Arrival::Late
-        }
+        // The numbers between were sent: frames that change places in pairs do not show a step of two.
+        self.recent.clear();
+        Arrival::Late
     }
 
     /// Judges the numbering by the newest distances.
