@@ -181,7 +181,7 @@ fn prepare(arguments: &Arguments) -> anyhow::Result<(NodeConfig, Vec<PolicySpec>
     }
     if config.log.level == albireo_service::config::LogConfig::default().level {
         // The table shows dropped frames; the node keeps no reports and is not ready immediately on purpose.
-        config.log.level = "warn,albireo_node::input::receiver=error,albireo_node::delivery::outbox=error,albireo_service::readiness=error"
+        config.log.level = "warn,albireo_node::input::receiver=error,albireo_node::outbox=error,albireo_service::readiness=error"
                 .to_owned();
     }
     let variants = variants(&arguments.policy, &arguments.u, &config.policy)?;

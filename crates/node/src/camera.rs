@@ -7,7 +7,6 @@ pub mod clip;
 mod config;
 mod decider;
 pub mod evidence;
-pub(crate) mod publishing;
 mod settled;
 
 pub use config::{AnswerTime, ReportConfig, SettleConfig};
@@ -18,11 +17,12 @@ use crate::camera::answer::detections_message;
 use crate::camera::audit::CameraAudit;
 use crate::camera::clip::{Clip, ClipTracker};
 use crate::camera::decider::{Decider, Fetched};
-use crate::camera::evidence::{LiveEvidence, Times};
-use crate::camera::publishing::Outlet;
+use crate::camera::evidence::LiveEvidence;
 use crate::camera::settled::SettledStream;
 use crate::config::NodeConfig;
+use crate::frame::{FrameRecord, Times};
 use crate::input::receiver::{FrameReceiver, SequencedFrame, kind_of};
+use crate::publishing::Outlet;
 use crate::state::board::CameraBoard;
 use albireo_core::policy::{CallCause, FrameHead, LatePolicy, MinConfidence, Need, Outcome};
 use albireo_power::CameraEnergy;
@@ -106,31 +106,6 @@ struct BegunFrame {
     first_answer: Option<Duration>,
     /// The time spent on its answer so far.
     times: Times,
-}
-
-/// A frame with its final answer, passed once to everything that counts frames.
-#[derive(Clone, Debug)]
-pub struct FrameRecord {
-    /// The final answer, as published.
-    pub detections: Arc<DetectionsMessage>,
-    /// The time of publication.
-    pub answered: Instant,
-    /// The time from reception to the first answer, which may have been pending.
-    pub first_answer: Duration,
-    /// The time spent on the final answer.
-    pub(crate) times: Times,
-}
-
-impl FrameRecord {
-    /// A frame that neither detector nor flow examined, answered now and `first_answer` after its reception.
-    pub fn new(detections: Arc<DetectionsMessage>, first_answer: Duration) -> Self {
-        Self {
-            detections,
-            answered: Instant::now(),
-            first_answer,
-            times: Times::default(),
-        }
-    }
 }
 
 impl Camera {

@@ -1,6 +1,5 @@
 //! Keeps clip reports until a hub has them, and sends them.
 
-pub mod outbox;
 pub(crate) mod report;
 #[cfg(test)]
 mod tests;

@@ -5,12 +5,12 @@ mod camera;
 use crate::api;
 use crate::api::name::NodeName;
 use crate::config::NodeConfig;
-use crate::delivery::outbox::retry_disk;
 use crate::delivery::uplink::{Uplink, UplinkSetup};
 use crate::error::NodeError;
 use crate::state::board::{Board, ModelReading, provider};
-use crate::state::{counters, readiness};
+use crate::state::readiness;
 use albireo_core::policy::{Policy, PolicyConfigError};
+use albireo_service::clock::Now;
 use albireo_service::readiness::Fault;
 use albireo_service::session;
 use albireo_service::supervise::Supervisor;
@@ -22,11 +22,15 @@ use futures_util::future::OptionFuture;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch;
-use tokio::time::Instant;
+use tokio::task::spawn_blocking;
+use tokio::time::{Instant, sleep};
 use tokio_util::sync::{CancellationToken, DropGuard};
 
 /// The interval at which the state of parts that do not report it themselves is read.
 const POLL_INTERVAL: Duration = Duration::from_secs(1);
+
+/// The interval at which a failed disk is tried again.
+const RETRY_EVERY: Duration = Duration::from_secs(2);
 
 /// Creates a camera's policy, at its start and whenever its loop has failed: `|camera| policy`.
 pub type PolicyMaker =
@@ -189,8 +193,8 @@ impl PreparedNode {
             let named = NodeError::of(format!("camera `{}`", camera.name));
             adding.await.map_err(named)?;
         }
-        let outlets = counters::declare(session, &board).await?;
-        let counting = counters::run(Arc::clone(&board), power, outlets, shutdown.clone());
+        let outlets = api::counters::declare(session, &board).await?;
+        let counting = api::counters::run(Arc::clone(&board), power, outlets, shutdown.clone());
         tasks.essential("counters", counting);
         let requests = api::keys::declare(session, &board, keys.target()).await?;
         tasks.until_shutdown("requests", requests);
@@ -251,12 +255,12 @@ impl Node {
         let until = start + longest * 3 / 4;
         let give_up = cameras.give_up.clone();
         tokio::spawn(async move {
-            tokio::time::sleep(longest / 4).await;
+            sleep(longest / 4).await;
             give_up.cancel();
         });
         let subscriptions = self.subscriptions;
         // Zenoh's calls may block.
-        let undeclared = tokio::task::spawn_blocking(move || drop(subscriptions));
+        let undeclared = spawn_blocking(move || drop(subscriptions));
         let ending = async { tokio::join!(undeclared, self.tasks.finish()) };
         if (tokio::time::timeout_at(tasks_until, ending).await).is_err() {
             tracing::error!(
@@ -298,5 +302,19 @@ async fn follow(mut from: watch::Receiver<ModelStatus>, to: Arc<Board>) {
         if from.changed().await.is_err() {
             return;
         }
+    }
+}
+
+/// Retries a failed disk, for reports and settings, for as long as it is polled.
+async fn retry_disk(board: Arc<Board>) {
+    loop {
+        sleep(RETRY_EVERY).await;
+        let board = Arc::clone(&board);
+        let tried = spawn_blocking(move || {
+            board.outbox.change(|waiting| waiting.retry_disk(Now::system()));
+            // The failure was logged when the setting was made.
+            let _ = board.settings.save();
+        });
+        let _ = tried.await;
     }
 }

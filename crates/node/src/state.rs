@@ -2,7 +2,6 @@
 
 pub mod advice;
 pub mod board;
-pub(crate) mod counters;
 pub mod readiness;
 pub(crate) mod settings;
 pub mod target;

@@ -1,12 +1,10 @@
 //! Begins, counts and reports clips, with their energy and energy-delay product.
 
-mod latencies;
 mod report;
 #[cfg(test)]
 pub(crate) mod tests;
 mod tracker;
 
-pub(crate) use latencies::percentile;
 pub(crate) use report::Clip;
 pub(crate) use tracker::ClipTracker;
 

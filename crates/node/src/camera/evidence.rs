@@ -4,38 +4,17 @@
 #[cfg(test)]
 mod tests;
 
+use crate::frame::{DetectorRun, Times};
 use albireo_core::policy::{Evidence, GreyPicture, Need};
 use albireo_service::clock::milliseconds;
 use albireo_vision::detector::{CameraSlot, Detected, DetectorHandle};
 use albireo_vision::picture::{EncodedPicture, FrameFault};
 use albireo_vision::pixel_work::{PixelWork, PreparedFrame, Stage};
 use albireo_vision::screen::{EmptyRun, ScreenHandle};
-use albireo_wire::Latency;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
-
-/// The times of the steps for one frame.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Times {
-    /// The time of each step. The detector's includes resizing the picture, waiting for a decoding place and waiting
-    /// for other cameras. `total` and `waiting` are not set here.
-    pub latency: Latency,
-    /// The detector run that answered, and this frame's part of it.
-    pub detector_run: Option<DetectorRun>,
-    /// True if the detector was called because the screen reported "empty" too often in a row.
-    pub overruled: bool,
-}
-
-/// A camera's part of a detector run. Runs that failed or timed out are charged to no camera.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct DetectorRun {
-    /// The end of the run.
-    pub end: Instant,
-    /// The frame's part of the run time: an equal part for each of its pictures.
-    pub used: Duration,
-}
 
 /// One camera's evidence, from its pictures, the screen and the detector.
 pub struct LiveEvidence {

@@ -5,6 +5,7 @@ use crate::camera::audit::Examiner;
 use crate::camera::clip::Clip;
 use crate::camera::clip::tests::report;
 use crate::input::{Frame, Pushed};
+use crate::publishing;
 use crate::state::board::{Board, News};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::FrameState;

@@ -13,7 +13,7 @@ mod watched;
 pub(super) use desired::{known, take};
 
 use crate::config::NodeConfig;
-use crate::delivery::outbox::Outbox;
+use crate::outbox::Outbox;
 use crate::state::board::Board;
 use crate::state::readiness;
 use albireo_service::clock::Now;
@@ -244,7 +244,7 @@ impl Worker {
         let status = session
             .declare_publisher(keys.status())
             .congestion_control(CongestionControl::Drop)
-            .priority(crate::camera::publishing::COUNTERS)
+            .priority(crate::publishing::COUNTERS)
             .await?;
         let news = session.declare_subscriber(keys.changed()).with(RingChannel::new(1)).await?;
         let own = setup.local.is_none();

@@ -3,7 +3,6 @@
 use super::PolicyMaker;
 use crate::camera::audit::{CameraAudit, Examiner};
 use crate::camera::evidence::LiveEvidence;
-use crate::camera::publishing::{self, Outlet};
 use crate::camera::{AnswerTime, Camera, CameraParts};
 use crate::config::{CameraConfig, NodeConfig};
 use crate::delivery::report::Reporter;
@@ -11,6 +10,7 @@ use crate::error::NodeError;
 use crate::input::Delivery;
 use crate::input::receiver::FrameReceiver;
 use crate::input::source::{LiveSource, SourceEvent, SourceSettings};
+use crate::publishing::{self, Outlet};
 use crate::state::board::{Board, CameraBoard};
 use crate::state::readiness;
 use albireo_core::policy::{LatePolicy, MinConfidence};

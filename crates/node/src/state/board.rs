@@ -7,7 +7,7 @@ mod orders;
 mod savings;
 mod threshold;
 
-pub use camera::{CameraBoard, CameraSnapshot, LatestFrame};
+pub use camera::{CameraBoard, CameraSnapshot};
 pub(crate) use event::provider;
 pub use event::{DetectorEvent, Event, FrameEvent, News, ThresholdEvent};
 pub(crate) use history::{CameraPiece, Clock, FRAMES, PastFrame, PowerPiece, SLOT_S, SkipEstimate};
@@ -15,8 +15,8 @@ pub(crate) use orders::{MAX_MESSAGE_BYTES, Place};
 pub(crate) use savings::{Savings, Totals};
 
 use crate::config::NodeConfig;
-use crate::delivery::outbox::Outbox;
 use crate::error::NodeError;
+use crate::outbox::Outbox;
 use crate::state::readiness;
 use crate::state::settings::{Settings, Values};
 use crate::state::target::NodeTarget;

@@ -12,7 +12,7 @@
 //! | `disk` | | reports or settings in the state directory cannot be written, or were damaged |
 //! | `tasks` | a camera's loop has failed and does not run | a task failed and runs again, or a non-essential one does not run |
 
-use crate::delivery::outbox::OutboxCounts;
+use crate::outbox::OutboxCounts;
 use crate::state::board::Board;
 use albireo_power::PowerHandle;
 use albireo_service::readiness::{Fault, Readiness};

@@ -1,7 +1,7 @@
 //! Counts the frames of a clip and creates its report.
 
-use super::latencies::percentiles;
-use crate::camera::FrameRecord;
+use crate::frame::FrameRecord;
+use crate::percentiles::percentiles;
 use albireo_power::{Measured, Measurement};
 use albireo_service::clock::{milliseconds, unix_nanoseconds};
 use albireo_wire::{ClipEnd, ClipEnergy, ClipReport, Threshold, ThresholdChange, VERSION};

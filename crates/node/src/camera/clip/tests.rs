@@ -1,6 +1,7 @@
 use super::*;
-use crate::camera::evidence::Times;
-use crate::camera::{FrameRecord, answer};
+use crate::camera::answer;
+use crate::frame::FrameRecord;
+use crate::frame::Times;
 use albireo_core::policy::{Albireo, FrameState};
 use albireo_power::{Meter, MeterError, PowerHandle, Reading, Value, Values};
 use albireo_wire::{AuditReport, ClipReport, DroppedFrames, Latency, Threshold};

@@ -8,7 +8,7 @@
 
 use super::ClipConfig;
 use super::report::Clip;
-use crate::camera::FrameRecord;
+use crate::frame::FrameRecord;
 use albireo_power::CameraEnergy;
 use albireo_wire::{AuditReport, ClipEnd, ClipReport, DroppedFrames, Threshold};
 use std::sync::Arc;

@@ -2,9 +2,9 @@
 
 use super::hub::Reply;
 use crate::NodeError;
-use crate::delivery::outbox::tests::{Faults, report};
-use crate::delivery::outbox::{MAX_BYTES, Outbox, OutboxConfig, OutboxCounts};
 use crate::delivery::uplink::{Schedule, conclude, read_reply};
+use crate::outbox::tests::{Faults, report};
+use crate::outbox::{MAX_BYTES, Outbox, OutboxConfig, OutboxCounts};
 use albireo_service::clock::Now;
 use albireo_wire::{ClipReport, FrameStates, ReportAnswer, ReportBatch};
 use rusqlite::Connection;

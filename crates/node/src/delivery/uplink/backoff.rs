@@ -1,6 +1,6 @@
 //! Paces failed attempts.
 
-use crate::delivery::outbox::OutboxConfig;
+use crate::outbox::OutboxConfig;
 use std::time::Duration;
 
 /// A pause that doubles with each failure, times 0.5 to 1.5, so that nodes spread out.

@@ -1,7 +1,7 @@
 //! Decides when the uplink sends what. Has no clock and no network: callers pass times and results.
 
 use super::backoff::Backoff;
-use crate::delivery::outbox::{OutboxConfig, OutboxCounts};
+use crate::outbox::{OutboxConfig, OutboxCounts};
 use std::time::{Duration, Instant};
 
 /// The time between two batches with reports that a hub has lost: a whole fleet sends them at the same time.

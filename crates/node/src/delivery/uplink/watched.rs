@@ -93,7 +93,7 @@ impl Watched {
                 session
                     .put(keys.counters(), serde_json::to_vec(&message)?)
                     .congestion_control(CongestionControl::Drop)
-                    .priority(crate::camera::publishing::COUNTERS)
+                    .priority(crate::publishing::COUNTERS)
                     .await?;
             }
         }

@@ -3,63 +3,24 @@
 use super::event::{Event, FrameEvent, News};
 use super::history::{CameraPiece, Clock, History, PastFrame, SkipEstimate};
 use super::threshold;
-use crate::camera::FrameRecord;
 use crate::config::{CameraConfig, NodeConfig};
+use crate::frame::{FrameRecord, LatestFrame};
 use crate::state::advice::{Advice, SkipWatch};
 use crate::state::settings::Settings;
 use albireo_core::audit::AuditSums;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{BoxSource, Policy, Profile, ThresholdSpec, short};
 use albireo_service::metrics::LatencyHistogram;
-use albireo_vision::picture::{EncodedPicture, FrameLimits, PictureFormat, to_jpeg};
 use albireo_wire::{
     AuditReport, BoxMessage, CameraKeys, DetectionsMessage, DetectorCalls, DroppedFrames,
     FrameStates, KeyError, SettingSource,
 };
-use bytes::Bytes;
 use parking_lot::Mutex;
 use std::collections::BTreeMap;
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::{broadcast, watch};
 use tokio::time::Instant;
-
-/// The last picture received, still encoded.
-#[derive(Debug)]
-pub struct LatestFrame {
-    /// The frame's sequence number.
-    pub(crate) seq: u64,
-    /// The picture; a cheap clone of the received one.
-    picture: EncodedPicture,
-    /// The picture as a JPEG file, once requested.
-    jpeg: OnceLock<Result<Bytes, String>>,
-}
-
-impl LatestFrame {
-    /// Creates the picture of frame `seq`.
-    pub fn new(seq: u64, picture: EncodedPicture) -> Self {
-        let jpeg = match picture.format {
-            PictureFormat::Jpeg => OnceLock::from(Ok(picture.bytes.clone())),
-            _ => OnceLock::new(),
-        };
-        Self { seq, picture, jpeg }
-    }
-
-    /// The picture as a JPEG file, converted from another format at most once. Decodes and encodes: call it outside
-    /// async workers.
-    ///
-    /// # Errors
-    /// The reason it cannot be shown.
-    pub(crate) fn jpeg(&self, limits: &FrameLimits) -> Result<Bytes, String> {
-        let make = || to_jpeg(&self.picture, limits).map_err(|fault| fault.to_string());
-        self.jpeg.get_or_init(make).clone()
-    }
-
-    /// True if the file exists, or is known to be impossible.
-    pub(crate) fn is_made(&self) -> bool {
-        self.jpeg.get().is_some()
-    }
-}
 
 /// The state of one camera; all numbers are from the same moment.
 #[derive(Clone, Debug, Default, PartialEq)]

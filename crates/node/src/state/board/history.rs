@@ -6,7 +6,7 @@ mod skipping;
 pub(crate) use skipping::SkipEstimate;
 
 use super::PowerSnapshot;
-use crate::camera::clip::percentile;
+use crate::percentiles::percentile;
 use albireo_core::policy::{CallCause, FrameState};
 use albireo_service::clock::unix_milliseconds;
 use albireo_wire::{DetectionsMessage, EnergyQuality};

@@ -1,7 +1,7 @@
 use super::*;
 use crate::camera::answer;
 use crate::config::CameraConfig;
-use crate::delivery::outbox::OutboxCounts;
+use crate::outbox::OutboxCounts;
 use albireo_core::policy::{ExpectedLoss, FrameState};
 use albireo_wire::Threshold;
 use serde_json::Value;

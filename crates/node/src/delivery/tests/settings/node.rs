@@ -1,8 +1,8 @@
 //! Simulates a node that keeps its desired settings in a real file.
 
 use super::super::node::until_unlocked;
-use crate::delivery::outbox::OutboxConfig;
 use crate::delivery::uplink::{Failure, Schedule, StatusSender, known, read_reply, take};
+use crate::outbox::OutboxConfig;
 use crate::state::board::Board;
 use crate::state::board::tests::{config, set_by_hand, thresholds};
 use albireo_service::clock::Now;

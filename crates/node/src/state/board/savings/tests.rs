@@ -1,9 +1,10 @@
 //! Compares the estimated saving on a machine of known watts with the true one; the detector is a lock held for 40 ms.
 
+use crate::camera::answer;
 use crate::camera::clip::tests::{FakeMeter, report};
 use crate::camera::clip::{ClipConfig, ClipTracker};
-use crate::camera::evidence::{DetectorRun, Times};
-use crate::camera::{FrameRecord, answer};
+use crate::frame::FrameRecord;
+use crate::frame::{DetectorRun, Times};
 use crate::state::board::tests::{board_of, config};
 use albireo_core::detection::{ClassId, Detection};
 use albireo_core::geometry::{BoundingBox, PictureSize};

@@ -10,7 +10,7 @@ pub(crate) fn percentile(sorted: &[f32], percent: usize) -> Option<f32> {
 }
 
 /// Count, mean and percentiles; zeros without latencies.
-pub(super) fn percentiles(mut latencies: Vec<f32>) -> Percentiles {
+pub(crate) fn percentiles(mut latencies: Vec<f32>) -> Percentiles {
     latencies.sort_unstable_by(f32::total_cmp);
     let at = |percent: usize| f64::from(percentile(&latencies, percent).unwrap_or_default());
     let sum: f64 = latencies.iter().map(|ms| f64::from(*ms)).sum();

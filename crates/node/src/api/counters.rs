@@ -1,7 +1,7 @@
 //! Updates once per second: the power figures on the board, every camera's counters on Zenoh, and the target's step.
 
-use crate::camera::publishing::{self, Outlet};
 use crate::error::NodeError;
+use crate::publishing::{self, Outlet};
 use crate::state::board::Board;
 use albireo_power::PowerHandle;
 use albireo_service::clock::unix_nanoseconds;

@@ -9,21 +9,19 @@ mod disk;
 mod salvage;
 mod table;
 #[cfg(test)]
-pub(super) mod tests;
+pub(crate) mod tests;
 mod waiting;
 
 pub use config::OutboxConfig;
 
 use crate::error::NodeError;
-use crate::state::board::Board;
 use albireo_service::clock::Now;
 use albireo_wire::OutboxStatus;
 use disk::{Disk, StateFile};
 use parking_lot::Mutex;
 use std::path::Path;
-use std::sync::Arc;
-use std::time::{Duration, Instant};
-pub(super) use table::TableError;
+use std::time::Instant;
+pub(crate) use table::TableError;
 use tokio::sync::Notify;
 use waiting::Waiting;
 
@@ -48,10 +46,7 @@ pub struct OutboxCounts {
 }
 
 /// Maximum file size, bytes. Reports that a hub has are deleted first, then the oldest waiting ones, as lost.
-pub(super) const MAX_BYTES: u64 = 256 << 20;
-
-/// The interval at which a failed disk is tried again.
-const RETRY_EVERY: Duration = Duration::from_secs(2);
+pub(crate) const MAX_BYTES: u64 = 256 << 20;
 
 /// The outbox.
 #[derive(Debug)]
@@ -92,7 +87,7 @@ impl Outbox {
     }
 
     /// Opens the outbox on a disk.
-    pub(super) fn open_on(
+    pub(crate) fn open_on(
         disk: Box<dyn Disk>,
         max_bytes: u64,
         now: Now,
@@ -130,19 +125,5 @@ impl Outbox {
         *self.counts.lock() = waiting.counts();
         self.changed.notify_one();
         changed
-    }
-}
-
-/// Retries a failed disk, for reports and settings, for as long as it is polled.
-pub(crate) async fn retry_disk(board: Arc<Board>) {
-    loop {
-        tokio::time::sleep(RETRY_EVERY).await;
-        let board = Arc::clone(&board);
-        let tried = tokio::task::spawn_blocking(move || {
-            (board.outbox).change(|waiting| waiting.retry_disk(Now::system()));
-            // The failure was logged when the setting was made.
-            let _ = board.settings.save();
-        });
-        let _ = tried.await;
     }
 }

@@ -11,6 +11,7 @@ use futures_util::FutureExt;
 use rusqlite::Connection;
 use std::io::{Error, ErrorKind};
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use uuid::Uuid;
@@ -22,7 +23,7 @@ impl Outbox {
     }
 }
 
-pub(in crate::delivery) fn report(clip: u64) -> ClipReport {
+pub(crate) fn report(clip: u64) -> ClipReport {
     ClipReport {
         v: VERSION,
         id: Uuid::from_u128(u128::from(clip) + 100),
@@ -44,13 +45,13 @@ struct FaultyDisk {
 }
 
 #[derive(Debug, Default)]
-pub(in crate::delivery) struct Faults {
+pub(crate) struct Faults {
     is_full: AtomicBool,
 }
 
 impl Faults {
     /// Opens an outbox on a disk with these faults.
-    pub(in crate::delivery) fn open(
+    pub(crate) fn open(
         self: &Arc<Self>,
         directory: &Path,
         max_bytes: u64,
@@ -60,7 +61,7 @@ impl Faults {
         Outbox::open_on(Box::new(FaultyDisk { file, faults }), max_bytes, now)
     }
 
-    pub(in crate::delivery) fn fill_disk(&self, is_full: bool) {
+    pub(crate) fn fill_disk(&self, is_full: bool) {
         self.is_full.store(is_full, Ordering::Relaxed);
     }
 }
