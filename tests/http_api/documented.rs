@@ -5,7 +5,7 @@ use crate::support::{Ended, run_command, value_of};
 use albireo_core::policy::FrameState;
 use albireo_node::state::board::PowerSnapshot;
 use albireo_vision::picture::PictureFormat;
-use albireo_wire::{DomainWatts, DroppedFrames, EnergyQuality};
+use albireo_wire::{DomainWatts, DropKind, EnergyQuality};
 use reqwest::Method;
 use serde_json::{Value, json};
 use std::process::Command;
@@ -20,10 +20,7 @@ async fn filled() -> Served {
         answered(front, frame(2 * seq + 1, FrameState::P));
     }
     answered(front, frame(10, FrameState::EI));
-    front.record_dropped(&DroppedFrames {
-        undecodable: 4,
-        ..DroppedFrames::default()
-    });
+    front.input.count(DropKind::Undecodable, 4, &"half a picture");
     received(front, 0, PictureFormat::Gray8, vec![7; 16], [4, 4]);
     node.board.record_clip(clip("front", 0));
     node.board.set_power(PowerSnapshot {

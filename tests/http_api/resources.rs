@@ -4,7 +4,7 @@ use albireo_core::policy::FrameState;
 use albireo_service::config::HttpConfig;
 use albireo_vision::detector::{ExecutionProvider, ModelStatus};
 use albireo_vision::picture::PictureFormat;
-use albireo_wire::{CallCause, DroppedFrames};
+use albireo_wire::{CallCause, DropKind};
 use reqwest::Method;
 use serde_json::json;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
@@ -22,10 +22,7 @@ async fn frames_and_calls_are_counted_alike_everywhere_and_degraded_frames_never
         degraded.degraded = true;
         answered(front, degraded);
     }
-    front.record_dropped(&DroppedFrames {
-        lost: 3,
-        ..DroppedFrames::default()
-    });
+    front.input.count(DropKind::Lost, 3, &"numbers are missing");
     let rear = node.board.camera("rear").unwrap();
     answered_all(rear, &[FrameState::P; 4]);
     let calls = json!({"uncertain": 3, "periodic_cap": 1});

@@ -161,7 +161,7 @@ pub(crate) fn received(
         bytes: bytes.into(),
         size: PictureSize::new(width, height),
     };
-    camera.set_latest_frame(LatestFrame::new(seq, picture));
+    camera.input.set_latest_frame(LatestFrame::new(seq, picture));
 }
 
 pub(crate) fn frame(seq: u64, state: FrameState) -> DetectionsMessage {

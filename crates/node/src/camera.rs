@@ -27,7 +27,7 @@ use crate::state::board::CameraBoard;
 use albireo_core::policy::{CallCause, FrameHead, LatePolicy, MinConfidence, Need, Outcome};
 use albireo_power::CameraEnergy;
 use albireo_service::clock::milliseconds;
-use albireo_wire::{DetectionsMessage, Latency, Threshold};
+use albireo_wire::{DetectionsMessage, DropKind, Latency, Threshold};
 use futures_util::future::OptionFuture;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -176,7 +176,7 @@ impl Camera {
         let parts = &self.parts;
         for frame in parts.receiver.ring.close() {
             let reason = "the camera's loop ended before its turn";
-            (parts.receiver).count_dropped(|dropped| &mut dropped.stopped, 1, &reason);
+            parts.receiver.count_dropped(DropKind::Stopped, 1, &reason);
             parts.receiver.answer(frame.query, Some(reason));
         }
         self.audit.give_up();
@@ -214,7 +214,7 @@ impl Camera {
     fn deliver(&mut self, fetched: Fetched) {
         match self.decider.deliver(fetched, &mut self.outcome) {
             Some(Ok(frame)) => self.conclude(&frame),
-            Some(Err(fault)) => (self.parts.receiver).count_dropped(kind_of(&fault), 1, &fault),
+            Some(Err(fault)) => self.parts.receiver.count_dropped(kind_of(&fault), 1, &fault),
             None => {}
         }
     }

@@ -7,6 +7,7 @@ mod validate;
 use crate::camera::audit::AuditConfig;
 use crate::camera::clip::ClipConfig;
 use crate::camera::{AnswerTime, ReportConfig, SettleConfig};
+use crate::input::receiver::ReceiverSettings;
 use crate::input::source::{RtspTransport, SourceAddress, SourceOptions, SourceSettings};
 use crate::input::{Delivery, PayloadFormat};
 use crate::outbox::OutboxConfig;
@@ -231,6 +232,17 @@ impl CameraConfig {
         Self {
             name: name.into(),
             ..Self::default()
+        }
+    }
+
+    /// The settings for receiving its frames.
+    pub(crate) fn receiver_settings(&self, limits: FrameLimits) -> ReceiverSettings {
+        ReceiverSettings {
+            camera: self.name.clone(),
+            format: self.format,
+            delivery: self.delivery,
+            ring: self.ring,
+            limits,
         }
     }
 

@@ -1,6 +1,7 @@
 //! Receives what cameras send: reads and numbers frames, keeps them in a ring, and opens cameras.
 
 mod attachment;
+mod counter;
 mod read;
 pub(crate) mod receiver;
 mod ring;
@@ -8,6 +9,7 @@ mod ros2;
 mod sequence;
 pub mod source;
 
+pub use counter::{InputCounter, Unusable};
 pub use read::{Frame, RawSample, read_frame};
 pub(crate) use ring::{Pushed, Ring};
 pub use sequence::FrameNumber;

@@ -5,9 +5,9 @@
 //! Zenoh has a queue and a lock per priority: a report that waits for a slow subscriber never delays a detection.
 
 use crate::error::NodeError;
-use crate::state::board::CameraBoard;
 use serde::Serialize;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use tokio::task::block_in_place;
 use zenoh::bytes::Encoding;
 use zenoh::pubsub::Publisher;
@@ -23,10 +23,26 @@ pub(crate) const CLIPS: Priority = Priority::DataLow;
 /// Priority of counters and status.
 pub(crate) const COUNTERS: Priority = Priority::Background;
 
+/// Counts the messages about one camera that were not published.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Unpublished(Arc<AtomicU64>);
+
+impl Unpublished {
+    /// Counts one message.
+    pub(crate) fn count(&self) {
+        self.0.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// The number of messages.
+    pub(crate) fn get(&self) -> u64 {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
 /// A key for messages about a camera.
 pub(crate) struct Outlet {
     publisher: Publisher<'static>,
-    camera: Arc<CameraBoard>,
+    unpublished: Unpublished,
 }
 
 impl Outlet {
@@ -38,7 +54,7 @@ impl Outlet {
         session: &Session,
         key: String,
         (congestion, priority): (CongestionControl, Priority),
-        camera: &Arc<CameraBoard>,
+        unpublished: &Unpublished,
     ) -> Result<Self, NodeError> {
         let publisher = session
             .declare_publisher(key.clone())
@@ -48,7 +64,7 @@ impl Outlet {
             .map_err(NodeError::refused(format!("`{key}` cannot be published")))?;
         Ok(Self {
             publisher,
-            camera: Arc::clone(camera),
+            unpublished: unpublished.clone(),
         })
     }
 
@@ -63,7 +79,7 @@ impl Outlet {
             _ => put(),
         };
         if let Err(error) = done {
-            self.camera.count_unpublished();
+            self.unpublished.count();
             let key = self.publisher.key_expr();
             tracing::debug!(%key, %error, "a message was not published");
         }

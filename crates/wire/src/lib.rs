@@ -38,7 +38,7 @@ pub use report::{
     REPORT_DICTIONARY, RefusalReason, RefusedReport, ReportAge, ReportAnswer, ReportBatch,
     ReportRefusal, decompress_batch,
 };
-pub use states::{DetectorCalls, DroppedFrames, FrameStates};
+pub use states::{DetectorCalls, DropKind, DroppedFrames, FrameStates};
 pub use status::{
     CameraState, CameraStatus, HealthState, HealthStatus, Heartbeat, NodeStatus, OutboxStatus,
     RefusedDesired, SettingSource, StatusMessage,

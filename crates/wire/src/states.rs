@@ -150,24 +150,87 @@ pub struct DroppedFrames {
     pub stopped: u64,
 }
 
+/// Why a frame was not processed: a field of [`DroppedFrames`] each, where it is described.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[expect(missing_docs, reason = "the fields of `DroppedFrames` say it")]
+pub enum DropKind {
+    Lost,
+    Overrun,
+    Late,
+    Stray,
+    Duplicate,
+    Undecodable,
+    Oversized,
+    UnknownFormat,
+    Stopped,
+}
+
+impl DropKind {
+    /// All kinds, in the order of the fields.
+    pub const ALL: [Self; 9] = [
+        Self::Lost,
+        Self::Overrun,
+        Self::Late,
+        Self::Stray,
+        Self::Duplicate,
+        Self::Undecodable,
+        Self::Oversized,
+        Self::UnknownFormat,
+        Self::Stopped,
+    ];
+
+    /// The name of its field.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Lost => "lost",
+            Self::Overrun => "overrun",
+            Self::Late => "late",
+            Self::Stray => "stray",
+            Self::Duplicate => "duplicate",
+            Self::Undecodable => "undecodable",
+            Self::Oversized => "oversized",
+            Self::UnknownFormat => "unknown_format",
+            Self::Stopped => "stopped",
+        }
+    }
+
+    /// True if the frame arrived and is no usable picture: a fault of its sender.
+    pub const fn is_unusable(self) -> bool {
+        matches!(
+            self,
+            Self::Undecodable | Self::Oversized | Self::UnknownFormat
+        )
+    }
+}
+
 impl DroppedFrames {
-    fn places(&mut self) -> [(&'static str, &mut u64); 9] {
-        [
-            ("lost", &mut self.lost),
-            ("overrun", &mut self.overrun),
-            ("late", &mut self.late),
-            ("stray", &mut self.stray),
-            ("duplicate", &mut self.duplicate),
-            ("undecodable", &mut self.undecodable),
-            ("oversized", &mut self.oversized),
-            ("unknown_format", &mut self.unknown_format),
-            ("stopped", &mut self.stopped),
-        ]
+    fn place(&mut self, kind: DropKind) -> &mut u64 {
+        match kind {
+            DropKind::Lost => &mut self.lost,
+            DropKind::Overrun => &mut self.overrun,
+            DropKind::Late => &mut self.late,
+            DropKind::Stray => &mut self.stray,
+            DropKind::Duplicate => &mut self.duplicate,
+            DropKind::Undecodable => &mut self.undecodable,
+            DropKind::Oversized => &mut self.oversized,
+            DropKind::UnknownFormat => &mut self.unknown_format,
+            DropKind::Stopped => &mut self.stopped,
+        }
+    }
+
+    /// Counts `number` frames of that kind.
+    pub fn add(&mut self, kind: DropKind, number: u64) {
+        *self.place(kind) += number;
+    }
+
+    /// Returns the number of frames of that kind.
+    pub fn get(mut self, kind: DropKind) -> u64 {
+        *self.place(kind)
     }
 
     /// Returns names and counts, in the order of the fields.
-    pub fn by_kind(mut self) -> [(&'static str, u64); 9] {
-        self.places().map(|(kind, count)| (kind, *count))
+    pub fn by_kind(self) -> [(&'static str, u64); 9] {
+        DropKind::ALL.map(|kind| (kind.name(), self.get(kind)))
     }
 
     /// Returns the number of all dropped frames.
@@ -178,8 +241,8 @@ impl DroppedFrames {
 
 impl std::ops::AddAssign<&Self> for DroppedFrames {
     fn add_assign(&mut self, more: &Self) {
-        for ((_, count), (_, more)) in self.places().into_iter().zip(more.by_kind()) {
-            *count += more;
+        for kind in DropKind::ALL {
+            self.add(kind, more.get(kind));
         }
     }
 }

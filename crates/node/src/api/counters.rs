@@ -28,7 +28,7 @@ pub(crate) async fn declare(session: &Session, board: &Board) -> Result<Vec<Outl
     let sent = (CongestionControl::Drop, publishing::COUNTERS);
     for camera in &board.cameras {
         let key = camera.keys.counters();
-        outlets.push(Outlet::declare(session, key, sent, camera).await?);
+        outlets.push(Outlet::declare(session, key, sent, &camera.unpublished).await?);
     }
     Ok(outlets)
 }

@@ -72,7 +72,10 @@ impl Bench {
         config.cameras[0].ring = 64;
         let board = Board::open(&config).unwrap();
         let camera = Arc::clone(&board.cameras[0]);
-        let receiver = FrameReceiver::new(Arc::clone(&camera), &config.cameras[0], config.frame);
+        let receiver = FrameReceiver::new(
+            config.cameras[0].receiver_settings(config.frame),
+            Arc::clone(&camera.input),
+        );
         let receiver = Arc::new(receiver);
         let detector = detector().await;
         let pixels = pixels(&detector);
@@ -87,7 +90,12 @@ impl Bench {
         let audit = CameraAudit::new(config.audit, Arc::clone(&camera), examine);
         let session = crate::api::name::tests::session(&[("listen/endpoints", "[]")]).await;
         let sent = (CongestionControl::Drop, publishing::LIVE);
-        let detections = Outlet::declare(&session, camera.keys.detections(), sent, &camera);
+        let detections = Outlet::declare(
+            &session,
+            camera.keys.detections(),
+            sent,
+            &camera.unpublished,
+        );
         let policy = LatePolicy::waiting(config.policy.build().unwrap());
         let evidence = live_evidence(&detector, &pixels);
         let parts = CameraParts {
@@ -163,7 +171,7 @@ async fn a_new_stream_starts_with_an_empty_policy_whichever_frame_arrives_first(
 async fn frames_that_wait_are_no_silence_and_dropped_ones_count_for_their_clip() {
     let bench = Bench::new("vanilla", 0.0).await;
     let receiver = &bench.receiver;
-    receiver.count_dropped(|dropped| &mut dropped.undecodable, 3, &"broken");
+    receiver.count_dropped(DropKind::Undecodable, 3, &"broken");
     // The detector was slow, so ten seconds of frames wait: the first is older than the silence that ends a clip.
     let now = Instant::now();
     for index in 0..10 {

@@ -82,7 +82,7 @@ impl Reporter {
             let json = serde_json::to_vec(&report).unwrap_or_default();
             let put = self.listeners.put(json);
             if let Err(error) = put.encoding(Encoding::APPLICATION_JSON).wait() {
-                self.camera.count_unpublished();
+                self.camera.unpublished.count();
                 tracing::debug!(camera, %error, "a clip report was not published");
             }
             self.board.record_clip(report);

@@ -3,14 +3,12 @@
 
 use super::read::{RawSample, read_frame};
 use super::sequence::{Arrival, SequenceTracker};
-use super::{Frame, FrameNumber, PayloadFormat, Pushed, Ring};
-use crate::config::CameraConfig;
+use super::{Delivery, Frame, FrameNumber, InputCounter, PayloadFormat, Pushed, Ring};
 use crate::frame::LatestFrame;
-use crate::state::board::CameraBoard;
 use albireo_service::clock::unix_nanoseconds;
 use albireo_service::rate_limit::RateLimit;
 use albireo_vision::picture::{EncodedPicture, FrameFault, FrameLimits};
-use albireo_wire::{DroppedFrames, FrameAnswer, VERSION};
+use albireo_wire::{DropKind, FrameAnswer, VERSION};
 use parking_lot::Mutex;
 use std::collections::BTreeMap;
 use std::fmt;
@@ -47,28 +45,39 @@ pub(crate) struct SequencedFrame {
     pub query: Option<Query>,
 }
 
-/// Selects the counter for one kind of unprocessed frames.
-pub(crate) type DropKind = fn(&mut DroppedFrames) -> &mut u64;
-
-/// Returns the counter for frames with that fault.
+/// The kind of frames with that fault.
 pub(crate) fn kind_of(fault: &FrameFault) -> DropKind {
     match fault {
-        FrameFault::Undecodable(_) => |dropped| &mut dropped.undecodable,
-        FrameFault::Oversized(_) => |dropped| &mut dropped.oversized,
-        FrameFault::UnknownFormat(_) => |dropped| &mut dropped.unknown_format,
+        FrameFault::Undecodable(_) => DropKind::Undecodable,
+        FrameFault::Oversized(_) => DropKind::Oversized,
+        FrameFault::UnknownFormat(_) => DropKind::UnknownFormat,
     }
+}
+
+/// How the frames of one camera are received.
+#[derive(Clone, Debug)]
+pub(crate) struct ReceiverSettings {
+    /// The camera's name.
+    pub camera: String,
+    /// The format of its payloads.
+    pub format: PayloadFormat,
+    /// The frames that its loop sees when they arrive faster than it works.
+    pub delivery: Delivery,
+    /// The maximum number of frames that wait for the loop.
+    pub ring: usize,
+    /// Limits of its frames.
+    pub limits: FrameLimits,
 }
 
 /// The receiving end of one camera.
 #[derive(Debug)]
 pub(crate) struct FrameReceiver {
-    board: Arc<CameraBoard>,
+    settings: ReceiverSettings,
+    counter: Arc<InputCounter>,
     /// Limits the log, for each kind of dropped frames.
-    log_limits: Mutex<BTreeMap<&'static str, RateLimit>>,
+    log_limits: Mutex<BTreeMap<DropKind, RateLimit>>,
     /// The frames that wait for the camera's loop.
     pub ring: Ring<SequencedFrame>,
-    format: PayloadFormat,
-    limits: FrameLimits,
     stream: Mutex<StreamState>,
     /// Sends answers, off the threads that must not wait for the network.
     runtime: Handle,
@@ -77,10 +86,13 @@ pub(crate) struct FrameReceiver {
 }
 
 /// The camera's number of a sample, and the frame, if it is usable.
-type Read = (FrameNumber, Result<Frame, FrameFault>);
+type NumberedFrame = (FrameNumber, Result<Frame, FrameFault>);
 
-/// The kind of a frame that will not be processed, and the reason.
-type Refused = (DropKind, String);
+/// A frame that will not be processed.
+struct Refused {
+    kind: DropKind,
+    reason: String,
+}
 
 #[derive(Debug, Default)]
 struct StreamState {
@@ -90,14 +102,14 @@ struct StreamState {
 }
 
 impl FrameReceiver {
-    /// Creates the receiver of the camera of `board`. Call it on the runtime that sends its answers.
-    pub(crate) fn new(board: Arc<CameraBoard>, config: &CameraConfig, limits: FrameLimits) -> Self {
+    /// Creates the receiver of a camera, whose frames `counter` counts. Call it on the runtime that sends its answers.
+    pub(crate) fn new(settings: ReceiverSettings, counter: Arc<InputCounter>) -> Self {
+        let most_bytes = settings.limits.max_payload_bytes;
         Self {
-            board,
+            counter,
             log_limits: Mutex::default(),
-            ring: Ring::new(config.delivery, config.ring, limits.max_payload_bytes),
-            format: config.format,
-            limits,
+            ring: Ring::new(settings.delivery, settings.ring, most_bytes),
+            settings,
             stream: Mutex::default(),
             runtime: Handle::current(),
             answers: Arc::new(Semaphore::new(MAX_ANSWERS)),
@@ -138,9 +150,9 @@ impl FrameReceiver {
         });
     }
 
-    fn read(&self, raw: RawSample<'_>, arrival: u64) -> Read {
+    fn read(&self, raw: RawSample<'_>, arrival: u64) -> NumberedFrame {
         let raw = RawSample { arrival, ..raw };
-        read_frame(raw, self.format, &self.limits)
+        read_frame(raw, self.settings.format, &self.settings.limits)
     }
 
     /// Receives a picture of a source that the node reads itself. `reopened` is true for the first picture after the
@@ -167,12 +179,12 @@ impl FrameReceiver {
     }
 
     /// Numbers the result of `read` and puts it into the ring.
-    fn place(&self, query: Option<Query>, read: impl FnOnce(u64) -> Read) {
+    fn place(&self, query: Option<Query>, read: impl FnOnce(u64) -> NumberedFrame) {
         // One lock over reading, numbering and pushing keeps the order of arrival if Zenoh calls from several
         // threads.
         let mut stream = self.stream.lock();
         if let Some(query) = &query
-            && !(self.ring).has_room(query.payload().map_or(0, ZBytes::len))
+            && !self.ring.has_room(query.payload().map_or(0, ZBytes::len))
         {
             return;
         }
@@ -180,7 +192,7 @@ impl FrameReceiver {
         let placed = admitted.and_then(|frame| self.push(frame));
         // The next frame need not wait for this one's answer.
         drop(stream);
-        if let Err((kind, reason)) = placed {
+        if let Err(Refused { kind, reason }) = placed {
             self.count_dropped(kind, 1, &reason);
             self.answer(query, Some(&reason));
         }
@@ -194,7 +206,7 @@ impl FrameReceiver {
         &self,
         stream: &mut StreamState,
         query: Option<Query>,
-        read: impl FnOnce(u64) -> Read,
+        read: impl FnOnce(u64) -> NumberedFrame,
     ) -> Result<SequencedFrame, Refused> {
         let (number, read) = read(stream.arrivals);
         stream.arrivals += 1;
@@ -212,15 +224,18 @@ impl FrameReceiver {
             stream.epoch += u64::from(restarted);
             if lost > 0 {
                 let reason = "numbers are missing in the camera's sequence";
-                self.count_dropped(|dropped| &mut dropped.lost, lost, &reason);
+                self.count_dropped(DropKind::Lost, lost, &reason);
             }
         }
-        let frame = read.map_err(|fault| (kind_of(&fault), fault.to_string()))?;
+        let frame = read.map_err(|fault| Refused {
+            kind: kind_of(&fault),
+            reason: fault.to_string(),
+        })?;
         let sequence = frame.sequence;
-        let (kind, reason): (DropKind, _) = match arrival {
+        let (kind, reason) = match arrival {
             Arrival::New { index, .. } => {
                 let latest = LatestFrame::new(sequence, frame.picture.clone());
-                self.board.set_latest_frame(latest);
+                self.counter.set_latest_frame(latest);
                 return Ok(SequencedFrame {
                     frame,
                     index,
@@ -228,27 +243,24 @@ impl FrameReceiver {
                     query,
                 });
             }
-            Arrival::Duplicate => (|dropped| &mut dropped.duplicate, "has already arrived"),
-            Arrival::Late => (|dropped| &mut dropped.late, "arrived after a later one"),
+            Arrival::Duplicate => (DropKind::Duplicate, "has already arrived"),
+            Arrival::Late => (DropKind::Late, "arrived after a later one"),
             Arrival::Stray => (
-                |dropped| &mut dropped.stray,
+                DropKind::Stray,
                 "belongs to a stream other than the camera's current one",
             ),
         };
-        Err((kind, format!("sequence number {sequence} {reason}")))
+        Err(Refused {
+            kind,
+            reason: format!("sequence number {sequence} {reason}"),
+        })
     }
 
     /// Counts `number` frames that will not be processed, and logs `reason` at limited intervals.
     pub(crate) fn count_dropped(&self, kind: DropKind, number: u64, reason: &dyn fmt::Display) {
-        let mut more = DroppedFrames::default();
-        *kind(&mut more) = number;
-        self.board.record_dropped(&more);
-        if more.undecodable + more.oversized + more.unknown_format > 0 {
-            self.board.record_unusable(&reason.to_string());
-        }
-        let counted = more.by_kind().into_iter().find(|(_, number)| *number > 0);
-        let kind = counted.map_or("", |(name, _)| name);
-        let expected = more.overrun > 0;
+        self.counter.count(kind, number, reason);
+        // A live camera that is faster than its detector is no fault.
+        let expected = kind == DropKind::Overrun;
         let period = if expected {
             OVERRUN_LOG_PERIOD
         } else {
@@ -256,7 +268,8 @@ impl FrameReceiver {
         };
         let mut limits = self.log_limits.lock();
         let limit = limits.entry(kind).or_insert(RateLimit::new(period));
-        let camera = self.board.name();
+        let camera = self.settings.camera.as_str();
+        let kind = kind.name();
         limit.log(|held_back| {
             if expected {
                 tracing::info!(camera, kind, number, held_back, "frame dropped: {reason}");
@@ -272,23 +285,26 @@ impl FrameReceiver {
     /// [`Refused`] if it is not queued.
     fn push(&self, frame: SequencedFrame) -> Result<(), Refused> {
         let bytes = frame.frame.picture.bytes.len();
-        let (kind, reason): (DropKind, _) = match self.ring.push(frame, bytes) {
+        let (kind, reason) = match self.ring.push(frame, bytes) {
             Pushed::Queued => return Ok(()),
             Pushed::Replaced => {
                 let reason = "a newer frame arrived before its turn (camera.delivery)";
-                self.count_dropped(|dropped| &mut dropped.overrun, 1, &reason);
+                self.count_dropped(DropKind::Overrun, 1, &reason);
                 return Ok(());
             }
             Pushed::Full => (
-                |dropped| &mut dropped.overrun,
+                DropKind::Overrun,
                 "too many frames are waiting: send them as queries, not as puts, to be held back (camera.delivery)",
             ),
             Pushed::Closed => (
-                |dropped| &mut dropped.stopped,
+                DropKind::Stopped,
                 "the camera's loop is not running: it has failed, or the node is stopping",
             ),
         };
-        Err((kind, reason.to_owned()))
+        Err(Refused {
+            kind,
+            reason: reason.to_owned(),
+        })
     }
 }
 

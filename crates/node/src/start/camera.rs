@@ -62,8 +62,10 @@ impl Cameras {
     ) -> Result<(), NodeError> {
         let keys = &board.keys;
         let name = &config.name;
-        let receiver = FrameReceiver::new(Arc::clone(board), config, self.config.frame);
-        let receiver = Arc::new(receiver);
+        let receiver = Arc::new(FrameReceiver::new(
+            config.receiver_settings(self.config.frame),
+            Arc::clone(&board.input),
+        ));
         let (closed, clips) = mpsc::unbounded_channel();
 
         // A replay must not lose any answer.
@@ -71,7 +73,7 @@ impl Cameras {
             Delivery::Newest => (CongestionControl::Drop, publishing::LIVE),
             Delivery::Every => (CongestionControl::Block, publishing::EVERY),
         };
-        let outlet = |key: String| Outlet::declare(&self.session, key, sent, board);
+        let outlet = |key: String| Outlet::declare(&self.session, key, sent, &board.unpublished);
         let detections = outlet(keys.detections()).await?;
         let late = match self.config.answer_time(config) {
             AnswerTime::WhenKnown => None,

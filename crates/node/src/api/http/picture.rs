@@ -31,7 +31,7 @@ pub(super) async fn jpeg(
     let board = shared.camera(&camera)?;
     // Decodes one picture at a time, and finishes even if the request is gone: the next request can use the picture.
     let turn = Arc::clone(&shared.decoding).lock_owned().await;
-    let frame = board.latest_frame().ok_or_else(|| {
+    let frame = board.input.latest_frame().ok_or_else(|| {
         let detail = format!("no picture has arrived from camera `{camera}` yet");
         Problem::new(StatusCode::NOT_FOUND, detail)
     })?;

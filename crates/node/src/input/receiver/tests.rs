@@ -1,6 +1,4 @@
 use super::*;
-use crate::config::NodeConfig;
-use crate::state::board::Board;
 use albireo_core::geometry::PictureSize;
 use albireo_vision::picture::{EncodedPicture, FrameFault, PictureFormat};
 use futures_util::FutureExt;
@@ -8,12 +6,14 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread;
 
 fn receiver(capacity: usize) -> Arc<FrameReceiver> {
-    let mut config = NodeConfig::default();
-    config.cameras[0].ring = capacity;
-    let board = Board::open(&config).unwrap();
-    let camera = Arc::clone(&board.cameras[0]);
-    let receiver = FrameReceiver::new(camera, &config.cameras[0], FrameLimits::default());
-    Arc::new(receiver)
+    let settings = ReceiverSettings {
+        camera: "front".to_owned(),
+        format: PayloadFormat::default(),
+        delivery: Delivery::default(),
+        ring: capacity,
+        limits: FrameLimits::default(),
+    };
+    Arc::new(FrameReceiver::new(settings, Arc::default()))
 }
 
 impl FrameReceiver {
@@ -65,7 +65,7 @@ async fn a_restart_is_not_forgotten_if_its_first_frame_is_broken_or_displaced() 
         receiver.give(seq, 2);
     }
     assert_eq!(waiting(&receiver.ring), [(3, 1)]);
-    let dropped = receiver.board.snapshot().dropped;
+    let dropped = receiver.counter.counts().0;
     assert_eq!((dropped.overrun, dropped.total()), (3, 3));
 }
 
@@ -76,7 +76,7 @@ async fn a_frame_with_an_unreadable_number_is_counted_once() {
     receiver.give_broken(None);
     receiver.give(7, None);
     assert_eq!(waiting(&receiver.ring).len(), 2);
-    let dropped = receiver.board.snapshot().dropped;
+    let dropped = receiver.counter.counts().0;
     assert_eq!((dropped.undecodable, dropped.lost), (1, 0));
 }
 

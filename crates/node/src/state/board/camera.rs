@@ -4,7 +4,9 @@ use super::event::{Event, FrameEvent, News};
 use super::history::{CameraPiece, Clock, History, PastFrame, SkipEstimate};
 use super::threshold;
 use crate::config::{CameraConfig, NodeConfig};
-use crate::frame::{FrameRecord, LatestFrame};
+use crate::frame::FrameRecord;
+use crate::input::{InputCounter, Unusable};
+use crate::publishing::Unpublished;
 use crate::state::advice::{Advice, SkipWatch};
 use crate::state::settings::Settings;
 use albireo_core::audit::AuditSums;
@@ -22,7 +24,7 @@ use std::time::Duration;
 use tokio::sync::{broadcast, watch};
 use tokio::time::Instant;
 
-/// The state of one camera; all numbers are from the same moment.
+/// The state of one camera. The numbers of its loop are from the same moment.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CameraSnapshot {
     /// Frame states since the node started.
@@ -53,8 +55,8 @@ pub struct CameraSnapshot {
     pub last_frame: Option<Instant>,
     /// Messages about it that were not published.
     pub unpublished: u64,
-    /// The frames in a row, up to now, that were no usable picture, and the fault of the last.
-    pub unusable: (u64, Arc<str>),
+    /// The last frames, if they were no usable pictures.
+    pub unusable: Unusable,
 }
 
 /// So many unusable frames in a row are a fault of the camera, and not of a frame.
@@ -73,7 +75,7 @@ impl CameraSnapshot {
 
     /// The fault of the camera's frames, if the last of them were all unusable.
     pub fn unusable(&self) -> Option<String> {
-        let (frames, fault) = &self.unusable;
+        let Unusable { frames, fault } = &self.unusable;
         (*frames >= UNUSABLE_IN_A_ROW)
             .then(|| format!("its last {frames} frames could not be used: {fault}"))
     }
@@ -121,10 +123,10 @@ const fn source_name(source: BoxSource) -> &'static str {
 
 #[derive(Debug, Default)]
 struct Counts {
-    /// The counts that are shown.
+    /// The counts that are shown, without those that others keep.
     shown: CameraSnapshot,
-    /// Dropped frames and audit results that are in no clip yet.
-    unreported: (DroppedFrames, AuditReport),
+    /// Audit results that are in no clip yet.
+    unreported: AuditReport,
     /// Audit results that the target has not used yet.
     unmeasured: AuditSums,
     watch: SkipWatch,
@@ -138,7 +140,8 @@ pub(super) struct Shared {
     pub events: broadcast::Sender<Arc<Event>>,
 }
 
-/// One camera's part of the live board. One lock guards the counters, so every snapshot is consistent.
+/// One camera's part of the live board. One lock guards the counters of the camera's loop, so every snapshot of them is
+/// consistent.
 #[derive(Debug)]
 pub struct CameraBoard {
     pub(super) name: Arc<str>,
@@ -159,9 +162,12 @@ pub struct CameraBoard {
     pub(super) configured: Option<f64>,
     pub(super) threshold: watch::Sender<Option<f64>>,
     pub(super) set_by: Mutex<SettingSource>,
+    /// Counts the frames that do not reach its loop, and keeps its newest picture.
+    pub input: Arc<InputCounter>,
+    /// Counts the messages about it that were not published.
+    pub(crate) unpublished: Unpublished,
     counts: Mutex<Counts>,
     history: Mutex<History>,
-    latest_frame: Mutex<Option<Arc<LatestFrame>>>,
 }
 
 impl CameraBoard {
@@ -190,9 +196,10 @@ impl CameraBoard {
             configured,
             threshold: watch::Sender::new(kept.map(|(value, _)| value).or(configured)),
             set_by: Mutex::new(kept.map_or(SettingSource::Configuration, |(_, source)| source)),
+            input: Arc::default(),
+            unpublished: Unpublished::default(),
             counts: Mutex::new(counts),
             history: Mutex::default(),
-            latest_frame: Mutex::default(),
         })
     }
 
@@ -207,7 +214,7 @@ impl CameraBoard {
         if let Some(audit) = &mut counts.shown.audit {
             audit.merge(more);
         }
-        counts.unreported.1.merge(more);
+        counts.unreported.merge(more);
         counts.unmeasured.merge(&more.sums);
     }
 
@@ -218,7 +225,8 @@ impl CameraBoard {
 
     /// Takes the dropped frames and audit results since the last call, for the open clip.
     pub(crate) fn take_unreported(&self) -> (DroppedFrames, AuditReport) {
-        std::mem::take(&mut self.counts.lock().unreported)
+        let audit = std::mem::take(&mut self.counts.lock().unreported);
+        (self.input.take_unreported(), audit)
     }
 
     /// Counts a frame with its final answer.
@@ -238,9 +246,9 @@ impl CameraBoard {
     pub fn show(&self, detections: Arc<DetectionsMessage>) {
         let mut counts = self.counts.lock();
         counts.shown.last_frame = Some(Instant::now());
-        counts.shown.unusable.0 = 0;
         let before = counts.shown.latest.replace(Arc::clone(&detections));
         drop(counts);
+        self.input.answered();
         if before.is_none() {
             let picture = PictureSize::new(detections.width, detections.height);
             let published = self.published_threshold(picture);
@@ -276,24 +284,6 @@ impl CameraBoard {
         (self.counts.lock().watch).advice(self.threshold_spec.as_ref()?)
     }
 
-    /// Counts a message about it that was not published.
-    pub(crate) fn count_unpublished(&self) {
-        self.counts.lock().shown.unpublished += 1;
-    }
-
-    /// Remembers a frame that was no usable picture, and why.
-    pub(crate) fn record_unusable(&self, fault: &str) {
-        let unusable = &mut self.counts.lock().shown.unusable;
-        *unusable = (unusable.0 + 1, fault.into());
-    }
-
-    /// Adds unprocessed frames, by kind.
-    pub fn record_dropped(&self, more: &DroppedFrames) {
-        let mut counts = self.counts.lock();
-        counts.shown.dropped += more;
-        counts.unreported.0 += more;
-    }
-
     /// Counts an ended clip, and its energy if known.
     pub(super) fn count_clip(&self, joules: Option<f64>) {
         let shown = &mut self.counts.lock().shown;
@@ -303,7 +293,14 @@ impl CameraBoard {
 
     /// The camera's state.
     pub fn snapshot(&self) -> CameraSnapshot {
-        self.counts.lock().shown.clone()
+        let shown = self.counts.lock().shown.clone();
+        let (dropped, unusable) = self.input.counts();
+        CameraSnapshot {
+            dropped,
+            unusable,
+            unpublished: self.unpublished.get(),
+            ..shown
+        }
     }
 
     /// The last `frames` frames, oldest first, the pieces of the last hour, and the present time.
@@ -319,15 +316,5 @@ impl CameraBoard {
         let frames = self.history.lock().frames(usize::MAX);
         // Outside the lock: this takes longer than a frame may wait.
         SkipEstimate::of(&frames, self.longest_pause, values)
-    }
-
-    /// Keeps the newest picture for viewers.
-    pub fn set_latest_frame(&self, frame: LatestFrame) {
-        *self.latest_frame.lock() = Some(Arc::new(frame));
-    }
-
-    /// The newest picture.
-    pub(crate) fn latest_frame(&self) -> Option<Arc<LatestFrame>> {
-        self.latest_frame.lock().clone()
     }
 }
