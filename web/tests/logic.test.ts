@@ -15,9 +15,10 @@ vi.stubGlobal("document", { hidden: false });
 
 const { EventParser, follow } = await import("../src/shared/api");
 const { frameAt, placeOf } = await import("../src/node/ribbon");
-const { estimated, fromSlider, toSlider, usefulRange } = await import("../src/node/threshold");
+const { shownStates } = await import("../src/node/frames");
+const { estimated, fromSlider, outside, toSlider, usefulRange } = await import("../src/node/threshold");
 const { graver } = await import("../src/node/log");
-const { cameraState } = await import("../src/node/cameras");
+const { cameraState, shortFault } = await import("../src/node/cameras");
 const { afterReturn } = await import("../src/hub/rollouts");
 const { withGaps } = await import("../src/node/charts");
 const { headline } = await import("../src/node/header");
@@ -134,6 +135,41 @@ test("a camera is stale after two and a half seconds, or three of its own gaps",
   expect(cameraState(16, 5, true)).toBe("stale");
 });
 
+test("a camera that is refused has failed, not only one that was never seen", () => {
+  expect(cameraState(undefined, 0, false, "failed: refused", "rtsp://a/b")).toBe("failed");
+  expect(cameraState(40, 0.1, false, "failed: refused", "rtsp://a/b")).toBe("failed");
+  expect(cameraState(0.1, 0.1, false, "failed: refused", "rtsp://a/b")).toBe("live");
+  expect(cameraState(undefined, 0, false, undefined, "rtsp://a/b")).toBe("opening");
+  expect(cameraState(undefined, 0, false, "no frame has arrived since the start")).toBe("never seen");
+});
+
+test("a fault is short, with the camera's address once and no word of the program that opens it", () => {
+  const source = "rtsp://***@10.0.0.5/stream1";
+  const refused = "failed: Impossible to open 'rtsp://***@10.0.0.5/stream1'; pipe:0: Connection refused; next attempt in 30 s";
+  expect(shortFault(refused, source)).toBe("refused by 10.0.0.5, next try within 30 s");
+  expect(shortFault("failed: 401 Unauthorized; next attempt in 0.5 s", source)).toBe("10.0.0.5 wants another user or password (401), next try within 0.5 s");
+  expect(shortFault("failed: 503 Service Unavailable; next attempt in 2 s", source)).toBe("10.0.0.5 answers 503 Service Unavailable, next try within 2 s");
+  expect(shortFault("failed: no picture for more than 15 s; next attempt in 4 s", source)).toBe("no picture for more than 15 s, next try within 4 s");
+  expect(shortFault("failed: Failed to resolve hostname camera.local: Name or service not known; next attempt in 1 s", "rtsp://camera.local:554/s")).toBe("no address is known for camera.local:554, next try within 1 s");
+  expect(shortFault("failed: something new at rtsp://***@10.0.0.5/stream1; and more", source)).toBe("something new at 10.0.0.5; and more");
+  expect(shortFault("no frame for more than 30 s", undefined)).toBe("no frame for more than 30 s");
+});
+
+test("the states of a screen are shown only where there is one", () => {
+  const states = (E: number, EI: number) => shownStates({ E, "E+I": EI }).map(({ state }) => state);
+  expect(states(0, 0)).toEqual(["P", "I", "AI"]);
+  expect(states(0, 3)).toEqual(["E", "P", "E+I", "I", "AI"]);
+});
+
+test("a value that cannot be set is told in words, with the range", () => {
+  const spec = { name: "u", minimum: 1e-9, maximum: 1 };
+  expect(outside("abc", spec)).toBe("“abc” is not a number: u is a number from 1e-9 to 1.");
+  expect(outside(" ", spec)).toBe("Nothing was entered: u is a number from 1e-9 to 1.");
+  expect(outside("7", spec)).toBe("7 is too large: u is a number from 1e-9 to 1.");
+  expect(outside("-1", spec)).toBe("-1 is too small: u is a number from 1e-9 to 1.");
+  expect(outside("5e-4", spec)).toBeUndefined();
+});
+
 describe("the address", () => {
   test("leads where it was made from", () => {
     const made = href(["nodes", "a/b c"], { search: "x&y", state: undefined, empty: "" });
@@ -236,8 +272,14 @@ describe("the headline of a node's page", () => {
   const recall = { rate: 0.951, low: 0.91, high: 0.98 } as never;
   test("saving and recall are one sentence", () => {
     const text = headline(savings, undefined, recall).replaceAll("\u202f", " ");
-    expect(text).toBe("46 % fewer detector calls; shows 95 % [91, 98] of what the detector would have found.");
+    expect(text).toBe("46 % fewer detector calls; shows 95 % of what the detector would have found.");
     expect(headline(savings, "gate", recall)).toContain("; camera gate shows ");
+  });
+  test("a recall is named only once it is known within ten points to both sides", () => {
+    for (const [low, high] of [[0.47, 0.98], [0.77, 0.97], [0.8, 0.99]]) {
+      expect(headline(savings, undefined, { rate: 0.88, low, high, boxes: 8 } as never)).not.toContain("shows");
+    }
+    expect(headline(savings, undefined, { rate: 0.88, low: 0.79, high: 0.93, boxes: 300 } as never)).toContain("shows 88");
   });
   test("without an audit, without a frame and without a detector it promises nothing", () => {
     expect(headline(savings, undefined, undefined).replaceAll("\u202f", " ")).toBe("46 % fewer detector calls.");

@@ -1,4 +1,4 @@
-// All cameras as tiles, each live, stale, degraded or never seen.
+// All cameras as tiles: those that need attention first, with the reason in a few words.
 
 import type { ComponentChildren } from "preact";
 import { useEffect, useState } from "preact/hooks";
@@ -10,15 +10,49 @@ import type { CameraEntry } from "./types";
 /** A camera is stale after this many seconds without a frame, or after three times its usual gap between frames if that is longer. */
 const STALE_S = 2.5;
 
-export type CameraWord = "live" | "stale" | "never seen" | "degraded";
+export type CameraWord = "failed" | "stale" | "degraded" | "never seen" | "opening" | "live";
 
-export function cameraState(age: number | undefined, usualGap: number, degradedLately: boolean): CameraWord {
-  if (age === undefined) return "never seen";
-  if (age > Math.max(STALE_S, 3 * usualGap)) return "stale";
+export function cameraState(age: number | undefined, usualGap: number, degradedLately: boolean, fault?: string | null, source?: string | null): CameraWord {
+  if (age === undefined && !source) return "never seen";
+  const comes = age !== undefined && age <= Math.max(STALE_S, 3 * usualGap);
+  if (!comes && fault && source) return "failed";
+  if (!comes) return age === undefined ? "opening" : "stale";
   return degradedLately ? "degraded" : "live";
 }
 
-const MOODS: Record<CameraWord, Mood> = { live: "good", stale: "bad", "never seen": "wait", degraded: "bad" };
+const MOODS: Record<CameraWord, Mood> = { live: "good", stale: "bad", failed: "bad", "never seen": "wait", opening: "wait", degraded: "bad" };
+
+/** What needs attention first. */
+const ORDER: CameraWord[] = ["failed", "stale", "degraded", "never seen", "opening", "live"];
+
+/** What a program or a camera says when a source fails, and what it means. `HOST` is the source's address. */
+const FAILURES: [RegExp, string][] = [
+  [/Connection refused/, "refused by HOST"],
+  [/401|Unauthorized/, "HOST wants another user or password (401)"],
+  [/403|Forbidden/, "HOST forbids it (403)"],
+  [/404|Not Found/, "HOST has no such stream (404)"],
+  [/([45]\d\d [A-Z][\w ]+)/, "HOST answers $1"],
+  [/resolve hostname|Name or service not known|not known/, "no address is known for HOST"],
+  [/No route to host|Network is unreachable|Host is down/, "HOST cannot be reached"],
+  [/timed out|Timeout/i, "no answer from HOST"],
+  [/(no picture for more than [\d.]+ s)/, "$1"],
+  [/No such (file|device)/, "HOST is not there"],
+  [/Permission denied/, "HOST may not be read"],
+  [/Device or resource busy/, "HOST is used by another program"],
+];
+
+/** `refused by 10.0.0.5, next try within 30 s`: a fault as short as it can be said; the whole text is where the camera is opened. */
+export function shortFault(fault: string, source: string | null | undefined): string {
+  const [, reason, seconds] = /^(?:failed: )?([^]*?)(?:; next attempt in ([\d.]+) s)?$/.exec(fault)!;
+  // An address without what is before its host and behind its port; a file or device as it is.
+  const host = source?.match(/^\w+:\/\/(?:[^@/]*@)?([^/?]+)/)?.[1] ?? source ?? "it";
+  const known = FAILURES.map(([pattern, words]) => {
+    const found = pattern.exec(reason!);
+    return found && words.replace("$1", found[1] ?? "").replace("HOST", () => host);
+  }).find(Boolean);
+  const plain = source ? reason!.replaceAll("***@", "").replaceAll(source.replace("***@", ""), host) : reason!;
+  return `${known ?? plain}${seconds ? `, next try within ${seconds} s` : ""}`;
+}
 
 function snippet(key: string): string {
   return `albireo replay VIDEO.mp4 --loop --key ${key}`;
@@ -33,14 +67,31 @@ function useSeconds(): void {
   }, []);
 }
 
+/** Opens a camera, and brings its picture into view. */
+function look(camera: string): void {
+  open(camera);
+  const picture = document.getElementById("picture");
+  const { top = 0, bottom = 0 } = picture?.getBoundingClientRect() ?? {};
+  // Half of it at least: what a click changed must be seen.
+  if (top < 0 || (top + bottom) / 2 > innerHeight) picture?.scrollIntoView({ block: "start" });
+}
+
 export function Tiles() {
   useSeconds();
   void tick.value;
+  const states = cameras.value.map((camera) => ({ camera, ...stateOf(camera) }));
+  const ordered = states.sort((a, b) => ORDER.indexOf(a.word) - ORDER.indexOf(b.word));
+  const bad = ordered.filter(({ word, camera }) => MOODS[word] === "bad" || (word !== "live" && camera.fault)).length;
   return (
-    <Section id="cameras" title="Cameras" wide>
+    <Section
+      id="cameras"
+      title="Cameras"
+      wide
+      aside={<span class={bad ? "bad" : "quiet"}>{bad ? `${bad} of ${ordered.length} need attention` : `all ${ordered.length} in order`}</span>}
+    >
       <ul class="tiles">
-        {cameras.value.map((camera) => (
-          <Tile key={camera.camera} camera={camera} />
+        {ordered.map((state) => (
+          <Tile key={state.camera.camera} {...state} />
         ))}
       </ul>
     </Section>
@@ -49,78 +100,90 @@ export function Tiles() {
 
 type Entry = CameraEntry & { readAt: number };
 
+interface Stated {
+  word: CameraWord;
+  age: number | undefined;
+  pill: ComponentChildren;
+}
+
 /** The state of a camera as a pill, and the age of its last picture. */
-function stateOf(camera: Entry): { word: CameraWord; age: number | undefined; pill: ComponentChildren } {
+function stateOf(camera: Entry): Stated {
   // The age read earlier has grown since; newly counted frames reset it.
   const elapsed = (performance.now() - camera.readAt) / 1000;
   const known = camera.last_frame_age_s;
   const age = known === undefined || known === null ? undefined : lost.value === undefined ? known : known + elapsed;
-  const word = cameraState(age, usualGap(camera.camera), degradedLately(camera.camera));
+  const word = cameraState(age, usualGap(camera.camera), degradedLately(camera.camera), camera.fault, camera.source);
   return { word, age, pill: <Pill mood={MOODS[word]}>{word}</Pill> };
 }
 
-function Tile({ camera }: { camera: Entry }) {
-  const { word, age, pill } = stateOf(camera);
+function Tile({ camera, word, age, pill }: Stated & { camera: Entry }) {
   const lately = rates(camera.camera, 10);
   const isOpen = opened.value === camera.camera;
   const live = word === "live" || word === "degraded";
+  const fault = live || !camera.fault ? undefined : shortFault(camera.fault, camera.source);
   return (
     <li class={isOpen ? "tile open" : "tile"}>
-      <button type="button" class="tile-button" aria-pressed={isOpen} onClick={() => open(camera.camera)}>
+      <button type="button" class="tile-button" aria-pressed={isOpen} title={camera.fault ?? undefined} onClick={() => look(camera.camera)}>
         <Thumbnail camera={camera.camera} frames={camera.frames} />
         <span class="tile-name">{camera.camera}</span>
         {pill}
-        <span class="quiet">
-          {live && lately
-            ? `${lately.perSecond.toFixed(1)} frames/s · ${percent(lately.skipRate, 0)} skipped`
-            : age === undefined
-              ? "no picture yet"
-              : `last picture ${ago(age)}`}
-        </span>
+        {fault && <span class="bad">{fault}</span>}
+        {live && lately && (
+          <span class="quiet">
+            {lately.perSecond.toFixed(1)} frames/s · {percent(lately.skipRate, 0)} skipped
+          </span>
+        )}
+        {!live && (age !== undefined || !fault) && <span class="quiet">{age === undefined ? "no picture yet" : `last picture ${ago(age)}`}</span>}
       </button>
-      <Help camera={camera} folded />
     </li>
   );
 }
 
-/** The state of the only camera, beside its picture. */
-export function OnlyCamera() {
+/** The state of the opened camera, beside its picture. */
+export function CameraState() {
   useSeconds();
-  const camera = cameras.value[0];
-  if (cameras.value.length !== 1 || !camera) return null;
+  const camera = cameras.value.find(({ camera }) => camera === opened.value);
+  if (!camera) return null;
   const { word, age, pill } = stateOf(camera);
   return (
     <>
       {pill}
-      {word === "stale" && <span class="quiet">last picture {ago(age ?? 0)}</span>}
+      {age !== undefined && (word === "stale" || word === "failed") && <span class="quiet">last picture {ago(age)}</span>}
     </>
   );
 }
 
-/** The fault of a camera, or how to send it pictures. */
-export function Help({ camera, folded = false }: { camera: CameraEntry; folded?: boolean }) {
-  const seen = camera.last_frame_age_s !== undefined && camera.last_frame_age_s !== null;
-  const command = snippet(camera.key ?? "");
-  const help = (
-    <>
-      <p>
-        Publish JPEG, PNG or raw pictures on the Zenoh key <code>{camera.key}</code>, for example:
-      </p>
-      <pre tabIndex={0}>{command}</pre>
-      <CopyButton text={command} />
-    </>
+/** In the place of a picture: why there is none. */
+export function NoPicture({ camera }: { camera: CameraEntry | undefined }) {
+  if (!camera) return <p class="no-picture">No picture yet.</p>;
+  return (
+    <p class="no-picture">
+      No picture of {camera.camera} yet{camera.fault && camera.source ? `: ${shortFault(camera.fault, camera.source)}` : "."}
+    </p>
   );
-  if (camera.fault && (camera.source || seen)) return <p class="fault bad">{camera.source ? `${camera.source} ${camera.fault}` : camera.fault}</p>;
+}
+
+/** The fault of a camera in full, or how to send it pictures. */
+export function Help({ camera }: { camera: CameraEntry }) {
+  const seen = camera.last_frame_age_s !== undefined && camera.last_frame_age_s !== null;
+  if (camera.fault && (camera.source || seen)) {
+    // ffmpeg names the address, too, with a mask where its credentials were.
+    const named = !camera.source || camera.fault.replaceAll("***@", "").includes(camera.source);
+    return <p class="fault bad">{named ? camera.fault : `${camera.source} ${camera.fault}`}</p>;
+  }
   if (seen) return null;
   if (camera.source) return <p class="fault quiet">Opening {camera.source} …</p>;
   if (!camera.key) return null;
-  return folded ? (
-    <details class="snippet">
-      <summary>How to send it pictures</summary>
-      {help}
-    </details>
-  ) : (
-    <div class="snippet">{help}</div>
+  const command = snippet(camera.key);
+  return (
+    <div class="snippet">
+      <p>
+        Set <code>source = "rtsp://…"</code> for this camera in the node's configuration, or publish JPEG, PNG or raw pictures on the Zenoh
+        key <code>{camera.key}</code>. For example (with <code>--connect</code> if <code>zenoh.listen</code> is not the default):
+      </p>
+      <pre tabIndex={0}>{command}</pre>
+      <CopyButton text={command} />
+    </div>
   );
 }
 
@@ -138,10 +201,12 @@ function Thumbnail({ camera, frames }: { camera: string; frames: number }) {
   useEffect(() => {
     if (!seen) return;
     let current = "";
+    let over = false;
     const show = async () => {
       if (document.hidden) return;
       try {
         const { file } = await picture(camera);
+        if (over) return;
         const next = URL.createObjectURL(file);
         setAddress(next);
         if (current) URL.revokeObjectURL(current);
@@ -153,6 +218,7 @@ function Thumbnail({ camera, frames }: { camera: string; frames: number }) {
     void show();
     const timer = setInterval(show, 2000);
     return () => {
+      over = true;
       clearInterval(timer);
       if (current) URL.revokeObjectURL(current);
     };

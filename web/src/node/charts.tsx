@@ -6,7 +6,8 @@ import { Chart } from "../shared/chart";
 import { milliseconds, percent, small, watts } from "../shared/format";
 import { Quality, Section } from "../shared/parts";
 import { percentile, type Seen } from "./frames";
-import { counters, hour, thresholdSpec, log, opened, pointed, power, samples, tick } from "./store";
+import { whatIsMeasured } from "./header";
+import { counters, hour, thresholdSpec, log, opened, overview, pointed, power, samples, tick } from "./store";
 
 /** Length of an interval of the hour, seconds. */
 const SLOT_S = 10;
@@ -96,7 +97,7 @@ export function Power() {
     <Section
       id="power"
       title="Power"
-      aside={message ? <Quality quality={message.power_quality} /> : undefined}
+      aside={message && <span class="quiet">of {whatIsMeasured(overview.value?.power_source)} <Quality quality={message.power_quality} /></span>}
     >
       {domains.length ? (
         <Chart

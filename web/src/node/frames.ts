@@ -29,6 +29,12 @@ export const STATES: readonly StateWords[] = [
   { state: "AI", name: "detector, rescue", meaning: "the detector ran, and an object it missed was kept", colour: "--state-ai", ran: true },
 ];
 
+/** The states that a camera's frames can have: those of the screen only if there is one, that is, if it has ever decided a frame. */
+export function shownStates(counts: { E: number; "E+I": number } | undefined): readonly StateWords[] {
+  const screen = (counts?.E ?? 0) + (counts?.["E+I"] ?? 0) > 0;
+  return screen ? STATES : STATES.filter(({ state }) => state !== "E" && state !== "E+I");
+}
+
 const BY_STATE = new Map(STATES.map((words) => [words.state, words]));
 
 export function words(state: FrameState): StateWords {

@@ -1,10 +1,9 @@
 // The head of the page: the node's name and health, the detector's provider, and the energy saved.
 
 import { useComputed } from "@preact/signals";
-import { count, duration, joules, percent, plural, small, watts } from "../shared/format";
+import { count, duration, percent, plural, small, watts } from "../shared/format";
 import { Figure, Pill, Quality, Section, type Mood } from "../shared/parts";
-import type { AuditRate, Savings } from "./types";
-import { rate } from "./audit";
+import type { AuditFigures, AuditRate, Savings } from "./types";
 import { cameras, counters, detector, thresholdSpec, thresholdInForce, lost, missed, opened, overview } from "./store";
 
 type Energy = NonNullable<Savings["energy"]>;
@@ -103,21 +102,33 @@ export function Header() {
             <dt>version</dt>
             <dd>{now.version}</dd>
           </div>
+          <div>
+            <dt>interface</dt>
+            <dd>
+              <a href="/docs/">/docs</a>
+            </dd>
+          </div>
         </dl>
       )}
     </header>
   );
 }
 
-/** One sentence on the detector calls saved and the recall. */
+/** Half of the widest interval that is a figure. */
+const CLEAR = 0.1;
+
+/** Whether enough boxes were compared to name a share. */
+export function isClear(found: AuditRate): boolean {
+  return found.rate - found.low <= CLEAR && found.high - found.rate <= CLEAR;
+}
+
+/** One sentence on the detector calls saved and, once it is known well enough, the recall. */
 export function headline(savings: Pick<Savings, "frames" | "avoided_calls" | "degraded_frames"> | undefined, camera: string | undefined, recall: AuditRate | null | undefined): string {
   if (!savings?.frames) return "No frame yet.";
   if (savings.degraded_frames === savings.frames) return "Every frame was answered without the detector it needed.";
   const saved = `${percent(savings.avoided_calls / savings.frames, 0)} fewer detector calls`;
-  if (!recall) return `${saved}.`;
-  const low = (100 * recall.low).toFixed(0);
-  const high = (100 * recall.high).toFixed(0);
-  return `${saved}; ${camera ? `camera ${camera} ` : ""}shows ${percent(recall.rate, 0)} [${low}, ${high}] of what the detector would have found.`;
+  if (!recall || !isClear(recall)) return `${saved}.`;
+  return `${saved}; ${camera ? `camera ${camera} ` : ""}shows ${percent(recall.rate, 0)} of what the detector would have found.`;
 }
 
 export function Headline() {
@@ -129,7 +140,22 @@ export function Headline() {
   );
 }
 
-/** The energy used and the calls saved by the whole node, since the start and today, and the recall of the opened camera. */
+/** What the figures of a power source are of. */
+const MEASURED: Record<string, string> = {
+  ina: "the board",
+  tegrastats: "the board",
+  rapl: "the processor, all programs (RAPL)",
+  nvml: "the graphics cards, all programs",
+  "rapl+nvml": "processor and graphics cards, all programs",
+  command: "what power.command measures",
+  estimate: "the machine, from its processor's load",
+};
+
+export function whatIsMeasured(source: string | undefined): string {
+  return MEASURED[source ?? ""] ?? source ?? "";
+}
+
+/** The calls saved and the power used by the whole node, since the start and today, and the recall of the opened camera. */
 export function Saving() {
   const now = overview.value;
   const all = [...counters.value.values()];
@@ -138,7 +164,8 @@ export function Saving() {
   const audit = counters.value.get(opened.value ?? "")?.audit;
   // A node that started today has no other day to show.
   const today = now && whole && now.today.since_ms > whole.since_ms ? now.today : undefined;
-  const energy = whole?.energy;
+  // Before the first frame it is the power of a machine that does something else.
+  const energy = whole?.frames ? whole.energy : undefined;
   return (
     <Section id="saving" title="Saving" aside={<span class="quiet">since the start</span>}>
       <dl class="figures">
@@ -152,31 +179,22 @@ export function Saving() {
         >
           <span class="big">{whole?.frames ? percent(whole.avoided_calls / whole.frames) : "–"}</span>
         </Figure>
-        <Figure
-          label="recall against the detector"
-          note={audit?.recall ? `${rate(audit.recall).replace(/^.*\((.*)\)$/, "$1")} % at 95 % confidence; precision ${percent(audit.precision?.rate)}` : "no audited frame yet"}
-        >
-          <span class="big">{percent(audit?.recall?.rate)}</span>
-        </Figure>
+        <Recall audit={audit} />
         {energy && (
           <Figure
-            label="energy per hour"
+            label={`power of ${whatIsMeasured(now?.power_source)}`}
             note={
               <>
+                mean since the start{power && `; now ${watts(power.watts)}`}
+                {today?.energy && `; today (UTC) ${watts(today.energy.joules / today.energy.covered_s)}`}
                 {energy.saved_joules_estimated != null && <Saved energy={energy} saved={energy.saved_joules_estimated} />}
-                {today?.energy && `; today (UTC) ${joules((today.energy.joules / today.energy.covered_s) * 3600)}`}
               </>
             }
           >
             <span class="big" title={`Sampled for ${duration(energy.covered_s)}`}>
-              {joules((energy.joules / energy.covered_s) * 3600)}
+              {watts(energy.joules / energy.covered_s)}
             </span>{" "}
             <Quality quality={energy.quality} />
-          </Figure>
-        )}
-        {power && (
-          <Figure label="power now">
-            <span class="big">{watts(power.watts)}</span> <Quality quality={all[0]!.power_quality} />
           </Figure>
         )}
         {whole && whole.degraded_frames > 0 && (
@@ -185,7 +203,7 @@ export function Saving() {
           </Figure>
         )}
       </dl>
-      {now && !now.outbox.durable && now.outbox.waiting > 0 && (
+      {now && !now.outbox.durable && now.outbox.waiting > 0 && now.reasons.some(({ part }) => part === "uplink") && (
         <p class="message quiet">
           {plural(now.outbox.waiting, "clip report")} in memory, waiting for a hub. They are lost when the node stops, because no state_dir
           is set.
@@ -196,11 +214,27 @@ export function Saving() {
   );
 }
 
+/** The recall of the opened camera; while few boxes were compared, only where it lies. */
+function Recall({ audit }: { audit: AuditFigures | null | undefined }) {
+  const { recall, precision } = audit ?? {};
+  const ends = recall ? `${(100 * recall.low).toFixed(0)} to ${(100 * recall.high).toFixed(0)}` : "";
+  const note = !recall
+    ? "no audited frame yet"
+    : isClear(recall)
+      ? `${ends} % at 95 % confidence; precision ${percent(precision?.rate)}`
+      : `${plural(recall.boxes, "box", "boxes")} compared: too few for a figure`;
+  return (
+    <Figure label="recall against the detector" note={note}>
+      <span class="big">{recall && !isClear(recall) ? `${ends}\u202f%` : percent(recall?.rate)}</span>
+    </Figure>
+  );
+}
+
 /** The energy that the avoided calls would have added. */
 function Saved({ energy, saved }: { energy: Energy; saved: number }) {
   return (
     <span title="Estimated: run time of the avoided detector calls, at most the detector's idle time, times the watts that a running detector adds on this machine.">
-      avoided calls saved ≈ {joules((saved / energy.covered_s) * 3600)} ({percent(saved / (energy.joules + saved))})
+      ; without the avoided calls ≈ {watts(saved / energy.covered_s)} more ({percent(saved / (energy.joules + saved))} saved)
     </span>
   );
 }

@@ -45,6 +45,7 @@ function Page() {
       {open && (
         <main>
           <Headline />
+          {cameras.value.length > 1 && <Tiles />}
           <div class="stack">
             <Picture />
             <TargetPanel />
@@ -53,7 +54,6 @@ function Page() {
             <Saving />
             <ThresholdPanel />
           </div>
-          {cameras.value.length > 1 && <Tiles />}
           <Ribbon />
           <div class="stack">
             <States />

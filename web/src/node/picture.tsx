@@ -4,7 +4,7 @@ import { useEffect, useRef, useState } from "preact/hooks";
 import { pause, Refused } from "../shared/api";
 import { percent } from "../shared/format";
 import { Section } from "../shared/parts";
-import { Help, OnlyCamera } from "./cameras";
+import { CameraState, Help, NoPicture } from "./cameras";
 import { describe, type Seen } from "./frames";
 import { cameras, counters, frameListeners, log, opened, picture, pointed, tick } from "./store";
 import type { BoxSource } from "./types";
@@ -30,8 +30,19 @@ export function Picture() {
   const canvas = useRef<HTMLCanvasElement>(null);
   const kept = useRef<{ seq: number; file: Blob }[]>([]);
   const shown = useRef<Shown | undefined>(undefined);
-  const [note, setNote] = useState("no picture yet");
+  const [note, setNote] = useState("");
   const camera = opened.value;
+
+  /** Takes the picture of another camera away, with all that was said of it. */
+  const clear = () => {
+    kept.current = [];
+    shown.current?.bitmap.close();
+    shown.current = undefined;
+    setNote("");
+    const place = canvas.current;
+    place?.getContext("2d")?.clearRect(0, 0, place.width, place.height);
+    place?.setAttribute("aria-label", `No picture of camera ${opened.value} yet`);
+  };
 
   const paint = (frame: Seen | undefined, picture: Shown | undefined) => {
     const place = canvas.current;
@@ -43,11 +54,11 @@ export function Picture() {
     place.setAttribute("aria-label", `Picture of camera ${opened.value}, ${words}${boxes ? `: ${boxes}` : ""}`);
   };
 
-  const show = async (seq: number, file: Blob | undefined) => {
+  const show = async (of: string | undefined, seq: number, file: Blob | undefined) => {
     const bitmap = file && (await createImageBitmap(file));
     const asked = pointed.value;
-    // The user selected another frame while it was decoded.
-    if (asked !== undefined && asked !== seq) return bitmap?.close();
+    // The user selected another camera or frame while it was decoded.
+    if (of !== opened.value || (asked !== undefined && asked !== seq)) return bitmap?.close();
     shown.current?.bitmap.close();
     shown.current = bitmap ? { seq, bitmap } : undefined;
     paint(log.bySeq(seq), shown.current);
@@ -55,10 +66,9 @@ export function Picture() {
 
   // New pictures, unless one is paused.
   useEffect(() => {
+    clear();
     if (!camera) return;
     const stop = new AbortController();
-    kept.current = [];
-    setNote("no picture yet");
     const came = () => new Promise<void>((done) => {
       const listener = () => {
         frameListeners.delete(listener);
@@ -84,7 +94,7 @@ export function Picture() {
           }
           // The picture arrives before its frame is decided; wait, to show boxes and picture together.
           if (!log.bySeq(got.seq)) await Promise.race([came(), pause(400, stop.signal)]);
-          if (pointed.value === undefined) await show(got.seq, got.file);
+          if (pointed.value === undefined) await show(camera, got.seq, got.file);
           const rest = LEAST_MS - (performance.now() - began);
           if (rest > 0) await pause(rest, stop.signal);
           // Nothing new: wait a while for the next frame.
@@ -102,7 +112,7 @@ export function Picture() {
   const seq = pointed.value;
   useEffect(() => {
     if (seq === undefined) return;
-    void show(seq, kept.current.find((picture) => picture.seq === seq)?.file);
+    void show(camera, seq, kept.current.find((picture) => picture.seq === seq)?.file);
   }, [seq]);
 
   const step = (by: number) => {
@@ -127,7 +137,7 @@ export function Picture() {
       title={camera ? `Camera ${camera}` : "Picture"}
       aside={
         <div class="row controls" role="group" aria-label="Frames">
-          <OnlyCamera />
+          <CameraState />
           <button type="button" class="plain" onClick={() => step(-1)} aria-label="One frame back">
             ◀
           </button>
@@ -140,7 +150,10 @@ export function Picture() {
         </div>
       }
     >
-      <canvas id="canvas" ref={canvas} width={640} height={360} role="img" aria-label="No picture yet" />
+      <div class="screen">
+        <canvas id="canvas" ref={canvas} width={640} height={360} role="img" aria-label="No picture yet" />
+        {note === "" && <NoPicture camera={entry} />}
+      </div>
       <p class="under-picture" id="picture-note">
         {note}
       </p>

@@ -3,8 +3,8 @@
 import { useEffect, useRef, useState } from "preact/hooks";
 import { plural } from "../shared/format";
 import { Section } from "../shared/parts";
-import { STATES, describe, words } from "./frames";
-import { log, pointed, tick } from "./store";
+import { STATES, describe, shownStates, words } from "./frames";
+import { counters, log, opened, pointed, tick } from "./store";
 
 /** Most rows. The first is filled before the second begins. */
 const MOST_ROWS = 4;
@@ -102,7 +102,7 @@ export function Ribbon() {
           : "Point at a pixel to see its frame and why the detector ran; click to select the frame."}
       </p>
       <ul class="legend">
-        {STATES.map(({ state, name, colour, ran }) => (
+        {shownStates(counters.value.get(opened.value ?? "")?.states).map(({ state, name, colour, ran }) => (
           <li key={state}>
             <i class={`block ${colour.slice(2)} ${ran ? "tall" : ""}`} /> <b>{state}</b> {name}
           </li>

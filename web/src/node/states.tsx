@@ -2,7 +2,7 @@
 
 import { count, percent } from "../shared/format";
 import { Section } from "../shared/parts";
-import { CAUSES, STATES } from "./frames";
+import { CAUSES, shownStates } from "./frames";
 import type { CallCause } from "./types";
 import { counters, opened, rates, tick } from "./store";
 
@@ -26,7 +26,7 @@ export function States() {
       }
     >
       <div class="bars">
-        {[...STATES, ...(degraded ? [DEGRADED] : [])].map(({ state, name, meaning, colour }) => {
+        {[...shownStates(message?.states), ...(degraded ? [DEGRADED] : [])].map(({ state, name, meaning, colour }) => {
           // A degraded frame is a predicted one that needed the detector.
           const number = state === "–" ? degraded : (message?.states[state] ?? 0) - (state === "P" ? degraded : 0);
           const share = total ? number / total : 0;

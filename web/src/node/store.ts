@@ -90,6 +90,11 @@ addEventListener("hashchange", () => {
 });
 
 export function open(camera: string): void {
+  // The effects that follow the frames run later: until then nothing of the other camera may be drawn.
+  if (camera !== opened.value) {
+    log.clear();
+    pointed.value = undefined;
+  }
   opened.value = camera;
   history.replaceState(null, "", `#camera=${encodeURIComponent(camera)}`);
 }
@@ -155,12 +160,12 @@ async function lookAtPower(): Promise<void> {
 
 /** Loads a camera's frames from before this page was opened. */
 async function lookAtPast(camera: string, signal: AbortSignal): Promise<void> {
-  const history = await json<CameraHistory>(
-    `/api/v1/cameras/${encodeURIComponent(camera)}/history?frames=${MOST_PAST}`,
-    { signal },
-  );
+  const [history, known] = await Promise.all([
+    json<CameraHistory>(`/api/v1/cameras/${encodeURIComponent(camera)}/history?frames=${MOST_PAST}`, { signal }),
+    thresholds.value ?? json<Thresholds>("/api/v1/threshold", { signal }),
+  ]);
   if (signal.aborted) return;
-  const name = thresholds.value?.cameras.find((entry) => entry.camera === camera)?.threshold_spec?.name;
+  const name = known.cameras.find((entry) => entry.camera === camera)?.threshold_spec?.name;
   log.unshift(past(history, name, Date.now() / 1000));
   hour.value = history.slots;
   dirty = true;
@@ -234,6 +239,8 @@ export function watchFrames(camera: string, signal: AbortSignal): void {
   void follow({
     path: () => `/api/v1/events?camera=${encodeURIComponent(camera)}&types=frame,late`,
     onEvent: (name, data) => {
+      // Another camera was opened while this one's event was on the way.
+      if (signal.aborted) return;
       if (name === "late") log.finish(data as Frame);
       if (name !== "frame") return;
       log.push({ ...(data as Frame), at: Date.now() / 1000 });

@@ -25,6 +25,15 @@ export function fromSlider(place: number, [low, high]: [number, number]): number
   return Number((low * (high / low) ** (place / STEPS)).toPrecision(3));
 }
 
+/** What is wrong with a text as a value of the threshold; undefined if it may be set. */
+export function outside(text: string, spec: Pick<ThresholdSpec, "name" | "minimum" | "maximum">): string | undefined {
+  const value = parsed(text);
+  const range = `${spec.name} is a number from ${typed(spec.minimum)} to ${typed(spec.maximum)}.`;
+  if (value === undefined) return `${text.trim() === "" ? "Nothing was entered" : `“${text.trim()}” is not a number`}: ${range}`;
+  if (value < spec.minimum) return `${typed(value)} is too small: ${range}`;
+  return value > spec.maximum ? `${typed(value)} is too large: ${range}` : undefined;
+}
+
 /** Time between two requests for the skip rates of other values, milliseconds. */
 const ESTIMATE_MS = 5000;
 
@@ -88,10 +97,11 @@ export function ThresholdPanel() {
   };
   const submit = async (event: Event) => {
     event.preventDefault();
+    const wrong = outside(text, about);
+    if (wrong !== undefined) return setSaid({ good: false, text: wrong });
     const path = everywhere ? "/api/v1/threshold" : `/api/v1/cameras/${encodeURIComponent(opened.value!)}/threshold`;
     try {
-      // Text that is not a number is sent as typed: the node explains what is wrong with it.
-      await send("PUT", path, { [about.name]: value ?? text.trim() });
+      await send("PUT", path, { [about.name]: value });
       setSaid({ good: true, text: `${about.name} = ${small(value)} from the next frame on.` });
       setEdited(false);
     } catch (error) {

@@ -4,6 +4,7 @@ import type { components } from "../api/node";
 
 type Schemas = components["schemas"];
 
+export type AuditFigures = Schemas["AuditFigures"];
 export type AuditRate = Schemas["AuditRate"];
 export type Target = Schemas["Target"];
 export type TargetReport = Schemas["TargetReport"];

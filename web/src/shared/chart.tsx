@@ -2,6 +2,7 @@
 
 import { useEffect, useRef } from "preact/hooks";
 import uPlot from "uplot";
+import { zone } from "./format";
 import "uplot/dist/uPlot.min.css";
 
 export interface Line {
@@ -145,6 +146,7 @@ export function Chart(props: ChartProps) {
             {line.label} <output>–</output>
           </span>
         ))}
+        <span class="zone">times in {zone()}</span>
       </p>
     </figure>
   );

@@ -114,15 +114,16 @@ export function parsed(text: string): number | undefined {
   return trimmed !== "" && Number.isFinite(value) ? value : undefined;
 }
 
-const clock = new Intl.DateTimeFormat(undefined, { hour: "2-digit", minute: "2-digit", second: "2-digit", hour12: false });
 const date = new Intl.DateTimeFormat(undefined, {
-  month: "short", day: "numeric", hour: "2-digit", minute: "2-digit", second: "2-digit", hour12: false,
+  month: "short", day: "numeric", hour: "2-digit", minute: "2-digit", second: "2-digit", hour12: false, timeZoneName: "short",
 });
 
-export function time(ms: number): string {
-  return clock.format(ms);
+/** The zone of the times on this page, which is the reader's: `GMT+1`. */
+export function zone(): string {
+  return date.formatToParts(Date.now()).find(({ type }) => type === "timeZoneName")?.value ?? "";
 }
 
+/** A moment in the reader's zone, which is named. */
 export function dateTime(ms: number | undefined | null): string {
   return ms === undefined || ms === null ? NONE : date.format(ms);
 }
