@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
 """Compares truth.json with labels that somebody drew afresh, and prints the table of README.md.
 
-usage: demo/agreement.py LABELS.csv [TRUTH.json]
+usage: demo/agreement.py demo/labels-afresh.csv [TRUTH.json]
 
-Each line of LABELS.csv is FRAME,CLASS,X1,Y1,X2,Y2 in pixels of the picture at twice its size, 1280x720; FRAME is
+Each line of the labels is FRAME,CLASS,X1,Y1,X2,Y2 in pixels of the picture at twice its size, 1280x720; FRAME is
 CLIP-INDEX, with frames counted from 0, and the class `none` says that there is nothing to label. Boxes are matched one to
 one, the largest overlap first, from IoU 0.5 on. A fresh box below the rule's height or mostly in an ignored region counts
 neither for nor against.
