@@ -4,7 +4,7 @@ import { useEffect, useMemo, useState } from "preact/hooks";
 import type uPlot from "uplot";
 import { json } from "../shared/api";
 import { Chart } from "../shared/chart";
-import { joules, percent } from "../shared/format";
+import { dateTime, joules, percent, plural } from "../shared/format";
 import { Quality, Section } from "../shared/parts";
 import { EnergyTable } from "./node";
 import { Fault, useLoaded } from "./parts";
@@ -115,13 +115,14 @@ export function EnergyView() {
         }
       >
         <Fault text={fault} />
-        {points.length > 0 && qualities.length === 0 && <p class="message quiet">No clip with energy in this period.</p>}
+        {points.length > 0 && qualities.length === 0 && <SoFar span={span} energy={by.value} />}
         {qualities.map((quality) => (
           <Energies key={quality} quality={quality} points={points} />
         ))}
       </Section>
       <Section id="skip" title="Skip rate over time" wide>
-        {points.length > 0 && (
+        {points.length > 0 && qualities.length === 0 && <p class="message quiet">The chart begins with that of energy.</p>}
+        {qualities.length > 0 && (
           <Chart
             data={skip}
             label={`Share of frames that skipped the detector, ${span.words}`}
@@ -153,6 +154,29 @@ export function EnergyView() {
         <EnergyTable energy={by.value} />
       </Section>
     </>
+  );
+}
+
+/** The energy of reports that no completed point of the chart has. */
+function SoFar({ span, energy }: { span: Span; energy: Energy | undefined }) {
+  const groups = (energy?.groups ?? []).filter(({ quality }) => quality !== "unavailable");
+  if (groups.length === 0) return <p class="message quiet">No clip with energy in this period.</p>;
+  const first = (Math.floor(Date.now() / span.step) + 1) * span.step;
+  return (
+    <p class="message">
+      So far{" "}
+      {["measured", "partial", "estimated"].map((quality) => {
+        const of = groups.filter((group) => group.quality === quality);
+        if (of.length === 0) return null;
+        const [used, clips] = [of.reduce((sum, group) => sum + group.joules, 0), of.reduce((sum, group) => sum + group.clips, 0)];
+        return (
+          <span key={quality}>
+            <b>{joules(used)}</b> in {plural(clips, "clip")} <Quality quality={quality} />{" "}
+          </span>
+        );
+      })}
+      . The first point of the chart appears at {dateTime(first)}; each has {span.id === "hour" ? "five minutes" : span.id === "day" ? "an hour" : "a day (UTC)"}.
+    </p>
   );
 }
 

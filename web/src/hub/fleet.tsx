@@ -4,18 +4,22 @@ import { signal } from "@preact/signals";
 import type { JSX } from "preact";
 import { useEffect, useMemo, useRef, useState } from "preact/hooks";
 import { ago, count, dateTime, joules, percent, plural, small } from "../shared/format";
-import { Section } from "../shared/parts";
+import { CopyButton, Section } from "../shared/parts";
 import { nameAndValue } from "../shared/target";
-import { Fault, Presence } from "./parts";
+import { Fault, Presence, useLoaded } from "./parts";
 import { href, refine, route } from "./route";
 import { names, Rows, type Filter } from "./rows";
-import { changed, events, lost } from "./store";
+import { changed, events, fleet, lost } from "./store";
 import { Tune } from "./tune";
-import type { NodeView } from "./types";
+import type { NodeList, NodeView } from "./types";
 
-const HEIGHT = 38;
+/** Height of a row: two lines of a long name. */
+const HEIGHT = 44;
 /** Most names of one selection. For larger selections labels are the better tool. */
 const MOST_SELECTED = 1000;
+
+/** Most nodes that are named with their reason; the table has all. */
+const MOST_NAMED = 800;
 
 export const selected = signal<ReadonlySet<string>>(new Set());
 
@@ -30,13 +34,13 @@ export function thresholdOf(node: NodeView): { name: string; values: number[] } 
 const COLUMNS: { id: string; head: string; sort?: string; class: string }[] = [
   { id: "name", head: "node", sort: "name", class: "c-name" },
   { id: "state", head: "state", sort: "state", class: "c-state" },
-  { id: "why", head: "since, why", sort: "since", class: "c-why" },
+  { id: "since", head: "since", sort: "since", class: "c-since" },
   { id: "heard", head: "heard", sort: "heard", class: "c-heard" },
   { id: "threshold", head: "threshold", class: "c-threshold" },
   { id: "skip", head: "skipped", class: "c-skip" },
   { id: "recall", head: "recall", class: "c-recall" },
   { id: "provider", head: "runs on", class: "c-provider" },
-  { id: "joules", head: "energy today", sort: "joules", class: "c-joules" },
+  { id: "joules", head: "energy today (UTC)", sort: "joules", class: "c-joules" },
   { id: "waiting", head: "waiting", sort: "waiting", class: "c-waiting" },
   { id: "labels", head: "labels", class: "c-labels" },
 ];
@@ -46,12 +50,17 @@ function filterOf(query: URLSearchParams): Filter {
     state: query.get("state") ?? "",
     search: query.get("search") ?? "",
     select: query.get("select") ?? "",
-    sort: query.get("sort") ?? "name",
-    down: query.get("down") === "true",
+    // What needs attention first.
+    sort: query.get("sort") ?? "state",
+    down: query.has("sort") ? query.get("down") === "true" : true,
   };
 }
 
 export function Fleet() {
+  return isEmpty() ? <Empty /> : <Table />;
+}
+
+function Table() {
   const filter = filterOf(route.value.query);
   const key = JSON.stringify(filter);
   const [, setTurn] = useState(0);
@@ -92,7 +101,11 @@ export function Fleet() {
 
   const shown: number[] = [];
   for (let index = first; index <= last && index < rows.total; index += 1) shown.push(index);
-  const sort = (id: string) => refine({ sort: id, down: filter.sort === id && !filter.down ? "true" : undefined });
+  // States begin with the worst, everything else with the least.
+  const sort = (id: string) => {
+    const down = filter.sort === id ? !filter.down : id === "state";
+    refine({ sort: id, down: down ? "true" : undefined });
+  };
   const picked = selected.value;
   // An unchanged row reuses its element, so it is not compared again.
   const drawn = useRef(new Map<number, { index: number; node: NodeView | undefined; picked: boolean; element: JSX.Element }>());
@@ -109,6 +122,7 @@ export function Fleet() {
 
   return (
     <>
+      <Attention />
       <Section
         id="fleet"
         title="Nodes"
@@ -164,6 +178,66 @@ export function Fleet() {
   );
 }
 
+/** Whether no node has ever reported. */
+function isEmpty(): boolean {
+  return fleet.value !== undefined && Object.values(fleet.value.counts).every((nodes) => nodes === 0);
+}
+
+/** How a node gets to a hub that has none. */
+function Empty() {
+  const host = /^(localhost|127\.|\[::1\])/.test(location.hostname) ? "127.0.0.1" : location.hostname;
+  const node = `[uplink]\nconnect = ["tcp/${host}:7448"]`;
+  const hub = `[zenoh]\nlisten = ["tcp/0.0.0.0:7448"]`;
+  return (
+    <Section id="fleet" title="No node has reported to this hub yet" wide>
+      <ol class="steps">
+        <li>
+          In the configuration of each node, <code>node.toml</code>, write where this hub listens for nodes, then restart the node:
+          <pre tabIndex={0}>{node}</pre>
+          <CopyButton text={node} />
+        </li>
+        <li>
+          By default only this machine can reach the hub's port for nodes. For nodes on other machines, in a network that you trust, write
+          into <code>hub.toml</code> and restart the hub:
+          <pre tabIndex={0}>{hub}</pre>
+          <CopyButton text={hub} /> For other networks docs/deploy.md has certificates and a router.
+        </li>
+        <li>
+          Nodes appear here within seconds of their start. To see a fleet without any: <code>albireo simulate --nodes 20</code>
+        </li>
+      </ol>
+    </Section>
+  );
+}
+
+/** The nodes that do not work, worst first, with all of the reason. */
+function Attention() {
+  const [most, setMost] = useState(8);
+  const counts = fleet.value?.counts;
+  const total = (counts?.offline ?? 0) + (counts?.silent ?? 0) + (counts?.degraded ?? 0);
+  const found = useLoaded<NodeList>(total ? `/api/v1/nodes?state=offline,silent,degraded&sort=state&down=true&limit=${most}` : undefined, 5000);
+  const nodes = found.value?.nodes ?? [];
+  if (total === 0) return null;
+  return (
+    <Section id="attention" title="Needs attention" wide aside={<span class="bad">{plural(total, "node")}</span>}>
+      <Fault text={found.fault} />
+      <ul class="attention">
+        {nodes.map((node) => (
+          <li key={node.node}>
+            <Presence state={node.state} /> <a href={href(["nodes", node.node])}>{node.node}</a>{" "}
+            <span class="quiet">for {ago(Math.max(0, (Date.now() - node.since_ms) / 1000)).replace(" ago", "")}</span> {node.why}
+          </li>
+        ))}
+      </ul>
+      {nodes.length < total && nodes.length < MOST_NAMED && (
+        <button type="button" class="plain" onClick={() => setMost(Math.min(MOST_NAMED, most * 10))}>
+          Show more of the other {count(total - nodes.length)}
+        </button>
+      )}
+    </Section>
+  );
+}
+
 function pick(node: string, on: boolean): void {
   const next = new Set(selected.value);
   if (on) next.add(node);
@@ -200,14 +274,15 @@ function Row(props: { index: number; node: NodeView | undefined; picked: boolean
         />
       </span>
       <span role="cell" class="c-name">
-        <a href={href(["nodes", node.node])}>{node.node}</a>
+        <a href={href(["nodes", node.node])} class={node.node.length > 24 ? "long" : undefined}>
+          {node.node}
+        </a>
       </span>
       <span role="cell" class="c-state">
         <Presence state={node.state} />
       </span>
-      <span role="cell" class="c-why" title={node.why}>
+      <span role="cell" class="c-since" title={node.why}>
         {ago(since).replace(" ago", "")}
-        {node.why ? `: ${node.why}` : ""}
       </span>
       <span role="cell" class="c-heard">
         {heard === undefined ? "never" : ago(Math.max(0, heard))}

@@ -232,7 +232,7 @@ export function Rollouts() {
 
 function Begin({ onBegun }: { onBegun: () => void }) {
   const [fields, setFields] = useState({
-    select: "all", value: "", why: "", stages: "1, 10%, 50%, 100%", soak: "1440", gates: "skip_rate>=-0.05, joules<=+5%?, latency_p99<=+10%, degraded<=+0.01",
+    select: "all", value: "", why: "", stages: "1, 10%, 50%, 90%", soak: "1440", gates: "skip_rate>=-0.05, joules<=+5%?, latency_p99<=+10%, degraded<=+0.01",
     failure: "return",
   });
   const [fault, setFault] = useState("");
@@ -272,7 +272,7 @@ function Begin({ onBegun }: { onBegun: () => void }) {
           <Field label="u"><input type="text" inputmode="decimal" placeholder="5e-4" {...field("value")} /></Field>
           <Field label="stages: cumulative numbers or shares of nodes" wide><input type="text" {...field("stages")} /></Field>
           <Field label="each held for, minutes"><input type="text" inputmode="decimal" {...field("soak")} /></Field>
-          <Field label="gates: bounds on what the change may cost" wide><input type="text" {...field("gates")} /></Field>
+          <Field label="gates: bounds on what the change may cost" wide><textarea rows={2} {...field("gates")} /></Field>
           <Field label="when a gate fails">
             <select value={fields.failure} onChange={(event) => setFields({ ...fields, failure: event.currentTarget.value })}>
               <option value="return">return the old values</option>
@@ -281,6 +281,11 @@ function Begin({ onBegun }: { onBegun: () => void }) {
           </Field>
           <Field label="why" wide><input type="text" maxLength={500} {...field("why")} /></Field>
         </div>
+        <p class="message quiet">
+          The last stage stays below 100 %: a stage is compared with the nodes that still have the old value, and one of 100 % leaves none. The
+          rest gets the value by “Set a threshold” once the rollout is done. A gate that ends in <code>?</code> passes when no node reports its
+          figure.
+        </p>
         <div class="row">
           <button disabled={forbidden !== undefined}>Start{value !== undefined ? ` with u = ${small(value)}` : ""}</button>
         </div>

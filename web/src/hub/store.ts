@@ -44,8 +44,9 @@ async function lookAtFleet(): Promise<void> {
   fleet.value = { counts, waiting };
 }
 
-export function midnight(now = new Date()): number {
-  return new Date(now.getFullYear(), now.getMonth(), now.getDate()).getTime();
+/** The beginning of the day in UTC, as in the table's figures of today. */
+export function midnight(now = Date.now()): number {
+  return Math.floor(now / 86_400_000) * 86_400_000;
 }
 
 async function lookAtEnergy(): Promise<void> {

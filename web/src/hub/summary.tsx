@@ -41,6 +41,9 @@ export function Header() {
           </a>
         ))}
       </nav>
+      <a class="docs" href="/docs/">
+        /docs
+      </a>
       {who && who.name !== "anonymous" && (
         <span class="quiet who">
           as {who.name}
@@ -70,13 +73,13 @@ export function Summary() {
             ))}
           </span>
         </Figure>
-        <Figure label="detector calls avoided today" note={avoided + calls ? `${short(avoided)} of ${short(avoided + calls)}` : "no clip yet"}>
+        <Figure label="detector calls avoided today (UTC)" note={avoided + calls ? `${short(avoided)} of ${short(avoided + calls)}` : "no clip yet"}>
           <span class="big">{avoided + calls ? percent(avoided / (avoided + calls)) : "–"}</span>
         </Figure>
         {groups.map((group) => (
           <Figure
             key={group.quality}
-            label="energy today"
+            label="energy today (UTC)"
             note={
               knowsSaved(group) ? (
                 <>
@@ -92,7 +95,7 @@ export function Summary() {
         ))}
         {audit?.recall && (
           <Figure
-            label="recall against the detector today"
+            label="recall against the detector today (UTC)"
             note={
               <span title="Share of the detector's boxes on audited skipped frames that were shown. Against the detector, not the truth.">
                 {percent(audit.recall.low)} to {percent(audit.recall.high)}; precision {percent(audit.precision?.rate)}; not the truth

@@ -71,12 +71,17 @@ function options(props: ChartProps, width: number, cursor: (index: number | null
           width: line.points ? 0 : 1.5,
           ...(line.dash ? { dash: line.dash } : {}),
           ...(line.steps ? { paths: uPlot.paths.stepped!({ align: 1 }) } : {}),
-          points: line.points ? { show: true, size: 5, fill: () => colour(line.colour) } : { show: false },
+          points: line.points ? { show: true, size: 5, fill: () => colour(line.colour) } : { show: isLonely, size: 5, fill: () => colour(line.colour) },
         }),
       ),
     ],
     hooks: { setCursor: [(chart) => cursor(chart.cursor.idx ?? null)] },
   };
+}
+
+/** Whether a line has too few values to be seen as one. */
+function isLonely(chart: uPlot, series: number): boolean {
+  return (chart.data[series] ?? []).filter((value) => value !== null && value !== undefined).length < 3;
 }
 
 /** A time on the axis, as exact as the step between two labels requires, in 24 hours. */

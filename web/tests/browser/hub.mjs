@@ -23,6 +23,18 @@ token = "a-token-that-may-look"
 `);
   let hub = start(["hub", "--config", config]);
   await answers(`${address}/readyz`, hub);
+
+  await test("an empty hub says how a node gets there", async () => {
+    const empty = await open(browser, address);
+    await empty.getByLabel(/The token/).fill("a-token-that-may-look");
+    await empty.keyboard.press("Enter");
+    await empty.getByText("No node has reported to this hub yet").waitFor();
+    assert((await empty.textContent("#fleet")).includes(`connect = ["tcp/127.0.0.1:7448"]`), await empty.textContent("#fleet"));
+    await accessible(empty, "an empty hub");
+    quiet(empty);
+    await empty.context().close();
+  });
+
   const fleet = start(["simulate", "--nodes", String(NODES), "--sessions", "20", "--connect", `tcp/127.0.0.1:${zenoh}`, "--seconds", "3000",
     "--clip-seconds", "40", "--gather", "1", "--status-seconds", "5", "--seed", "7"]);
   const headers = { Authorization: "Bearer a-token-that-may-tune" };
@@ -84,6 +96,7 @@ token = "a-token-that-may-look"
     await until("the filter in the address", async () => /state=online/.test(page.url()));
     const head = page.locator(".fleet-head");
     await head.getByRole("button", { name: /^node/ }).click();
+    await head.getByRole("button", { name: /^node/ }).click();
     await until("the other order", async () => page.url().includes("down=true"));
     const address_ = page.url();
     assert(/search=00042/.test(address_), address_);
@@ -93,10 +106,10 @@ token = "a-token-that-may-look"
     await shows("search=00042&state=online&down=true");
     assert(page.url() === address_, page.url());
     await page.goto(`${address}/#/fleet?select=region%3Dnorth`);
-    await shows("select=region%3Dnorth");
+    await shows("select=region%3Dnorth&sort=state&down=true");
     assert((await total()) > 0 && (await total()) < NODES, "a label's nodes");
     await page.goto(`${address}/#/fleet`);
-    await shows("");
+    await shows("sort=state&down=true");
     await head.getByRole("button", { name: /^energy today/ }).click();
     await head.getByRole("button", { name: /^energy today/ }).click();
     await until("the order by energy", async () => /sort=joules/.test(page.url()) && /down=true/.test(page.url()));
@@ -208,6 +221,40 @@ token = "a-token-that-may-look"
     await page.getByText("connected").waitFor();
     await until("the fleet", async () => (await total()) === NODES);
     quiet(page, /net::ERR|status of 503/);
+  });
+
+  await test("what needs attention is on top, with its whole name and reason, at 1280 and 390", async () => {
+    const name = "vehicle-berlin-depot-0042-front-left-camera";
+    const node = file("broken.toml", `
+[node]
+name = "${name}"
+[http]
+listen = "127.0.0.1:${await freePort()}"
+[zenoh]
+listen = ["tcp/127.0.0.1:${await freePort()}"]
+[uplink]
+connect = ["tcp/127.0.0.1:${zenoh}"]
+[[camera]]
+name = "rear"
+source = "rtsp://127.0.0.1:1/stream"
+`);
+    const broken = start(["node", "--config", node]);
+    for (const width of [1280, 390]) {
+      const seen = await open(browser, `${address}/#/fleet`, { width, height: 900 });
+      await unlock(seen, "a-token-that-may-look");
+      const line = seen.locator(".attention li", { hasText: name });
+      await line.getByText(/Connection refused/).waitFor();
+      const cut = await line.evaluate((element) => element.scrollWidth > element.clientWidth || getComputedStyle(element).textOverflow === "ellipsis");
+      assert(!cut, `the reason is cut at ${width}`);
+      const row = seen.locator(".fleet-body .c-name a", { hasText: name });
+      await row.waitFor();
+      const hidden = await row.evaluate((link) => link.scrollHeight > link.clientHeight || link.scrollWidth > link.clientWidth);
+      assert(!hidden, `the name is cut at ${width}`);
+      await fits(seen);
+      quiet(seen);
+      await seen.context().close();
+    }
+    await stop(broken, "SIGKILL");
   });
 
   await page.context().close();
