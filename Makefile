@@ -16,17 +16,21 @@ DEMO_SECONDS ?=
 # Python's ONNX Runtime, like ours, must not collect telemetry.
 export ORT_DISABLE_TELEMETRY := 1
 
-.PHONY: help demo test build-tests web browser lint deny fuzz simulate soak board onnxruntime python wheel wheel-tests debian release dist bench bench-peers peers gpu parity clean
+.PHONY: help needs demo test build-tests web browser lint deny fuzz simulate soak board onnxruntime python wheel wheel-tests debian release dist bench bench-peers peers gpu parity clean
 
 help: ## list the commands
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
-demo: onnxruntime web ## run camera, node and hub in one process, with nothing to configure (DEMO_SECONDS=N stops it)
-	cargo build --locked $$(bash tests/features.sh)
+demo: needs onnxruntime web ## run camera, node and hub in one process, with nothing to configure (DEMO_SECONDS=N stops it)
+	@bash tests/build.sh
 	@exec target/debug/albireo demo $(if $(DEMO_SECONDS),--seconds $(DEMO_SECONDS))
 
+# First of all, so that nothing is compiled for minutes before it is said.
+needs:
+	@bash tests/needs.sh
+
 # Downloads wait for the network and builds for the processor, so both run in parallel.
-test: onnxruntime web ## fetch what the tests need and run them all
+test: needs onnxruntime web ## fetch what the tests need and run them all
 	@$(MAKE) --no-print-directory -j4 debian python wheel-tests build-tests
 	@bash tests/run.sh
 

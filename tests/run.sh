@@ -95,5 +95,12 @@ passed=$(count passed "${all[@]}" "${marked[@]}")
 failed=$(count failed "${all[@]}" "${marked[@]}")
 skipped=$((left_out + $(count ignored "${all[@]}") - $(count passed "${marked[@]}") - $(count failed "${marked[@]}")))
 [ "$status" -ne 0 ] && [ "$failed" -eq 0 ] && failed=1
+# The last lines say what failed, and why what was skipped was.
+grep -hE '^test .* \.\.\. FAILED$' "${all[@]}" "${marked[@]}" 2> /dev/null | sed -E 's/^test (.*) \.\.\. FAILED$/failed: \1/' | sort -u
+for what in ${missing[@]+"${missing[@]}"}; do
+    echo "skipped: $(grep -hcE "^test .* \.\.\. ignored, needs (.* and )?$what( and .*)?$" "$logs/unit" "$logs/integration" |
+        awk '{ n += $1 } END { print n + 0 }') that need $what, which is not here"
+done
+[ "$left_out" -eq 0 ] || echo "skipped: $left_out of the feature turbojpeg, which needs cmake and nasm"
 echo "$passed passed, $failed failed, $skipped skipped"
 exit "$status"

@@ -7,7 +7,7 @@ cd "$(dirname "$0")"
 if ! command -v npm > /dev/null || ! node -e '
     const [major, minor] = process.versions.node.split(".").map(Number);
     process.exit(major > 20 || (major === 20 && minor >= 19) ? 0 : 1)' 2> /dev/null; then
-    echo "web: the pages are not built: they need Node.js 20.19 or later with npm (apt-get install nodejs npm, or nodejs.org); the API works without"
+    echo "web: the pages are not built: they need Node.js 20.19 or later with npm (https://nodejs.org; Debian 12's is too old); the API works without"
     exit 0
 fi
 if [ ! -e node_modules/.package-lock.json ] || [ package-lock.json -nt node_modules/.package-lock.json ]; then
