@@ -6,10 +6,9 @@ use albireo_core::geometry::PictureSize;
 use albireo_hub::config::HubConfig;
 use albireo_hub::tuning::plan::RolloutPlan;
 use albireo_hub::tuning::selector::Selector;
-use albireo_node::api::http::router;
+use albireo_node::PreparedNode;
 use albireo_node::config::NodeConfig;
 use albireo_node::input::{PayloadFormat, RawSample, read_frame};
-use albireo_node::state::board::Board;
 use albireo_power::tegrastats_rails;
 use albireo_router::authority::Entry;
 use albireo_service::config::{Configuration, examine_text};
@@ -308,8 +307,8 @@ fn http_body(data: &[u8]) -> bool {
         static RUNTIME: Runtime = Builder::new_current_thread().enable_all().build().expect("a runtime");
         static API: axum::Router = {
             let config = NodeConfig::default();
-            let board = Board::open(&config).expect("a board in memory");
-            router(board, &config, CancellationToken::new())
+            let node = PreparedNode::new(&config).expect("a node in memory");
+            node.router(&config, CancellationToken::new())
         };
     }
     let Some((first, body)) = data.split_first() else {

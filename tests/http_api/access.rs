@@ -1,6 +1,5 @@
-use super::served::{Served, THRESHOLD, board, problem};
+use super::served::{Served, THRESHOLD, prepared, problem};
 use crate::support::{assert_contains, until};
-use albireo_node::api::http::router;
 use albireo_node::config::NodeConfig;
 use albireo_service::config::HttpConfig;
 use albireo_service::http;
@@ -114,8 +113,8 @@ async fn a_node_open_to_others_needs_protection_or_permission_and_a_token_file_a
         let shutdown = CancellationToken::new();
         // Cancelled beforehand: a service that starts stops at once.
         shutdown.cancel();
-        let board = board("albireo", None);
-        let router = router(board, &NodeConfig::default(), shutdown.clone());
+        let node = prepared("albireo", None);
+        let router = node.router(&NodeConfig::default(), shutdown.clone());
         let served = http::run(&config, &[], &[], router, listener, shutdown).await;
         let error = served.err().map(|error| error.to_string());
         let error = error.unwrap_or_default();

@@ -2,11 +2,10 @@
 
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{Albireo, FrameState, ThresholdSpec};
-use albireo_node::FrameRecord;
-use albireo_node::api::http::router;
 use albireo_node::config::{CameraConfig, NodeConfig};
 use albireo_node::frame::LatestFrame;
 use albireo_node::state::board::{Board, CameraBoard};
+use albireo_node::{FrameRecord, PreparedNode};
 use albireo_service::ServiceError;
 use albireo_service::config::HttpConfig;
 use albireo_service::http;
@@ -33,14 +32,14 @@ pub(crate) struct Served {
     pub task: JoinHandle<Result<(), ServiceError>>,
 }
 
-pub(crate) fn board(policy: &str, state_dir: Option<&Path>) -> Arc<Board> {
+pub(crate) fn prepared(policy: &str, state_dir: Option<&Path>) -> PreparedNode {
     let mut config = NodeConfig::default();
     config.policy.select(policy).unwrap();
     config.cameras = ["front", "rear"].map(CameraConfig::named).to_vec();
     config.node.name = "car-7".to_owned();
     config.node.state_dir = state_dir.map(Path::to_owned);
     config.detector.providers = vec![ExecutionProvider::Cuda, ExecutionProvider::Cpu];
-    Board::open(&config).unwrap()
+    PreparedNode::new(&config).unwrap()
 }
 
 impl Served {
@@ -49,14 +48,14 @@ impl Served {
     }
 
     pub(crate) async fn with(config: HttpConfig) -> Self {
-        Self::over(config, board("albireo", None)).await
+        Self::over(config, prepared("albireo", None)).await
     }
 
     pub(crate) async fn kept_in(state_dir: &Path) -> Self {
-        Self::over(HttpConfig::default(), board("albireo", Some(state_dir))).await
+        Self::over(HttpConfig::default(), prepared("albireo", Some(state_dir))).await
     }
 
-    pub(crate) async fn over(http: HttpConfig, board: Arc<Board>) -> Self {
+    pub(crate) async fn over(http: HttpConfig, node: PreparedNode) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
         let shutdown = CancellationToken::new();
@@ -64,9 +63,10 @@ impl Served {
             http,
             ..NodeConfig::default()
         };
-        let (routed, stop) = (Arc::clone(&board), shutdown.clone());
+        let board = Arc::clone(node.board());
+        let stop = shutdown.clone();
         let task = tokio::spawn(async move {
-            let router = router(routed, &config, stop.clone());
+            let router = node.router(&config, stop.clone());
             let methods = [Method::GET, Method::PUT];
             http::run(&config.http, &[], &methods, router, listener, stop).await
         });

@@ -1,4 +1,4 @@
-use super::served::{Served, THRESHOLD, answered, board, frame, problem};
+use super::served::{Served, THRESHOLD, answered, frame, prepared, problem};
 use crate::support::{PATIENCE, assert_contains, assert_has};
 use albireo_core::policy::FrameState;
 use albireo_service::config::HttpConfig;
@@ -130,7 +130,7 @@ async fn a_change_for_all_is_stored_and_reaches_every_camera_and_its_loop() {
 
 #[tokio::test]
 async fn a_policy_without_a_threshold_says_so() {
-    let node = Served::over(HttpConfig::default(), board("vanilla", None)).await;
+    let node = Served::over(HttpConfig::default(), prepared("vanilla", None)).await;
     for path in PATHS {
         let refused = problem(node.put(path, r#"{"u": 5e-4}"#).await, 409).await;
         let detail = "policy `vanilla` has no threshold to change";

@@ -14,12 +14,11 @@ pub use config::{AnswerTime, ReportConfig, SettleConfig};
 pub(crate) use tests::answer;
 
 use crate::camera::answer::detections_message;
-use crate::camera::audit::CameraAudit;
-use crate::camera::clip::{Clip, ClipTracker};
+use crate::camera::audit::{AuditConfig, CameraAudit};
+use crate::camera::clip::{Clip, ClipConfig, ClipTracker};
 use crate::camera::decider::{Decider, Fetched};
 use crate::camera::evidence::LiveEvidence;
 use crate::camera::settled::SettledStream;
-use crate::config::NodeConfig;
 use crate::frame::{FrameRecord, Times};
 use crate::input::receiver::{FrameReceiver, SequencedFrame, kind_of};
 use crate::publishing::Outlet;
@@ -59,6 +58,17 @@ pub(crate) struct CameraParts {
     pub energy: CameraEnergy,
     /// True if the policy forgets its objects at a new clip id of the camera.
     pub reset_at_clip: bool,
+}
+
+/// The settings of a camera's loop.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct LoopSettings {
+    /// When its clips end.
+    pub clip: ClipConfig,
+    /// The share of its skipped frames that is examined.
+    pub audit: AuditConfig,
+    /// The longest time that a settled frame is held back.
+    pub longest_hold: Duration,
 }
 
 impl CameraParts {
@@ -113,7 +123,7 @@ impl Camera {
     /// frame.
     pub(crate) fn new(
         parts: Arc<CameraParts>,
-        config: &NodeConfig,
+        settings: LoopSettings,
         policy: LatePolicy,
         evidence: LiveEvidence,
         audit: CameraAudit,
@@ -121,12 +131,15 @@ impl Camera {
         let mut threshold = parts.board.watch_threshold();
         threshold.mark_changed();
         parts.receiver.ring.open();
-        let longest = Duration::from_millis(config.settle.longest_ms);
-        let settled = (parts.settled.is_some()).then(|| SettledStream::new(longest, &parts));
+        let settled = parts
+            .settled
+            .is_some()
+            .then(|| SettledStream::new(settings.longest_hold, &parts));
+        let energy = parts.energy.clone();
         Self {
             decider: Decider::new(policy, evidence),
             settled,
-            tracker: ClipTracker::new(config.clip, parts.energy.clone(), config.audit.report()),
+            tracker: ClipTracker::new(settings.clip, energy, settings.audit.report()),
             audit,
             parts,
             threshold,

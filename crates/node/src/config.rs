@@ -6,7 +6,7 @@ mod validate;
 
 use crate::camera::audit::AuditConfig;
 use crate::camera::clip::ClipConfig;
-use crate::camera::{AnswerTime, ReportConfig, SettleConfig};
+use crate::camera::{AnswerTime, LoopSettings, ReportConfig, SettleConfig};
 use crate::input::receiver::ReceiverSettings;
 use crate::input::source::{RtspTransport, SourceAddress, SourceOptions, SourceSettings};
 use crate::input::{Delivery, PayloadFormat};
@@ -117,6 +117,15 @@ impl NodeConfig {
             ("detector.class_names", names),
             ("screen.model", self.screen.model.as_deref()),
         ]
+    }
+
+    /// The settings of the cameras' loops.
+    pub(crate) fn loop_settings(&self) -> LoopSettings {
+        LoopSettings {
+            clip: self.clip,
+            audit: self.audit,
+            longest_hold: Duration::from_millis(self.settle.longest_ms),
+        }
     }
 
     /// The time at which a camera's frames are answered.

@@ -13,6 +13,7 @@ pub mod outbox;
 mod percentiles;
 mod publishing;
 mod run;
+mod settings;
 mod start;
 pub mod state;
 

@@ -16,11 +16,12 @@ pub use config::OutboxConfig;
 
 use crate::error::NodeError;
 use albireo_service::clock::Now;
+use albireo_service::readiness::Fault;
 use albireo_wire::OutboxStatus;
 use disk::{Disk, StateFile};
 use parking_lot::Mutex;
 use std::path::Path;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 pub(crate) use table::TableError;
 use tokio::sync::Notify;
 use waiting::Waiting;
@@ -43,6 +44,23 @@ pub struct OutboxCounts {
     pub disk_failures: u64,
     /// The reason why nothing can be stored on disk now.
     pub failing: Option<String>,
+}
+
+/// The time for which lost clip reports are shown.
+const LOSS_SHOWN_FOR: Duration = Duration::from_secs(600);
+
+impl OutboxCounts {
+    /// The fault of the node that the counts show.
+    pub(crate) fn fault(&self) -> Option<Fault> {
+        let lost = self.last_loss.is_some_and(|at| at.elapsed() < LOSS_SHOWN_FOR);
+        let minutes = LOSS_SHOWN_FOR.as_secs() / 60;
+        let reason = match &self.failing {
+            _ if lost => format!("clip reports were lost in the last {minutes} minutes"),
+            Some(_) => "clip reports wait in memory and do not survive a power loss".to_owned(),
+            None => return None,
+        };
+        Some(Fault::degraded(reason))
+    }
 }
 
 /// Maximum file size, bytes. Reports that a hub has are deleted first, then the oldest waiting ones, as lost.

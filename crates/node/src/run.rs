@@ -62,7 +62,7 @@ pub async fn run(
     };
     let board = Arc::clone(prepared.board());
     // Set only here.
-    let _ = routes.set(http::router(Arc::clone(&board), config, serving.clone()));
+    let _ = routes.set(prepared.router(config, serving.clone()));
     // A node without its interface cannot be monitored or stopped, so it ends.
     let unserved = shutdown.clone();
     let http = async move {

@@ -3,5 +3,4 @@
 pub mod advice;
 pub mod board;
 pub mod readiness;
-pub(crate) mod settings;
 pub mod target;

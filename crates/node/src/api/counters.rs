@@ -2,6 +2,7 @@
 
 use crate::error::NodeError;
 use crate::publishing::{self, Outlet};
+use crate::settings::Settings;
 use crate::state::board::Board;
 use albireo_power::PowerHandle;
 use albireo_service::clock::unix_nanoseconds;
@@ -36,6 +37,7 @@ pub(crate) async fn declare(session: &Session, board: &Board) -> Result<Vec<Outl
 /// Updates the board, puts counters on the cameras' `outlets`, and steps the target, until `shutdown`.
 pub(crate) async fn run(
     board: Arc<Board>,
+    settings: Arc<Settings>,
     meter: PowerHandle,
     outlets: Vec<Outlet>,
     shutdown: CancellationToken,
@@ -56,11 +58,11 @@ pub(crate) async fn run(
         second = second.wrapping_add(1);
         if second.is_multiple_of(KEEP_EVERY) {
             // Not awaited: the disk may stall.
-            let board = Arc::clone(&board);
-            spawn_blocking(move || board.keep_place());
+            let settings = Arc::clone(&settings);
+            spawn_blocking(move || settings.keep_place());
         }
     }
     // The figures at the end are the last ones visible.
     board.set_power(meter.snapshot());
-    let _ = spawn_blocking(move || board.keep_place()).await;
+    let _ = spawn_blocking(move || settings.keep_place()).await;
 }

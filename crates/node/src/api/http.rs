@@ -16,9 +16,9 @@ mod threshold;
 
 pub(crate) use health::alive;
 
-use crate::config::NodeConfig;
+use crate::outbox::Outbox;
+use crate::settings::Settings;
 use crate::state::board::{Board, CameraBoard, DetectorEvent, FrameEvent, ThresholdEvent};
-use albireo_service::config::without_secrets;
 use albireo_service::http::{self, Problem};
 use albireo_vision::picture::FrameLimits;
 use albireo_wire::{
@@ -42,6 +42,8 @@ use utoipa_axum::routes;
 #[derive(Clone)]
 struct RouteState {
     board: Arc<Board>,
+    settings: Arc<Settings>,
+    outbox: Arc<Outbox>,
     /// Limits for decoding the latest picture of a camera that does not send JPEG.
     limits: FrameLimits,
     /// The configuration without its secrets.
@@ -151,8 +153,22 @@ pub fn openapi() -> OpenApi {
     described().1
 }
 
+/// What the routes show and change.
+pub(crate) struct RouterSetup {
+    /// The live state.
+    pub board: Arc<Board>,
+    /// Changed by requests.
+    pub settings: Arc<Settings>,
+    /// Its counts are shown.
+    pub outbox: Arc<Outbox>,
+    /// Limits for decoding the latest picture of a camera that does not send JPEG.
+    pub limits: FrameLimits,
+    /// The configuration without its secrets.
+    pub config: serde_json::Value,
+}
+
 /// The router of the node: all routes, their OpenAPI document and the page.
-pub fn router(board: Arc<Board>, config: &NodeConfig, shutdown: CancellationToken) -> Router {
+pub(crate) fn router(setup: RouterSetup, shutdown: CancellationToken) -> Router {
     let (router, _) = described();
     #[cfg(feature = "swagger")]
     let router = router.merge(
@@ -163,9 +179,11 @@ pub fn router(board: Arc<Board>, config: &NodeConfig, shutdown: CancellationToke
     http::with_page(router, "node.html")
         .route("/openapi.json", get(|| async { Json(openapi()) }))
         .with_state(RouteState {
-            board,
-            limits: config.frame,
-            config: Arc::new(without_secrets(config)),
+            board: setup.board,
+            settings: setup.settings,
+            outbox: setup.outbox,
+            limits: setup.limits,
+            config: Arc::new(setup.config),
             decoding: Arc::default(),
             decoded: Arc::default(),
             streams: Arc::new(Semaphore::new(events::MOST_STREAMS)),

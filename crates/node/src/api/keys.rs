@@ -1,7 +1,8 @@
 //! Serves the node's values on Zenoh keys: a query reads a value, a put or a query with a payload changes it.
 
 use crate::error::NodeError;
-use crate::state::board::{Board, CameraBoard, MAX_MESSAGE_BYTES, Place};
+use crate::settings::{MAX_MESSAGE_BYTES, Place, Settings};
+use crate::state::board::{Board, CameraBoard};
 use albireo_service::rate_limit::RateLimit;
 use albireo_wire::{ThresholdMessage, VERSION};
 use std::error::Error;
@@ -42,6 +43,7 @@ struct Request {
 pub(crate) async fn declare(
     session: &Session,
     board: &Arc<Board>,
+    settings: &Arc<Settings>,
     target: String,
 ) -> Result<impl Future<Output = ()> + use<>, NodeError> {
     let (requests, mut waiting) = mpsc::channel(WAITING);
@@ -54,7 +56,8 @@ pub(crate) async fn declare(
             camera,
         });
         // Zenoh's threads only keep orders, because a change writes a file, which can take a while on a slow SD card.
-        let (puts, of_puts) = (Arc::clone(board), Arc::clone(&served));
+        let puts = Arc::clone(settings);
+        let of_puts = Arc::clone(&served);
         let refused = || NodeError::refused(format!("`{key}` cannot be served"));
         let subscriber = session
             .declare_subscriber(key.clone())
@@ -64,15 +67,16 @@ pub(crate) async fn declare(
             })
             .await
             .map_err(refused())?;
-        let (requests, too_many) = (requests.clone(), RateLimit::new(LOG_PERIOD));
-        let orders = Arc::clone(board);
+        let requests = requests.clone();
+        let too_many = RateLimit::new(LOG_PERIOD);
+        let queries = Arc::clone(settings);
         let queryable = session
             .declare_queryable(key.clone())
             .callback(move |query| {
                 let payload = query.payload().filter(|payload| !payload.is_empty());
                 let request = Request {
                     served: Arc::clone(&served),
-                    place: orders.orders.place(),
+                    place: queries.orders.place(),
                     payload: payload.map(beginning),
                     query,
                 };
@@ -89,17 +93,19 @@ pub(crate) async fn declare(
         declared.push((subscriber, queryable));
     }
     let board = Arc::clone(board);
+    let settings = Arc::clone(settings);
     Ok(async move {
         let _held = (requests, declared);
         loop {
             let request = tokio::select! {
-                () = board.orders.changed.notified() => None,
+                () = settings.orders.changed.notified() => None,
                 request = waiting.recv() => request,
             };
             let board = Arc::clone(&board);
+            let settings = Arc::clone(&settings);
             let answering = tokio::task::spawn_blocking(move || match request {
-                Some(request) => request.answer(&board),
-                None => board.apply_puts(),
+                Some(request) => request.answer(&board, &settings),
+                None => settings.apply_puts(),
             });
             if let Err(error) = answering.await {
                 tracing::error!(%error, "request failed");
@@ -110,12 +116,12 @@ pub(crate) async fn declare(
 
 impl Request {
     /// Changes the value if there is a payload, and replies with the value in force. May write a file.
-    fn answer(self, board: &Board) {
+    fn answer(self, board: &Board, settings: &Settings) {
         let Served { key, camera } = &*self.served;
-        let (key, query) = (key.as_str(), self.query);
-        let result = board.in_turn(self.place, || {
+        let query = self.query;
+        let result = settings.in_turn(self.place, || {
             if let Some(payload) = self.payload {
-                board.apply(camera.as_ref(), &payload)?;
+                settings.apply(camera.as_ref(), &payload)?;
             }
             in_force(board, camera.as_deref())
         });

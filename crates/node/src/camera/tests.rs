@@ -1,9 +1,11 @@
 //! Tests of a camera's loop, with a detector of coloured boxes and with frames that wait or are missing.
 
 use super::*;
+use crate::PreparedNode;
 use crate::camera::audit::Examiner;
 use crate::camera::clip::Clip;
 use crate::camera::clip::tests::report;
+use crate::config::NodeConfig;
 use crate::input::{Frame, Pushed};
 use crate::publishing;
 use crate::state::board::{Board, News};
@@ -70,7 +72,8 @@ impl Bench {
         config.audit.share = share;
         config.policy.select(policy).unwrap();
         config.cameras[0].ring = 64;
-        let board = Board::open(&config).unwrap();
+        let node = PreparedNode::new(&config).unwrap();
+        let board = Arc::clone(&node.board);
         let camera = Arc::clone(&board.cameras[0]);
         let receiver = FrameReceiver::new(
             config.cameras[0].receiver_settings(config.frame),
@@ -113,7 +116,13 @@ impl Bench {
         Self {
             board,
             receiver,
-            camera: Camera::new(Arc::new(parts), &config, policy, evidence, audit),
+            camera: Camera::new(
+                Arc::new(parts),
+                config.loop_settings(),
+                policy,
+                evidence,
+                audit,
+            ),
             clips,
         }
     }

@@ -2,6 +2,7 @@
 //! and publishes it for subscribers.
 
 use crate::camera::clip::Clip;
+use crate::outbox::Outbox;
 use crate::state::board::{Board, CameraBoard, provider};
 use albireo_power::Measured;
 use albireo_service::clock::Now;
@@ -14,8 +15,10 @@ use zenoh_ext::AdvancedPublisher;
 
 /// Keeps and publishes one camera's clip reports.
 pub(crate) struct Reporter {
-    /// Shows reports, and keeps them until a hub has them.
+    /// Shows reports.
     pub board: Arc<Board>,
+    /// Keeps reports until a hub has them.
+    pub outbox: Arc<Outbox>,
     /// Counts the unpublished reports.
     pub camera: Arc<CameraBoard>,
     /// Publishes reports to subscribers. The hub gets them from the outbox.
@@ -41,7 +44,9 @@ impl Reporter {
             let energy = clip.energy().await;
             measured.push((clip, energy));
         }
-        let (board, camera) = (Arc::clone(&self.board), Arc::clone(&self.camera));
+        let board = Arc::clone(&self.board);
+        let outbox = Arc::clone(&self.outbox);
+        let camera = Arc::clone(&self.camera);
         let kept = tokio::task::spawn_blocking(move || {
             let provider = provider(&board.detector_status()).unwrap_or("none");
             let target = board.target.report().target;
@@ -59,7 +64,7 @@ impl Reporter {
                 report
             };
             let mut reports: Vec<_> = measured.into_iter().map(report).collect();
-            (board.outbox).change(|waiting| waiting.insert(&mut reports, Now::system()));
+            outbox.change(|waiting| waiting.insert(&mut reports, Now::system()));
             reports
         });
         let camera = self.camera.name();
@@ -93,6 +98,7 @@ impl Reporter {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::PreparedNode;
     use crate::camera::clip::{ClipConfig, ClipTracker};
     use crate::config::NodeConfig;
     use albireo_power::PowerHandle;
@@ -101,12 +107,14 @@ mod tests {
 
     #[tokio::test(flavor = "multi_thread")]
     async fn a_report_that_is_not_published_is_counted_and_kept_for_the_hub() {
-        let board = Board::open(&NodeConfig::default()).unwrap();
+        let node = PreparedNode::new(&NodeConfig::default()).unwrap();
+        let board = Arc::clone(&node.board);
         let camera = Arc::clone(&board.cameras[0]);
         let session = crate::api::name::tests::session(&[("listen/endpoints", "[]")]).await;
         let publisher = session.declare_publisher("clip").advanced();
         let reporter = Reporter {
-            board: Arc::clone(&board),
+            board,
+            outbox: Arc::clone(&node.outbox),
             camera: Arc::clone(&camera),
             listeners: publisher.await.unwrap(),
         };
@@ -121,6 +129,6 @@ mod tests {
         session.close().await.unwrap();
         reporter.report(clip()).await;
         assert_eq!(camera.snapshot().unpublished, 1);
-        assert_eq!(board.outbox.counts().kept, 2);
+        assert_eq!(node.outbox.counts().kept, 2);
     }
 }

@@ -12,13 +12,15 @@ mod watched;
 
 pub(super) use desired::{known, take};
 
-use crate::config::NodeConfig;
-use crate::outbox::Outbox;
+use crate::outbox::{Outbox, OutboxConfig};
+use crate::settings::Settings;
 use crate::state::board::Board;
 use crate::state::readiness;
 use albireo_service::clock::Now;
+use albireo_service::config::UplinkConfig;
 use albireo_service::readiness::Part;
 use albireo_service::session;
+use albireo_vision::picture::FrameLimits;
 use albireo_wire::{
     BatchCompression, Desired, NodeKeys, PullRequest, ReportAnswer, ReportBatch, VERSION,
 };
@@ -31,6 +33,7 @@ pub(super) use query::read_reply;
 use schedule::Trouble;
 pub(super) use schedule::{Failure, Schedule};
 pub(super) use status::StatusSender;
+use std::collections::BTreeMap;
 use std::hash::{BuildHasher, RandomState};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -58,10 +61,20 @@ const MIN_UPTIME: Duration = Duration::from_secs(10);
 
 /// Everything the uplink works with.
 pub(crate) struct UplinkSetup {
-    /// The state to report, and the reports to deliver.
+    /// The state to report.
     pub board: Arc<Board>,
-    /// The settings for delivering reports, and for what the hub may see.
-    pub config: NodeConfig,
+    /// The settings that the hub may change.
+    pub settings: Arc<Settings>,
+    /// The reports to deliver.
+    pub outbox: Arc<Outbox>,
+    /// How they are delivered.
+    pub delivery: OutboxConfig,
+    /// The session to the hub, and what the hub may see.
+    pub uplink: UplinkConfig,
+    /// Labels by which a hub selects nodes.
+    pub labels: BTreeMap<String, String>,
+    /// Limits of the pictures that the hub may see.
+    pub limits: FrameLimits,
     /// The keys toward the hub.
     pub keys: NodeKeys,
     /// The local session, if it reaches the hub; otherwise a separate one is opened, and reopened when stale.
@@ -80,8 +93,10 @@ impl Uplink {
     pub(crate) fn start(setup: UplinkSetup) -> Self {
         // The operating system provides random keys for each `RandomState`.
         let random = RandomState::new().hash_one("uplink");
-        let (config, stop) = (&setup.config.outbox, CancellationToken::new());
-        let (run, labels) = ((random >> 32) as u32, setup.config.node.labels.clone());
+        let run = (random >> 32) as u32;
+        let stop = CancellationToken::new();
+        let config = &setup.delivery;
+        let labels = setup.labels.clone();
         let worker = Worker {
             status_sender: StatusSender::new(labels, run, Now::system()),
             watched: Watched::default(),
@@ -184,7 +199,7 @@ impl Worker {
             let session = match &self.setup.local {
                 Some(session) => Ok(session.clone()),
                 None => {
-                    let opening = session::open_uplink(&self.setup.config.uplink);
+                    let opening = session::open_uplink(&self.setup.uplink);
                     let Some(opened) = self.stop.run_until_cancelled(opening).await else {
                         return;
                     };
@@ -230,8 +245,9 @@ impl Worker {
     /// Zenoh's error, or that the session has had no answer for too long and must be opened again.
     async fn serve(&mut self, session: &Session) -> zenoh::Result<()> {
         let setup = Arc::clone(&self.setup);
-        let (keys, outbox) = (&setup.keys, &setup.board.outbox);
-        let timeout = Duration::from_millis(setup.config.outbox.answer_timeout_ms);
+        let keys = &setup.keys;
+        let outbox = &setup.outbox;
+        let timeout = Duration::from_millis(setup.delivery.answer_timeout_ms);
         let querier = |key: String| {
             session
                 .declare_querier(key)
@@ -248,7 +264,7 @@ impl Worker {
             .await?;
         let news = session.declare_subscriber(keys.changed()).with(RingChannel::new(1)).await?;
         let own = setup.local.is_none();
-        let _alive = match own && setup.config.uplink.liveliness {
+        let _alive = match own && setup.uplink.liveliness {
             true => Some(session.liveliness().declare_token(keys.alive()).await?),
             false => None,
         };
@@ -269,7 +285,10 @@ impl Worker {
             self.health.judge(trouble, connected, keys);
             match last_try {
                 None => {
-                    if let Some(payload) = self.status_sender.due(Now::system(), &setup.board) {
+                    let sender = &mut self.status_sender;
+                    let clock = Now::system();
+                    if let Some(payload) = sender.due(clock, &setup.board, &setup.settings, outbox)
+                    {
                         status.put(payload).await?;
                     }
                     self.watched.serve(session, &setup).await?;
@@ -315,8 +334,8 @@ impl Worker {
             self.watched.extend(seconds);
         }
         // On a blocking thread, because it writes a file.
-        let board = Arc::clone(&self.setup.board);
-        let taken = spawn_blocking(move || take(&desired, &board));
+        let setup = Arc::clone(&self.setup);
+        let taken = spawn_blocking(move || take(&desired, &setup.settings, &setup.board));
         if taken.await.unwrap_or(false) {
             self.status_sender.full_is_due();
         }
@@ -325,10 +344,11 @@ impl Worker {
 
 /// Sends the oldest reports, and applies the answer to the outbox.
 async fn send_batch(setup: &Arc<UplinkSetup>, reports: &Querier<'_>, again: bool) -> Ended {
-    let board = Arc::clone(&setup.board);
+    let sending = Arc::clone(setup);
     let prepared = spawn_blocking(move || {
-        let (node, now) = (&board.node, Now::system());
-        let batch = (board.outbox).change(|waiting| waiting.batch(node, again, now))?;
+        let node = &sending.board.node;
+        let now = Now::system();
+        let batch = sending.outbox.change(|waiting| waiting.batch(node, again, now))?;
         let payload = batch.to_payload(BatchCompression::Best);
         Some((batch, payload))
     });
@@ -341,8 +361,8 @@ async fn send_batch(setup: &Arc<UplinkSetup>, reports: &Querier<'_>, again: bool
         }
     };
     let reply = ask::<ReportAnswer>(reports, payload).await;
-    let board = Arc::clone(&setup.board);
-    let taken = spawn_blocking(move || conclude(&board.outbox, &batch, reply, Now::system()));
+    let outbox = Arc::clone(&setup.outbox);
+    let taken = spawn_blocking(move || conclude(&outbox, &batch, reply, Now::system()));
     taken.await.unwrap_or(Err(Failure::Unanswered))
 }
 
@@ -363,7 +383,7 @@ pub(crate) fn conclude(
 async fn pull(setup: &UplinkSetup, pulls: &Querier<'_>) -> Ended {
     let request = PullRequest {
         v: VERSION,
-        revision: known(&setup.board).revision(),
+        revision: known(&setup.settings).revision(),
     };
     let payload = serde_json::to_vec(&request).unwrap_or_default();
     ask::<Desired>(pulls, payload).await.map(Some)
@@ -372,9 +392,25 @@ async fn pull(setup: &UplinkSetup, pulls: &Querier<'_>) -> Ended {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::PreparedNode;
+    use crate::config::NodeConfig;
     use albireo_wire::{ClipReport, HealthState, RefusalReason, ReportRefusal};
     use std::sync::atomic::{AtomicBool, Ordering};
     use zenoh::Wait;
+
+    fn setup(node: &PreparedNode, config: NodeConfig, local: Option<Session>) -> UplinkSetup {
+        UplinkSetup {
+            board: Arc::clone(&node.board),
+            settings: Arc::clone(&node.settings),
+            outbox: Arc::clone(&node.outbox),
+            keys: config.keys().unwrap(),
+            delivery: config.outbox,
+            uplink: config.uplink,
+            labels: config.node.labels,
+            limits: config.frame,
+            local,
+        }
+    }
 
     #[tokio::test(flavor = "multi_thread")]
     async fn a_node_says_that_no_hub_acknowledges_its_reports_and_stays_ready() {
@@ -385,15 +421,10 @@ mod tests {
         let mut config = NodeConfig::default();
         config.outbox.patience_ms = 100;
         config.uplink.connect = vec![locators[0].to_string()];
-        let board = Board::open(&config).unwrap();
-        let mut health = board.readiness.subscribe();
-        let uplink = Uplink::start(UplinkSetup {
-            board: Arc::clone(&board),
-            keys: config.keys().unwrap(),
-            local: None,
-            config,
-        });
-        (board.outbox)
+        let node = PreparedNode::new(&config).unwrap();
+        let mut health = node.board.readiness.subscribe();
+        let uplink = Uplink::start(setup(&node, config, None));
+        node.outbox
             .change(|waiting| waiting.insert(&mut [ClipReport::default()], Now::system()));
         let mut said = async |wanted: &str| {
             let fault = health.wait_for(|health| {
@@ -404,7 +435,7 @@ mod tests {
             found.unwrap_or_else(|_| panic!("not said: {wanted}")).unwrap().state
         };
         said("no hub answers on `albireo/@report/node`").await;
-        let faults = board.readiness.health().faults;
+        let faults = node.board.readiness.health().faults;
         let uplink_fault = faults.iter().find(|fault| fault.part == readiness::UPLINK);
         assert_eq!(uplink_fault.unwrap().fault.effect, HealthState::Degraded);
         // A hub that refuses, and one that takes them.
@@ -429,7 +460,7 @@ mod tests {
         let works = health.wait_for(|health| !health.reasons.contains_key(readiness::UPLINK));
         let works = tokio::time::timeout(Duration::from_secs(60), works).await;
         assert!(works.unwrap().is_ok());
-        assert_eq!(board.outbox.counts().status.waiting, 0);
+        assert_eq!(node.outbox.counts().status.waiting, 0);
         uplink.stop().await;
     }
 
@@ -437,16 +468,11 @@ mod tests {
     async fn a_mute_session_is_a_fault_of_the_uplink() {
         let mut config = NodeConfig::default();
         config.outbox.retry_min_ms = 1;
-        let board = Board::open(&config).unwrap();
+        let node = PreparedNode::new(&config).unwrap();
         let closed = crate::api::name::tests::session(&[("listen/endpoints", "[]")]).await;
         closed.close().await.unwrap();
-        let mut health = board.readiness.subscribe();
-        let uplink = Uplink::start(UplinkSetup {
-            board: Arc::clone(&board),
-            keys: config.keys().unwrap(),
-            local: Some(closed),
-            config,
-        });
+        let mut health = node.board.readiness.subscribe();
+        let uplink = Uplink::start(setup(&node, config, Some(closed)));
         let fault = health.wait_for(|health| health.reasons.contains_key(readiness::UPLINK));
         let found = tokio::time::timeout(Duration::from_secs(60), fault).await;
         assert!(found.unwrap().is_ok());

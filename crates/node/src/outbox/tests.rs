@@ -13,7 +13,6 @@ use std::io::{Error, ErrorKind};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
 use uuid::Uuid;
 
 impl Outbox {
@@ -532,4 +531,14 @@ fn counting_and_waking_the_sender_never_wait_for_a_disk() {
     assert_eq!(outbox.counts().status.waiting, 1);
     assert!(outbox.changed().now_or_never().is_some());
     drop(writing);
+}
+
+#[test]
+fn lost_reports_are_a_fault_of_the_node() {
+    let lost = OutboxCounts {
+        last_loss: Some(Instant::now()),
+        ..OutboxCounts::default()
+    };
+    let fault = lost.fault().unwrap();
+    assert!(fault.reason.contains("were lost"), "{}", fault.reason);
 }

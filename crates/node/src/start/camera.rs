@@ -1,7 +1,9 @@
-//! Adds a camera to a starting node: its publishers, its loop, its reporter, its threshold and its source of frames.
+//! Adds the cameras to a starting node: each its publishers, its loop, its reporter and its source of frames.
 
 use super::PolicyMaker;
+use super::models::Models;
 use crate::camera::audit::{CameraAudit, Examiner};
+use crate::camera::clip::Clip;
 use crate::camera::evidence::LiveEvidence;
 use crate::camera::{AnswerTime, Camera, CameraParts};
 use crate::config::{CameraConfig, NodeConfig};
@@ -10,15 +12,16 @@ use crate::error::NodeError;
 use crate::input::Delivery;
 use crate::input::receiver::FrameReceiver;
 use crate::input::source::{LiveSource, SourceEvent, SourceSettings};
+use crate::outbox::Outbox;
 use crate::publishing::{self, Outlet};
 use crate::state::board::{Board, CameraBoard};
 use crate::state::readiness;
 use albireo_core::policy::{LatePolicy, MinConfidence};
 use albireo_power::PowerHandle;
 use albireo_service::supervise::Supervisor;
-use albireo_vision::detector::{CameraSlot, DetectorHandle};
+use albireo_vision::detector::CameraSlot;
 use albireo_vision::pixel_work::PixelWork;
-use albireo_vision::screen::{EmptyRun, ScreenHandle};
+use albireo_vision::screen::EmptyRun;
 use albireo_wire::{HealthState, stream_of_token, stream_token};
 use futures_util::FutureExt;
 use std::any::Any;
@@ -28,7 +31,7 @@ use tokio_util::sync::CancellationToken;
 use zenoh::Session;
 use zenoh::qos::CongestionControl;
 use zenoh::sample::SampleKind;
-use zenoh_ext::{AdvancedPublisherBuilderExt, CacheConfig, MissDetectionConfig};
+use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt, CacheConfig, MissDetectionConfig};
 
 /// The number of clip reports that a publisher keeps for late subscribers.
 const CACHED_REPORTS: usize = 64;
@@ -36,23 +39,39 @@ const CACHED_REPORTS: usize = 64;
 /// The Zenoh subscribers and queryables that receive frames; dropping them undeclares them.
 pub(super) type Subscriptions = Vec<Box<dyn Any + Send + Sync>>;
 
-/// Adds cameras to a starting node and creates their loops: the parts of the node that they share.
-pub(super) struct Cameras {
+/// The parts of the node that its cameras share.
+pub(super) struct SharedParts {
     pub(super) config: NodeConfig,
     pub(super) session: Session,
     pub(super) board: Arc<Board>,
+    pub(super) outbox: Arc<Outbox>,
     pub(super) power: PowerHandle,
     pub(super) pixels: PixelWork,
-    pub(super) detector: DetectorHandle,
-    pub(super) screen: Option<ScreenHandle>,
+    pub(super) models: Models,
     pub(super) policies: PolicyMaker,
     /// Once cancelled, no camera waits for the detector any more.
     pub(super) give_up: CancellationToken,
     pub(super) shutdown: CancellationToken,
 }
 
-impl Cameras {
-    pub(super) async fn add(
+impl SharedParts {
+    /// Adds all cameras. Returns what receives their frames.
+    pub(super) async fn add_cameras(
+        self: &Arc<Self>,
+        tasks: &mut Supervisor,
+    ) -> Result<Subscriptions, NodeError> {
+        let mut subscriptions = Subscriptions::new();
+        for (slot, (camera, board)) in
+            self.config.cameras.iter().zip(&self.board.cameras).enumerate()
+        {
+            let adding = self.add(CameraSlot(slot), camera, board, tasks, &mut subscriptions);
+            let named = NodeError::of(format!("camera `{}`", camera.name));
+            adding.await.map_err(named)?;
+        }
+        Ok(subscriptions)
+    }
+
+    async fn add(
         self: &Arc<Self>,
         slot: CameraSlot,
         config: &CameraConfig,
@@ -60,7 +79,6 @@ impl Cameras {
         tasks: &mut Supervisor,
         subscriptions: &mut Subscriptions,
     ) -> Result<(), NodeError> {
-        let keys = &board.keys;
         let name = &config.name;
         let receiver = Arc::new(FrameReceiver::new(
             config.receiver_settings(self.config.frame),
@@ -68,6 +86,41 @@ impl Cameras {
         ));
         let (closed, clips) = mpsc::unbounded_channel();
 
+        let parts = self.camera_parts(config, board, &receiver, closed).await?;
+        let parts = Arc::new(parts);
+        let shared = Arc::clone(self);
+        tasks.restarting(format!("camera {name}"), HealthState::NotReady, move || {
+            let camera = shared.camera(slot, Arc::clone(&parts));
+            let stop = shared.shutdown.clone();
+            async move {
+                camera?.run(stop).await;
+                Ok::<(), NodeError>(())
+            }
+        });
+
+        let reporter = Reporter {
+            board: Arc::clone(&self.board),
+            outbox: Arc::clone(&self.outbox),
+            camera: Arc::clone(board),
+            listeners: self.reports_publisher(board).await?,
+        };
+        tasks.essential(format!("reporter {name}"), reporter.run(clips));
+
+        match config.source_settings(self.config.frame) {
+            Some(settings) => self.add_source(name, receiver, settings, tasks).await,
+            None => self.subscribe(config.delivery, &board.key, receiver, subscriptions).await,
+        }
+    }
+
+    /// Declares the keys of a camera's answers, and collects what survives a restart of its loop.
+    async fn camera_parts(
+        &self,
+        config: &CameraConfig,
+        board: &Arc<CameraBoard>,
+        receiver: &Arc<FrameReceiver>,
+        closed: mpsc::UnboundedSender<Clip>,
+    ) -> Result<CameraParts, NodeError> {
+        let keys = &board.keys;
         // A replay must not lose any answer.
         let sent = match config.delivery {
             Delivery::Newest => (CongestionControl::Drop, publishing::LIVE),
@@ -79,60 +132,56 @@ impl Cameras {
             AnswerTime::WhenKnown => None,
             AnswerTime::AtOnce => Some(outlet(keys.late()).await?),
         };
-        let settled = match self.config.settle.enabled {
-            true => Some(outlet(keys.settled()).await?),
-            false => None,
+        let settled = if self.config.settle.enabled {
+            Some(outlet(keys.settled()).await?)
+        } else {
+            None
         };
-        let reports = self
-            .session
-            .declare_publisher(keys.clip())
+        let least = self.config.report.confidence;
+        Ok(CameraParts {
+            board: Arc::clone(board),
+            receiver: Arc::clone(receiver),
+            detections,
+            late,
+            settled,
+            min_confidence: MinConfidence::new(least, self.config.detector.confidence),
+            class_names: self.models.detector.class_names().to_vec(),
+            closed,
+            energy: self.power.camera(),
+            reset_at_clip: config.reset_at_clip,
+        })
+    }
+
+    /// Declares the key of a camera's clip reports.
+    async fn reports_publisher(
+        &self,
+        board: &CameraBoard,
+    ) -> Result<AdvancedPublisher<'static>, NodeError> {
+        self.session
+            .declare_publisher(board.keys.clip())
             .congestion_control(CongestionControl::Drop)
             .priority(publishing::CLIPS)
             .cache(CacheConfig::default().max_samples(CACHED_REPORTS))
             .sample_miss_detection(MissDetectionConfig::default())
             .publisher_detection()
             .await
-            .map_err(NodeError::refused("clip reports cannot be published"))?;
+            .map_err(NodeError::refused("clip reports cannot be published"))
+    }
 
-        let report = self.config.report.confidence;
-        let parts = Arc::new(CameraParts {
-            board: Arc::clone(board),
-            receiver: Arc::clone(&receiver),
-            detections,
-            late,
-            settled,
-            min_confidence: MinConfidence::new(report, self.config.detector.confidence),
-            class_names: self.detector.class_names().to_vec(),
-            closed,
-            energy: self.power.camera(),
-            reset_at_clip: config.reset_at_clip,
-        });
-        let cameras = Arc::clone(self);
-        tasks.restarting(format!("camera {name}"), HealthState::NotReady, move || {
-            let camera = cameras.camera(slot, Arc::clone(&parts));
-            let stop = cameras.shutdown.clone();
-            async move {
-                camera?.run(stop).await;
-                Ok::<(), NodeError>(())
-            }
-        });
-        let reporter = Reporter {
-            board: Arc::clone(&self.board),
-            camera: Arc::clone(board),
-            listeners: reports,
-        };
-        tasks.essential(format!("reporter {name}"), reporter.run(clips));
-
-        if let Some(settings) = config.source_settings(self.config.frame) {
-            return self.add_source(name, receiver, settings, tasks).await;
-        }
-        let key = &board.key;
+    /// Feeds the camera from its key: puts, queries if every frame counts, and the tokens of its publishers.
+    async fn subscribe(
+        &self,
+        delivery: Delivery,
+        key: &str,
+        receiver: Arc<FrameReceiver>,
+        subscriptions: &mut Subscriptions,
+    ) -> Result<(), NodeError> {
         let refused = || NodeError::refused(format!("frames on `{key}` cannot be received"));
-        if config.delivery == Delivery::Every {
+        if delivery == Delivery::Every {
             let every_frame = Arc::clone(&receiver);
             let queryable = self
                 .session
-                .declare_queryable(key.clone())
+                .declare_queryable(key.to_owned())
                 .complete(true)
                 .callback(move |query| every_frame.take_query(query))
                 .await
@@ -153,7 +202,7 @@ impl Cameras {
             .map_err(refused())?;
         let frames = self
             .session
-            .declare_subscriber(key.clone())
+            .declare_subscriber(key.to_owned())
             .callback(move |sample| receiver.take(&sample))
             .await
             .map_err(refused())?;
@@ -201,21 +250,22 @@ impl Cameras {
             None => LatePolicy::waiting(policy),
         };
         let evidence = LiveEvidence::new(
-            self.detector.clone(),
-            self.screen.clone(),
+            self.models.detector.clone(),
+            self.models.screen.clone(),
             EmptyRun::new(self.config.screen.longest_empty_run),
             slot,
             self.pixels.clone(),
             self.give_up.clone(),
         );
         let examiner = Examiner {
-            detector: self.detector.clone(),
+            detector: self.models.detector.clone(),
             pixels: self.pixels.clone(),
             energy: parts.energy.clone(),
         };
         let board = Arc::clone(&parts.board);
         let examine = move |picture, shown| examiner.clone().look(picture, shown).boxed();
         let audit = CameraAudit::new(self.config.audit, board, examine);
-        Ok(Camera::new(parts, &self.config, policy, evidence, audit))
+        let settings = self.config.loop_settings();
+        Ok(Camera::new(parts, settings, policy, evidence, audit))
     }
 }

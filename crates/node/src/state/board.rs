@@ -3,38 +3,31 @@
 mod camera;
 mod event;
 mod history;
-mod orders;
 mod savings;
 mod threshold;
 
+pub(crate) use camera::CameraSetup;
 pub use camera::{CameraBoard, CameraSnapshot};
 pub(crate) use event::provider;
 pub use event::{DetectorEvent, Event, FrameEvent, News, ThresholdEvent};
 pub(crate) use history::{CameraPiece, Clock, FRAMES, PastFrame, PowerPiece, SLOT_S, SkipEstimate};
-pub(crate) use orders::{MAX_MESSAGE_BYTES, Place};
 pub(crate) use savings::{Savings, Totals};
 
-use crate::config::NodeConfig;
-use crate::error::NodeError;
-use crate::outbox::Outbox;
 use crate::state::readiness;
-use crate::state::settings::{Settings, Values};
 use crate::state::target::NodeTarget;
-use albireo_core::target::{Target, TargetError};
+use albireo_core::policy::Policy;
 pub use albireo_power::PowerSnapshot;
 use albireo_service::clock::unix_milliseconds;
-use albireo_service::readiness::{Fault, Readiness};
+use albireo_service::readiness::Readiness;
 use albireo_service::supervise::TaskFailures;
 use albireo_vision::detector::{ExecutionProvider, HeadMeter, ModelStatus};
 use albireo_vision::worker::{WorkerCounts, WorkerMeter};
-use albireo_wire::{AuditReport, ClipReport, CountersMessage, SettingSource};
+use albireo_wire::{AuditReport, ClipReport, CountersMessage};
 use camera::Shared;
 use history::PowerPast;
-use orders::Orders;
 use parking_lot::Mutex;
 use savings::Today;
 use std::collections::VecDeque;
-use std::slice::from_ref;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::sync::broadcast;
@@ -64,12 +57,6 @@ pub struct Board {
     pub readiness: Readiness,
     /// Counts the failures of the node's tasks.
     pub tasks: TaskFailures,
-    /// Holds reports for a hub.
-    pub(crate) outbox: Arc<Outbox>,
-    /// Keeps changed settings over restarts.
-    pub(crate) settings: Arc<Settings>,
-    /// The orders that change settings, in their order.
-    pub(crate) orders: Orders,
     /// The target, which moves the thresholds while one is set.
     pub(crate) target: NodeTarget,
     shared: Shared,
@@ -97,59 +84,46 @@ pub(crate) struct ModelReading {
     pub(crate) meter: HeadMeter,
 }
 
+/// What the board of a node shows that never changes, and what its parts begin with.
+#[derive(Debug)]
+pub(crate) struct BoardSetup {
+    /// The node's name.
+    pub node: String,
+    /// File name of the detector's model.
+    pub model: String,
+    /// Requested execution providers, in order.
+    pub providers: Vec<ExecutionProvider>,
+    /// The cameras, in the order of the configuration.
+    pub cameras: Vec<CameraSetup>,
+    /// The target, which holds nothing yet.
+    pub target: NodeTarget,
+}
+
 impl Board {
-    /// Creates the board of a node with this configuration, without frames. Thresholds kept in the state directory are
-    /// reused if the policy's threshold still has that name and range and the configured value has not changed since;
-    /// an unreadable file is logged and otherwise ignored.
-    ///
-    /// # Errors
-    /// [`NodeError`] if the state directory cannot be used, or for errors that a checked configuration does not have.
-    pub fn open(config: &NodeConfig) -> Result<Arc<Self>, NodeError> {
-        let directory = config.node.state_dir.as_deref();
-        let outbox = Arc::new(Outbox::open(directory)?);
-        let settings = Arc::new(Settings::open(directory));
-        let policy = config.policy.build().map_err(NodeError::new)?;
-        let target = NodeTarget::open(config, &*policy, &settings);
+    /// Creates the board of a node under that policy, without frames, with the configured thresholds in force.
+    pub(crate) fn new(setup: BoardSetup, policy: &dyn Policy) -> Arc<Self> {
         let shared = Shared {
             started: Instant::now(),
             events: broadcast::channel(EVENT_BACKLOG).0,
         };
-        let cameras = config.cameras.iter().map(|camera| {
-            CameraBoard::new(config, camera, &*policy, shared.clone(), &settings).map(Arc::new)
-        });
-        let cameras = cameras.collect::<Result<_, _>>().map_err(NodeError::new)?;
+        let camera = |camera| Arc::new(CameraBoard::new(camera, policy, shared.clone()));
+        let cameras = setup.cameras.into_iter().map(camera).collect();
         let readiness = Readiness::default();
         let detector = Arc::new(Mutex::new(ModelStatus::Starting));
         let status = Arc::clone(&detector);
         readiness.probe(readiness::DETECTOR, "", move || {
             readiness::of_detector(&status.lock())
         });
-        let (disk, reports) = (Arc::clone(&outbox), Arc::clone(&outbox));
-        readiness.probe(readiness::DISK, "", move || {
-            disk.counts().failing.map(Fault::degraded)
-        });
-        let kept = Arc::clone(&settings);
-        readiness.probe(readiness::DISK, "settings", move || {
-            kept.fault().map(Fault::degraded)
-        });
-        readiness.probe(readiness::OUTBOX, "", move || {
-            readiness::of_outbox(&reports.counts())
-        });
         let started_ms = unix_milliseconds();
-        let model = &config.detector.model;
-        let model = model.file_name().unwrap_or(model.as_os_str());
-        Ok(Arc::new(Self {
-            node: config.node.name.clone(),
+        Arc::new(Self {
+            node: setup.node,
             policy: policy.name(),
-            model: model.to_string_lossy().into_owned(),
-            providers: config.detector.providers.clone(),
+            model: setup.model,
+            providers: setup.providers,
             cameras,
             readiness,
             tasks: TaskFailures::default(),
-            outbox,
-            settings,
-            orders: Orders::default(),
-            target,
+            target: setup.target,
             shared,
             clips: Mutex::default(),
             detector,
@@ -161,7 +135,7 @@ impl Board {
                 since_ms: started_ms,
                 before: Totals::default(),
             }),
-        }))
+        })
     }
 
     /// The counts of the detector and the screen: zero before they start, and without a screen.
@@ -275,30 +249,6 @@ impl Board {
             target: self.target.is_on().then(|| self.target.report()),
             audit: snapshot.audit.as_ref().map(AuditReport::figures),
         }
-    }
-
-    /// Holds `target` from now on, or none: the threshold then keeps its value. Sets what `kept` is to have of it.
-    ///
-    /// # Errors
-    /// [`TargetError`] if it cannot be held; then nothing changes.
-    pub(crate) fn set_target(
-        &self,
-        target: Option<Target>,
-        source: SettingSource,
-        kept: &mut Values,
-    ) -> Result<(), TargetError> {
-        let has_target = self.target.is_on();
-        let threshold = self.cameras.first().and_then(|camera| camera.threshold());
-        self.target.set(target, threshold, source, kept)?;
-        if has_target && target.is_none() {
-            for camera in &self.cameras {
-                if let Some(threshold) = camera.threshold_in_force() {
-                    // Cannot fail: it is in force.
-                    let _ = self.set_thresholds(from_ref(camera), threshold, source, kept);
-                }
-            }
-        }
-        Ok(())
     }
 
     /// The present status of the detector.

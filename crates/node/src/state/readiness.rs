@@ -12,7 +12,6 @@
 //! | `disk` | | reports or settings in the state directory cannot be written, or were damaged |
 //! | `tasks` | a camera's loop has failed and does not run | a task failed and runs again, or a non-essential one does not run |
 
-use crate::outbox::OutboxCounts;
 use crate::state::board::Board;
 use albireo_power::PowerHandle;
 use albireo_service::readiness::{Fault, Readiness};
@@ -44,9 +43,6 @@ pub(crate) const TASKS: &str = albireo_service::supervise::PART;
 
 /// The time limit for a meter's first sample.
 const FIRST_SAMPLE: Duration = Duration::from_secs(15);
-
-/// The time for which lost clip reports are shown.
-const LOSS_SHOWN_FOR: Duration = Duration::from_secs(600);
 
 /// All parts, in the order of the metrics.
 pub(crate) const PARTS: [&str; 9] = [
@@ -93,18 +89,6 @@ pub(crate) fn of_detector(status: &ModelStatus) -> Option<Fault> {
 /// The fault of the node if the screen has this status: without the screen the detector is called.
 pub(crate) fn of_screen(status: &ModelStatus) -> Option<Fault> {
     of_detector(status).map(|fault| Fault::degraded(fault.reason))
-}
-
-/// The fault shown by the outbox's counts.
-pub(crate) fn of_outbox(counts: &OutboxCounts) -> Option<Fault> {
-    let lost = (counts.last_loss).is_some_and(|at| at.elapsed() < LOSS_SHOWN_FOR);
-    let minutes = LOSS_SHOWN_FOR.as_secs() / 60;
-    let reason = match &counts.failing {
-        _ if lost => format!("clip reports were lost in the last {minutes} minutes"),
-        Some(_) => "clip reports wait in memory and do not survive a power loss".to_owned(),
-        None => return None,
-    };
-    Some(Fault::degraded(reason))
 }
 
 /// A camera without a frame for this long makes the node degraded.

@@ -3,9 +3,7 @@
 #[cfg(test)]
 mod tests;
 
-use crate::config::NodeConfig;
 use crate::state::board::{Board, Totals};
-use crate::state::settings::{Settings, Values};
 use albireo_core::audit::AuditSums;
 use albireo_core::policy::{Policy, ThresholdSpec};
 use albireo_core::target::{
@@ -15,9 +13,6 @@ use albireo_wire::{SettingSource, TargetReport, Threshold, VERSION};
 use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
-
-/// The name of the setting in the state file.
-const SETTING: &str = "target";
 
 /// Smaller relative changes of a threshold are skipped: every change is announced and recorded in the clip's report.
 const LEAST_CHANGE: f64 = 0.02;
@@ -35,60 +30,71 @@ pub struct TargetConfig {
 }
 
 /// The target, and the threshold when it was kept.
-type Kept = (Option<Target>, Option<Threshold>);
+pub(crate) type KeptTarget = (Option<Target>, Option<Threshold>);
 
 #[derive(Debug)]
-struct State {
+struct Held {
     controller: Option<TargetController>,
     source: SettingSource,
     last: Option<TargetState>,
     off: Option<String>,
 }
 
-/// The target of one node: its source, and the part that survives a restart.
+/// The target of one node, its source and its controller.
 #[derive(Debug)]
 pub(crate) struct NodeTarget {
     configured: Option<Target>,
     /// The range in which the threshold may move, or why there is none.
     range: Result<ThresholdRange, TargetError>,
     spec: Option<ThresholdSpec>,
-    state: Mutex<State>,
+    /// The threshold with which the controller begins without a kept one.
+    first_threshold: Option<f64>,
+    held: Mutex<Held>,
 }
 
 impl NodeTarget {
-    /// Starts with the configured or the later kept target. Without a kept value, the controller begins with the
-    /// threshold of the first camera.
-    pub(crate) fn open(config: &NodeConfig, policy: &dyn Policy, settings: &Settings) -> Self {
-        let (target, spec) = (config.target, policy.threshold_spec());
-        let kept = settings.kept::<Kept, _>(SETTING, &target.hold);
-        let ((held, threshold), source) =
-            kept.unwrap_or(((target.hold, None), SettingSource::Configuration));
-        let place = (threshold.zip(spec)).and_then(|(kept, spec)| kept.value_of(&spec).ok());
-        let begin = config.cameras.first().and_then(|camera| camera.threshold);
-        let begin = place.or(begin).or_else(|| policy.threshold());
-        let range = ThresholdRange::of(policy.name(), spec.as_ref(), target.least, target.most);
-        let (controller, off) = match controller(&range, held, begin) {
-            Ok(controller) => (controller, None),
-            Err(error) => {
-                tracing::error!(target = ?held, %error, "the target is not held");
-                (None, Some(error.to_string()))
-            }
-        };
+    /// The target of a node with that policy, which begins with `first_threshold`. Holds nothing yet.
+    pub(crate) fn new(
+        config: &TargetConfig,
+        policy: &dyn Policy,
+        first_threshold: Option<f64>,
+    ) -> Self {
+        let spec = policy.threshold_spec();
         Self {
-            configured: target.hold,
-            range,
+            configured: config.hold,
+            range: ThresholdRange::of(policy.name(), spec.as_ref(), config.least, config.most),
             spec,
-            state: Mutex::new(State {
-                controller,
-                source,
+            first_threshold,
+            held: Mutex::new(Held {
+                controller: None,
+                source: SettingSource::Configuration,
                 last: None,
-                off,
+                off: None,
             }),
         }
     }
 
-    /// Holds `target` from now on, beginning at `threshold`; or none, and the threshold stays. Sets what `kept` is to have
-    /// of it.
+    /// Holds the kept target, or the configured one. A target that cannot be held is logged, and its report says why.
+    pub(crate) fn begin(&self, kept: Option<(KeptTarget, SettingSource)>) {
+        let configured = ((self.configured, None), SettingSource::Configuration);
+        let ((target, threshold), source) = kept.unwrap_or(configured);
+        let place = threshold.zip(self.spec).and_then(|(kept, spec)| kept.value_of(&spec).ok());
+        let (controller, off) = match self.controller(target, place.or(self.first_threshold)) {
+            Ok(controller) => (controller, None),
+            Err(error) => {
+                tracing::error!(?target, %error, "the target is not held");
+                (None, Some(error.to_string()))
+            }
+        };
+        *self.held.lock() = Held {
+            controller,
+            source,
+            last: None,
+            off,
+        };
+    }
+
+    /// Holds `target` from now on, beginning at `threshold`; or none, and the threshold stays.
     ///
     /// # Errors
     /// [`TargetError`] if its value is invalid or the policy has no threshold; then nothing changes.
@@ -97,18 +103,16 @@ impl NodeTarget {
         target: Option<Target>,
         threshold: Option<f64>,
         source: SettingSource,
-        kept: &mut Values,
     ) -> Result<(), TargetError> {
-        let controller = controller(&self.range, target, threshold)?;
-        let mut state = self.state.lock();
+        let controller = self.controller(target, threshold)?;
+        let mut held = self.held.lock();
         // Setting the same target again keeps what the controller has learnt.
-        if target != state.controller.as_ref().map(TargetController::target) {
-            state.last = None;
-            state.off = target.is_none().then(|| "it was switched off".to_owned());
-            state.controller = controller;
+        if target != held.controller.as_ref().map(TargetController::target) {
+            held.last = None;
+            held.off = target.is_none().then(|| "it was switched off".to_owned());
+            held.controller = controller;
         }
-        state.source = source;
-        self.keep(&state, kept);
+        held.source = source;
         match target {
             Some(target) => tracing::info!(%target, ?source, "target set"),
             None => tracing::info!(?source, "target switched off"),
@@ -116,11 +120,11 @@ impl NodeTarget {
         Ok(())
     }
 
-    /// Ends the target, if there is one, because somebody turns the threshold by hand.
-    pub(crate) fn turned_by_hand(&self, source: SettingSource, kept: &mut Values) {
-        let mut state = self.state.lock();
-        let Some(controller) = state.controller.take() else {
-            return;
+    /// Ends the target, if there is one, because `source` sets the threshold. Returns true if there was one.
+    pub(crate) fn threshold_was_set(&self, source: SettingSource) -> bool {
+        let mut held = self.held.lock();
+        let Some(controller) = held.controller.take() else {
+            return false;
         };
         let by = match source {
             SettingSource::Hub => "the hub",
@@ -128,22 +132,22 @@ impl NodeTarget {
         };
         let off = format!("the threshold was set by {by}");
         tracing::info!(target = %controller.target(), "target switched off: {off}");
-        state.off = Some(off);
-        state.last = None;
-        state.source = source;
-        self.keep(&state, kept);
+        held.off = Some(off);
+        held.last = None;
+        held.source = source;
+        true
     }
 
     /// Runs a step of the controller; then `apply` gets the threshold's value, before anybody can turn it by hand.
     fn step(&self, measured: &Measured, apply: impl FnOnce(f64)) {
-        let mut state = self.state.lock();
-        let Some(controller) = &mut state.controller else {
+        let mut held = self.held.lock();
+        let Some(controller) = &mut held.controller else {
             return;
         };
         let before = controller.threshold();
         let now = controller.step(measured);
-        let first = state.last.is_none();
-        state.last = Some(now);
+        let first = held.last.is_none();
+        held.last = Some(now);
         if first || now.threshold != before {
             apply(now.threshold);
         }
@@ -151,59 +155,70 @@ impl NodeTarget {
 
     /// True if a target is held.
     pub(crate) fn is_on(&self) -> bool {
-        self.state.lock().controller.is_some()
+        self.held.lock().controller.is_some()
     }
 
     /// The state of the target.
     pub(crate) fn report(&self) -> TargetReport {
-        let state = self.state.lock();
-        let controller = state.controller.as_ref();
-        let last = state.last;
+        let held = self.held.lock();
+        let controller = held.controller.as_ref();
+        let last = held.last;
         TargetReport {
             v: VERSION,
             target: controller.map(TargetController::target),
-            source: state.source,
-            off: state.off.clone(),
+            source: held.source,
+            off: held.off.clone(),
             range: controller.and_then(|_| self.range.clone().ok()),
-            threshold: self.threshold(&state),
+            threshold: self.threshold(&held),
             state: last,
             why: last.map(|last| last.status.as_str().to_owned()),
         }
     }
 
-    fn keep(&self, state: &State, kept: &mut Values) {
-        let target = state.controller.as_ref().map(TargetController::target);
-        let setting: Kept = (target, self.threshold(state));
-        kept.keep(SETTING, setting, state.source, self.configured);
+    /// What is to be kept of it for a restart, and its source.
+    pub(crate) fn kept(&self) -> (KeptTarget, SettingSource) {
+        let held = self.held.lock();
+        let target = held.controller.as_ref().map(TargetController::target);
+        ((target, self.threshold(&held)), held.source)
+    }
+
+    /// The configured target.
+    pub(crate) fn configured(&self) -> Option<Target> {
+        self.configured
+    }
+
+    /// A controller that holds `target`, beginning at `threshold`; none without a target.
+    fn controller(
+        &self,
+        target: Option<Target>,
+        threshold: Option<f64>,
+    ) -> Result<Option<TargetController>, TargetError> {
+        let Some(target) = target else {
+            return Ok(None);
+        };
+        let range = self.range.clone()?;
+        TargetController::new(target, range, threshold.unwrap_or(range.least)).map(Some)
     }
 
     /// The threshold that the controller wants.
-    fn threshold(&self, state: &State) -> Option<Threshold> {
-        let (spec, controller) = self.spec.as_ref().zip(state.controller.as_ref())?;
+    fn threshold(&self, held: &Held) -> Option<Threshold> {
+        let (spec, controller) = self.spec.as_ref().zip(held.controller.as_ref())?;
         Some(Threshold::new(spec.name, controller.threshold()))
     }
 }
 
-/// A controller that holds `target`, beginning at `threshold`.
-fn controller(
-    range: &Result<ThresholdRange, TargetError>,
-    target: Option<Target>,
-    threshold: Option<f64>,
-) -> Result<Option<TargetController>, TargetError> {
-    let Some(target) = target else {
-        return Ok(None);
-    };
-    let range = range.clone()?;
-    TargetController::new(target, range, threshold.unwrap_or(range.least)).map(Some)
-}
-
 impl Board {
-    /// Keeps the threshold's value while a target is held, so that a restart continues from there. Writes a small file.
-    pub(crate) fn keep_place(&self) {
-        if self.target.is_on() {
-            let target = &self.target;
-            (self.settings).change(|kept| target.keep(&target.state.lock(), kept));
-        }
+    /// Holds `target` from now on, beginning at the threshold of the first camera; or none.
+    ///
+    /// # Errors
+    /// [`TargetError`] if it cannot be held; then nothing changes.
+    pub(crate) fn set_target(
+        &self,
+        target: Option<Target>,
+        source: SettingSource,
+    ) -> Result<(), TargetError> {
+        let threshold = self.cameras.first().and_then(|camera| camera.threshold());
+        self.target.set(target, threshold, source)
     }
 
     /// Passes the counts of the last second to the controller, and the threshold's new value to the cameras.

@@ -3,6 +3,7 @@
 mod cameras;
 
 use super::RouteState;
+use crate::outbox::OutboxCounts;
 use crate::state::board::{Board, provider};
 use crate::state::readiness::PARTS;
 use albireo_service::metrics::MetricsPage;
@@ -30,7 +31,7 @@ pub(super) async fn text(State(shared): State<RouteState>) -> MetricsPage {
     detector(&mut page, board);
     cameras::cameras(&mut page, board);
     target(&mut page, board);
-    outbox(&mut page, board);
+    outbox(&mut page, &shared.outbox.counts());
     power(&mut page, board);
     page
 }
@@ -179,8 +180,7 @@ fn target(page: &mut MetricsPage, board: &Board) {
 }
 
 /// The counts of the outbox.
-fn outbox(page: &mut MetricsPage, board: &Board) {
-    let counts = board.outbox.counts();
+fn outbox(page: &mut MetricsPage, counts: &OutboxCounts) {
     page.gauge(
         "albireo_outbox_waiting",
         "Clip reports that no hub has acknowledged",

@@ -73,7 +73,7 @@ pub(super) async fn overview(State(shared): State<RouteState>) -> Json<NodeOverv
         uptime_s: seconds(board.uptime()),
         readiness: readiness(board),
         detector: board.reading.get().map(detector),
-        outbox: board.outbox.counts().status,
+        outbox: shared.outbox.counts().status,
         power_source: board.power().source,
         since_start,
         today,

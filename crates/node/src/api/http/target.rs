@@ -40,11 +40,10 @@ pub(super) async fn put(
         |what: String| Problem::new(StatusCode::UNPROCESSABLE_ENTITY, what).allowing(Target::NAMES);
     let message: TargetMessage = message(&headers, &body, EXPECTED)?;
     check_version(message.v).map_err(|error| refused(error.to_string()))?;
-    let board = Arc::clone(&shared.board);
+    let settings = Arc::clone(&shared.settings);
     let local = SettingSource::Local;
-    let place = board.orders.place();
-    let set =
-        move || board.change_in_turn(place, |kept| board.set_target(message.target, local, kept));
+    let place = settings.orders.place();
+    let set = move || settings.change_in_turn(place, |change| change.target(message.target, local));
     off_the_runtime(set).await?.map_err(|error| refused(error.to_string()))?;
     Ok(Json(shared.board.target.report()))
 }

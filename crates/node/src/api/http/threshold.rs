@@ -2,7 +2,7 @@
 
 use super::RouteState;
 use super::change::{message, off_the_runtime};
-use crate::state::board::{Board, CameraBoard};
+use crate::state::board::CameraBoard;
 use albireo_core::policy::{InvalidThreshold, ThresholdSpec, short};
 use albireo_service::http::Problem;
 use albireo_wire::{SettingSource, Threshold, VERSION, check_version};
@@ -63,36 +63,37 @@ pub(super) struct Thresholds {
     cameras: Vec<CameraThreshold>,
 }
 
-fn of(board: &Board, camera: &CameraBoard) -> CameraThreshold {
+fn of(shared: &RouteState, camera: &CameraBoard) -> CameraThreshold {
     CameraThreshold {
         camera: camera.name().to_owned(),
         value: named(camera.threshold_in_force()),
         threshold_spec: camera.threshold_spec,
-        survives_restart: board.settings.survive_restart(),
+        survives_restart: shared.settings.survive_restart(),
     }
 }
 
-fn thresholds(board: &Board) -> Thresholds {
-    let cameras: Vec<_> = (board.cameras.iter()).map(|camera| of(board, camera)).collect();
+fn thresholds(shared: &RouteState) -> Thresholds {
+    let cameras = shared.board.cameras.iter();
+    let cameras: Vec<_> = cameras.map(|camera| of(shared, camera)).collect();
     let first = cameras.first().map(|camera| camera.value.clone());
     let same = first.filter(|first| cameras.iter().all(|camera| camera.value == *first));
     Thresholds {
         value: same.unwrap_or_default(),
-        survives_restart: board.settings.survive_restart(),
+        survives_restart: shared.settings.survive_restart(),
         cameras,
     }
 }
 
 /// Sets the threshold of these cameras to the value in a request.
 async fn put(
-    board: &Arc<Board>,
+    shared: &RouteState,
     cameras: Vec<Arc<CameraBoard>>,
     headers: &HeaderMap,
     body: &Bytes,
 ) -> Result<(), Problem> {
     let spec = cameras.first().and_then(|camera| camera.threshold_spec);
     let spec = spec.ok_or_else(|| {
-        let policy = board.policy;
+        let policy = shared.board.policy;
         let absent = InvalidThreshold::Absent { policy }.to_string();
         Problem::new(StatusCode::CONFLICT, absent)
     })?;
@@ -110,11 +111,11 @@ async fn put(
         return Err(fault(&"it must have exactly one value"));
     };
     let (threshold, local) = (Threshold::new(&name, value), SettingSource::Local);
-    let board = Arc::clone(board);
-    let place = board.orders.place();
+    let settings = Arc::clone(&shared.settings);
+    let place = settings.orders.place();
     let set = move || {
-        board.change_in_turn(place, |kept| {
-            board.set_thresholds(&cameras, threshold, local, kept)
+        settings.change_in_turn(place, |change| {
+            change.thresholds(&cameras, threshold, local)
         })
     };
     off_the_runtime(set).await?.map_err(|error| fault(&error))
@@ -125,7 +126,7 @@ async fn put(
 /// `curl http://127.0.0.1:8080/api/v1/threshold`
 #[utoipa::path(get, operation_id = "thresholds", path = "/api/v1/threshold", tag = "threshold", responses((status = 200, body = Thresholds)))]
 pub(super) async fn get_all(State(shared): State<RouteState>) -> Json<Thresholds> {
-    Json(thresholds(&shared.board))
+    Json(thresholds(&shared))
 }
 
 /// Changes the threshold of all cameras, or of none
@@ -142,14 +143,9 @@ pub(super) async fn put_all(
     headers: HeaderMap,
     body: Bytes,
 ) -> Result<Json<Thresholds>, Problem> {
-    put(
-        &shared.board,
-        shared.board.cameras.to_vec(),
-        &headers,
-        &body,
-    )
-    .await?;
-    Ok(Json(thresholds(&shared.board)))
+    let cameras = shared.board.cameras.clone();
+    put(&shared, cameras, &headers, &body).await?;
+    Ok(Json(thresholds(&shared)))
 }
 
 /// A camera's threshold in force
@@ -165,7 +161,7 @@ pub(super) async fn get_one(
     Path(camera): Path<String>,
 ) -> Result<Json<CameraThreshold>, Problem> {
     let camera = shared.camera(&camera)?;
-    Ok(Json(of(&shared.board, camera)))
+    Ok(Json(of(&shared, camera)))
 }
 
 /// Changes a camera's threshold
@@ -184,6 +180,6 @@ pub(super) async fn put_one(
     body: Bytes,
 ) -> Result<Json<CameraThreshold>, Problem> {
     let camera = shared.camera(&camera)?;
-    put(&shared.board, vec![Arc::clone(camera)], &headers, &body).await?;
-    Ok(Json(of(&shared.board, camera)))
+    put(&shared, vec![Arc::clone(camera)], &headers, &body).await?;
+    Ok(Json(of(&shared, camera)))
 }

@@ -1,7 +1,7 @@
 use super::*;
+use crate::PreparedNode;
 use crate::camera::tests::picture;
 use crate::config::NodeConfig;
-use crate::state::board::Board;
 use futures_util::FutureExt;
 use parking_lot::Mutex;
 use tokio::sync::oneshot;
@@ -19,7 +19,7 @@ fn compared() -> AuditReport {
 fn every_drawn_frame_is_compared_or_missed_and_counted_once() {
     let mut config = NodeConfig::default();
     config.audit.share = 1.0;
-    let board = Board::open(&config).unwrap();
+    let board = Arc::clone(PreparedNode::new(&config).unwrap().board());
     let camera = Arc::clone(&board.cameras[0]);
     let examined = Arc::new(Mutex::new(VecDeque::new()));
     let started = Arc::clone(&examined);

@@ -1,5 +1,6 @@
 //! Applies and acknowledges the hub's desired setting.
 
+use crate::settings::Settings;
 use crate::state::board::Board;
 use albireo_wire::{Desired, DesiredSetting, RefusedDesired, SettingSource};
 use serde::{Deserialize, Serialize};
@@ -25,15 +26,16 @@ impl Known {
 }
 
 /// Returns what the node knows.
-pub(in crate::delivery) fn known(board: &Board) -> Known {
-    board.settings.get(SETTING).unwrap_or_default()
+pub(in crate::delivery) fn known(settings: &Settings) -> Known {
+    settings.get(SETTING).unwrap_or_default()
 }
 
 /// Applies `desired`, once per revision, and returns true if anything changed. A lower revision never replaces a higher
 /// one. The setting and its revision are kept by one write: a power loss leaves both or none.
-pub(in crate::delivery) fn take(desired: &Desired, board: &Board) -> bool {
-    let (before, revision) = (known(board), desired.revision);
+pub(in crate::delivery) fn take(desired: &Desired, settings: &Settings, board: &Board) -> bool {
+    let before = known(settings);
     let known = before.revision();
+    let revision = desired.revision;
     if revision < known {
         tracing::warn!(
             revision,
@@ -44,16 +46,14 @@ pub(in crate::delivery) fn take(desired: &Desired, board: &Board) -> bool {
     if revision <= known {
         return false;
     }
-    board.change_in_turn(board.orders.place(), |kept| {
+    settings.change_in_turn(settings.orders.place(), |change| {
         let hub = SettingSource::Hub;
         let applied = match desired.setting {
             None => Ok(()),
             Some(DesiredSetting::Threshold(threshold)) => {
-                board.set_thresholds(&board.cameras, threshold, hub, kept)
+                change.thresholds(&board.cameras, threshold, hub)
             }
-            Some(DesiredSetting::Target(target)) => {
-                board.set_target(target, hub, kept).map_err(Into::into)
-            }
+            Some(DesiredSetting::Target(target)) => change.target(target, hub).map_err(Into::into),
         };
         let known = match applied {
             Ok(()) => Known {
@@ -67,7 +67,7 @@ pub(in crate::delivery) fn take(desired: &Desired, board: &Board) -> bool {
                 Known { refused, ..before }
             }
         };
-        kept.set(SETTING, &known);
+        change.keep(SETTING, &known);
     });
     true
 }
@@ -75,21 +75,18 @@ pub(in crate::delivery) fn take(desired: &Desired, board: &Board) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::state::board::tests::{board_of, config, set_by_hand, thresholds};
+    use crate::PreparedNode;
+    use crate::settings::tests::{config, prepared, thresholds};
     use albireo_wire::{Target, Threshold};
     use std::path::Path;
-    use std::sync::Arc;
 
     const HALF: Option<Target> = Some(Target::SkipRate(0.5));
 
-    struct Node {
-        board: Arc<Board>,
-    }
+    struct Node(PreparedNode);
 
     impl Node {
         fn start(state: &Path) -> Self {
-            let board = board_of(&config(Some(state), "albireo"));
-            Self { board }
+            Self(prepared(&config(Some(state), "albireo")))
         }
 
         fn take(&self, revision: u64, setting: DesiredSetting) -> bool {
@@ -98,15 +95,15 @@ mod tests {
                 setting: Some(setting),
                 ..Desired::nothing()
             };
-            take(&desired, &self.board)
+            take(&desired, &self.0.settings, &self.0.board)
         }
 
         fn known(&self) -> Known {
-            known(&self.board)
+            known(&self.0.settings)
         }
 
         fn target(&self) -> Option<Target> {
-            self.board.target.report().target
+            self.0.board.target.report().target
         }
     }
 
@@ -126,13 +123,13 @@ mod tests {
         let node = Node::start(folder.path());
         assert_eq!((node.target(), node.known().revision()), (HALF, 3));
         // A threshold turned at the node ends it, until the hub desires something new.
-        set_by_hand(&node.board, &node.board.cameras[1..], 0.01).unwrap();
+        node.0.settings.set_by_hand(&node.0.board.cameras[1..], 0.01).unwrap();
         assert!(!node.take(3, half));
         assert_eq!(node.target(), None);
         assert!(node.take(4, half));
         assert_eq!(node.target(), HALF);
         assert!(node.take(5, value));
-        let off = node.board.target.report().off;
+        let off = node.0.board.target.report().off;
         assert_eq!(off.as_deref(), Some("the threshold was set by the hub"));
         assert!(!node.take(4, half));
         // What cannot be held is refused and changes nothing.
@@ -144,14 +141,14 @@ mod tests {
         let said = "`skip_rate` must be";
         assert!(refused.reason.contains(said), "{refused:?}");
         assert_eq!(node.target(), None);
-        assert_eq!(thresholds(&node.board), [0.07; 2]);
+        assert_eq!(thresholds(&node.0.board), [0.07; 2]);
         // Nothing to hold leaves the threshold where it is.
         assert!(node.take(7, half));
         assert!(node.take(8, DesiredSetting::Target(None)));
         let known = node.known();
         assert_eq!(node.target(), None);
         assert_eq!((known.in_force, known.refused), (8, None));
-        let values = thresholds(&node.board);
+        let values = thresholds(&node.0.board);
         let is_kept = |u: &f64| (1.5e-4..=0.07).contains(u);
         assert!(values.iter().all(is_kept), "{values:?}");
     }

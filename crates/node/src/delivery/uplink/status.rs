@@ -1,6 +1,8 @@
 //! Decides when a status is due, and writes it.
 
 use super::desired::known;
+use crate::outbox::Outbox;
+use crate::settings::Settings;
 use crate::state::board::{Board, provider};
 use albireo_service::clock::Now;
 use albireo_wire::{
@@ -63,13 +65,19 @@ impl StatusSender {
 
     /// Returns the payload of a message, if one is due: a full status after a change, and at intervals a heartbeat if
     /// only numbers have changed.
-    pub(in crate::delivery) fn due(&mut self, now: Now, board: &Board) -> Option<Vec<u8>> {
+    pub(in crate::delivery) fn due(
+        &mut self,
+        now: Now,
+        board: &Board,
+        settings: &Settings,
+        outbox: &Outbox,
+    ) -> Option<Vec<u8>> {
         let since = self.sent_at.map(|at| now.at.saturating_duration_since(at));
         if since.is_some_and(|since| since < LEAST_PAUSE) {
             return None;
         }
-        let known = known(board);
-        let status = self.status(board, known.refused);
+        let known = known(settings);
+        let status = self.status(board, outbox, known.refused);
         let lasting = without_figures(status.clone());
         let changed = self.last.as_ref() != Some(&lasting);
         if !changed && since.is_some_and(|since| since.as_secs() < self.heartbeat_s.into()) {
@@ -98,7 +106,12 @@ impl StatusSender {
         serde_json::to_vec(&message).ok()
     }
 
-    fn status(&self, board: &Board, refused: Option<RefusedDesired>) -> NodeStatus {
+    fn status(
+        &self,
+        board: &Board,
+        outbox: &Outbox,
+        refused: Option<RefusedDesired>,
+    ) -> NodeStatus {
         let cameras = board.cameras.iter().map(|camera| {
             let state = match camera.snapshot().last_frame_age() {
                 None => CameraState::NeverSeen,
@@ -124,7 +137,7 @@ impl StatusSender {
             power_source: power.source,
             power_quality: power.quality,
             health: board.readiness.health().status(),
-            outbox: board.outbox.counts().status,
+            outbox: outbox.counts().status,
             refused,
             target: target.status(),
             target_off: target.off,
@@ -156,12 +169,16 @@ fn without_figures(mut status: NodeStatus) -> NodeStatus {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::state::board::tests::{board_of, config};
+    use crate::settings::tests::{config, prepared};
 
     #[test]
     fn a_hub_makes_heartbeats_rarer_within_limits() {
-        let (board, mut now) = (board_of(&config(None, "albireo")), Now::system());
+        let node = prepared(&config(None, "albireo"));
+        let mut now = Now::system();
         let mut sender = StatusSender::new(BTreeMap::new(), 1, now);
+        let due = |sender: &mut StatusSender, now| {
+            sender.due(now, &node.board, &node.settings, &node.outbox)
+        };
         for (wanted_s, pause) in [
             (None, 30),
             (Some(1), 30),
@@ -170,12 +187,12 @@ mod tests {
         ] {
             let mut desired = Desired::nothing();
             desired.heartbeat_s = wanted_s;
-            sender.due(now, &board).unwrap();
+            due(&mut sender, now).unwrap();
             sender.follow(&desired);
             now.at += Duration::from_secs(pause - 1);
-            assert_eq!(sender.due(now, &board), None, "{wanted_s:?}");
+            assert_eq!(due(&mut sender, now), None, "{wanted_s:?}");
             now.at += Duration::from_secs(1);
         }
-        sender.due(now, &board).unwrap();
+        due(&mut sender, now).unwrap();
     }
 }

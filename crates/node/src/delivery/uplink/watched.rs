@@ -107,9 +107,9 @@ impl Watched {
 /// Answers a picture query. Encodes the picture: call it outside async workers.
 fn answer(camera: &CameraBoard, query: &Query, setup: &UplinkSetup) {
     let answered = match camera.input.latest_frame() {
-        _ if !setup.config.uplink.pictures => query.reply_err(REFUSED).wait(),
+        _ if !setup.uplink.pictures => query.reply_err(REFUSED).wait(),
         None => query.reply_err("no frame has arrived yet").wait(),
-        Some(frame) => match frame.jpeg(&setup.config.frame) {
+        Some(frame) => match frame.jpeg(&setup.limits) {
             Ok(file) => query
                 .reply(query.key_expr().clone(), file.to_vec())
                 .encoding(Encoding::IMAGE_JPEG)

@@ -1,7 +1,7 @@
 //! Flips single bits of a node's files: the result is the same, or the node says what it lost.
 
 use super::*;
-use crate::state::settings::Settings;
+use crate::settings::SettingsFile;
 use rand_core::{RngCore, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use std::collections::BTreeMap;
@@ -27,7 +27,7 @@ impl Killed {
         let bench = Bench::new();
         let outbox = bench.open();
         keep(&outbox, 0..REPORTS);
-        let settings = Settings::open(Some(&bench.state()));
+        let settings = SettingsFile::open(Some(&bench.state()));
         settings.change(|kept| kept.set(SETTING, &9e-4));
         let files = [FILE, "node.db-wal", WITNESS, "settings.json"];
         let files = files.map(|name| (name, std::fs::read(bench.state().join(name)).unwrap()));
@@ -56,7 +56,7 @@ impl Killed {
             std::fs::write(state.join(name), bytes).unwrap();
         }
         let case = format!("seed {seed}: byte {place} of {}", self.files[flipped].0);
-        let settings = Settings::open(Some(&state));
+        let settings = SettingsFile::open(Some(&state));
         let is_kept = settings.get(SETTING) == Some(9e-4);
         assert!(is_kept || settings.fault().is_some(), "{case}");
         // Another program's file, as far as the node can tell: it does not start, and says why.

@@ -2,20 +2,17 @@
 
 use super::event::{Event, FrameEvent, News};
 use super::history::{CameraPiece, Clock, History, PastFrame, SkipEstimate};
-use super::threshold;
-use crate::config::{CameraConfig, NodeConfig};
 use crate::frame::FrameRecord;
 use crate::input::{InputCounter, Unusable};
 use crate::publishing::Unpublished;
 use crate::state::advice::{Advice, SkipWatch};
-use crate::state::settings::Settings;
 use albireo_core::audit::AuditSums;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{BoxSource, Policy, Profile, ThresholdSpec, short};
 use albireo_service::metrics::LatencyHistogram;
 use albireo_wire::{
     AuditReport, BoxMessage, CameraKeys, DetectionsMessage, DetectorCalls, DroppedFrames,
-    FrameStates, KeyError, SettingSource,
+    FrameStates, SettingSource,
 };
 use parking_lot::Mutex;
 use std::collections::BTreeMap;
@@ -140,6 +137,25 @@ pub(super) struct Shared {
     pub events: broadcast::Sender<Arc<Event>>,
 }
 
+/// What the board of a camera shows that never changes, and its first threshold.
+#[derive(Debug)]
+pub(crate) struct CameraSetup {
+    /// The camera's name.
+    pub name: String,
+    /// Its Zenoh keys.
+    pub keys: CameraKeys,
+    /// The Zenoh key of its frames.
+    pub key: String,
+    /// The source that the node opens for it, without credentials.
+    pub source: Option<String>,
+    /// Its threshold, instead of the policy's.
+    pub threshold: Option<f64>,
+    /// An audit without results; `None` without an audit.
+    pub audit: Option<AuditReport>,
+    /// The profile of the policy's numbers.
+    pub profile: Profile,
+}
+
 /// One camera's part of the live board. One lock guards the counters of the camera's loop, so every snapshot of them is
 /// consistent.
 #[derive(Debug)]
@@ -171,36 +187,30 @@ pub struct CameraBoard {
 }
 
 impl CameraBoard {
-    pub(super) fn new(
-        config: &NodeConfig,
-        camera: &CameraConfig,
-        policy: &dyn Policy,
-        shared: Shared,
-        settings: &Settings,
-    ) -> Result<Self, KeyError> {
-        let (name, spec) = (camera.name.as_str(), policy.threshold_spec());
-        let configured = spec.and_then(|_| camera.threshold.or_else(|| policy.threshold()));
-        let kept = spec.and_then(|spec| threshold::kept(settings, name, &spec, configured));
+    /// Creates the board of a camera without frames, with the configured threshold in force.
+    pub(super) fn new(setup: CameraSetup, policy: &dyn Policy, shared: Shared) -> Self {
+        let spec = policy.threshold_spec();
+        let configured = spec.and_then(|_| setup.threshold.or_else(|| policy.threshold()));
         let mut counts = Counts::default();
-        counts.shown.audit = config.audit.report();
-        Ok(Self {
-            name: name.into(),
-            keys: config.keys()?.camera(name)?,
-            key: config.frame_key(camera)?,
-            source: camera.source.as_ref().map(ToString::to_string),
+        counts.shown.audit = setup.audit;
+        Self {
+            name: setup.name.into(),
+            keys: setup.keys,
+            key: setup.key,
+            source: setup.source,
             threshold_spec: spec,
-            has_sizeless_u: config.policy.profile == Profile::Paper
+            has_sizeless_u: setup.profile == Profile::Paper
                 && spec.is_some_and(|spec| spec.name == "u"),
             longest_pause: policy.longest_pause(),
             shared,
             configured,
-            threshold: watch::Sender::new(kept.map(|(value, _)| value).or(configured)),
-            set_by: Mutex::new(kept.map_or(SettingSource::Configuration, |(_, source)| source)),
+            threshold: watch::Sender::new(configured),
+            set_by: Mutex::new(SettingSource::Configuration),
             input: Arc::default(),
             unpublished: Unpublished::default(),
             counts: Mutex::new(counts),
             history: Mutex::default(),
-        })
+        }
     }
 
     /// The camera's name.

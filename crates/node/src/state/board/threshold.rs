@@ -1,64 +1,12 @@
-//! Sets the threshold of a camera for HTTP, Zenoh and the hub, reports it to subscribers, and keeps it over a restart.
+//! The threshold of a camera: its value in force, and who set it.
 
-use super::Board;
 use super::camera::CameraBoard;
 use super::event::{Event, News, ThresholdEvent};
-use crate::state::settings::{Settings, Values};
 use albireo_core::geometry::PictureSize;
-use albireo_core::policy::{InvalidThreshold, ThresholdSpec, published_threshold};
+use albireo_core::policy::{ThresholdSpec, published_threshold};
 use albireo_wire::{SettingSource, Threshold, significant};
-use std::error::Error;
 use std::sync::Arc;
 use tokio::sync::watch;
-
-fn setting(camera: &str) -> String {
-    format!("threshold/{camera}")
-}
-
-/// The value kept for a camera and its source, if it still fits the threshold and the configuration.
-pub(super) fn kept(
-    settings: &Settings,
-    camera: &str,
-    spec: &ThresholdSpec,
-    configured: Option<f64>,
-) -> Option<(f64, SettingSource)> {
-    let (kept, source): (Threshold, _) = settings.kept(&setting(camera), &configured)?;
-    let value = spec.check(kept.value_of(spec).ok()?).ok()?;
-    let name = spec.name;
-    tracing::info!(camera, name, value, "threshold restored from the last run");
-    Some((value, source))
-}
-
-impl Board {
-    /// Sets the threshold of these cameras: it applies from each one's next frame, is reported to subscribers, and is set
-    /// in `kept`.
-    ///
-    /// # Errors
-    /// The reason why the policy does not allow it; then nothing changes.
-    pub(crate) fn set_thresholds(
-        &self,
-        cameras: &[Arc<CameraBoard>],
-        threshold: Threshold,
-        source: SettingSource,
-        kept: &mut Values,
-    ) -> Result<(), Box<dyn Error + Send + Sync>> {
-        // All cameras have the node's policy.
-        let spec = cameras.first().and_then(|camera| camera.threshold_spec);
-        let policy = self.policy;
-        let spec = spec.ok_or(InvalidThreshold::Absent { policy })?;
-        let value = spec.check(threshold.value_of(&spec)?)?;
-        // First, so that the controller no longer moves anything.
-        self.target.turned_by_hand(source, kept);
-        for camera in cameras {
-            *camera.set_by.lock() = source;
-            let before = camera.turn(&spec, value);
-            let threshold = Threshold::new(spec.name, value);
-            kept.keep(&setting(&camera.name), threshold, source, camera.configured);
-            tracing::info!(camera = %camera.name, name = spec.name, ?before, now = value, "threshold changed");
-        }
-        Ok(())
-    }
-}
 
 impl CameraBoard {
     /// The threshold in force from the next frame on; `None` if the policy has none.
@@ -69,6 +17,24 @@ impl CameraBoard {
     /// The threshold in force, with its name.
     pub(crate) fn threshold_in_force(&self) -> Option<Threshold> {
         Some(Threshold::new(self.threshold_spec?.name, self.threshold()?))
+    }
+
+    /// The threshold of the configuration, or the policy's.
+    pub(crate) fn configured(&self) -> Option<f64> {
+        self.configured
+    }
+
+    /// Puts back a value from before a restart. Call it before anybody reads the threshold.
+    pub(crate) fn restore_threshold(&self, value: f64, source: SettingSource) {
+        self.threshold.send_replace(Some(value));
+        *self.set_by.lock() = source;
+    }
+
+    /// Sets the threshold to a value that `spec` allows: it applies from the next frame, and is reported to subscribers.
+    pub(crate) fn set_threshold(&self, spec: &ThresholdSpec, value: f64, source: SettingSource) {
+        *self.set_by.lock() = source;
+        let before = self.turn(spec, value);
+        tracing::info!(camera = %self.name, name = spec.name, ?before, now = value, "threshold changed");
     }
 
     /// The source of the threshold in force.

@@ -1,26 +1,28 @@
 use super::*;
-use crate::state::board::tests::{board_of, config, set_by_hand};
+use crate::PreparedNode;
+use crate::settings::Change;
+use crate::settings::tests::{config, prepared};
 use albireo_core::target::TargetStatus;
 use std::path::Path;
-use std::sync::Arc;
 use std::sync::mpsc::{TryRecvError, channel};
 use std::thread;
 
 const HALF: Option<Target> = Some(Target::SkipRate(0.5));
 
-fn board(state: Option<&Path>, policy: &str, configured: Option<Target>) -> Arc<Board> {
+fn node(state: Option<&Path>, policy: &str, configured: Option<Target>) -> PreparedNode {
     let mut config = config(state, policy);
     config.target.hold = configured;
-    board_of(&config)
+    prepared(&config)
 }
 
-fn set_target(board: &Board, target: Option<Target>) -> Result<(), TargetError> {
-    let set = |kept: &mut Values| board.set_target(target, SettingSource::Local, kept);
-    board.settings.change(set)
+fn set_target(node: &PreparedNode, target: Option<Target>) -> Result<(), TargetError> {
+    let place = node.settings.orders.place();
+    let set = |change: &mut Change<'_>| change.target(target, SettingSource::Local);
+    node.settings.change_in_turn(place, set)
 }
 
-fn hold(board: &Board, target: Option<Target>) {
-    set_target(board, target).unwrap();
+fn hold(node: &PreparedNode, target: Option<Target>) {
+    set_target(node, target).unwrap();
 }
 
 /// Lets `seconds` pass in which fewer frames are skipped than wanted; returns the threshold's value.
@@ -43,13 +45,13 @@ fn pass(board: &Board, seconds: u32) -> f64 {
 
 #[test]
 fn a_target_moves_the_threshold_of_all_cameras_and_reports_its_state() {
-    let board = board(None, "expected-loss:0.3", None);
-    assert_eq!(board.target.report().target, None);
-    hold(&board, HALF);
-    let after = pass(&board, 8);
+    let node = node(None, "expected-loss:0.3", None);
+    assert_eq!(node.board.target.report().target, None);
+    hold(&node, HALF);
+    let after = pass(&node.board, 8);
     assert!(after > 0.3, "{after}");
-    assert_eq!(board.cameras[1].threshold(), Some(after));
-    let report = board.target.report();
+    assert_eq!(node.board.cameras[1].threshold(), Some(after));
+    let report = node.board.target.report();
     assert_eq!(report.target, HALF);
     assert_eq!(report.threshold.unwrap().name.as_str(), "lambda");
     let state = report.state.unwrap();
@@ -60,21 +62,21 @@ fn a_target_moves_the_threshold_of_all_cameras_and_reports_its_state() {
 
 #[test]
 fn a_threshold_set_by_hand_switches_the_target_off_and_reports_it() {
-    let board = board(None, "albireo:3e-4", None);
-    hold(&board, HALF);
-    pass(&board, 10);
-    set_by_hand(&board, &board.cameras[1..], 7e-4).unwrap();
-    let report = board.target.report();
+    let node = node(None, "albireo:3e-4", None);
+    hold(&node, HALF);
+    pass(&node.board, 10);
+    node.settings.set_by_hand(&node.board.cameras[1..], 7e-4).unwrap();
+    let report = node.board.target.report();
     assert_eq!((report.target, report.state), (None, None));
     assert_eq!(report.off.as_deref(), Some("the threshold was set by hand"));
-    pass(&board, 10);
-    assert_eq!(board.cameras[1].threshold(), Some(7e-4));
+    pass(&node.board, 10);
+    assert_eq!(node.board.cameras[1].threshold(), Some(7e-4));
     // Another target begins at the threshold's value and leaves the threshold there when it ends.
-    hold(&board, Some(Target::SkipRate(0.6)));
-    assert_eq!(board.target.report().off, None);
-    let there = pass(&board, 10);
-    hold(&board, None);
-    assert_eq!(board.cameras[0].threshold(), Some(there));
+    hold(&node, Some(Target::SkipRate(0.6)));
+    assert_eq!(node.board.target.report().off, None);
+    let there = pass(&node.board, 10);
+    hold(&node, None);
+    assert_eq!(node.board.cameras[0].threshold(), Some(there));
 }
 
 #[test]
@@ -83,43 +85,47 @@ fn a_target_survives_a_restart_with_its_value_until_the_configuration_is_edited(
     let state = folder.path().join("state");
     let open = |skip_rate| {
         let configured = Some(Target::SkipRate(skip_rate));
-        board(Some(&state), "expected-loss:0.3", configured)
+        node(Some(&state), "expected-loss:0.3", configured)
     };
     let first = open(0.4);
-    assert_eq!(first.target.report().source, SettingSource::Configuration);
+    assert_eq!(
+        first.board.target.report().source,
+        SettingSource::Configuration
+    );
     hold(&first, HALF);
-    let there = pass(&first, 20);
-    first.keep_place();
+    let there = pass(&first.board, 20);
+    first.settings.keep_place();
     drop(first);
 
     let again = open(0.4);
-    let report = again.target.report();
+    let report = again.board.target.report();
     assert_eq!(report.target, HALF);
     assert!((report.threshold.unwrap().value - there).abs() < 1e-12);
     // The first step applies the value, whatever the cameras began with.
-    let next = pass(&again, 1);
+    let next = pass(&again.board, 1);
     assert!((next / there - 1.0).abs() < 0.1, "{next} {there}");
     // A target switched off by hand stays off.
-    set_by_hand(&again, &again.cameras[..1], 0.25).unwrap();
+    again.settings.set_by_hand(&again.board.cameras[..1], 0.25).unwrap();
     drop(again);
     let off = open(0.4);
-    assert_eq!(off.target.report().target, None);
-    assert_eq!(off.cameras[0].threshold(), Some(0.25));
+    assert_eq!(off.board.target.report().target, None);
+    assert_eq!(off.board.cameras[0].threshold(), Some(0.25));
     drop(off);
     let edited = open(0.7);
-    let report = edited.target.report();
+    let report = edited.board.target.report();
     assert_eq!(report.target, Some(Target::SkipRate(0.7)));
     assert_eq!(report.source, SettingSource::Configuration);
 }
 
 /// Asserts that the workers' calls end while `change` is in force but its disk stalls, and that `change` ends after that.
 fn assert_served_while_the_disk_stalls(
-    board: &Board,
+    node: &PreparedNode,
     change: impl FnOnce() + Send,
     is_in_force: impl Fn() -> bool + Send,
 ) {
     thread::scope(|scope| {
-        let stalled = (board.outbox.stall(), board.settings.stall());
+        let board = &node.board;
+        let stalled = (node.outbox.stall(), node.settings.stall());
         let (changed, ended) = channel();
         let served = changed.clone();
         scope.spawn(move || {
@@ -138,7 +144,7 @@ fn assert_served_while_the_disk_stalls(
                 camera.threshold_source();
                 camera.move_threshold(0.27);
             }
-            board.outbox.counts();
+            node.outbox.counts();
             board.readiness.health();
             served.send("served").unwrap();
         });
@@ -156,51 +162,51 @@ fn assert_served_while_the_disk_stalls(
 fn no_worker_waits_for_a_stalled_disk_and_nothing_is_acknowledged_before_it_is_stored() {
     let folder = tempfile::tempdir().unwrap();
     let state = folder.path().join("state");
-    let open = || board(Some(&state), "expected-loss:0.3", None);
+    let open = || node(Some(&state), "expected-loss:0.3", None);
     let first = open();
-    let is_held = || first.target.report().target == HALF;
+    let is_held = || first.board.target.report().target == HALF;
     assert_served_while_the_disk_stalls(&first, || hold(&first, HALF), is_held);
-    let there = pass(&first, 20);
-    assert_served_while_the_disk_stalls(&first, || first.keep_place(), || true);
+    let there = pass(&first.board, 20);
+    assert_served_while_the_disk_stalls(&first, || first.settings.keep_place(), || true);
     drop(first);
     let second = open();
-    let report = second.target.report();
+    let report = second.board.target.report();
     assert_eq!(report.target, HALF);
     assert!((report.threshold.unwrap().value / there - 1.0).abs() < 0.1);
     // Switching off comes first, and is stored too.
-    let front = &second.cameras[..1];
+    let front = &second.board.cameras[..1];
     let set = |value| {
-        let board = &second;
-        move || set_by_hand(board, front, value).unwrap()
+        let settings = &second.settings;
+        move || settings.set_by_hand(front, value).unwrap()
     };
-    let is_off = || !second.target.is_on();
+    let is_off = || !second.board.target.is_on();
     assert_served_while_the_disk_stalls(&second, set(0.25), is_off);
     let is_set = || front[0].threshold() == Some(0.26);
     assert_served_while_the_disk_stalls(&second, set(0.26), is_set);
     drop(second);
     let third = open();
-    assert_eq!(third.target.report().target, None);
-    assert_eq!(third.cameras[0].threshold(), Some(0.26));
+    assert_eq!(third.board.target.report().target, None);
+    assert_eq!(third.board.cameras[0].threshold(), Some(0.26));
 }
 
 #[test]
 fn a_policy_without_an_adjustable_threshold_holds_no_target_and_reports_why() {
     for policy in ["vanilla", "ctd"] {
-        let board = board(None, policy, None);
-        let reason = set_target(&board, HALF).unwrap_err().to_string();
+        let node = node(None, policy, None);
+        let reason = set_target(&node, HALF).unwrap_err().to_string();
         assert!(reason.contains(policy), "{reason}");
-        assert_eq!(board.target.report().target, None);
+        assert_eq!(node.board.target.report().target, None);
     }
     // After a change of the policy, the stored target is not held, and the reason is given.
-    let board = board(None, "vanilla", HALF);
-    let report = board.target.report();
+    let node = node(None, "vanilla", HALF);
+    let report = node.board.target.report();
     assert!(report.target.is_none() && report.off.unwrap().contains("vanilla"));
 }
 
 #[test]
 fn a_detector_outage_moves_no_threshold() {
-    let board = board(None, "expected-loss:0.3", None);
-    hold(&board, HALF);
+    let node = node(None, "expected-loss:0.3", None);
+    hold(&node, HALF);
     // Seconds of ten frames: how many skipped the detector, and how many could not get it.
     let pass = |seconds, skipped, degraded| {
         let second = Totals {
@@ -211,9 +217,9 @@ fn a_detector_outage_moves_no_threshold() {
             ..Totals::default()
         };
         for _ in 0..seconds {
-            board.step_target(&second, Duration::from_secs(1));
+            node.board.step_target(&second, Duration::from_secs(1));
         }
-        board.cameras[0].threshold().unwrap()
+        node.board.cameras[0].threshold().unwrap()
     };
     let before = pass(8, 2, 0);
     assert!(before > 0.3, "{before}");

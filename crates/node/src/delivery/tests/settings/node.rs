@@ -1,18 +1,17 @@
 //! Simulates a node that keeps its desired settings in a real file.
 
 use super::super::node::until_unlocked;
+use crate::PreparedNode;
 use crate::delivery::uplink::{Failure, Schedule, StatusSender, known, read_reply, take};
 use crate::outbox::OutboxConfig;
-use crate::state::board::Board;
-use crate::state::board::tests::{config, set_by_hand, thresholds};
+use crate::settings::tests::{config, thresholds};
 use albireo_service::clock::Now;
 use albireo_wire::{Desired, DesiredSetting, SettingSource};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 struct Started {
-    board: Arc<Board>,
+    parts: PreparedNode,
     statuses: StatusSender,
     schedule: Schedule,
     asked: Option<u64>,
@@ -43,11 +42,11 @@ impl Node {
 
     pub(super) fn switch_on(&mut self, now: Now, random: u64) {
         let config = config(Some(&self.folder), "albireo");
-        let board = until_unlocked(|| Board::open(&config));
+        let parts = until_unlocked(|| PreparedNode::new(&config));
         let mut schedule = Schedule::new(&OutboxConfig::default(), random, now.at);
         schedule.begin(now.at);
         self.started = Some(Started {
-            board,
+            parts,
             statuses: StatusSender::new(BTreeMap::new(), random as u32, now),
             schedule,
             asked: None,
@@ -81,7 +80,13 @@ impl Node {
     /// What to send: the status if due, and whether to ask for the settings with request number `question`.
     pub(super) fn look(&mut self, question: u64, now: Now) -> Option<(Option<Vec<u8>>, bool)> {
         let node = self.started.as_mut()?;
-        let status = (node.statuses).due(now, &node.board);
+        let PreparedNode {
+            board,
+            settings,
+            outbox,
+            ..
+        } = &node.parts;
+        let status = node.statuses.due(now, board, settings, outbox);
         let pulls = node.schedule.next_pull(now.at);
         if pulls {
             node.asked = Some(question);
@@ -109,7 +114,7 @@ impl Node {
         node.schedule.pull_ended(&desired, now.at);
         let desired = desired.ok()?;
         node.statuses.follow(&desired);
-        if !take(&desired, &node.board) {
+        if !take(&desired, &node.parts.settings, &node.parts.board) {
             return None;
         }
         node.statuses.full_is_due();
@@ -119,18 +124,18 @@ impl Node {
     pub(super) fn set_by_hand(&self, value: f64) {
         if let Some(node) = &self.started {
             // A value out of range is refused.
-            let _ = set_by_hand(&node.board, &node.board.cameras, value);
+            let _ = node.parts.settings.set_by_hand(&node.parts.board.cameras, value);
         }
     }
 
     /// The highest revision that it was given.
     pub(super) fn revision(&self) -> u64 {
-        known(&self.started.as_ref().unwrap().board).revision()
+        known(&self.started.as_ref().unwrap().parts.settings).revision()
     }
 
     /// True if the setting is in force.
     pub(super) fn has(&self, setting: DesiredSetting) -> bool {
-        let board = &self.started.as_ref().unwrap().board;
+        let board = &self.started.as_ref().unwrap().parts.board;
         let target = board.target.report().target;
         match setting {
             DesiredSetting::Threshold(wanted) => {
@@ -143,20 +148,20 @@ impl Node {
     /// True if it refused the setting, or somebody set the threshold at the node since.
     pub(super) fn deviates(&self, setting: DesiredSetting) -> bool {
         let node = self.started.as_ref().unwrap();
-        let known = known(&node.board);
+        let known = known(&node.parts.settings);
         let is_refused = known.refused.is_some();
-        let mut sources = node.board.cameras.iter().map(|one| one.threshold_source());
+        let mut sources = node.parts.board.cameras.iter().map(|one| one.threshold_source());
         is_refused
             || match setting {
                 DesiredSetting::Threshold(_) => sources.any(|one| one == SettingSource::Local),
                 DesiredSetting::Target(_) => {
-                    node.board.target.report().source == SettingSource::Local
+                    node.parts.board.target.report().source == SettingSource::Local
                 }
             }
     }
 
     pub(super) fn shown(&self) -> String {
-        let board = &self.started.as_ref().unwrap().board;
+        let board = &self.started.as_ref().unwrap().parts.board;
         let (target, values) = (board.target.report().target, thresholds(board));
         format!("{target:?}, {values:?} by revision {}", self.revision())
     }

@@ -5,7 +5,7 @@ use crate::camera::clip::tests::{FakeMeter, report};
 use crate::camera::clip::{ClipConfig, ClipTracker};
 use crate::frame::FrameRecord;
 use crate::frame::{DetectorRun, Times};
-use crate::state::board::tests::{board_of, config};
+use crate::settings::tests::{config, prepared};
 use albireo_core::detection::{ClassId, Detection};
 use albireo_core::geometry::{BoundingBox, PictureSize};
 use albireo_core::policy::{Evidence, FrameHead, Need, Outcome, Policy, PolicyConfig};
@@ -151,7 +151,7 @@ async fn run(policy: &str, cameras: usize, rate: f64) -> (f64, PowerHandle, Vec<
 
 /// The node's own estimate, as its page shows it.
 fn estimated_saving(power: &PowerHandle) -> Option<f64> {
-    let board = board_of(&config(None, "albireo"));
+    let board = prepared(&config(None, "albireo")).board;
     board.set_power(power.snapshot());
     let energy = board.savings().0.energy.unwrap();
     assert_eq!(energy.quality, EnergyQuality::Measured);

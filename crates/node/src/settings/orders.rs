@@ -1,8 +1,9 @@
 //! Applies settings in the order in which they arrive: by Zenoh, where of several puts on a key only the newest counts, by
 //! HTTP, and from the hub.
 
-use super::{Board, CameraBoard};
-use crate::state::settings::Values;
+use super::Settings;
+use super::change::Change;
+use crate::state::board::CameraBoard;
 use albireo_service::rate_limit::RateLimit;
 use albireo_wire::{SettingSource, TargetMessage, ThresholdMessage, check_version};
 use parking_lot::Mutex;
@@ -99,7 +100,7 @@ impl Orders {
     }
 }
 
-impl Board {
+impl Settings {
     /// Applies the puts that arrived before `place`, and then `order`, before any later one. May write a file.
     pub(crate) fn in_turn<T>(&self, place: Place, order: impl FnOnce() -> T) -> T {
         let _turn = self.orders.turn.lock();
@@ -126,9 +127,9 @@ impl Board {
     pub(crate) fn change_in_turn<T>(
         &self,
         place: Place,
-        change: impl FnOnce(&mut Values) -> T,
+        change: impl FnOnce(&mut Change<'_>) -> T,
     ) -> T {
-        self.in_turn(place, || self.settings.change(change))
+        self.in_turn(place, || self.change(change))
     }
 
     /// Changes a camera's threshold, or the node's target, to the one in `payload`. Writes a small file.
@@ -146,13 +147,11 @@ impl Board {
             let example = r#"{"threshold":{"name":"u","value":3e-4}}"#;
             let ThresholdMessage { v, threshold } = read(payload, example)?;
             check_version(v)?;
-            let set =
-                |kept: &mut Values| self.set_thresholds(from_ref(camera), threshold, local, kept);
-            self.settings.change(set)?;
+            self.change(|change| change.thresholds(from_ref(camera), threshold, local))?;
         } else {
             let TargetMessage { v, target } = read(payload, r#"{"target":{"skip_rate":0.5}}"#)?;
             check_version(v)?;
-            self.settings.change(|kept| self.set_target(target, local, kept))?;
+            self.change(|change| change.target(target, local))?;
         }
         Ok(())
     }
@@ -167,7 +166,8 @@ fn read<T: DeserializeOwned>(payload: &[u8], example: &str) -> Result<T, String>
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::state::board::tests::{board_of, config, thresholds};
+    use crate::PreparedNode;
+    use crate::settings::tests::{config, prepared, thresholds};
     use albireo_wire::Threshold;
     use std::thread;
 
@@ -177,56 +177,58 @@ mod tests {
         2e-4 + number as f64 * 1e-9
     }
 
-    fn put(board: &Board, camera: usize, value: f64) {
-        let camera = &board.cameras[camera];
+    fn put(node: &PreparedNode, camera: usize, value: f64) {
+        let camera = &node.board.cameras[camera];
         let payload = format!(r#"{{"threshold":{{"name":"u","value":{value}}}}}"#);
-        board.orders.put(&camera.keys.threshold(), Some(camera), payload.into_bytes());
+        node.settings
+            .orders
+            .put(&camera.keys.threshold(), Some(camera), payload.into_bytes());
     }
 
-    fn set_by_http(board: &Board, place: Place, value: f64) {
+    fn set_by_http(node: &PreparedNode, place: Place, value: f64) {
         let threshold = Threshold::new("u", value);
-        let set = |kept: &mut Values| {
-            board.set_thresholds(&board.cameras, threshold, SettingSource::Local, kept)
-        };
-        board.change_in_turn(place, set).unwrap();
+        let cameras = &node.board.cameras;
+        let set =
+            |change: &mut Change<'_>| change.thresholds(cameras, threshold, SettingSource::Local);
+        node.settings.change_in_turn(place, set).unwrap();
     }
 
     #[test]
     fn the_last_put_of_a_burst_is_in_force_and_survives_a_restart() {
         let folder = tempfile::tempdir().unwrap();
         let config = config(Some(folder.path()), "albireo");
-        let board = board_of(&config);
+        let node = prepared(&config);
         thread::scope(|scope| {
-            let stalled = board.settings.stall();
-            put(&board, 0, 1e-4);
-            scope.spawn(|| board.apply_puts());
-            while thresholds(&board)[0] != 1e-4 {
+            let stalled = node.settings.stall();
+            put(&node, 0, 1e-4);
+            scope.spawn(|| node.settings.apply_puts());
+            while thresholds(&node.board)[0] != 1e-4 {
                 thread::yield_now();
             }
             for number in 0..BURST {
-                put(&board, 0, value(number));
-                put(&board, 1, value(BURST - number));
+                put(&node, 0, value(number));
+                put(&node, 1, value(BURST - number));
             }
             drop(stalled);
         });
-        board.apply_puts();
+        node.settings.apply_puts();
         let wanted = [value(BURST - 1), value(1)];
-        assert_eq!(thresholds(&board), wanted);
-        drop(board);
-        assert_eq!(thresholds(&board_of(&config)), wanted);
+        assert_eq!(thresholds(&node.board), wanted);
+        drop(node);
+        assert_eq!(thresholds(&prepared(&config).board), wanted);
     }
 
     #[test]
     fn no_put_overrides_a_later_order_and_no_order_a_later_put() {
-        let board = board_of(&config(None, "albireo"));
+        let node = prepared(&config(None, "albireo"));
         for number in 0..BURST {
-            put(&board, 0, value(number));
+            put(&node, 0, value(number));
         }
-        let place = board.orders.place();
-        put(&board, 1, 4e-4);
-        set_by_http(&board, place, 7e-4);
-        assert_eq!(thresholds(&board), [7e-4; 2]);
-        board.apply_puts();
-        assert_eq!(thresholds(&board), [7e-4, 4e-4]);
+        let place = node.settings.orders.place();
+        put(&node, 1, 4e-4);
+        set_by_http(&node, place, 7e-4);
+        assert_eq!(thresholds(&node.board), [7e-4; 2]);
+        node.settings.apply_puts();
+        assert_eq!(thresholds(&node.board), [7e-4, 4e-4]);
     }
 }

@@ -1,4 +1,4 @@
-//! Keeps settings that are changed at run time in one file, so that they survive a restart.
+//! The file that keeps settings changed at run time, so that they survive a restart.
 
 use albireo_wire::SettingSource;
 use parking_lot::Mutex;
@@ -24,14 +24,14 @@ const CHECKSUM_NAME: &str = "~checksum";
 /// The time for which it is shown that the settings were damaged.
 const DAMAGE_SHOWN_FOR: Duration = Duration::from_secs(600);
 
-/// The settings of a node.
+/// The kept settings of a node.
 #[derive(Debug)]
-pub(crate) struct Settings {
+pub(crate) struct SettingsFile {
     directory: Option<PathBuf>,
     /// Never held while the disk is read or written.
-    values: Mutex<Values>,
+    values: Mutex<KeptValues>,
     /// What the file has; `None` until it was read. Held while the disk is read or written: no async worker locks it.
-    stored: Mutex<Option<Values>>,
+    stored: Mutex<Option<KeptValues>>,
     /// The outcome of the last reading or writing. Never held while the disk is read or written.
     disk: Mutex<DiskState>,
 }
@@ -47,7 +47,7 @@ struct DiskState {
 
 /// Settings by name.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Values(BTreeMap<String, Value>);
+pub(crate) struct KeptValues(BTreeMap<String, Value>);
 
 /// A value set at run time instead of a configured one.
 #[derive(Serialize, Deserialize)]
@@ -58,7 +58,7 @@ struct SetValue<T, C> {
     configured: C,
 }
 
-impl Values {
+impl KeptValues {
     /// Replaces a setting.
     pub(crate) fn set(&mut self, name: &str, setting: &impl Serialize) {
         // Cannot fail: settings hold numbers and text.
@@ -68,7 +68,7 @@ impl Values {
     }
 
     /// Replaces a setting by a value set at run time.
-    pub(crate) fn keep(
+    pub(super) fn keep(
         &mut self,
         name: &str,
         value: impl Serialize,
@@ -84,7 +84,7 @@ impl Values {
     }
 }
 
-impl Settings {
+impl SettingsFile {
     /// Opens the settings in `directory`, or in memory without one. An unreadable file is tried again later.
     pub(crate) fn open(directory: Option<&Path>) -> Self {
         let settings = Self {
@@ -106,7 +106,7 @@ impl Settings {
     }
 
     /// True if the settings survive a restart: they are in a file, and the last attempt to write it succeeded.
-    pub(crate) fn survive_restart(&self) -> bool {
+    pub(super) fn survive_restart(&self) -> bool {
         self.directory.is_some() && self.disk.lock().failing.is_none()
     }
 
@@ -127,11 +127,11 @@ impl Settings {
     }
 
     /// Reads the file; sets it aside if it is damaged.
-    fn read(&self, directory: &Path) -> std::io::Result<Values> {
+    fn read(&self, directory: &Path) -> std::io::Result<KeptValues> {
         std::fs::create_dir_all(directory)?;
         let file = directory.join(FILE);
         let bytes = match std::fs::read(&file) {
-            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Values::default()),
+            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(KeptValues::default()),
             read => read?,
         };
         parse(&bytes).or_else(|error| {
@@ -141,7 +141,7 @@ impl Settings {
                 "kept settings are damaged and were set aside; the configured ones are used"
             );
             self.disk.lock().damaged = Some(Instant::now());
-            std::fs::rename(&file, aside).map(|()| Values::default())
+            std::fs::rename(&file, aside).map(|()| KeptValues::default())
         })
     }
 
@@ -157,7 +157,7 @@ impl Settings {
 
     /// The value last kept under `name` and its source. If the configured value was edited since, that takes precedence,
     /// but not over the hub's value, which has a revision.
-    pub(crate) fn kept<T: DeserializeOwned, C: DeserializeOwned + PartialEq>(
+    pub(super) fn kept<T: DeserializeOwned, C: DeserializeOwned + PartialEq>(
         &self,
         name: &str,
         configured: &C,
@@ -170,7 +170,7 @@ impl Settings {
     /// Makes a change: `change` puts it in force, at once and before any other change, and sets what is to be kept of it.
     /// That is written to the file together, or not at all. If it cannot be written now, it is written when the disk works
     /// again. Writes a small file.
-    pub(crate) fn change<T>(&self, change: impl FnOnce(&mut Values) -> T) -> T {
+    pub(crate) fn change<T>(&self, change: impl FnOnce(&mut KeptValues) -> T) -> T {
         let changed = change(&mut self.values.lock());
         if let Err(error) = self.save() {
             tracing::error!(%error, "a setting is not kept: it will not survive a restart");
@@ -183,7 +183,7 @@ impl Settings {
     ///
     /// # Errors
     /// The disk's error; call it again later.
-    pub(crate) fn save(&self) -> std::io::Result<()> {
+    pub(super) fn save(&self) -> std::io::Result<()> {
         let Some(directory) = &self.directory else {
             return Ok(());
         };
@@ -211,7 +211,7 @@ impl Settings {
 }
 
 /// Reads the settings in a file, and checks them if it has a checksum.
-fn parse(bytes: &[u8]) -> Result<Values, String> {
+fn parse(bytes: &[u8]) -> Result<KeptValues, String> {
     let checked = bytes.strip_prefix(CHECKSUM.as_bytes());
     if let Some((digits, rest)) = checked.and_then(|checked| checked.split_at_checked(8)) {
         let found = crc32fast::hash(rest);
@@ -219,13 +219,14 @@ fn parse(bytes: &[u8]) -> Result<Values, String> {
             return Err("its checksum is wrong".to_owned());
         }
     }
-    let mut values: Values = serde_json::from_slice(bytes).map_err(|error| error.to_string())?;
+    let mut values: KeptValues =
+        serde_json::from_slice(bytes).map_err(|error| error.to_string())?;
     values.0.remove(CHECKSUM_NAME);
     Ok(values)
 }
 
 /// The file with these settings: its first key is the checksum of what follows it.
-fn text(values: &Values) -> std::io::Result<String> {
+fn text(values: &KeptValues) -> std::io::Result<String> {
     let values = serde_json::to_string(values)?;
     let comma = if values.len() > 2 { "\"," } else { "\"" };
     let rest = format!("{comma}{}", values.trim_start_matches('{'));
@@ -236,7 +237,7 @@ fn text(values: &Values) -> std::io::Result<String> {
 }
 
 /// Writes a new file beside the old one, syncs it, and then replaces the old one.
-fn write(directory: &Path, values: &Values) -> std::io::Result<()> {
+fn write(directory: &Path, values: &KeptValues) -> std::io::Result<()> {
     let (file, fresh) = (directory.join(FILE), directory.join("settings.json.new"));
     let mut written = File::create(&fresh)?;
     written.write_all(text(values)?.as_bytes())?;
@@ -249,7 +250,7 @@ fn write(directory: &Path, values: &Values) -> std::io::Result<()> {
 mod tests {
     use super::*;
 
-    impl Settings {
+    impl SettingsFile {
         /// Stalls the disk until the result is dropped.
         pub(crate) fn stall(&self) -> impl Sized {
             self.stored.lock()
@@ -268,12 +269,12 @@ mod tests {
         for broken in ["", "{\"v\":1,\"cam", "[]"] {
             let file = folder.path().join(FILE);
             std::fs::write(&file, broken).unwrap();
-            let settings = Settings::open(Some(folder.path()));
+            let settings = SettingsFile::open(Some(folder.path()));
             assert!(!file.exists());
             assert_eq!(settings.get::<f64>("threshold/front"), None);
             assert!(settings.set("threshold/front", 9e-4));
             assert!(settings.fault().unwrap().contains("was damaged"));
-            let again = Settings::open(Some(folder.path()));
+            let again = SettingsFile::open(Some(folder.path()));
             assert_eq!(again.get("threshold/front"), Some(9e-4));
             assert_eq!(again.fault(), None);
         }
@@ -281,7 +282,7 @@ mod tests {
 
     #[test]
     fn a_file_without_a_checksum_is_read_and_one_with_a_wrong_checksum_is_not() {
-        let mut values = Values::default();
+        let mut values = KeptValues::default();
         assert_eq!(parse(text(&values).unwrap().as_bytes()), Ok(values.clone()));
         values.set("threshold/front", &9e-4);
         let written = text(&values).unwrap();
@@ -304,7 +305,7 @@ mod tests {
             folder.path().join(FILE),
             folder.path().join("settings.json.new"),
         );
-        let settings = Settings::open(Some(folder.path()));
+        let settings = SettingsFile::open(Some(folder.path()));
         assert!(settings.set("target", 1) && settings.survive_restart());
         // No file can be created in the place of a folder, as on a full disk.
         std::fs::create_dir(&new).unwrap();
@@ -317,26 +318,26 @@ mod tests {
         // Nor can a folder be read as a file.
         std::fs::remove_file(&file).unwrap();
         std::fs::create_dir(&file).unwrap();
-        let settings = Settings::open(Some(folder.path()));
+        let settings = SettingsFile::open(Some(folder.path()));
         assert!(!settings.survive_restart() && settings.fault().is_some());
-        assert!(!Settings::open(None).survive_restart());
+        assert!(!SettingsFile::open(None).survive_restart());
     }
 
     #[test]
     fn a_setting_made_before_the_disk_is_ready_does_not_overwrite_the_stored_one() {
         let folder = tempfile::tempdir().unwrap();
         let state = folder.path().join("disk/state");
-        let first = Settings::open(Some(&state));
+        let first = SettingsFile::open(Some(&state));
         assert!(first.set("target", 1) && first.set("threshold/front", 5));
         std::fs::rename(folder.path().join("disk"), folder.path().join("away")).unwrap();
         std::fs::write(folder.path().join("disk"), b"").unwrap();
-        let settings = Settings::open(Some(&state));
+        let settings = SettingsFile::open(Some(&state));
         assert!(!settings.set("target", 2));
         let _ = settings.save();
         std::fs::remove_file(folder.path().join("disk")).unwrap();
         std::fs::rename(folder.path().join("away"), folder.path().join("disk")).unwrap();
         let _ = settings.save();
-        let again = Settings::open(Some(&state));
+        let again = SettingsFile::open(Some(&state));
         assert_eq!(again.get("target"), Some(2), "the newer value");
         assert_eq!(again.get("threshold/front"), Some(5), "not set meanwhile");
     }

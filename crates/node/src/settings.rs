@@ -1,0 +1,107 @@
+//! Settings that are changed at run time, thresholds and the target: put in force on the board, in the order in which the
+//! changes arrive, and kept over a restart.
+
+mod change;
+mod file;
+mod orders;
+#[cfg(test)]
+pub(crate) mod tests;
+
+pub(crate) use change::Change;
+pub(crate) use file::SettingsFile;
+pub(crate) use orders::{MAX_MESSAGE_BYTES, Place};
+
+use crate::state::board::{Board, CameraBoard};
+use albireo_wire::Threshold;
+use orders::Orders;
+use serde::de::DeserializeOwned;
+use std::path::Path;
+use std::sync::Arc;
+
+/// The settings of one node.
+#[derive(Debug)]
+pub(crate) struct Settings {
+    /// Where they are in force.
+    board: Arc<Board>,
+    /// Where they are kept.
+    file: SettingsFile,
+    /// The changes that arrived, in their order.
+    pub(crate) orders: Orders,
+}
+
+impl Settings {
+    /// Opens the settings in `directory`, or in memory without one, and puts on the board what was kept there: a
+    /// threshold if the policy's still has that name and range, and a setting if its configured value was not edited
+    /// since. An unreadable file is logged and tried again later.
+    pub(crate) fn open(board: &Arc<Board>, directory: Option<&Path>) -> Self {
+        let settings = Self {
+            board: Arc::clone(board),
+            file: SettingsFile::open(directory),
+            orders: Orders::default(),
+        };
+        board.cameras.iter().for_each(|camera| settings.restore(camera));
+        let target = &board.target;
+        let kept = settings.file.kept(change::TARGET, &target.configured());
+        target.begin(kept);
+        settings
+    }
+
+    /// Restores the threshold kept for a camera, if it still fits the policy and the configuration.
+    fn restore(&self, camera: &CameraBoard) {
+        let Some(spec) = camera.threshold_spec else {
+            return;
+        };
+        let setting = change::of_threshold(camera.name());
+        let Some((kept, source)) = self.file.kept::<Threshold, _>(&setting, &camera.configured())
+        else {
+            return;
+        };
+        if let Ok(value) = kept.value_of(&spec)
+            && spec.check(value).is_ok()
+        {
+            camera.restore_threshold(value, source);
+            tracing::info!(
+                camera = camera.name(),
+                name = spec.name,
+                value,
+                "threshold restored from the last run"
+            );
+        }
+    }
+
+    /// Makes a change: it is in force at once and before any other change, and kept as a whole or not at all. If it
+    /// cannot be kept now, it is when the disk works again. Writes a small file.
+    fn change<T>(&self, change: impl FnOnce(&mut Change<'_>) -> T) -> T {
+        self.file.change(|kept| change(&mut Change::new(&self.board, kept)))
+    }
+
+    /// Keeps the threshold's value while a target is held, so that a restart continues from there. Writes a small file.
+    pub(crate) fn keep_place(&self) {
+        if self.board.target.is_on() {
+            self.change(|change| change.keep_target());
+        }
+    }
+
+    /// The setting kept under `name`.
+    pub(crate) fn get<T: DeserializeOwned>(&self, name: &str) -> Option<T> {
+        self.file.get(name)
+    }
+
+    /// True if the settings survive a restart: they are in a file, and the last attempt to write it succeeded.
+    pub(crate) fn survive_restart(&self) -> bool {
+        self.file.survive_restart()
+    }
+
+    /// What is wrong with the file, in words.
+    pub(crate) fn fault(&self) -> Option<String> {
+        self.file.fault()
+    }
+
+    /// Writes the file if it differs from the settings.
+    ///
+    /// # Errors
+    /// The disk's error; call it again later.
+    pub(crate) fn save(&self) -> std::io::Result<()> {
+        self.file.save()
+    }
+}

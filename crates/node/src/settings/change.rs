@@ -1,0 +1,94 @@
+//! A change of settings: put in force, and noted to be kept.
+
+use super::file::KeptValues;
+use crate::state::board::{Board, CameraBoard};
+use albireo_core::policy::InvalidThreshold;
+use albireo_core::target::{Target, TargetError};
+use albireo_wire::{SettingSource, Threshold};
+use serde::Serialize;
+use std::error::Error;
+use std::slice::from_ref;
+use std::sync::Arc;
+
+/// The name of the target among the kept settings.
+pub(super) const TARGET: &str = "target";
+
+/// The name of a camera's threshold among the kept settings.
+pub(super) fn of_threshold(camera: &str) -> String {
+    format!("threshold/{camera}")
+}
+
+/// A change that is being made. What it sets is kept together, or not at all.
+pub(crate) struct Change<'a> {
+    board: &'a Board,
+    kept: &'a mut KeptValues,
+}
+
+impl<'a> Change<'a> {
+    pub(super) fn new(board: &'a Board, kept: &'a mut KeptValues) -> Self {
+        Self { board, kept }
+    }
+
+    /// Sets the threshold of these cameras: it applies from each one's next frame. Somebody who sets it ends the target.
+    ///
+    /// # Errors
+    /// The reason why the policy does not allow it; then nothing changes.
+    pub(crate) fn thresholds(
+        &mut self,
+        cameras: &[Arc<CameraBoard>],
+        threshold: Threshold,
+        source: SettingSource,
+    ) -> Result<(), Box<dyn Error + Send + Sync>> {
+        // All cameras have the node's policy.
+        let spec = cameras.first().and_then(|camera| camera.threshold_spec);
+        let policy = self.board.policy;
+        let spec = spec.ok_or(InvalidThreshold::Absent { policy })?;
+        let value = spec.check(threshold.value_of(&spec)?)?;
+        // First, so that the controller no longer moves anything.
+        if self.board.target.threshold_was_set(source) {
+            self.keep_target();
+        }
+        for camera in cameras {
+            camera.set_threshold(&spec, value, source);
+            let name = of_threshold(camera.name());
+            let threshold = Threshold::new(spec.name, value);
+            self.kept.keep(&name, threshold, source, camera.configured());
+        }
+        Ok(())
+    }
+
+    /// Holds `target` from now on, or none: the thresholds then keep their values.
+    ///
+    /// # Errors
+    /// [`TargetError`] if it cannot be held; then nothing changes.
+    pub(crate) fn target(
+        &mut self,
+        target: Option<Target>,
+        source: SettingSource,
+    ) -> Result<(), TargetError> {
+        let ends = self.board.target.is_on() && target.is_none();
+        self.board.set_target(target, source)?;
+        self.keep_target();
+        if ends {
+            for camera in &self.board.cameras {
+                if let Some(threshold) = camera.threshold_in_force() {
+                    // Cannot fail: it is in force.
+                    let _ = self.thresholds(from_ref(camera), threshold, source);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Keeps the target as it is, with its threshold.
+    pub(super) fn keep_target(&mut self) {
+        let target = &self.board.target;
+        let (kept, source) = target.kept();
+        self.kept.keep(TARGET, kept, source, target.configured());
+    }
+
+    /// Keeps another setting, which is in force elsewhere.
+    pub(crate) fn keep(&mut self, name: &str, setting: &impl Serialize) {
+        self.kept.set(name, setting);
+    }
+}

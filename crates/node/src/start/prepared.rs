@@ -1,0 +1,116 @@
+//! A node before its start: the parts that can be shown and changed without a session or a model.
+
+use super::PolicyMaker;
+use crate::api::http::{self, RouterSetup};
+use crate::config::{CameraConfig, NodeConfig};
+use crate::error::NodeError;
+use crate::outbox::Outbox;
+use crate::settings::Settings;
+use crate::state::board::{Board, BoardSetup, CameraSetup};
+use crate::state::readiness;
+use crate::state::target::NodeTarget;
+use albireo_core::policy::Policy;
+use albireo_service::config::without_secrets;
+use albireo_service::readiness::{Fault, Readiness};
+use albireo_wire::KeyError;
+use axum::Router;
+use std::sync::Arc;
+use tokio_util::sync::CancellationToken;
+
+/// A node before its start: its board can already be shown and reports that the node is not ready.
+pub struct PreparedNode {
+    pub(crate) board: Arc<Board>,
+    pub(crate) settings: Arc<Settings>,
+    pub(crate) outbox: Arc<Outbox>,
+    pub(super) policies: PolicyMaker,
+}
+
+impl PreparedNode {
+    /// Opens the state directory of a node with this configuration, and creates its board. What was set at run time
+    /// before a restart is in force again, unless its configured value was edited since.
+    ///
+    /// # Errors
+    /// [`NodeError`] if the state directory cannot be used, or a name or the policy is invalid.
+    pub fn new(config: &NodeConfig) -> Result<Self, NodeError> {
+        let directory = config.node.state_dir.as_deref();
+        let outbox = Arc::new(Outbox::open(directory)?);
+        let policy = config.policy.build().map_err(NodeError::new)?;
+        let board = board(config, &*policy).map_err(NodeError::new)?;
+        let settings = Arc::new(Settings::open(&board, directory));
+        watch_disk(&board.readiness, &outbox, &settings);
+        let policy = config.policy.clone();
+        Ok(Self {
+            board,
+            settings,
+            outbox,
+            policies: Arc::new(move |_| policy.build()),
+        })
+    }
+
+    /// Uses `policies` instead of the configured ones, for a program with its own policy. They should have the
+    /// configured policy's threshold.
+    #[must_use]
+    pub fn with_policies(mut self, policies: PolicyMaker) -> Self {
+        self.policies = policies;
+        self
+    }
+
+    /// The board, which shows the node.
+    pub fn board(&self) -> &Arc<Board> {
+        &self.board
+    }
+
+    /// The routes of the node's HTTP interface and its page. Event streams end with `shutdown`.
+    pub fn router(&self, config: &NodeConfig, shutdown: CancellationToken) -> Router {
+        let setup = RouterSetup {
+            board: Arc::clone(&self.board),
+            settings: Arc::clone(&self.settings),
+            outbox: Arc::clone(&self.outbox),
+            limits: config.frame,
+            config: without_secrets(config),
+        };
+        http::router(setup, shutdown)
+    }
+}
+
+fn board(config: &NodeConfig, policy: &dyn Policy) -> Result<Arc<Board>, KeyError> {
+    let model = &config.detector.model;
+    let model = model.file_name().unwrap_or(model.as_os_str());
+    let first = config.cameras.first().and_then(|camera| camera.threshold);
+    let first_threshold = first.or_else(|| policy.threshold());
+    let cameras = config.cameras.iter().map(|camera| camera_setup(config, camera));
+    let setup = BoardSetup {
+        node: config.node.name.clone(),
+        model: model.to_string_lossy().into_owned(),
+        providers: config.detector.providers.clone(),
+        cameras: cameras.collect::<Result<_, _>>()?,
+        target: NodeTarget::new(&config.target, policy, first_threshold),
+    };
+    Ok(Board::new(setup, policy))
+}
+
+fn camera_setup(config: &NodeConfig, camera: &CameraConfig) -> Result<CameraSetup, KeyError> {
+    Ok(CameraSetup {
+        name: camera.name.clone(),
+        keys: config.keys()?.camera(&camera.name)?,
+        key: config.frame_key(camera)?,
+        source: camera.source.as_ref().map(ToString::to_string),
+        threshold: camera.threshold,
+        audit: config.audit.report(),
+        profile: config.policy.profile,
+    })
+}
+
+/// Adds probes for what is kept in the state directory.
+fn watch_disk(readiness: &Readiness, outbox: &Arc<Outbox>, settings: &Arc<Settings>) {
+    let disk = Arc::clone(outbox);
+    readiness.probe(readiness::DISK, "", move || {
+        disk.counts().failing.map(Fault::degraded)
+    });
+    let kept = Arc::clone(settings);
+    readiness.probe(readiness::DISK, "settings", move || {
+        kept.fault().map(Fault::degraded)
+    });
+    let reports = Arc::clone(outbox);
+    readiness.probe(readiness::OUTBOX, "", move || reports.counts().fault());
+}
