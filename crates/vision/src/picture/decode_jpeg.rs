@@ -1,6 +1,6 @@
 //! Decodes JPEG files with `zune-jpeg`.
 
-use super::header::check_jpeg_is_whole;
+use super::header::{check_jpeg_is_whole, with_open_end};
 use super::{EncodedPicture, FrameFault, MAX_SCANS, PixelLayout, decode_raw};
 use zune_core::bytestream::ZCursor;
 use zune_core::colorspace::ColorSpace;
@@ -14,7 +14,20 @@ pub(super) fn decode(
     pixels: &mut [u8],
 ) -> Result<(), FrameFault> {
     check_jpeg_is_whole(&picture.bytes)?;
-    let mut decoder = decoder(picture);
+    // At an end-of-image marker the decoder makes up the pixels that are still missing.
+    let Some(open) = with_open_end(&picture.bytes) else {
+        return decode_bytes(&picture.bytes, picture, layout, pixels);
+    };
+    decode_bytes(&open, picture, layout, pixels)
+}
+
+fn decode_bytes(
+    bytes: &[u8],
+    picture: &EncodedPicture,
+    layout: PixelLayout,
+    pixels: &mut [u8],
+) -> Result<(), FrameFault> {
+    let mut decoder = decoder(bytes, picture);
     decoder.decode_headers().map_err(undecodable)?;
     match (layout, decoder.input_colorspace()) {
         (PixelLayout::Rgb8, _) => {}
@@ -33,7 +46,7 @@ pub(super) fn decode(
     decode_headed(decoder, picture, pixels)
 }
 
-fn decoder(picture: &EncodedPicture) -> JpegDecoder<ZCursor<&[u8]>> {
+fn decoder<'a>(bytes: &'a [u8], picture: &EncodedPicture) -> JpegDecoder<ZCursor<&'a [u8]>> {
     let options = DecoderOptions::default()
         // Otherwise data that cannot be decoded is filled with grey and reported as a success.
         .set_strict_mode(true)
@@ -41,7 +54,7 @@ fn decoder(picture: &EncodedPicture) -> JpegDecoder<ZCursor<&[u8]>> {
         .set_max_height(picture.size.height as usize)
         .jpeg_set_max_scans(MAX_SCANS as usize)
         .jpeg_set_out_colorspace(ColorSpace::RGB);
-    JpegDecoder::new_with_options(ZCursor::new(picture.bytes.as_ref()), options)
+    JpegDecoder::new_with_options(ZCursor::new(bytes), options)
 }
 
 fn decode_headed(
@@ -58,7 +71,11 @@ fn decode_headed(
             picture.size
         )));
     }
-    decoder.decode_into(pixels).map_err(undecodable)
+    decoder.decode_into(pixels).map_err(|error| {
+        FrameFault::undecodable(format!(
+            "the JPEG file is broken, or its pixels are cut short: {error}"
+        ))
+    })
 }
 
 fn undecodable(error: zune_jpeg::errors::DecodeErrors) -> FrameFault {

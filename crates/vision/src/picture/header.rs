@@ -89,8 +89,7 @@ pub(super) fn jpeg_size(bytes: &[u8]) -> Result<PictureSize, FrameFault> {
 }
 
 /// Checks that an end-of-image marker follows the pixels. Decoders fill missing data with grey and report success; a
-/// detector would then look at a picture that never existed. (Pixels missing before an end-of-image marker cannot be
-/// distinguished from grey pixels.)
+/// detector would then look at a picture that never existed.
 pub(super) fn check_jpeg_is_whole(bytes: &[u8]) -> Result<(), FrameFault> {
     let mut segments = JpegSegments::new(bytes)?;
     while let Some((marker, _)) = segments.next()? {
@@ -107,6 +106,25 @@ pub(super) fn check_jpeg_is_whole(bytes: &[u8]) -> Result<(), FrameFault> {
         }
     }
     Err(FrameFault::undecodable("the JPEG file has no pixels"))
+}
+
+/// A baseline JPEG file up to its end-of-image marker, with a few zeros in the place of it: a decoder that reads ahead finds
+/// enough, and one that still waits for pixels runs out of data. `None` for a progressive file.
+pub(super) fn with_open_end(bytes: &[u8]) -> Option<Vec<u8>> {
+    /// A decoder reads ahead by less than this.
+    const AHEAD: [u8; 8] = [0; 8];
+    let mut segments = JpegSegments::new(bytes).ok()?;
+    let mut is_baseline = false;
+    loop {
+        match segments.next().ok()?? {
+            (0xC0 | 0xC1, _) => is_baseline = true,
+            (START_OF_SCAN, _) => break,
+            _ => {}
+        }
+    }
+    let is_end = |pair: &[u8]| pair == [0xFF, END_OF_IMAGE];
+    let length = segments.rest().windows(2).position(is_end)?;
+    is_baseline.then(|| [&bytes[..segments.at + length], &AHEAD].concat())
 }
 
 /// True if a JPEG file is coded with the tables of Motion JPEG, which it does not contain.
