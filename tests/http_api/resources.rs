@@ -185,6 +185,22 @@ async fn the_page_loads_nothing_from_other_hosts() {
 }
 
 #[tokio::test]
+async fn a_camera_whose_last_frames_were_all_unusable_says_so_and_why_until_one_is_answered() {
+    let node = Served::start().await;
+    let rear = node.board.camera("rear").unwrap();
+    let state = async || node.json("/api/v1/cameras/rear").await;
+    for _ in 0..5 {
+        assert_has(&state().await, &json!({"unusable": false, "fault": null}));
+        rear.input.count(DropKind::Undecodable, 1, &"undecodable picture: no pixels");
+    }
+    let said = state().await;
+    assert_has(&said, &json!({"unusable": true}));
+    assert_contains(&said["fault"], &["its last 5 frames", "no pixels"]);
+    answered_all(rear, &[FrameState::I]);
+    assert_has(&state().await, &json!({"unusable": false, "fault": null}));
+}
+
+#[tokio::test]
 async fn cameras_show_in_configuration_order_policy_threshold_detections_and_advice() {
     let node = Served::start().await;
     let rear = node.board.camera("rear").unwrap();

@@ -143,6 +143,13 @@ test("a camera that is refused has failed, not only one that was never seen", ()
   expect(cameraState(undefined, 0, false, "no frame has arrived since the start")).toBe("never seen");
 });
 
+test("a camera of which no picture can be used says so, also if none was ever shown", () => {
+  const fault = "the last 5 frames cannot be used: undecodable picture: no pixels";
+  expect(cameraState(undefined, 0, false, fault, undefined, true)).toBe("unusable");
+  expect(cameraState(0.1, 0.1, false, fault, "rtsp://a/b", true)).toBe("unusable");
+  expect(cameraState(0.1, 0.1, false, undefined, undefined, false)).toBe("live");
+});
+
 test("a fault is short, with the camera's address once and no word of the program that opens it", () => {
   const source = "rtsp://***@10.0.0.5/stream1";
   const refused = "failed: Impossible to open 'rtsp://***@10.0.0.5/stream1'; pipe:0: Connection refused; next attempt in 30 s";

@@ -1690,7 +1690,7 @@ export interface components {
              * @description Clips ended since the node started.
              */
             clips: number;
-            /** @description Reason why no frames arrive; absent while they do. */
+            /** @description Reason why no frames arrive, or why those that arrive cannot be used; absent while there is none. */
             fault?: string | null;
             /**
              * Format: int32
@@ -1711,6 +1711,8 @@ export interface components {
              *     first frame, and under other policies.
              */
             u_as_published?: number | null;
+            /** @description True if the last frames that arrived could all not be used; `fault` says why. */
+            unusable: boolean;
             /**
              * Format: int32
              * @description Columns of its newest frame.

@@ -10,9 +10,10 @@ import type { CameraEntry } from "./types";
 /** A camera is stale after this many seconds without a frame, or after three times its usual gap between frames if that is longer. */
 const STALE_S = 2.5;
 
-export type CameraWord = "failed" | "stale" | "degraded" | "never seen" | "opening" | "live";
+export type CameraWord = "failed" | "unusable" | "stale" | "degraded" | "never seen" | "opening" | "live";
 
-export function cameraState(age: number | undefined, usualGap: number, degradedLately: boolean, fault?: string | null, source?: string | null): CameraWord {
+export function cameraState(age: number | undefined, usualGap: number, degradedLately: boolean, fault?: string | null, source?: string | null, unusable?: boolean): CameraWord {
+  if (unusable) return "unusable";
   if (age === undefined && !source) return "never seen";
   const comes = age !== undefined && age <= Math.max(STALE_S, 3 * usualGap);
   if (!comes && fault && source) return "failed";
@@ -20,10 +21,10 @@ export function cameraState(age: number | undefined, usualGap: number, degradedL
   return degradedLately ? "degraded" : "live";
 }
 
-const MOODS: Record<CameraWord, Mood> = { live: "good", stale: "bad", failed: "bad", "never seen": "wait", opening: "wait", degraded: "bad" };
+const MOODS: Record<CameraWord, Mood> = { live: "good", stale: "bad", failed: "bad", unusable: "bad", "never seen": "wait", opening: "wait", degraded: "bad" };
 
 /** What needs attention first. */
-const ORDER: CameraWord[] = ["failed", "stale", "degraded", "never seen", "opening", "live"];
+const ORDER: CameraWord[] = ["failed", "unusable", "stale", "degraded", "never seen", "opening", "live"];
 
 /** What a program or a camera says when a source fails, and what it means. `HOST` is the source's address. */
 const FAILURES: [RegExp, string][] = [
@@ -112,7 +113,7 @@ function stateOf(camera: Entry): Stated {
   const elapsed = (performance.now() - camera.readAt) / 1000;
   const known = camera.last_frame_age_s;
   const age = known === undefined || known === null ? undefined : lost.value === undefined ? known : known + elapsed;
-  const word = cameraState(age, usualGap(camera.camera), degradedLately(camera.camera), camera.fault, camera.source);
+  const word = cameraState(age, usualGap(camera.camera), degradedLately(camera.camera), camera.fault, camera.source, camera.unusable);
   return { word, age, pill: <Pill mood={MOODS[word]}>{word}</Pill> };
 }
 
@@ -158,7 +159,7 @@ export function NoPicture({ camera }: { camera: CameraEntry | undefined }) {
   if (!camera) return <p class="no-picture">No picture yet.</p>;
   return (
     <p class="no-picture">
-      No picture of {camera.camera} yet{camera.fault && camera.source ? `: ${shortFault(camera.fault, camera.source)}` : "."}
+      No picture of {camera.camera} yet{camera.fault && (camera.source || camera.unusable) ? `: ${shortFault(camera.fault, camera.source)}` : "."}
     </p>
   );
 }
@@ -166,7 +167,7 @@ export function NoPicture({ camera }: { camera: CameraEntry | undefined }) {
 /** The fault of a camera in full, or how to send it pictures. */
 export function Help({ camera }: { camera: CameraEntry }) {
   const seen = camera.last_frame_age_s !== undefined && camera.last_frame_age_s !== null;
-  if (camera.fault && (camera.source || seen)) {
+  if (camera.fault && (camera.source || seen || camera.unusable)) {
     // ffmpeg names the address, too, with a mask where its credentials were.
     const named = !camera.source || camera.fault.replaceAll("***@", "").includes(camera.source);
     return <p class="fault bad">{named ? camera.fault : `${camera.source} ${camera.fault}`}</p>;

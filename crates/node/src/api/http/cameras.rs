@@ -26,8 +26,10 @@ pub(super) struct CameraEntry {
     key: Option<String>,
     /// Address of the source that the node opens for it, without credentials.
     source: Option<String>,
-    /// Reason why no frames arrive; absent while they do.
+    /// Reason why no frames arrive, or why those that arrive cannot be used; absent while there is none.
     fault: Option<String>,
+    /// True if the last frames that arrived could all not be used; `fault` says why.
+    unusable: bool,
     /// Clips ended since the node started.
     clips: u64,
     /// Columns of its newest frame.
@@ -61,13 +63,15 @@ fn entry(board: &Board, camera: &CameraBoard) -> CameraEntry {
         .map(|fault| fault.fault.reason);
     let source = camera.source.as_deref().map(str::to_owned);
     let snapshot = camera.snapshot();
+    let unusable = snapshot.unusable();
     let picture =
         (snapshot.latest.as_ref()).map(|latest| PictureSize::new(latest.width, latest.height));
     CameraEntry {
         states: states::of(camera, &snapshot),
         key: (source.is_none()).then(|| camera.key.to_owned()),
         source,
-        fault,
+        unusable: unusable.is_some(),
+        fault: unusable.or(fault),
         clips: snapshot.clips,
         width: picture.map(|picture| picture.width),
         height: picture.map(|picture| picture.height),
