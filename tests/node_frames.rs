@@ -8,6 +8,9 @@ use albireo_node::input::PayloadFormat;
 use albireo_node::state::board::{Board, CameraSnapshot};
 use albireo_node::{Node, NodeError, PreparedNode};
 use albireo_scene::BoxScene;
+use albireo_vision::picture::{
+    FrameLimits, Picture, PictureFormat, PixelLayout, decode, picture_of_file,
+};
 use albireo_wire::{DetectionsMessage, FrameAnswer, FrameAttachment, VERSION, read};
 use rstest::rstest;
 use serde::de::DeserializeOwned;
@@ -291,5 +294,112 @@ async fn a_ros_2_camera_beside_another_is_answered_under_its_own_key() {
     assert_eq!(answer.t_ns, 1_700_000_000_123_456_789);
     bench.send(pictures(1).remove(0), 0).await;
     assert_eq!(bench.answer().await.width, 640);
+    bench.stop().await;
+}
+
+/// A colour as BT.601 with limited range writes it: luma, Cb, Cr.
+fn yuv(pixel: &[u8]) -> [u8; 3] {
+    let [r, g, b] = [0, 1, 2].map(|at| f64::from(pixel[at]) / 255.0);
+    let luma = 0.299 * r + 0.587 * g + 0.114 * b;
+    let [cb, cr] = [(b - luma) / 1.772, (r - luma) / 1.402];
+    [16.0 + 219.0 * luma, 128.0 + 224.0 * cb, 128.0 + 224.0 * cr].map(|value| value.round() as u8)
+}
+
+/// The rows of each plane of `picture` in `format`.
+fn planes_of(picture: &Picture, format: PictureFormat) -> Vec<Vec<Vec<u8>>> {
+    let width = picture.size.width as usize;
+    let rows: Vec<Vec<[u8; 3]>> = picture
+        .pixels
+        .chunks(3 * width)
+        .map(|row| row.chunks(3).map(yuv).collect())
+        .collect();
+    let each = |rows: &[Vec<[u8; 3]>], bytes: &dyn Fn(&[[u8; 3]]) -> Vec<u8>| -> Vec<Vec<u8>> {
+        rows.iter().map(|row| row.chunks(2).flat_map(bytes).collect()).collect()
+    };
+    let luma = || each(&rows, &|pair| pair.iter().map(|pixel| pixel[0]).collect());
+    let every_second: Vec<_> = rows.iter().step_by(2).cloned().collect();
+    let chroma = |channel: usize| each(&every_second, &|pair| vec![pair[0][channel]]);
+    match format {
+        PictureFormat::Yuyv => {
+            let bytes = |p: &[[u8; 3]]| vec![p[0][0], p[0][1], p[1][0], p[0][2]];
+            vec![each(&rows, &bytes)]
+        }
+        PictureFormat::Uyvy => {
+            let bytes = |p: &[[u8; 3]]| vec![p[0][1], p[0][0], p[0][2], p[1][0]];
+            vec![each(&rows, &bytes)]
+        }
+        PictureFormat::I420 => vec![luma(), chroma(1), chroma(2)],
+        PictureFormat::Nv12 => {
+            let bytes = |p: &[[u8; 3]]| vec![p[0][1], p[0][2]];
+            vec![luma(), each(&every_second, &bytes)]
+        }
+        _ => vec![picture.pixels.chunks(3 * width).map(<[u8]>::to_vec).collect()],
+    }
+}
+
+#[rstest]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn raw_frames_of_every_layout_with_and_without_padded_rows_give_the_boxes_of_the_picture() {
+    let mut bench = Bench::start(&configuration()).await;
+    let file = picture_of_file(pictures(1).remove(0).into(), &FrameLimits::default()).unwrap();
+    let mut picture = Picture::default();
+    decode(
+        &file,
+        &FrameLimits::default(),
+        PixelLayout::Rgb8,
+        None,
+        &mut picture,
+    )
+    .unwrap();
+    let mut seq = 0;
+    let mut expected: Option<DetectionsMessage> = None;
+    for (format, name) in [
+        (PictureFormat::Rgb8, "rgb8"),
+        (PictureFormat::Yuyv, "yuyv"),
+        (PictureFormat::Uyvy, "uyvy"),
+        (PictureFormat::I420, "i420"),
+        (PictureFormat::Nv12, "nv12"),
+    ] {
+        let planes = planes_of(&picture, format);
+        // The rows of all planes are padded in proportion to the first's.
+        for padding in [0, 64] {
+            let first = planes[0][0].len() + padding;
+            let mut bytes = Vec::new();
+            for plane in &planes {
+                let row_of_chroma = planes.len() > 1 && plane[0].len() < planes[0][0].len();
+                let step = if row_of_chroma { first / 2 } else { first };
+                for row in plane {
+                    bytes.extend_from_slice(row);
+                    bytes.resize(bytes.len() + step - row.len(), 0xAA);
+                }
+            }
+            let attachment = FrameAttachment {
+                v: VERSION,
+                seq: Some(seq),
+                width: Some(picture.size.width),
+                height: Some(picture.size.height),
+                ..FrameAttachment::default()
+            };
+            let attachment = serde_json::to_vec(&attachment).unwrap();
+            let encoding = format!("image/raw;{name}");
+            let reply = ask_frame(&bench.session, CAMERA, bytes, &encoding, attachment).await;
+            assert_eq!(refused(reply), None, "{name}, {padding} bytes of padding");
+            let answer = bench.answer().await;
+            assert_eq!(answer.seq, seq);
+            let expected = expected.get_or_insert_with(|| answer.clone());
+            assert!(!expected.boxes.is_empty());
+            assert_eq!(answer.boxes.len(), expected.boxes.len(), "{name} {padding}");
+            for (found, known) in answer.boxes.iter().zip(&expected.boxes) {
+                let sides = found.corners.iter().zip(&known.corners);
+                let is_there = sides.clone().all(|(a, b)| (a - b).abs() <= 2.0);
+                assert!(
+                    is_there && found.class == known.class,
+                    "{name} {padding}: {found:?}, {known:?}"
+                );
+            }
+            seq += 1;
+        }
+    }
     bench.stop().await;
 }
