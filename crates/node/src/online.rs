@@ -25,13 +25,13 @@ const PICTURES: usize = 9;
 /// The time limit for a router or a hub to answer.
 const ANSWER: Duration = Duration::from_secs(10);
 
-/// A human-readable reason something does not work.
-type Failure = Box<dyn Error + Send + Sync>;
+/// The reason why something does not work, for a person.
+type TrialFailure = Box<dyn Error + Send + Sync>;
 
 /// Tries everything that the configuration names, and calls `each` with the key and the result or failure. Publishes
 /// nothing and does not disturb a running node, but a camera that serves one client at a time refuses the second.
 pub async fn try_all(config: &NodeConfig, mut each: impl FnMut(&str, Result<String, String>)) {
-    let mut report = |key: &str, outcome: Result<String, Failure>| {
+    let mut report = |key: &str, outcome: Result<String, TrialFailure>| {
         each(key, outcome.map_err(|error| error.to_string()));
     };
     let detector = config.detector.clone();
@@ -69,7 +69,7 @@ pub async fn try_all(config: &NodeConfig, mut each: impl FnMut(&str, Result<Stri
 async fn in_time(
     endpoints: &[String],
     opening: impl Future<Output = Result<Session, ServiceError>>,
-) -> Result<Session, Failure> {
+) -> Result<Session, TrialFailure> {
     let opened = tokio::time::timeout(ANSWER, opening).await;
     let (endpoints, seconds) = (endpoints.join(", "), ANSWER.as_secs());
     let silent = |_| format!("{endpoints} did not answer in {seconds} s");
@@ -81,8 +81,8 @@ fn look(
     picture: &EncodedPicture,
     limits: &FrameLimits,
     network: Option<&Mutex<DetectorNetwork>>,
-) -> Result<String, Failure> {
-    let unusable = |reason: &dyn Display| -> Failure {
+) -> Result<String, TrialFailure> {
+    let unusable = |reason: &dyn Display| -> TrialFailure {
         format!("a picture arrived that cannot be used: {reason}").into()
     };
     let mut decoded = Picture::default();
@@ -128,7 +128,7 @@ fn look(
 }
 
 /// Returns the detector, and in words how it is read, the provider that runs it, and the time of a run.
-fn try_detector(config: &DetectorConfig) -> Result<(DetectorNetwork, String), Failure> {
+fn try_detector(config: &DetectorConfig) -> Result<(DetectorNetwork, String), TrialFailure> {
     let begun = Instant::now();
     let mut network = DetectorNetwork::open(config)?;
     let loaded = begun.elapsed();
@@ -166,7 +166,7 @@ fn try_detector(config: &DetectorConfig) -> Result<(DetectorNetwork, String), Fa
 }
 
 /// Waits for the first picture.
-async fn try_source(settings: SourceSettings) -> Result<EncodedPicture, Failure> {
+async fn try_source(settings: SourceSettings) -> Result<EncodedPicture, TrialFailure> {
     let patience = settings.silence.min(Duration::from_secs(600)) + ANSWER;
     let source = tokio::task::spawn_blocking(move || LiveSource::find(settings)).await??;
     let (sender, mut found) = channel(1);
@@ -191,7 +191,7 @@ async fn try_source(settings: SourceSettings) -> Result<EncodedPicture, Failure>
 }
 
 /// Tries to reach the router, as a client that does not listen: the ports belong to the running node.
-async fn try_router(config: &NodeConfig) -> Result<String, Failure> {
+async fn try_router(config: &NodeConfig) -> Result<String, TrialFailure> {
     let client = ZenohConfig {
         mode: ZenohMode::Client,
         listen: Vec::new(),
@@ -205,7 +205,7 @@ async fn try_router(config: &NodeConfig) -> Result<String, Failure> {
 }
 
 /// Tries to find a hub that accepts reports behind its router.
-async fn try_hub(config: &NodeConfig) -> Result<String, Failure> {
+async fn try_hub(config: &NodeConfig) -> Result<String, TrialFailure> {
     let uplink = &config.uplink;
     let session = in_time(&uplink.connect, session::open_uplink(uplink)).await?;
     let key = config.keys()?.report();

@@ -2,9 +2,10 @@
 
 use crate::api::http;
 use crate::config::NodeConfig;
+use crate::error::NodeError;
+use crate::start::{Node, PreparedNode};
 use crate::state::board::Board;
 use crate::state::readiness;
-use crate::{Node, NodeError, PreparedNode};
 use albireo_service::http::Problem;
 use axum::Router;
 use axum::extract::Request;

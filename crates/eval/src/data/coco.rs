@@ -23,7 +23,7 @@ struct Dataset {
     annotations: Option<Vec<Annotation>>,
     categories: Vec<Category>,
     #[serde(default)]
-    videos: Vec<Video>,
+    videos: Vec<ListedVideo>,
 }
 
 #[derive(Deserialize)]
@@ -70,7 +70,7 @@ struct Category {
 }
 
 #[derive(Deserialize)]
-struct Video {
+struct ListedVideo {
     id: u64,
     #[serde(default)]
     name: Option<String>,
@@ -192,7 +192,8 @@ fn frames(
     has_truth: bool,
     has_detections: bool,
 ) -> Result<(Vec<Clip>, Places), EvalError> {
-    let videos: HashMap<u64, &Video> = set.videos.iter().map(|video| (video.id, video)).collect();
+    let videos: HashMap<u64, &ListedVideo> =
+        set.videos.iter().map(|video| (video.id, video)).collect();
     let mut groups: BTreeMap<String, Vec<&Image>> = BTreeMap::new();
     for image in &set.images {
         let name = match image.video_id {

@@ -75,8 +75,8 @@ fn read_sequence(folder: &Path, report: &mut LoadReport) -> Result<Clip, EvalErr
         for (frame, labels) in rows.into_iter().enumerate() {
             for label in labels {
                 match label {
-                    Label::Object(object) => truth[frame].extend(object),
-                    Label::Marked(marked) => {
+                    TruthLine::Object(object) => truth[frame].extend(object),
+                    TruthLine::Marked(marked) => {
                         marked.into_iter().for_each(|marked| clip.ignore(frame, marked));
                     }
                 }
@@ -152,7 +152,7 @@ fn corners(row: &Row<'_>) -> Result<Corners, EvalError> {
 
 /// A row of ground truth; `None` inside if the row was left out.
 #[derive(Clone)]
-enum Label {
+enum TruthLine {
     Object(Option<ScoredBox>),
     Marked(Option<Ignored>),
 }
@@ -163,7 +163,7 @@ fn label(
     with_vehicles: bool,
     picture: PictureSize,
     report: &mut LoadReport,
-) -> Result<Label, EvalError> {
+) -> Result<TruthLine, EvalError> {
     let is_judged = row.number::<f64>(6, "consider")? != 0.0;
     // The 2015 release has no classes.
     let number = if row.len() <= 9 {
@@ -184,7 +184,7 @@ fn label(
     };
     if let Some((class, mark)) = marked {
         let marked = report.mark(corners, class, mark, picture, || row.place());
-        return Ok(Label::Marked(marked));
+        return Ok(TruthLine::Marked(marked));
     }
     let labelled = LabelledBox {
         corners,
@@ -193,7 +193,7 @@ fn label(
         confidence: 1.0,
         object: row.object(1, "id")?,
     };
-    Ok(Label::Object(
+    Ok(TruthLine::Object(
         report.keep(&labelled, picture, || row.place()),
     ))
 }

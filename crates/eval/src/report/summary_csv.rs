@@ -27,15 +27,17 @@ fn cell(value: Option<impl ToString>) -> String {
 
 /// Returns the column names and cells of a row.
 fn row(result: &ClipResult, baseline: Option<&ClipResult>) -> Vec<(&'static str, String)> {
-    type Figure = fn(&Accuracy) -> f64;
+    type AccuracyFigure = fn(&Accuracy) -> f64;
     let accuracy = result.accuracy;
     let last = result.accuracy_last_confidence;
     let all = result.accuracy_all;
     // Only the published scoring has both definitions.
     let decayed = last.and(accuracy);
     let before = baseline.and_then(|baseline| baseline.accuracy);
-    let of = |accuracy: Option<Accuracy>, figure: Figure| cell(accuracy.as_ref().map(figure));
-    let delta = |figure: Figure| cell(accuracy.zip(before).map(|(a, b)| figure(&a) - figure(&b)));
+    let of =
+        |accuracy: Option<Accuracy>, figure: AccuracyFigure| cell(accuracy.as_ref().map(figure));
+    let delta =
+        |figure: AccuracyFigure| cell(accuracy.zip(before).map(|(a, b)| figure(&a) - figure(&b)));
     let time = result.frame_time.map(|time| time.milliseconds);
     let source = result.frame_time.map(|time| time.provenance.as_str());
     let tracks = result.tracking;

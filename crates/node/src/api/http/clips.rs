@@ -15,7 +15,7 @@ use uuid::Uuid;
 #[derive(Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
-pub(super) struct Selection {
+pub(super) struct ClipSelection {
     /// Only reports of this camera.
     camera: Option<String>,
     /// Maximum number; 50 by default.
@@ -46,18 +46,18 @@ pub(super) struct Clips {
 /// The node keeps the newest 256 in memory. `before` and `after` take the `id` of a report.
 /// `curl 'http://127.0.0.1:8080/api/v1/clips?camera=front&limit=10'`
 #[utoipa::path(
-    get, operation_id = "list_clips", path = "/api/v1/clips", tag = "clips", params(Selection),
+    get, operation_id = "list_clips", path = "/api/v1/clips", tag = "clips", params(ClipSelection),
     responses((status = 200, body = Clips))
 )]
 pub(super) async fn list(
     State(shared): State<RouteState>,
-    Query(selection): Query<Selection>,
+    Query(selection): Query<ClipSelection>,
 ) -> Result<Json<Clips>, Problem> {
     let limit = within("limit", selection.limit.unwrap_or(50), 1..=RECENT_CLIPS)?;
     if let Some(camera) = &selection.camera {
         shared.camera(camera)?;
     }
-    let Selection { before, after, .. } = selection;
+    let ClipSelection { before, after, .. } = selection;
     // One more than requested shows whether there are more.
     let board = &shared.board;
     let mut clips = board.recent_clips(selection.camera.as_deref(), before, after, limit + 1);

@@ -65,7 +65,7 @@ const MOST_LINES: usize = 1000;
 #[derive(Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
-pub(super) struct Selection {
+pub(super) struct LogSelection {
     /// Only lines after the one with this number.
     #[serde(default)]
     after: u64,
@@ -85,10 +85,10 @@ pub(super) struct Log {
 /// The node keeps the newest 1000 lines of level `info` and above in memory, regardless of the level on standard error.
 /// Configured secrets are masked. `curl 'http://127.0.0.1:8080/api/v1/log?limit=20'`
 #[utoipa::path(
-    get, operation_id = "log_tail", path = "/api/v1/log", tag = "diagnosis", params(Selection),
+    get, operation_id = "log_tail", path = "/api/v1/log", tag = "diagnosis", params(LogSelection),
     responses((status = 200, body = Log))
 )]
-pub(super) async fn tail(Query(selection): Query<Selection>) -> Result<Json<Log>, Problem> {
+pub(super) async fn tail(Query(selection): Query<LogSelection>) -> Result<Json<Log>, Problem> {
     let limit = within("limit", selection.limit.unwrap_or(200), 1..=MOST_LINES)?;
     Ok(Json(Log {
         lines: logging::lines_after(selection.after, limit),

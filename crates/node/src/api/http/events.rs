@@ -27,7 +27,7 @@ const LAGGED: &str = "lagged";
 #[derive(Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
-pub(super) struct Selection {
+pub(super) struct EventSelection {
     /// Only events of this camera, and of the detector.
     camera: Option<String>,
     /// Only these kinds, separated by commas: `frame`, `late`, `clip`, `counters`, `threshold`, `detector`. All kinds by
@@ -35,7 +35,7 @@ pub(super) struct Selection {
     types: Option<String>,
 }
 
-impl Selection {
+impl EventSelection {
     /// Checks the names.
     fn check(&self, shared: &RouteState) -> Result<(), Problem> {
         if let Some(camera) = &self.camera {
@@ -67,7 +67,7 @@ impl Selection {
 /// loses events; the event `lagged` reports how many. 503 while 64 streams are open.
 /// `curl -N 'http://127.0.0.1:8080/api/v1/events?types=counters,clip'`
 #[utoipa::path(
-    get, operation_id = "stream_events", path = "/api/v1/events", tag = "events", params(Selection),
+    get, operation_id = "stream_events", path = "/api/v1/events", tag = "events", params(EventSelection),
     responses(
         (status = 200, content_type = "text/event-stream", body = String,
          description = "Events `frame`, `late`, `clip`, `counters`, `threshold`, `detector`, `lagged`."),
@@ -75,7 +75,7 @@ impl Selection {
 )]
 pub(super) async fn stream(
     State(shared): State<RouteState>,
-    Query(selection): Query<Selection>,
+    Query(selection): Query<EventSelection>,
 ) -> Result<Sse<impl Stream<Item = Result<sse::Event, Infallible>>>, Problem> {
     selection.check(&shared)?;
     let place = Arc::clone(&shared.streams).try_acquire_owned().map_err(|_| {

@@ -15,7 +15,8 @@ use utoipa::ToSchema;
 
 /// The process answers.
 #[derive(Serialize, ToSchema)]
-pub(crate) struct Health {
+#[schema(as = Health)]
+pub(crate) struct Liveness {
     /// Always `ok`.
     status: &'static str,
     /// The node.
@@ -75,14 +76,14 @@ pub(super) fn readiness(board: &Board) -> Readiness {
 /// Liveness: the process answers
 ///
 /// Touches neither the detector nor the GPU. `curl http://127.0.0.1:8080/healthz`
-#[utoipa::path(get, operation_id = "healthz", path = "/healthz", tag = "health", security(()), responses((status = 200, body = Health)))]
-pub(super) async fn healthz(State(shared): State<RouteState>) -> Json<Health> {
+#[utoipa::path(get, operation_id = "healthz", path = "/healthz", tag = "health", security(()), responses((status = 200, body = Liveness)))]
+pub(super) async fn healthz(State(shared): State<RouteState>) -> Json<Liveness> {
     alive(&shared.board.node, shared.board.uptime())
 }
 
 /// The answer that the process of `node` is alive.
-pub(crate) fn alive(node: &str, uptime: Duration) -> Json<Health> {
-    Json(Health {
+pub(crate) fn alive(node: &str, uptime: Duration) -> Json<Liveness> {
+    Json(Liveness {
         status: "ok",
         node: node.to_owned(),
         version: env!("CARGO_PKG_VERSION"),

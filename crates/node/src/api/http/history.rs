@@ -17,7 +17,7 @@ use utoipa::{IntoParams, ToSchema};
 #[derive(Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
-pub(super) struct Selection {
+pub(super) struct HistorySelection {
     /// Maximum number of frames, 0 to 8192; 3000 by default.
     frames: Option<usize>,
 }
@@ -85,13 +85,13 @@ fn columns(frames: &[PastFrame], clock: &Clock) -> PastFrames {
 /// `curl 'http://127.0.0.1:8080/api/v1/cameras/front/history?frames=100'`
 #[utoipa::path(
     get, operation_id = "camera_history", path = "/api/v1/cameras/{camera}/history", tag = "frames",
-    params(("camera" = String, Path, description = "The camera's name."), Selection),
+    params(("camera" = String, Path, description = "The camera's name."), HistorySelection),
     responses((status = 200, body = CameraHistory))
 )]
 pub(super) async fn camera(
     State(shared): State<RouteState>,
     Path(camera): Path<String>,
-    Query(selection): Query<Selection>,
+    Query(selection): Query<HistorySelection>,
 ) -> Result<Json<CameraHistory>, Problem> {
     let most = within("frames", selection.frames.unwrap_or(3000), 0..=FRAMES)?;
     let camera = shared.camera(&camera)?;

@@ -9,7 +9,9 @@ use albireo_wire::{AuditRate, AuditReport};
 
 /// The metric families of the cameras.
 pub(super) fn cameras(page: &mut MetricsPage, board: &Board) {
-    let cameras: Vec<_> = (board.cameras.iter())
+    let cameras: Vec<ShownCamera<'_>> = board
+        .cameras
+        .iter()
         .map(|camera| (("camera", camera.name()), &**camera, camera.snapshot()))
         .collect();
     frames(page, &cameras);
@@ -18,7 +20,7 @@ pub(super) fn cameras(page: &mut MetricsPage, board: &Board) {
 }
 
 /// A camera's label, its part of the board, and its state.
-type Camera<'a> = ((&'a str, &'a str), &'a CameraBoard, CameraSnapshot);
+type ShownCamera<'a> = ((&'a str, &'a str), &'a CameraBoard, CameraSnapshot);
 
 /// A counter of each camera: name, help and value.
 type CameraCounter = (&'static str, &'static str, fn(&CameraSnapshot) -> f64);
@@ -52,7 +54,7 @@ const COUNTERS: [CameraCounter; 5] = [
 ];
 
 /// The frames by state, and their latency.
-fn frames(page: &mut MetricsPage, cameras: &[Camera<'_>]) {
+fn frames(page: &mut MetricsPage, cameras: &[ShownCamera<'_>]) {
     page.counters(
         "albireo_frames_total",
         "Frames processed, by frame state",
@@ -104,7 +106,7 @@ fn frames(page: &mut MetricsPage, cameras: &[Camera<'_>]) {
 }
 
 /// The arrival of frames, and the figures of the newest.
-fn newest(page: &mut MetricsPage, board: &Board, cameras: &[Camera<'_>]) {
+fn newest(page: &mut MetricsPage, board: &Board, cameras: &[ShownCamera<'_>]) {
     let health = board.readiness.health();
     let silent = |name: &str| {
         (health.faults.iter()).any(|fault| fault.part == CAMERAS && fault.subject == name)
@@ -160,7 +162,7 @@ fn newest(page: &mut MetricsPage, board: &Board, cameras: &[Camera<'_>]) {
 }
 
 /// The audit's results: sums over cameras and nodes, and rates of each camera.
-fn audit(page: &mut MetricsPage, cameras: &[Camera<'_>]) {
+fn audit(page: &mut MetricsPage, cameras: &[ShownCamera<'_>]) {
     let audited = || {
         let on = cameras.iter();
         on.filter_map(|(camera, _, snapshot)| Some((*camera, snapshot.audit.as_ref()?)))
