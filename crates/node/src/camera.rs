@@ -237,13 +237,13 @@ impl Camera {
     fn conclude(&mut self, frame: &BegunFrame) {
         let message = self.answer(frame, false);
         let BegunFrame { incoming, .. } = frame;
-        let first_answer =
-            (frame.first_answer).unwrap_or_else(|| incoming.frame.received.elapsed());
+        let first_answer = frame.first_answer.unwrap_or_else(|| incoming.frame.received.elapsed());
         let record = FrameRecord {
             times: frame.times,
             ..FrameRecord::new(message, first_answer)
         };
-        let (parts, outcome) = (&self.parts, &self.outcome);
+        let parts = &self.parts;
+        let outcome = &self.outcome;
         match frame.first_answer {
             Some(_) => parts.hand_over(self.tracker.count_late(&record)),
             None => self.tracker.count(&record),
@@ -285,7 +285,7 @@ impl Camera {
         let clip = frame.clip.as_deref();
         parts.hand_over(self.tracker.arrive(frame.time_ns, clip, frame.received));
         let clip = self.tracker.clip().map_or_else(|| "".into(), Arc::clone);
-        let spec = (parts.board.threshold_spec).zip(self.decider.policy.policy().threshold());
+        let spec = parts.board.threshold_spec.zip(self.decider.policy.policy().threshold());
         BegunFrame {
             head,
             clip,
@@ -301,7 +301,8 @@ impl Camera {
     /// Publishes an answer of a frame: a `pending` one before the final one, or the final one. Leaves only the
     /// published boxes in the outcome.
     fn answer(&mut self, frame: &BegunFrame, pending: bool) -> Arc<DetectionsMessage> {
-        let (parts, outcome) = (&self.parts, &mut self.outcome);
+        let parts = &self.parts;
+        let outcome = &mut self.outcome;
         // The policy sees that the scene is not empty; only this loop knows that the screen was overruled.
         if outcome.cause == Some(CallCause::Screen) && frame.times.overruled {
             outcome.cause = Some(CallCause::EmptyLimit);

@@ -71,8 +71,10 @@ impl Outlet {
     /// Puts a message. If nothing may be lost, it waits for room, and the worker's other tasks move to other workers.
     pub(crate) fn put(&self, message: &impl Serialize) {
         let put = || -> zenoh::Result<()> {
-            let put = self.publisher.put(serde_json::to_vec(message)?);
-            put.encoding(Encoding::APPLICATION_JSON).wait()
+            self.publisher
+                .put(serde_json::to_vec(message)?)
+                .encoding(Encoding::APPLICATION_JSON)
+                .wait()
         };
         let done = match self.publisher.congestion_control() {
             CongestionControl::Block => block_in_place(put),

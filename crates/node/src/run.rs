@@ -6,6 +6,7 @@ use crate::error::NodeError;
 use crate::start::{Node, PreparedNode};
 use crate::state::board::Board;
 use crate::state::readiness;
+use albireo_service::ServiceError;
 use albireo_service::http::Problem;
 use axum::Router;
 use axum::extract::Request;
@@ -16,6 +17,7 @@ use std::net::SocketAddr;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::net::TcpListener;
+use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 use tower_service::Service;
 
@@ -34,57 +36,38 @@ pub async fn run(
     listener: TcpListener,
     shutdown: CancellationToken,
 ) -> Result<(), NodeError> {
-    let address = listener.local_addr();
-    let address = address.map_err(NodeError::of("the listener has no address"))?;
-    let routes = Arc::<OnceLock<Router>>::default();
-    let (early, open) = (early_routes(&config.node.name), Arc::clone(&routes));
-    let router = Router::new()
-        .fallback(move |request: Request| open.get().unwrap_or(&early).clone().call(request));
+    let address = listener.local_addr().map_err(NodeError::of("the listener has no address"))?;
+
     // HTTP outlives the node, so that the counters can be read until the end.
     let serving = CancellationToken::new();
     let _until_the_end = serving.clone().drop_guard();
-    // In a separate task: nothing that the node waits for may delay a health check.
-    let (http, tokens, stop) = (config.http.clone(), config.tokens.clone(), serving.clone());
-    let served = tokio::spawn(async move {
-        let methods = [Method::GET, Method::PUT];
-        albireo_service::http::run(&http, &tokens, &methods, router, listener, stop).await
-    });
-    let prepared = match prepared {
-        Some(prepared) => prepared,
-        None => {
-            // On a blocking thread, because opening and checking the state file takes a while on a slow SD card.
-            let opened = config.clone();
-            let opening = tokio::task::spawn_blocking(move || PreparedNode::new(&opened));
-            let Some(opened) = shutdown.run_until_cancelled(opening).await else {
-                return Ok(());
-            };
-            opened.map_err(NodeError::new)??
-        }
+    let routes = Arc::<OnceLock<Router>>::default();
+    let served = serve(config, listener, Arc::clone(&routes), serving.clone());
+
+    let Some(prepared) = prepare(config, prepared, &shutdown).await? else {
+        return Ok(());
     };
     let board = Arc::clone(prepared.board());
     // Set only here.
     let _ = routes.set(prepared.router(config, serving.clone()));
+
     // A node without its interface cannot be monitored or stopped, so it ends.
     let unserved = shutdown.clone();
     let http = async move {
         let ended = served.await;
         unserved.cancel();
-        let ended = ended.map_err(NodeError::of("the HTTP interface failed"))?;
-        ended.map_err(NodeError::of("[http]"))
+        ended
+            .map_err(NodeError::of("the HTTP interface failed"))?
+            .map_err(NodeError::of("[http]"))
     };
-    let status_board = Arc::clone(&board);
-    let stuck_after_s = config.node.stuck_after_s;
+
     let stopping = shutdown.child_token();
-    let notifier = tokio::spawn(albireo_service::notify::run(
-        move || {
-            readiness::service_state(
-                &status_board.readiness,
-                &status_board.detector_status(),
-                stuck_after_s,
-            )
-        },
+    let notifier = notify(
+        Arc::clone(&board),
+        config.node.stuck_after_s,
         stopping.clone(),
-    ));
+    );
+
     tracing::info!(
         http = format!("http://{address}"),
         node = config.node.name,
@@ -115,6 +98,52 @@ pub async fn run(
     node.and(http)
 }
 
+/// Serves the `routes` once they are set, and until then those of a node that is opening its state directory. In a separate
+/// task: nothing that the node waits for may delay a health check.
+fn serve(
+    config: &NodeConfig,
+    listener: TcpListener,
+    routes: Arc<OnceLock<Router>>,
+    stop: CancellationToken,
+) -> JoinHandle<Result<(), ServiceError>> {
+    let early = early_routes(&config.node.name);
+    let router = Router::new()
+        .fallback(move |request: Request| routes.get().unwrap_or(&early).clone().call(request));
+    let http = config.http.clone();
+    let tokens = config.tokens.clone();
+    tokio::spawn(async move {
+        let methods = [Method::GET, Method::PUT];
+        albireo_service::http::run(&http, &tokens, &methods, router, listener, stop).await
+    })
+}
+
+/// Prepares the node, unless that is done; `None` if it is stopped before.
+async fn prepare(
+    config: &NodeConfig,
+    prepared: Option<PreparedNode>,
+    shutdown: &CancellationToken,
+) -> Result<Option<PreparedNode>, NodeError> {
+    if prepared.is_some() {
+        return Ok(prepared);
+    }
+    // On a blocking thread, because opening and checking the state file takes a while on a slow SD card.
+    let opened = config.clone();
+    let opening = tokio::task::spawn_blocking(move || PreparedNode::new(&opened));
+    match shutdown.run_until_cancelled(opening).await {
+        Some(opened) => opened.map_err(NodeError::new)?.map(Some),
+        None => Ok(None),
+    }
+}
+
+/// Tells the service manager how the node is, until `stopping`.
+fn notify(board: Arc<Board>, stuck_after_s: f64, stopping: CancellationToken) -> JoinHandle<()> {
+    let state = move || {
+        let detector = board.detector_status();
+        readiness::service_state(&board.readiness, &detector, stuck_after_s)
+    };
+    tokio::spawn(albireo_service::notify::run(state, stopping))
+}
+
 /// Answers requests until the state file is open.
 fn early_routes(node: &str) -> Router {
     let node = node.to_owned();
@@ -128,10 +157,14 @@ fn early_routes(node: &str) -> Router {
 
 /// Logs the main facts in one line.
 fn log_start(config: &NodeConfig, board: &Board, node: &Node, http: SocketAddr, zenoh: &[String]) {
-    let from: Vec<_> = (board.cameras.iter())
+    let from: Vec<_> = board
+        .cameras
+        .iter()
         .map(|camera| camera.source.as_deref().unwrap_or(&camera.key))
         .collect();
-    let names: BTreeSet<_> = (board.cameras.iter())
+    let names: BTreeSet<_> = board
+        .cameras
+        .iter()
         .filter_map(|camera| Some(camera.threshold_in_force()?.to_string()))
         .collect();
     tracing::info!(

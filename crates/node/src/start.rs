@@ -115,10 +115,8 @@ impl PreparedNode {
         });
         let subscriptions = shared.add_cameras(&mut tasks).await?;
 
-        let outlets = api::counters::declare(&session, &board).await?;
-        let (counted, kept) = (Arc::clone(&board), Arc::clone(&settings));
-        let counting = api::counters::run(counted, kept, power, outlets, shutdown);
-        tasks.essential("counters", counting);
+        let counters = api::counters::declare(&session, &board, &settings, power, shutdown).await?;
+        tasks.essential("counters", counters);
 
         let requests = api::keys::declare(&session, &board, &settings, keys.target()).await?;
         tasks.until_shutdown("requests", requests);

@@ -20,22 +20,29 @@ const PERIOD: Duration = Duration::from_secs(1);
 /// The number of counter messages between two saves of the target's threshold for a restart.
 const KEEP_EVERY: u32 = 60;
 
-/// Declares the counters key of every camera on the board, in their order.
+/// Declares the counters key of every camera on the board. The returned future updates the board, puts the counters on
+/// these keys, and steps the target, until `shutdown`.
 ///
 /// # Errors
 /// [`NodeError`] if Zenoh rejects a declaration.
-pub(crate) async fn declare(session: &Session, board: &Board) -> Result<Vec<Outlet>, NodeError> {
+pub(crate) async fn declare(
+    session: &Session,
+    board: &Arc<Board>,
+    settings: &Arc<Settings>,
+    meter: PowerHandle,
+    shutdown: CancellationToken,
+) -> Result<impl Future<Output = ()> + use<>, NodeError> {
     let mut outlets = Vec::new();
     let sent = (CongestionControl::Drop, publishing::COUNTERS);
     for camera in &board.cameras {
         let key = camera.keys.counters();
         outlets.push(Outlet::declare(session, key, sent, &camera.unpublished).await?);
     }
-    Ok(outlets)
+    let board = Arc::clone(board);
+    Ok(run(board, Arc::clone(settings), meter, outlets, shutdown))
 }
 
-/// Updates the board, puts counters on the cameras' `outlets`, and steps the target, until `shutdown`.
-pub(crate) async fn run(
+async fn run(
     board: Arc<Board>,
     settings: Arc<Settings>,
     meter: PowerHandle,
@@ -44,10 +51,12 @@ pub(crate) async fn run(
 ) {
     let mut ticks = tokio::time::interval(PERIOD);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
-    let (mut before, mut then) = (board.totals(meter.snapshot()), Instant::now());
+    let mut before = board.totals(meter.snapshot());
+    let mut then = Instant::now();
     let mut second = 0_u32;
     while (shutdown.run_until_cancelled(ticks.tick()).await).is_some() {
-        let (totals, now) = (board.totals(meter.snapshot()), Instant::now());
+        let totals = board.totals(meter.snapshot());
+        let now = Instant::now();
         board.set_power(totals.power.clone());
         let messages = board.publish_counters(unix_nanoseconds());
         for (outlet, message) in outlets.iter().zip(messages) {

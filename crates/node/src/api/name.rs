@@ -127,8 +127,10 @@ pub(crate) mod tests {
         })
         .await;
         let nodes = [one, two].map(|session| {
-            let (name, readiness) = (NodeName::default(), Readiness::default());
-            let (key, part) = ("albireo/@alive/n".to_owned(), readiness.part("name"));
+            let name = NodeName::default();
+            let readiness = Readiness::default();
+            let key = "albireo/@alive/n".to_owned();
+            let part = readiness.part("name");
             let holding = tokio::spawn(name.clone().hold(session, key, part));
             (name, readiness, holding)
         });

@@ -43,7 +43,7 @@ pub(super) fn box_messages(
         let class = usize::from(output.class.0);
         Some(BoxMessage {
             corners: clipped_corners(output.bounding_box, size)?,
-            class: (names.get(class).cloned()).unwrap_or_else(|| format!("class-{class}")),
+            class: names.get(class).cloned().unwrap_or_else(|| format!("class-{class}")),
             confidence: ((output.confidence * 1e4).round() / 1e4) as f32,
             source: output.source,
             object: output.object,
@@ -56,7 +56,8 @@ pub(super) fn box_messages(
 /// Left, top, right and bottom in pixels, to a hundredth of a pixel; `None` if the box is entirely outside
 /// the picture.
 fn clipped_corners(bounding_box: BoundingBox, size: PictureSize) -> Option<[f32; 4]> {
-    let (width, height) = (f64::from(size.width), f64::from(size.height));
+    let width = f64::from(size.width);
+    let height = f64::from(size.height);
     let corners = bounding_box.pixel_corners(size);
     let (x1, x2) = (corners.x1.clamp(0.0, width), corners.x2.clamp(0.0, width));
     let (y1, y2) = (corners.y1.clamp(0.0, height), corners.y2.clamp(0.0, height));

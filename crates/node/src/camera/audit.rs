@@ -102,7 +102,8 @@ impl CameraAudit {
     /// continues.
     pub(crate) async fn run(&mut self) {
         while let Some((shown, examination)) = self.drawn.front_mut() {
-            let (shown, found) = (*shown, examination.await);
+            let shown = *shown;
+            let found = examination.await;
             self.drawn.pop_front();
             match found {
                 Some(found) => self.board.record_audit(&found),

@@ -98,7 +98,7 @@ impl Decider {
             mut evidence,
             fetched,
         } = fetched;
-        let waiting = (self.pending.as_ref()).filter(|frame| frame.incoming.index == index);
+        let waiting = self.pending.as_ref().filter(|frame| frame.incoming.index == index);
         let need = waiting.map(|frame| frame.need);
         let mut decided = match (need, fetched) {
             // For a frame that was given up. Another one may be waiting.
@@ -145,9 +145,9 @@ impl Decider {
     fn give(&mut self, evidence: Evidence<'_>, outcome: &mut Outcome) -> Option<BegunFrame> {
         let frame = self.pending.as_mut()?;
         let deciding = Instant::now();
-        let delivered = (self.policy).deliver(frame.head.index, evidence, outcome);
+        let delivered = self.policy.deliver(frame.head.index, evidence, outcome);
         frame.times.latency.policy += milliseconds(deciding.elapsed());
         frame.need = delivered.unwrap_or(Need::Nothing);
-        (self.pending).take_if(|frame| frame.need == Need::Nothing)
+        self.pending.take_if(|frame| frame.need == Need::Nothing)
     }
 }

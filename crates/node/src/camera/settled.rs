@@ -39,7 +39,7 @@ impl SettledStream {
         outcome: &Outcome,
         pending: bool,
     ) {
-        if (self.waiting.back()).is_some_and(|last| last.clip != clip) {
+        if self.waiting.back().is_some_and(|last| last.clip != clip) {
             self.flush();
         }
         let frame = &incoming.frame;
@@ -55,14 +55,14 @@ impl SettledStream {
             boxes: Vec::new(),
         });
         let (index, time) = (incoming.index, self.start.elapsed());
-        (self.settler).frame(index, time, outcome, pending, |frame| {
+        self.settler.frame(index, time, outcome, pending, |frame| {
             release(&mut self.waiting, &self.parts, &frame);
         });
     }
 
     /// Adds the final answer of a pending frame.
     pub(super) fn late(&mut self, index: u64, outcome: &Outcome) {
-        (self.settler).late(index, outcome, |frame| {
+        self.settler.late(index, outcome, |frame| {
             release(&mut self.waiting, &self.parts, &frame);
         });
     }
@@ -74,14 +74,14 @@ impl SettledStream {
 
     /// Releases the frames that have waited too long.
     pub(super) fn tick(&mut self) {
-        (self.settler).tick(self.start.elapsed(), |frame| {
+        self.settler.tick(self.start.elapsed(), |frame| {
             release(&mut self.waiting, &self.parts, &frame);
         });
     }
 
     /// Ends the clip: releases all frames held back.
     pub(super) fn flush(&mut self) {
-        (self.settler).flush(|frame| release(&mut self.waiting, &self.parts, &frame));
+        self.settler.flush(|frame| release(&mut self.waiting, &self.parts, &frame));
     }
 }
 

@@ -229,7 +229,7 @@ impl NodeConfig {
         let Ok(node) = self.keys() else { return };
         // The camera of each key; `None` for the node itself.
         let mut owners = HashMap::from([(node.target(), None)]);
-        for keys in (self.cameras.iter()).filter_map(|camera| node.camera(&camera.name).ok()) {
+        for keys in self.cameras.iter().filter_map(|camera| node.camera(&camera.name).ok()) {
             owners.extend([
                 (keys.detections(), None),
                 (keys.late(), None),

@@ -165,8 +165,8 @@ impl Cdr {
     /// Reads a string, whose length includes the NUL at its end.
     fn text(&mut self, what: &str) -> Result<String, FrameFault> {
         let bytes = self.bytes(what)?;
-        let bytes = bytes.strip_suffix(b"\0").unwrap_or(&bytes);
-        String::from_utf8(bytes.to_vec())
+        let text = bytes.strip_suffix(b"\0").unwrap_or(&bytes);
+        String::from_utf8(text.to_vec())
             .map_err(|_| FrameFault::undecodable(format!("the ROS message's {what} is not text")))
     }
 

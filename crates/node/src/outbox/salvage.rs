@@ -81,10 +81,10 @@ impl Copy<'_> {
             *made = (*made).max(report.count);
             self.read.push(report);
         }
-        match self.read.len() >= STEP {
-            true => self.flush(),
-            false => Ok(()),
+        if self.read.len() >= STEP {
+            self.flush()?;
         }
+        Ok(())
     }
 
     fn flush(&mut self) -> Result<(), TableError> {

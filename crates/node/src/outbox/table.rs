@@ -326,7 +326,8 @@ impl Table {
                 ])?;
             }
         }
-        let (mut lost, mut state) = (0, REFUSED);
+        let mut lost = 0;
+        let mut state = REFUSED;
         while state >= WAITING && used_bytes(&transaction)? > self.most_bytes {
             let oldest = "DELETE FROM report WHERE rowid IN \
                           (SELECT rowid FROM report WHERE state = ? ORDER BY count LIMIT 16)";

@@ -79,10 +79,10 @@ impl Waiting {
             return Ok(());
         };
         self.fail(&error);
-        match error.is_corruption() {
-            true => self.open_file(now),
-            false => Err(error),
+        if error.is_corruption() {
+            return self.open_file(now);
         }
+        Err(error)
     }
 
     fn open_file(&mut self, now: Now) -> Result<(), TableError> {
@@ -177,8 +177,7 @@ impl Waiting {
     fn rescue(&mut self) -> Result<(), TableError> {
         let counters = self.table.counters;
         let file = std::mem::replace(&mut self.table, Table::in_memory(counters)?);
-        let rescued =
-            (file.reports(AGAIN, MOST_RESCUED)).and_then(|found| self.table.insert(&found));
+        let rescued = file.reports(AGAIN, MOST_RESCUED).and_then(|found| self.table.insert(&found));
         // The rest is not lost: it is on the disk, and returns with it.
         self.table.counters = counters;
         rescued.map(drop)
@@ -265,8 +264,11 @@ impl Waiting {
             self.conclude(&unreadable, &[], now);
         }
         // First, so that after a crash nobody takes them for reports that were never sent.
-        let first: Vec<_> = (read.iter()).filter(|(report, _)| !report.sent).collect();
-        let first: Vec<_> = first.into_iter().map(|(report, _)| report.id).collect();
+        let first: Vec<_> = read
+            .iter()
+            .filter(|(report, _)| !report.sent)
+            .map(|(report, _)| report.id)
+            .collect();
         if !first.is_empty() {
             self.work(|table| table.sent(&first));
         }
@@ -280,7 +282,8 @@ impl Waiting {
             node: node.to_owned(),
             t_ms: u64::try_from(now.unix_ms).unwrap_or(0),
             ages: read.iter().map(age).collect(),
-            reports: (read.into_iter())
+            reports: read
+                .into_iter()
                 .map(|(_, report)| ClipReport {
                     node: node.to_owned(),
                     ..report
@@ -291,7 +294,9 @@ impl Waiting {
 
     /// Applies a hub's answer to `batch` and returns the number of reports it has stored. Writes a file.
     pub(crate) fn answered(&mut self, batch: &ReportBatch, answer: &ReportAnswer, now: Now) -> u64 {
-        let refused: BTreeMap<Uuid, &str> = (answer.refused.iter())
+        let refused: BTreeMap<Uuid, &str> = answer
+            .refused
+            .iter()
             .map(|refused| (refused.id, refused.reason.as_str()))
             .collect();
         let ended = batch.reports.iter().map(|report| {
@@ -310,8 +315,7 @@ impl Waiting {
 
     /// Sets the states of reports that are not waiting any more, and returns the number of those that a hub has.
     fn conclude(&mut self, concluded: &[(Uuid, i64)], missing: &[(u64, u64)], now: Now) -> u64 {
-        let refused = concluded.iter().filter(|(_, state)| *state == REFUSED);
-        let refused = refused.count() as u64;
+        let refused = concluded.iter().filter(|(_, state)| *state == REFUSED).count() as u64;
         self.table.counters.undeliverable += refused;
         let kept_ms = if self.disk.is_some() { KEPT_MS } else { -1 };
         self.work(|table| table.conclude(concluded, missing, now.unix_ms, kept_ms));
@@ -348,7 +352,9 @@ fn recount(file: &mut Table, witness: Witness) -> Result<u64, TableError> {
 type Read = (Vec<(StoredReport, ClipReport)>, Vec<(Uuid, i64)>);
 
 fn read(table: &Table, node: &str, again: bool) -> Result<Read, TableError> {
-    let (mut reports, mut unreadable, mut bytes) = (Vec::new(), Vec::new(), 0);
+    let mut reports = Vec::new();
+    let mut unreadable = Vec::new();
+    let mut bytes = 0;
     // Those that a hub has lost follow those that none has.
     let last_state = if again { AGAIN } else { WAITING };
     for report in table.reports(last_state, BATCH_REPORTS)? {

@@ -238,7 +238,8 @@ fn text(values: &KeptValues) -> std::io::Result<String> {
 
 /// Writes a new file beside the old one, syncs it, and then replaces the old one.
 fn write(directory: &Path, values: &KeptValues) -> std::io::Result<()> {
-    let (file, fresh) = (directory.join(FILE), directory.join("settings.json.new"));
+    let file = directory.join(FILE);
+    let fresh = directory.join("settings.json.new");
     let mut written = File::create(&fresh)?;
     written.write_all(text(values)?.as_bytes())?;
     written.sync_all()?;

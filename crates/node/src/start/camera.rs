@@ -86,8 +86,7 @@ impl SharedParts {
         ));
         let (closed, clips) = mpsc::unbounded_channel();
 
-        let parts = self.camera_parts(config, board, &receiver, closed).await?;
-        let parts = Arc::new(parts);
+        let parts = Arc::new(self.camera_parts(config, board, &receiver, closed).await?);
         let shared = Arc::clone(self);
         tasks.restarting(format!("camera {name}"), HealthState::NotReady, move || {
             let camera = shared.camera(slot, Arc::clone(&parts));

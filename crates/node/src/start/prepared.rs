@@ -74,8 +74,8 @@ impl PreparedNode {
 }
 
 fn board(config: &NodeConfig, policy: &dyn Policy) -> Result<Arc<Board>, KeyError> {
-    let model = &config.detector.model;
-    let model = model.file_name().unwrap_or(model.as_os_str());
+    let path = &config.detector.model;
+    let model = path.file_name().unwrap_or(path.as_os_str());
     let first = config.cameras.first().and_then(|camera| camera.threshold);
     let first_threshold = first.or_else(|| policy.threshold());
     let cameras = config.cameras.iter().map(|camera| camera_setup(config, camera));

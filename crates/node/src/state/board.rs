@@ -220,8 +220,8 @@ impl Board {
     pub(crate) fn current(&self, t_ns: u64) -> Vec<Arc<Event>> {
         let current = |camera: &Arc<CameraBoard>| {
             let counters = News::Counters(Arc::new(self.counters(camera, t_ns)));
-            let threshold = camera.threshold_in_force();
-            let threshold = threshold.map(|threshold| camera.threshold_news(threshold));
+            let threshold =
+                camera.threshold_in_force().map(|threshold| camera.threshold_news(threshold));
             threshold.into_iter().chain([counters]).map(Event::new)
         };
         let detector = News::Detector(DetectorEvent::new(&self.detector.lock()));
@@ -270,7 +270,7 @@ impl Board {
 
     /// The power over the last hour, oldest first.
     pub(crate) fn power_past(&self) -> Vec<PowerPiece> {
-        (self.power.lock()).slots(&Clock::now(self.shared.started))
+        self.power.lock().slots(&Clock::now(self.shared.started))
     }
 
     /// The counts since the start, with this power.

@@ -235,7 +235,7 @@ impl Board {
             seconds: time.as_secs_f64(),
             frames: since.frames,
             skipped: since.skipped,
-            watts: (since.power.energy("total")).map(|(joules, seconds)| joules / seconds),
+            watts: since.power.energy("total").map(|(joules, seconds)| joules / seconds),
             audit,
         };
         self.target.step(&measured, |value| {

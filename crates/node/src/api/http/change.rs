@@ -14,8 +14,9 @@ pub(super) fn message<T: DeserializeOwned>(
     body: &Bytes,
     expected: &str,
 ) -> Result<T, Problem> {
-    let sent = headers.get(CONTENT_TYPE);
-    let sent = sent.map_or("", |value| value.to_str().unwrap_or("unreadable"));
+    let sent = headers
+        .get(CONTENT_TYPE)
+        .map_or("", |value| value.to_str().unwrap_or("unreadable"));
     let media_type = sent.split(';').next().unwrap_or_default().trim();
     // No content type and curl's default one are also accepted: a page of another origin cannot send a PUT without a
     // preflight, regardless of its content type.

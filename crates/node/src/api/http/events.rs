@@ -54,10 +54,11 @@ impl EventSelection {
     }
 
     fn wants(&self, news: &News) -> bool {
-        let (camera, of) = (self.camera.as_deref(), news.camera());
+        let camera = self.camera.as_deref();
         let types = self.types.as_deref();
-        (camera.is_none() || of.is_none() || camera == of)
-            && types.is_none_or(|types| types.split(',').any(|name| name == news.name()))
+        // News of no single camera is for everybody.
+        let is_of_camera = camera.is_none() || news.camera().is_none() || camera == news.camera();
+        is_of_camera && types.is_none_or(|types| types.split(',').any(|name| name == news.name()))
     }
 }
 
@@ -93,8 +94,8 @@ pub(super) async fn stream(
         Some((next, events))
     });
     let current = shared.board.current(unix_nanoseconds());
-    let events = stream::iter(current).map(Ok).chain(changes);
-    let events = events.filter_map(move |event| {
+    let all = stream::iter(current).map(Ok).chain(changes);
+    let events = all.filter_map(move |event| {
         // Released when the stream ends.
         let _place = &place;
         let sent = sse::Event::default();

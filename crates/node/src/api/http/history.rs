@@ -198,7 +198,8 @@ pub(super) async fn skip_estimate(
             .collect(),
     };
     // Takes some milliseconds, so it must not run on a thread that frames wait for.
-    let (name, camera) = (camera.name().to_owned(), std::sync::Arc::clone(camera));
+    let name = camera.name().to_owned();
+    let camera = std::sync::Arc::clone(camera);
     let computed = tokio::task::spawn_blocking(move || camera.skip_estimate(&values));
     let Ok(Some(estimate)) = computed.await else {
         return Err(cannot("no frame after a detector call is recorded yet"));

@@ -20,7 +20,8 @@ fn flag(on: bool) -> f64 {
 /// `curl http://127.0.0.1:8080/metrics`
 #[utoipa::path(get, operation_id = "metrics", path = "/metrics", tag = "metrics", responses((status = 200, body = String, content_type = "text/plain")))]
 pub(super) async fn text(State(shared): State<RouteState>) -> MetricsPage {
-    let (mut page, board) = (MetricsPage::default(), &shared.board);
+    let mut page = MetricsPage::default();
+    let board = &shared.board;
     page.process();
     page.counter(
         "albireo_shown_pictures_decoded_total",
@@ -38,7 +39,8 @@ pub(super) async fn text(State(shared): State<RouteState>) -> MetricsPage {
 
 /// The build, and the state of the node's parts.
 fn node(page: &mut MetricsPage, board: &Board) {
-    let (status, health) = (board.detector_status(), board.readiness.health());
+    let status = board.detector_status();
+    let health = board.readiness.health();
     let version = ("version", env!("CARGO_PKG_VERSION"));
     page.gauges(
         "albireo_build_info",
@@ -55,7 +57,8 @@ fn node(page: &mut MetricsPage, board: &Board) {
         "Whether the node works as configured",
         flag(health.is_ready()),
     );
-    let (wanted, runs) = (board.providers.first(), provider(&status));
+    let wanted = board.providers.first();
+    let runs = provider(&status);
     let fell_back = runs.is_some_and(|runs| wanted.is_some_and(|wanted| wanted.as_str() != runs));
     page.gauge(
         "albireo_detector_fallback",
@@ -84,7 +87,7 @@ fn node(page: &mut MetricsPage, board: &Board) {
     page.counters(
         "albireo_task_failures_total",
         "Times a task of the node panicked, failed or ended before the shutdown",
-        (failures.iter()).map(|(task, count)| ([("task", &**task)], *count as f64)),
+        failures.iter().map(|(task, count)| ([("task", &**task)], *count as f64)),
     );
 }
 
@@ -231,18 +234,18 @@ fn power(page: &mut MetricsPage, board: &Board) {
     page.gauges(
         "albireo_power_watts",
         "Power now; `power_info` says whether it is measured or estimated",
-        (power.watts.iter()).map(|now| ([("domain", &*now.domain), source], now.watts)),
+        power.watts.iter().map(|now| ([("domain", &*now.domain), source], now.watts)),
     );
     page.counters(
         "albireo_energy_joules_total",
         "Energy since the node started, over the time that samples cover; `power_info` says whether it is measured or \
          estimated",
-        (power.joules.iter()).map(|(domain, joules)| ([("domain", domain.as_str()), source], *joules)),
+        power.joules.iter().map(|(domain, joules)| ([("domain", domain.as_str()), source], *joules)),
     );
     page.counters(
         "albireo_energy_covered_seconds_total",
         "Time that samples of power cover since the node started: `energy_joules` divided by it is the mean power",
-        (power.covered_s.iter())
+        power.covered_s.iter()
             .map(|(domain, seconds)| ([("domain", domain.as_str()), source], *seconds)),
     );
     let hottest = power.hottest.iter();

@@ -107,7 +107,7 @@ pub(super) fn of(camera: &CameraBoard, snapshot: &CameraSnapshot) -> CameraState
 #[utoipa::path(get, operation_id = "frame_states", path = "/api/v1/frame-states", tag = "frames", responses((status = 200, body = NodeStates)))]
 pub(super) async fn all(State(shared): State<RouteState>) -> Json<NodeStates> {
     let board = &shared.board;
-    let snapshots: Vec<_> = (board.cameras.iter()).map(|camera| camera.snapshot()).collect();
+    let snapshots: Vec<_> = board.cameras.iter().map(|camera| camera.snapshot()).collect();
     let cameras = board.cameras.iter().zip(&snapshots);
     Json(NodeStates {
         node: board.node.clone(),

@@ -73,8 +73,7 @@ fn of(shared: &RouteState, camera: &CameraBoard) -> CameraThreshold {
 }
 
 fn thresholds(shared: &RouteState) -> Thresholds {
-    let cameras = shared.board.cameras.iter();
-    let cameras: Vec<_> = cameras.map(|camera| of(shared, camera)).collect();
+    let cameras: Vec<_> = shared.board.cameras.iter().map(|camera| of(shared, camera)).collect();
     let first = cameras.first().map(|camera| camera.value.clone());
     let same = first.filter(|first| cameras.iter().all(|camera| camera.value == *first));
     Thresholds {
@@ -91,13 +90,15 @@ async fn put(
     headers: &HeaderMap,
     body: &Bytes,
 ) -> Result<(), Problem> {
-    let spec = cameras.first().and_then(|camera| camera.threshold_spec);
-    let spec = spec.ok_or_else(|| {
+    // All cameras have the node's policy.
+    let Some(spec) = cameras.first().and_then(|camera| camera.threshold_spec) else {
         let policy = shared.board.policy;
         let absent = InvalidThreshold::Absent { policy }.to_string();
-        Problem::new(StatusCode::CONFLICT, absent)
-    })?;
-    let (name, default, range) = (spec.name, short(spec.default), spec.range());
+        return Err(Problem::new(StatusCode::CONFLICT, absent));
+    };
+    let name = spec.name;
+    let default = short(spec.default);
+    let range = spec.range();
     let expected = format!("a JSON object such as {{\"{name}\": {default}}} with {range}");
     let fault = |what: &dyn Display| {
         let detail = format!("the body must be {expected}: {what}");
@@ -110,7 +111,8 @@ async fn put(
     let (Some((name, value)), None) = (values.next(), values.next()) else {
         return Err(fault(&"it must have exactly one value"));
     };
-    let (threshold, local) = (Threshold::new(&name, value), SettingSource::Local);
+    let threshold = Threshold::new(&name, value);
+    let local = SettingSource::Local;
     let settings = Arc::clone(&shared.settings);
     let place = settings.orders.place();
     let set = move || {

@@ -56,7 +56,7 @@ impl Clip {
 
     /// Moves the provisional end after a frame has arrived or was answered, and keeps the energy up to there.
     pub(super) fn move_end(&mut self) {
-        let between = (self.last_arrival).saturating_duration_since(self.first_arrival);
+        let between = self.last_arrival.saturating_duration_since(self.first_arrival);
         let intervals = u32::try_from(self.arrivals.saturating_sub(1)).unwrap_or(u32::MAX);
         let mean = between.checked_div(intervals).unwrap_or_default();
         self.end = self.last_answered.max(self.last_arrival + mean);
@@ -130,7 +130,8 @@ impl Clip {
 /// A unique report id with the present time. `Uuid::now_v7` would keep a later time after the clock was set back.
 fn new_id() -> Uuid {
     let now_ns = unix_nanoseconds();
-    let (seconds, nanoseconds) = (now_ns / 1_000_000_000, now_ns % 1_000_000_000);
+    let seconds = now_ns / 1_000_000_000;
+    let nanoseconds = now_ns % 1_000_000_000;
     let nanoseconds = u32::try_from(nanoseconds).unwrap_or(0);
     Uuid::new_v7(Timestamp::from_unix(NoContext, seconds, nanoseconds))
 }

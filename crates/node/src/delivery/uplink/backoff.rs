@@ -27,7 +27,8 @@ impl Backoff {
     /// Counts a failure and returns the pause after it.
     pub(super) fn next(&mut self) -> Duration {
         // Knuth's linear congruential generator, whose high bits are good.
-        self.random = (self.random)
+        self.random = self
+            .random
             .wrapping_mul(6_364_136_223_846_793_005)
             .wrapping_add(1_442_695_040_888_963_407);
         let jittered = self.next_ms * (500 + (self.random >> 32) % 1000) / 1000;

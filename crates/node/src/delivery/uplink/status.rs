@@ -84,7 +84,8 @@ impl StatusSender {
             return None;
         }
         let waiting = status.outbox.waiting;
-        let (run, seq) = (self.run, self.seq);
+        let run = self.run;
+        let seq = self.seq;
         self.seq += 1;
         self.sent_at = Some(now.at);
         if !changed {

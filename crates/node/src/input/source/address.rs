@@ -24,10 +24,10 @@ const LOGIN_AFTER_QUERY: &str =
     "has an `@` behind a `?`: write a `?` in a password as `%3F`, and an `@` in a query as `%40`";
 
 fn no_control(text: &str) -> Result<(), String> {
-    match text.contains(char::is_control) {
-        true => Err(CONTROL.to_owned()),
-        false => Ok(()),
+    if text.contains(char::is_control) {
+        return Err(CONTROL.to_owned());
     }
+    Ok(())
 }
 
 /// A source as named by the user, with `${NAME}` for environment variables. Shown (and serialised) without credentials.
@@ -314,7 +314,9 @@ impl SourceOptions {
 
     /// The secret values.
     pub(super) fn secrets(&self) -> impl Iterator<Item = &str> {
-        (self.pairs().into_iter()).filter_map(|(name, value)| value.filter(|_| is_secret(name)))
+        self.pairs()
+            .into_iter()
+            .filter_map(|(name, value)| value.filter(|_| is_secret(name)))
     }
 }
 

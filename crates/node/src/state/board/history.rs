@@ -223,9 +223,11 @@ impl History {
         if let Some((_, open)) = pieces.last_mut() {
             open.set_percentiles(&self.times);
         }
-        let pieces = pieces.into_iter().filter(|(_, piece)| piece.frames > 0);
-        let pieces = pieces.map(|(at_ms, piece)| CameraPiece { at_ms, ..piece });
-        pieces.collect()
+        pieces
+            .into_iter()
+            .filter(|(_, piece)| piece.frames > 0)
+            .map(|(at_ms, piece)| CameraPiece { at_ms, ..piece })
+            .collect()
     }
 }
 
@@ -281,10 +283,11 @@ impl PowerPast {
         let mut pieces = self.hour.read(now);
         // The open one.
         pieces.pop();
-        let pieces = pieces.into_iter();
-        let pieces = pieces.filter(|(_, piece)| !piece.watts.is_empty());
-        let pieces = pieces.map(|(at_ms, piece)| PowerPiece { at_ms, ..piece });
-        pieces.collect()
+        pieces
+            .into_iter()
+            .filter(|(_, piece)| !piece.watts.is_empty())
+            .map(|(at_ms, piece)| PowerPiece { at_ms, ..piece })
+            .collect()
     }
 }
 

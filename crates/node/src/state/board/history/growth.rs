@@ -24,8 +24,10 @@ pub(super) fn aged(frames: &[PastFrame]) -> Vec<Aged> {
     for frame in frames {
         let gap = last.and_then(|last| frame.seq.checked_sub(last));
         // Large or backward jumps come from another stream.
-        let step = gap.and_then(|gap| u32::try_from(gap).ok());
-        let step = step.filter(|gap| (1..=300).contains(gap)).unwrap_or(1);
+        let step = gap
+            .and_then(|gap| u32::try_from(gap).ok())
+            .filter(|gap| (1..=300).contains(gap))
+            .unwrap_or(1);
         last = Some(frame.seq);
         if let Some(before) = age {
             let now = before.saturating_add(step);
@@ -72,7 +74,8 @@ impl Growth {
         let medians: Vec<Option<(f64, f64)>> =
             steps.iter_mut().map(|steps| median(steps)).collect();
         // A power of the age grows by power · ln(a / (a − 1)) per step: fits the power by least squares.
-        let (mut above, mut below) = (0.0, 0.0);
+        let mut above = 0.0;
+        let mut below = 0.0;
         for (age, found) in medians.iter().enumerate().skip(2) {
             if let Some((log, number)) = found {
                 let x = log_step(age);

@@ -48,7 +48,8 @@ impl SkipEstimate {
         let frames = aged(frames);
         let growth = Growth::of(&frames);
         let longest_pause = longest_pause.unwrap_or(u32::MAX);
-        let (first, last) = (frames.first()?.frame, frames.last()?.frame);
+        let first = frames.first()?.frame;
+        let last = frames.last()?.frame;
         let share = |skipped: usize| skipped as f64 / frames.len() as f64;
         let is_skipped = |aged: &&Aged| aged.frame.state.is_skipped() && !aged.frame.degraded;
         let skipped = frames.iter().filter(is_skipped).count();

@@ -165,9 +165,8 @@ async fn the_estimate_is_within_a_tenth_of_the_extra_cost_of_vanilla() {
         let (joules_of_vanilla, _, of_vanilla) = run("vanilla", cameras, rate).await;
         let (joules, power, reports) = run("albireo", cameras, rate).await;
         let truth = joules_of_vanilla - joules;
-        let of_clips: f64 = (reports.iter())
-            .map(|report| report.energy.saved_joules_estimated.unwrap())
-            .sum();
+        let of_clips: f64 =
+            reports.iter().map(|report| report.energy.saved_joules_estimated.unwrap()).sum();
         let case = format!("{cameras} cameras at {rate}/s: {truth:.1} J saved");
         assert!(truth > 50.0, "{case}");
         for estimate in [of_clips, estimated_saving(&power).unwrap()] {
