@@ -21,7 +21,7 @@ need() { local what=$1; shift; "$@" > /dev/null 2>&1 || missing+=("$what"); }
 need "../shared" test -d "$ALBIREO_SHARED"
 need "ONNX Runtime" test -e "$ORT_DYLIB_PATH"
 need "Python" "$ALBIREO_PYTHON" -c ""
-need "the wheel" .cache/wheel/bin/python -c "import albireo, supervision"
+need "the wheel" .cache/wheel/bin/python -c "import albireo, cv2, supervision"
 need "ffmpeg" command -v ffmpeg
 need "RTSP server" bash -c "command -v gst-launch-1.0 && gst-inspect-1.0 x264enc && gst-inspect-1.0 rtspsrc &&
     /usr/bin/python3 -c 'import gi; gi.require_version(\"GstRtspServer\", \"1.0\"); from gi.repository import GstRtspServer'"

@@ -19,11 +19,12 @@ pub(crate) fn python() -> PathBuf {
     project(".cache/wheel/bin/python")
 }
 
-/// The promises of its loop, results of the type it is given, and an answer or an error for any input.
+/// The promises of its loop, results of the type it is given, an answer or an error for any input, and the examples of its
+/// README with the packages that they are for.
 #[rstest::rstest]
 #[ignore = "needs the wheel"]
 fn the_package_passes_its_own_tests(
-    #[values("test_skipper", "test_results", "test_hostile")] module: &str,
+    #[values("test_skipper", "test_results", "test_hostile", "test_packages")] module: &str,
 ) {
     let mut tests = Command::new(python());
     let tests = tests.args(["-m", "unittest", module]);
@@ -36,9 +37,12 @@ fn the_package_passes_its_own_tests(
 #[ignore = "needs the wheel"]
 fn the_types_of_the_wheel_match_its_stubs() {
     let folder = tempfile::tempdir().unwrap();
+    let calls = project("crates/python/tests/typed.py");
+    let calls = format!("-m mypy --strict {}", calls.display());
     for check in [
         "-m mypy.stubtest albireo._core",
         "-m mypy --strict --package=albireo",
+        calls.as_str(),
     ] {
         let mut mypy = Command::new(python());
         run_command(mypy.args(check.split(' ')).current_dir(folder.path())).succeeds();

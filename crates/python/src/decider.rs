@@ -8,7 +8,7 @@ use albireo_core::audit::{AuditDraw, AuditSums};
 use albireo_core::detection::Detection;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{Evidence, FrameHead, LatePolicy, Need, Outcome, PolicyConfig, Profile};
-use numpy::{PyReadonlyArray1, PyReadonlyArray2};
+use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 
@@ -89,6 +89,15 @@ impl Decider {
     /// Takes the grey picture of the next frame, an array of shape (rows, columns).
     fn look(&mut self, picture: PyReadonlyArray2<'_, u8>) -> PyResult<()> {
         self.grey.take(&picture)
+    }
+
+    /// Takes the picture of the next frame, an array of shape (rows, columns, 3 or 4), from red to blue or from blue to red.
+    fn look_in_color(
+        &mut self,
+        picture: PyReadonlyArray3<'_, u8>,
+        red_first: bool,
+    ) -> PyResult<()> {
+        self.grey.take_colored(&picture, red_first)
     }
 
     /// Begins frame `n` and returns whether it wants the detector. `empty` is a screen's verdict on the scene.

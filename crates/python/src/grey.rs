@@ -2,7 +2,8 @@
 
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{Evidence, GreyPicture};
-use numpy::{PyReadonlyArray2, PyUntypedArrayMethods};
+use numpy::ndarray::{ArrayViewMut2, Axis, Zip};
+use numpy::{PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
@@ -17,23 +18,39 @@ impl Grey {
     /// Copies a picture of shape (rows, columns), so that no one changes it while it is read without the interpreter's
     /// lock.
     pub(crate) fn take(&mut self, picture: &PyReadonlyArray2<'_, u8>) -> PyResult<()> {
-        let [rows, columns] = *picture.shape() else {
-            return Err(PyValueError::new_err("a grey picture has two dimensions"));
-        };
-        let side = |pixels: usize| {
-            u32::try_from(pixels)
-                .ok()
-                .filter(|side| (1..=65_535).contains(side))
-                .ok_or_else(|| {
-                    PyValueError::new_err(format!(
-                        "a grey picture of {columns}x{rows} pixels: its sides must be 1 to 65535"
-                    ))
-                })
-        };
-        let size = PictureSize::new(side(columns)?, side(rows)?);
+        let picture = picture.as_array();
+        let (rows, columns) = picture.dim();
+        self.size = Some(size(rows, columns)?);
         self.pixels.clear();
-        self.pixels.extend(picture.as_array().iter());
-        self.size = Some(size);
+        self.pixels.extend(picture.iter());
+        Ok(())
+    }
+
+    /// Takes the brightness of a picture of shape (rows, columns, 3 or 4), whose colours begin with red or with blue.
+    pub(crate) fn take_colored(
+        &mut self,
+        picture: &PyReadonlyArray3<'_, u8>,
+        red_first: bool,
+    ) -> PyResult<()> {
+        let picture = picture.as_array();
+        let (rows, columns, colors) = picture.dim();
+        if !(3..=4).contains(&colors) {
+            return Err(PyValueError::new_err(format!(
+                "a picture in colour has 3 values for each pixel, or 4 with transparency, not {colors}"
+            )));
+        }
+        self.size = Some(size(rows, columns)?);
+        let (red, blue) = if red_first { (0, 2) } else { (2, 0) };
+        let plane = |color| picture.index_axis(Axis(2), color);
+        self.pixels.resize(rows * columns, 0);
+        // Whatever the layout of the picture: the buffer is filled by place, not in the order of the visit.
+        let grey = ArrayViewMut2::from_shape((rows, columns), &mut self.pixels)
+            .map_err(|error| PyValueError::new_err(error.to_string()))?;
+        Zip::from(grey)
+            .and(plane(red))
+            .and(plane(1))
+            .and(plane(blue))
+            .for_each(|grey, &red, &green, &blue| *grey = luma(red, green, blue));
         Ok(())
     }
 
@@ -69,6 +86,27 @@ impl Grey {
             pixels: &self.pixels,
         })
     }
+}
+
+/// Brightness as JPEG has it (ITU-R BT.601).
+fn luma(red: u8, green: u8, blue: u8) -> u8 {
+    let [red, green, blue] = [red, green, blue].map(u32::from);
+    ((77 * red + 150 * green + 29 * blue + 128) >> 8) as u8
+}
+
+/// The size of a picture, whose sides the core limits.
+fn size(rows: usize, columns: usize) -> PyResult<PictureSize> {
+    let side = |pixels: usize| {
+        u32::try_from(pixels)
+            .ok()
+            .filter(|side| (1..=65_535).contains(side))
+            .ok_or_else(|| {
+                PyValueError::new_err(format!(
+                    "a picture of {columns}x{rows} pixels: its sides must be 1 to 65535"
+                ))
+            })
+    };
+    Ok(PictureSize::new(side(columns)?, side(rows)?))
 }
 
 /// Halves a grey picture in each direction, in place, and returns its new size.

@@ -7,7 +7,7 @@ import warnings
 
 import numpy as np
 
-from albireo import Skipper
+from albireo import Boxes, Skipper
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")
@@ -46,6 +46,24 @@ class Arrays(unittest.TestCase):
         one.wants_detector(0), two.wants_detector(0)
         boxes = one.update((XYXY, np.array([0.9, 0.8]), np.array([1, 2])))
         np.testing.assert_array_equal(two.update(boxes).xyxy, boxes.xyxy)
+
+    def test_boxes_are_a_sequence_of_boxes(self):
+        skip = Skipper(size=SIZE)
+        skip.wants_detector(0)
+        boxes = skip.update((XYXY, np.array([0.9, 0.8]), np.array([1, 2])))
+        first, second = boxes
+        self.assertEqual((len(boxes), boxes[1], boxes[-1]), (2, second, second))
+        self.assertEqual([box.class_id for box in boxes], [1, 2])
+        np.testing.assert_allclose([box.xyxy for box in boxes], XYXY)
+        self.assertEqual(first[1:], (boxes.confidence[0], 1, 0, "detected"))
+        self.assertEqual([type(value) for value in first], [tuple, float, int, int, str])
+        for which in (boxes.class_id == 2, slice(1, 2), [1], np.array([1])):
+            self.assertIsInstance(boxes[which], Boxes)
+            self.assertEqual(list(boxes[which]), [second])
+        with self.assertRaises(IndexError):
+            boxes[2]
+        skip.update(boxes[:0]) if skip.wants_detector(1) else None
+        self.assertEqual(list(boxes[:0]), [])
 
     def test_invalid_results_are_rejected_with_the_reason(self):
         skip = Skipper(size=SIZE)

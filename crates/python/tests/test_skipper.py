@@ -2,7 +2,9 @@
 
 import doctest
 import pickle
+import sys
 import unittest
+from unittest import mock
 
 import numpy as np
 
@@ -188,7 +190,7 @@ class Pickle(unittest.TestCase):
                     self.assertEqual(one.wants_detector(n), two.wants_detector(n))
                     wanted = one._core.wants
                     boxes = [skip.update(found(n)) if wanted else skip.predict() for skip in (one, two)]
-                    for mine, other in zip(*boxes):
+                    for mine, other in zip(*(vars(one).values() for one in boxes)):
                         np.testing.assert_array_equal(mine, other)
                 self.assertEqual(str(one), str(two))
 
@@ -263,41 +265,99 @@ class Track(unittest.TestCase):
     def pictures(self, count=30):
         return [np.full((720, 1280, 3), n, np.uint8) for n in range(count)]
 
-    def test_track_runs_the_loop_and_skips_model_calls(self):
+    def test_track_runs_the_loop_and_skips_detector_calls(self):
         called = []
 
-        def model(image):
+        def detector(image):
             called.append(int(image[0, 0, 0]))
             return [found(called[-1])]
 
-        frames = list(albireo.track(model, iter(self.pictures()), threshold=0.3))
-        skip = frames[-1].skip
+        tracked = albireo.track(iter(self.pictures()), detector, threshold=0.3)
+        with self.assertRaisesRegex(RuntimeError, "no frame yet"):
+            tracked.skipper
+        self.assertEqual(str(tracked), "<Tracking before its first frame>")
+        frames = list(tracked)
+        skip = tracked.skipper
         self.assertEqual(len(frames), 30)
+        self.assertEqual([frame.number for frame in frames if frame.detected], called)
         self.assertEqual(len(called), skip.calls)
         self.assertLess(skip.calls, 20)
-        for n, (image, boxes, _) in enumerate(frames):
-            self.assertEqual((image[0, 0, 0], boxes.tracker_id.tolist()), (n, [0, 1, 2]))
+        self.assertEqual(str(tracked), str(skip))
+        for n, frame in enumerate(frames):
+            self.assertEqual((frame.number, frame.image[0, 0, 0], frame.boxes.tracker_id.tolist()), (n, n, [0, 1, 2]))
+            self.assertEqual(frame.detected, frame.state != "P")
 
     def test_track_passes_pictures_to_flow(self):
-        for kind in (lambda image: image, lambda image: image[..., 0]):
+        for kind in (lambda image: image, lambda image: image[..., 0], lambda image: image[..., [0, 1, 2, 2]]):
             pictures = map(kind, self.pictures())
-            *_, last = albireo.track(lambda image: found(int(image.flat[0])), pictures, "expected-loss+flow")
-            self.assertTrue(last.skip.looks)
+            tracked = albireo.track(pictures, lambda image: found(int(image.flat[0])), "expected-loss+flow")
+            self.assertEqual(len(list(tracked)), 30)
+            self.assertTrue(tracked.skipper.looks)
 
     def test_track_rejects_unsupported_input_with_a_reason(self):
-        model = lambda image: found(0)
-        with self.assertRaisesRegex(ImportError, "pip install opencv-python, or give an iterable"):
-            albireo.track(model, "drive.mp4")
-        with self.assertRaisesRegex(TypeError, "iterable of pictures or the path"):
-            albireo.track(model, 7)
+        detector = lambda image: found(0)
+        with mock.patch.dict(sys.modules, cv2=None):
+            with self.assertRaisesRegex(ImportError, "pip install opencv-python, or give an iterable"):
+                albireo.track("drive.mp4", detector)
+        with mock.patch.dict(sys.modules, {"tqdm": None, "tqdm.auto": None}):
+            with self.assertRaisesRegex(ImportError, "needs tqdm.*pip install tqdm"):
+                albireo.track([], detector, progress=True)
+            self.assertEqual(list(albireo.track([], detector)), [])
+        with self.assertRaisesRegex(TypeError, "path of a video, the number of a camera or an iterable"):
+            albireo.track(7.5, detector)
         with self.assertRaisesRegex(TypeError, "cannot be called"):
-            albireo.track("yolo26n.pt", [])
+            albireo.track([], "yolo26n.pt")
+        with self.assertRaisesRegex(TypeError, "the video comes first"):
+            albireo.track(detector, "drive.mp4")
+        with self.assertRaisesRegex(ValueError, "color_order is 'bgr' .* not 'gbr'"):
+            albireo.track([], detector, color_order="gbr")
+        with self.assertRaisesRegex(ValueError, "there is no policy `yolo`"):
+            albireo.track([], detector, "yolo")
         with self.assertRaisesRegex(TypeError, "picture 0 is no array"):
-            list(albireo.track(model, ["frame.jpg"]))
+            list(albireo.track(["frame.jpg"], detector))
         with self.assertRaisesRegex(TypeError, "float64"):
-            list(albireo.track(model, [np.zeros((4, 4))]))
+            list(albireo.track([np.zeros((4, 4))], detector))
+        with self.assertRaisesRegex(TypeError, r"uint8 of shape \(4, 4, 2\)"):
+            list(albireo.track([np.zeros((4, 4, 2), np.uint8)], detector))
         with self.assertRaisesRegex(ValueError, "picture 1 has 9x9 pixels"):
-            list(albireo.track(model, [np.zeros((720, 1280), np.uint8), np.zeros((9, 9), np.uint8)]))
+            list(albireo.track([np.zeros((720, 1280), np.uint8), np.zeros((9, 9), np.uint8)], detector))
+
+
+class Look(unittest.TestCase):
+    def test_the_order_of_colors_decides_the_brightness(self):
+        """A dark and a light stripe in grey, the same as red and cyan: their brightness is that of JPEG."""
+        random = np.random.default_rng(1)
+        noise = random.integers(0, 256, (480, 700), dtype=np.uint8)
+
+        def boxes(look):
+            skip = Skipper("even-skip-in-tracker+flow", threshold=0.9, size=(640, 480))
+            xyxy = np.array([[100.0, 100, 200, 200]])
+            for n in range(8):
+                look(skip, np.ascontiguousarray(noise[:, 2 * n : 2 * n + 640]))
+                shown = skip.update((xyxy, [0.9], [0])) if skip.wants_detector(n) else skip.predict()
+            return shown.xyxy
+
+        red = lambda grey: np.stack([grey, grey // 2, 255 - grey], -1)
+        luma = lambda rgb: ((rgb @ np.array([77, 150, 29]) + 128) // 256).astype(np.uint8)
+        grey = boxes(lambda skip, picture: skip.look(luma(red(picture))))
+        rgb = boxes(lambda skip, picture: skip.look(red(picture), color_order="rgb"))
+        bgr = boxes(lambda skip, picture: skip.look(red(picture)[..., ::-1], color_order="bgr"))
+        clear = boxes(lambda skip, picture: skip.look(np.dstack([red(picture), noise[:, :640]]), color_order="rgb"))
+        swapped = boxes(lambda skip, picture: skip.look(red(picture), color_order="bgr"))
+        columns = boxes(lambda skip, picture: skip.look(np.asfortranarray(red(picture)), color_order="rgb"))
+        for same in (rgb, bgr, clear, columns):
+            np.testing.assert_array_equal(grey, same)
+        self.assertTrue((grey != swapped).any())
+
+    def test_a_picture_in_color_needs_an_order_and_another_shape_is_refused(self):
+        skip = Skipper("expected-loss+flow", size=(4, 4))
+        with self.assertRaisesRegex(ValueError, r"color_order is 'bgr' \(as OpenCV and Ultralytics .* not None"):
+            skip.look(np.zeros((4, 4, 3), np.uint8))
+        with self.assertRaisesRegex(ValueError, "3 values for each pixel, or 4 with transparency, not 2"):
+            skip.look(np.zeros((4, 4, 2), np.uint8), color_order="rgb")
+        for wrong in (np.zeros((4, 4)), np.zeros(4, np.uint8), np.zeros((1, 4, 4, 3), np.uint8)):
+            with self.assertRaisesRegex(ValueError, "in uint8, not"):
+                skip.look(wrong)
 
 
 if __name__ == "__main__":

@@ -2,20 +2,30 @@
 
     import albireo
 
+    tracked = albireo.track("drive.mp4", detector)
+    for frame in tracked:
+        for box in frame.boxes:
+            print(frame.number, box.tracker_id, box.xyxy)
+    print(tracked)
+
+or, in a loop of your own:
+
     skip = albireo.Skipper("expected-loss", threshold=0.3, size=(1280, 720))
-    for n, frame in enumerate(video):
+    for n, image in enumerate(video):
         if skip.wants_detector(n):
-            boxes = skip.update(model(frame))
+            boxes = skip.update(detector(image))
         else:
             boxes = skip.predict()
     print(skip)
 
-`help(albireo.Skipper)` describes all settings and methods; `albireo.track` runs the loop for you.
+`help(albireo.track)` and `help(albireo.Skipper)` describe all settings and methods.
 """
 
 from ._core import __version__
-from .results import Boxes
+from .results import Box, Boxes, ColorOrder, Columns, Image
 from .skipper import Skipper
-from .tracking import Tracked, track
+from .tracking import Tracked, Tracking, track
 
-__all__ = ["Boxes", "Skipper", "Tracked", "__version__", "track"]
+__all__ = [
+    "Box", "Boxes", "ColorOrder", "Columns", "Image", "Skipper", "Tracked", "Tracking", "__version__", "track"
+]

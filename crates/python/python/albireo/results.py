@@ -5,19 +5,46 @@ Foreign types are read by their attributes: neither supervision nor Ultralytics 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple, Protocol, TypeAlias, TypeVar, Union, get_args, overload
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from . import _core
 
 _SOURCES = np.array(_core.SOURCES)
 
+ColorOrder: TypeAlias = Literal["bgr", "rgb"]
+"""The order of a picture's colours: "bgr" is that of OpenCV and Ultralytics, "rgb" that of Pillow and PyTorch."""
 
-class Boxes(NamedTuple):
-    """Boxes as arrays. It is a tuple, and can be given to `Skipper.update` as it is."""
+Image: TypeAlias = NDArray[np.uint8]
+"""A picture of 8 bits: shape (rows, columns), (rows, columns, 3) or (rows, columns, 4), the last with transparency."""
+
+
+class Box(NamedTuple):
+    """One of `Boxes`."""
+
+    xyxy: tuple[float, float, float, float]
+    """Left, top, right, bottom in pixels."""
+    confidence: float
+    """0 to 1."""
+    class_id: int
+    """The detector's class number."""
+    tracker_id: int
+    """The object's number, -1 where a policy follows no objects."""
+    source: str
+    """"detected", "predicted", "followed" (by optical flow) or "rescued" (the detector missed it)."""
+
+
+@dataclass(eq=False)
+class Boxes:
+    """The boxes of a frame as arrays, one row for each box. `for box in boxes` goes through them as `Box`.
+
+    `len(boxes)` is their number, `boxes[0]` the first, and `boxes[boxes.class_id == 2]` those of a class. They can be
+    given to `Skipper.update` as they are.
+    """
 
     xyxy: NDArray[Any]
     """Left, top, right, bottom in pixels: shape (N, 4). Predicted boxes may reach out of the picture."""
@@ -30,9 +57,82 @@ class Boxes(NamedTuple):
     source: NDArray[np.str_]
     """"detected", "predicted", "followed" (by optical flow) or "rescued" (the detector missed it): shape (N,)."""
 
+    def __len__(self) -> int:
+        return len(self.xyxy)
 
-Arrays = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
-Back = Callable[[Boxes, Any], Any]
+    def __iter__(self) -> Iterator[Box]:
+        columns = (self.confidence, self.class_id, self.tracker_id, self.source)
+        rows = zip(self.xyxy.tolist(), *(column.tolist() for column in columns))
+        return (Box((left, top, right, bottom), *row) for (left, top, right, bottom), *row in rows)
+
+    @overload
+    def __getitem__(self, which: int | np.integer[Any]) -> Box: ...
+    @overload
+    def __getitem__(self, which: slice | NDArray[np.bool_] | NDArray[np.integer[Any]] | list[int] | list[bool]) -> Boxes: ...
+    def __getitem__(self, which: Any) -> Box | Boxes:
+        columns = (self.xyxy, self.confidence, self.class_id, self.tracker_id, self.source)
+        if isinstance(which, (int, np.integer)):
+            xyxy, *row = (column[which].tolist() for column in columns)
+            return Box((xyxy[0], xyxy[1], xyxy[2], xyxy[3]), *row)
+        return Boxes(*(column[which] for column in columns))
+
+
+class SupervisionDetections(Protocol):
+    """What is read of supervision's `Detections`."""
+
+    @property
+    def xyxy(self) -> Any: ...
+    @property
+    def confidence(self) -> Any: ...
+    @property
+    def class_id(self) -> Any: ...
+
+
+class UltralyticsResults(Protocol):
+    """What is read of Ultralytics' `Results`."""
+
+    @property
+    def boxes(self) -> Any: ...
+    @property
+    def orig_shape(self) -> Any: ...
+
+
+Columns: TypeAlias = tuple[ArrayLike, ArrayLike, ArrayLike]
+"""Boxes (N, 4), confidences (N,) and classes (N,): arrays, lists or tensors."""
+
+Foreign = TypeVar("Foreign", bound=Union[SupervisionDetections, UltralyticsResults])
+"""Another package's type of results, which comes back as it went in."""
+
+Result: TypeAlias = Union[Boxes, Columns, NDArray[Any], SupervisionDetections, UltralyticsResults]
+"""Everything that `Skipper.update` takes."""
+
+Arrays: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+
+
+class Picture(NamedTuple):
+    """A picture and the order of its colours."""
+
+    image: Image
+    color_order: ColorOrder
+
+    def bgr(self) -> Image:
+        """The picture in OpenCV's order."""
+        if self.color_order == "bgr" or self.image.ndim == 2:
+            return self.image
+        return np.ascontiguousarray(self.image[..., 2::-1])
+
+
+Back: TypeAlias = Callable[[Boxes, Union[Picture, None]], Any]
+
+
+def checked_order(color_order: Any) -> ColorOrder:
+    """`color_order`, if it is one."""
+    for order in get_args(ColorOrder):
+        if color_order == order:
+            return order  # type: ignore[no-any-return]
+    raise ValueError(
+        f"color_order is 'bgr' (as OpenCV and Ultralytics have pictures) or 'rgb' (as Pillow and PyTorch), not {color_order!r}"
+    )
 
 
 def read(result: Any, size: tuple[int, int], names: dict[int, str]) -> tuple[Arrays, Back]:
@@ -40,6 +140,8 @@ def read(result: Any, size: tuple[int, int], names: dict[int, str]) -> tuple[Arr
 
     `names` gets the names of classes, where supervision's detections have them.
     """
+    if isinstance(result, Boxes):
+        result = (result.xyxy, result.confidence, result.class_id)
     if isinstance(result, tuple):
         return _read_tuple(result)
     if isinstance(result, np.ndarray):
@@ -58,21 +160,22 @@ def read(result: Any, size: tuple[int, int], names: dict[int, str]) -> tuple[Arr
     )
 
 
-def as_boxes(boxes: Boxes, _image: Any) -> Boxes:
+def as_boxes(boxes: Boxes, _picture: Picture | None) -> Boxes:
     """Gives back arrays."""
     return boxes
 
 
 def _read_tuple(result: tuple[Any, ...]) -> tuple[Arrays, Back]:
-    if len(result) not in (3, 5):
+    if len(result) != 3:
         raise ValueError(f"a tuple of detections is (xyxy, confidence, class_id), not of length {len(result)}")
     xyxy, dtype = _boxes(result[0])
     arrays = xyxy, _column(result[1], "confidence"), _column(result[2], "class_id")
     if dtype == np.float64:
         return arrays, as_boxes
 
-    def back(boxes: Boxes, _image: Any) -> Boxes:
-        return boxes._replace(xyxy=boxes.xyxy.astype(dtype), confidence=boxes.confidence.astype(dtype))
+    def back(boxes: Boxes, _picture: Picture | None) -> Boxes:
+        boxes.xyxy, boxes.confidence = boxes.xyxy.astype(dtype), boxes.confidence.astype(dtype)
+        return boxes
 
     return arrays, back
 
@@ -85,7 +188,7 @@ def _read_rows(rows: NDArray[Any]) -> tuple[Arrays, Back]:
     xyxy, dtype = _boxes(rows[:, :4])
     arrays = xyxy, _column(rows[:, 4], "confidence"), _column(rows[:, 5], "class")
 
-    def back(boxes: Boxes, _image: Any) -> NDArray[Any]:
+    def back(boxes: Boxes, _picture: Picture | None) -> NDArray[Any]:
         return np.column_stack([boxes.xyxy, boxes.tracker_id, boxes.confidence, boxes.class_id]).astype(dtype)
 
     return arrays, back
@@ -101,7 +204,7 @@ def _read_supervision(result: Any, names: dict[int, str]) -> tuple[Arrays, Back]
         names.update(zip(class_id.tolist(), map(str, known)))
     kind = type(result)
 
-    def back(boxes: Boxes, _image: Any) -> Any:
+    def back(boxes: Boxes, _picture: Picture | None) -> Any:
         data: dict[str, Any] = {"source": boxes.source}
         if names:
             data["class_name"] = np.array([names.get(number, "") for number in boxes.class_id.tolist()], dtype=str)
@@ -129,11 +232,11 @@ def _read_ultralytics(result: Any, size: tuple[int, int]) -> tuple[Arrays, Back]
     # A tensor on the device of the result, where it is one.
     make = getattr(found.data, "new_tensor", None)
 
-    def back(boxes: Boxes, image: Any) -> Any:
+    def back(boxes: Boxes, picture: Picture | None) -> Any:
         rows = np.column_stack([boxes.xyxy, boxes.tracker_id, boxes.confidence, boxes.class_id]).astype(dtype)
         shown = blank.new()
-        if image is not None:
-            shown.orig_img = image
+        if picture is not None:
+            shown.orig_img = picture.bgr()
         shown.update(boxes=make(rows) if make else rows)
         shown.source = boxes.source
         return shown

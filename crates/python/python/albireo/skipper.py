@@ -4,13 +4,25 @@ from __future__ import annotations
 
 from collections import Counter
 from operator import index
-from typing import Any
+from typing import TYPE_CHECKING, Any, Generic, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import _core
-from .results import Back, as_boxes, named, read
+from .results import (
+    Back, Boxes, ColorOrder, Columns, Foreign, Image, Picture, Result, as_boxes, checked_order, named, read
+)
+
+if TYPE_CHECKING:
+    # Type checkers have it built in; nothing is installed.
+    from typing_extensions import TypeVar
+
+    Shown = TypeVar("Shown", default=Any)
+else:
+    from typing import TypeVar
+
+    Shown = TypeVar("Shown")
 
 _CAUSES = {
     "uncertain": "an object became uncertain",
@@ -41,7 +53,7 @@ def _number(n: Any) -> int:
     return number
 
 
-class Skipper:
+class Skipper(Generic[Shown]):
     """Decides which frames of a video need the detector, and predicts where the objects are on the others.
 
     >>> import numpy as np
@@ -63,7 +75,8 @@ class Skipper:
     `update` takes what the detector found as a tuple of arrays `(xyxy, confidence, class_id)`, as one array with rows of x1,
     y1, x2, y2, confidence and class, as supervision's `Detections` or as Ultralytics' `Results`; boxes come back as the same
     type, with `tracker_id` and `source` ("detected", "predicted", "followed" or "rescued"). Rows come back with the id
-    before the confidence and without `source`, as Ultralytics and BoxMOT write tracks. `print(skip)` says what was skipped and why the detector was called.
+    before the confidence and without `source`, as Ultralytics and BoxMOT write tracks. `print(skip)` says what was skipped and
+    why the detector was called. For type checkers, `Skipper[supervision.Detections](…)` says what `predict` returns.
 
     policy: `"expected-loss"`, `"albireo"`, `"fixed-skip"`, … With `+flow` (`"expected-loss+flow"`) optical flow moves the
         boxes of skipped frames; it needs the picture of every frame (`look`).
@@ -116,15 +129,22 @@ class Skipper:
         self._failed = 0
         self._abandoned = 0
 
-    def look(self, grey: NDArray[np.uint8]) -> None:
-        """Takes the picture of the next frame, before its `wants_detector`: shape (rows, columns), 8 bits, grey.
+    def look(self, image: Image, *, color_order: ColorOrder | None = None) -> None:
+        """Takes the picture of the next frame, before its `wants_detector`: 8 bits, grey or in colour.
 
-        Only policies with `+flow` (and `statues`) look at it; without it they go on as if they could not see.
+        Grey has the shape (rows, columns). Colour has (rows, columns, 3), or 4 with transparency, and needs `color_order`,
+        "bgr" or "rgb": only its brightness is used. Only policies with `+flow` (and `statues`) look at pictures; without
+        one they go on as if they could not see.
         """
-        grey = np.asarray(grey)
-        if grey.dtype != np.uint8 or grey.ndim != 2:
-            raise ValueError(f"look takes a grey picture of shape (rows, columns) in uint8, not {grey.dtype} {grey.shape}")
-        self._core.look(grey)
+        image = np.asarray(image)
+        if image.dtype != np.uint8 or image.ndim not in (2, 3):
+            raise ValueError(
+                f"look takes a picture of shape (rows, columns) or (rows, columns, 3) in uint8, not {image.dtype} {image.shape}"
+            )
+        if image.ndim == 2:
+            self._core.look(image)
+        else:
+            self._core.look_in_color(image, checked_order(color_order) == "rgb")
         self._looked = True
 
     def wants_detector(self, n: int | None = None, *, empty: bool | None = None) -> bool:
@@ -148,7 +168,15 @@ class Skipper:
             raise RuntimeError("submit(n) is for detections that come late: make the skipper with late=True")
         return self._begin(n, empty)
 
-    def deliver(self, n: int, result: Any) -> Any:
+    @overload
+    def deliver(self, n: int, result: Boxes | Columns) -> Boxes: ...
+    @overload
+    def deliver(self, n: int, result: NDArray[Any]) -> NDArray[Any]: ...
+    @overload
+    def deliver(self, n: int, result: Foreign) -> Foreign: ...
+    @overload
+    def deliver(self, n: int, result: None) -> Shown: ...
+    def deliver(self, n: int, result: Result | None) -> Any:
         """Takes the detector's result for frame `n`, None if it failed, and returns that frame's final boxes.
 
         The objects move on from there to the present frame, so the next `predict` includes the result.
@@ -168,7 +196,7 @@ class Skipper:
         self._causes[cause or "?"] += 1
         return back(boxes, None)
 
-    def settled(self, *, end: bool = False) -> list[tuple[int, Any]]:
+    def settled(self, *, end: bool = False) -> list[tuple[int, Shown]]:
         """Frames that became final since the last call, each once and in order, with their boxes.
 
         Needs `settle=True`. Boxes between two detector calls are interpolated; a frame is returned when the next call is
@@ -189,7 +217,13 @@ class Skipper:
             self._states[core.state] += 1
         return wanted
 
-    def update(self, result: Any) -> Any:
+    @overload
+    def update(self, result: Boxes | Columns) -> Boxes: ...
+    @overload
+    def update(self, result: NDArray[Any]) -> NDArray[Any]: ...
+    @overload
+    def update(self, result: Foreign) -> Foreign: ...
+    def update(self, result: Result) -> Any:
         """Takes the detector's result for this frame, and returns the boxes to show, as the same type.
 
         Invalid detections (not finite, sides of zero or less, invalid confidence) are dropped and counted.
@@ -200,22 +234,23 @@ class Skipper:
         self._called(("update", *arrays))
         return back(boxes, None)
 
-    def unavailable(self, image: Any = None) -> Any:
+    def unavailable(self, image: Image | None = None, *, color_order: ColorOrder = "bgr") -> Shown:
         """Ends a frame that needed the detector without it, and returns the predicted boxes.
 
-        Use it when the detector failed: the next frame needs it again.
+        Use it when the detector failed: the next frame needs it again. `image` is that of `predict`.
         """
         boxes = named(self._core.unavailable())
         self._failed += 1
         self._called(("unavailable",))
-        return self._back(boxes, image)
+        return self._shown(boxes, image, color_order)
 
-    def predict(self, image: Any = None) -> Any:
+    def predict(self, image: Image | None = None, *, color_order: ColorOrder = "bgr") -> Shown:
         """Returns the boxes of a frame that skips the detector, as the type that `update` last took.
 
-        `image` becomes the picture of Ultralytics' results (`orig_img`).
+        Before the first result they are `Boxes`. `image` becomes the picture of Ultralytics' results (`orig_img`), which
+        is BGR: `color_order` is the order in which it is given.
         """
-        return self._back(named(self._core.boxes()), image)
+        return self._shown(named(self._core.boxes()), image, color_order)
 
     def audit_due(self, n: int | None = None) -> bool:
         """Whether frame `n`, by default this one, is in the random sample on which skipping is checked.
@@ -229,7 +264,7 @@ class Skipper:
             return False
         return not core.wants and core.state in ("P", "E") and core.drawn(number)
 
-    def audit(self, result: Any) -> None:
+    def audit(self, result: Result) -> None:
         """Compares the boxes of this frame, which was skipped, with what the detector finds on it."""
         arrays, _ = read(result, self._size, dict(self._names))
         self._core.compare(*arrays)
@@ -329,6 +364,12 @@ class Skipper:
         spec = self.threshold_spec
         threshold = f" with {spec[0]} = {self.threshold:g}" if spec and self.threshold is not None else ""
         return f"<Skipper {self.policy}{threshold}, {self._size[0]}x{self._size[1]}>"
+
+    def _shown(self, boxes: Boxes, image: Image | None, color_order: ColorOrder) -> Shown:
+        """Boxes as the type that `update` last took."""
+        picture = None if image is None else Picture(image, checked_order(color_order))
+        shown: Shown = self._back(boxes, picture)
+        return shown
 
     def _called(self, event: tuple[Any, ...]) -> None:
         """Counts a frame for which the detector was called."""
