@@ -12,6 +12,8 @@ pub(crate) use file::SettingsFile;
 pub(crate) use orders::{MAX_MESSAGE_BYTES, Place};
 
 use crate::state::board::{Board, CameraBoard};
+use crate::state::readiness;
+use albireo_service::readiness::Fault;
 use albireo_wire::Threshold;
 use orders::Orders;
 use serde::de::DeserializeOwned;
@@ -24,7 +26,7 @@ pub(crate) struct Settings {
     /// Where they are in force.
     board: Arc<Board>,
     /// Where they are kept.
-    file: SettingsFile,
+    file: Arc<SettingsFile>,
     /// The changes that arrived, in their order.
     pub(crate) orders: Orders,
 }
@@ -36,13 +38,18 @@ impl Settings {
     pub(crate) fn open(board: &Arc<Board>, directory: Option<&Path>) -> Self {
         let settings = Self {
             board: Arc::clone(board),
-            file: SettingsFile::open(directory),
+            file: Arc::new(SettingsFile::open(directory)),
             orders: Orders::default(),
         };
         board.cameras.iter().for_each(|camera| settings.restore(camera));
         let target = &board.target;
         let kept = settings.file.kept(change::TARGET, &target.configured());
         target.begin(kept);
+        // The probe belongs to the board, which the settings hold: with the settings in it, neither would ever end.
+        let file = Arc::clone(&settings.file);
+        board.readiness.probe(readiness::DISK, "settings", move || {
+            file.fault().map(Fault::degraded)
+        });
         settings
     }
 
@@ -90,11 +97,6 @@ impl Settings {
     /// True if the settings survive a restart: they are in a file, and the last attempt to write it succeeded.
     pub(crate) fn survive_restart(&self) -> bool {
         self.file.survive_restart()
-    }
-
-    /// What is wrong with the file, in words.
-    pub(crate) fn fault(&self) -> Option<String> {
-        self.file.fault()
     }
 
     /// Writes the file if it differs from the settings.

@@ -37,7 +37,7 @@ impl PreparedNode {
         let policy = config.policy.build().map_err(NodeError::new)?;
         let board = board(config, &*policy).map_err(NodeError::new)?;
         let settings = Arc::new(Settings::open(&board, directory));
-        watch_disk(&board.readiness, &outbox, &settings);
+        watch_outbox(&board.readiness, &outbox);
         let policy = config.policy.clone();
         Ok(Self {
             board,
@@ -101,15 +101,11 @@ fn camera_setup(config: &NodeConfig, camera: &CameraConfig) -> Result<CameraSetu
     })
 }
 
-/// Adds probes for what is kept in the state directory.
-fn watch_disk(readiness: &Readiness, outbox: &Arc<Outbox>, settings: &Arc<Settings>) {
+/// Adds probes for the reports in the state directory.
+fn watch_outbox(readiness: &Readiness, outbox: &Arc<Outbox>) {
     let disk = Arc::clone(outbox);
     readiness.probe(readiness::DISK, "", move || {
         disk.counts().failing.map(Fault::degraded)
-    });
-    let kept = Arc::clone(settings);
-    readiness.probe(readiness::DISK, "settings", move || {
-        kept.fault().map(Fault::degraded)
     });
     let reports = Arc::clone(outbox);
     readiness.probe(readiness::OUTBOX, "", move || reports.counts().fault());
