@@ -52,10 +52,19 @@ fn without_a_meter_cpu_time_and_detector_calls_are_compared_and_energy_is_marked
     let slowly = ["--speed", "0.4"];
     let (words, progress, found) = compared(folder.path(), power, "", &slowly);
     assert_contains(&words, &["There is no power meter here", "ESTIMATED"]);
-    assert_contains(&words, &["detector calls", ", AP@50"]);
     // Without a terminal for a progress bar, one line per run reports the progress.
     assert_contains(&progress, &["run 4 of 4, vanilla …"]);
     let verdict = &found["verdicts"][0];
+    // The sentence, for the headings of the table name the same figures.
+    let sentence = verdict["sentence"].as_str().unwrap();
+    let parts = [
+        " detector calls ",
+        ", AP@50 ",
+        " the boxes of vanilla",
+        "(estimated)",
+    ];
+    assert_contains(sentence, &parts);
+    assert_contains(&words, &[sentence]);
     let calls = verdict["detector_calls_percent"].as_f64().unwrap();
     assert!(calls < 0.0, "{verdict}");
     assert_eq!(verdict["energy"], "estimated", "{verdict}");

@@ -57,11 +57,18 @@ async fn frames_go_out_at_the_source_s_rate_or_a_given_one() {
         };
         let (frames, sent) = played(numbers(5), options, |_| Duration::ZERO).await;
         assert_eq!((sent.frames, sent.bytes, sent.behind), (5, 5, 0));
+        let began_ns = frames[0].1.attachment.t_ns.unwrap();
         for (number, (when, frame)) in (0..).zip(&frames) {
             let expected = Duration::from_millis(period) * number;
             let off = when.abs_diff(expected);
             assert!(off < Duration::from_millis(5), "{when:?}");
             assert_eq!(frame.attachment.seq, Some(7 + u64::from(number)));
+            // The capture times of the recording, whatever delays the sending.
+            let captured_ns = u64::from(number) * period * 1_000_000;
+            let found_ns = frame.attachment.t_ns.unwrap() - began_ns;
+            assert!(found_ns.abs_diff(captured_ns) <= 1, "{found_ns}");
+            assert_eq!(frame.attachment.clip.as_deref(), Some("numbers"));
+            assert_eq!(&*frame.picture.bytes, [number as u8]);
             // A raw picture gives its size.
             assert_eq!(frame.attachment.width, Some(1));
         }
