@@ -113,7 +113,9 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
                 "failed: {reason}; next attempt in {seconds} s"
             );
         }
-        SourceEvent::Picture { picture, reopened } => match outlet.send(picture, reopened) {
+        SourceEvent::Picture {
+            picture, reopened, ..
+        } => match outlet.send(picture, reopened) {
             Ok(()) => {
                 counted.fetch_add(1, Ordering::Relaxed);
                 failed = false;

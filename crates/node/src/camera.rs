@@ -215,6 +215,12 @@ impl Camera {
         if frame.need == Need::Nothing {
             return self.conclude(&frame);
         }
+        if frame.incoming.broken {
+            return match self.decider.without_evidence(frame, &mut self.outcome) {
+                Some(frame) => self.conclude(&frame),
+                None => {}
+            };
+        }
         if self.decider.answers_at_once() {
             let message = self.answer(&frame, true);
             self.tracker.pending(message.seq, frame.threshold);

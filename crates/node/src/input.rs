@@ -1,5 +1,6 @@
 //! Receives what cameras send: reads and numbers frames, keeps them in a ring, and opens cameras.
 
+mod arrivals;
 mod attachment;
 mod counter;
 mod read;
@@ -9,6 +10,7 @@ mod ros2;
 mod sequence;
 pub mod source;
 
+pub use arrivals::ArrivalCounts;
 pub use counter::{InputCounter, Unusable};
 pub use read::{Frame, RawSample, read_frame};
 pub(crate) use ring::{Pushed, Ring};

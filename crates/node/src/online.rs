@@ -2,7 +2,7 @@
 //! node opens, the router, the hub. For `albireo check --online`.
 
 use crate::config::NodeConfig;
-use crate::input::source::{LiveSource, SourceEvent, SourceSettings};
+use crate::input::source::{FIRST_PICTURE, LiveSource, SourceEvent, SourceSettings};
 use albireo_service::ServiceError;
 use albireo_service::clock::milliseconds;
 use albireo_service::config::{ZenohConfig, ZenohMode};
@@ -167,7 +167,7 @@ fn try_detector(config: &DetectorConfig) -> Result<(DetectorNetwork, String), Tr
 
 /// Waits for the first picture.
 async fn try_source(settings: SourceSettings) -> Result<EncodedPicture, TrialFailure> {
-    let patience = settings.silence.min(Duration::from_secs(600)) + ANSWER;
+    let patience = settings.silence.clamp(FIRST_PICTURE, Duration::from_secs(600)) + ANSWER;
     let source = tokio::task::spawn_blocking(move || LiveSource::find(settings)).await??;
     let (sender, mut found) = channel(1);
     let stop = CancellationToken::new();

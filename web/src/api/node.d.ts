@@ -1687,10 +1687,20 @@ export interface components {
             advice?: components["schemas"]["Advice"] | null;
             /**
              * Format: int64
+             * @description Frames that came from it since the node started, also those that `max_rate` leaves out.
+             */
+            arrived: number;
+            /**
+             * Format: int64
+             * @description Frames of these that show damage: from a complaint of the decoder to the next whole key frame.
+             */
+            broken: number;
+            /**
+             * Format: int64
              * @description Clips ended since the node started.
              */
             clips: number;
-            /** @description Reason why no frames arrive, or why those that arrive cannot be used; absent while there is none. */
+            /** @description What is wrong: why no frames arrive, or why those that arrive are of no use; absent if all is well. */
             fault?: string | null;
             /**
              * Format: int32
@@ -1699,8 +1709,18 @@ export interface components {
             height?: number | null;
             /** @description Zenoh key of its frames; absent if it has a source. */
             key?: string | null;
+            /**
+             * Format: double
+             * @description Frames per second that the node takes from its source at most; absent without a limit.
+             */
+            max_rate?: number | null;
             /** @description The policy that decides its frames. */
             policy: string;
+            /**
+             * Format: double
+             * @description Frames per second that come from it, over the last 10 s.
+             */
+            rate?: number | null;
             set_by?: components["schemas"]["SettingSource"] | null;
             /** @description Address of the source that the node opens for it, without credentials. */
             source?: string | null;

@@ -121,7 +121,9 @@ function Tile({ camera, word, age, pill }: Stated & { camera: Entry }) {
   const lately = rates(camera.camera, 10);
   const isOpen = opened.value === camera.camera;
   const live = word === "live" || word === "degraded";
-  const fault = live || !camera.fault ? undefined : shortFault(camera.fault, camera.source);
+  // A live camera may still be slow, or send broken pictures; a failure that it has got over is no news.
+  const isOver = live && camera.fault?.startsWith("failed: ");
+  const fault = isOver || !camera.fault ? undefined : shortFault(camera.fault, camera.source);
   return (
     <li class={isOpen ? "tile open" : "tile"}>
       <button type="button" class="tile-button" aria-pressed={isOpen} title={camera.fault ?? undefined} onClick={() => look(camera.camera)}>
@@ -131,7 +133,8 @@ function Tile({ camera, word, age, pill }: Stated & { camera: Entry }) {
         {fault && <span class="bad">{fault}</span>}
         {live && lately && (
           <span class="quiet">
-            {lately.perSecond.toFixed(1)} frames/s · {percent(lately.skipRate, 0)} skipped
+            {lately.perSecond.toFixed(1)}
+            {camera.rate && camera.rate > 1.1 * lately.perSecond ? ` of ${camera.rate.toFixed(1)}` : ""} frames/s · {percent(lately.skipRate, 0)} skipped
           </span>
         )}
         {!live && (age !== undefined || !fault) && <span class="quiet">{age === undefined ? "no picture yet" : `last picture ${ago(age)}`}</span>}

@@ -119,6 +119,16 @@ impl Decider {
         decided
     }
 
+    /// Makes the policy's prediction the final answer of a frame whose picture is not to be trusted.
+    pub(super) fn without_evidence(
+        &mut self,
+        frame: BegunFrame,
+        outcome: &mut Outcome,
+    ) -> Option<BegunFrame> {
+        self.pending = Some(frame);
+        self.give_up(outcome)
+    }
+
     /// Makes the policy's prediction the final answer of the pending frame, if there is one.
     pub(super) fn give_up(&mut self, outcome: &mut Outcome) -> Option<BegunFrame> {
         while self.pending.is_some() {

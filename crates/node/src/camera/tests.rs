@@ -156,6 +156,7 @@ fn put(receiver: &FrameReceiver, index: u64, epoch: u64, received: Instant) {
         frame,
         index,
         epoch,
+        broken: false,
         query: None,
     };
     let pushed = receiver.ring.push(frame, 0);

@@ -1,5 +1,6 @@
 //! What a receiver tells of its camera: frames that are not processed, and the newest picture.
 
+use super::arrivals::Arrivals;
 use crate::frame::LatestFrame;
 use albireo_wire::{DropKind, DroppedFrames};
 use parking_lot::Mutex;
@@ -10,6 +11,8 @@ use std::sync::Arc;
 #[derive(Debug, Default)]
 pub struct InputCounter {
     counts: Mutex<InputCounts>,
+    /// Counts everything that the camera sends.
+    pub(crate) arrivals: Arc<Arrivals>,
     latest: Mutex<Option<Arc<LatestFrame>>>,
 }
 

@@ -40,6 +40,8 @@ pub(crate) struct SequencedFrame {
     /// The number of its stream. It grows whenever a new stream begins, even if the frame that showed it is
     /// unusable.
     pub epoch: u64,
+    /// True if what it shows is not to be trusted: its source's decoder has complained since the last whole key frame.
+    pub broken: bool,
     /// The frame's query, if it came as one: its sender waits for the [answer](FrameReceiver::answer), given when the
     /// frame is taken from the ring, before it sends the next frame.
     pub query: Option<Query>,
@@ -118,13 +120,17 @@ impl FrameReceiver {
 
     /// Receives a frame that came as a put.
     pub(crate) fn take(&self, sample: &Sample) {
-        self.place(None, |arrival| self.read(sample.into(), arrival));
+        self.counter.arrivals.frame(false);
+        self.place(None, false, |arrival| self.read(sample.into(), arrival));
     }
 
     /// Receives a frame that came as a query. If there is no room, the query ends without an answer.
     pub(crate) fn take_query(&self, query: Query) {
         let waiting = Some(query.clone());
-        self.place(waiting, |arrival| self.read((&query).into(), arrival));
+        self.counter.arrivals.frame(false);
+        self.place(waiting, false, |arrival| {
+            self.read((&query).into(), arrival)
+        });
     }
 
     /// Answers the sender of a frame that came as a query: the frame's turn has come, or the reason it will not be
@@ -156,12 +162,17 @@ impl FrameReceiver {
     }
 
     /// Receives a picture of a source that the node reads itself. `reopened` is true for the first picture after the
-    /// source was opened: what happened in between is unknown.
-    pub(crate) fn take_picture(&self, picture: Result<EncodedPicture, FrameFault>, reopened: bool) {
+    /// source was opened: what happened in between is unknown. A `broken` picture is not given to the detector.
+    pub(crate) fn take_picture(
+        &self,
+        picture: Result<EncodedPicture, FrameFault>,
+        reopened: bool,
+        broken: bool,
+    ) {
         if reopened {
             self.stream.lock().epoch += 1;
         }
-        self.place(None, |arrival| {
+        self.place(None, broken, |arrival| {
             let frame = picture.map(|picture| Frame {
                 sequence: arrival,
                 time_ns: unix_nanoseconds(),
@@ -179,7 +190,7 @@ impl FrameReceiver {
     }
 
     /// Numbers the result of `read` and puts it into the ring.
-    fn place(&self, query: Option<Query>, read: impl FnOnce(u64) -> NumberedFrame) {
+    fn place(&self, query: Option<Query>, broken: bool, read: impl FnOnce(u64) -> NumberedFrame) {
         // One lock over reading, numbering and pushing keeps the order of arrival if Zenoh calls from several
         // threads.
         let mut stream = self.stream.lock();
@@ -189,7 +200,7 @@ impl FrameReceiver {
             return;
         }
         let admitted = self.admit(&mut stream, query.clone(), read);
-        let placed = admitted.and_then(|frame| self.push(frame));
+        let placed = admitted.and_then(|frame| self.push(SequencedFrame { broken, ..frame }));
         // The next frame need not wait for this one's answer.
         drop(stream);
         if let Err(Refused { kind, reason }) = placed {
@@ -240,6 +251,7 @@ impl FrameReceiver {
                     frame,
                     index,
                     epoch: stream.epoch,
+                    broken: false,
                     query,
                 });
             }

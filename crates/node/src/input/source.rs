@@ -6,13 +6,19 @@
 //! | `address` | the address of a source and its options, shown without secrets |
 //! | `templates` | the command lines of ffmpeg and GStreamer |
 //! | `program` | a program that writes pictures: started, read with a deadline, ended |
+//! | `messages` | what such a program says: why it fails, which pictures are broken |
 //! | `live` | a source that is reopened whenever it ends |
 
 mod address;
 mod live;
+mod messages;
 mod program;
 mod templates;
 
 pub use address::{SourceAddress, SourceKind, SourceOptions};
 pub use live::{LiveSource, SourceEvent};
+pub(crate) use program::FIRST_PICTURE;
 pub use templates::{RtspTransport, SourceSettings};
+
+#[cfg(test)]
+mod tests;

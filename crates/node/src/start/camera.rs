@@ -106,7 +106,7 @@ impl SharedParts {
         tasks.essential(format!("reporter {name}"), reporter.run(clips));
 
         match config.source_settings(self.config.frame) {
-            Some(settings) => self.add_source(name, receiver, settings, tasks).await,
+            Some(settings) => self.add_source(board, receiver, settings, tasks).await,
             None => self.subscribe(config.delivery, &board.key, receiver, subscriptions).await,
         }
     }
@@ -212,7 +212,7 @@ impl SharedParts {
     /// Feeds the camera from a source that the node keeps open.
     async fn add_source(
         &self,
-        name: &str,
+        board: &CameraBoard,
         receiver: Arc<FrameReceiver>,
         settings: SourceSettings,
         tasks: &mut Supervisor,
@@ -220,14 +220,20 @@ impl SharedParts {
         // On a blocking thread, because it runs the programs to read their versions.
         let found = tokio::task::spawn_blocking(move || LiveSource::find(settings)).await;
         let source = found.map_err(NodeError::new)?.map_err(NodeError::new)?;
+        let source = source.counting(Arc::clone(&board.input.arrivals));
+        let name = board.name();
         let readiness = &self.board.readiness;
         let part = readiness.part_of(readiness::CAMERAS, name);
         let each = move |event| match event {
-            SourceEvent::Picture { picture, reopened } => {
+            SourceEvent::Picture {
+                picture,
+                reopened,
+                broken,
+            } => {
                 if reopened && picture.is_ok() {
                     part.works();
                 }
-                receiver.take_picture(picture, reopened);
+                receiver.take_picture(picture, reopened, broken);
             }
             SourceEvent::Failed { reason, pause } => {
                 let seconds = pause.as_secs_f64();

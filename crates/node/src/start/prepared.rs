@@ -95,6 +95,7 @@ fn camera_setup(config: &NodeConfig, camera: &CameraConfig) -> Result<CameraSetu
         keys: config.keys()?.camera(&camera.name)?,
         key: config.frame_key(camera)?,
         source: camera.source.as_ref().map(ToString::to_string),
+        max_rate: camera.max_rate,
         threshold: camera.threshold,
         audit: config.audit.report(),
         profile: config.policy.profile,

@@ -2,6 +2,7 @@
 
 mod camera;
 mod event;
+mod flow;
 mod history;
 mod savings;
 mod threshold;
@@ -208,6 +209,7 @@ impl Board {
         self.cameras
             .iter()
             .map(|camera| {
+                camera.sample_flow();
                 let message = Arc::new(self.counters(camera, t_ns));
                 let news = News::Counters(Arc::clone(&message));
                 let _ = self.shared.events.send(Event::new(news));

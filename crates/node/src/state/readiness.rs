@@ -4,7 +4,7 @@
 //! | --- | --- | --- |
 //! | `detector` | it is starting, its session is being rebuilt, or its GPU is lost | |
 //! | `screen` | | its session is being rebuilt: the detector is called instead |
-//! | `cameras` | they are not subscribed yet | no frame has arrived from one for a while, or its source has failed |
+//! | `cameras` | they are not subscribed yet | no frame has arrived from one for a while, its source has failed, or its frames are slow, broken or dropped |
 //! | `power` | | the meter cannot be read, or returns no samples |
 //! | `outbox` | | reports are lost, or do not survive a power loss although a state directory is set |
 //! | `zenoh` | the local session is not open, or closed | another node has the same name |
@@ -26,6 +26,8 @@ pub(crate) const DETECTOR: &str = "detector";
 pub(crate) const SCREEN: &str = "screen";
 /// The cameras; the subject is a camera's name.
 pub const CAMERAS: &str = "cameras";
+/// Behind a camera's name: the fault is one of the pictures that come from its source.
+pub(crate) const PICTURES: &str = " (pictures)";
 /// The power meter.
 pub(crate) const POWER: &str = "power";
 /// Clip reports on their way to the hub.
@@ -102,8 +104,9 @@ pub(crate) fn look_at_cameras(board: &Board) {
         let camera = Arc::clone(camera);
         if camera.source.is_some() {
             // The source itself reports whether it works, under the camera's name.
-            board.readiness.probe(CAMERAS, format!("{name} (pictures)"), move || {
-                camera.snapshot().unusable().map(Fault::degraded)
+            board.readiness.probe(CAMERAS, format!("{name}{PICTURES}"), move || {
+                let now = camera.snapshot();
+                now.unusable().or_else(|| now.flow_fault()).map(Fault::degraded)
             });
             continue;
         }
@@ -120,7 +123,10 @@ pub(crate) fn look_at_cameras(board: &Board) {
                     "no frame has arrived since the start".to_owned(),
                 ),
             };
-            (age > limit).then(|| Fault::degraded(reason))
+            if age > limit {
+                return Some(Fault::degraded(reason));
+            }
+            now.flow_fault().map(Fault::degraded)
         });
     }
 }

@@ -4,7 +4,7 @@ use super::RouteState;
 use super::states::{self, CameraStates};
 use crate::state::advice::Advice;
 use crate::state::board::{Board, CameraBoard};
-use crate::state::readiness::CAMERAS;
+use crate::state::readiness::{CAMERAS, PICTURES};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::ThresholdSpec;
 use albireo_service::http::Problem;
@@ -26,10 +26,18 @@ pub(super) struct CameraEntry {
     key: Option<String>,
     /// Address of the source that the node opens for it, without credentials.
     source: Option<String>,
-    /// Reason why no frames arrive, or why those that arrive cannot be used; absent while there is none.
+    /// What is wrong: why no frames arrive, or why those that arrive are of no use; absent if all is well.
     fault: Option<String>,
     /// True if the last frames that arrived could all not be used; `fault` says why.
     unusable: bool,
+    /// Frames per second that come from it, over the last 10 s.
+    rate: Option<f64>,
+    /// Frames per second that the node takes from its source at most; absent without a limit.
+    max_rate: Option<f64>,
+    /// Frames that came from it since the node started, also those that `max_rate` leaves out.
+    arrived: u64,
+    /// Frames of these that show damage: from a complaint of the decoder to the next whole key frame.
+    broken: u64,
     /// Clips ended since the node started.
     clips: u64,
     /// Columns of its newest frame.
@@ -59,7 +67,10 @@ pub(super) struct Cameras {
 fn entry(board: &Board, camera: &CameraBoard) -> CameraEntry {
     let faults = board.readiness.health().faults;
     let fault = (faults.into_iter())
-        .find(|fault| fault.part == CAMERAS && fault.subject == camera.name())
+        .filter(|fault| fault.part == CAMERAS)
+        .find(|fault| {
+            fault.subject.strip_suffix(PICTURES).unwrap_or(&fault.subject) == camera.name()
+        })
         .map(|fault| fault.fault.reason);
     let source = camera.source.as_deref().map(str::to_owned);
     let snapshot = camera.snapshot();
@@ -72,6 +83,10 @@ fn entry(board: &Board, camera: &CameraBoard) -> CameraEntry {
         source,
         unusable: unusable.is_some(),
         fault: unusable.or(fault),
+        rate: snapshot.rate,
+        max_rate: camera.max_rate,
+        arrived: snapshot.arrived.frames,
+        broken: snapshot.arrived.broken,
         clips: snapshot.clips,
         width: picture.map(|picture| picture.width),
         height: picture.map(|picture| picture.height),

@@ -33,13 +33,13 @@ impl FrameReceiver {
             },
             received: Instant::now(),
         };
-        self.place(None, |_| (number, Ok(frame)));
+        self.place(None, false, |_| (number, Ok(frame)));
     }
 
     fn give_broken(&self, seq: Option<u64>) {
         let number = FrameNumber { seq, stream: None };
         let fault = FrameFault::undecodable("half a picture");
-        self.place(None, |_| (number, Err(fault)));
+        self.place(None, false, |_| (number, Err(fault)));
     }
 }
 

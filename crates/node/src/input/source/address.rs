@@ -5,6 +5,8 @@ use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, percent_decode_str, utf8_perc
 use serde::{Deserialize, Serialize, Serializer};
 use serde_with::SerializeDisplay;
 use std::fmt;
+use std::fs;
+use std::os::unix::fs::FileTypeExt;
 use strsim::osa_distance;
 
 /// The characters encoded between `://` and `@`: all but the unreserved ones of RFC 3986, section 2.3.
@@ -40,7 +42,7 @@ pub struct SourceAddress(String);
 pub enum SourceKind {
     /// A GStreamer pipeline: elements with `!` between them.
     Pipeline,
-    /// A camera on this machine: `/dev/video0`.
+    /// A camera on this machine: `/dev/video0`, `/dev/v4l/by-id/…`.
     Device,
     /// An address with this scheme: `rtsp`, `http`.
     Network(String),
@@ -123,7 +125,7 @@ impl SourceAddress {
         if self.0.contains(" ! ") {
             return SourceKind::Pipeline;
         }
-        if self.0.starts_with("/dev/video") {
+        if is_device(&self.0) {
             return SourceKind::Device;
         }
         match self.0.split_once("://") {
@@ -225,6 +227,13 @@ impl SourceAddress {
             secrets,
         })
     }
+}
+
+/// True for a device, also under another name: `/dev/v4l/by-id/…`, or a link to it from anywhere.
+fn is_device(path: &str) -> bool {
+    let is_there =
+        || fs::metadata(path).is_ok_and(|metadata| metadata.file_type().is_char_device());
+    path.starts_with("/dev/") || is_there()
 }
 
 /// The end of the part of an address with user and password: behind the last `@` before the query, so that a password
@@ -365,6 +374,12 @@ mod tests {
         assert_eq!(kind("rtsp://a/b"), SourceKind::Network("rtsp".to_owned()));
         assert_eq!(kind("HTTP://a/b"), SourceKind::Network("http".to_owned()));
         assert_eq!(kind("/dev/video2"), SourceKind::Device);
+        let by_id = "/dev/v4l/by-id/usb-046d_HD_Pro_Webcam_C920-video-index0";
+        assert_eq!(kind(by_id), SourceKind::Device);
+        let folder = tempfile::tempdir().unwrap();
+        let link = folder.path().join("front");
+        std::os::unix::fs::symlink("/dev/null", &link).unwrap();
+        assert_eq!(kind(link.to_str().unwrap()), SourceKind::Device);
         assert_eq!(kind("drive 1.mp4"), SourceKind::File);
         assert_eq!(kind("file:///a.mp4"), SourceKind::File);
         assert_eq!(kind("v4l2src ! jpegenc"), SourceKind::Pipeline);

@@ -1,12 +1,17 @@
 //! A source that is reopened whenever it ends, fails or falls silent, with growing pauses, until it is stopped.
 
 use super::address::SourceKind;
+use super::messages::{Messages, Stage, is_refusal};
 use super::program::{PictureProgram, RunningProgram, output_of};
-use super::templates::{FFMPEG, GSTREAMER, SourceSettings, Version, ffmpeg, gstreamer, version};
+use super::templates::{
+    FFMPEG, GSTREAMER, SourceSettings, Version, Way, ffmpeg, gstreamer, version,
+};
+use crate::input::arrivals::Arrivals;
 use albireo_vision::picture::{EncodedPicture, FrameFault, picture_of_file, read_part, read_ppm};
 use bytes::Bytes;
 use std::io::BufReader;
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::runtime::Handle;
 use tokio::task::JoinError;
@@ -18,6 +23,10 @@ const FIRST_PAUSE: Duration = Duration::from_millis(500);
 const LONGEST_PAUSE: Duration = Duration::from_secs(30);
 /// After a source was open for this long, its pauses start short again.
 const STAYED: Duration = Duration::from_secs(10);
+/// After so many refusals in a row, a camera is left alone for so long: after five to seven, many lock an address for half
+/// an hour.
+const REFUSALS: u32 = 2;
+const LOGIN_PAUSE: Duration = Duration::from_mins(10);
 /// The longest silence that can be configured.
 const LONGEST_SILENCE: Duration = Duration::from_secs(86_400);
 /// Motion JPEG is given up once this many first parts are all something else.
@@ -39,6 +48,8 @@ pub enum SourceEvent {
         picture: Result<EncodedPicture, FrameFault>,
         /// True for the first since the source was opened.
         reopened: bool,
+        /// True if the decoder has complained since the last whole key frame: what it shows is not to be trusted.
+        broken: bool,
     },
     /// The source ended.
     Failed {
@@ -55,11 +66,29 @@ pub struct LiveSource {
     settings: SourceSettings,
     /// The version of ffmpeg, which opens it; `None` with GStreamer.
     ffmpeg: Option<Version>,
-    /// True while the source is assumed to send motion JPEG, which need not be decoded. ffmpeg must know before it
-    /// opens the source.
-    motion_jpeg: bool,
+    /// The way in which ffmpeg reads it, which ffmpeg must know before it opens the source.
+    way: Way,
     /// True once something that ffmpeg took for motion JPEG was something else.
     not_jpeg: bool,
+    /// Why it could not be read as motion JPEG with parts, while it is tried without them.
+    fault_as_jpeg: String,
+    /// The refused logins in a row.
+    refusals: u32,
+    /// Counts what the source sends.
+    arrivals: Arc<Arrivals>,
+}
+
+/// What follows when a source has been read to its end.
+enum Ending {
+    /// It is opened again as after a failure.
+    Failed(String),
+    /// It is read in another way.
+    OtherWay,
+    /// It is opened again, which is how it is read.
+    GoesOn {
+        /// The time between two beginnings.
+        period: Duration,
+    },
 }
 
 impl LiveSource {
@@ -90,15 +119,19 @@ impl LiveSource {
             };
             return Err(format!("{name}: {programs} was found. {remedy}"));
         }
-        let motion_jpeg = match &resolved.kind {
-            SourceKind::Network(scheme) => scheme.starts_with("http"),
-            kind => *kind == SourceKind::Device,
+        let way = match &resolved.kind {
+            SourceKind::Network(scheme) if scheme.starts_with("http") => Way::Jpeg,
+            SourceKind::Device => Way::Jpeg,
+            _ => Way::Decoded,
         };
         let source = Self {
             settings,
             ffmpeg: found.as_deref().map(version),
-            motion_jpeg,
+            way,
             not_jpeg: false,
+            fault_as_jpeg: String::new(),
+            refusals: 0,
+            arrivals: Arc::default(),
         };
         let program = source.program()?;
         if program.input.is_none() && !program.secrets.is_empty() {
@@ -117,9 +150,15 @@ impl LiveSource {
         self.settings.address.to_string()
     }
 
+    /// Counts in `arrivals` what it sends.
+    pub(crate) fn counting(mut self, arrivals: Arc<Arrivals>) -> Self {
+        self.arrivals = arrivals;
+        self
+    }
+
     fn program(&self) -> Result<PictureProgram, String> {
         match self.ffmpeg {
-            Some(version) => ffmpeg(&self.settings, self.motion_jpeg, version),
+            Some(version) => ffmpeg(&self.settings, self.way, version),
             None => gstreamer(&self.settings),
         }
     }
@@ -139,65 +178,136 @@ impl LiveSource {
 
     fn keep_open(mut self, mut each: impl FnMut(SourceEvent), shutdown: &CancellationToken) {
         let mut pause = FIRST_PAUSE;
+        // A source that is opened again and again to be read goes on, if nothing fails.
+        let mut continues = false;
         loop {
             let begun = Instant::now();
-            let read = self.read(&mut each, shutdown.clone());
+            let ending = self.read(&mut each, continues, shutdown.clone());
             if shutdown.is_cancelled() {
                 return;
             }
             if begun.elapsed() > STAYED {
                 pause = FIRST_PAUSE;
             }
-            let reason = match read {
-                Err(reason) => Some(reason),
-                Ok(()) => (pause > FIRST_PAUSE)
-                    .then(|| "it alternates between motion JPEG and another codec".to_owned()),
+            continues = matches!(ending, Ending::GoesOn { .. });
+            let (reason, waits) = match ending {
+                Ending::GoesOn { period } => {
+                    pause = FIRST_PAUSE;
+                    (None, period.saturating_sub(begun.elapsed()))
+                }
+                Ending::Failed(reason) => self.after_failure(reason, pause),
+                Ending::OtherWay => {
+                    let reason = "it alternates between motion JPEG and another codec";
+                    let alternates = pause > FIRST_PAUSE && self.way != Way::BareJpeg;
+                    (alternates.then(|| reason.to_owned()), pause)
+                }
             };
             if let Some(reason) = reason {
-                each(SourceEvent::Failed { reason, pause });
+                each(SourceEvent::Failed {
+                    reason,
+                    pause: waits,
+                });
             }
-            let waited = shutdown.run_until_cancelled(sleep(pause));
+            let waited = shutdown.run_until_cancelled(sleep(waits));
             if Handle::current().block_on(waited).is_none() {
                 return;
             }
-            pause = (pause * 2).min(LONGEST_PAUSE);
+            if !continues {
+                pause = (pause * 2).min(LONGEST_PAUSE);
+            }
         }
     }
 
-    /// Opens the source once and reads to its end; returns without an error if it must be read the other way.
-    ///
-    /// # Errors
-    /// The reason it failed.
+    /// The reason to tell for a failure, and the time to wait. A camera that refuses the login is left alone for minutes
+    /// after the second time.
+    fn after_failure(&mut self, reason: String, pause: Duration) -> (Option<String>, Duration) {
+        let is_login = ["401 ", "403 "].iter().any(|status| reason.starts_with(status));
+        self.refusals = if is_login { self.refusals + 1 } else { 0 };
+        if self.refusals < REFUSALS {
+            return (Some(reason), pause);
+        }
+        let minutes = LOGIN_PAUSE.as_secs() / 60;
+        let reason = format!(
+            "{reason}: refused {} times, so it is left alone for {minutes} minutes, because many cameras lock an address \
+             after some wrong logins; check user and password, then restart",
+            self.refusals
+        );
+        (Some(reason), LOGIN_PAUSE)
+    }
+
+    /// Opens the source once and reads to its end.
     fn read(
         &mut self,
         each: &mut dyn FnMut(SourceEvent),
+        continues: bool,
         stop: CancellationToken,
-    ) -> Result<(), String> {
-        let program = self.program()?;
-        let (name, ppm) = (program.program, program.ppm);
-        let running = (program.start(self.settings.silence, stop))
-            .map_err(|error| format!("`{name}` cannot be started: {error}"))?;
+    ) -> Ending {
+        let program = match self.program() {
+            Ok(program) => program,
+            Err(reason) => return Ending::Failed(reason),
+        };
+        let (name, ppm, scripted) = (program.program, program.ppm, program.input.is_some());
+        let started = program.start(self.settings.silence, Arc::clone(&self.arrivals), stop);
+        let running = match started {
+            Ok(running) => running,
+            Err(error) => return Ending::Failed(format!("`{name}` cannot be started: {error}")),
+        };
         let mut output = BufReader::with_capacity(BUFFER, running);
         let mut pictures = 0;
-        let cut = self.pictures(&mut output, ppm, each, &mut pictures);
+        let cut = self.pictures(&mut output, ppm, continues, each, &mut pictures);
         let running = output.get_mut();
-        let reason = match cut {
-            None => running.end().err().unwrap_or_else(|| "it ended".to_owned()),
-            Some(cut) => match running.abort() {
+        let ended = match &cut {
+            None => running.end(),
+            Some(cut) => Err(match running.abort() {
                 Some(message) => format!("{cut}; {name} said: {message}"),
-                None => cut,
-            },
+                None => cut.clone(),
+            }),
         };
-        let switches = pictures == 0 && self.switches(running.codec());
-        // A device without motion JPEG cannot be opened for it.
+        if pictures > 0 {
+            self.refusals = 0;
+        }
+        let messages = running.messages();
+        if pictures == 0
+            && let Some(way) = self.other_way(messages)
+        {
+            self.way = way;
+            return Ending::OtherWay;
+        }
+        if ended.is_ok() && pictures > 0 && self.is_http() {
+            if self.way == Way::Paced {
+                return Ending::GoesOn {
+                    period: FIRST_PAUSE,
+                };
+            }
+            if self.way == Way::Jpeg && pictures == 1 {
+                let period = self.settings.max_rate.map_or(1.0, |rate| 1.0 / rate);
+                let period = Duration::try_from_secs_f64(period).unwrap_or(LONGEST_SILENCE);
+                return Ending::GoesOn { period };
+            }
+        }
+        let answered = messages.stage() >= Stage::Connected;
+        let reason = ended.err().unwrap_or_else(|| "it ended".to_owned());
+        if pictures > 0 {
+            return Ending::Failed(reason);
+        }
         let is_device = self.settings.address.kind() == SourceKind::Device && self.ffmpeg.is_some();
-        if switches || (is_device && pictures == 0) {
-            self.motion_jpeg = !self.motion_jpeg;
+        match self.way {
+            // A device without motion JPEG cannot be opened for it.
+            Way::Jpeg if is_device => self.way = Way::Decoded,
+            Way::Decoded if is_device => self.way = Way::Jpeg,
+            // ffmpeg accepts no format for an address that it gets in a script.
+            Way::Jpeg if self.is_http() && answered && !scripted && !is_refusal(&reason) => {
+                self.way = Way::BareJpeg;
+                self.fault_as_jpeg = reason;
+                return Ending::OtherWay;
+            }
+            Way::BareJpeg => {
+                self.way = Way::Jpeg;
+                return Ending::Failed(std::mem::take(&mut self.fault_as_jpeg));
+            }
+            _ => {}
         }
-        match switches {
-            true => Ok(()),
-            false => Err(reason),
-        }
+        Ending::Failed(reason)
     }
 
     /// Passes pictures on until there are no more. Returns the reason the output is not read further, if it has not
@@ -206,13 +316,15 @@ impl LiveSource {
         &mut self,
         output: &mut BufReader<RunningProgram>,
         ppm: bool,
+        continues: bool,
         each: &mut dyn FnMut(SourceEvent),
         pictures: &mut u64,
     ) -> Option<String> {
         let begun = Instant::now();
         let limits = self.settings.limits;
-        // ffmpeg applies the limit itself when it decodes.
-        let limit = (self.settings.max_rate).filter(|_| self.motion_jpeg || self.ffmpeg.is_none());
+        // ffmpeg counts and limits by itself what it decodes.
+        let is_counted = !self.way.is_untouched() && self.ffmpeg.is_some();
+        let limit = self.settings.max_rate.filter(|_| !is_counted);
         let mut last_slot = None;
         let mut bad_parts = 0;
         loop {
@@ -226,22 +338,31 @@ impl LiveSource {
                 Err(error) => return Some(error.to_string()),
             };
             let first = *pictures == 0;
-            if first && picture.is_err() && self.motion_jpeg {
+            if first && picture.is_err() && self.way.is_untouched() {
                 bad_parts += 1;
                 self.not_jpeg |= bad_parts == FIRST_PARTS;
             }
-            if first && self.switches(output.get_ref().codec()) {
+            let running = output.get_mut();
+            if first && self.other_way(running.messages()).is_some() {
                 return Some("it is read the other way".to_owned());
+            }
+            // What stands before the first picture.
+            if first && picture.is_err() && self.way == Way::BareJpeg {
+                continue;
+            }
+            let broken = running.picture_is_broken();
+            if !is_counted {
+                self.arrivals.frame(picture.is_err());
             }
             // The first picture of each time slot: on average exactly the limit, at any rate of the camera.
             let slot = limit.map(|rate| (begun.elapsed().as_secs_f64() * rate) as u64);
             if slot.is_none() || last_slot != slot {
                 last_slot = slot;
                 if let Ok(picture) = &picture {
-                    if first {
+                    if first && !continues {
                         tracing::info!(
                             source = self.name(),
-                            codec = output.get_ref().codec(),
+                            codec = running.messages().codec(),
                             size = picture.size.to_string(),
                             "the source is open"
                         );
@@ -250,22 +371,35 @@ impl LiveSource {
                 }
                 each(SourceEvent::Picture {
                     picture,
-                    reopened: first,
+                    reopened: first && !continues,
+                    broken,
                 });
             }
             output.get_mut().picture_taken();
         }
     }
 
-    /// True if the source must be read the other way: something that was taken for motion JPEG is none, or ffmpeg
-    /// reports a codec for the other way.
-    fn switches(&self, codec: Option<&str>) -> bool {
+    fn is_http(&self) -> bool {
+        matches!(self.settings.address.kind(), SourceKind::Network(scheme) if scheme.starts_with("http"))
+    }
+
+    /// The way in which the source must be read, if it is not the present one: something that was taken for motion JPEG
+    /// is none, ffmpeg reports a codec for another way, or a recording that comes as fast as it is read.
+    fn other_way(&self, messages: &Messages) -> Option<Way> {
+        if self.ffmpeg.is_none() || self.settings.address.kind() == SourceKind::File {
+            return None;
+        }
         let is_jpeg = match self.not_jpeg {
-            true => Some(false),
-            false => codec.map(|codec| codec == "mjpeg"),
+            true => false,
+            false => messages.codec()? == "mjpeg",
         };
-        self.ffmpeg.is_some()
-            && self.settings.address.kind() != SourceKind::File
-            && is_jpeg.is_some_and(|is_jpeg| is_jpeg != self.motion_jpeg)
+        let is_paced = self.is_http() && messages.is_paced();
+        let way = match (is_paced, is_jpeg) {
+            (true, _) => Way::Paced,
+            (false, true) if self.way.is_untouched() => self.way,
+            (false, true) => Way::Jpeg,
+            (false, false) => Way::Decoded,
+        };
+        (way != self.way).then_some(way)
     }
 }

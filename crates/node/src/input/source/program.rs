@@ -2,14 +2,16 @@
 //! memory, its output is read with a deadline, and it is killed with everything it started.
 
 use super::address::Secrets;
+use super::messages::{Messages, Stage};
+use crate::input::arrivals::Arrivals;
 use rustix::process::{Pid, Resource, Rlimit, Signal, kill_process_group, prlimit};
-use std::collections::VecDeque;
 use std::ffi::OsString;
 use std::io::{self, ErrorKind, Read};
 use std::process::{ExitStatus, Stdio};
+use std::sync::Arc;
 use std::time::Duration;
-use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
-use tokio::process::{Child, ChildStderr, ChildStdout, Command};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::process::{Child, ChildStdout, Command};
 use tokio::runtime::Handle;
 use tokio::time::{Instant, sleep_until, timeout};
 use tokio_util::sync::CancellationToken;
@@ -18,9 +20,11 @@ use tokio_util::sync::CancellationToken;
 const PIPE_BYTES: usize = 1 << 20;
 /// The time limit for a program to end by itself after its output has ended, and again after it was killed.
 const END_LIMIT: Duration = Duration::from_secs(2);
-/// The number of a program's error messages kept, and the maximum length of each.
-const MAX_COMPLAINTS: usize = 12;
-const MAX_LINE: u64 = 4096;
+/// Once packets arrive, the first picture may take this long: a camera may send key frames far apart, and pictures begin
+/// with one.
+pub(crate) const FIRST_PICTURE: Duration = Duration::from_secs(60);
+/// The time limit for the line about a picture that has been read.
+const LINE_LIMIT: Duration = Duration::from_secs(1);
 
 /// The variables of this process that a program receives: for libraries, devices and proxies, without secrets. A `*`
 /// matches any suffix; case does not matter, because both cases are usual for proxies.
@@ -35,6 +39,8 @@ pub(super) struct PictureProgram {
     pub arguments: Vec<String>,
     /// The text for its input.
     pub input: Option<String>,
+    /// True if it says of each decoded picture whether it is a key frame.
+    pub tells_broken: bool,
     /// True if its pictures are PPM files. Otherwise they are the parts of a multipart stream.
     pub ppm: bool,
     /// Secrets to mask in its messages.
@@ -48,22 +54,27 @@ pub(super) struct RunningProgram {
     child: Child,
     process: Pid,
     output: ChildStdout,
-    errors: ErrorOutput,
+    messages: Messages,
+    /// True if it says of each picture whether it is broken.
+    tells_broken: bool,
     stop: CancellationToken,
     silence: Duration,
+    /// The time for which the next picture is awaited.
+    patience: Duration,
     deadline: Instant,
     runtime: Handle,
 }
 
 impl PictureProgram {
     /// Starts it. Reading its output fails once `stop` is cancelled, and `silence` after the start or the last
-    /// [`RunningProgram::picture_taken`].
+    /// [`RunningProgram::picture_taken`]. What comes is counted in `arrivals`.
     ///
     /// # Errors
     /// The error of the system.
     pub(super) fn start(
         self,
         silence: Duration,
+        arrivals: Arc<Arrivals>,
         stop: CancellationToken,
     ) -> io::Result<RunningProgram> {
         let mut command = Command::new(self.program);
@@ -106,13 +117,11 @@ impl PictureProgram {
             child,
             process,
             output,
-            errors: ErrorOutput {
-                pipe: pipe.map(BufReader::new),
-                secrets: self.secrets,
-                ..ErrorOutput::default()
-            },
+            messages: Messages::new(pipe, self.secrets, arrivals),
+            tells_broken: self.tells_broken,
             stop,
             silence,
+            patience: silence,
             deadline: Instant::now() + silence,
             runtime,
         })
@@ -136,12 +145,35 @@ fn is_passed_on(name: &str) -> bool {
 impl RunningProgram {
     /// Records that a picture was taken: restarts the deadline for the next one.
     pub(super) fn picture_taken(&mut self) {
+        self.messages.picture_taken();
+        self.patience = self.silence;
         self.deadline = Instant::now() + self.silence;
     }
 
-    /// The codec of its input, once reported.
-    pub(super) fn codec(&self) -> Option<&str> {
-        self.errors.codec.as_deref()
+    /// What it has said.
+    pub(super) fn messages(&self) -> &Messages {
+        &self.messages
+    }
+
+    /// True if the picture that was just read is broken: the decoder has complained since the last whole key frame.
+    pub(super) fn picture_is_broken(&mut self) -> bool {
+        let Self {
+            messages, runtime, ..
+        } = self;
+        if !self.tells_broken {
+            return false;
+        }
+        // The line about a picture is written before the picture.
+        let known = async {
+            loop {
+                match messages.next_is_broken() {
+                    Some(broken) => return broken,
+                    None if messages.is_open() => messages.listen().await,
+                    None => return false,
+                }
+            }
+        };
+        runtime.block_on(async { timeout(LINE_LIMIT, known).await }).unwrap_or(false)
     }
 
     /// Ends it.
@@ -162,16 +194,18 @@ impl RunningProgram {
     /// Kills it, and returns its last error message.
     pub(super) fn abort(&mut self) -> Option<String> {
         self.kill();
-        self.errors.reason()
+        self.messages.reason()
     }
 
     /// Waits for the end of the program and of its error output, but not forever.
     fn wait(&mut self) -> Option<ExitStatus> {
-        let Self { child, errors, .. } = self;
+        let Self {
+            child, messages, ..
+        } = self;
         let ended = async {
             tokio::join!(child.wait(), async {
-                while errors.pipe.is_some() {
-                    errors.listen().await;
+                while messages.is_open() {
+                    messages.listen().await;
                 }
             })
         };
@@ -181,7 +215,7 @@ impl RunningProgram {
 
     /// Kills it and everything it started, and waits. A process that hangs in the kernel is abandoned.
     fn kill(&mut self) {
-        if self.errors.pipe.is_none() && matches!(self.child.try_wait(), Ok(Some(_))) {
+        if !self.messages.is_open() && matches!(self.child.try_wait(), Ok(Some(_))) {
             return;
         }
         // Fails if no process is left.
@@ -190,7 +224,7 @@ impl RunningProgram {
             let process = self.process.as_raw_pid();
             tracing::warn!(process, "abandoned a source's program that does not end");
         }
-        self.errors.pipe = None;
+        self.messages.close();
     }
 }
 
@@ -199,9 +233,10 @@ impl Read for RunningProgram {
     fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
         let Self {
             output,
-            errors,
+            messages,
+            tells_broken,
             stop,
-            silence,
+            patience,
             deadline,
             runtime,
             ..
@@ -214,12 +249,17 @@ impl Read for RunningProgram {
                         return Err(io::Error::new(ErrorKind::ConnectionAborted, "it is stopped"));
                     }
                     () = sleep_until(*deadline) => {
-                        let seconds = silence.as_secs_f64();
-                        let reason = format!("no picture for more than {seconds} s");
+                        let opened = *tells_broken && messages.stage() == Stage::Opened;
+                        if opened && *patience < FIRST_PICTURE {
+                            *deadline += FIRST_PICTURE - *patience;
+                            *patience = FIRST_PICTURE;
+                            continue;
+                        }
+                        let reason = messages.silence(*patience);
                         return Err(io::Error::new(ErrorKind::TimedOut, reason));
                     }
                     // ffmpeg reports the codec before the first picture, and blocks if nobody reads its errors.
-                    () = errors.listen() => {}
+                    () = messages.listen() => {}
                     read = output.read(bytes) => return read,
                 }
             }
@@ -231,95 +271,6 @@ impl Drop for RunningProgram {
     fn drop(&mut self) {
         self.kill();
     }
-}
-
-/// The lines that a program writes to its error output.
-#[derive(Default)]
-struct ErrorOutput {
-    /// `None` once it has ended.
-    pipe: Option<BufReader<ChildStderr>>,
-    secrets: Secrets,
-    /// What has been read of the present line.
-    line: Vec<u8>,
-    /// The codec of the input, which ffmpeg reports before that of its output.
-    codec: Option<String>,
-    complaints: VecDeque<String>,
-}
-
-impl ErrorOutput {
-    /// Reads the next line, or the beginning of a longer one; waits forever once nothing more comes. Cancel safe.
-    async fn listen(&mut self) {
-        let Some(pipe) = &mut self.pipe else {
-            return std::future::pending().await;
-        };
-        let mut room = pipe.take(MAX_LINE - self.line.len() as u64);
-        match room.read_until(b'\n', &mut self.line).await {
-            Ok(1..) => self.take_line(),
-            _ => self.pipe = None,
-        }
-    }
-
-    fn take_line(&mut self) {
-        let line = std::mem::take(&mut self.line);
-        let line = String::from_utf8_lossy(&line);
-        let text = line.trim();
-        if let Some(complaint) = complaint(text) {
-            let complaint = self.secrets.redact(&complaint);
-            tracing::debug!(complaint, "message from the source's program");
-            if !self.complaints.contains(&complaint) {
-                self.complaints.push_back(complaint);
-            }
-            if self.complaints.len() > MAX_COMPLAINTS {
-                self.complaints.pop_front();
-            }
-        } else if self.codec.is_none() {
-            self.codec = codec(text);
-        }
-    }
-
-    /// Why it failed: the camera's answer, or else its last messages.
-    fn reason(&mut self) -> Option<String> {
-        self.take_line();
-        let complaints = self.complaints.make_contiguous();
-        let answer = complaints.iter().find_map(|complaint| refusal(complaint));
-        answer.or_else(|| {
-            let last = &complaints[complaints.len().saturating_sub(2)..];
-            (!last.is_empty()).then(|| last.join("; "))
-        })
-    }
-}
-
-/// The answer of a camera that refuses, such as `401 Unauthorized`.
-fn refusal(complaint: &str) -> Option<String> {
-    let answers = ["failed: ", "returned ", "HTTP error "]
-        .iter()
-        .filter_map(|before| complaint.split_once(before));
-    answers.map(|(_, answer)| answer).find_map(|answer| {
-        let status: u16 = answer.split(' ').next()?.parse().ok()?;
-        let answer = answer.split(" (").next()?;
-        (400..600).contains(&status).then(|| answer.to_owned())
-    })
-}
-
-/// The error message in a line: the whole line unless ffmpeg marks it as information (`-v level+info`), without the
-/// memory addresses that ffmpeg puts in front.
-fn complaint(line: &str) -> Option<String> {
-    // A password may contain any word; only the beginning is ffmpeg's.
-    let is_information = line.starts_with('[') && line.contains("[info]");
-    if line.is_empty() || is_information || line.contains("deprecated pixel format") {
-        return None;
-    }
-    let behind = ["[error]", "[fatal]", "[warning]", "[panic]"]
-        .iter()
-        .find_map(|level| line.split_once(level));
-    Some(behind.map_or(line, |(_, behind)| behind).trim().to_owned())
-}
-
-/// The codec in a line such as `[info]   Stream #0:0: Video: h264 (High), yuv420p`.
-fn codec(line: &str) -> Option<String> {
-    let (_, video) = line.split_once("Stream #")?.1.split_once("Video: ")?;
-    let end = video.find(|c: char| !c.is_ascii_alphanumeric() && c != '_');
-    Some(video[..end.unwrap_or(video.len())].to_owned())
 }
 
 /// Runs a program to its end and returns its output; `None` if it does not exist.
@@ -357,7 +308,7 @@ mod tests {
 
     fn started(program: PictureProgram, silence: Duration) -> RunningProgram {
         let _inside = RUNTIME.enter();
-        program.start(silence, CancellationToken::new()).unwrap()
+        program.start(silence, Arc::default(), CancellationToken::new()).unwrap()
     }
 
     fn start(script: &str) -> RunningProgram {
@@ -368,38 +319,6 @@ mod tests {
         let mut output = String::new();
         running.read_to_string(&mut output).unwrap();
         output
-    }
-
-    #[test]
-    fn codecs_and_errors_are_distinguished_from_other_output() {
-        let stream = "[info]   Stream #0:0[0x1](und): Video: mjpeg (Baseline), yuvj420p, 25 fps";
-        let failed = "method DESCRIBE failed: 401 Unauthorized";
-        let error = format!("[rtsp @ 0x5566] [error] {failed}");
-        let plain = "ERROR: pipeline could not be constructed";
-        assert_eq!(codec(stream).as_deref(), Some("mjpeg"));
-        assert_eq!(complaint(stream), None);
-        assert_eq!(complaint(&error).as_deref(), Some(failed));
-        assert_eq!(complaint(plain).as_deref(), Some(plain));
-    }
-
-    #[test]
-    fn the_answer_of_the_camera_is_the_reason() {
-        for (before, answer, after) in [
-            ("method DESCRIBE failed: ", "401 Unauthorized", ""),
-            ("rtsp://cam/s: Server returned ", "404 Not Found", ""),
-            ("x: Server returned ", "403 Forbidden", " (access denied)"),
-            ("HTTP error ", "503 Service Unavailable", ""),
-        ] {
-            let complaint = format!("{before}{answer}{after}");
-            assert_eq!(refusal(&complaint).as_deref(), Some(answer));
-        }
-        for other in [
-            "rtsp://cam/s: Connection refused",
-            "connect failed: 4",
-            "it failed: 40 pictures",
-        ] {
-            assert_eq!(refusal(other), None);
-        }
     }
 
     #[test]

@@ -10,6 +10,26 @@ use std::time::Duration;
 pub(super) const FFMPEG: &str = "ffmpeg";
 pub(super) const GSTREAMER: &str = "gst-launch-1.0";
 
+/// How ffmpeg reads a source.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Way {
+    /// Motion JPEG, whose pictures are passed on.
+    Jpeg,
+    /// Motion JPEG cut at the pictures themselves, because what stands between them is wrong.
+    BareJpeg,
+    /// Video that is decoded.
+    Decoded,
+    /// Video that comes as fast as it is read, decoded at the pace of its own clock.
+    Paced,
+}
+
+impl Way {
+    /// True if pictures are passed on as they come.
+    pub(super) fn is_untouched(self) -> bool {
+        matches!(self, Self::Jpeg | Self::BareJpeg)
+    }
+}
+
 /// The version of ffmpeg: major and minor number.
 pub(super) type Version = (u32, u32);
 
@@ -91,17 +111,18 @@ pub(super) fn version(banner: &str) -> Version {
     major.map_or((u32::MAX, 0), |major| (major, minor))
 }
 
-/// The ffmpeg command for a source: decoded as configured, or `untouched` if it sends motion JPEG. A secret address or
-/// option is passed in a script on its input, not on its command line, which every user of the machine can see.
+/// The ffmpeg command that reads a source in that way. A secret address or option is passed in a script on its input, not
+/// on its command line, which every user of the machine can see.
 ///
 /// # Errors
 /// If the address is invalid.
 pub(super) fn ffmpeg(
     settings: &SourceSettings,
-    untouched: bool,
+    way: Way,
     version: Version,
 ) -> Result<PictureProgram, String> {
     let mut resolved = settings.address.resolved()?;
+    let untouched = way.is_untouched();
     let hidden_address = !resolved.secrets.is_empty();
     let takes_options = version >= SCRIPT_OPTIONS;
     let live = resolved.kind != SourceKind::File;
@@ -116,7 +137,14 @@ pub(super) fn ffmpeg(
 
     let mut arguments = Vec::new();
     let mut add = |words: &[&str]| arguments.extend(words.iter().map(ToString::to_string));
-    add(&["-hide_banner", "-nostats", "-v", "level+info", "-max_alloc"]);
+    // Verbose: it says how far a connection has come.
+    add(&[
+        "-hide_banner",
+        "-nostats",
+        "-v",
+        "repeat+level+verbose",
+        "-max_alloc",
+    ]);
     add(&[&max_block.to_string()]);
     match settings.hardware.as_deref().filter(|_| !untouched) {
         Some(name) if is_among(ACCELERATIONS, name) => add(&["-hwaccel", name]),
@@ -156,7 +184,12 @@ pub(super) fn ffmpeg(
             }
         }
         SourceKind::File => add(&["-re", "-stream_loop", "-1"]),
-        _ => {}
+        SourceKind::Network(_) | SourceKind::Pipeline => {}
+    }
+    match way {
+        Way::Paced => add(&["-re"]),
+        Way::BareJpeg => add(&["-f", "mjpeg"]),
+        Way::Jpeg | Way::Decoded => {}
     }
     let mut secrets = settings.options.secrets().peekable();
     let networked = matches!(resolved.kind, SourceKind::Network(_));
@@ -199,26 +232,23 @@ pub(super) fn ffmpeg(
         None
     };
     add(&["-map", "0:v:0"]);
-    // Cameras send frames with equal timestamps, which encoders reject.
+    // Whatever a camera's timestamps are, no picture is left out or repeated for them.
     let fps_mode = if version >= FPS_MODE {
         "-fps_mode"
     } else {
         "-vsync"
     };
-    add(&[fps_mode, "vfr"]);
+    add(&[fps_mode, "passthrough"]);
     let ppm = !untouched && !settings.as_jpeg;
     if untouched {
         add(&["-c:v", "copy", "-f", "mpjpeg"]);
     } else {
-        if let Some(rate) = settings.max_rate {
-            let filter = format!("select=isnan(prev_t)+gt(floor(t*{rate})\\,floor(prev_t*{rate}))");
-            add(&["-vf", &filter]);
-        }
-        // Fine enough that no two frames have the same tick.
+        add(&["-vf", &filters(settings.max_rate)]);
         add(&["-enc_time_base", "1/90000"]);
         add(match settings.as_jpeg {
             true => &["-c:v", "mjpeg", "-q:v", JPEG_QUALITY, "-f", "mpjpeg"],
-            false => &["-c:v", "ppm", "-f", "image2pipe"],
+            // Video of 10 or 16 bits would become files of 16 bits.
+            false => &["-pix_fmt", "rgb24", "-c:v", "ppm", "-f", "image2pipe"],
         });
     }
     add(&["-flush_packets", "1", "pipe:1"]);
@@ -226,12 +256,26 @@ pub(super) fn ffmpeg(
         program: FFMPEG,
         arguments,
         input,
+        tells_broken: !untouched,
         ppm,
         secrets: resolved.secrets,
         // A graphics card's driver maps any amount of memory.
         max_memory: (settings.hardware.is_none())
             .then(|| WORKING_MEMORY.saturating_add(4 * max_block)),
     })
+}
+
+/// The filters for decoded pictures. The first picture of each slot of time is taken, on average exactly the limit, by the
+/// clock of this machine: cameras send any timestamps. Slots are compared for being different, so that a step of that
+/// clock matters no more than one picture. The expression prints for each picture 1 for a key frame, plus 2 if it is taken,
+/// which [`Messages`](super::messages::Messages) reads. Afterwards each picture gets its number as its timestamp, because
+/// encoders reject equal ones.
+fn filters(max_rate: Option<f64>) -> String {
+    let taken = match max_rate {
+        Some(rate) => format!("not(eq(ld(0)\\,st(0\\,floor(time(0)*{rate}))))"),
+        None => "1".to_owned(),
+    };
+    format!("select=st(1\\,{taken})*0+print(key+2*ld(1))*0+ld(1),setpts=N")
 }
 
 /// The GStreamer command for a source: the user's own pipeline, or a generated one if there is no ffmpeg. Its pictures
@@ -312,7 +356,7 @@ mod tests {
 
     /// The command line and the script of ffmpeg for a source that is decoded.
     fn decoding(settings: &SourceSettings, version: Version) -> (String, Option<String>) {
-        let program = ffmpeg(settings, false, version).unwrap();
+        let program = ffmpeg(settings, Way::Decoded, version).unwrap();
         (program.arguments.join(" "), program.input)
     }
 
@@ -349,10 +393,13 @@ mod tests {
         settings.hardware = Some("cuda".to_owned());
         let (line, script) = decoding(&settings, (5, 1));
         assert_has(&line, &["-rtsp_transport tcp", "-i rtsp://cam/s"]);
-        assert_has(&line, &["-fps_mode vfr", "-hwaccel cuda", "floor(t*5)"]);
+        assert_has(
+            &line,
+            &["-fps_mode passthrough", "-hwaccel cuda", "time(0)*5"],
+        );
         assert_eq!(script, None);
         let (old, _) = decoding(&settings, (4, 4));
-        assert_has(&old, &["-vsync vfr", "-stimeout"]);
+        assert_has(&old, &["-vsync passthrough", "-stimeout"]);
     }
 
     #[test]
@@ -365,7 +412,7 @@ mod tests {
             assert_has(&script.unwrap(), &[file, "tcp"]);
         }
         let options = "-headers 'Authorization: Bearer abc'";
-        let program = ffmpeg(&settings("http://cam/v", options), true, (5, 1)).unwrap();
+        let program = ffmpeg(&settings("http://cam/v", options), Way::Jpeg, (5, 1)).unwrap();
         assert_lacks(&program.arguments.join(" "), &["Bearer"]);
         let option = "option headers 'Authorization: Bearer abc'\n";
         assert_has(&program.input.unwrap(), &[option]);
@@ -389,7 +436,7 @@ mod tests {
         let (line, script) = decoding(&plain, (5, 1));
         assert_has(&line, &[options]);
         assert_eq!(script, None);
-        let old = ffmpeg(&hidden, false, (4, 4)).err().unwrap().to_string();
+        let old = ffmpeg(&hidden, Way::Decoded, (4, 4)).err().unwrap().to_string();
         assert_has(&old, &["version 5"]);
         assert_lacks(&old, &["hidden"]);
     }
@@ -397,11 +444,14 @@ mod tests {
     #[test]
     fn memory_is_limited_unless_a_driver_needs_it() {
         let mut settings = settings("http://cam/v.mjpg", "");
-        let program = ffmpeg(&settings, true, (5, 1)).unwrap();
+        let program = ffmpeg(&settings, Way::Jpeg, (5, 1)).unwrap();
         assert_has(&program.arguments.join(" "), &["-max_alloc 67108864"]);
         assert_eq!(program.max_memory, Some((512 + 4 * 64) << 20));
         settings.hardware = Some("cuda".to_owned());
-        assert_eq!(ffmpeg(&settings, true, (5, 1)).unwrap().max_memory, None);
+        assert_eq!(
+            ffmpeg(&settings, Way::Jpeg, (5, 1)).unwrap().max_memory,
+            None
+        );
     }
 
     #[test]

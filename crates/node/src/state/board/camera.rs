@@ -1,9 +1,10 @@
 //! One camera's part of the live board.
 
 use super::event::{Event, FrameEvent, News};
+use super::flow::Flow;
 use super::history::{CameraPiece, Clock, History, PastFrame, SkipEstimate};
 use crate::frame::FrameRecord;
-use crate::input::{InputCounter, Unusable};
+use crate::input::{ArrivalCounts, InputCounter, Unusable};
 use crate::publishing::Unpublished;
 use crate::state::advice::{Advice, SkipWatch};
 use albireo_core::audit::AuditSums;
@@ -54,6 +55,12 @@ pub struct CameraSnapshot {
     pub unpublished: u64,
     /// The last frames, if they were no usable pictures.
     pub unusable: Unusable,
+    /// What the camera has sent.
+    pub arrived: ArrivalCounts,
+    /// The frames per second that come, over the last ten seconds; `None` in the first.
+    pub rate: Option<f64>,
+    /// What is wrong with the frames of the last ten seconds.
+    pub flow_fault: Option<Arc<str>>,
 }
 
 /// So many unusable frames in a row are a fault of the camera, and not of a frame.
@@ -75,6 +82,11 @@ impl CameraSnapshot {
         let Unusable { frames, fault } = &self.unusable;
         (*frames >= UNUSABLE_IN_A_ROW)
             .then(|| format!("its last {frames} frames could not be used: {fault}"))
+    }
+
+    /// What is wrong with the flow of its frames.
+    pub fn flow_fault(&self) -> Option<String> {
+        self.flow_fault.as_deref().map(str::to_owned)
     }
 
     /// Counts a frame with its final answer.
@@ -127,6 +139,7 @@ struct Counts {
     /// Audit results that the target has not used yet.
     unmeasured: AuditSums,
     watch: SkipWatch,
+    flow: Flow,
 }
 
 /// State that all cameras of a board share.
@@ -148,6 +161,8 @@ pub(crate) struct CameraSetup {
     pub key: String,
     /// The source that the node opens for it, without credentials.
     pub source: Option<String>,
+    /// The most frames per second that are taken from its source.
+    pub max_rate: Option<f64>,
     /// Its threshold, instead of the policy's.
     pub threshold: Option<f64>,
     /// An audit without results; `None` without an audit.
@@ -167,6 +182,8 @@ pub struct CameraBoard {
     pub(crate) key: String,
     /// The source that the node opens for it, without credentials.
     pub(crate) source: Option<String>,
+    /// The most frames per second that are taken from the source.
+    pub(crate) max_rate: Option<f64>,
     /// The policy's threshold, if it has one.
     pub threshold_spec: Option<ThresholdSpec>,
     /// True if the threshold is a `u` that is independent of the picture size, as with the filter of the profile `paper`.
@@ -198,6 +215,7 @@ impl CameraBoard {
             keys: setup.keys,
             key: setup.key,
             source: setup.source,
+            max_rate: setup.max_rate,
             threshold_spec: spec,
             has_sizeless_u: setup.profile == Profile::Paper
                 && spec.is_some_and(|spec| spec.name == "u"),
@@ -309,8 +327,20 @@ impl CameraBoard {
             dropped,
             unusable,
             unpublished: self.unpublished.get(),
+            arrived: self.input.arrivals.now(),
             ..shown
         }
+    }
+
+    /// Looks at how its frames flow. Call it once a second.
+    pub(super) fn sample_flow(&self) {
+        let arrivals = &self.input.arrivals;
+        let (arrived, complaint) = (arrivals.now(), arrivals.last_complaint());
+        let (dropped, _) = self.input.counts();
+        let Counts { shown, flow, .. } = &mut *self.counts.lock();
+        flow.sample(Instant::now(), arrived, dropped);
+        shown.rate = flow.rate();
+        shown.flow_fault = flow.fault(complaint.as_deref()).map(Arc::from);
     }
 
     /// The last `frames` frames, oldest first, the pieces of the last hour, and the present time.

@@ -25,7 +25,23 @@ type ShownCamera<'a> = ((&'a str, &'a str), &'a CameraBoard, CameraSnapshot);
 /// A counter of each camera: name, help and value.
 type CameraCounter = (&'static str, &'static str, fn(&CameraSnapshot) -> f64);
 
-const COUNTERS: [CameraCounter; 5] = [
+const COUNTERS: [CameraCounter; 8] = [
+    (
+        "albireo_frames_arrived_total",
+        "Frames that a camera sent, also those that max_rate leaves out",
+        |camera| camera.arrived.frames as f64,
+    ),
+    (
+        "albireo_frames_broken_total",
+        "Frames that a camera sent and that show damage: from a complaint of the decoder to the next whole key frame. \
+         They are answered by prediction",
+        |camera| camera.arrived.broken as f64,
+    ),
+    (
+        "albireo_decoder_complaints_total",
+        "Complaints of the decoder about a camera's pictures",
+        |camera| camera.arrived.complaints as f64,
+    ),
     (
         "albireo_frames_skipped_total",
         "Frames that skipped the detector: state E or P and not degraded",
@@ -131,6 +147,16 @@ fn newest(page: &mut MetricsPage, board: &Board, cameras: &[ShownCamera<'_>]) {
         cameras.iter().filter_map(|(camera, _, snapshot)| {
             Some(([*camera], snapshot.last_frame_age()?.as_secs_f64()))
         }),
+    );
+    page.gauges(
+        "albireo_camera_frame_rate",
+        "Frames per second that a camera sends, over the last 10 s",
+        (cameras.iter()).filter_map(|(camera, _, snapshot)| Some(([*camera], snapshot.rate?))),
+    );
+    page.gauges(
+        "albireo_camera_max_rate",
+        "Frames per second that the node takes at most, max_rate",
+        (cameras.iter()).filter_map(|(camera, board, _)| Some(([*camera], board.max_rate?))),
     );
     page.counters(
         "albireo_boxes_total",

@@ -1,0 +1,432 @@
+//! Reads the messages of a program that opens a source: why it fails, what the source sends, how far the connection has
+//! come, and which pictures are broken.
+
+use super::address::Secrets;
+use crate::input::arrivals::Arrivals;
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::io::{AsyncBufReadExt, AsyncReadExt, BufReader};
+use tokio::process::ChildStderr;
+
+/// The number of a program's error messages kept, and the maximum length of each.
+const MAX_COMPLAINTS: usize = 12;
+const MAX_LINE: u64 = 4096;
+/// The most pictures whose messages may be read before the pictures.
+const MAX_AHEAD: usize = 256;
+
+/// Formats of recordings and of segments, by ffmpeg's name before its messages: they come as fast as they are read.
+const PACED: [&str; 3] = ["[hls @ ", "[dash @ ", "[mov,mp4,m4a,3gp,3g2,mj2 @ "];
+
+/// How far a connection has come.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Stage {
+    /// The program says nothing about it.
+    #[default]
+    Unknown,
+    /// An address is being connected.
+    Connecting,
+    /// The connection is accepted.
+    Connected,
+    /// The camera has described its streams.
+    Described,
+    /// Packets arrive.
+    Opened,
+    /// Pictures were decoded.
+    Decoded,
+}
+
+/// What the filter of [`super::templates`] says of each decoded picture: 1 for a key frame, plus 2 for one that is
+/// taken.
+const KEY: u8 = 1;
+const TAKEN: u8 = 2;
+
+/// The lines that a program writes to its error output.
+#[derive(Default)]
+pub(super) struct Messages {
+    /// `None` once it has ended.
+    pipe: Option<BufReader<ChildStderr>>,
+    secrets: Secrets,
+    arrivals: Arc<Arrivals>,
+    /// What has been read of the present line.
+    line: Vec<u8>,
+    /// The codec of the input, which ffmpeg reports before that of its output.
+    codec: Option<String>,
+    /// True if the input comes as fast as it is read.
+    is_paced: bool,
+    /// The kinds of streams that the camera offers: sound, pictures.
+    offers: [bool; 2],
+    stage: Stage,
+    complaints: VecDeque<String>,
+    /// True if the decoder has complained since the last picture.
+    damaged: bool,
+    /// True from a complaint to the next whole key frame.
+    broken: bool,
+    /// For each picture that was taken and not yet read: whether it is broken.
+    ahead: VecDeque<bool>,
+}
+
+impl Messages {
+    pub(super) fn new(
+        pipe: Option<ChildStderr>,
+        secrets: Secrets,
+        arrivals: Arc<Arrivals>,
+    ) -> Self {
+        Self {
+            pipe: pipe.map(BufReader::new),
+            secrets,
+            arrivals,
+            ..Self::default()
+        }
+    }
+
+    /// The codec of the input, once reported.
+    pub(super) fn codec(&self) -> Option<&str> {
+        self.codec.as_deref()
+    }
+
+    /// True if the source waits for its reader, as a recording does, and a camera does not.
+    pub(super) fn is_paced(&self) -> bool {
+        self.is_paced
+    }
+
+    /// How far the connection has come.
+    pub(super) fn stage(&self) -> Stage {
+        self.stage
+    }
+
+    /// Why no picture came for that long.
+    pub(super) fn silence(&self, silence: Duration) -> String {
+        let seconds = silence.as_secs_f64();
+        match self.stage {
+            _ if self.has_only_sound() => ONLY_SOUND.to_owned(),
+            Stage::Unknown | Stage::Decoded => format!("no picture for more than {seconds} s"),
+            Stage::Connecting => {
+                format!("it cannot be reached: no answer for more than {seconds} s")
+            }
+            Stage::Connected => {
+                format!("it accepts the connection, but says nothing for {seconds} s")
+            }
+            Stage::Described => {
+                format!("it answers, but sends no picture for more than {seconds} s")
+            }
+            Stage::Opened => format!("it sends no key frame for more than {seconds} s"),
+        }
+    }
+
+    fn has_only_sound(&self) -> bool {
+        self.offers == [true, false]
+    }
+
+    /// Notes that a picture was read.
+    pub(super) fn picture_taken(&mut self) {
+        self.stage = Stage::Decoded;
+    }
+
+    /// True while there is more to read.
+    pub(super) fn is_open(&self) -> bool {
+        self.pipe.is_some()
+    }
+
+    /// Reads no more.
+    pub(super) fn close(&mut self) {
+        self.pipe = None;
+    }
+
+    /// Reads the next line, or the beginning of a longer one; waits forever once nothing more comes. Cancel safe.
+    pub(super) async fn listen(&mut self) {
+        let Some(pipe) = &mut self.pipe else {
+            return std::future::pending().await;
+        };
+        let mut room = pipe.take(MAX_LINE - self.line.len() as u64);
+        match room.read_until(b'\n', &mut self.line).await {
+            Ok(1..) => self.take_line(),
+            _ => self.pipe = None,
+        }
+    }
+
+    /// True if the next picture is broken; `None` as long as its line has not been read.
+    pub(super) fn next_is_broken(&mut self) -> Option<bool> {
+        self.ahead.pop_front()
+    }
+
+    fn take_line(&mut self) {
+        let line = std::mem::take(&mut self.line);
+        let line = String::from_utf8_lossy(&line);
+        let text = line.trim();
+        if let Some(picture) = decoded(text) {
+            self.take_picture(picture);
+        } else if let Some(complaint) = complaint(text) {
+            self.take_complaint(text, &complaint);
+        } else {
+            self.take_news(text);
+        }
+    }
+
+    /// Notes a decoded picture. What the decoder said since the one before concerns this one.
+    fn take_picture(&mut self, picture: u8) {
+        // Before the first picture, ffmpeg has looked at the stream from the middle of it.
+        let damaged = std::mem::take(&mut self.damaged) && self.stage == Stage::Decoded;
+        self.stage = Stage::Decoded;
+        self.broken = damaged || (self.broken && picture & KEY == 0);
+        self.arrivals.frame(self.broken);
+        if picture & TAKEN != 0 {
+            self.ahead.push_back(self.broken);
+        }
+        if self.ahead.len() > MAX_AHEAD {
+            self.ahead.pop_front();
+        }
+    }
+
+    fn take_complaint(&mut self, text: &str, complaint: &str) {
+        let complaint = self.secrets.redact(complaint);
+        tracing::debug!(complaint, "message from the source's program");
+        if self.stage == Stage::Decoded && self.is_damage(text) {
+            self.damaged = true;
+            self.arrivals.complaint(&complaint);
+        }
+        if !self.complaints.contains(&complaint) {
+            self.complaints.push_back(complaint);
+        }
+        if self.complaints.len() > MAX_COMPLAINTS {
+            self.complaints.pop_front();
+        }
+    }
+
+    /// True for the error of a decoder, such as `[h264 @ 0x1] [error] error while decoding MB 3 4`, and where ffmpeg names a
+    /// picture corrupt.
+    fn is_damage(&self, line: &str) -> bool {
+        let by_decoder = (line.strip_prefix('[').and_then(|line| line.split_once(" @ ")))
+            .zip(self.codec.as_deref())
+            .is_some_and(|((name, rest), codec)| {
+                name.contains(codec) && rest.contains("] [error] ")
+            });
+        by_decoder || line.contains("corrupt decoded frame")
+    }
+
+    /// Notes what is no complaint: how far the connection has come, and what the source is.
+    fn take_news(&mut self, text: &str) {
+        let stage = if text.contains("Starting connection attempt to ") {
+            Stage::Connecting
+        } else if text.contains("Successfully connected to ") {
+            Stage::Connected
+        } else if text.ends_with("[verbose] SDP:") {
+            Stage::Described
+        } else if text.starts_with("[info] Input #0, ") {
+            Stage::Opened
+        } else {
+            Stage::Unknown
+        };
+        self.stage = self.stage.max(stage);
+        let offers = text.split_once("Stream #").map_or(text, |(_, stream)| stream);
+        self.offers[0] |= offers.starts_with("m=audio ") || offers.contains(": Audio: ");
+        self.offers[1] |= offers.starts_with("m=video ") || offers.contains(": Video: ");
+        let has_end = (text.strip_prefix("[info]   Duration: "))
+            .is_some_and(|length| length.starts_with(|c: char| c.is_ascii_digit()));
+        self.is_paced |= has_end || PACED.iter().any(|format| text.starts_with(format));
+        if self.codec.is_none() {
+            self.codec = codec(text);
+        }
+    }
+
+    /// Why it failed: the camera's answer, or else its last messages.
+    pub(super) fn reason(&mut self) -> Option<String> {
+        self.take_line();
+        if self.has_only_sound() {
+            return Some(ONLY_SOUND.to_owned());
+        }
+        let complaints = self.complaints.make_contiguous();
+        let answer = complaints.iter().find_map(|complaint| refusal(complaint));
+        answer.or_else(|| {
+            let last = &complaints[complaints.len().saturating_sub(2)..];
+            (!last.is_empty()).then(|| last.join("; "))
+        })
+    }
+}
+
+const ONLY_SOUND: &str = "it sends sound, but no pictures: is this the address of its video?";
+
+/// The answer of a camera that refuses, such as `401 Unauthorized`.
+fn refusal(complaint: &str) -> Option<String> {
+    let answers = ["failed: ", "returned ", "HTTP error "]
+        .iter()
+        .filter_map(|before| complaint.split_once(before));
+    answers.map(|(_, answer)| answer).find_map(|answer| {
+        let answer = answer.split(" (").next()?;
+        is_refusal(answer).then(|| answer.to_owned())
+    })
+}
+
+/// True if a reason begins with the status of an answer, such as `404 Not Found`.
+pub(super) fn is_refusal(reason: &str) -> bool {
+    let status = reason.split(' ').next().and_then(|status| status.parse().ok());
+    status.is_some_and(|status: u16| (400..600).contains(&status))
+}
+
+/// The error message in a line: the whole line unless ffmpeg marks it as information (`-v level+verbose`), without the
+/// memory addresses that ffmpeg puts in front.
+fn complaint(line: &str) -> Option<String> {
+    // A password may contain any word; only the beginning is ffmpeg's.
+    let is_information =
+        line.starts_with('[') && (line.contains("[info]") || line.contains("[verbose]"));
+    // A line of the camera's own description, `m=video 0 RTP/AVP 96`, which ffmpeg shows as it is.
+    let is_description = line.as_bytes().get(1) == Some(&b'=');
+    if line.is_empty()
+        || is_information
+        || is_description
+        || line.contains("deprecated pixel format")
+    {
+        return None;
+    }
+    let behind = ["[error]", "[fatal]", "[warning]", "[panic]"]
+        .iter()
+        .find_map(|level| line.split_once(level));
+    Some(behind.map_or(line, |(_, behind)| behind).trim().to_owned())
+}
+
+/// What the filter says of a decoded picture: `[info] 3.000000`.
+fn decoded(line: &str) -> Option<u8> {
+    line.strip_prefix("[info] ")?.strip_suffix(".000000")?.parse().ok()
+}
+
+/// The codec in a line such as `[info]   Stream #0:0: Video: h264 (High), yuv420p`.
+fn codec(line: &str) -> Option<String> {
+    let (_, video) = line.split_once("Stream #")?.1.split_once("Video: ")?;
+    let end = video.find(|c: char| !c.is_ascii_alphanumeric() && c != '_');
+    Some(video[..end.unwrap_or(video.len())].to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn codecs_and_errors_are_distinguished_from_other_output() {
+        let stream = "[info]   Stream #0:0[0x1](und): Video: mjpeg (Baseline), yuvj420p, 25 fps";
+        let failed = "method DESCRIBE failed: 401 Unauthorized";
+        let error = format!("[rtsp @ 0x5566] [error] {failed}");
+        let plain = "ERROR: pipeline could not be constructed";
+        assert_eq!(codec(stream).as_deref(), Some("mjpeg"));
+        assert_eq!(complaint(stream), None);
+        assert_eq!(complaint(&error).as_deref(), Some(failed));
+        assert_eq!(complaint(plain).as_deref(), Some(plain));
+    }
+
+    #[test]
+    fn the_answer_of_the_camera_is_the_reason() {
+        for (before, answer, after) in [
+            ("method DESCRIBE failed: ", "401 Unauthorized", ""),
+            ("rtsp://cam/s: Server returned ", "404 Not Found", ""),
+            ("x: Server returned ", "403 Forbidden", " (access denied)"),
+            ("HTTP error ", "503 Service Unavailable", ""),
+        ] {
+            let complaint = format!("{before}{answer}{after}");
+            assert_eq!(refusal(&complaint).as_deref(), Some(answer));
+        }
+        for other in [
+            "rtsp://cam/s: Connection refused",
+            "connect failed: 4",
+            "it failed: 40 pictures",
+        ] {
+            assert_eq!(refusal(other), None);
+        }
+    }
+
+    fn heard(lines: &[&str]) -> Messages {
+        let mut messages = Messages::default();
+        for line in lines {
+            messages.line = line.as_bytes().to_vec();
+            messages.take_line();
+        }
+        messages
+    }
+
+    const H264: &str = "[info]   Stream #0:0: Video: h264 (High), yuv420p, 640x360";
+    const DAMAGE: &str = "[h264 @ 0x5566] [error] error while decoding MB 3 4, bytestream 5";
+
+    #[test]
+    fn pictures_are_broken_from_a_complaint_to_the_next_whole_key_frame() {
+        let (key, other, key_left_out) = ("[info] 3.000000", "[info] 2.000000", "[info] 1.000000");
+        let sound = "[aac @ 0x5566] [error] channel element 1.0 is not allocated";
+        let corrupt = "[warning] rtsp://cam/s: corrupt decoded frame in stream 0";
+        let mut messages = heard(&[
+            H264,
+            DAMAGE,
+            key,
+            other,
+            DAMAGE,
+            other,
+            sound,
+            other,
+            key,
+            other,
+            corrupt,
+            key,
+            other,
+            key_left_out,
+            other,
+        ]);
+        let broken: Vec<_> = std::iter::from_fn(|| messages.next_is_broken()).collect();
+        let expected = [false, false, true, true, false, false, true, true, false];
+        assert_eq!(broken, expected);
+        let arrived = messages.arrivals.now();
+        assert_eq!(
+            (arrived.frames, arrived.broken, arrived.complaints),
+            (10, 4, 2)
+        );
+    }
+
+    #[test]
+    fn silence_has_the_words_of_how_far_the_connection_has_come() {
+        let (start, connected) = (
+            "[tcp @ 0x1] [verbose] Starting connection attempt to 127.0.0.1 port 1",
+            "[tcp @ 0x1] [verbose] Successfully connected to 127.0.0.1 port 1",
+        );
+        let (described, opened) = (
+            "[rtsp @ 0x1] [verbose] SDP:",
+            "[info] Input #0, rtsp, from 'x':",
+        );
+        for (lines, said) in [
+            (&[][..], "no picture"),
+            (&[start], "cannot be reached"),
+            (
+                &[start, connected],
+                "accepts the connection, but says nothing",
+            ),
+            (
+                &[connected, described, "m=video 0 RTP/AVP 96"],
+                "answers, but sends no picture",
+            ),
+            (&[connected, described, opened, H264], "no key frame"),
+            (
+                &[connected, described, "m=audio 0 RTP/AVP 0"],
+                "sound, but no pictures",
+            ),
+            (
+                &[connected, described, opened, H264, "[info] 3.000000"],
+                "no picture",
+            ),
+        ] {
+            let silence = heard(lines).silence(Duration::from_secs(15));
+            assert!(silence.contains(said), "{lines:?}: {silence}");
+        }
+    }
+
+    #[test]
+    fn recordings_and_segments_are_paced_and_cameras_are_not() {
+        for (line, paced) in [
+            (
+                "[info]   Duration: 00:00:06.00, start: 1.4, bitrate: 0 kb/s",
+                true,
+            ),
+            ("[info]   Duration: N/A, start: 0.06, bitrate: N/A", false),
+            (
+                "[hls @ 0x55] [info] Opening 'http://cam/1.ts' for reading",
+                true,
+            ),
+            ("[mpjpeg @ 0x55] [verbose] …", false),
+        ] {
+            assert_eq!(heard(&[line]).is_paced(), paced, "{line}");
+        }
+    }
+}

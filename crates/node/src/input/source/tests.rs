@@ -1,0 +1,276 @@
+//! Cameras with faults, opened with the real ffmpeg.
+
+mod http;
+mod rtsp;
+
+use super::{LiveSource, SourceAddress, SourceEvent};
+use crate::config::CameraConfig;
+use crate::input::arrivals::{ArrivalCounts, Arrivals};
+use albireo_core::geometry::PictureSize;
+use albireo_vision::picture::{EncodedPicture, FrameLimits};
+use rtsp::{Camera, Faults, RATE, film};
+use std::process::Command;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
+use tokio::task::JoinHandle;
+use tokio::time::{Instant, timeout_at};
+use tokio_util::sync::CancellationToken;
+
+/// The longest wait for an event.
+const PATIENCE: Duration = Duration::from_secs(90);
+
+/// A source that is open, and what came from it.
+struct Open {
+    events: UnboundedReceiver<(Instant, SourceEvent)>,
+    arrivals: Arc<Arrivals>,
+    stop: CancellationToken,
+    running: JoinHandle<()>,
+}
+
+impl Open {
+    async fn new(camera: CameraConfig) -> Self {
+        let settings = camera.source_settings(FrameLimits::default()).unwrap();
+        let found = tokio::task::spawn_blocking(move || LiveSource::find(settings));
+        let arrivals = Arc::new(Arrivals::default());
+        let source = found.await.unwrap().unwrap().counting(Arc::clone(&arrivals));
+        let (sender, events) = unbounded_channel();
+        let stop = CancellationToken::new();
+        let stopped = stop.clone();
+        let each = move |event| drop(sender.send((Instant::now(), event)));
+        let running = tokio::spawn(async move { source.run(each, stopped).await.unwrap() });
+        Self {
+            events,
+            arrivals,
+            stop,
+            running,
+        }
+    }
+
+    async fn at(address: &str) -> Self {
+        Self::new(camera(address)).await
+    }
+
+    async fn next(&mut self) -> SourceEvent {
+        let event = tokio::time::timeout(PATIENCE, self.events.recv()).await;
+        event.expect("nothing comes").unwrap().1
+    }
+
+    /// The next pictures; nothing may fail.
+    async fn pictures(&mut self, count: usize) -> Vec<(EncodedPicture, bool)> {
+        let mut pictures = Vec::new();
+        while pictures.len() < count {
+            match self.next().await {
+                SourceEvent::Picture {
+                    picture, broken, ..
+                } => pictures.push((picture.unwrap(), broken)),
+                SourceEvent::Failed { reason, .. } => panic!("it failed: {reason}"),
+            }
+        }
+        pictures
+    }
+
+    /// Why it fails, and the pause after it.
+    async fn failure(&mut self) -> (String, Duration) {
+        loop {
+            if let SourceEvent::Failed { reason, pause } = self.next().await {
+                return (reason, pause);
+            }
+        }
+    }
+
+    /// The pictures taken and the frames that came, per second, over `time` soon after the first picture.
+    async fn rates(&mut self, time: Duration) -> [f64; 2] {
+        self.pictures(1).await;
+        // What came while ffmpeg looked at the stream comes at once.
+        let burst = Instant::now() + Duration::from_secs(3);
+        while timeout_at(burst, self.events.recv()).await.is_ok() {}
+        let (begun, before) = (Instant::now(), self.arrivals.now());
+        let mut taken = 0;
+        while let Ok(event) = timeout_at(begun + time, self.events.recv()).await {
+            match event.unwrap().1 {
+                SourceEvent::Picture { .. } => taken += 1,
+                SourceEvent::Failed { reason, .. } => panic!("it failed: {reason}"),
+            }
+        }
+        let came = self.arrivals.now().frames - before.frames;
+        let seconds = begun.elapsed().as_secs_f64();
+        [f64::from(taken) / seconds, came as f64 / seconds]
+    }
+
+    async fn stop(self) -> ArrivalCounts {
+        self.stop.cancel();
+        self.running.await.unwrap();
+        self.arrivals.now()
+    }
+}
+
+fn camera(address: &str) -> CameraConfig {
+    CameraConfig {
+        source: Some(SourceAddress::new(address)),
+        ..CameraConfig::named("gate")
+    }
+}
+
+const BOXES: [&str; 4] = [
+    "-f",
+    "lavfi",
+    "-i",
+    "testsrc2=size=320x180:rate=15:duration=8",
+];
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs ffmpeg"]
+async fn the_rate_is_the_one_asked_for_whatever_a_camera_stamps_on_its_frames() {
+    let film = Arc::new(film(&BOXES, "30"));
+    let stamps: [(&str, fn(u64) -> f64); 6] = [
+        ("right", |frame| frame as f64 / RATE),
+        ("equal", |_| 1.0),
+        ("one in thirty far back", |frame| {
+            frame as f64 / RATE - if frame % 30 == 29 { 9_800.0 } else { 0.0 }
+        }),
+        ("too fast", |frame| frame as f64 / 45.0),
+        ("too slow", |frame| frame as f64 / 5.0),
+        ("an hour back after two seconds", |frame| {
+            frame as f64 / RATE - if frame > 30 { 3_600.0 } else { 0.0 }
+        }),
+    ];
+    let runs = stamps.map(|(name, stamp)| {
+        let faults = Faults {
+            stamp,
+            ..Faults::default()
+        };
+        let server = Camera::start(&film, faults);
+        tokio::spawn(async move {
+            let mut source = Open::new(CameraConfig {
+                max_rate: Some(5.0),
+                ..camera(&server.address)
+            })
+            .await;
+            let [taken, came] = source.rates(Duration::from_secs(12)).await;
+            source.stop().await;
+            (name, taken, came)
+        })
+    });
+    for run in runs {
+        let (name, taken, came) = run.await.unwrap();
+        println!("{name}: {taken:.2} of {came:.2} frames per second");
+        assert!((4.5..=5.5).contains(&taken), "{name}: {taken} per second");
+        assert!((13.5..=16.5).contains(&came), "{name}: {came} per second");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs ffmpeg"]
+async fn lost_packets_break_pictures_until_the_next_whole_key_frame() {
+    let film = Arc::new(film(&BOXES, "15"));
+    let whole = Camera::start(&film, Faults::default());
+    let faults = Faults {
+        lost: 30,
+        ..Faults::default()
+    };
+    let lossy = Camera::start(&film, faults);
+    let mut whole = Open::at(&whole.address).await;
+    let mut lossy = Open::at(&lossy.address).await;
+    let pictures = whole.pictures(90).await;
+    assert!(pictures.iter().all(|(_, broken)| !broken));
+    let pictures = lossy.pictures(150).await;
+    let runs: Vec<_> = pictures.chunk_by(|one, next| one.1 == next.1).collect();
+    let broken = pictures.iter().filter(|(_, broken)| *broken).count();
+    println!("{broken} of 150 broken, in {} runs", runs.len());
+    assert!(runs.len() > 3, "it breaks and recovers");
+    assert!((15..150).contains(&broken), "{broken}");
+    assert_eq!(whole.stop().await.broken, 0);
+    let arrived = lossy.stop().await;
+    assert!(
+        arrived.complaints > 0 && arrived.broken >= broken as u64,
+        "{arrived:?}"
+    );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs ffmpeg"]
+async fn key_frames_far_apart_are_waited_for() {
+    let film = Arc::new(film(&BOXES, "30"));
+    let faults = Faults {
+        no_key_frame: Duration::from_secs(20),
+        ..Faults::default()
+    };
+    let camera = Camera::start(&film, faults);
+    let mut source = Open::at(&camera.address).await;
+    source.pictures(5).await;
+    source.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs ffmpeg"]
+async fn a_camera_without_pictures_is_told_by_what_it_does_instead() {
+    let film = Arc::new(film(&BOXES, "30"));
+    let silent_at = |silent_at| Faults {
+        silent_at,
+        ..Faults::default()
+    };
+    let only_sound = Faults {
+        only_sound: true,
+        ..Faults::default()
+    };
+    for (faults, said) in [
+        (
+            silent_at("OPTIONS"),
+            "it accepts the connection, but says nothing for 15 s",
+        ),
+        (
+            silent_at("media"),
+            "it answers, but sends no picture for more than 15 s",
+        ),
+        (only_sound, "it sends sound, but no pictures"),
+    ] {
+        let camera = Camera::start(&film, faults);
+        let mut source = Open::at(&camera.address).await;
+        let (reason, _) = source.failure().await;
+        assert!(reason.starts_with(said), "{said}: {reason}");
+        source.stop().await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs ffmpeg"]
+async fn a_refused_login_is_tried_twice_and_then_left_alone_for_minutes() {
+    let film = Arc::new(film(&BOXES, "30"));
+    let faults = Faults {
+        refuses: Some("Digest realm=\"cam\", nonce=\"abc\""),
+        ..Faults::default()
+    };
+    let camera = Camera::start(&film, faults);
+    let address = camera.address.replace("rtsp://", "rtsp://viewer:wrong@");
+    let mut source = Open::at(&address).await;
+    let (reason, _) = source.failure().await;
+    assert_eq!(reason, "401 Unauthorized");
+    let (reason, pause) = source.failure().await;
+    assert!(reason.contains("left alone for 10 minutes"), "{reason}");
+    assert_eq!(pause, Duration::from_mins(10));
+    assert_eq!(camera.logins.load(std::sync::atomic::Ordering::Relaxed), 2);
+    source.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs ffmpeg"]
+async fn video_of_more_than_eight_bits_is_a_source() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, encoder, pixels) in [
+        ("main10.mp4", "libx265", "yuv420p10le"),
+        ("high10.mp4", "libx264", "yuv420p10le"),
+        ("grey10.mkv", "ffv1", "gray10le"),
+        ("grey16.mkv", "ffv1", "gray16le"),
+    ] {
+        let file = folder.path().join(name);
+        let mut command = Command::new("ffmpeg");
+        command.args(["-v", "error"]).args(BOXES).args(["-t", "1", "-c:v", encoder]);
+        let status = command.args(["-pix_fmt", pixels]).arg(&file).status();
+        assert!(status.unwrap().success(), "{name}");
+        let mut source = Open::at(file.to_str().unwrap()).await;
+        let (picture, _) = source.pictures(2).await.remove(1);
+        assert_eq!(picture.size, PictureSize::new(320, 180), "{name}");
+        source.stop().await;
+    }
+}

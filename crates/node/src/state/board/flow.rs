@@ -1,0 +1,202 @@
+//! How a camera's frames flow over the last ten seconds: the rate at which they come, how many are broken, and how many are
+//! dropped. From that follows what is wrong with a camera that still sends something.
+
+use crate::input::ArrivalCounts;
+use albireo_wire::DroppedFrames;
+use std::collections::VecDeque;
+use std::time::Duration;
+use tokio::time::Instant;
+
+/// The span that is looked at. Samples come once a second.
+const SPAN: Duration = Duration::from_secs(10);
+/// A camera that sends fewer frames for this long is known to have changed.
+const GETS_USED_TO: Duration = Duration::from_secs(600);
+/// One part in so many of each second's rate goes into what is usual.
+const SLOWNESS: f64 = 60.0;
+/// Too few frames in [`SPAN`] to judge which share is dropped.
+const FEW: u64 = 10;
+
+/// Counts at one moment.
+#[derive(Clone, Debug)]
+struct Sample {
+    at: Instant,
+    arrived: ArrivalCounts,
+    dropped: DroppedFrames,
+}
+
+/// The flow of a camera's frames.
+#[derive(Debug, Default)]
+pub(super) struct Flow {
+    /// The newest last; the oldest is the last one that is at least [`SPAN`] old.
+    samples: VecDeque<Sample>,
+    /// The rate that the stream has shown, frames per second.
+    usual: Option<f64>,
+    /// Since when the rate is below half of that.
+    low_since: Option<Instant>,
+}
+
+impl Flow {
+    /// Adds the present counts. Call it about once a second.
+    pub(super) fn sample(&mut self, at: Instant, arrived: ArrivalCounts, dropped: DroppedFrames) {
+        self.samples.push_back(Sample {
+            at,
+            arrived,
+            dropped,
+        });
+        while self.samples.get(1).is_some_and(|second| at - second.at >= SPAN) {
+            self.samples.pop_front();
+        }
+        let (Some(rate), true) = (self.rate(), self.is_full()) else {
+            return;
+        };
+        let usual = *self.usual.get_or_insert(rate);
+        if rate >= usual / 2.0 {
+            self.low_since = None;
+            self.usual = Some(usual + (rate - usual) / SLOWNESS);
+        } else if at - *self.low_since.get_or_insert(at) >= GETS_USED_TO {
+            self.low_since = None;
+            self.usual = Some(rate);
+        }
+    }
+
+    /// The frames per second that come; `None` until there are two samples.
+    pub(super) fn rate(&self) -> Option<f64> {
+        let (first, last) = (self.samples.front()?, self.samples.back()?);
+        let seconds = (last.at - first.at).as_secs_f64();
+        let frames = last.arrived.frames - first.arrived.frames;
+        (seconds > 0.0).then(|| frames as f64 / seconds)
+    }
+
+    fn is_full(&self) -> bool {
+        let ends = self.samples.front().zip(self.samples.back());
+        ends.is_some_and(|(first, last)| last.at - first.at >= SPAN)
+    }
+
+    /// What is wrong with the frames of the last ten seconds. `complaint` is the last one of the decoder.
+    pub(super) fn fault(&self, complaint: Option<&str>) -> Option<String> {
+        let (first, last) = (self.samples.front()?, self.samples.back()?);
+        if !self.is_full() {
+            return None;
+        }
+        let came = last.arrived.frames - first.arrived.frames;
+        let broken = last.arrived.broken - first.arrived.broken;
+        if broken * 2 > came {
+            let complaint = complaint.unwrap_or("they cannot be decoded");
+            return Some(format!(
+                "its pictures are broken: {broken} of {came} in the last 10 s ({complaint}); check its network"
+            ));
+        }
+        self.slow().or_else(|| {
+            let before = first.dropped.by_kind();
+            let dropped = (last.dropped.by_kind().into_iter().zip(before))
+                .map(|((kind, now), (_, before))| (kind, now - before));
+            let (kind, most) = dropped.clone().max_by_key(|(_, frames)| *frames)?;
+            let all: u64 = dropped.map(|(_, frames)| frames).sum();
+            let came = came.max(all);
+            (all > FEW && all * 2 > came).then(|| {
+                format!(
+                    "most of its frames are dropped: {all} of {came} in the last 10 s, {most} of them {kind}{}",
+                    remedy(kind)
+                )
+            })
+        })
+    }
+
+    /// Says that frames come at less than half of the usual rate, in both halves of the time: a stream that begins or
+    /// ends is not slow.
+    fn slow(&self) -> Option<String> {
+        let (rate, usual) = (self.rate()?, self.usual?);
+        let (first, last) = (self.samples.front()?, self.samples.back()?);
+        let middle = self.samples.get(self.samples.len() / 2)?;
+        let is_slow = |from: &Sample, to: &Sample| {
+            let frames = to.arrived.frames - from.arrived.frames;
+            let usually = usual * (to.at - from.at).as_secs_f64();
+            frames > 0 && (frames as f64) < usually / 2.0
+        };
+        (is_slow(first, middle) && is_slow(middle, last))
+            .then(|| format!("{rate:.1} frames per second come; {usual:.1} came before"))
+    }
+}
+
+/// What to do about frames that are dropped for that reason.
+fn remedy(kind: &str) -> &'static str {
+    match kind {
+        "overrun" => " (the node is slower than the camera: set max_rate)",
+        "lost" => " (their numbers never came: check the network, or how the camera numbers)",
+        "stray" => " (two senders use one key)",
+        _ => "",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    struct Camera {
+        flow: Flow,
+        now: Instant,
+        arrived: ArrivalCounts,
+        dropped: DroppedFrames,
+    }
+
+    impl Camera {
+        fn new() -> Self {
+            Self {
+                flow: Flow::default(),
+                now: Instant::now(),
+                arrived: ArrivalCounts::default(),
+                dropped: DroppedFrames::default(),
+            }
+        }
+
+        fn send(&mut self, seconds: u64, [frames, broken, overrun]: [u64; 3]) -> Option<String> {
+            for _ in 0..seconds {
+                self.now += Duration::from_secs(1);
+                self.arrived.frames += frames;
+                self.arrived.broken += broken;
+                self.dropped.overrun += overrun;
+                self.flow.sample(self.now, self.arrived.clone(), self.dropped.clone());
+            }
+            self.flow.fault(Some("error while decoding MB 3 4"))
+        }
+    }
+
+    #[test]
+    fn a_camera_that_slows_down_says_so_after_ten_seconds_and_is_believed_after_ten_minutes() {
+        let mut camera = Camera::new();
+        assert_eq!(camera.send(60, [15, 0, 0]), None);
+        assert_eq!(camera.send(4, [3, 0, 0]), None);
+        let said = camera.send(7, [3, 0, 0]).unwrap();
+        assert_eq!(said, "3.0 frames per second come; 14.6 came before");
+        assert_eq!(camera.flow.rate(), Some(3.0));
+        assert!(camera.send(560, [3, 0, 0]).is_some());
+        assert_eq!(camera.send(60, [3, 0, 0]), None);
+        assert_eq!(camera.send(60, [15, 0, 0]), None);
+    }
+
+    #[test]
+    fn a_stream_that_ends_and_one_that_begins_again_are_not_slow() {
+        let mut camera = Camera::new();
+        camera.send(60, [15, 0, 0]);
+        for _ in 0..15 {
+            assert_eq!(camera.send(1, [0, 0, 0]), None);
+        }
+        for _ in 0..15 {
+            assert_eq!(camera.send(1, [15, 0, 0]), None);
+        }
+    }
+
+    #[test]
+    fn broken_and_dropped_frames_are_a_fault_once_they_are_most() {
+        let mut camera = Camera::new();
+        assert_eq!(camera.send(20, [15, 7, 7]), None);
+        let said = camera.send(10, [15, 8, 0]).unwrap();
+        let begin =
+            "its pictures are broken: 80 of 150 in the last 10 s (error while decoding MB 3 4)";
+        assert!(said.starts_with(begin), "{said}");
+        let said = camera.send(10, [15, 0, 10]).unwrap();
+        let begin =
+            "most of its frames are dropped: 100 of 150 in the last 10 s, 100 of them overrun";
+        assert!(said.starts_with(begin), "{said}");
+    }
+}
