@@ -40,20 +40,124 @@ fn a_missing_file_folder_or_model_is_named() {
 
 #[test]
 #[ignore = "needs ONNX Runtime"]
-fn a_detector_without_evaluated_classes_a_broken_picture_and_one_of_another_size_are_named() {
+fn ground_truth_of_other_classes_pictures_none_of_which_can_be_used_and_of_two_sizes_are_named() {
     let folder = tempfile::tempdir().unwrap();
     write_pictures(folder.path(), 3);
-    let names = folder.path().join("names.txt");
-    std::fs::write(&names, "cat\ndog\ncow\nhen\npig\newe\nfox\n").unwrap();
-    let said = on_pictures(folder.path(), &format!("--class-names {}", names.display()));
-    assert_contains(&said, &["cat, dog", "--class-names"]);
+    let names = own_names(folder.path());
+    let labels = folder.path().join("labels.json");
+    for (label, refused) in [
+        ("car", "person, bicycle, car"),
+        ("tram", "tram; its own are cat"),
+    ] {
+        let truth = scalabel(folder.path(), 3, label);
+        std::fs::write(&labels, truth).unwrap();
+        let truth = format!("--truth-format bdd100k --ground-truth {}", labels.display());
+        let said = on_pictures(folder.path(), &format!("--class-names {names} {truth}"));
+        assert_contains(&said, &["cat, dog", "--class-names", refused]);
+    }
     let second = folder.path().join("1.jpg");
-    let whole = std::fs::read(&second).unwrap();
-    std::fs::write(&second, &whole[..whole.len() / 2]).unwrap();
-    assert_contains(&on_pictures(folder.path(), ""), &["frame 1"]);
     std::fs::write(&second, grey_jpeg(90, [64, 64])).unwrap();
     let said = on_pictures(folder.path(), "");
     assert_contains(&said, &["64x64, those before it are 1280x720"]);
+}
+
+/// Names of seven classes, none of which is on a road.
+fn own_names(folder: &Path) -> String {
+    let names = folder.join("names.txt");
+    std::fs::write(&names, "cat\ndog\ncow\nhen\npig\newe\nfox\n").unwrap();
+    names.display().to_string()
+}
+
+/// Labels of the clip in `folder`: the box of the fixture model, of the class `category`, on each of `frames` frames.
+fn scalabel(folder: &Path, frames: usize, category: &str) -> String {
+    let clip = folder.file_name().unwrap().to_string_lossy().into_owned();
+    let clip = clip.trim_start_matches('.');
+    let label = serde_json::json!({
+        "id": "7", "category": category, "box2d": {"x1": 160, "y1": 80, "x2": 800, "y2": 400},
+    });
+    let frame = |frame| {
+        serde_json::json!({
+            "name": format!("{frame}.jpg"), "videoName": clip, "frameIndex": frame, "labels": [label],
+        })
+    };
+    serde_json::json!((0..frames).map(frame).collect::<Vec<_>>()).to_string()
+}
+
+/// The report of a run over the pictures in `folder`, and what it printed beside it.
+fn judged(folder: &Path, more: &str) -> (serde_json::Value, String) {
+    let out = tempfile::tempdir().unwrap();
+    let (at, drive) = (out.path().display(), folder.display());
+    let colours = detector("colours.onnx");
+    let ended = eval(&format!(
+        "video {drive} --detector {colours} --policy vanilla --out {at} {more}"
+    ));
+    let said = ended.err.clone();
+    ended.succeeds();
+    let report = std::fs::read(out.path().join("report.json")).unwrap();
+    (serde_json::from_slice(&report).unwrap(), said)
+}
+
+#[test]
+#[ignore = "needs ONNX Runtime"]
+fn a_model_of_one_s_own_is_judged_by_all_its_classes_with_and_without_ground_truth() {
+    let folder = tempfile::tempdir().unwrap();
+    write_pictures(folder.path(), 12);
+    let names = own_names(folder.path());
+    let saved = folder.path().join("saved");
+    let save = format!(
+        "--class-names {names} --save-detections {}",
+        saved.display()
+    );
+    let (report, said) = judged(folder.path(), &save);
+    assert!(!said.contains("not mapped"), "{said}");
+    let of_clip = &report["clips"][0]["classes"];
+    assert!(
+        of_clip["cat"].is_object() && of_clip["dog"].is_object(),
+        "{of_clip}"
+    );
+    // The names are saved with the numbers.
+    let index = std::fs::read_to_string(saved.join("sequences.json")).unwrap();
+    assert_contains(&index, &["\"cat\"", "\"fox\""]);
+
+    let labels = folder.path().join("labels.json");
+    std::fs::write(&labels, scalabel(folder.path(), 12, "dog")).unwrap();
+    let truth = format!("--truth-format bdd100k --ground-truth {}", labels.display());
+    let (report, _) = judged(folder.path(), &format!("--class-names {names} {truth}"));
+    let classes = report["clips"][0]["classes"].as_object().unwrap();
+    assert!(
+        classes["dog"]["ap50"].as_f64().unwrap() > 0.0,
+        "{classes:?}"
+    );
+}
+
+#[test]
+#[ignore = "needs ONNX Runtime"]
+fn a_bad_picture_of_a_folder_is_named_and_counted_and_the_others_stay_with_their_ground_truth() {
+    let folder = tempfile::tempdir().unwrap();
+    write_pictures(folder.path(), 12);
+    let labels = folder.path().join("labels.json");
+    std::fs::write(&labels, scalabel(folder.path(), 12, "rider")).unwrap();
+    let truth = format!("--truth-format bdd100k --ground-truth {}", labels.display());
+    let (whole, said) = judged(folder.path(), &truth);
+    assert!(!said.contains("cannot be used"), "{said}");
+    // One whose header cannot be read, and one that cannot be decoded.
+    std::fs::write(folder.path().join("2.jpg"), "<html>").unwrap();
+    let bytes = std::fs::read(folder.path().join("7.jpg")).unwrap();
+    std::fs::write(folder.path().join("7.jpg"), &bytes[..bytes.len() / 2]).unwrap();
+    let (report, said) = judged(folder.path(), &truth);
+    assert_contains(
+        &said,
+        &["2 of 12 pictures cannot be used", "2.jpg", "7.jpg"],
+    );
+    let frames = |report: &serde_json::Value| report["clips"][0]["frames"].as_u64();
+    assert_eq!((frames(&whole), frames(&report)), (Some(12), Some(10)));
+    assert!(report["clips"][0]["accuracy"]["ap50"].as_f64().is_some());
+    // Without a single one that can be used, the first is named.
+    for number in 0..12 {
+        std::fs::write(folder.path().join(format!("{number}.jpg")), "<html>").unwrap();
+    }
+    let said = on_pictures(folder.path(), "");
+    assert_contains(&said, &["none of its pictures can be used", "0.jpg"]);
 }
 
 #[test]

@@ -42,6 +42,7 @@ impl Rules {
 }
 
 use crate::boxes::ScoredBox;
+use crate::data::classes::Evaluated;
 use crate::error::EvalError;
 use crate::footage::FrameSelection;
 use crate::judge::{Ignored, Mark};
@@ -79,6 +80,10 @@ pub struct Clip {
     pub ignored: Vec<Vec<Ignored>>,
     /// Grey pictures and step times, if a detector ran on the pictures in this run.
     pub pass: Option<Pass>,
+    /// The classes of its boxes.
+    pub classes: Evaluated,
+    /// The pictures of its source that cannot be used, by their places in it; they are none of its frames.
+    pub unusable: Vec<usize>,
 }
 
 impl Clip {
@@ -96,6 +101,8 @@ impl Clip {
             pictures: Vec::new(),
             ignored: Vec::new(),
             pass: None,
+            classes: Evaluated::Road,
+            unusable: Vec::new(),
         }
     }
 

@@ -9,7 +9,7 @@ mod tracking;
 mod truth;
 
 pub use average_precision::{Accuracy, Classes, Interpolation, SHOWN_CONFIDENCE, accuracy};
-pub(crate) use average_precision::{accuracy_by_class, hits};
+pub(crate) use average_precision::{Matches, accuracy_by_class, hits};
 pub use newcomers::{MIN_HEIGHT, Newcomers, newcomers};
 pub use tracking::{Tracking, tracking};
 pub use truth::{Ignored, Mark, Truth};

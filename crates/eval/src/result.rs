@@ -1,6 +1,6 @@
 //! Computes the figures of one policy on one clip.
 
-use crate::judge::{Accuracy, Newcomers, Tracking};
+use crate::judge::{Accuracy, Matches, Newcomers, Tracking};
 use crate::statistics::quantile;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_core::policy::FrameState;
@@ -142,6 +142,9 @@ pub struct ClipResult {
     /// Energy, if projected.
     #[serde(rename = "projected_energy")]
     pub energy: Option<Energy>,
+    /// What became of the boxes that a node publishes, to be pooled with other clips; `None` if classes are separate.
+    #[serde(skip)]
+    pub(crate) matches: Option<Matches>,
     /// Mean delay of settled frames, in frames.
     #[serde(skip)]
     pub delay: f64,

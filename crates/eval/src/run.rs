@@ -114,7 +114,7 @@ fn run_policy(
                 Profile::Reference => &[],
             },
         };
-        figures::judge(&mut result, truth, &replayed, settings);
+        figures::judge(&mut result, truth, &replayed, &clip.classes, settings);
     }
     if settings.keep_worst {
         result.worst = worst::worst_frames(clip, &replayed, settings.confidence);

@@ -1,6 +1,6 @@
 //! Summarises each policy over the clips: means, differences to the baseline, and the Pareto frontier.
 
-use crate::judge::Accuracy;
+use crate::judge::{Accuracy, Matches};
 use crate::result::{ClipResult, Energy, Provenance};
 use crate::spec::BASELINE;
 use crate::statistics::{half_interval, mean, p_value};
@@ -30,6 +30,52 @@ pub struct NewcomerSummary {
     pub ms: Option<f64>,
     /// Mean share of objects that were never found.
     pub never_found: f64,
+}
+
+/// The figures of one policy over all frames, as if the clips were one. A long clip, a crowded one or one with many objects
+/// counts for more here than in the means over clips.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Pooled {
+    /// Share of skipped frames.
+    pub skip_rate: f64,
+    /// Number of boxes of the ground truth.
+    pub truths: usize,
+    /// AP@50 of the boxes that a node publishes.
+    pub ap50: f64,
+    /// mAP@50:95 of these boxes.
+    pub map: f64,
+    /// Number of objects that come near enough for their delay to be told; 0 if the ground truth does not number them.
+    pub objects: usize,
+    /// Mean delay of these objects, frames.
+    pub delay_frames: Option<f64>,
+    /// How many of them were never found.
+    pub never_found: usize,
+}
+
+impl Pooled {
+    /// Pools clips; `None` for fewer than two, and without ground truth.
+    fn of(results: &[&ClipResult]) -> Option<Self> {
+        let matches: Option<Vec<&Matches>> =
+            results.iter().map(|result| result.matches.as_ref()).collect();
+        let accuracy = Matches::joined(matches.filter(|clips| clips.len() > 1)?)?.accuracy()?;
+        let sum = |count: &dyn Fn(&ClipResult) -> usize| -> usize {
+            results.iter().map(|result| count(result)).sum()
+        };
+        let frames = sum(&|result| result.frames).max(1) as f64;
+        let skipped = results.iter().map(|result| result.skip_rate() * result.frames as f64);
+        let newcomers = || results.iter().filter_map(|result| result.newcomers);
+        let objects: usize = newcomers().map(|found| found.objects).sum();
+        let late: f64 = newcomers().map(|found| found.delay_frames * found.objects as f64).sum();
+        Some(Self {
+            skip_rate: skipped.sum::<f64>() / frames,
+            truths: accuracy.truths,
+            ap50: accuracy.ap50,
+            map: accuracy.map,
+            objects,
+            delay_frames: (objects > 0).then(|| late / objects as f64),
+            never_found: newcomers().map(|found| found.never_found).sum(),
+        })
+    }
 }
 
 /// What the figures of newcomers are, for the legend of a table.
@@ -150,6 +196,8 @@ pub struct PolicySummary {
     pub map_all_change: Option<Difference>,
     /// The delay of newcomers minus the baseline's, frames.
     pub newcomers_change: Option<Difference>,
+    /// The figures over all frames of the clips; `None` for one clip.
+    pub pooled: Option<Pooled>,
     /// True if no other policy has at least the skip rate and the AP@50, and more of one of the two.
     pub on_skip_frontier: bool,
 }
@@ -276,6 +324,7 @@ fn summarise_policy(
         ap50_all_change: change_all(|accuracy| accuracy.ap50),
         map_all_change: change_all(|accuracy| accuracy.map),
         newcomers_change: paired(&|result| Some(result.newcomers?.delay_frames)),
+        pooled: Pooled::of(results),
         on_skip_frontier: false,
     }
 }

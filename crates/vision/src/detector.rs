@@ -12,6 +12,7 @@ mod reader;
 
 pub use crate::onnx::{ExecutionProvider, GpuConfig, StartError};
 pub use crate::worker::{ModelStatus, RunError};
+pub use class_names::are_of_coco;
 pub use config::{ClassNames, DetectorConfig};
 pub use handle::{Detected, DetectorHandle, SpareTurn};
 pub use head_name::{HeadName, HeadSetting};

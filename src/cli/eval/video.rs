@@ -38,7 +38,8 @@ pub(super) struct VideoArguments {
     #[arg(long, value_enum, default_value_t)]
     encoding: VideoEncoding,
     /// Ground truth; may be repeated. Clips that it does not name are left out. Without any, `demo` is judged by
-    /// demo/truth.json, and all else against Vanilla's own output.
+    /// demo/truth.json, and all else against Vanilla's own output. Judged are all classes of the model; but of COCO's
+    /// eighty, and by the ground truth of a driving benchmark, the six that BDD100K shares with COCO.
     #[arg(long, value_name = "PATH", requires = "truth_format")]
     ground_truth: Vec<PathBuf>,
     /// Layout of the ground truth.
@@ -94,9 +95,11 @@ pub(super) fn run(video: &VideoArguments) -> anyhow::Result<()> {
         "--fps leaves out frames of which --ground-truth tells: save the detections of all frames with --save-detections, and \
          give --fps to `albireo eval recorded`"
     );
-    let truth = ground_truth(video, arguments.settings.rules()?)?;
+    let mut models = start_models(&video.pass)?;
+    let truth = ground_truth(video, arguments.settings.rules()?, models.class_names())?;
     if let Some(truth) = &truth {
         truth.check(&names)?;
+        models.evaluate(truth.classes())?;
     }
     let mut evaluation = Evaluation {
         video,
@@ -104,7 +107,7 @@ pub(super) fn run(video: &VideoArguments) -> anyhow::Result<()> {
             max_frames: video.pass.frames,
             ..PassSettings::for_policies(&policies)?
         },
-        models: start_models(&video.pass)?,
+        models,
         arguments,
         names,
         policies,
@@ -153,7 +156,11 @@ fn with_screen(video: &VideoArguments) -> anyhow::Result<RunArguments> {
 }
 
 /// Reads the ground truth that was named, or the one that belongs to the clips if it belongs to all of them.
-fn ground_truth(video: &VideoArguments, rules: Rules) -> anyhow::Result<Option<GroundTruth>> {
+fn ground_truth(
+    video: &VideoArguments,
+    rules: Rules,
+    classes: &[String],
+) -> anyhow::Result<Option<GroundTruth>> {
     let (paths, format) = match video.truth_format {
         Some(format) => (video.ground_truth.clone(), format),
         // It tells of every frame, so it cannot judge a clip of which frames were left out.
@@ -165,7 +172,9 @@ fn ground_truth(video: &VideoArguments, rules: Rules) -> anyhow::Result<Option<G
             (own.into_iter().collect(), TruthFormat::Bdd100k)
         }
     };
-    Ok(Some(GroundTruth::read(&paths, format, rules)?))
+    Ok(Some(GroundTruth::for_model(
+        &paths, format, rules, classes,
+    )?))
 }
 
 /// The names of all clips; results, truth and files are told apart by them.
@@ -226,7 +235,8 @@ impl Evaluation<'_> {
         self.times.extend(pass.iter().flat_map(|pass| &pass.times).copied());
         if let Some(truth) = &mut self.truth {
             // The frames behind a limit were not looked at.
-            let is_whole = self.pass_settings.max_frames != Some(clip.frames);
+            let pictures = clip.frames + clip.unusable.len();
+            let is_whole = self.pass_settings.max_frames != Some(pictures);
             truth.attach_to(&mut clip, self.names.len() == 1, is_whole, &mut self.report)?;
         }
         if self.video.pass.save_detections.is_some() {
@@ -244,7 +254,7 @@ impl Evaluation<'_> {
         let mut of_clip = run::run([&clip], &self.policies, &self.settings, &|| ())?;
         // The pictures of the frames that lost most are read again: keeping all pictures until these frames are known
         // would take too much memory.
-        if let Err(error) = attach_pictures(source, &mut of_clip) {
+        if let Err(error) = attach_pictures(source, &mut of_clip, &clip.unusable) {
             let name = &clip.name;
             let note = format!("{name}: no pictures of the frames that lost most: {error}");
             self.report.notes.push(note);

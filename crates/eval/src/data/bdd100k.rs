@@ -8,7 +8,7 @@
 //! in which boxes are not judged, as in BDD100K's own evaluation and TrackEval's. The paper's evaluator makes no exception:
 //! under [`Rules::Paper`] crowds are ground truth like any other box.
 
-use super::classes::from_name;
+use super::classes::Evaluated;
 use super::rows::MAX_FRAMES;
 use super::{Clip, DataSet, LabelledBox, LoadReport, Rules, entries, has_extension};
 use crate::boxes::ScoredBox;
@@ -111,10 +111,16 @@ type Videos = BTreeMap<String, BTreeMap<usize, Labelled>>;
 /// # Errors
 /// [`EvalError`] for a missing or broken file, a prediction without a score, or a frame that occurs twice.
 pub fn read(source: &Source<'_>) -> Result<DataSet, EvalError> {
+    read_as(source, &Evaluated::Road)
+}
+
+/// [`read`] with the boxes of these classes.
+pub(super) fn read_as(source: &Source<'_>, classes: &Evaluated) -> Result<DataSet, EvalError> {
     let mut data = DataSet::default();
     let reading = Reading {
         picture: source.picture,
         rules: source.rules,
+        classes,
     };
     let report = &mut data.report;
     let mut truths = source.truth.map(|path| reading.videos(path, false, report)).transpose()?;
@@ -161,12 +167,13 @@ fn spread(by_index: BTreeMap<usize, Labelled>, frames: usize) -> Vec<Vec<ScoredB
 
 /// What the reader of a file has to know beside it.
 #[derive(Clone, Copy)]
-struct Reading {
+struct Reading<'a> {
     picture: PictureSize,
     rules: Rules,
+    classes: &'a Evaluated,
 }
 
-impl Reading {
+impl Reading<'_> {
     fn videos(
         self,
         path: &Path,
@@ -241,7 +248,7 @@ impl Reading {
             }
             let labelled = LabelledBox {
                 corners,
-                class: from_name(&label.category),
+                class: self.classes.find(&label.category),
                 class_name: label.category.as_str().into(),
                 confidence,
                 object: label.id.as_ref().and_then(number_of),

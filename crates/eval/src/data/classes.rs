@@ -1,10 +1,12 @@
 //! Defines the classes that are evaluated, and maps the names of data sets to them.
 //!
-//! Class numbers are COCO's, counted from 0, as detectors trained on COCO report them. The paper evaluates the
-//! classes of BDD100K that COCO also has, with pedestrian and rider both taken as person: six classes.
+//! The paper evaluates the classes of BDD100K that COCO also has, with pedestrian and rider both taken as person: six
+//! classes, with COCO's numbers counted from 0. A model with other classes is evaluated with its own, under its numbers.
 
 use super::LeftOut;
 use albireo_core::detection::ClassId;
+use albireo_vision::detector::are_of_coco;
+use std::sync::Arc;
 
 /// A person, walking or riding.
 pub(crate) const PERSON: ClassId = ClassId(0);
@@ -24,9 +26,66 @@ pub(crate) const EVALUATED: [(ClassId, &str); 6] = [
     (TRUCK, "truck"),
 ];
 
-/// Returns the name of an evaluated class; `None` for any other.
-pub(crate) fn name(class: ClassId) -> Option<&'static str> {
-    EVALUATED.iter().find(|(id, _)| *id == class).map(|(_, name)| *name)
+/// The classes of BDD100K that are not evaluated. Ground truth with any further class is not BDD100K's.
+const OTHERS_OF_BDD100K: [&str; 6] = [
+    "train",
+    "traffic light",
+    "traffic sign",
+    "other person",
+    "other vehicle",
+    "trailer",
+];
+
+/// The classes that a run evaluates.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum Evaluated {
+    /// The six of the paper, with COCO's numbers.
+    #[default]
+    Road,
+    /// All of a model, with its numbers.
+    Own(Arc<[String]>),
+}
+
+impl Evaluated {
+    /// Returns what is evaluated of a model without ground truth: its own classes, but the six of COCO's eighty, and of a
+    /// model that has no others.
+    pub fn of_model(names: &[String]) -> Self {
+        let named = || names.iter().filter(|name| !name.is_empty());
+        let are_all_six = named().all(|name| from_name(name).is_ok());
+        if are_of_coco(names) || are_all_six && named().next().is_some() {
+            Self::Road
+        } else {
+            Self::Own(names.into())
+        }
+    }
+
+    /// The number of the class that a data set or a model calls `name`. Of a model's own classes it is the one of that
+    /// name, else the one that is the same of the six.
+    pub(crate) fn find(&self, name: &str) -> Result<ClassId, LeftOut> {
+        let Self::Own(names) = self else {
+            return from_name(name);
+        };
+        let of_six = from_name(name);
+        let place = |is_it: &dyn Fn(&String) -> bool| names.iter().position(is_it);
+        place(&|own| own.eq_ignore_ascii_case(name))
+            .or_else(|| place(&|own| of_six.is_ok() && from_name(own) == of_six))
+            .and_then(|number| u16::try_from(number).ok())
+            .map_or(Err(LeftOut::UnmappedClass), |number| Ok(ClassId(number)))
+    }
+
+    /// The name of a class; `class 7` if it has none.
+    pub(crate) fn name(&self, class: ClassId) -> String {
+        let name = match self {
+            Self::Road => EVALUATED.iter().find(|(id, _)| *id == class).map(|(_, name)| *name),
+            Self::Own(names) => names.get(usize::from(class.0)).map(String::as_str),
+        };
+        name.map_or_else(|| format!("class {}", class.0), str::to_owned)
+    }
+}
+
+/// True if `name` is neither a class of BDD100K nor one of another name for it.
+pub(super) fn is_foreign_to_bdd100k(name: &str) -> bool {
+    from_name(name).is_err() && !OTHERS_OF_BDD100K.contains(&name)
 }
 
 /// Maps a class name of COCO or of any BDD100K release.
@@ -83,6 +142,24 @@ pub(crate) fn from_visdrone(number: i64) -> Result<ClassId, LeftOut> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_model_of_one_s_own_is_evaluated_with_its_classes_and_coco_s_with_six() {
+        let named = |names: &[&str]| names.iter().map(|&name| name.to_owned()).collect::<Vec<_>>();
+        assert_eq!(
+            Evaluated::of_model(&named(&["car", "rider", "bus"])),
+            Evaluated::Road
+        );
+        let own = Evaluated::of_model(&named(&["helmet", "Vest", "pedestrian"]));
+        let found = ["helmet", "vest", "person", "car"].map(|name| own.find(name).ok());
+        assert_eq!(
+            found,
+            [Some(ClassId(0)), Some(ClassId(1)), Some(ClassId(2)), None]
+        );
+        assert_eq!(own.name(ClassId(1)), "Vest");
+        assert_eq!(Evaluated::Road.name(CAR), "car");
+        assert_eq!(own.name(ClassId(9)), "class 9");
+    }
 
     #[test]
     fn pedestrian_and_rider_are_both_mapped_to_person() {

@@ -6,7 +6,7 @@
 //!
 //! An annotation with `iscrowd` is a crowd, one with `ignore` an object that is not judged; both as in pycocotools.
 
-use super::classes::from_name;
+use super::classes::Evaluated;
 use super::{Clip, DataSet, LabelledBox, LeftOut};
 use crate::error::EvalError;
 use crate::judge::Mark;
@@ -84,6 +84,15 @@ struct ListedVideo {
 /// [`EvalError`] for a missing or broken file, a box on an image that is not listed, or pictures of different sizes within a
 /// clip.
 pub fn read(dataset: &Path, results: Option<&Path>) -> Result<DataSet, EvalError> {
+    read_as(dataset, results, &Evaluated::Road)
+}
+
+/// [`read`] with the boxes of these classes.
+pub(super) fn read_as(
+    dataset: &Path,
+    results: Option<&Path>,
+    classes: &Evaluated,
+) -> Result<DataSet, EvalError> {
     let set: Dataset = parse(dataset, "give a COCO file with images and categories")?;
     let names: HashMap<u64, &str> = set
         .categories
@@ -98,7 +107,7 @@ pub fn read(dataset: &Path, results: Option<&Path>) -> Result<DataSet, EvalError
         let name = names.get(&annotation.category_id).copied();
         LabelledBox {
             corners: corners(annotation.bbox),
-            class: name.map_or(Err(LeftOut::UnmappedClass), from_name),
+            class: name.map_or(Err(LeftOut::UnmappedClass), |name| classes.find(name)),
             class_name: name.map_or_else(
                 || format!("category {}", annotation.category_id).into(),
                 Into::into,

@@ -10,9 +10,11 @@
 //! - `screen/<name>.csv`: `frame,empty`, optional: the verdicts of an empty-scene screen (1: nothing is in view,
 //!   0: something is); a frame without a row has no verdict.
 //!
-//! Coordinates are pixels, frames count from 0, and classes are COCO numbers. A sequence whose entry counts ground-truth boxes
+//! Coordinates are pixels, frames count from 0, and classes are COCO numbers, or those of the names that `sequences.json`
+//! lists (`"class_names": ["helmet", …]`). A sequence whose entry counts ground-truth boxes
 //! (`ground_truth_boxes`) must have the file. [`write`] writes the same layout.
 
+use super::classes::Evaluated;
 use super::rows::{Row, Table};
 use super::{Clip, DataSet, LabelledBox, LoadReport};
 use crate::error::EvalError;
@@ -40,6 +42,9 @@ const SCREEN_HEADER: &str = "frame,empty";
 
 #[derive(Serialize, Deserialize)]
 struct Index {
+    /// The names of the classes by their numbers; none for those of COCO.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    class_names: Vec<String>,
     sequences: Vec<Entry>,
 }
 
@@ -69,6 +74,10 @@ pub fn read(folder: &Path) -> Result<DataSet, EvalError> {
     )?;
     let index: Index =
         serde_json::from_str(&text).map_err(|error| EvalError::json(&path, &error))?;
+    let classes = match index.class_names.as_slice() {
+        [] => Evaluated::Road,
+        names => Evaluated::Own(names.into()),
+    };
     let mut data = DataSet::default();
     let mut names = std::collections::BTreeSet::new();
     for entry in index.sequences {
@@ -80,7 +89,10 @@ pub fn read(folder: &Path) -> Result<DataSet, EvalError> {
             ));
         }
         let clip = read_sequence(folder, entry, &mut data.report)?;
-        data.push(clip);
+        data.push(Clip {
+            classes: classes.clone(),
+            ..clip
+        });
     }
     data.nonempty(folder)
 }
@@ -247,7 +259,12 @@ fn labelled(
 /// # Errors
 /// When a file cannot be written.
 pub fn write(folder: &Path, clips: &[Clip]) -> Result<(), EvalError> {
+    let own = clips.first().and_then(|clip| match &clip.classes {
+        Evaluated::Own(names) => Some(names.to_vec()),
+        Evaluated::Road => None,
+    });
     let mut index = Index {
+        class_names: own.unwrap_or_default(),
         sequences: Vec::new(),
     };
     for clip in clips {

@@ -21,8 +21,9 @@ fn assert_refused(read: Result<DataSet, EvalError>, parts: &[&str]) {
     }
 }
 
-const INDEX: &str =
-    r#"{"sequences": [{"name": "a", "width": 100, "height": 50, "fps": 10, "frames": 3}]}"#;
+// Recordings describe their classes for people, too; only `class_names` is read.
+const INDEX: &str = r#"{"classes": {"2": "car"},
+    "sequences": [{"name": "a", "width": 100, "height": 50, "fps": 10, "frames": 3}]}"#;
 const HEADER: &str = "frame,x1,y1,x2,y2,score,class\n";
 const TRUTH_HEADER: &str = "frame,x1,y1,x2,y2,class,object_id\n";
 

@@ -1,5 +1,6 @@
 //! Gives a clip of pictures its ground truth: from a file, or from Vanilla's own output.
 
+use super::classes::{self, Evaluated};
 use super::{
     Clip, DataSet, LoadReport, Rules, bdd100k, coco, kitti, mot_challenge, recorded, visdrone,
 };
@@ -36,6 +37,7 @@ const UNKNOWN_SIZE: PictureSize = PictureSize::new(u32::MAX, u32::MAX);
 #[derive(Clone, Debug)]
 pub struct GroundTruth {
     format: TruthFormat,
+    classes: Evaluated,
     /// The ground truth by the clip's name, and the number of its file.
     clips: BTreeMap<String, (usize, Clip)>,
     files: Vec<TruthFile>,
@@ -55,10 +57,72 @@ impl GroundTruth {
     /// # Errors
     /// [`EvalError`] when one cannot be read.
     pub fn read(paths: &[PathBuf], format: TruthFormat, rules: Rules) -> Result<Self, EvalError> {
+        Self::read_as(paths, format, rules, &Evaluated::Road)
+    }
+
+    /// [`read`](Self::read) for a model with the classes `names`: of BDD100K's and the other benchmarks' ground truth the six
+    /// of the paper, of COCO's and of labels of one's own all that the model has.
+    ///
+    /// # Errors
+    /// Like [`read`](Self::read), and when the model has none of its classes.
+    pub fn for_model(
+        paths: &[PathBuf],
+        format: TruthFormat,
+        rules: Rules,
+        names: &[String],
+    ) -> Result<Self, EvalError> {
+        let own = Evaluated::Own(names.into());
+        if format == TruthFormat::Coco {
+            return Self::read_as(paths, format, rules, &own)?.with_boxes(names);
+        }
+        let truth = Self::read_as(paths, format, rules, &Evaluated::Road)?;
+        let is_foreign = truth.unmapped().any(|(name, _)| classes::is_foreign_to_bdd100k(name));
+        if format == TruthFormat::Bdd100k && is_foreign {
+            return Self::read_as(paths, format, rules, &own)?.with_boxes(names);
+        }
+        Ok(truth)
+    }
+
+    /// The classes of other names than those that are evaluated, with the number of their boxes.
+    fn unmapped(&self) -> impl Iterator<Item = (&String, &usize)> {
+        self.files
+            .iter()
+            .flat_map(|file| &file.report)
+            .flat_map(|report| &report.unmapped_classes)
+    }
+
+    /// Refuses ground truth of which no box has a class of the model.
+    fn with_boxes(self, names: &[String]) -> Result<Self, EvalError> {
+        let has_boxes =
+            |(_, clip): &(usize, Clip)| clip.truth.iter().flatten().any(|of| !of.is_empty());
+        let others: Vec<&str> = self.unmapped().map(|(name, _)| name.as_str()).take(8).collect();
+        if others.is_empty() || self.clips.values().any(has_boxes) {
+            return Ok(self);
+        }
+        let own: Vec<&str> = names.iter().map(String::as_str).take(8).collect();
+        Err(EvalError::new(format!(
+            "the model has none of the classes of the ground truth: {}; its own are {}. Are these the right labels, or the \
+             right names (--class-names)?",
+            others.join(", "),
+            own.join(", ")
+        )))
+    }
+
+    /// The classes of its boxes.
+    pub const fn classes(&self) -> &Evaluated {
+        &self.classes
+    }
+
+    fn read_as(
+        paths: &[PathBuf],
+        format: TruthFormat,
+        rules: Rules,
+        classes: &Evaluated,
+    ) -> Result<Self, EvalError> {
         let mut clips = BTreeMap::new();
         let mut files = Vec::new();
         for path in paths {
-            let data = read(path, format, rules)?.judged_by(rules, None);
+            let data = read(path, format, rules, classes)?.judged_by(rules, None);
             for clip in data.clips {
                 clips.entry(clip.name.clone()).or_insert((files.len(), clip));
             }
@@ -67,8 +131,12 @@ impl GroundTruth {
                 report: Some(data.report),
             });
         }
+        // A recording says itself whose classes its numbers are.
+        let recorded = clips.values().next().filter(|_| format == TruthFormat::Recorded);
+        let classes = recorded.map_or(classes, |(_, clip): &(usize, Clip)| &clip.classes).clone();
         Ok(Self {
             format,
+            classes,
             clips,
             files,
         })
@@ -139,12 +207,12 @@ impl GroundTruth {
             self.format,
             TruthFormat::MotChallenge | TruthFormat::Bdd100k | TruthFormat::Recorded
         );
-        let is_longer = is_whole && truth.len() > clip.frames;
-        if is_longer || (counted && truth.len() < clip.frames) {
+        let pictures = clip.frames + clip.unusable.len();
+        let is_longer = is_whole && truth.len() > pictures;
+        if is_longer || (counted && truth.len() < pictures) {
             return Err(wrong(format!(
-                "{} frames, the clip has {}: are they the same recording, at the same frame rate?",
+                "{} frames, the clip has {pictures}: are they the same recording, at the same frame rate?",
                 truth.len(),
-                clip.frames
             )));
         }
         if found.picture != clip.picture && knows_its_pictures(self.format) {
@@ -157,7 +225,8 @@ impl GroundTruth {
         if let Some(left_out) = file.report.take() {
             merge(report, left_out);
         }
-        truth.resize(clip.frames, Vec::new());
+        truth.resize(pictures, Vec::new());
+        truth = usable(truth, &clip.unusable);
         if !knows_its_pictures(self.format) {
             for (frame, known) in truth.iter_mut().enumerate() {
                 known.retain(|known| {
@@ -170,10 +239,19 @@ impl GroundTruth {
             }
         }
         clip.truth = Some(truth);
-        clip.ignored.clone_from(&found.ignored);
+        clip.ignored = usable(found.ignored.clone(), &clip.unusable);
         clip.ignored.truncate(clip.frames);
         Ok(())
     }
+}
+
+/// The entries of `frames` whose pictures can be used.
+fn usable<T>(frames: Vec<T>, unusable: &[usize]) -> Vec<T> {
+    let frames = frames.into_iter().enumerate();
+    frames
+        .filter(|(place, _)| !unusable.contains(place))
+        .map(|(_, frame)| frame)
+        .collect()
 }
 
 /// True if the layout says how large its pictures are.
@@ -184,18 +262,26 @@ fn knows_its_pictures(format: TruthFormat) -> bool {
     }
 }
 
-fn read(path: &Path, format: TruthFormat, rules: Rules) -> Result<DataSet, EvalError> {
+fn read(
+    path: &Path,
+    format: TruthFormat,
+    rules: Rules,
+    classes: &Evaluated,
+) -> Result<DataSet, EvalError> {
     match format {
-        TruthFormat::Bdd100k => bdd100k::read(&bdd100k::Source {
-            truth: Some(path),
-            detections: None,
-            picture: UNKNOWN_SIZE,
-            frame_rate: Some(bdd100k::BDD100K_FRAME_RATE),
-            rules,
-        }),
+        TruthFormat::Bdd100k => {
+            let source = bdd100k::Source {
+                truth: Some(path),
+                detections: None,
+                picture: UNKNOWN_SIZE,
+                frame_rate: Some(bdd100k::BDD100K_FRAME_RATE),
+                rules,
+            };
+            bdd100k::read_as(&source, classes)
+        }
         TruthFormat::MotChallenge => mot_challenge::read(path),
         TruthFormat::Kitti => kitti::read(path),
-        TruthFormat::Coco => coco::read(path, None),
+        TruthFormat::Coco => coco::read_as(path, None, classes),
         TruthFormat::VisDrone => visdrone::read(path, UNKNOWN_SIZE),
         TruthFormat::Recorded => recorded::read(path),
     }

@@ -70,15 +70,24 @@ impl FrameSource for Downsampled<'_> {
         self.source.clip()
     }
 
+    fn picture_name(&self) -> Option<String> {
+        self.source.picture_name()
+    }
+
     fn next(&mut self) -> Result<Option<EncodedPicture>, EvalError> {
-        while let Some(picture) = self.source.next()? {
+        loop {
+            let next = self.source.next();
+            let is_end = match &next {
+                Ok(picture) => picture.is_none(),
+                // One of several files; otherwise nothing comes after it.
+                Err(_) => self.source.picture_name().is_none(),
+            };
             let index = self.passed;
             self.passed += 1;
-            if self.selection.takes(index) {
-                return Ok(Some(picture));
+            if is_end || self.selection.takes(index) {
+                return next;
             }
         }
-        Ok(None)
     }
 
     fn rewind(&mut self) -> Result<(), EvalError> {

@@ -139,6 +139,18 @@ impl FrameSource for Pictures {
         self.pictures.get(self.at.checked_sub(1)?)?.clip.as_deref()
     }
 
+    fn picture_name(&self) -> Option<String> {
+        Some(
+            match &self.pictures.get(self.at.checked_sub(1)?)?.location {
+                Location::File(file) => file.display().to_string(),
+                Location::Archive { archive, .. } => {
+                    format!("{}, picture {}", archive.0.display(), self.at)
+                }
+                Location::Memory(_) => format!("{}, picture {}", self.name, self.at),
+            },
+        )
+    }
+
     fn rate(&self) -> f64 {
         self.rate
     }

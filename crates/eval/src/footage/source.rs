@@ -29,10 +29,16 @@ pub trait FrameSource: Send {
         None
     }
 
+    /// The name of the last picture, if each is a file of its own: [`next`](Self::next) then returns the pictures after one
+    /// that cannot be read.
+    fn picture_name(&self) -> Option<String> {
+        None
+    }
+
     /// The next picture; `None` at the end of the pass.
     ///
     /// # Errors
-    /// When the source fails. It returns nothing more after that.
+    /// When the source fails. Unless its pictures have names, it returns nothing more after that.
     fn next(&mut self) -> Result<Option<EncodedPicture>, EvalError>;
 
     /// Goes back to the first picture.

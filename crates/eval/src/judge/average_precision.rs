@@ -86,10 +86,10 @@ pub fn accuracy<'a>(
     interpolation: Interpolation,
 ) -> Option<Accuracy> {
     let truth = truth.into();
-    let predictions = without_fixed(predictions, truth, classes);
     match classes {
-        Classes::Pooled => Matching::new(&predictions, truth, None).accuracy(interpolation),
+        Classes::Pooled => Matches::of(predictions, truth, interpolation).accuracy(),
         Classes::Separate => {
+            let predictions = without_fixed(predictions, truth, classes);
             let by_class = of_each_class(&predictions, truth, interpolation);
             let count = by_class.len() as f64;
             let mean = |of: fn(&Accuracy) -> f64| by_class.values().map(of).sum::<f64>() / count;
@@ -104,6 +104,50 @@ pub fn accuracy<'a>(
                 truths: truth.objects.iter().map(Vec::len).sum(),
             })
         }
+    }
+}
+
+/// What became of the predictions of one clip or several, with all classes pooled.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Matches {
+    matching: Matching,
+    interpolation: Interpolation,
+}
+
+impl Matches {
+    /// Matches the `predictions` of a clip.
+    pub(crate) fn of(
+        predictions: &[Vec<ScoredBox>],
+        truth: Truth<'_>,
+        interpolation: Interpolation,
+    ) -> Self {
+        let predictions = without_fixed(predictions, truth, Classes::Pooled);
+        Self {
+            matching: Matching::new(&predictions, truth, None),
+            interpolation,
+        }
+    }
+
+    /// Puts clips one after the other, as if they were one; `None` without any.
+    pub(crate) fn joined<'a>(clips: impl IntoIterator<Item = &'a Self>) -> Option<Self> {
+        let mut clips = clips.into_iter().peekable();
+        let interpolation = clips.peek()?.interpolation;
+        let mut ranked = Vec::new();
+        let mut truths = 0;
+        for Self { matching, .. } in clips {
+            let confidences = matching.confidences.iter().copied();
+            ranked.extend(confidences.zip(matching.outcomes.iter().copied()));
+            truths += matching.truths;
+        }
+        Some(Self {
+            matching: Matching::ranked(ranked, truths),
+            interpolation,
+        })
+    }
+
+    /// The accuracy; `None` without ground truth.
+    pub(crate) fn accuracy(&self) -> Option<Accuracy> {
+        self.matching.accuracy(self.interpolation)
     }
 }
 
@@ -170,7 +214,7 @@ pub(super) fn excused_at_50(
 }
 
 /// What became of a prediction. Bit `t` of each is about `IOU_THRESHOLDS[t]`.
-#[derive(Clone, Copy, Default)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Outcome {
     /// It matches an object.
     matched: u16,
@@ -189,7 +233,9 @@ impl Outcome {
 }
 
 /// The predictions of a clip in falling order of confidence, and what became of each.
+#[derive(Clone, Debug, PartialEq)]
 struct Matching {
+    confidences: Vec<f64>,
     outcomes: Vec<Outcome>,
     /// The number of predictions, from the first on, whose confidence is at least [`SHOWN_CONFIDENCE`].
     shown: usize,
@@ -212,14 +258,25 @@ impl Matching {
             let confidences = frame.predictions.iter().map(|prediction| prediction.confidence);
             ranked.extend(confidences.zip(frame.outcomes.iter().copied()));
         }
-        // The sort is stable: equal confidences stay in order of frames, as in the published evaluator and COCO's.
-        ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
         Self {
-            shown: ranked.partition_point(|(confidence, _)| *confidence >= SHOWN_CONFIDENCE),
-            outcomes: ranked.into_iter().map(|(_, outcome)| outcome).collect(),
-            truths,
             #[cfg(test)]
             compared: frame.compared,
+            ..Self::ranked(ranked, truths)
+        }
+    }
+
+    /// Ranks predictions, given in order of frames.
+    fn ranked(mut ranked: Vec<(f64, Outcome)>, truths: usize) -> Self {
+        // The sort is stable: equal confidences stay in order of frames, as in the published evaluator and COCO's.
+        ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let (confidences, outcomes): (Vec<f64>, _) = ranked.into_iter().unzip();
+        Self {
+            shown: confidences.partition_point(|confidence| *confidence >= SHOWN_CONFIDENCE),
+            confidences,
+            outcomes,
+            truths,
+            #[cfg(test)]
+            compared: 0,
         }
     }
 

@@ -2,7 +2,7 @@
 //! each step.
 
 use crate::data::StepTimes;
-use crate::data::classes::from_name;
+use crate::data::classes::Evaluated;
 use crate::error::EvalError;
 use albireo_core::detection::{ClassId, Detection};
 use albireo_core::policy::Need;
@@ -36,6 +36,7 @@ pub(super) struct ModelResults {
 pub struct ModelRunner {
     detector: DetectorHandle,
     screen: Option<ScreenHandle>,
+    evaluated: Evaluated,
     /// For each class of the detector, its number in the evaluation.
     classes: Vec<Option<ClassId>>,
     limits: FrameLimits,
@@ -48,7 +49,7 @@ impl ModelRunner {
     /// Loads the models and warms them up.
     ///
     /// # Errors
-    /// [`EvalError`] when a model cannot be loaded or used, or the detector has no class that is evaluated.
+    /// [`EvalError`] when a model cannot be loaded or used.
     pub fn start(detector: &DetectorConfig, screen: &ScreenConfig) -> Result<Self, EvalError> {
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(1)
@@ -66,24 +67,46 @@ impl ModelRunner {
             Ok((detector, screen))
         });
         let (detector, screen) = started.map_err(|error: StartError| EvalError::new(error))?;
-        let names = detector.class_names();
-        let classes: Vec<_> = names.iter().map(|name| from_name(name).ok()).collect();
-        if classes.iter().all(Option::is_none) {
-            let first: Vec<_> = names.iter().take(8).map(String::as_str).collect();
-            return Err(EvalError::new(format!(
-                "none of the model's classes is evaluated ({}): give their names with --class-names; person, bicycle, car, \
-                 motorcycle, bus and truck are",
-                first.join(", ")
-            )));
-        }
+        let evaluated = Evaluated::of_model(detector.class_names());
         Ok(Self {
+            classes: numbers(&evaluated, detector.class_names()),
+            evaluated,
             detector,
             screen,
-            classes,
             limits: FrameLimits::default(),
             picture: Arc::default(),
             runtime,
         })
+    }
+
+    /// The names of the detector's classes.
+    pub fn class_names(&self) -> &[String] {
+        self.detector.class_names()
+    }
+
+    /// The classes that are evaluated: at first those that the model itself asks for.
+    pub const fn evaluated(&self) -> &Evaluated {
+        &self.evaluated
+    }
+
+    /// Evaluates these classes: those of the ground truth.
+    ///
+    /// # Errors
+    /// [`EvalError`] when the detector has none of them.
+    pub fn evaluate(&mut self, evaluated: &Evaluated) -> Result<(), EvalError> {
+        let names = self.detector.class_names();
+        let classes = numbers(evaluated, names);
+        if classes.iter().all(Option::is_none) {
+            let first: Vec<_> = names.iter().take(8).map(String::as_str).collect();
+            return Err(EvalError::new(format!(
+                "the ground truth is judged by person, bicycle, car, motorcycle, bus and truck, and the model has none of them \
+                 ({}): give the right names with --class-names, or labels of these classes",
+                first.join(", ")
+            )));
+        }
+        self.evaluated = evaluated.clone();
+        self.classes = classes;
+        Ok(())
     }
 
     /// True if there is a screen.
@@ -96,12 +119,11 @@ impl ModelRunner {
         self.detector.provider()
     }
 
-    /// Runs the models on a picture.
+    /// Decodes the picture that [`run`](Self::run) then looks at; returns the milliseconds that this took.
     ///
     /// # Errors
-    /// [`EvalError`] when it cannot be decoded or the detector fails on it.
-    pub(super) fn run(&mut self, encoded: &EncodedPicture) -> Result<ModelResults, EvalError> {
-        let mut times = StepTimes::default();
+    /// [`EvalError`] when it cannot be decoded.
+    pub(super) fn decode(&mut self, encoded: &EncodedPicture) -> Result<f64, EvalError> {
         let start = Instant::now();
         let mut picture = Arc::try_unwrap(std::mem::take(&mut self.picture)).unwrap_or_default();
         let screen = self.screen.as_ref().map(ScreenHandle::input_format);
@@ -114,9 +136,16 @@ impl ModelRunner {
             &mut picture,
         )
         .map_err(EvalError::new)?;
-        times.decode = milliseconds(start);
         self.picture = Arc::new(picture);
+        Ok(milliseconds(start))
+    }
 
+    /// Runs the models on the picture that was decoded last.
+    ///
+    /// # Errors
+    /// [`EvalError`] when the detector fails on it.
+    pub(super) fn run(&mut self) -> Result<ModelResults, EvalError> {
+        let mut times = StepTimes::default();
         let start = Instant::now();
         let run = self.detector.detect(CAMERA, Arc::clone(&self.picture));
         let found = self
@@ -176,6 +205,11 @@ impl ModelRunner {
         grey.pixels.shrink_to_fit();
         Ok((grey, milliseconds(start)))
     }
+}
+
+/// The numbers of the classes `names` in the evaluation.
+fn numbers(evaluated: &Evaluated, names: &[String]) -> Vec<Option<ClassId>> {
+    names.iter().map(|name| evaluated.find(name).ok()).collect()
 }
 
 fn milliseconds(since: Instant) -> f64 {

@@ -2,12 +2,13 @@
 
 use super::model_runner::{ModelResults, ModelRunner};
 use crate::boxes::ScoredBox;
-use crate::data::{Clip, LoadReport, Pass};
+use crate::data::{Clip, LoadReport, Pass, StepTimes};
 use crate::error::EvalError;
 use crate::footage::FrameSource;
 use crate::spec::PolicySpec;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_core::policy::Need;
+use albireo_vision::picture::EncodedPicture;
 
 /// Settings of the pass: what to keep, and how many frames to process.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -40,9 +41,11 @@ impl PassSettings {
 
 /// Runs the models on every picture of `source`. `report` counts what is left out; `progress` is called after each frame.
 ///
+/// A picture in a file of its own that cannot be read or decoded is named, counted and left out ([`Clip::unusable`]).
+///
 /// # Errors
-/// [`EvalError`] at the first frame that cannot be read or examined: frames would no longer be in step with
-/// their ground truth.
+/// [`EvalError`] at the first frame of other footage that cannot be read, at one that the detector fails on, and when no
+/// picture can be used.
 pub fn run_pass(
     source: &mut dyn FrameSource,
     models: &mut ModelRunner,
@@ -57,10 +60,20 @@ pub fn run_pass(
     let mut grey = Vec::new();
     let mut small = Vec::new();
     let mut times = Vec::new();
-    while settings.max_frames.is_none_or(|most| times.len() < most) {
-        let next = source.next()?;
-        let Some(encoded) = next else { break };
-        let frame = times.len();
+    let mut faults = Faults::default();
+    for frame in 0.. {
+        if settings.max_frames.is_some_and(|most| frame >= most) {
+            break;
+        }
+        let (encoded, decoding) = match next_decoded(source, models) {
+            Ok(None) => break,
+            Ok(Some(decoded)) => decoded,
+            Err(fault) => {
+                faults.add(frame, fault, source)?;
+                progress();
+                continue;
+            }
+        };
         let first = *size.get_or_insert(encoded.size);
         if encoded.size != first {
             return Err(EvalError::new(format!(
@@ -69,8 +82,11 @@ pub fn run_pass(
             )));
         }
         let failed = |error: EvalError| error.context(format!("{name}, frame {frame}"));
-        let results = models.run(&encoded).map_err(failed)?;
-        let mut step = results.times;
+        let results = models.run().map_err(failed)?;
+        let mut step = StepTimes {
+            decode: decoding,
+            ..results.times
+        };
         if settings.keep_grey {
             let (picture, time) = models.grey(&encoded, Need::GreyPicture).map_err(failed)?;
             grey.push(picture);
@@ -88,8 +104,13 @@ pub fn run_pass(
         progress();
     }
     let frames = times.len();
+    faults.report(&name, frames, report);
     let Some(picture) = size else {
-        return Err(EvalError::new(format!("{name}: it has no frames")));
+        let what = match faults.named.first() {
+            None => "it has no frames".to_owned(),
+            Some(first) => format!("none of its pictures can be used: {first}"),
+        };
+        return Err(EvalError::new(format!("{name}: {what}")));
     };
     if models.has_screen() {
         let missing = verdicts.iter().filter(|verdict| verdict.is_none()).count();
@@ -109,8 +130,70 @@ pub fn run_pass(
             small_width: settings.keep_small,
             times,
         }),
+        classes: models.evaluated().clone(),
+        unusable: faults.places,
         ..Clip::new(name, picture, frames)
     })
+}
+
+/// The next picture, which `models` then have decoded, and the milliseconds that decoding took.
+fn next_decoded(
+    source: &mut dyn FrameSource,
+    models: &mut ModelRunner,
+) -> Result<Option<(EncodedPicture, f64)>, EvalError> {
+    let Some(encoded) = source.next()? else {
+        return Ok(None);
+    };
+    let time = models.decode(&encoded)?;
+    Ok(Some((encoded, time)))
+}
+
+/// The pictures of a clip that cannot be used.
+#[derive(Default)]
+struct Faults {
+    places: Vec<usize>,
+    /// The first of them, with their names.
+    named: Vec<EvalError>,
+}
+
+impl Faults {
+    /// So many are named.
+    const MOST_NAMED: usize = 20;
+
+    /// Counts a picture, if the next one can still be had.
+    fn add(
+        &mut self,
+        place: usize,
+        fault: EvalError,
+        source: &dyn FrameSource,
+    ) -> Result<(), EvalError> {
+        let Some(picture) = source.picture_name() else {
+            return Err(fault.context(format!("{}, frame {place}", source.name())));
+        };
+        self.places.push(place);
+        if self.named.len() < Self::MOST_NAMED {
+            // What reads a file names it already.
+            let is_named = fault.to_string().contains(&picture);
+            self.named.push(if is_named {
+                fault
+            } else {
+                fault.context(picture)
+            });
+        }
+        Ok(())
+    }
+
+    fn report(&self, clip: &str, frames: usize, report: &mut LoadReport) {
+        let count = self.places.len();
+        if count == 0 {
+            return;
+        }
+        report.notes.push(format!(
+            "{clip}: {count} of {} pictures cannot be used and are left out, with their ground truth",
+            frames + count
+        ));
+        report.notes.extend(self.named.iter().map(EvalError::to_string));
+    }
 }
 
 /// Converts detections to pixels, as they are stored. The replay in this process starts from these too, so that

@@ -3,7 +3,7 @@
 use super::Report;
 use super::conclusion::conclusion;
 use super::plot::Plot;
-use super::table::{columns, differences, notes};
+use super::table::{below, columns, notes};
 use super::worst;
 use crate::result::ClipResult;
 use crate::spec::{BASELINE, short_label};
@@ -136,7 +136,7 @@ fn policies(summaries: &[PolicySummary]) -> Markup {
             h2 { "Policies" }
             (sortable(&columns(summaries)))
             p.legend { (notes(summaries).join(" ")) " Click a column's head to sort." }
-            @for (title, columns) in differences(summaries) {
+            @for (title, columns) in below(summaries) {
                 h3 { (title) }
                 (sortable(&columns))
             }

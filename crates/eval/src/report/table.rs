@@ -2,17 +2,17 @@
 
 use crate::result::Provenance;
 use crate::spec::{BASELINE, short_label};
-use crate::summary::{Difference, NEWCOMERS, PolicySummary};
+use crate::summary::{Difference, NEWCOMERS, PolicySummary, Pooled};
 use crate::text::{self, Column, one_decimal, or_dash, three_decimals, two_decimals, wrapped};
 use albireo_core::policy::FrameState;
 
 /// Maximum width of the table in characters.
 pub(crate) const WIDTH: usize = 100;
 
-/// Formats the tables of a run: the figures with one line per policy, and the differences to the baseline.
+/// Formats the tables of a run: the figures with one line per policy, and those below them.
 pub fn render(summaries: &[PolicySummary]) -> String {
     let mut text = figures(summaries);
-    for (title, columns) in differences(summaries) {
+    for (title, columns) in below(summaries) {
         text.push('\n');
         text.push_str(&wrapped(&title, WIDTH));
         text.push('\n');
@@ -48,9 +48,43 @@ fn figures(summaries: &[PolicySummary]) -> String {
     text
 }
 
+/// Returns the tables below the figures, each with its title: the differences to the baseline, and the pooled figures.
+pub(crate) fn below(summaries: &[PolicySummary]) -> Vec<(String, Vec<Column>)> {
+    differences(summaries).into_iter().chain(pooled(summaries)).collect()
+}
+
+/// Returns the table of the figures over all frames; `None` for one clip, and without ground truth.
+fn pooled(summaries: &[PolicySummary]) -> Option<(String, Vec<Column>)> {
+    let first = summaries.first()?;
+    let known = first.pooled?;
+    let column = |head: &str, cell: &dyn Fn(Pooled) -> String| {
+        let cells = summaries.iter().map(|summary| or_dash(summary.pooled.map(cell)));
+        Column::new([head, ""], cells.collect())
+    };
+    let names = summaries.iter().map(|summary| short_label(&summary.policy).to_owned());
+    let mut columns = vec![
+        Column::new(["policy", ""], names.collect()),
+        column("skip %", &|pooled| percent(pooled.skip_rate)),
+        column("AP@50", &|pooled| format!("{:.3}", pooled.ap50)),
+        column("mAP", &|pooled| format!("{:.3}", pooled.map)),
+    ];
+    let mut title = format!(
+        "Pooled: the {} clips as one, boxes as a node publishes them; {} frames, {} boxes of the ground truth",
+        first.clips, first.frames, known.truths
+    );
+    if known.objects > 0 {
+        title.push_str(&format!(", {} objects", known.objects));
+        columns.push(column("new, frames", &|pooled| {
+            two_decimals(pooled.delay_frames)
+        }));
+        columns.push(column("never", &|pooled| pooled.never_found.to_string()));
+    }
+    Some((title, columns))
+}
+
 /// Returns the tables of the differences to the baseline, each with its title: of the boxes that a node publishes, then of
 /// all boxes. A table without a figure is left out.
-pub(crate) fn differences(summaries: &[PolicySummary]) -> Vec<(String, Vec<Column>)> {
+fn differences(summaries: &[PolicySummary]) -> Vec<(String, Vec<Column>)> {
     let others: Vec<&PolicySummary> =
         summaries.iter().filter(|summary| summary.policy != BASELINE).collect();
     let Some(first) = others.first() else {

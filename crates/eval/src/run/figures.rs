@@ -1,8 +1,9 @@
 //! Computes the figures of a policy on a clip from its replay.
 
 use crate::boxes::ScoredBox;
-use crate::data::{Clip, Pass, StepTimes, classes};
-use crate::judge::{Truth, accuracy, accuracy_by_class, newcomers, tracking};
+use crate::data::classes::Evaluated;
+use crate::data::{Clip, Pass, StepTimes};
+use crate::judge::{Classes, Matches, Truth, accuracy, accuracy_by_class, newcomers, tracking};
 use crate::replay::{FrameRecord, Replay, StoredEvidence};
 use crate::result::{ClipResult, FrameTime, Provenance, Spread};
 use crate::settings::{ScreenRule, Settings};
@@ -41,11 +42,18 @@ pub(super) fn judge(
     result: &mut ClipResult,
     truth: Truth<'_>,
     replayed: &Replay,
+    classes: &Evaluated,
     settings: &Settings,
 ) {
     let judge =
         |boxes: &[Vec<ScoredBox>]| accuracy(boxes, truth, settings.classes, settings.interpolation);
-    result.accuracy = judge(&replayed.boxes);
+    if settings.classes == Classes::Pooled {
+        let matches = Matches::of(&replayed.boxes, truth, settings.interpolation);
+        result.accuracy = matches.accuracy();
+        result.matches = Some(matches);
+    } else {
+        result.accuracy = judge(&replayed.boxes);
+    }
     result.tracking = tracking(&replayed.boxes, truth);
     result.newcomers = newcomers(&replayed.boxes, truth, settings.classes);
     if let Some(all) = &replayed.boxes_all {
@@ -57,11 +65,7 @@ pub(super) fn judge(
     }
     result.classes = accuracy_by_class(&replayed.boxes, truth, settings.interpolation)
         .into_iter()
-        .map(|(class, accuracy)| {
-            let name =
-                classes::name(class).map_or_else(|| format!("class {}", class.0), str::to_owned);
-            (name, accuracy)
-        })
+        .map(|(class, accuracy)| (classes.name(class), accuracy))
         .collect();
 }
 

@@ -18,13 +18,14 @@ const MIN_DISTANCE: usize = 20;
 pub(crate) const SHOWN_POLICIES: usize = 8;
 
 /// Gives the frames in `results`, which are of one clip, their pictures from `source`. The source is read again from its
-/// start to the last of these frames.
+/// start to the last of these frames, without its `unusable` pictures.
 ///
 /// # Errors
 /// [`EvalError`] when the source cannot be read again; the frames then keep their boxes.
 pub fn attach_pictures(
     source: &mut dyn FrameSource,
     results: &mut [ClipResult],
+    unusable: &[usize],
 ) -> Result<(), EvalError> {
     let mut wanted: Vec<&mut WorstFrame> = results
         .iter_mut()
@@ -38,14 +39,20 @@ pub fn attach_pictures(
     }
     source.rewind()?;
     let mut wanted = wanted.into_iter().peekable();
-    for frame in 0.. {
+    let mut frame = 0;
+    for place in 0.. {
         if wanted.peek().is_none() {
             break;
         }
-        let Some(picture) = source.next()? else { break };
+        let next = source.next();
+        if unusable.contains(&place) {
+            continue;
+        }
+        let Some(picture) = next? else { break };
         while let Some(worst) = wanted.next_if(|worst| worst.frame == frame) {
             worst.picture = Some(FramePicture::Encoded(picture.clone()));
         }
+        frame += 1;
     }
     Ok(())
 }

@@ -1,6 +1,7 @@
 use super::*;
 use crate::judge::Accuracy;
 use crate::judge::average_precision::tests::{at, pooled};
+use crate::judge::{Interpolation, Newcomers, Truth};
 use albireo_core::policy::FrameState;
 
 /// The result of a policy on a clip with these frame states.
@@ -56,4 +57,46 @@ fn the_skip_frontier_contains_every_unbeaten_policy() {
     let summaries = summarise(&results);
     let on = summaries.iter().map(|summary| summary.on_skip_frontier);
     assert_eq!(on.collect::<Vec<_>>(), [true, true, false]);
+}
+
+#[test]
+fn pooled_figures_are_those_of_the_clips_as_one() {
+    let truth = |frames: usize| vec![vec![at(0.0, 1.0)]; frames];
+    // The first clip has one sure box that is wrong; alone it ranks first, among all frames it is one of many.
+    let found = [
+        vec![vec![at(50.0, 0.9)], vec![at(0.0, 0.8)]],
+        vec![vec![at(0.0, 0.7)]; 6],
+    ];
+    let results: Vec<ClipResult> = (["a", "b"].into_iter().zip(&found))
+        .map(|(clip, found)| {
+            let objects = truth(found.len());
+            let truth = Truth::from(&objects);
+            let matches = Matches::of(found, truth, Interpolation::AllPoints);
+            let states = vec![FrameState::P; found.len()];
+            ClipResult {
+                accuracy: matches.accuracy(),
+                matches: Some(matches),
+                newcomers: Some(Newcomers {
+                    objects: found.len(),
+                    never_found: 1,
+                    delay_frames: found.len() as f64,
+                }),
+                ..of_states(clip, "vanilla", &states)
+            }
+        })
+        .collect();
+    let summary = &summarise(&results)[0];
+    let as_one = pooled(&found.concat(), &truth(8));
+    let pooled = summary.pooled.expect("two clips");
+    assert_eq!(
+        (pooled.ap50, pooled.map, pooled.truths),
+        (as_one.ap50, as_one.map, 8)
+    );
+    assert!(
+        (summary.ap50.unwrap() - pooled.ap50).abs() > 0.05,
+        "not the mean over clips"
+    );
+    assert_eq!((pooled.objects, pooled.never_found), (8, 2));
+    assert_eq!(pooled.delay_frames, Some((2.0 * 2.0 + 6.0 * 6.0) / 8.0));
+    assert_eq!(summarise(&results[..1])[0].pooled, None);
 }

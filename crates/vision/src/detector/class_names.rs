@@ -28,7 +28,7 @@ fn coco_categories() -> Vec<String> {
 const LISTS: [&str; 2] = ["coco", "coco91"];
 
 /// True if these are the classes of COCO, however a few of them are written (`aeroplane`, `motorbike`, `tv monitor`).
-pub(super) fn are_of_coco(names: &[String]) -> bool {
+pub fn are_of_coco(names: &[String]) -> bool {
     let known = |name: &&String| COCO_CLASSES.lines().any(|known| known.eq_ignore_ascii_case(name));
     let used = names.iter().filter(|name| !name.is_empty()).count();
     used == 80 && names.iter().filter(known).count() >= 70
