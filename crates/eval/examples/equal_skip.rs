@@ -1,5 +1,5 @@
 //! Prints the tables of crates/eval/examples/equal_skip.md: every policy beside `expected-loss` at the same mean skip rate.
-//! All boxes of a policy are judged, also those too faint to be published.
+//! All boxes of a policy are judged, also those too faint to be published; newcomers by the boxes that a node publishes.
 //!
 //! `cargo run --release -p albireo-eval --example equal_skip -- DIR [--half-rate] [--confidence 0.5]`
 #![allow(clippy::print_stdout)]
@@ -74,6 +74,15 @@ impl Point {
 
     pub(crate) fn mean(&self, figure: Figure) -> f64 {
         mean(self.figure(figure)).unwrap_or(f64::NAN)
+    }
+
+    /// By how many frames later than with `other` an object is found, of each clip whose objects are numbered.
+    fn later_than(&self, other: &Self) -> Vec<f64> {
+        let pairs = self.clips.iter().zip(&other.clips);
+        let later = pairs.filter_map(|(own, other)| {
+            Some(own.newcomers?.delay_frames - other.newcomers?.delay_frames)
+        });
+        later.collect()
     }
 
     fn minus(&self, other: &Self, figure: Figure) -> Vec<f64> {
@@ -156,8 +165,9 @@ impl Recordings {
         print!("| {name} | {skip:.3} | {theirs:.3} | {value:.3} | {own:.3} |");
         for (_, figure) in FIGURES {
             let points = ours.minus(other, figure).into_iter().map(|points| 100.0 * points);
-            print!(" {} |", with_interval(&points.collect::<Vec<f64>>()));
+            print!(" {} |", with_interval(&points.collect::<Vec<f64>>(), 1));
         }
+        print!(" {} |", with_interval(&ours.later_than(other), 2));
         let changes = ours.minus(other, ap50).into_iter();
         println!(" {} |", changes.filter(|change| *change < 0.0).count());
         Ok(())
@@ -165,10 +175,10 @@ impl Recordings {
 }
 
 /// The mean of `differences` with its 95 % interval; nothing if there is none.
-fn with_interval(differences: &[f64]) -> String {
+fn with_interval(differences: &[f64], decimals: usize) -> String {
     let found = Difference::of(differences).and_then(|found| Some((found.mean, found.interval?)));
     found.map_or_else(String::new, |(mean, [lower, upper])| {
-        format!("{mean:+.1} [{lower:+.1}, {upper:+.1}]")
+        format!("{mean:+.decimals$} [{lower:+.decimals$}, {upper:+.decimals$}]")
     })
 }
 
@@ -182,11 +192,13 @@ fn main() -> Outcome<()> {
     for policy in [BASELINE, "expected-loss:0"] {
         let point = recordings.run(clips, policy)?;
         let figures = FIGURES.map(|(name, figure)| format!("{name} {:.3}", point.mean(figure)));
-        println!("- {policy}: {}", figures.join(", "));
+        let delays = point.clips.iter().filter_map(|clip| Some(clip.newcomers?.delay_frames));
+        let new = mean(delays).unwrap_or(f64::NAN);
+        println!("- {policy}: {}, new {new:.2} frames", figures.join(", "));
     }
-    let figures = "Δ AP@50 | Δ AP@75 | Δ mAP | Δ F1@50 ≥ 0.3";
+    let figures = "Δ AP@50 | Δ AP@75 | Δ mAP | Δ F1@50 ≥ 0.3 | Δ new, frames";
     println!("\n| policy | skip | AP@50 | λ | AP@50 | {figures} | worse |");
-    println!("| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |");
+    println!("| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |");
     for rate in SKIP_RATES {
         let even = recordings.at_skip_rate("even-skip-in-tracker", rate)?;
         recordings.row("even calls", &even)?;
