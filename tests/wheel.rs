@@ -142,6 +142,9 @@ fn the_wheel_is_small_and_depends_on_numpy_alone() {
     let is_of = |path: &PathBuf, kind: &str| path.extension().is_some_and(|own| own == kind);
     let wheels: Vec<_> = built.iter().filter(|path| is_of(path, "whl")).collect();
     assert_eq!(wheels.len(), 1, "one wheel for this machine: {built:?}");
+    // The stable interface: one wheel for every Python since 3.10.
+    let name = wheels[0].display().to_string();
+    assert_contains(&name, &["-cp310-abi3-manylinux"]);
     assert!(wheels[0].metadata().unwrap().len() <= 3_000_000);
     let sources = built.iter().any(|path| is_of(path, "gz"));
     assert!(sources, "no source distribution");

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Builds the wheel of the Python package and its source distribution into target/wheels; with a machine ("aarch64") that
-# machine's wheel for Linux, into a folder of its own, linked by Zig.
+# Builds the wheel of the Python package and its source distribution into target/wheels; with a machine ("x86_64",
+# "aarch64") that machine's wheel for every Linux since 2014, into a folder of its own, linked by Zig.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 machine=${1:-}
@@ -10,9 +10,9 @@ machine=${1:-}
 }
 export PATH="$PWD/.cache/maturin/bin:$PATH" CARGO_TARGET_DIR="$PWD/target/python"
 options=(--release --locked --manifest-path crates/python/Cargo.toml)
+[ -n "$machine" ] || rm -f target/wheels/albireo-*
+maturin sdist --manifest-path crates/python/Cargo.toml --out target/wheels
 if [ -z "$machine" ]; then
-    rm -f target/wheels/albireo-*
-    maturin sdist --manifest-path crates/python/Cargo.toml --out target/wheels
     maturin build "${options[@]}" --out target/wheels
 else
     target=$machine-unknown-linux-gnu
