@@ -37,7 +37,6 @@ mod values;
 mod variables;
 
 use albireo_service::logging;
-use albireo_vision::onnx::end_all_sessions;
 use anyhow::Context;
 use clap::{Parser, Subcommand};
 use std::io::Write;
@@ -223,10 +222,6 @@ fn block_on<T>(work: impl Future<Output = anyhow::Result<T>>) -> anyhow::Result<
     let ended = runtime.block_on(work);
     // A thread that reads a file without an answer (a power monitor whose bus hangs) must not keep the program alive.
     runtime.shutdown_timeout(STRAGGLERS);
-    // A thread that runs a model must end first: it would otherwise use ONNX Runtime after it is unloaded.
-    if !end_all_sessions(STRAGGLERS) {
-        tracing::warn!("a model that is being loaded or run could not be interrupted");
-    }
     ended
 }
 

@@ -8,7 +8,6 @@ mod metadata;
 mod onnxruntime;
 mod provider;
 mod session;
-mod sessions;
 mod signature;
 
 pub use error::{StartError, StartErrorKind};
@@ -19,6 +18,5 @@ pub(crate) use metadata::tests::metadata;
 pub use onnxruntime::find_library;
 pub use provider::ExecutionProvider;
 pub use session::{OnnxSession, SessionSettings, TensorView};
-pub use sessions::end_all_sessions;
 pub(crate) use signature::shape_text;
 pub use signature::{ElementType, PictureInput, Signature, TensorSpec};

@@ -1,6 +1,5 @@
 //! One ONNX Runtime session: loads a model file and runs it on tensors.
 
-use super::sessions::{Entry, SESSIONS};
 use super::{ElementType, ExecutionProvider, GpuConfig, Metadata, Signature, StartError};
 use super::{StartErrorKind, TensorSpec, fault, file_kind, onnxruntime, provider};
 use albireo_core::geometry::PictureSize;
@@ -8,12 +7,10 @@ use half::f16;
 use half::slice::HalfFloatSliceExt;
 use ort::environment::Environment;
 use ort::logging::LogLevel;
-use ort::session::{RunOptions, Session, SessionInputValue};
+use ort::session::{Session, SessionInputValue};
 use ort::value::{DynValue, Outlet, Tensor, TensorElementType, TensorRef, ValueType};
 use std::borrow::Cow;
 use std::path::PathBuf;
-use std::sync::Arc;
-use tracing::warn;
 
 /// The file of a model, and what runs it.
 #[derive(Clone, Debug)]
@@ -42,15 +39,12 @@ pub struct TensorView<'a> {
 /// A loaded model with its execution provider.
 pub struct OnnxSession {
     session: Session,
-    options: Arc<RunOptions>,
     signature: Signature,
     provider: ExecutionProvider,
     /// The pictures of a batch, one after another, in the model's element type.
     floats: Vec<f32>,
     halves: Vec<f16>,
     bytes: Vec<u8>,
-    /// The last field, so that it is dropped after the session.
-    _entry: Entry<'static>,
 }
 
 impl OnnxSession {
@@ -86,7 +80,7 @@ impl OnnxSession {
         settings: &SessionSettings,
         provider: ExecutionProvider,
     ) -> Result<Self, StartError> {
-        let (session, options, entry) = build(environment, settings, provider)
+        let session = build(environment, settings, provider)
             .map_err(|error| refusal(environment, settings, provider, &in_words(&error)))?;
         let signature = Signature {
             inputs: session.inputs().iter().map(spec).collect(),
@@ -95,13 +89,11 @@ impl OnnxSession {
         };
         Ok(Self {
             session,
-            options,
             signature,
             provider,
             floats: Vec::new(),
             halves: Vec::new(),
             bytes: Vec::new(),
-            _entry: entry,
         })
     }
 
@@ -131,7 +123,6 @@ impl OnnxSession {
         let failed = |error: ort::Error| in_words(&error);
         let Self {
             session,
-            options,
             signature,
             floats,
             halves,
@@ -182,7 +173,7 @@ impl OnnxSession {
                 None => inputs.extend(picture.take().map(SessionInputValue::from)),
             }
         }
-        let outputs = session.run_with_options(inputs.as_slice(), &**options).map_err(failed)?;
+        let outputs = session.run(inputs.as_slice()).map_err(failed)?;
         let read_out: Vec<_> = (0..outputs.len()).map(|index| elements(&outputs[index])).collect();
         let views: Vec<_> =
             read_out.iter().map(|(shape, values)| TensorView { shape, values }).collect();
@@ -248,7 +239,7 @@ fn build(
     environment: &Environment,
     settings: &SessionSettings,
     provider: ExecutionProvider,
-) -> ort::Result<(Session, Arc<RunOptions>, Entry<'static>)> {
+) -> ort::Result<Session> {
     let threads = match settings.threads {
         0 => std::thread::available_parallelism().map_or(1, |cores| (cores.get() - 1).max(1)),
         threads => threads,
@@ -263,21 +254,7 @@ fn build(
     if !registrations.is_empty() {
         builder = builder.with_execution_providers(registrations)?;
     }
-    let options = Arc::new(RunOptions::new()?);
-    let canceler = builder.canceler();
-    let entry = SESSIONS.enter({
-        let options = options.clone();
-        Arc::new(move || {
-            if let Err(error) = canceler.cancel() {
-                warn!(%error, "the loading of a model could not be interrupted");
-            }
-            if let Err(error) = options.terminate() {
-                warn!(%error, "a run could not be interrupted");
-            }
-        })
-    });
-    let session = builder.commit_from_file(&settings.model)?;
-    Ok((session, options, entry))
+    builder.commit_from_file(&settings.model)
 }
 
 /// A missing device shows only when the session is created, in words of many kinds, so the model is tried on the CPU,
