@@ -1,6 +1,7 @@
 //! Configuration: one TOML file, overridden by environment variables and checked as a whole before anything
 //! starts; and the sections that all services share.
 
+mod environment;
 mod findings;
 mod http;
 mod load;

@@ -94,8 +94,16 @@ impl Findings {
 
     /// Requires a non-empty path, if one is given.
     pub fn path(&mut self, key: &str, path: Option<&Path>) {
-        if path.is_some_and(|path| path.as_os_str().is_empty()) {
+        let Some(path) = path else { return };
+        if path.as_os_str().is_empty() {
             self.add(key, "is empty; leave the key out instead");
+        } else if path.as_os_str().as_encoded_bytes().starts_with(b"~") {
+            // A home folder is already in place of `~/`.
+            let shown = path.display();
+            let reason = format!(
+                "`{shown}` would be a folder called `~`: write `~/` for the home folder, or `./~` for such a folder"
+            );
+            self.add(key, reason);
         }
     }
 }

@@ -1,15 +1,13 @@
 //! Reads a configuration from its file and the environment.
 
+use super::environment::{Environment, PREFIX};
 use super::{ConfigError, Finding};
 use figment::Figment;
 use figment::error::{Actual, Kind, OneOf};
-use figment::providers::{Env, Format, Serialized, Toml};
+use figment::providers::{Format, Serialized, Toml};
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use std::path::Path;
-
-/// The prefix of environment variables. `ALBIREO_HTTP__LISTEN` overrides `listen` in `[http]`.
-const PREFIX: &str = "ALBIREO_";
 
 /// The maximum number of errors reported about the form of a configuration.
 const MOST_FINDINGS: usize = 100;
@@ -56,14 +54,24 @@ pub fn examine<C: Configuration>(file: Option<&Path>) -> (Option<C>, Vec<Finding
 
 /// Like [`examine`], with the file's text.
 pub fn examine_text<C: Configuration>(text: &str) -> (Option<C>, Vec<Finding>) {
-    let figment = Figment::from(Serialized::defaults(C::defaults())).merge(Toml::string(text));
-    let mut findings = misspelt_variables(C::SECTIONS);
-    let figment = figment.merge(
-        Env::prefixed(PREFIX)
-            .filter(|key| key.as_str().contains("__") || key == "camera")
-            .split("__"),
-    );
-    let (config, malformed) = read::<C>(&figment);
+    let variables = std::env::vars_os()
+        .filter_map(|(name, text)| Some((name.into_string().ok()?, text.into_string().ok()?)));
+    let home = std::env::home_dir();
+    examine_with(text, &variables.collect::<Vec<_>>(), home.as_deref())
+}
+
+/// Like [`examine_text`], with these environment variables and this home folder.
+fn examine_with<C: Configuration>(
+    text: &str,
+    variables: &[(String, String)],
+    home: Option<&Path>,
+) -> (Option<C>, Vec<Finding>) {
+    let mut findings = misspelt_variables(C::SECTIONS, variables);
+    let environment = Environment::of(variables);
+    let figment = Figment::from(Serialized::defaults(C::defaults()))
+        .merge(Toml::string(text))
+        .merge(&environment);
+    let (config, malformed) = read::<C>(&figment, &environment, home);
     findings.extend(malformed);
     if let Some(config) = &config {
         let known: Vec<_> = findings.iter().map(|finding| finding.key.clone()).collect();
@@ -77,9 +85,11 @@ pub fn examine_text<C: Configuration>(text: &str) -> (Option<C>, Vec<Finding>) {
         findings.extend((config.findings().into_iter()).filter(|finding| !reported(&finding.key)));
     }
     for finding in &mut findings {
-        let metadata = figment.find_metadata(&finding.key);
+        // An element of a list is from where the list is from.
+        let (list, _) = finding.key.split_once('[').unwrap_or((&finding.key, ""));
+        let metadata = figment.find_metadata(list);
         if metadata.is_some_and(|found| found.name.contains("environment")) {
-            let name = finding.key.to_ascii_uppercase().replace('.', "__");
+            let name = list.to_ascii_uppercase().replace('.', "__");
             let source = format!(" (from environment variable {PREFIX}{name})");
             finding.reason.push_str(&source);
         }
@@ -88,15 +98,26 @@ pub fn examine_text<C: Configuration>(text: &str) -> (Option<C>, Vec<Finding>) {
     (config, findings)
 }
 
-/// Reads the configuration. An unknown key or a value of the wrong type is reported and left out, and the rest is read
-/// again, so all errors are found at once. `None` if the rest cannot be read either.
-fn read<C: Configuration>(figment: &Figment) -> (Option<C>, Vec<Finding>) {
+/// Reads the configuration. A variable of the environment that has another type than its key is read in another way. An
+/// unknown key or a value of the wrong type is reported and left out, and the rest is read again, so all errors are found at
+/// once. `None` if the rest cannot be read either.
+fn read<C: Configuration>(
+    figment: &Figment,
+    environment: &Environment,
+    home: Option<&Path>,
+) -> (Option<C>, Vec<Finding>) {
     let mut findings: Vec<Finding> = Vec::new();
-    // First without changes, because these errors know their source.
-    let mut read = figment.extract::<C>();
-    let mut values: Value = figment.extract().unwrap_or_default();
+    let mut values: Value = match figment.extract() {
+        Ok(values) => values,
+        Err(errors) => {
+            let of_form = errors.into_iter();
+            let of_form = of_form.map(|error| finding(&error.kind, &error.path, C::REMOVED));
+            return (None, of_form.collect());
+        }
+    };
+    put_at_home(&mut values, home);
     loop {
-        let errors = match read {
+        let errors = match Figment::from(Serialized::defaults(&values)).extract::<C>() {
             Ok(config) => return (Some(config), findings),
             Err(errors) => errors,
         };
@@ -107,12 +128,41 @@ fn read<C: Configuration>(figment: &Figment) -> (Option<C>, Vec<Finding>) {
             {
                 path.push(name.clone());
             }
+            if let Some(value) = values.pointer_mut(&pointer(&path))
+                && let Some(another) = environment.another(&path, value, &error.kind)
+            {
+                *value = another;
+                put_at_home(value, home);
+                continue;
+            }
             findings.push(finding(&error.kind, &path, C::REMOVED));
             if !take_out(&mut values, &path) || findings.len() >= MOST_FINDINGS {
                 return (None, findings);
             }
         }
-        read = Figment::from(Serialized::defaults(&values)).extract::<C>();
+    }
+}
+
+/// Replaces `~/` at the beginning of every text by the home folder, as a shell would. Secrets and labels are no paths.
+fn put_at_home(values: &mut Value, home: Option<&Path>) {
+    match values {
+        Value::Object(members) => {
+            for (name, value) in members {
+                let is_no_path = name == "labels" || (name == "token" && value.is_string());
+                if !is_no_path {
+                    put_at_home(value, home);
+                }
+            }
+        }
+        Value::Array(values) => values.iter_mut().for_each(|value| put_at_home(value, home)),
+        Value::String(text) => {
+            let place = text.strip_prefix("sqlite:").unwrap_or(text);
+            if let (Some(rest), Some(home)) = (place.strip_prefix("~/"), home) {
+                let scheme = &text[..text.len() - place.len()];
+                *text = format!("{scheme}{}", home.join(rest).display());
+            }
+        }
+        _ => {}
     }
 }
 
@@ -152,9 +202,8 @@ fn by_name(figment: &Figment, key: &str) -> String {
 
 /// Reports variables that look like a key with one underscore instead of two: they would silently have no
 /// effect.
-fn misspelt_variables(sections: &[&str]) -> Vec<Finding> {
-    let names = std::env::vars_os().filter_map(|(name, _)| name.into_string().ok());
-    let misspelt = names.filter_map(|name| {
+fn misspelt_variables(sections: &[&str], variables: &[(String, String)]) -> Vec<Finding> {
+    let misspelt = variables.iter().filter_map(|(name, _)| {
         let (section, key) = name.strip_prefix(PREFIX)?.split_once('_')?;
         let reason = format!(
             "environment variable {name} names no key; between section and key belong two underscores: \
@@ -360,6 +409,169 @@ mod tests {
             let reported: Vec<_> = findings.iter().map(ToString::to_string).collect();
             assert_eq!(reported, [error], "{text}");
         }
+    }
+
+    #[derive(serde::Deserialize, Debug, PartialEq)]
+    #[serde(rename_all = "lowercase")]
+    enum Mode {
+        Peer,
+        Client,
+    }
+
+    #[derive(serde::Deserialize, Debug, Default, PartialEq)]
+    #[serde(deny_unknown_fields, default)]
+    struct Typed {
+        node: TypedNode,
+    }
+
+    #[derive(serde::Deserialize, Debug, Default, PartialEq)]
+    #[serde(deny_unknown_fields, default)]
+    struct TypedNode {
+        name: String,
+        u: Option<f64>,
+        port: u16,
+        on: bool,
+        mode: Option<Mode>,
+        connect: Vec<String>,
+        sizes: Vec<u32>,
+        labels: std::collections::BTreeMap<String, String>,
+        folder: Option<std::path::PathBuf>,
+    }
+
+    impl Configuration for Typed {
+        const SECTIONS: &'static [&'static str] = &["NODE"];
+
+        fn findings(&self) -> Vec<Finding> {
+            Vec::new()
+        }
+    }
+
+    /// What is read from a file with these variables, which have the names of keys under `[node]`.
+    fn typed(text: &str, variables: &[(&str, &str)]) -> (TypedNode, Vec<String>) {
+        let variables = variables.iter().map(|(name, text)| {
+            let name = format!("{PREFIX}NODE__{}", name.to_ascii_uppercase());
+            (name, (*text).to_owned())
+        });
+        let variables: Vec<_> = variables.collect();
+        let home = Some(Path::new("/home/ann"));
+        let (config, findings) = examine_with::<Typed>(text, &variables, home);
+        let findings = findings.iter().map(ToString::to_string).collect();
+        (config.unwrap_or_default().node, findings)
+    }
+
+    #[test]
+    fn a_variable_is_read_by_the_type_of_its_key() {
+        let nothing = TypedNode::default;
+        let named = |name: &str| TypedNode {
+            name: name.to_owned(),
+            ..nothing()
+        };
+        let connect = |list: &[&str]| TypedNode {
+            connect: list.iter().map(|one| (*one).to_owned()).collect(),
+            ..nothing()
+        };
+        let u = |u| TypedNode {
+            u: Some(u),
+            ..nothing()
+        };
+        let sizes = |sizes: &[u32]| TypedNode {
+            sizes: sizes.to_vec(),
+            ..nothing()
+        };
+        let port = TypedNode {
+            port: 80,
+            ..nothing()
+        };
+        let on = TypedNode {
+            on: true,
+            ..nothing()
+        };
+        let mode = TypedNode {
+            mode: Some(Mode::Client),
+            ..nothing()
+        };
+        for (key, text, read) in [
+            ("name", "4711", named("4711")),
+            ("name", "0042", named("0042")),
+            ("name", "12.5", named("12.5")),
+            ("name", "5e-4", named("5e-4")),
+            ("name", "true", named("true")),
+            ("name", "[a]", named("[a]")),
+            ("name", "\"4711\"", named("4711")),
+            ("name", "", named("")),
+            ("u", "5e-4", u(5e-4)),
+            ("u", "5E-4", u(5e-4)),
+            ("u", "0.0005", u(5e-4)),
+            ("u", " 3 ", u(3.0)),
+            ("port", "80", port),
+            ("on", "true", on),
+            ("mode", "client", mode),
+            ("connect", "tcp/a:1", connect(&["tcp/a:1"])),
+            (
+                "connect",
+                "tcp/a:1, tcp/b:2",
+                connect(&["tcp/a:1", "tcp/b:2"]),
+            ),
+            ("connect", "[\"tcp/a:1\"]", connect(&["tcp/a:1"])),
+            ("connect", "4711,5e-4", connect(&["4711", "5e-4"])),
+            ("connect", "", connect(&[])),
+            ("sizes", "320", sizes(&[320])),
+            ("sizes", "320,640", sizes(&[320, 640])),
+            ("sizes", "[320, 640]", sizes(&[320, 640])),
+        ] {
+            assert_eq!(
+                typed("", &[(key, text)]),
+                (read, Vec::new()),
+                "{key}={text}"
+            );
+        }
+        let labels = [("labels__region", "7"), ("labels__line", "north")];
+        let (node, findings) = typed("[node.labels]\nline = \"south\"\ndepot = \"1\"\n", &labels);
+        let expected = [("depot", "1"), ("line", "north"), ("region", "7")];
+        let labels = node.labels.iter().map(|(name, value)| (name.as_str(), value.as_str()));
+        assert_eq!(
+            (labels.collect::<Vec<_>>(), findings),
+            (expected.to_vec(), Vec::new())
+        );
+    }
+
+    #[test]
+    fn a_variable_of_another_type_is_reported_with_its_name() {
+        let said = |key: &str, text: &str| typed("", &[(key, text)]).1.join("; ");
+        let from = |key: &str| format!(" (from environment variable ALBIREO_NODE__{key})");
+        for (key, text, error) in [
+            ("u", "low", "node.u: must be a number, not string \"low\""),
+            (
+                "port",
+                "-1",
+                "node.port: must be a whole number, 0 or more, not signed int `-1`",
+            ),
+            (
+                "mode",
+                "4711",
+                "node.mode: `4711` is not `peer` or `client`",
+            ),
+            (
+                "sizes",
+                "320,b",
+                "node.sizes[1]: must be a whole number, 0 or more, not string \"b\"",
+            ),
+        ] {
+            let shown = key.to_uppercase();
+            let reported = said(key, text);
+            assert!(reported.starts_with(error), "{reported}");
+            assert!(reported.contains(&from(&shown)), "{reported}");
+        }
+    }
+
+    #[test]
+    fn a_tilde_is_the_home_folder_in_a_file_and_in_a_variable() {
+        let state = Some(Path::new("/home/ann/state"));
+        let (node, _) = typed("[node]\nfolder = \"~/state\"\n", &[]);
+        assert_eq!(node.folder.as_deref(), state);
+        let (node, _) = typed("", &[("folder", "~/state"), ("connect", "~/a,~/b")]);
+        assert_eq!(node.folder.as_deref(), state);
+        assert_eq!(node.connect, ["/home/ann/a", "/home/ann/b"]);
     }
 
     #[test]
