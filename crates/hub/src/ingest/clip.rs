@@ -56,7 +56,7 @@ pub(crate) struct SetupRow {
 pub(crate) struct ClipRow {
     report_id: Uuid,
     count: Option<i64>,
-    at_ms: i64,
+    pub(super) at_ms: i64,
     received_ms: i64,
     clip: String,
     part: u32,
@@ -106,21 +106,32 @@ struct AuditRow {
     shown_x: i64,
 }
 
-/// Reads the figures of a report. A clip is stored under the time when it began, or under that of its receipt if the node's
-/// clock is not believed.
+/// Smaller steps of a node's clock move no clip: its ages are in whole seconds, and clocks are adjusted slowly.
+const LEAST_STEP_MS: i64 = 60_000;
+
+/// Reads the figures of a report. A clip is stored under the time when it began: if the clock with which it was made is known
+/// to have been `behind_ms` behind, by that much later. Without that knowledge, it is stored under the time of its receipt if
+/// the node's clock is not believed.
 ///
 /// # Errors
 /// The figure that cannot be stored, and the reason: the report is then set aside.
-pub(crate) fn clip(report: &ClipReport, present: Present) -> Result<Clip, String> {
+pub(crate) fn clip(
+    report: &ClipReport,
+    present: Present,
+    behind_ms: Option<i64>,
+) -> Result<Clip, String> {
     check(report)?;
     let now_ms = present.hub_ms;
     let started_ms = i64::try_from(report.started_ns / 1_000_000).unwrap_or(i64::MAX);
     let believable = now_ms - PAST_MS..=now_ms.saturating_add(FUTURE_MS);
     let clock = present.clocks_agree() && believable.contains(&started_ms);
+    let set_since = behind_ms.filter(|behind_ms| behind_ms.saturating_abs() >= LEAST_STEP_MS);
+    let begun_ms = started_ms.saturating_add(set_since.unwrap_or(0));
+    let is_known = (set_since.is_some() || clock) && believable.contains(&begun_ms);
     Ok(Clip {
         camera: name("camera", &report.camera)?,
         setup: setup(report)?,
-        row: row(report, if clock { started_ms } else { now_ms }, now_ms)?,
+        row: row(report, if is_known { begun_ms } else { now_ms }, now_ms)?,
         clock,
     })
 }

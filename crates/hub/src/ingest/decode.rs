@@ -115,8 +115,9 @@ fn parse(node: &str, raw: &str, present: Present, age: Option<ReportAge>) -> Rec
             };
         }
     };
+    let behind_ms = present.behind_when_made(report.id, age);
     let present = present.when_made(report.id, age);
-    let clip = check(node, &report).and_then(|()| clip(&report, present));
+    let clip = check(node, &report).and_then(|()| clip(&report, present, behind_ms));
     let mut doubt = None;
     let content = match (clip, key(report.id, present, age)) {
         (Err(reason), _) => Err(invalid(&reason, raw)),

@@ -208,7 +208,7 @@ mod tests {
             hub_ms: NOW_MS,
             node_ms: NOW_MS,
         };
-        crate::ingest::clip::clip(&report, present).unwrap()
+        crate::ingest::clip::clip(&report, present, None).unwrap()
     }
 
     fn received(content: Result<(ReportKey, Box<Clip>), Rejected>, count: u64) -> Received {

@@ -37,17 +37,29 @@ impl Present {
     /// The present by the clock that the node had when it made a report, if that is known: the node may have set its clock
     /// since.
     pub(crate) fn when_made(self, id: Uuid, age: Option<ReportAge>) -> Self {
-        let made_s = age
-            .and_then(|age| age.made_s)
-            .filter(|_| id.get_version_num() == 7)
-            .and_then(|made_s| i64::try_from(made_s).ok());
         Self {
-            node_ms: made_s.map_or(self.node_ms, |made_s| {
-                made_ms(id).saturating_add(made_s.saturating_mul(1000))
-            }),
+            node_ms: present_when_made(id, age).unwrap_or(self.node_ms),
             ..self
         }
     }
+
+    /// How far the clock that the node had when it made a report is behind, if that is known: behind its clock now, or
+    /// behind the hub's if that of the node is still wrong.
+    pub(crate) fn behind_when_made(self, id: Uuid, age: Option<ReportAge>) -> Option<i64> {
+        let right_ms = if self.clocks_agree() {
+            self.node_ms
+        } else {
+            self.hub_ms
+        };
+        Some(right_ms.saturating_sub(present_when_made(id, age)?))
+    }
+}
+
+/// The present by the clock with which a report was made: its time, and what a clock that nobody sets has counted since.
+fn present_when_made(id: Uuid, age: Option<ReportAge>) -> Option<i64> {
+    let made_s = i64::try_from(age?.made_s?).ok()?;
+    let has_time = id.get_version_num() == 7;
+    has_time.then(|| made_ms(id).saturating_add(made_s.saturating_mul(1000)))
 }
 
 /// The time in an identity: the first 48 bits of a UUID of version 7.

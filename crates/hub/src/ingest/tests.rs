@@ -1,10 +1,11 @@
 mod hostile;
 
+use super::clip::clip;
 use super::plan::{Counts, Present, Seen};
 use super::tables::ReportKey;
 use crate::store::row::{read, row};
 use albireo_service::clock::DAY_MS;
-use albireo_wire::ReportAge;
+use albireo_wire::{ClipReport, ReportAge};
 use proptest::prelude::*;
 use std::collections::BTreeSet;
 use uuid::{Builder, Uuid};
@@ -68,6 +69,56 @@ fn a_report_is_too_old_only_if_the_clocks_agree_and_a_wrong_clock_of_the_hub_los
         let found = key(id(NOW_MS), Present { hub_ms, node_ms }).unwrap();
         assert_eq!(found.day, -day, "{hub_ms}");
     }
+}
+
+#[test]
+fn a_clip_made_before_the_clock_was_set_is_stored_under_the_time_when_it_began() {
+    const HOUR_MS: i64 = 3_600_000;
+    // Of a clip that began an hour before it was sent, by a clock that was so far ahead, and is so far ahead now.
+    let stored = |then_ms: i64, now_ms: i64, made_s: Option<u64>| {
+        let by_its_clock = NOW_MS + then_ms - HOUR_MS;
+        let id = id(by_its_clock + 40_000);
+        let report = ClipReport {
+            id,
+            started_ns: u64::try_from(by_its_clock).unwrap() * 1_000_000,
+            ..ClipReport::default()
+        };
+        let (present, age) = (
+            present(now_ms),
+            Some(ReportAge {
+                made_s,
+                first: true,
+            }),
+        );
+        let behind_ms = present.behind_when_made(id, age);
+        let clip = clip(&report, present.when_made(id, age), behind_ms).unwrap();
+        (clip.row.at_ms - NOW_MS, clip.clock)
+    };
+    let made_s = Some(3_560);
+    let year = 365 * DAY_MS;
+    for then_ms in [
+        -56 * year,
+        -45 * DAY_MS,
+        -2 * HOUR_MS,
+        2 * HOUR_MS,
+        3 * year,
+    ] {
+        let is_off = then_ms.abs() > DAY_MS;
+        assert_eq!(stored(then_ms, 0, made_s), (-HOUR_MS, !is_off), "{then_ms}");
+        assert_eq!(
+            stored(then_ms, then_ms, made_s).0,
+            if is_off { -HOUR_MS } else { then_ms - HOUR_MS }
+        );
+    }
+    assert_eq!(stored(0, 0, made_s), (-HOUR_MS, true));
+    assert_eq!(
+        stored(-20_000, 0, made_s),
+        (-HOUR_MS - 20_000, true),
+        "slewed"
+    );
+    // The machine was started since: nothing but its clocks is known.
+    assert_eq!(stored(-45 * DAY_MS, -45 * DAY_MS, None), (0, false));
+    assert_eq!(stored(0, 0, None), (-HOUR_MS, true));
 }
 
 #[test]
