@@ -48,6 +48,45 @@ async fn a_full_disk_delays_acknowledgements_and_loses_nothing() {
     hub.has_each_once(NODE, last + 100).await;
 }
 
+/// The database is alone on a file system in memory, which a file beside it fills.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs unshare"]
+async fn a_hub_on_a_full_disk_is_not_ready_until_there_is_space() {
+    let folder = tempfile::tempdir().unwrap();
+    let (zenoh, settings) = settings(&sqlite(folder.path()));
+    let mut alone = process("unshare");
+    alone.args(["--user", "--map-root-user", "--mount", "sh", "-c"]);
+    alone.arg("mount -t tmpfs -o size=8m tmpfs \"$0\" && head -c 6m /dev/zero > \"$0/other\" && exec \"$@\"");
+    alone.arg(folder.path()).arg(env!("CARGO_BIN_EXE_albireo"));
+    let hub = HubProcess::start_as(alone, &settings);
+    hub.until_ready().await;
+    let (session, begun, mut last) = (uplink(&zenoh).await, now_ns(), 0);
+    loop {
+        match send(&session, NODE, last + 1..=last + 100, begun).await {
+            Reply::Refused(refusal) => break assert_contains(&refusal.detail, &["full"]),
+            Reply::Nothing => {}
+            stored => {
+                stored.assert_stored();
+                last += 100;
+            }
+        }
+        assert!(last < 100_000, "the disk is never full");
+    }
+    // It tries to write twice a second.
+    let commits = async || metric(&hub.http, "albireo_hub_database_errors_total").await;
+    let enough = commits().await + 6.0;
+    while commits().await < enough {
+        let page = hub.until("/readyz", |_| true).await;
+        assert_eq!(page["ready"], false, "{page}");
+        assert_contains(&page["reasons"]["database"], &["full"]);
+    }
+    let root = format!("/proc/{}/root", hub.id());
+    std::fs::remove_file(format!("{root}{}/other", folder.path().display())).unwrap();
+    deliver(&session, NODE, last + 1..=last + 100, begun).await;
+    hub.until_ready().await;
+    hub.has_each_once(NODE, last + 100).await;
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn reports_wait_while_a_hub_has_a_read_only_database_or_another_prefix() {
     let folder = tempfile::tempdir().unwrap();

@@ -27,6 +27,7 @@ need "RTSP server" bash -c "command -v gst-launch-1.0 && gst-inspect-1.0 x264enc
     /usr/bin/python3 -c 'import gi; gi.require_version(\"GstRtspServer\", \"1.0\"); from gi.repository import GstRtspServer'"
 need "promtool" command -v promtool
 need "curl" command -v curl
+need "unshare" unshare --user --map-root-user --mount true
 need "strace" strace -o /dev/null true
 need "PostgreSQL" bash -c "command -v initdb || ls /usr/lib/postgresql/*/bin/initdb"
 need "systemd" bash -c "systemd-analyze security --help | grep -q offline"

@@ -222,6 +222,30 @@ async fn postgres_a_server_that_became_read_only_makes_a_hub_not_ready() {
     hub.stop().await;
 }
 
+#[rstest]
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs PostgreSQL"]
+async fn postgres_revoked_rights_make_a_hub_not_ready_until_they_are_back() {
+    let server = Postgres::start();
+    let of_all = server.url();
+    execute(&of_all, "CREATE ROLE fleet LOGIN").await;
+    execute(&of_all, "CREATE DATABASE fleet OWNER fleet").await;
+    let (address, _) = of_all.rsplit_once('/').unwrap();
+    let own = format!("{}/fleet", address.replace("hub@", "fleet@"));
+    let hub = Hub::start(config(&own)).await;
+    hub.store("car-1", 1..=2).await;
+    execute(&own, "REVOKE INSERT ON clips FROM fleet").await;
+    assert_unavailable(&hub, "car-2").await;
+    let page = assert_stays_not_ready(&hub, 5).await;
+    let why = page["reasons"]["database"].as_str().unwrap();
+    assert!(why.contains("permission denied for table clips"), "{why}");
+    execute(&own, "GRANT INSERT ON clips TO fleet").await;
+    hub.store("car-2", 1..=2).await;
+    let page = hub.get("/readyz").await;
+    assert_eq!(page["ready"], true, "{page}");
+    hub.stop().await;
+}
+
 /// Changes a setting of the server for all sessions.
 async fn set_system(url: &str, statements: &[&'static str]) {
     use sqlx::{Connection as _, Executor as _};
