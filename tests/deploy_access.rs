@@ -3,11 +3,13 @@
 use crate::support::camera::Camera;
 use crate::support::fleet::{HubProcess, Protected, deliver, now_ns, sqlite};
 use crate::support::{
-    Node, PATIENCE, assert_contains, run, signal, subscribe, text_at, value_of, zenoh_session,
+    Node, PATIENCE, assert_contains, json_at, run, signal, subscribe, text_at, until, value_of,
+    zenoh_session,
 };
 use albireo_router::authority::{Authority, DAY, Role};
 use rstest::rstest;
 use serde_json::{Value, json};
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Duration;
 use tokio::process::Child;
@@ -197,6 +199,56 @@ async fn a_real_node_reports_through_the_router_with_its_certificate() {
     hub.until("/api/v1/clips?node=car-7", three).await;
     let is_online = |node: &Value| node["state"] == "online";
     hub.until("/api/v1/nodes/car-7", is_online).await;
+}
+
+#[rstest]
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs ONNX Runtime"]
+async fn a_node_whose_certificate_has_ended_says_so_and_one_that_ends_soon_is_told_beforehand() {
+    let (fleet, _router, hub) = started().await;
+    let mut own = Authority::open(&fleet.authority()).unwrap();
+    own.renew(Role::Node, "car-7", Duration::ZERO).unwrap();
+    own.renew(Role::Node, "car-8", DAY * 6).unwrap();
+    let ends = own.entries().iter().map(|entry| (entry.name.clone(), entry.ends_s));
+    let ends: BTreeMap<_, _> = ends.collect();
+    drop(own);
+    let start = async |name: &str| {
+        let settings = format!(
+            "node.name = \"{name}\"\ndetector.model = \"{}/tests/fixtures/models/boxes.onnx\"\npower.source = \"none\"\n\
+             outbox.offline_h = 9\nuplink.connect = [\"{}\"]\n{}",
+            env!("CARGO_MANIFEST_DIR"),
+            fleet.endpoint,
+            fleet.certificate(name),
+        );
+        Node::start(&settings).await
+    };
+    let says = async |node: &Node, part: &str, said: &str| {
+        let said_it = async || {
+            let page = json_at(&format!("{}/readyz", node.http)).await;
+            let mut reasons = page["reasons"].as_array().into_iter().flatten();
+            reasons.any(|one| one["part"] == part && one["reason"].as_str().unwrap().contains(said))
+        };
+        until(said, said_it).await;
+    };
+    let ended = start("car-7").await;
+    says(&ended, "uplink", "certificate expired on ").await;
+    says(&ended, "certificates", "certificate expired on ").await;
+    let ends_soon = start("car-8").await;
+    says(&ends_soon, "certificates", "certificate expires on ").await;
+    let metrics = text_at(&format!("{}/metrics", ends_soon.http)).await;
+    let series = "albireo_certificate_until_timestamp_seconds{certificate=\"uplink.certificate\"}";
+    assert_eq!(value_of(&metrics, series), ends["car-8"] as f64);
+    let shown = json_at(&format!("{}/api/v1/node", ends_soon.http)).await;
+    let own = json!({"name": "uplink.certificate", "until_s": ends["car-8"]});
+    assert!(
+        shown["certificates"].as_array().unwrap().contains(&own),
+        "{shown}"
+    );
+    let told = async || {
+        let page = hub.metrics().await;
+        value_of(&page, "albireo_hub_nodes_certificate_ending{within=\"7d\"}") == 1.0
+    };
+    until("the hub knows of it", told).await;
 }
 
 #[test]

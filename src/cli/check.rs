@@ -71,6 +71,12 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         for finding in config.in_the_way() {
             println!("note: {finding} (by a running node?)");
         }
+        for finding in config.exposed_here(Some(&arguments.file)) {
+            println!("note: {finding}");
+        }
+        if let Some(fault) = config.certificate_fault() {
+            println!("note: {fault}");
+        }
     }
     Ok(())
 }
@@ -96,6 +102,11 @@ fn check_hub(arguments: &Arguments) -> anyhow::Result<()> {
         config.hub.prefix,
         config.database.shown()
     );
+    if !arguments.file_only {
+        for finding in config.exposed_here(Some(&arguments.file)) {
+            println!("note: {finding}");
+        }
+    }
     Ok(())
 }
 

@@ -57,6 +57,9 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let config: HubConfig = config::load(arguments.config.as_deref())?;
     logging::start(&config.log)?;
+    for finding in config.exposed_here(arguments.config.as_deref()) {
+        tracing::warn!("{finding}");
+    }
     block_on(async {
         let shutdown = signals::shutdown(None)?;
         let listener = listen("http.listen", config.http.listen).await?;

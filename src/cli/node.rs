@@ -30,6 +30,9 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let defaults = Path::new("built-in defaults");
     let file = arguments.config.as_deref().unwrap_or(defaults).display();
     tracing::info!(version = env!("CARGO_PKG_VERSION"), configuration = %file, "starting");
+    for finding in config.exposed_here(arguments.config.as_deref()) {
+        tracing::warn!("{finding}");
+    }
     block_on(async {
         let limit = config.node.stop_timeout;
         let shutdown = signals::shutdown(Some(limit))?;

@@ -51,9 +51,13 @@ pub(super) fn run(arguments: Arguments) -> anyhow::Result<()> {
     if arguments.check {
         options.zenoh()?;
         println!("the files can be used");
+        options.exposed_here().iter().for_each(|finding| println!("note: {finding}"));
         return Ok(());
     }
     logging::start(&log)?;
+    for finding in options.exposed_here() {
+        tracing::warn!("{finding}");
+    }
     block_on(async {
         let shutdown = signals::shutdown(None)?;
         let listener = listen("--http", http.listen).await?;

@@ -1,5 +1,5 @@
 import { describe, expect, test } from "vitest";
-import { count, duration, edp, joules, milliseconds, parsed, percent, short, small, typed, watts } from "../src/shared/format";
+import { certificates, count, duration, edp, joules, milliseconds, parsed, percent, short, small, typed, watts } from "../src/shared/format";
 
 // Numbers are parted from their units by a narrow space.
 const plain = (text: string) => text.replaceAll("\u202f", " ");
@@ -20,6 +20,16 @@ describe("numbers are written as people read them", () => {
       expect(write(null)).toBe("–");
     }
     expect(percent(NaN)).toBe("–");
+  });
+
+  test("certificates with their end and the days left", () => {
+    const now = Date.UTC(2027, 0, 1, 12);
+    const ends = (day: number) => ({ name: "uplink.certificate", until_s: Date.UTC(2027, 0, day, 13) / 1000 });
+    const said = (day: number) => certificates([ends(day)], now);
+    expect(said(31)).toMatch(/^uplink.certificate until .*31.*2027 \(30 days\)$/);
+    expect(said(2)).toMatch(/\(1 day\)$/);
+    expect(said(-3)).toMatch(/^uplink.certificate ended on .*28.*2026$/);
+    expect(certificates([], now)).toBe("");
   });
 
   test("times by their two largest units", () => {

@@ -28,6 +28,20 @@ const { LineParser, countOutcomes, ordered, terms } = await import("../src/hub/t
 const { settingText } = await import("../src/hub/parts");
 const { thresholdOf } = await import("../src/hub/fleet");
 const { beginnings } = await import("../src/hub/energy");
+const { hubState } = await import("../src/hub/store");
+
+describe("the state of a hub", () => {
+  test("says that it stores nothing, and why, before all else", () => {
+    const reasons = { database: "the disk is full" };
+    const faults = [["database", "the disk is full"]];
+    expect(hubState(undefined, true, { ready: true, reasons: {} })).toEqual({ mood: "good", word: "connected", faults: [] });
+    expect(hubState(undefined, true, { ready: true, reasons })).toEqual({ mood: "bad", word: "degraded", faults });
+    expect(hubState(undefined, true, { ready: false, reasons })).toEqual({ mood: "bad", word: "not ready", faults });
+    expect(hubState("the stream was refused", false, { ready: false, reasons }).word).toBe("not ready");
+    expect(hubState("it ended", true, undefined).word).toBe("hub does not answer");
+    expect(hubState(undefined, false, undefined).word).toBe("connecting");
+  });
+});
 
 describe("event streams", () => {
   test("are read whatever the pieces they come in", () => {

@@ -14,10 +14,12 @@ use albireo_service::config::{
     Configuration, DAY_S, Finding, Findings, HttpConfig, LogConfig, NamedToken, ZenohConfig,
     ZenohMode,
 };
+use albireo_service::identity::{exposed, exposed_files};
 use albireo_wire::NodeKeys;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use std::net::{Ipv4Addr, SocketAddr};
+use std::path::Path;
 
 /// Largest payload accepted from the network, bytes.
 pub(crate) const MAX_PAYLOAD_BYTES: usize = 4 << 20;
@@ -71,6 +73,17 @@ impl Default for HubConfig {
             log: LogConfig::default(),
             tokens: Vec::new(),
         }
+    }
+}
+
+impl HubConfig {
+    /// Finds files with secrets that other users of this machine can read; `file` is the configuration's.
+    pub fn exposed_here(&self, file: Option<&Path>) -> Vec<Finding> {
+        let mut found = exposed_files(file, &self.http, &self.tokens, &self.zenoh);
+        if self.database.passwords().next().is_some() {
+            found.extend(file.and_then(|file| exposed("database.url", file)));
+        }
+        found
     }
 }
 

@@ -7,7 +7,8 @@ use crate::store::Store;
 use crate::tuning::{Desires, Tuner};
 use albireo_service::config;
 use albireo_service::http::Problem;
-use albireo_service::readiness::Readiness;
+use albireo_service::identity::{self, Certificates};
+use albireo_service::readiness::{Fault, Readiness};
 use axum::http::StatusCode;
 use serde_json::Value;
 use std::sync::{Arc, OnceLock};
@@ -22,8 +23,10 @@ pub(crate) const MOST_LIVE: usize = 64;
 /// A running hub. Clones share it.
 #[derive(Clone, Debug)]
 pub(crate) struct Hub {
-    /// The faults of its parts: `database`, `zenoh`, `fleet`, `tuning`, `tasks`.
+    /// The faults of its parts: `database`, `zenoh`, `certificates`, `fleet`, `tuning`, `tasks`.
     pub(crate) readiness: Readiness,
+    /// The certificates of its Zenoh session.
+    pub(crate) certificates: Certificates,
     /// All nodes.
     pub(crate) fleet: Arc<Fleet>,
     /// The desired settings of the nodes.
@@ -50,8 +53,15 @@ pub(crate) struct Hub {
 impl Hub {
     /// A hub that knows no node yet.
     pub(crate) fn new(config: &HubConfig, desires: Desires, shutdown: CancellationToken) -> Self {
+        let readiness = Readiness::default();
+        let certificates = Certificates::read(config.zenoh.tls_files("certificate"));
+        let read = certificates.clone();
+        readiness.probe(identity::PART, "", move || {
+            read.fault().map(Fault::degraded)
+        });
         Self {
-            readiness: Readiness::default(),
+            readiness,
+            certificates,
             fleet: Arc::new(Fleet::new(&config.presence)),
             desires: Arc::new(desires),
             ingest: Arc::default(),

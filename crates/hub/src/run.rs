@@ -264,6 +264,7 @@ async fn start(
     let following = tuning::follow(Arc::clone(tuner), part, hub.shutdown.clone());
     tasks.essential("tuning", following);
     // Logs each change of the health.
+    tasks.until_shutdown("certificates", hub.certificates.clone().follow());
     let health = hub.readiness.clone().watch(Duration::from_secs(1));
     tasks.until_shutdown("readiness", health);
 

@@ -36,6 +36,14 @@ const POLL_INTERVAL: Duration = Duration::from_secs(1);
 /// The interval at which a failed disk is tried again.
 const RETRY_EVERY: Duration = Duration::from_secs(2);
 
+/// Limits of connections to the Zenoh port that are not sessions yet: so many at a time, each for so many milliseconds. With
+/// Zenoh's own, 100 for ten seconds, silent connections keep cameras out. A process may often have no more than 1024
+/// descriptors, of which HTTP takes up to 256.
+const ACCEPTING: [(&str, &str); 2] = [
+    ("transport/unicast/accept_pending", "400"),
+    ("transport/unicast/accept_timeout", "3000"),
+];
+
 /// Creates a camera's policy, at its start and whenever its loop has failed: `|camera| policy`.
 pub type PolicyMaker =
     Arc<dyn Fn(&str) -> Result<Box<dyn Policy>, PolicyConfigError> + Send + Sync>;
@@ -99,6 +107,7 @@ impl PreparedNode {
             watched.watch(POLL_INTERVAL).await;
         });
         tasks.until_shutdown("power sampler", sampler);
+        tasks.until_shutdown("certificates", board.certificates.clone().follow());
 
         // Each camera has its loop, its reporter, and its source of frames.
         let shared = Arc::new(SharedParts {
@@ -231,7 +240,12 @@ async fn open_session(
 ) -> Result<Session, NodeError> {
     let zenoh = parts.part(readiness::ZENOH);
     zenoh.not_ready("the session is not open yet");
-    let session = session::open(config, largest_frame, &[], false, |error| {
+    // The file of Zenoh has its own settings.
+    let settings = match config.config_file {
+        None => &ACCEPTING[..],
+        Some(_) => &[],
+    };
+    let session = session::open(config, largest_frame, settings, false, |error| {
         zenoh.not_ready(format!("the router cannot be reached: {error}"));
     })
     .await

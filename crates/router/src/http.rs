@@ -1,6 +1,7 @@
 //! Serves the health and metrics of a router.
 
 use crate::probe::Probes;
+use albireo_service::identity::Certificates;
 use albireo_service::metrics::MetricsPage;
 use axum::extract::State;
 use axum::http::StatusCode;
@@ -14,6 +15,7 @@ use zenoh::Session;
 #[derive(Clone, Debug)]
 pub(crate) struct RouterView {
     pub(crate) probes: Probes,
+    pub(crate) certificates: Certificates,
     /// The router's session, once open.
     pub(crate) session: Arc<OnceLock<Session>>,
     pub(crate) max_sessions: u64,
@@ -50,8 +52,14 @@ async fn healthz() -> Json<serde_json::Value> {
 
 async fn readyz(State(view): State<RouterView>) -> Response {
     match view.reason() {
-        None => Json(serde_json::json!({ "ready": true, "sessions": view.sessions().await }))
-            .into_response(),
+        None => {
+            let sessions = view.sessions().await;
+            let mut answer = serde_json::json!({ "ready": true, "sessions": sessions });
+            if let Some(fault) = view.certificates.fault() {
+                answer["reasons"] = serde_json::json!({ "certificates": fault });
+            }
+            Json(answer).into_response()
+        }
         Some(reason) => {
             albireo_service::http::Problem::new(StatusCode::SERVICE_UNAVAILABLE, reason)
                 .into_response()
@@ -92,5 +100,6 @@ async fn metrics(State(view): State<RouterView>) -> MetricsPage {
         seen.failed as f64,
     );
     page.process();
+    page.certificates(&view.certificates);
     page
 }

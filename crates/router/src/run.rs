@@ -3,7 +3,8 @@
 use crate::error::{RouterError, at, other};
 use crate::http::{self, RouterView};
 use crate::probe::Probes;
-use albireo_service::config::HttpConfig;
+use albireo_service::config::{Finding, HttpConfig};
+use albireo_service::identity::{self, Certificates, exposed};
 use albireo_service::notify;
 use albireo_service::readiness::{Fault, Readiness};
 use albireo_service::session::{self, plain};
@@ -76,6 +77,15 @@ impl RouterOptions {
         Ok(config)
     }
 
+    /// Finds files with secrets that other users of this machine can read.
+    pub fn exposed_here(&self) -> Vec<Finding> {
+        let config = self.zenoh().ok();
+        let keys = config.iter().flat_map(|config| identity::tls_files(config, "private_key"));
+        let token = self.http_token_file.clone().map(|file| ("--http-token-file".to_owned(), file));
+        let files = keys.chain(token);
+        files.filter_map(|(key, file)| exposed(&key, &file)).collect()
+    }
+
     /// Returns the HTTP configuration for health and metrics.
     pub fn http(&self) -> HttpConfig {
         HttpConfig {
@@ -103,6 +113,7 @@ pub async fn run(
         .unwrap_or(0);
     let view = RouterView {
         probes: Probes::default(),
+        certificates: Certificates::read(identity::tls_files(&config, "certificate")),
         session: Arc::new(OnceLock::new()),
         max_sessions,
     };
@@ -151,6 +162,12 @@ async fn route(
     );
     let (readiness, probed, probes) = (Readiness::default(), view.clone(), view.probes.clone());
     readiness.probe("router", "", move || probed.reason().map(Fault::not_ready));
+    let certificates = view.certificates.clone();
+    readiness.probe(identity::PART, "", move || {
+        certificates.fault().map(Fault::degraded)
+    });
+    let following = tokio::spawn(view.certificates.clone().follow());
+    let watching = tokio::spawn(readiness.clone().watch(Duration::from_secs(1)));
     let notifier = tokio::spawn(notify::run(
         move || (readiness.health().status(), probes.seen().stuck()),
         shutdown.clone(),
@@ -162,6 +179,8 @@ async fn route(
     }
     shutdown.cancelled().await;
     let _ = notifier.await;
+    following.abort();
+    watching.abort();
     let closing = tokio::task::spawn_blocking(move || session.close().wait());
     let closed = tokio::time::timeout(STOP_LIMIT, closing).await;
     if !matches!(closed, Ok(Ok(Ok(())))) {

@@ -5,6 +5,7 @@ pub mod archive;
 pub mod clock;
 pub mod config;
 pub mod http;
+pub mod identity;
 pub mod logging;
 pub mod metrics;
 pub mod notify;

@@ -1,5 +1,6 @@
 //! Writes metrics in the Prometheus text format (0.0.4).
 
+use crate::identity::Certificates;
 use crate::process;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::{IntoResponse, Response};
@@ -49,6 +50,16 @@ impl MetricsPage {
             crate::logging::dropped_lines() as f64,
         );
         let _ = process::add(self);
+    }
+
+    /// Adds until when certificates are valid.
+    pub fn certificates(&mut self, certificates: &Certificates) {
+        let ends = certificates.status();
+        self.gauges(
+            "albireo_certificate_until_timestamp_seconds",
+            "End of a certificate that this program uses or trusts, seconds since the Unix epoch",
+            (ends.iter()).map(|one| ([("certificate", one.name.as_str())], one.until_s as f64)),
+        );
     }
 
     /// Adds the latency histograms of one name, by labels.

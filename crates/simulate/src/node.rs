@@ -236,6 +236,7 @@ impl SimNode {
             refused: self.refused.clone(),
             target: self.target,
             target_off: None,
+            certificates: Vec::new(),
         }
     }
 

@@ -40,8 +40,8 @@ pub use report::{
 };
 pub use states::{DetectorCalls, DropKind, DroppedFrames, FrameStates};
 pub use status::{
-    CameraState, CameraStatus, HealthState, HealthStatus, Heartbeat, NodeStatus, OutboxStatus,
-    RefusedDesired, SettingSource, StatusMessage,
+    CameraState, CameraStatus, CertificateStatus, HealthState, HealthStatus, Heartbeat, NodeStatus,
+    OutboxStatus, RefusedDesired, SettingSource, StatusMessage,
 };
 pub use target::{NodeTarget, TargetMessage, TargetReport};
 pub use threshold::{OtherThreshold, Threshold, ThresholdChange, ThresholdMessage, ThresholdName};

@@ -132,6 +132,18 @@ pub struct NodeStatus {
     pub target: Option<NodeTarget>,
     /// Human-readable reason why a target that the node had since its start was switched off.
     pub target_off: Option<String>,
+    /// The certificates with which the node identifies itself, and those it trusts.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub certificates: Vec<CertificateStatus>,
+}
+
+/// How long a certificate is valid.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct CertificateStatus {
+    /// The key that names its file: `uplink.certificate`.
+    pub name: String,
+    /// Its end, seconds since the Unix epoch.
+    pub until_s: i64,
 }
 
 /// A desired value that a node refused.

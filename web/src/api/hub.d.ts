@@ -128,7 +128,7 @@ export interface paths {
                     node?: string | null;
                     /** @description Only changes with a lower number. */
                     before?: number | null;
-                    /** @description Maximum number; 50 by default. */
+                    /** @description Maximum number, up to 500; 50 by default. */
                     limit?: number | null;
                 };
                 header?: never;
@@ -625,7 +625,7 @@ export interface paths {
                     down?: boolean;
                     /** @description The number of rows to skip. */
                     offset?: number;
-                    /** @description Maximum number, up to 1000; 100 by default. */
+                    /** @description Maximum number, up to 1000; 100 by default; 0 for the counts alone. */
                     limit?: number;
                 };
                 header?: never;
@@ -901,7 +901,7 @@ export interface paths {
                 query?: {
                     /** @description Only those with a lower number. */
                     before?: number | null;
-                    /** @description Maximum number; 20 by default. */
+                    /** @description Maximum number, up to 200; 20 by default. */
                     limit?: number | null;
                 };
                 header?: never;
@@ -1294,7 +1294,7 @@ export interface paths {
                 query?: {
                     /** @description Only those with a lower number. */
                     before?: number | null;
-                    /** @description Maximum number; 20 by default. */
+                    /** @description Maximum number, up to 200; 20 by default. */
                     limit?: number | null;
                 };
                 header?: never;
@@ -1854,6 +1854,16 @@ export interface components {
             /** @description Origin of the threshold. */
             threshold_source: components["schemas"]["SettingSource"];
         };
+        /** @description How long a certificate is valid. */
+        CertificateStatus: {
+            /** @description The key that names its file: `uplink.certificate`. */
+            name: string;
+            /**
+             * Format: int64
+             * @description Its end, seconds since the Unix epoch.
+             */
+            until_s: number;
+        };
         /** @description The outcome of a change at one node. */
         ChangeNode: components["schemas"]["Ask"] & {
             from?: components["schemas"]["DesiredSetting"] | null;
@@ -2243,7 +2253,10 @@ export interface components {
         HubReadiness: {
             /** @description True if every part works. */
             ready: boolean;
-            /** @description The reason of each part that does not work, or works only in part: `database`, `zenoh`, `fleet`, `tuning`, `tasks`. */
+            /**
+             * @description The reason of each part that does not work, or works only in part: `database`, `zenoh`,
+             *     `certificates`, `fleet`, `tuning`, `tasks`.
+             */
             reasons: {
                 [key: string]: string;
             };
@@ -2355,6 +2368,8 @@ export interface components {
         NodeStatus: {
             /** @description Cameras. */
             cameras: components["schemas"]["CameraStatus"][];
+            /** @description The certificates with which the node identifies itself, and those it trusts. */
+            certificates?: components["schemas"]["CertificateStatus"][];
             /** @description Health with its reasons. */
             health: components["schemas"]["HealthStatus"];
             /** @description Labels from the configuration, for selecting nodes: `region = "north"`. */

@@ -754,7 +754,7 @@ export interface paths {
         /**
          * The node's events, as server-sent events
          * @description First the present state (counters, thresholds, detector), then each change. A reader that is too slow
-         *     loses events; the event `lagged` reports how many. 503 while 64 streams are open.
+         *     loses events; the event `lagged` reports how many. With 64 streams open, the oldest ends for a new one.
          *     `curl -N 'http://127.0.0.1:8080/api/v1/events?types=counters,clip'`
          */
         get: {
@@ -1842,6 +1842,16 @@ export interface components {
             /** @description In the order of the configuration. */
             cameras: components["schemas"]["CameraEntry"][];
         };
+        /** @description How long a certificate is valid. */
+        CertificateStatus: {
+            /** @description The key that names its file: `uplink.certificate`. */
+            name: string;
+            /**
+             * Format: int64
+             * @description Its end, seconds since the Unix epoch.
+             */
+            until_s: number;
+        };
         /**
          * @description The reason why a clip ended.
          * @enum {string}
@@ -2508,6 +2518,8 @@ export interface components {
         };
         /** @description A node: its readiness, run time, energy and savings. */
         NodeOverview: components["schemas"]["Readiness"] & {
+            /** @description The certificates of its sessions, with their ends. */
+            certificates: components["schemas"]["CertificateStatus"][];
             detector?: components["schemas"]["DetectorReading"] | null;
             /** @description Reports that wait for a hub. */
             outbox: components["schemas"]["OutboxStatus"];
@@ -2541,6 +2553,8 @@ export interface components {
         NodeStatus: {
             /** @description Cameras. */
             cameras: components["schemas"]["CameraStatus"][];
+            /** @description The certificates with which the node identifies itself, and those it trusts. */
+            certificates?: components["schemas"]["CertificateStatus"][];
             /** @description Health with its reasons. */
             health: components["schemas"]["HealthStatus"];
             /** @description Labels from the configuration, for selecting nodes: `region = "north"`. */

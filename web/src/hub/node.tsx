@@ -1,7 +1,7 @@
 // One node of the fleet: its health, its energy, its clips and changes.
 
 import { answer } from "../shared/api";
-import { count, dateTime, duration, edp, joules, milliseconds, percent, small, ago } from "../shared/format";
+import { certificates, count, dateTime, duration, edp, joules, milliseconds, percent, small, ago } from "../shared/format";
 import { Pill, Quality, Section, whyNot } from "../shared/parts";
 import { heldText } from "../shared/target";
 import { Download, Fault, Setting, Outcomes, Presence, Saved, useLoaded } from "./parts";
@@ -77,6 +77,12 @@ export function Node({ name }: { name: string }) {
                 {status && !status.outbox.durable ? ", in memory only" : ""}
                 {status && status.outbox.lost > 0 ? <span class="bad">{`, ${count(status.outbox.lost)} lost`}</span> : ""}
               </dd>
+              {status?.certificates && status.certificates.length > 0 && (
+                <>
+                  <dt>certificates</dt>
+                  <dd>{certificates(status.certificates)}</dd>
+                </>
+              )}
               <dt>labels</dt>
               <dd>{Object.entries(status?.labels ?? {}).map(([key, value]) => `${key}=${value}`).join(", ") || "none"}</dd>
               <dt>version</dt>

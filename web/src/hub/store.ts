@@ -1,8 +1,9 @@
 // The page's state of the whole fleet.
 
 import { signal } from "@preact/signals";
-import { every, follow, json } from "../shared/api";
-import type { Energy, EnergyGroup, NodeList, StoredEvent } from "./types";
+import { call, every, follow, json } from "../shared/api";
+import type { Mood } from "../shared/parts";
+import type { Energy, EnergyGroup, HubReadiness, NodeList, StoredEvent } from "./types";
 
 /** Most events that the page keeps. */
 const MOST_EVENTS = 200;
@@ -14,6 +15,8 @@ export const today = signal<EnergyGroup[] | undefined>(undefined);
 /** What the audits of the fleet found today. */
 export const auditToday = signal<Energy["audit"] | undefined>(undefined);
 export const lost = signal<string | undefined>(undefined);
+/** Whether the hub stores reports, and which of its parts do not work. */
+export const readiness = signal<HubReadiness | undefined>(undefined);
 export const events = signal<StoredEvent[]>([]);
 /** Grows when something that is shown may have changed. */
 export const changed = signal(0);
@@ -42,6 +45,26 @@ export function lookSoon(): void {
 async function lookAtFleet(): Promise<void> {
   const { counts, waiting } = await json<NodeList>("/api/v1/nodes?limit=0");
   fleet.value = { counts, waiting };
+}
+
+async function lookAtReadiness(): Promise<void> {
+  // 503 if it is not ready, with the same fields.
+  const response = await call("/readyz");
+  const found = (await response.json()) as Partial<HubReadiness>;
+  if (found.ready !== undefined) readiness.value = { ready: found.ready, reasons: found.reasons ?? {} };
+}
+
+/** The hub in a word, and why it is not well. */
+export function hubState(
+  lost: string | undefined,
+  known: boolean,
+  now: HubReadiness | undefined,
+): { mood: Mood; word: string; faults: [part: string, reason: string][] } {
+  const faults = Object.entries(now?.reasons ?? {});
+  if (now && !now.ready) return { mood: "bad", word: "not ready", faults };
+  if (lost !== undefined) return { mood: "bad", word: "hub does not answer", faults: [] };
+  if (!known) return { mood: "wait", word: "connecting", faults };
+  return faults.length > 0 ? { mood: "bad", word: "degraded", faults } : { mood: "good", word: "connected", faults };
 }
 
 /** The beginning of the day in UTC, as in the table's figures of today. */
@@ -77,6 +100,14 @@ export function watchFleet(signal: AbortSignal): void {
     if (lost.value === undefined) await work();
   };
   void every(3000, signal, whileReached(lookAtFleet));
+  void every(3000, signal, async () => {
+    try {
+      await lookAtReadiness();
+    } catch {
+      // It does not answer, which the event stream shows.
+      readiness.value = undefined;
+    }
+  });
   void every(20_000, signal, whileReached(lookAtEnergy));
 }
 

@@ -5,7 +5,7 @@ import { Figure, Pill, Quality } from "../shared/parts";
 import { caller } from "../shared/api";
 import { knowsSaved, Saved } from "./parts";
 import { href, route } from "./route";
-import { auditToday, byQuality, fleet, lost, today } from "./store";
+import { auditToday, byQuality, fleet, hubState, lost, readiness, today } from "./store";
 
 const VIEWS: [string, string][] = [
   ["fleet", "Nodes"],
@@ -18,6 +18,7 @@ const VIEWS: [string, string][] = [
 
 export function Header() {
   const who = caller.value;
+  const is = hubState(lost.value, fleet.value !== undefined, readiness.value);
   const here = route.value.path[0] === "nodes" ? "fleet" : route.value.path[0];
   return (
     <header>
@@ -25,14 +26,13 @@ export function Header() {
         <span class="quiet">albireo</span> fleet
       </h1>
       <span role="status">
-        {lost.value !== undefined ? (
-          <Pill mood="bad">hub does not answer</Pill>
-        ) : fleet.value ? (
-          <Pill mood="good">connected</Pill>
-        ) : (
-          <Pill mood="wait">connecting</Pill>
-        )}
+        <Pill mood={is.mood}>{is.word}</Pill>
       </span>
+      {is.faults.map(([part, reason]) => (
+        <span key={part} class="why">
+          <b>{part}</b> {reason}
+        </span>
+      ))}
       {lost.value !== undefined && <span class="why">{lost.value}. Reconnecting; the page shows the last data received.</span>}
       <nav aria-label="Views">
         {VIEWS.map(([view, words]) => (

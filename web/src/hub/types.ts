@@ -4,6 +4,7 @@ import type { components } from "../api/hub";
 
 type Schemas = components["schemas"];
 
+export type HubReadiness = Schemas["HubReadiness"];
 export type NodeList = Schemas["NodeList"];
 export type NodeView = Schemas["NodeView"];
 export type NodeDetail = Schemas["NodeDetail"];

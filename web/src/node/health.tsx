@@ -1,6 +1,6 @@
 // Health by part, frames that were not processed, and reports that wait for a hub.
 
-import { count, plural } from "../shared/format";
+import { certificates, count, plural } from "../shared/format";
 import { Section } from "../shared/parts";
 import { counters, opened, overview } from "./store";
 
@@ -42,6 +42,12 @@ export function Health() {
           {count(now.outbox.waiting)} waiting, {count(now.outbox.lost)} lost;{" "}
           {now.outbox.durable ? "kept on disk" : "in memory only"}
         </dd>
+        {now.certificates.length > 0 && (
+          <>
+            <dt>certificates</dt>
+            <dd>{certificates(now.certificates)}</dd>
+          </>
+        )}
         <dt>dropped frames</dt>
         <dd>
           {dropped.length

@@ -128,6 +128,16 @@ export function dateTime(ms: number | undefined | null): string {
   return ms === undefined || ms === null ? NONE : date.format(ms);
 }
 
+/** Until when certificates are valid: `uplink.certificate until 31 Jan 2027 (64 days)`. */
+export function certificates(all: readonly { name: string; until_s: number }[], now = Date.now()): string {
+  const words = all.map(({ name, until_s }) => {
+    const days = Math.floor((until_s * 1000 - now) / 86_400_000);
+    const until = new Date(until_s * 1000).toLocaleDateString([], { day: "numeric", month: "short", year: "numeric" });
+    return `${name} ${days < 0 ? `ended on ${until}` : `until ${until} (${plural(days, "day")})`}`;
+  });
+  return words.join(", ");
+}
+
 export function plural(number: number, one: string, many = `${one}s`): string {
   return `${plain.format(number)} ${number === 1 ? one : many}`;
 }

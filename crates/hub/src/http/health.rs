@@ -50,7 +50,8 @@ pub(super) struct Health {
 pub(super) struct HubReadiness {
     /// True if every part works.
     ready: bool,
-    /// The reason of each part that does not work, or works only in part: `database`, `zenoh`, `fleet`, `tuning`, `tasks`.
+    /// The reason of each part that does not work, or works only in part: `database`, `zenoh`,
+    /// `certificates`, `fleet`, `tuning`, `tasks`.
     reasons: BTreeMap<String, String>,
 }
 

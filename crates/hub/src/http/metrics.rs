@@ -1,9 +1,12 @@
 //! Serves metrics for Prometheus.
 
 use crate::hub::Hub;
+use albireo_service::clock::unix_milliseconds;
 use albireo_service::metrics::MetricsPage;
 use albireo_wire::TargetStatus;
 use axum::extract::State;
+
+const DAY_S: i64 = 86_400;
 
 /// Metrics of the hub
 ///
@@ -30,6 +33,7 @@ pub(super) async fn page(hub: &Hub) -> MetricsPage {
         f64::from(u8::from(hub.readiness.health().is_ready())),
     );
     page.process();
+    page.certificates(&hub.certificates);
     presence(&mut page, hub);
     ingest(&mut page, hub);
     let sessions = match hub.session.get() {
@@ -54,8 +58,16 @@ fn presence(page: &mut MetricsPage, hub: &Hub) {
     let mut behind = 0;
     let mut waiting = 0;
     let mut targets = [0; TargetStatus::ALL.len()];
+    let now_s = unix_milliseconds().div_euclid(1000);
+    let mut ending = [("7d", 7, 0_u32), ("30d", 30, 0)];
     hub.fleet.each(|node| {
         waiting += node.waiting;
+        let ends = node.status.iter().flat_map(|status| &status.certificates);
+        if let Some(first_s) = ends.map(|one| one.until_s).min() {
+            for (_, days, nodes) in &mut ending {
+                *nodes += u32::from(first_s.saturating_sub(now_s) < *days * DAY_S);
+            }
+        }
         if !node.is_reachable() {
             let expected = node.labels().get("expected");
             missing += u32::from(expected.is_some_and(|when| when == "always"));
@@ -71,6 +83,13 @@ fn presence(page: &mut MetricsPage, hub: &Hub) {
         "albireo_hub_nodes_missing",
         "Silent or offline nodes with the label expected = \"always\"",
         f64::from(missing),
+    );
+    page.gauges(
+        "albireo_hub_nodes_certificate_ending",
+        "Nodes with a certificate that ends within this time, or has ended, by their last status",
+        ending
+            .iter()
+            .map(|(within, _, nodes)| ([("within", *within)], f64::from(*nodes))),
     );
     page.gauge(
         "albireo_hub_nodes_behind",

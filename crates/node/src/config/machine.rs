@@ -1,15 +1,16 @@
-//! Checks what a configuration needs on this machine: files, folders, libraries, ports. Used only by
+//! Checks what a configuration needs on this machine: files, folders, libraries, ports. Most of it is used only by
 //! `albireo check`; a running node finds out when it opens them.
 
-use super::NodeConfig;
-use crate::input::source::LiveSource;
+use super::{CameraConfig, NodeConfig};
+use crate::input::source::{LiveSource, SourceAddress};
 use albireo_service::config::{Finding, Findings};
 use albireo_service::http::read_token;
+use albireo_service::identity::{Certificates, exposed, exposed_files};
 use albireo_vision::detector::{DetectorConfig, DetectorNetwork};
 use albireo_vision::onnx::{ExecutionProvider, StartErrorKind, find_library};
 use std::fmt::Display;
 use std::net::TcpListener;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 impl NodeConfig {
     /// Finds everything missing on this machine without which a node would not start.
@@ -63,6 +64,33 @@ impl NodeConfig {
             }
         }
         findings.0
+    }
+
+    /// The files of the certificates of its sessions, by key.
+    pub(crate) fn certificates(&self) -> Vec<(String, PathBuf)> {
+        let own = self.uplink.files().filter(|(key, _)| key.ends_with("certificate"));
+        let own = own.map(|(key, file)| (key.to_owned(), file.to_owned()));
+        own.chain(self.zenoh.tls_files("certificate")).collect()
+    }
+
+    /// Why a certificate of its sessions cannot be used now, or soon cannot.
+    pub fn certificate_fault(&self) -> Option<String> {
+        Certificates::read(self.certificates()).fault()
+    }
+
+    /// Finds files with secrets that other users of this machine can read; `file` is the configuration's.
+    pub fn exposed_here(&self, file: Option<&Path>) -> Vec<Finding> {
+        let mut found = exposed_files(file, &self.http, &self.tokens, &self.zenoh);
+        let key = self.uplink.private_key.as_ref();
+        found.extend(key.and_then(|file| exposed("uplink.private_key", file)));
+        let has_password = |camera: &&CameraConfig| {
+            camera.source.as_ref().is_some_and(SourceAddress::holds_password)
+        };
+        for camera in self.cameras.iter().filter(has_password) {
+            let key = format!("camera.{}.source", camera.name);
+            found.extend(file.and_then(|file| exposed(&key, file)));
+        }
+        found
     }
 
     /// Opens the detector's model, which finds its head and holds the configured classes against it. On the processor: a GPU

@@ -230,8 +230,12 @@ impl Worker {
                     "the hub's router cannot be reached"
                 }
             };
-            let normal = self.schedule.offline();
-            self.health.no_session(failed, normal);
+            // A session that failed for a certificate does not come back by itself.
+            let (why, normal) = match self.setup.board.certificates.fault() {
+                Some(fault) => (format!("{failed}: {fault}"), Duration::ZERO),
+                None => (failed.to_owned(), self.schedule.offline()),
+            };
+            self.health.no_session(&why, normal);
             let pause = sleep(self.reconnect.next());
             if self.stop.run_until_cancelled(pause).await.is_none() {
                 return;

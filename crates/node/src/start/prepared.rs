@@ -11,6 +11,7 @@ use crate::state::readiness;
 use crate::state::target::NodeTarget;
 use albireo_core::policy::Policy;
 use albireo_service::config::without_secrets;
+use albireo_service::identity::Certificates;
 use albireo_service::readiness::{Fault, Readiness};
 use albireo_wire::KeyError;
 use axum::Router;
@@ -84,6 +85,7 @@ fn board(config: &NodeConfig, policy: &dyn Policy) -> Result<Arc<Board>, KeyErro
         model: model.to_string_lossy().into_owned(),
         providers: config.detector.providers.clone(),
         cameras: cameras.collect::<Result<_, _>>()?,
+        certificates: Certificates::read(config.certificates()),
         target: NodeTarget::new(&config.target, policy, first_threshold),
     };
     Ok(Board::new(setup, policy))

@@ -19,7 +19,8 @@ use crate::state::target::NodeTarget;
 use albireo_core::policy::Policy;
 pub use albireo_power::PowerSnapshot;
 use albireo_service::clock::unix_milliseconds;
-use albireo_service::readiness::Readiness;
+use albireo_service::identity::Certificates;
+use albireo_service::readiness::{Fault, Readiness};
 use albireo_service::supervise::TaskFailures;
 use albireo_vision::detector::{ExecutionProvider, HeadMeter, ModelStatus};
 use albireo_vision::worker::{WorkerCounts, WorkerMeter};
@@ -41,6 +42,9 @@ pub(crate) const RECENT_CLIPS: usize = 256;
 /// The number of events a slow reader may lag before it loses some (and learns how many).
 const EVENT_BACKLOG: usize = 1024;
 
+/// The least time between two log lines about changes of one setting: whoever may change it could otherwise fill the log.
+pub(super) const CHANGES_PERIOD: Duration = Duration::from_secs(1);
+
 /// The live board of one node. Shared by `Arc`; every method takes `&self` and never blocks for long.
 #[derive(Debug)]
 pub struct Board {
@@ -58,6 +62,8 @@ pub struct Board {
     pub readiness: Readiness,
     /// Counts the failures of the node's tasks.
     pub tasks: TaskFailures,
+    /// The certificates of its sessions.
+    pub(crate) certificates: Certificates,
     /// The target, which moves the thresholds while one is set.
     pub(crate) target: NodeTarget,
     shared: Shared,
@@ -96,6 +102,8 @@ pub(crate) struct BoardSetup {
     pub providers: Vec<ExecutionProvider>,
     /// The cameras, in the order of the configuration.
     pub cameras: Vec<CameraSetup>,
+    /// The certificates of its sessions.
+    pub certificates: Certificates,
     /// The target, which holds nothing yet.
     pub target: NodeTarget,
 }
@@ -115,6 +123,10 @@ impl Board {
         readiness.probe(readiness::DETECTOR, "", move || {
             readiness::of_detector(&status.lock())
         });
+        let certificates = setup.certificates.clone();
+        readiness.probe(readiness::CERTIFICATES, "", move || {
+            certificates.fault().map(Fault::degraded)
+        });
         let started_ms = unix_milliseconds();
         Arc::new(Self {
             node: setup.node,
@@ -124,6 +136,7 @@ impl Board {
             cameras,
             readiness,
             tasks: TaskFailures::default(),
+            certificates: setup.certificates,
             target: setup.target,
             shared,
             clips: Mutex::default(),

@@ -9,6 +9,7 @@
 //! | `outbox` | | reports are lost, or do not survive a power loss although a state directory is set |
 //! | `zenoh` | the local session is not open, or closed | another node has the same name |
 //! | `uplink` | | the session to the hub is not open, or no hub acknowledges the reports that are due |
+//! | `certificates` | | one ends within a week, has ended, is not valid yet, or cannot be read |
 //! | `disk` | | reports or settings in the state directory cannot be written, or were damaged |
 //! | `tasks` | a camera's loop has failed and does not run | a task failed and runs again, or a non-essential one does not run |
 
@@ -38,6 +39,8 @@ pub const ZENOH: &str = "zenoh";
 pub(crate) const ZENOH_SESSION: &str = "session";
 /// The Zenoh session to the hub.
 pub(crate) const UPLINK: &str = "uplink";
+/// The certificates of the sessions.
+pub(crate) const CERTIFICATES: &str = albireo_service::identity::PART;
 /// The state directory.
 pub(crate) const DISK: &str = "disk";
 /// The tasks; the subject is a task's name.
@@ -47,8 +50,17 @@ pub(crate) const TASKS: &str = albireo_service::supervise::PART;
 const FIRST_SAMPLE: Duration = Duration::from_secs(15);
 
 /// All parts, in the order of the metrics.
-pub(crate) const PARTS: [&str; 9] = [
-    DETECTOR, SCREEN, CAMERAS, POWER, OUTBOX, ZENOH, UPLINK, DISK, TASKS,
+pub(crate) const PARTS: [&str; 10] = [
+    DETECTOR,
+    SCREEN,
+    CAMERAS,
+    POWER,
+    OUTBOX,
+    ZENOH,
+    UPLINK,
+    CERTIFICATES,
+    DISK,
+    TASKS,
 ];
 
 /// The state for the service manager. A fault of the node itself (not an unreachable router) that has lasted for

@@ -1,7 +1,7 @@
 //! The `[zenoh]` section of the configuration.
 
 use super::Findings;
-use crate::session;
+use crate::{identity, session};
 use ::zenoh::config::EndPoint;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -78,6 +78,14 @@ impl ZenohConfig {
         ];
         session::set(&mut config, &settings)?;
         Ok(config)
+    }
+
+    /// The files of a kind, `certificate` or `private_key`, that the configuration file of Zenoh names. None if it cannot be
+    /// read, which the session reports.
+    pub fn tls_files(&self, kind: &str) -> Vec<(String, PathBuf)> {
+        let config = self.config_file.as_ref().map(::zenoh::Config::from_file);
+        let config = config.and_then(Result::ok);
+        config.map_or_else(Vec::new, |config| identity::tls_files(&config, kind))
     }
 
     /// Adds the errors in the section.

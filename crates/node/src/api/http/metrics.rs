@@ -23,6 +23,7 @@ pub(super) async fn text(State(shared): State<RouteState>) -> MetricsPage {
     let mut page = MetricsPage::default();
     let board = &shared.board;
     page.process();
+    page.certificates(&board.certificates);
     page.counter(
         "albireo_shown_pictures_decoded_total",
         "Pictures decoded for display",

@@ -5,7 +5,7 @@ use super::health::{Readiness, readiness};
 use crate::state::board::{ModelReading, Savings};
 use albireo_service::clock::seconds;
 use albireo_service::http::{Route, routes};
-use albireo_wire::OutboxStatus;
+use albireo_wire::{CertificateStatus, OutboxStatus};
 use axum::Json;
 use axum::extract::State;
 use serde::Serialize;
@@ -41,6 +41,8 @@ pub(super) struct NodeOverview {
     detector: Option<DetectorReading>,
     /// Reports that wait for a hub.
     outbox: OutboxStatus,
+    /// The certificates of its sessions, with their ends.
+    certificates: Vec<CertificateStatus>,
     /// The source of its figures of power: `rapl`, `estimate`, …; `none` without one.
     power_source: String,
     /// Savings since the start.
@@ -74,6 +76,7 @@ pub(super) async fn overview(State(shared): State<RouteState>) -> Json<NodeOverv
         readiness: readiness(board),
         detector: board.reading.get().map(detector),
         outbox: shared.outbox.counts().status,
+        certificates: board.certificates.status(),
         power_source: board.power().source,
         since_start,
         today,

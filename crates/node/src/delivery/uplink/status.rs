@@ -142,6 +142,7 @@ impl StatusSender {
             refused,
             target: target.status(),
             target_off: target.off,
+            certificates: board.certificates.status(),
         }
     }
 }
