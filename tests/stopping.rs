@@ -133,6 +133,32 @@ async fn a_closed_terminal_stops_a_node_as_sigterm_does_unless_it_was_started_wi
 
 #[rstest]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_flood_of_valid_thresholds_does_not_fill_the_log() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("log");
+    let file = std::fs::File::create(&log).unwrap();
+    let settings = "zenoh.mode = \"client\"\nzenoh.connect = [\"tcp/127.0.0.1:1\"]\n";
+    let (mut child, http) = start(albireo(), folder.path(), settings, file.into());
+    let url = format!("{http}/api/v1/threshold");
+    let answers = async || reqwest::get(&url).await.is_ok_and(|answer| answer.status() == 200);
+    until("the board is open", answers).await;
+    let (client, begun) = (reqwest::Client::new(), Instant::now());
+    for number in 1..=300 {
+        let put = client.put(&url).body(format!("{{\"u\": {number}e-6}}"));
+        assert_eq!(put.send().await.unwrap().status(), 200);
+    }
+    let seconds = begun.elapsed().as_secs() as usize;
+    stop(&mut child, "-TERM", Duration::from_secs(30)).await;
+    let written = std::fs::read_to_string(&log).unwrap();
+    let lines = written.lines().filter(|line| line.contains("threshold changed")).count();
+    assert!(
+        (1..=seconds + 1).contains(&lines),
+        "{lines} lines in {seconds} s"
+    );
+}
+
+#[rstest]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_probe_that_is_told_not_ready_writes_no_line() {
     let folder = tempfile::tempdir().unwrap();
     let log = folder.path().join("log");

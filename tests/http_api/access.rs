@@ -1,5 +1,5 @@
 use super::served::{Served, THRESHOLD, prepared, problem};
-use crate::support::{assert_contains, until};
+use crate::support::{assert_contains, until, value_of};
 use albireo_node::config::NodeConfig;
 use albireo_service::config::HttpConfig;
 use albireo_service::http;
@@ -59,6 +59,20 @@ async fn only_the_exact_token_opens_everything_besides_health_and_the_page() {
     ] {
         let found = status_with(&node, "authorization", value).await;
         assert_eq!(found, status, "{value}");
+    }
+    let metrics = node.request(Method::GET, "/metrics").bearer_auth(TOKEN);
+    let metrics = metrics.send().await.unwrap().text().await.unwrap();
+    // Other tests of this process count, too.
+    assert!(value_of(&metrics, "albireo_http_wrong_tokens_total") >= 7.0);
+}
+
+#[tokio::test]
+async fn browsers_may_not_guess_the_type_of_any_answer() {
+    let node = Served::start().await;
+    let paths = "/ /healthz /metrics /openapi.json /api/v1/threshold /api/v1/clips /nothing";
+    for path in paths.split(' ') {
+        let headers = node.get(path).await.headers().clone();
+        assert_eq!(headers["x-content-type-options"], "nosniff", "{path}");
     }
 }
 

@@ -1,10 +1,11 @@
 //! Connections that send or read nothing are closed, and never block other clients.
 
+use super::access::{TOKEN, with_token};
 use super::served::{Served, answered, frame};
-use crate::support::{Node, limit};
+use crate::support::{Node, limit, zenoh_session};
 use albireo_core::policy::FrameState;
 use albireo_service::config::HttpConfig;
-use reqwest::StatusCode;
+use reqwest::{Method, StatusCode};
 use rstest::rstest;
 use std::io::ErrorKind;
 use std::time::{Duration, Instant};
@@ -61,6 +62,30 @@ async fn at_the_connection_limit_the_oldest_connection_is_closed_for_a_new_one()
 
 #[rstest]
 #[tokio::test]
+async fn connections_without_a_valid_token_cut_off_nobody_who_has_one() {
+    let config = HttpConfig {
+        max_connections: 8,
+        ..with_token()
+    };
+    let node = Served::with(config).await;
+    let request = node.request(Method::GET, "/api/v1/events?types=frame");
+    let mut stream = request.bearer_auth(TOKEN).send().await.unwrap();
+    let mut strangers = Vec::new();
+    for number in 0..40 {
+        let mut stranger = TcpStream::connect(node.address).await.unwrap();
+        let request = ["", "GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n"][number % 2];
+        stranger.write_all(request.as_bytes()).await.unwrap();
+        strangers.push(stranger);
+    }
+    // The last of them is accepted before this request.
+    assert_eq!(node.get("/healthz").await.status(), StatusCode::OK);
+    answered(node.front(), frame(7, FrameState::P));
+    let chunk = stream.chunk().await.unwrap().expect("the stream is open");
+    assert!(chunk.starts_with(b"event: frame"), "{chunk:?}");
+}
+
+#[rstest]
+#[tokio::test]
 async fn an_event_stream_that_is_not_read_is_closed() {
     let node = served(300, 256).await;
     let socket = TcpSocket::new_v4().unwrap();
@@ -91,6 +116,30 @@ async fn an_event_stream_that_is_not_read_is_closed() {
         }
         node.get("/healthz").await;
     }
+}
+
+#[rstest]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn silent_connections_to_the_zenoh_port_keep_no_camera_out() {
+    let node = Node::start("[detector]\nmodel = \"tests/fixtures/models/colours.onnx\"\n").await;
+    let address = node.zenoh.trim_start_matches("tcp/").to_owned();
+    let mut silent = Vec::new();
+    for _ in 0..350 {
+        silent.push(TcpStream::connect(&address).await.unwrap());
+    }
+    // One attempt.
+    let settings = [
+        ("mode", "client".into()),
+        ("connect/endpoints", vec![node.zenoh.as_str()].into()),
+        ("connect/timeout_ms", 0.into()),
+    ];
+    let session = zenoh_session(&settings).await.expect("a session");
+    session.close().await.unwrap();
+    // None of them is kept for long.
+    let mut said = [0];
+    let ended = silent.last_mut().unwrap().read(&mut said).await;
+    assert!(ended.is_err() || ended.is_ok_and(|read| read == 0));
 }
 
 #[rstest]

@@ -8,9 +8,10 @@ mod page;
 mod problem;
 mod serve;
 
+pub(crate) use auth::wrong_tokens;
 pub use auth::{Caller, read_token};
 pub use caller::*;
 pub use index::{Route, routes};
 pub use page::with_page;
-pub use problem::{Problem, describe, response};
+pub use problem::{Problem, describe, response, within};
 pub use serve::run;

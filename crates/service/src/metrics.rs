@@ -1,5 +1,6 @@
 //! Writes metrics in the Prometheus text format (0.0.4).
 
+use crate::http::wrong_tokens;
 use crate::identity::Certificates;
 use crate::process;
 use axum::http::header::CONTENT_TYPE;
@@ -42,8 +43,14 @@ impl MetricsPage {
         self.family(name, "counter", help, samples);
     }
 
-    /// Adds the resource usage of the process, as far as it can be read, and the log lines that were dropped.
+    /// Adds the resource usage of the process, as far as it can be read, the log lines that were dropped, and the requests
+    /// with a wrong token.
     pub fn process(&mut self) {
+        self.counter(
+            "albireo_http_wrong_tokens_total",
+            "HTTP requests with a wrong token",
+            wrong_tokens() as f64,
+        );
         self.counter(
             "albireo_log_lines_dropped_total",
             "Log lines that were not written, because nobody read standard error fast enough",

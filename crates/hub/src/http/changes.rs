@@ -10,7 +10,7 @@ use crate::tuning::member::ChangeNode;
 use crate::tuning::plan::check_why;
 use crate::tuning::tuner::Drift;
 use albireo_service::clock::unix_milliseconds;
-use albireo_service::http::{Caller, Problem};
+use albireo_service::http::{Caller, Problem, within};
 use albireo_wire::{DesiredSetting, Target};
 use axum::Json;
 use axum::body::{Body, Bytes};
@@ -173,7 +173,7 @@ pub(super) struct WhichChanges {
     node: Option<String>,
     /// Only changes with a lower number.
     before: Option<i64>,
-    /// Maximum number; 50 by default.
+    /// Maximum number, up to 500; 50 by default.
     limit: Option<i64>,
 }
 
@@ -188,7 +188,7 @@ pub(super) async fn changes(
     State(hub): State<Hub>,
     Query(which): Query<WhichChanges>,
 ) -> Result<Json<Changes>, Problem> {
-    let limit = which.limit.unwrap_or(50).clamp(1, MOST);
+    let limit = within("limit", which.limit.unwrap_or(50), 1..=MOST)?;
     let before = which.before.unwrap_or(i64::MAX);
     let node = which.node.as_deref();
     let mut changes = hub.store()?.changes(before, node, limit + 1).await?;

@@ -4,7 +4,7 @@ use super::body::next;
 use crate::history::{ClipQuery, StoredClip, StoredSetAside};
 use crate::hub::Hub;
 use crate::store::StoreError;
-use albireo_service::http::Problem;
+use albireo_service::http::{Problem, within};
 use axum::body::Body;
 use axum::extract::{Query, State};
 use axum::http::StatusCode;
@@ -39,7 +39,7 @@ pub(super) async fn list(
     Query(wanted): Query<ClipQuery>,
 ) -> Result<Json<ClipPage>, Problem> {
     check(&wanted)?;
-    let limit = wanted.limit.unwrap_or(100).clamp(1, MOST);
+    let limit = within("limit", wanted.limit.unwrap_or(100), 1..=MOST)?;
     let mut clips = hub.store()?.clips(&wanted, limit + 1).await?;
     let next = next(&mut clips, limit, |clip| clip.id);
     Ok(Json(ClipPage { clips, next }))
@@ -66,7 +66,7 @@ pub(super) async fn csv(
     Query(wanted): Query<ClipQuery>,
 ) -> Result<Response, Problem> {
     check(&wanted)?;
-    let left = wanted.limit.unwrap_or(i64::MAX).max(1);
+    let left = within("limit", wanted.limit.unwrap_or(i64::MAX), 1..=i64::MAX)?;
     let begin = (hub.store()?.clone(), wanted, left);
     let pages = stream::try_unfold(begin, |(store, mut wanted, left)| async move {
         let clips = store.clips(&wanted, left.min(MOST)).await?;
@@ -133,7 +133,7 @@ pub(super) async fn set_aside(
     State(hub): State<Hub>,
     Query(selection): Query<AsideSelection>,
 ) -> Result<Json<AsidePage>, Problem> {
-    let limit = selection.limit.unwrap_or(20).clamp(1, 100);
+    let limit = within("limit", selection.limit.unwrap_or(20), 1..=100)?;
     let store = hub.store()?;
     let node = selection.node.as_deref();
     let mut reports = store.set_aside(node, selection.cursor, limit + 1).await?;

@@ -3,7 +3,7 @@
 use crate::history::{EnergyGroup, EnergyQuery, Resolution, audit_figures};
 use crate::hub::Hub;
 use albireo_service::clock::unix_milliseconds;
-use albireo_service::http::Problem;
+use albireo_service::http::{Problem, within};
 use albireo_wire::{AuditFigures, AuditReport};
 use axum::Json;
 use axum::extract::{Query, State};
@@ -56,7 +56,8 @@ pub(super) async fn sums(
     let down = |time: i64| time.div_euclid(span).saturating_mul(span);
     let since_s = down(asked[0].unwrap_or(now_s - 7 * DAY));
     let until_s = down(asked[1].unwrap_or(now_s + DAY).saturating_add(span - 1));
-    wanted.limit = Some(wanted.limit.unwrap_or(1000).clamp(1, 10_000));
+    let limit = within("limit", wanted.limit.unwrap_or(1000), 1..=10_000)?;
+    wanted.limit = Some(limit);
     let sums = hub.store()?.energy(&wanted, resolution, since_s..until_s);
     let groups = sums.await?;
     let mut audit = AuditReport::default();

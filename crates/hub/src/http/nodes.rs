@@ -7,7 +7,7 @@ use crate::ingest::ReportCounts;
 use crate::presence::{NodeView, PresenceState};
 use crate::tuning::selector::Selector;
 use albireo_service::clock::unix_milliseconds;
-use albireo_service::http::{Caller, Problem};
+use albireo_service::http::{Caller, Problem, within};
 use axum::Json;
 use axum::extract::{Extension, Path, Query, State};
 use axum::http::StatusCode;
@@ -59,7 +59,7 @@ pub(super) struct NodeSelection {
     /// The number of rows to skip.
     #[serde(default)]
     offset: usize,
-    /// Maximum number, up to 1000; 100 by default.
+    /// Maximum number, up to 1000; 100 by default; 0 for the counts alone.
     limit: Option<usize>,
 }
 
@@ -136,7 +136,7 @@ pub(super) async fn list(
     } else {
         found.sort_by_key(|(key, _)| *key)
     }
-    let limit = selection.limit.unwrap_or(100).min(MOST);
+    let limit = within("limit", selection.limit.unwrap_or(100), 0..=MOST)?;
     let nodes = found.iter().skip(selection.offset).take(limit);
     Ok(Json(NodeList {
         counts: hub.fleet.by_state(),

@@ -5,7 +5,7 @@ use crate::hub::Hub;
 use crate::tuning::plan::{RolloutPlan, TrialPlan};
 use crate::tuning::run::{Command, Kind, Run};
 use albireo_service::clock::unix_milliseconds;
-use albireo_service::http::{Caller, Problem};
+use albireo_service::http::{Caller, Problem, within};
 use axum::Json;
 use axum::body::Bytes;
 use axum::extract::{Extension, Path, Query, State};
@@ -23,7 +23,7 @@ const MOST: i64 = 200;
 pub(super) struct Which {
     /// Only those with a lower number.
     before: Option<i64>,
-    /// Maximum number; 20 by default.
+    /// Maximum number, up to 200; 20 by default.
     limit: Option<i64>,
 }
 
@@ -39,7 +39,7 @@ pub struct Runs {
 
 /// A page of runs.
 async fn page(hub: &Hub, kind: &str, which: &Which) -> Result<Json<Runs>, Problem> {
-    let limit = which.limit.unwrap_or(20).clamp(1, MOST);
+    let limit = within("limit", which.limit.unwrap_or(20), 1..=MOST)?;
     let before = which.before.unwrap_or(i64::MAX);
     let mut runs = hub.store()?.runs(kind, before, limit + 1).await?;
     let next = body::next(&mut runs, limit, |run| run.id);

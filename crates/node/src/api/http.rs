@@ -28,10 +28,10 @@ use albireo_wire::{
 use axum::http::StatusCode;
 use axum::routing::get;
 use axum::{Json, Router};
-use std::ops::RangeInclusive;
+use events::OpenStreams;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
-use tokio::sync::{Mutex, Semaphore};
+use tokio::sync::Mutex;
 use tokio_util::sync::CancellationToken;
 use utoipa::OpenApi as _;
 use utoipa::openapi::OpenApi;
@@ -52,8 +52,7 @@ struct RouteState {
     decoding: Arc<Mutex<()>>,
     /// The number of pictures decoded for display.
     decoded: Arc<AtomicU64>,
-    /// Permits for event streams.
-    streams: Arc<Semaphore>,
+    streams: Arc<OpenStreams>,
     shutdown: CancellationToken,
 }
 
@@ -73,16 +72,6 @@ impl RouteState {
             Problem::new(StatusCode::NOT_FOUND, detail).allowing(names)
         })
     }
-}
-
-/// Returns the `value` of the parameter `name` if it is in `range`.
-fn within(name: &str, value: usize, range: RangeInclusive<usize>) -> Result<usize, Problem> {
-    if range.contains(&value) {
-        return Ok(value);
-    }
-    let (first, last) = range.into_inner();
-    let detail = format!("`{name}` must be from {first} to {last}, not {value}");
-    Err(bad_request(detail))
 }
 
 fn bad_request(detail: String) -> Problem {
@@ -186,7 +175,7 @@ pub(crate) fn router(setup: RouterSetup, shutdown: CancellationToken) -> Router 
             config: Arc::new(setup.config),
             decoding: Arc::default(),
             decoded: Arc::default(),
-            streams: Arc::new(Semaphore::new(events::MOST_STREAMS)),
+            streams: Arc::default(),
             shutdown,
         })
 }

@@ -107,7 +107,7 @@ impl Settings {
         while let Some((key, put)) = self.orders.next(place) {
             if put.replaced > 0 {
                 let replaced = put.replaced;
-                tracing::info!(key, replaced, "the newest of several puts is applied");
+                tracing::debug!(key, replaced, "the newest of several puts is applied");
             }
             if let Err(reason) = self.apply(put.camera.as_ref(), &put.payload) {
                 self.orders.refused.log(|held_back| {

@@ -3,12 +3,13 @@
 #[cfg(test)]
 mod tests;
 
-use crate::state::board::{Board, Totals};
+use crate::state::board::{Board, CHANGES_PERIOD, Totals};
 use albireo_core::audit::AuditSums;
 use albireo_core::policy::{Policy, ThresholdSpec};
 use albireo_core::target::{
     Measured, Target, TargetController, TargetError, TargetState, ThresholdRange,
 };
+use albireo_service::rate_limit::RateLimit;
 use albireo_wire::{SettingSource, TargetReport, Threshold, VERSION};
 use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
@@ -50,6 +51,8 @@ pub(crate) struct NodeTarget {
     /// The threshold with which the controller begins without a kept one.
     first_threshold: Option<f64>,
     held: Mutex<Held>,
+    /// Log lines about orders.
+    changes: RateLimit,
 }
 
 impl NodeTarget {
@@ -71,6 +74,7 @@ impl NodeTarget {
                 last: None,
                 off: None,
             }),
+            changes: RateLimit::new(CHANGES_PERIOD),
         }
     }
 
@@ -113,10 +117,10 @@ impl NodeTarget {
             held.controller = controller;
         }
         held.source = source;
-        match target {
-            Some(target) => tracing::info!(%target, ?source, "target set"),
-            None => tracing::info!(?source, "target switched off"),
-        }
+        self.changes.log(|held_back| match target {
+            Some(target) => tracing::info!(%target, ?source, held_back, "target set"),
+            None => tracing::info!(?source, held_back, "target switched off"),
+        });
         Ok(())
     }
 
@@ -131,7 +135,10 @@ impl NodeTarget {
             SettingSource::Local | SettingSource::Configuration => "hand",
         };
         let off = format!("the threshold was set by {by}");
-        tracing::info!(target = %controller.target(), "target switched off: {off}");
+        let target = controller.target();
+        self.changes.log(|held_back| {
+            tracing::info!(%target, held_back, "target switched off: {off}");
+        });
         held.off = Some(off);
         held.last = None;
         held.source = source;

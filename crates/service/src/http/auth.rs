@@ -13,6 +13,7 @@ use parking_lot::RwLock;
 use std::net::{Ipv4Addr, Ipv6Addr};
 use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 use subtle::ConstantTimeEq;
 use tokio::net::TcpListener;
@@ -59,6 +60,28 @@ pub(super) const ANONYMOUS: &str = "anonymous";
 const LOOK_EVERY: Duration = Duration::from_secs(1);
 
 static WRONG_TOKEN: RateLimit = RateLimit::new(Duration::from_secs(10));
+
+/// Requests with a wrong token since the start.
+static WRONG_TOKENS: AtomicU64 = AtomicU64::new(0);
+
+/// The requests with a wrong token since the start, as `GET /metrics` shows them.
+pub(crate) fn wrong_tokens() -> u64 {
+    WRONG_TOKENS.load(Ordering::Relaxed)
+}
+
+/// Whether a request of a connection was admitted. Where tokens are set, only one with a valid token counts. Clones share it.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Admitted(Arc<AtomicBool>);
+
+impl Admitted {
+    pub(super) fn is_set(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+
+    fn set(&self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
 
 enum Rule {
     /// Requests must carry one of the tokens.
@@ -158,6 +181,7 @@ impl Guard {
                     return refused(StatusCode::FORBIDDEN, &detail);
                 }
                 if headers.contains_key(AUTHORIZATION) {
+                    WRONG_TOKENS.fetch_add(1, Ordering::Relaxed);
                     WRONG_TOKEN.log(|held_back| {
                         tracing::warn!(held_back, "a request with a wrong token was rejected");
                     });
@@ -290,6 +314,12 @@ pub(super) async fn guard(
 ) -> Response {
     match guard.admit(&request) {
         Ok(caller) => {
+            // Without a token, a path that is open to all proves nothing.
+            if (caller.role == Role::Tune || &*caller.name != ANONYMOUS)
+                && let Some(admitted) = request.extensions().get::<Admitted>()
+            {
+                admitted.set();
+            }
             request.extensions_mut().insert(caller);
             next.run(request).await
         }

@@ -6,7 +6,7 @@ use axum::Router;
 use axum::extract::Path;
 use axum::http::header::{
     ACCEPT_ENCODING, CACHE_CONTROL, CONTENT_ENCODING, CONTENT_SECURITY_POLICY, CONTENT_TYPE,
-    REFERRER_POLICY, VARY, X_CONTENT_TYPE_OPTIONS,
+    REFERRER_POLICY, VARY,
 };
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
@@ -70,7 +70,6 @@ fn file(name: &str, headers: &HeaderMap, caching: &'static str) -> Option<Respon
         (CONTENT_TYPE, media_type(name)?),
         (CACHE_CONTROL, caching),
         (VARY, "accept-encoding"),
-        (X_CONTENT_TYPE_OPTIONS, "nosniff"),
     ];
     let packed = takes_gzip(headers).then(|| Built::get(&format!("{name}.gz"))).flatten();
     Some(match packed {

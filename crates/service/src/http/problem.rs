@@ -9,6 +9,8 @@ use axum::http::header::{ALLOW, CONTENT_LENGTH, CONTENT_TYPE};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
+use std::fmt::Display;
+use std::ops::RangeInclusive;
 use std::time::Duration;
 use utoipa::ToSchema;
 use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityScheme};
@@ -86,6 +88,23 @@ pub fn describe(openapi: &mut OpenApi) {
             }
         }
     }
+}
+
+/// The value of the parameter `name` of a query, if it is in the range.
+///
+/// # Errors
+/// What it must be.
+pub fn within<T: Copy + Display + PartialOrd>(
+    name: &str,
+    value: T,
+    range: RangeInclusive<T>,
+) -> Result<T, Problem> {
+    if range.contains(&value) {
+        return Ok(value);
+    }
+    let (first, last) = range.into_inner();
+    let detail = format!("`{name}` must be from {first} to {last}, not {value}");
+    Err(Problem::new(StatusCode::BAD_REQUEST, detail))
 }
 
 /// Returns a response with a problem document as its body; `body` is a [`Problem`] or one with more members.

@@ -1,15 +1,16 @@
 //! Adds the common layers to a router and serves it.
 
-use super::auth::{Guard, guard};
+use super::auth::{Admitted, Guard, guard};
 use super::problem;
 use crate::ServiceError;
 use crate::config::{HttpConfig, NamedToken};
 use axum::Router;
 use axum::body::Body;
 use axum::extract::{DefaultBodyLimit, Request};
-use axum::http::header::{AUTHORIZATION, CONTENT_TYPE};
+use axum::http::header::{AUTHORIZATION, CONTENT_TYPE, X_CONTENT_TYPE_OPTIONS};
 use axum::http::{HeaderValue, Method, StatusCode};
-use axum::middleware::from_fn_with_state;
+use axum::middleware::{from_fn_with_state, map_response};
+use axum::response::Response;
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper_util::rt::{TokioIo, TokioTimer};
@@ -38,7 +39,8 @@ const NO_DESCRIPTORS: Duration = Duration::from_millis(100);
 /// `methods`.
 ///
 /// A connection that sends nothing, or does not read, for [`HttpConfig::idle_timeout_ms`] is closed. There are at most
-/// [`HttpConfig::max_connections`]; at the limit, the oldest is closed for a new one. Changes in the file of one of the
+/// [`HttpConfig::max_connections`]; at the limit, one is closed for a new one: the oldest of those without an admitted
+/// request, or else the oldest. Changes in the file of one of the
 /// `tokens`, or of the configuration's token, apply within a second or two.
 ///
 /// # Errors
@@ -58,7 +60,7 @@ pub async fn run(
     let router = layered(config, methods, router, allowed);
     let idle = Duration::from_millis(config.idle_timeout_ms);
     let mut serving = JoinSet::new();
-    let mut oldest_first: VecDeque<AbortHandle> = VecDeque::new();
+    let mut open = Connections::default();
     loop {
         let accepted = tokio::select! {
             biased;
@@ -68,16 +70,16 @@ pub async fn run(
         };
         match accepted {
             Ok((stream, _)) => {
-                oldest_first.retain(|open| !open.is_finished());
-                // Clients that only hold connections cannot keep others out, and a page whose event stream is cut
-                // reopens it.
-                if oldest_first.len() >= config.max_connections
-                    && let Some(oldest) = oldest_first.pop_front()
-                {
-                    oldest.abort();
-                }
-                let connection = serve(stream, idle, router.clone(), shutdown.clone());
-                oldest_first.push_back(serving.spawn(connection));
+                open.make_room(config.max_connections);
+                let admitted = Admitted::default();
+                let connection = serve(
+                    stream,
+                    idle,
+                    router.clone(),
+                    admitted.clone(),
+                    shutdown.clone(),
+                );
+                open.add(serving.spawn(connection), admitted);
             }
             // The peer closed before the accept, or no file descriptors are left.
             Err(error) => {
@@ -95,8 +97,38 @@ pub async fn run(
     Ok(())
 }
 
+/// The open connections, the oldest first.
+#[derive(Default)]
+struct Connections(VecDeque<(AbortHandle, Admitted)>);
+
+impl Connections {
+    fn add(&mut self, task: AbortHandle, admitted: Admitted) {
+        self.0.push_back((task, admitted));
+    }
+
+    /// Closes a connection if there are `most`, so that clients that only hold connections cannot keep others out. One
+    /// without an admitted request goes first: whoever has no token cuts off nobody who has one. A page whose event stream
+    /// is cut reopens it.
+    fn make_room(&mut self, most: usize) {
+        self.0.retain(|(task, _)| !task.is_finished());
+        if self.0.len() < most {
+            return;
+        }
+        let unproven = self.0.iter().position(|(_, admitted)| !admitted.is_set());
+        if let Some((task, _)) = self.0.remove(unproven.unwrap_or(0)) {
+            task.abort();
+        }
+    }
+}
+
 /// Serves a connection until it ends or is idle for too long, or until its request in progress ends after `shutdown`.
-async fn serve(stream: TcpStream, idle: Duration, router: Router, shutdown: CancellationToken) {
+async fn serve(
+    stream: TcpStream,
+    idle: Duration,
+    router: Router,
+    admitted: Admitted,
+    shutdown: CancellationToken,
+) {
     // Events are short and should not wait for more data.
     let _ = stream.set_nodelay(true);
     // The system closes a connection whose peer no longer reads.
@@ -105,7 +137,9 @@ async fn serve(stream: TcpStream, idle: Duration, router: Router, shutdown: Canc
         tracing::debug!(%error, "an HTTP connection has no write limit");
     }
     let service = service_fn(move |request: Request<hyper::body::Incoming>| {
-        router.clone().call(request.map(Body::new))
+        let mut request = request.map(Body::new);
+        request.extensions_mut().insert(admitted.clone());
+        router.clone().call(request)
     });
     let connection = http1::Builder::new()
         .timer(TokioTimer::new())
@@ -158,7 +192,14 @@ fn layered(config: &HttpConfig, methods: &[Method], router: Router, allowed: Gua
             tracing::info_span!("http", %method, path)
         })
         .on_failure(log_failure);
-    router.layer(trace)
+    router.layer(trace).layer(map_response(believe_the_type))
+}
+
+/// Tells browsers to take an answer for what its content type says, whatever its bytes look like.
+async fn believe_the_type(mut response: Response) -> Response {
+    let value = HeaderValue::from_static("nosniff");
+    response.headers_mut().insert(X_CONTENT_TYPE_OPTIONS, value);
+    response
 }
 
 /// Logs a failed answer, unless it only says that the service is not ready: whoever may send requests could otherwise fill

@@ -1,8 +1,8 @@
 //! The route that lists recent clip reports.
 
-use super::{RouteState, within};
+use super::RouteState;
 use crate::state::board::RECENT_CLIPS;
-use albireo_service::http::Problem;
+use albireo_service::http::{Problem, within};
 use albireo_wire::ClipReport;
 use axum::Json;
 use axum::extract::{Query, State};

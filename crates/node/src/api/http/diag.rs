@@ -1,9 +1,9 @@
 //! The routes for diagnosis: the last log lines, and all of a node's diagnostics in one archive.
 
-use super::{RouteState, cameras, metrics, node, states, within};
+use super::{RouteState, cameras, metrics, node, states};
 use albireo_service::archive;
 use albireo_service::clock::unix_milliseconds;
-use albireo_service::http::Problem;
+use albireo_service::http::{Problem, within};
 use albireo_service::logging::{self, LogLine};
 use axum::Json;
 use axum::extract::{Query, State};

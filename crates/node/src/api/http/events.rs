@@ -5,23 +5,45 @@ use crate::state::board::News;
 use albireo_service::clock::unix_nanoseconds;
 use albireo_service::http::Problem;
 use axum::extract::{Query, State};
-use axum::http::StatusCode;
 use axum::response::sse::{self, KeepAlive, Sse};
 use futures_util::Stream;
 use futures_util::stream::{self, StreamExt};
+use parking_lot::Mutex;
 use serde::Deserialize;
 use serde_json::json;
+use std::collections::VecDeque;
 use std::convert::Infallible;
-use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::broadcast::error::RecvError;
+use tokio_util::sync::CancellationToken;
 use utoipa::IntoParams;
 
 /// The maximum number of concurrent event streams: each holds a connection.
-pub(super) const MOST_STREAMS: usize = 64;
+const MOST_STREAMS: usize = 64;
 
 /// The name of the only event that is not a [`News`].
 const LAGGED: &str = "lagged";
+
+/// The open event streams, the oldest first.
+#[derive(Default)]
+pub(super) struct OpenStreams(Mutex<VecDeque<CancellationToken>>);
+
+impl OpenStreams {
+    /// Adds a stream, and ends the oldest if there are too many: readers that only hold streams keep nobody out, and a page
+    /// opens its stream again. The token ends the stream; cancel it when the stream is closed.
+    fn add(&self, shutdown: &CancellationToken) -> CancellationToken {
+        let mut open = self.0.lock();
+        open.retain(|stream| !stream.is_cancelled());
+        if open.len() >= MOST_STREAMS
+            && let Some(oldest) = open.pop_front()
+        {
+            oldest.cancel();
+        }
+        let stream = shutdown.child_token();
+        open.push_back(stream.clone());
+        stream
+    }
+}
 
 /// The selection of events.
 #[derive(Deserialize, IntoParams)]
@@ -65,7 +87,7 @@ impl EventSelection {
 /// The node's events, as server-sent events
 ///
 /// First the present state (counters, thresholds, detector), then each change. A reader that is too slow
-/// loses events; the event `lagged` reports how many. 503 while 64 streams are open.
+/// loses events; the event `lagged` reports how many. With 64 streams open, the oldest ends for a new one.
 /// `curl -N 'http://127.0.0.1:8080/api/v1/events?types=counters,clip'`
 #[utoipa::path(
     get, operation_id = "stream_events", path = "/api/v1/events", tag = "events", params(EventSelection),
@@ -79,11 +101,8 @@ pub(super) async fn stream(
     Query(selection): Query<EventSelection>,
 ) -> Result<Sse<impl Stream<Item = Result<sse::Event, Infallible>>>, Problem> {
     selection.check(&shared)?;
-    let place = Arc::clone(&shared.streams).try_acquire_owned().map_err(|_| {
-        let detail =
-            format!("all {MOST_STREAMS} event streams are in use; close one and try again");
-        Problem::new(StatusCode::SERVICE_UNAVAILABLE, detail)
-    })?;
+    let ended = shared.streams.add(&shared.shutdown);
+    let place = ended.clone().drop_guard();
     // Subscribes before the present state is read, so that no change is missed in between.
     let changes = stream::unfold(shared.board.subscribe(), |mut events| async move {
         let next = match events.recv().await {
@@ -96,7 +115,7 @@ pub(super) async fn stream(
     let current = shared.board.current(unix_nanoseconds());
     let all = stream::iter(current).map(Ok).chain(changes);
     let events = all.filter_map(move |event| {
-        // Released when the stream ends.
+        // Given up when the stream is dropped.
         let _place = &place;
         let sent = sse::Event::default();
         std::future::ready(match event {
@@ -105,6 +124,6 @@ pub(super) async fn stream(
             Err(lost) => Some(sent.event(LAGGED).data(json!({ "lost": lost }).to_string())),
         })
     });
-    let events = events.map(Ok).take_until(shared.shutdown.cancelled_owned());
+    let events = events.map(Ok).take_until(ended.cancelled_owned());
     Ok(Sse::new(events).keep_alive(KeepAlive::new().interval(Duration::from_secs(15))))
 }

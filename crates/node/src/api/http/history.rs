@@ -1,11 +1,11 @@
 //! Returns the recent past of a node, for a page that was just opened.
 
-use super::{RouteState, bad_request, within};
+use super::{RouteState, bad_request};
 use crate::state::board::{
     CameraPiece, Clock, FRAMES, PastFrame, PowerPiece, SLOT_S, SkipEstimate,
 };
 use albireo_core::policy::{CallCause, FrameState};
-use albireo_service::http::Problem;
+use albireo_service::http::{Problem, within};
 use albireo_wire::Threshold;
 use axum::Json;
 use axum::extract::{Path, Query, State};

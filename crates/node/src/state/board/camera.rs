@@ -1,5 +1,6 @@
 //! One camera's part of the live board.
 
+use super::CHANGES_PERIOD;
 use super::event::{Event, FrameEvent, News};
 use super::flow::Flow;
 use super::history::{CameraPiece, Clock, History, PastFrame, SkipEstimate};
@@ -11,6 +12,7 @@ use albireo_core::audit::AuditSums;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{BoxSource, Policy, Profile, ThresholdSpec, short};
 use albireo_service::metrics::LatencyHistogram;
+use albireo_service::rate_limit::RateLimit;
 use albireo_wire::{
     AuditReport, BoxMessage, CameraKeys, DetectionsMessage, DetectorCalls, DroppedFrames,
     FrameStates, SettingSource,
@@ -199,6 +201,8 @@ pub struct CameraBoard {
     pub input: Arc<InputCounter>,
     /// Counts the messages about it that were not published.
     pub(crate) unpublished: Unpublished,
+    /// Log lines about its threshold.
+    pub(super) changes: RateLimit,
     counts: Mutex<Counts>,
     history: Mutex<History>,
 }
@@ -226,6 +230,7 @@ impl CameraBoard {
             set_by: Mutex::new(SettingSource::Configuration),
             input: Arc::default(),
             unpublished: Unpublished::default(),
+            changes: RateLimit::new(CHANGES_PERIOD),
             counts: Mutex::new(counts),
             history: Mutex::default(),
         }

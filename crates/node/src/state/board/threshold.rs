@@ -34,7 +34,17 @@ impl CameraBoard {
     pub(crate) fn set_threshold(&self, spec: &ThresholdSpec, value: f64, source: SettingSource) {
         *self.set_by.lock() = source;
         let before = self.turn(spec, value);
-        tracing::info!(camera = %self.name, name = spec.name, ?before, now = value, "threshold changed");
+        let (camera, name) = (self.name(), spec.name);
+        self.changes.log(|held_back| {
+            tracing::info!(
+                camera,
+                name,
+                ?before,
+                now = value,
+                held_back,
+                "threshold changed"
+            );
+        });
     }
 
     /// The source of the threshold in force.
