@@ -55,6 +55,10 @@ fn the_node_does_not_start_with_what_check_rejects(
 
 #[rstest]
 #[case("ALBIREO_NODE__NAME", "car-7", "node `car-7`")]
+#[case("ALBIREO_NODE__NAME", "4711", "node `4711`")]
+#[case("ALBIREO_POLICY__U", "5e-4", "1 camera\n")]
+#[case("ALBIREO_DETECTOR__PROVIDERS", "cuda,cpu", "1 camera\n")]
+#[case("ALBIREO_HTTP__TOKEN", "1234567890123456", "1 camera\n")]
 #[case("ALBIREO_CAMERA", r#"[{name="a"},{name="b"}]"#, "2 cameras")]
 #[case::an_unrelated_variable_is_ignored("ALBIREO_SHARED", "/somewhere", "1 camera\n")]
 fn environment_variables_override_the_shipped_configuration(
