@@ -35,6 +35,9 @@ use tokio::sync::{mpsc, watch};
 use tokio::time::{Instant, sleep_until};
 use tokio_util::sync::CancellationToken;
 
+/// After broken pictures for this long, where objects are is not known any more: nothing is reported until a whole one.
+const LONGEST_BLIND: Duration = Duration::from_secs(2);
+
 /// The parts of a camera that survive a restart of its loop.
 pub(crate) struct CameraParts {
     /// Shows the camera in HTTP and metrics.
@@ -97,6 +100,8 @@ pub(crate) struct Camera {
     newest: Option<(u64, u64)>,
     /// The index of the policy's first frame, from which it counts.
     first_index: Option<u64>,
+    /// The arrival of the first of the broken frames in a row up to now.
+    broken_since: Option<Instant>,
     /// The camera's name for the clip of the previous frame.
     clip: Option<Arc<str>>,
     outcome: Outcome,
@@ -145,6 +150,7 @@ impl Camera {
             threshold,
             newest: None,
             first_index: None,
+            broken_since: None,
             clip: None,
             outcome: Outcome::default(),
         }
@@ -268,7 +274,14 @@ impl Camera {
         let before = self.newest.replace((incoming.index, incoming.epoch));
         let restarted = before.is_some_and(|(_, epoch)| epoch != incoming.epoch);
         let new_clip = frame.clip.is_some() && frame.clip != self.clip;
-        if restarted || (new_clip && self.parts.reset_at_clip && self.clip.is_some()) {
+        let blind = incoming.broken && {
+            let since = *self.broken_since.get_or_insert(frame.received);
+            frame.received.saturating_duration_since(since) > LONGEST_BLIND
+        };
+        if !incoming.broken {
+            self.broken_since = None;
+        }
+        if restarted || blind || (new_clip && self.parts.reset_at_clip && self.clip.is_some()) {
             if let Some(given_up) = self.decider.give_up(&mut self.outcome) {
                 self.conclude(&given_up);
             }

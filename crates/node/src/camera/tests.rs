@@ -145,6 +145,11 @@ impl Bench {
 }
 
 fn put(receiver: &FrameReceiver, index: u64, epoch: u64, received: Instant) {
+    let pushed = receiver.ring.push(sequenced(index, epoch, received), 0);
+    assert!(matches!(pushed, Pushed::Queued));
+}
+
+fn sequenced(index: u64, epoch: u64, received: Instant) -> SequencedFrame {
     let frame = Frame {
         sequence: index,
         time_ns: 0,
@@ -152,15 +157,13 @@ fn put(receiver: &FrameReceiver, index: u64, epoch: u64, received: Instant) {
         picture: picture(index),
         received,
     };
-    let frame = SequencedFrame {
+    SequencedFrame {
         frame,
         index,
         epoch,
         broken: false,
         query: None,
-    };
-    let pushed = receiver.ring.push(frame, 0);
-    assert!(matches!(pushed, Pushed::Queued));
+    }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -229,6 +232,40 @@ async fn drive(policy: &str, share: f64) -> (Vec<DetectionsMessage>, Option<Audi
     let counted = board.snapshot().audit;
     assert_eq!(audit.as_ref().map(counts), counted.as_ref().map(counts));
     (published, audit)
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn the_detector_does_not_see_broken_pictures_and_they_are_answered_by_prediction() {
+    // Asks the detector for every frame.
+    let bench = Bench::new("vanilla", 0.0).await;
+    for index in 0..9 {
+        let broken = (3..6).contains(&index);
+        bench.receiver.take_picture(Ok(picture(index)), index == 0, broken);
+    }
+    let (board, _) = bench.play().await;
+    let shown = board.camera("front").unwrap().snapshot();
+    assert_eq!((shown.states.p, shown.states.i), (3, 6), "{shown:?}");
+    assert_eq!(shown.degraded_frames, 3);
+    assert_eq!(shown.skip_rate(), 0.0, "a broken frame saves nothing");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn objects_are_forgotten_once_pictures_have_been_broken_for_seconds() {
+    for (blind_s, is_reported) in [(1, true), (3, false)] {
+        let bench = Bench::new("albireo:1e-3", 0.0).await;
+        let begun = Instant::now();
+        for (index, seconds) in [(0, 0), (1, 0), (2, 0), (3, blind_s)] {
+            let mut frame = sequenced(index, 0, begun + Duration::from_secs(seconds));
+            frame.broken = index > 1;
+            bench.receiver.ring.push(frame, 0);
+        }
+        let (board, _) = bench.play().await;
+        let latest = board.camera("front").unwrap().snapshot().latest.unwrap();
+        assert_eq!(latest.seq, 3);
+        assert_eq!(!latest.boxes.is_empty(), is_reported, "after {blind_s} s");
+    }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
