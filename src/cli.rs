@@ -24,6 +24,8 @@ pub mod frames;
 mod hub;
 mod man;
 mod node;
+#[cfg(feature = "eval")]
+mod play;
 mod power;
 mod progress;
 mod publish;

@@ -1,8 +1,6 @@
 //! `albireo compare`: plays the same clip to a live node under several policies, and compares them.
 
-mod clip;
-mod play;
-
+use super::play::{Played, Player, choose_meter, clip};
 use super::progress;
 use super::values::{above_zero, not_negative, parse_rate};
 use albireo_eval::compare::{
@@ -12,13 +10,10 @@ use albireo_eval::compare::{
 use albireo_eval::footage::{FrameSource, SourceName, VideoEncoding};
 use albireo_eval::spec::{BASELINE, PolicySpec};
 use albireo_node::config::NodeConfig;
-use albireo_power::PowerConfig;
 use albireo_service::{logging, signals};
 use albireo_vision::detector::HeadSetting;
-use albireo_wire::EnergyQuality;
 use anyhow::{Context, bail, ensure};
 use indicatif::HumanDuration;
-use play::{Played, Player};
 use std::path::PathBuf;
 use std::time::Duration;
 use tokio_util::sync::CancellationToken;
@@ -26,9 +21,6 @@ use tokio_util::sync::CancellationToken;
 /// Headings of the help.
 const PLAYING: &str = "How it is played";
 const NODE: &str = "The node";
-
-/// The longest time for the node to load its model, and for the camera to find the node.
-const PATIENCE: Duration = Duration::from_secs(120);
 
 /// Arguments of `albireo compare`.
 #[derive(Debug, clap::Args)]
@@ -186,21 +178,6 @@ fn prepare(arguments: &Arguments) -> anyhow::Result<(NodeConfig, Vec<PolicySpec>
     }
     let variants = variants(&arguments.policy, &arguments.u, &config.policy)?;
     Ok((config, variants))
-}
-
-/// Selects the power meter, so that every run uses the same one and unusable meters are reported once. Returns its name.
-async fn choose_meter(config: &mut PowerConfig) -> anyhow::Result<String> {
-    let wanted = config.clone();
-    let opened = tokio::task::spawn_blocking(move || {
-        albireo_power::open(&wanted).map(|(source, meter)| (source, meter.quality()))
-    });
-    let (source, quality) = opened.await.context("the power meter")??;
-    config.source = source;
-    Ok(match quality {
-        EnergyQuality::Measured => format!("{} (measured)", source.as_str()),
-        EnergyQuality::Estimated => "no meter, estimated".to_owned(),
-        _ => "no meter".to_owned(),
-    })
 }
 
 /// Plays every scheduled run; after a signal, returns only the complete rounds.

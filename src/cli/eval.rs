@@ -1,6 +1,8 @@
 //! `albireo eval`: compares accuracy, skip rate, time and energy of policies on recordings.
 
 mod advise;
+mod board;
+mod join;
 mod settings;
 mod video;
 
@@ -75,6 +77,10 @@ enum What {
     /// Run a real detector once over videos or pictures, then every policy on its detections.
     #[command(alias = "pictures")]
     Video(video::VideoArguments),
+    /// Measure policies on this machine, clip by clip: accuracy against ground truth, time and energy by its own meter.
+    Board(Box<board::BoardArguments>),
+    /// Join what `albireo eval board` measured, here or elsewhere, into the paper's tables and figures.
+    Join(join::JoinArguments),
     /// Propose a value of a policy's threshold for a target, from a recording with your own detector.
     Advise(advise::AdviseArguments),
 }
@@ -162,6 +168,8 @@ pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
             run,
         } => compare(coco::read(dataset, Some(detections))?, dataset, run),
         What::Video(arguments) => video::run(arguments),
+        What::Board(arguments) => super::block_on(board::run(arguments)),
+        What::Join(arguments) => join::run(arguments),
         What::Advise(arguments) => advise::run(arguments),
     }
 }

@@ -7,11 +7,13 @@
 //!
 //! ```text
 //! error, statistics, text, boxes | files, footage, judge | data, result | energy_model
-//! settings | spec | pictures, replay, summary | run | report, advise, compare
+//! settings | spec | chart | pictures, replay, summary | run | board, report, advise, compare
 //! ```
 
 pub mod advise;
+pub mod board;
 pub mod boxes;
+mod chart;
 pub mod compare;
 pub mod data;
 pub mod energy_model;

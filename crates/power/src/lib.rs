@@ -54,6 +54,7 @@ pub use choose::open;
 pub use config::{PowerConfig, PowerSource};
 pub use energy::account::Measured;
 pub use error::MeterError;
+pub use machine::board_state;
 pub use measurement::{CameraEnergy, Measurement};
 pub use rails::{RailMap, RailTable, RailWatts};
 pub use reading::{Domain, PerDomain, Rail, Reading, Value, Values};

@@ -39,6 +39,11 @@ pub(crate) struct Machine {
     profile: PathBuf,
 }
 
+/// Reads the condition of this machine now, such as its power mode; what it does not report is absent.
+pub fn board_state(config: &PowerConfig) -> BoardState {
+    Machine::new(config).read()
+}
+
 impl Machine {
     /// Finds the files.
     pub(crate) fn new(config: &PowerConfig) -> Self {

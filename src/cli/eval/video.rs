@@ -155,30 +155,38 @@ fn with_screen(video: &VideoArguments) -> anyhow::Result<RunArguments> {
     Ok(arguments)
 }
 
-/// Reads the ground truth that was named, or the one that belongs to the clips if it belongs to all of them.
+/// Reads the ground truth that was named, or the one that belongs to the clips, for a model with `classes`.
 fn ground_truth(
     video: &VideoArguments,
     rules: Rules,
     classes: &[String],
 ) -> anyhow::Result<Option<GroundTruth>> {
-    let (paths, format) = match video.truth_format {
-        Some(format) => (video.ground_truth.clone(), format),
-        // It tells of every frame, so it cannot judge a clip of which frames were left out.
-        None if video.run.fps.is_some() => return Ok(None),
-        None => {
-            let own: Option<BTreeSet<PathBuf>> =
-                video.clips.iter().map(|clip| clip.truth().map(PathBuf::from)).collect();
-            let Some(own) = own else { return Ok(None) };
-            (own.into_iter().collect(), TruthFormat::Bdd100k)
-        }
-    };
-    Ok(Some(GroundTruth::for_model(
-        &paths, format, rules, classes,
-    )?))
+    // The demonstration's own tells of every frame, so it cannot judge a clip of which frames were left out.
+    if video.truth_format.is_none() && video.run.fps.is_some() {
+        return Ok(None);
+    }
+    let places = truth_places(&video.clips, &video.ground_truth, video.truth_format);
+    let read =
+        |(paths, format): (Vec<PathBuf>, _)| GroundTruth::for_model(&paths, format, rules, classes);
+    Ok(places.map(read).transpose()?)
+}
+
+/// The files of the ground truth that was named, or of the one that belongs to the clips if it belongs to all of them.
+pub(super) fn truth_places(
+    clips: &[SourceName],
+    named: &[PathBuf],
+    format: Option<TruthFormat>,
+) -> Option<(Vec<PathBuf>, TruthFormat)> {
+    if let Some(format) = format {
+        return Some((named.to_vec(), format));
+    }
+    let own: Option<BTreeSet<PathBuf>> =
+        clips.iter().map(|clip| clip.truth().map(PathBuf::from)).collect();
+    Some((own?.into_iter().collect(), TruthFormat::Bdd100k))
 }
 
 /// The names of all clips; results, truth and files are told apart by them.
-fn clip_names(clips: &[SourceName]) -> anyhow::Result<Vec<String>> {
+pub(super) fn clip_names(clips: &[SourceName]) -> anyhow::Result<Vec<String>> {
     let mut names: Vec<String> = Vec::new();
     for clip in clips {
         names.extend(clip.clip_names()?);

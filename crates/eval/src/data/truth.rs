@@ -159,6 +159,11 @@ impl GroundTruth {
         )))
     }
 
+    /// True if it has the clip `name`; `alone` as for [`attach_to`](Self::attach_to).
+    pub fn has(&self, name: &str, alone: bool) -> bool {
+        self.name_of(name, alone).is_some()
+    }
+
     /// The frames per second of the clip `name`, if the ground truth knows them; `alone` as for
     /// [`attach_to`](Self::attach_to).
     pub fn rate(&self, name: &str, alone: bool) -> Option<f64> {

@@ -89,6 +89,38 @@ impl SourceName {
         }
     }
 
+    /// Returns the folders of pictures in a folder that has no picture itself, such as that of a whole data set; `None` for
+    /// any other source. A MOTChallenge sequence has its pictures in `img1`.
+    ///
+    /// # Errors
+    /// When the folder cannot be read.
+    fn folders_of_clips(&self) -> Result<Option<Vec<PathBuf>>, EvalError> {
+        let Self::Pictures(path) = self else {
+            return Ok(None);
+        };
+        let of = |folder: &Path| -> Result<Vec<PathBuf>, EvalError> {
+            let entries = std::fs::read_dir(folder)
+                .map_err(|error| EvalError::read(folder, error, "name a folder of pictures"))?;
+            let mut paths: Vec<PathBuf> =
+                entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
+            paths.sort();
+            Ok(paths)
+        };
+        let has_pictures = |paths: &[PathBuf]| paths.iter().any(|path| is_picture_file(path));
+        if !path.is_dir() || has_pictures(&of(path)?) {
+            return Ok(None);
+        }
+        let mut folders = Vec::new();
+        for folder in of(path)?.into_iter().filter(|inside| inside.is_dir()) {
+            let inside = folder.join("img1");
+            let pictures = if inside.is_dir() { inside } else { folder };
+            if has_pictures(&of(&pictures)?) {
+                folders.push(pictures);
+            }
+        }
+        Ok((!folders.is_empty()).then_some(folders))
+    }
+
     /// Returns the path if it exists, or if it is an address, which [`Video::open`] refuses.
     fn existing(&self) -> Result<&Path, EvalError> {
         let path = self.path();
@@ -108,6 +140,13 @@ impl SourceName {
         rate: Option<f64>,
         encoding: VideoEncoding,
     ) -> Result<Vec<Box<dyn FrameSource>>, EvalError> {
+        if let Some(folders) = self.folders_of_clips()? {
+            let open = |folder: &PathBuf| {
+                let clip = Pictures::of_folder(folder, self.pictures_rate(rate))?;
+                Ok(Box::new(clip) as Box<dyn FrameSource>)
+            };
+            return folders.iter().map(open).collect();
+        }
         if !matches!(self, Self::Archive(_) | Self::Demo) {
             return Ok(vec![self.open(rate, encoding)?]);
         }
@@ -122,6 +161,9 @@ impl SourceName {
     /// When it does not exist or is an archive that cannot be read.
     pub fn clip_names(&self) -> Result<Vec<String>, EvalError> {
         let path = self.existing()?;
+        if let Some(folders) = self.folders_of_clips()? {
+            return Ok(folders.iter().map(|folder| clip_name(folder)).collect());
+        }
         match self {
             Self::Archive(_) | Self::Demo => {
                 let clips = Pictures::of_archive(path, Pictures::DEFAULT_RATE)?.into_clips();
@@ -168,6 +210,27 @@ mod tests {
             let error = name.clip_names().unwrap_err();
             assert!(error.to_string().contains(missing), "{error}");
         }
+    }
+
+    #[test]
+    fn each_folder_of_pictures_in_a_data_sets_folder_is_a_clip() {
+        let folder = tempfile::tempdir().unwrap();
+        for picture in [
+            "b/2.jpg",
+            "a/1.jpg",
+            "MOT17-02/img1/000001.jpg",
+            "notes/read.txt",
+        ] {
+            let path = folder.path().join(picture);
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            std::fs::write(path, "").unwrap();
+        }
+        let name: SourceName = folder.path().to_str().unwrap().parse().unwrap();
+        assert_eq!(name.clip_names().unwrap(), ["MOT17-02", "a", "b"]);
+        assert_eq!(name.open_clips(None, VideoEncoding::Jpeg).unwrap().len(), 3);
+        // A folder with pictures of its own is one clip, whatever lies in folders inside it.
+        std::fs::write(folder.path().join("0.jpg"), "").unwrap();
+        assert_eq!(name.clip_names().unwrap().len(), 1);
     }
 
     #[test]

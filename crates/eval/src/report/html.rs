@@ -2,9 +2,9 @@
 
 use super::Report;
 use super::conclusion::conclusion;
-use super::plot::Plot;
 use super::table::{below, columns, notes};
 use super::worst;
+use crate::chart::Plot;
 use crate::result::ClipResult;
 use crate::spec::{BASELINE, short_label};
 use crate::summary::PolicySummary;
@@ -12,7 +12,7 @@ use crate::text::{Column, or_dash};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use std::collections::{BTreeSet, HashMap};
 
-const STYLE: &str = include_str!("report.css");
+pub(crate) const STYLE: &str = include_str!("report.css");
 const SCRIPT: &str = include_str!("report.js");
 
 /// Renders the page.

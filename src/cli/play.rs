@@ -1,8 +1,9 @@
-//! Plays one run: starts a node with one policy, sends it the clip as a camera does, and collects its answers.
+//! Plays one run to the real node: starts a node with one policy, sends it the clip as a camera does, and collects its answers.
 
-use super::PATIENCE;
-use crate::cli::frames::{FrameSender, Pacing, close, open_session};
-use crate::cli::replay::{PublishOptions, Sent, UNPACED, publish};
+pub(super) mod clip;
+
+use super::frames::{FrameSender, Pacing, close, open_session};
+use super::replay::{PublishOptions, Sent, UNPACED, publish};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{PolicyConfig, ThresholdSpec};
 use albireo_eval::compare::{Boxes, ClassNumbers, Suggestion};
@@ -14,14 +15,18 @@ use albireo_node::input::Delivery;
 use albireo_node::state::advice::SkipWatch;
 use albireo_node::state::board::{Board, CameraBoard, Event, News};
 use albireo_node::state::target::TargetConfig;
+use albireo_power::PowerConfig;
 use albireo_service::config::{Configuration, UplinkConfig, ZenohConfig};
-use albireo_wire::{ClipReport, DetectionsMessage};
+use albireo_wire::{ClipReport, DetectionsMessage, EnergyQuality};
 use anyhow::{Context, anyhow, bail};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::broadcast::Receiver;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
+
+/// The longest time for the node to load its model, and for the camera to find the node.
+const PATIENCE: Duration = Duration::from_secs(120);
 
 /// The names of the node, its camera, and the clips of warm-up and measurement.
 const NODE: &str = "compare";
@@ -79,6 +84,11 @@ impl Played {
             None => answer.latency_ms.total - answer.latency_ms.waiting,
         });
         times.sum::<f64>() / self.answers.len().max(1) as f64
+    }
+
+    /// The answers to the clip's frames.
+    pub(super) fn answers(&self) -> impl Iterator<Item = &DetectionsMessage> {
+        self.answers.iter().map(AsRef::as_ref)
     }
 
     /// Returns the boxes of the clip's frames, of which the first has the sequence number `first`.
@@ -276,6 +286,21 @@ fn configuration(
         Some(problem) => bail!("{problem}"),
         None => Ok(config),
     }
+}
+
+/// Selects the power meter, so that every run uses the same one and unusable meters are reported once. Returns its name.
+pub(super) async fn choose_meter(config: &mut PowerConfig) -> anyhow::Result<String> {
+    let wanted = config.clone();
+    let opened = tokio::task::spawn_blocking(move || {
+        albireo_power::open(&wanted).map(|(source, meter)| (source, meter.quality()))
+    });
+    let (source, quality) = opened.await.context("the power meter")??;
+    config.source = source;
+    Ok(match quality {
+        EnergyQuality::Measured => format!("{} (measured)", source.as_str()),
+        EnergyQuality::Estimated => "no meter, estimated".to_owned(),
+        _ => "no meter".to_owned(),
+    })
 }
 
 /// Collects the answers to the clip's frames until the node has `ended`.

@@ -12,7 +12,7 @@ const MAX_BYTES: usize = 1 << 30;
 ///
 /// # Errors
 /// When the source fails, is empty, or is too large for the memory.
-pub(super) fn load(
+pub(in crate::cli) fn load(
     mut source: Box<dyn FrameSource>,
     seconds: f64,
 ) -> anyhow::Result<(Pictures, PictureSize)> {

@@ -1,0 +1,48 @@
+//! Measures policies on a machine, clip by clip, and joins the measurements of several machines and settings into tables.
+//!
+//! ```text
+//! (a run on the node) ─▶ Run ─▶ runs file, one per setup ─┐
+//! published rows of the paper ────────────────────────────┴─▶ Setup with its runs ─▶ tables, figures, page
+//! ```
+
+mod figures;
+mod page;
+mod published;
+mod run;
+mod runs_file;
+mod summary;
+mod table;
+
+pub use run::{Run, Setup, SetupRuns};
+pub use runs_file::{RunsFile, read};
+pub use table::render;
+
+use crate::error::EvalError;
+use crate::files;
+use std::path::Path;
+
+/// Writes the joined tables into `folder`, which is created if needed: `join.html` with everything, `join.txt` with the
+/// printed text, `clips.csv` with a row per run, `policies.csv` with a row per setup and policy, and the figures as SVG.
+///
+/// # Errors
+/// [`EvalError`] with the first file that cannot be written.
+pub fn write(folder: &Path, setups: &[SetupRuns], text: &str) -> Result<(), EvalError> {
+    let summaries: Vec<_> = setups.iter().map(summary::summarise).collect();
+    let figures = figures::figures(setups, &summaries).map_err(|error| {
+        EvalError::content(folder, format!("a figure cannot be drawn: {error}"))
+    })?;
+    for figure in &figures {
+        files::write(&folder.join(format!("{}.svg", figure.name)), &figure.svg)?;
+    }
+    let page = page::render(setups, &summaries, &figures);
+    files::write(&folder.join("join.html"), page)?;
+    files::write(&folder.join("join.txt"), text)?;
+    files::write_csv(&folder.join("clips.csv"), &table::rows_of_clips(setups))?;
+    files::write_csv(
+        &folder.join("policies.csv"),
+        &table::rows_of_policies(&summaries),
+    )
+}
+
+#[cfg(test)]
+mod tests;

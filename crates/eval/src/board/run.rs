@@ -1,0 +1,182 @@
+//! Defines a run of one clip under one policy, and the setup in which runs were measured.
+
+use albireo_wire::{ClipReport, EnergyQuality, FrameStates};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// What all runs of a file have in common. Runs of different setups are never averaged together.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Setup {
+    /// The detector's file name without its ending.
+    pub detector: String,
+    /// CRC-32 and length of the detector's file; empty for published rows, which do not have it.
+    #[serde(default)]
+    pub detector_checksum: String,
+    /// The detector's precision, such as `fp16`; `as exported` if nobody said.
+    pub precision: String,
+    /// The machine's power mode; empty if it has none or does not tell.
+    pub power_mode: String,
+    /// The machine's name.
+    pub machine: String,
+    /// The execution provider of ONNX Runtime.
+    #[serde(default)]
+    pub provider: String,
+    /// How frames arrived: `unpaced`, each as soon as the node had taken the last one, or `paced`, at the clip's rate.
+    #[serde(default)]
+    pub pace: String,
+    /// What the boxes were judged by.
+    #[serde(default)]
+    pub truth: String,
+}
+
+impl Setup {
+    /// Names the setup in tables: detector, precision, power mode and machine.
+    pub fn title(&self) -> String {
+        let parts = [
+            &self.detector,
+            &self.precision,
+            &self.power_mode,
+            &self.machine,
+        ];
+        let known: Vec<&str> =
+            parts.into_iter().map(String::as_str).filter(|part| !part.is_empty()).collect();
+        known.join(", ")
+    }
+
+    /// Names the file of the setup's runs.
+    pub fn file_name(&self) -> String {
+        let plain = |text: &str| {
+            let kept = |c: char| c.is_ascii_alphanumeric() || matches!(c, '.' | '_' | '-');
+            text.replace(|c: char| !kept(c), "-")
+        };
+        let parts = [
+            &self.detector,
+            &self.precision,
+            &self.power_mode,
+            &self.machine,
+        ];
+        let known: Vec<String> = parts
+            .into_iter()
+            .filter(|part| !part.is_empty())
+            .map(|part| plain(part))
+            .collect();
+        format!("{}.jsonl", known.join("."))
+    }
+
+    /// Describes the first difference to `other` in words, if there is one.
+    pub(super) fn difference(&self, other: &Self) -> Option<String> {
+        let parts = |setup: &Self| {
+            [
+                ("detector", setup.detector.clone()),
+                ("checksum of the detector", setup.detector_checksum.clone()),
+                ("precision", setup.precision.clone()),
+                ("power mode", setup.power_mode.clone()),
+                ("machine", setup.machine.clone()),
+                ("execution provider", setup.provider.clone()),
+                ("pace", setup.pace.clone()),
+                ("ground truth", setup.truth.clone()),
+            ]
+        };
+        let mut both = parts(self).into_iter().zip(parts(other));
+        let ((name, own), (_, others)) = both.find(|((_, own), (_, others))| own != others)?;
+        Some(format!("its {name} was `{own}`, and now it is `{others}`"))
+    }
+}
+
+/// The figures of one clip under one policy.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Run {
+    /// The clip's name.
+    pub clip: String,
+    /// The policy's label.
+    pub policy: String,
+    /// Frames answered.
+    pub frames: u64,
+    /// Frames that the node did not take.
+    #[serde(default)]
+    pub dropped: u64,
+    /// Frames in each state.
+    pub states: FrameStates,
+    /// Frames that needed the detector and did not get it.
+    #[serde(default)]
+    pub degraded: u64,
+    /// Detector calls.
+    pub detector_calls: u64,
+    /// Seconds from the first frame's arrival to the last answer.
+    pub duration_s: f64,
+    /// Mean time of a frame until its answer, milliseconds.
+    pub frame_ms: f64,
+    /// AP@50 of the published boxes against the ground truth, 0 to 1; absent if the clip's truth has no box.
+    pub ap50: Option<f64>,
+    /// mAP@50:95, likewise.
+    pub map: Option<f64>,
+    /// Energy of the whole machine or of what its meter covers, joules; absent without a meter or if samples do not cover
+    /// the run.
+    pub joules: Option<f64>,
+    /// Energy by domain of the machine, joules.
+    #[serde(default)]
+    pub domains: BTreeMap<String, f64>,
+    /// True if the joules are estimated from utilisation and not measured.
+    #[serde(default)]
+    pub estimated: bool,
+    /// What the joules include: `input_rail`, `processor + card`, …
+    #[serde(default)]
+    pub energy_of: String,
+    /// Processor time of the program, seconds.
+    #[serde(default)]
+    pub cpu_s: Option<f64>,
+    /// Highest memory of the program during the run, MiB, with the clip in it.
+    #[serde(default)]
+    pub peak_mib: Option<f64>,
+    /// True if the machine reported throttled clocks.
+    #[serde(default)]
+    pub throttled: bool,
+}
+
+impl Run {
+    /// Takes from the node's report what it has; accuracy, times and memory of the program are the caller's.
+    pub fn of(report: &ClipReport, clip: &str, policy: &str) -> Self {
+        let energy = &report.energy;
+        let joules = energy.whole_joules();
+        let domains = energy.domains.iter().filter(|_| joules.is_some());
+        Self {
+            clip: clip.to_owned(),
+            policy: policy.to_owned(),
+            frames: report.frames,
+            dropped: report.dropped.total(),
+            states: report.states,
+            degraded: report.degraded_frames,
+            detector_calls: report.detector_latency_ms.count,
+            duration_s: report.duration_s,
+            frame_ms: report.total_latency_ms.mean,
+            ap50: None,
+            map: None,
+            joules,
+            domains: domains.map(|domain| (domain.domain.clone(), domain.joules)).collect(),
+            estimated: energy.quality == EnergyQuality::Estimated,
+            energy_of: energy.total_from.clone(),
+            cpu_s: None,
+            peak_mib: None,
+            throttled: report.board.as_ref().is_some_and(|board| board.throttled == Some(true)),
+        }
+    }
+
+    /// Share of frames that skipped the detector, without degraded ones.
+    pub fn skip_rate(&self) -> f64 {
+        self.states.skip_rate(self.degraded)
+    }
+
+    /// Energy-delay product by the paper's definition, joules times duration over frames, J·ms/frame.
+    pub fn edp(&self) -> Option<f64> {
+        Some(self.joules? * self.duration_s * 1e3 / self.frames.max(1) as f64)
+    }
+}
+
+/// The runs of a setup.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SetupRuns {
+    /// The setup.
+    pub setup: Setup,
+    /// Its runs.
+    pub runs: Vec<Run>,
+}

@@ -1,0 +1,170 @@
+//! Keeps the runs of a setup in a file, one line each, so that a measurement of many hours goes on where it was stopped.
+
+use super::published;
+use super::run::{Run, Setup, SetupRuns};
+use crate::error::EvalError;
+use serde::{Deserialize, Serialize};
+use std::fs::{File, OpenOptions};
+use std::io::{Read, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+
+/// The version of the file's form.
+const VERSION: u32 = 1;
+
+/// A line of the file: the first is the setup, each other one a run.
+#[derive(Serialize, Deserialize)]
+#[serde(untagged)]
+enum Line {
+    Setup { v: u32, setup: Box<Setup> },
+    Run { run: Box<Run> },
+}
+
+/// The file of a setup's runs, open for more.
+#[derive(Debug)]
+pub struct RunsFile {
+    path: PathBuf,
+    file: File,
+    runs: Vec<Run>,
+}
+
+impl RunsFile {
+    /// Opens the file of `setup` in `folder`, or creates it. A last line that was cut off, because the program or the
+    /// machine stopped while it was written, is removed: its run is played again.
+    ///
+    /// # Errors
+    /// When the file cannot be read or written, or holds runs of another setup.
+    pub fn open(folder: &Path, setup: &Setup) -> Result<Self, EvalError> {
+        let path = folder.join(setup.file_name());
+        let failed = |error: std::io::Error| EvalError::write(&path, error);
+        std::fs::create_dir_all(folder).map_err(failed)?;
+        let mut options = OpenOptions::new();
+        let mut file = options
+            .create(true)
+            .truncate(false)
+            .read(true)
+            .write(true)
+            .open(&path)
+            .map_err(failed)?;
+        file.try_lock().map_err(|_| {
+            EvalError::content(
+                &path,
+                "another run of this command writes it: stop that one first",
+            )
+        })?;
+        let mut bytes = Vec::new();
+        file.read_to_end(&mut bytes).map_err(failed)?;
+        let whole = bytes.iter().rposition(|byte| *byte == b'\n').map_or(0, |end| end + 1);
+        let text = String::from_utf8_lossy(&bytes[..whole]);
+        file.set_len(whole as u64).map_err(failed)?;
+        file.seek(SeekFrom::End(0)).map_err(failed)?;
+        let mut opened = Self {
+            path: path.clone(),
+            file,
+            runs: Vec::new(),
+        };
+        match parse(&path, &text)? {
+            Some(before) => {
+                if let Some(what) = before.setup.difference(setup) {
+                    let what = format!(
+                        "it holds runs of another setup: {what}; write to another folder with --out, or remove it"
+                    );
+                    return Err(EvalError::content(&path, what));
+                }
+                opened.runs = before.runs;
+            }
+            None => opened.append(&Line::Setup {
+                v: VERSION,
+                setup: Box::new(setup.clone()),
+            })?,
+        }
+        Ok(opened)
+    }
+
+    /// The file's path.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The runs so far.
+    pub fn runs(&self) -> &[Run] {
+        &self.runs
+    }
+
+    /// True if the clip was played under the policy.
+    pub fn has(&self, clip: &str, policy: &str) -> bool {
+        self.runs.iter().any(|run| run.clip == clip && run.policy == policy)
+    }
+
+    /// Adds a run. It survives a power loss once this returns.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn add(&mut self, run: Run) -> Result<(), EvalError> {
+        self.append(&Line::Run {
+            run: Box::new(run.clone()),
+        })?;
+        self.runs.push(run);
+        Ok(())
+    }
+
+    fn append(&mut self, line: &Line) -> Result<(), EvalError> {
+        let mut text =
+            serde_json::to_string(line).map_err(|error| EvalError::content(&self.path, error))?;
+        text.push('\n');
+        let written = self.file.write_all(text.as_bytes()).and_then(|()| self.file.sync_data());
+        written.map_err(|error| EvalError::write(&self.path, error))
+    }
+}
+
+/// Parses the lines of a file; `None` if there are none.
+fn parse(path: &Path, text: &str) -> Result<Option<SetupRuns>, EvalError> {
+    let mut found: Option<SetupRuns> = None;
+    for (number, line) in (1..).zip(text.lines()) {
+        let wrong = |what: String| EvalError::line(path, number, what);
+        let line = serde_json::from_str::<Line>(line)
+            .map_err(|_| wrong("this is not a line of `albireo eval board`".to_owned()))?;
+        match (line, &mut found) {
+            (Line::Setup { v, setup }, none @ None) => {
+                if v != VERSION {
+                    let what =
+                        format!("its form has version {v}, and this albireo reads {VERSION}");
+                    return Err(wrong(what));
+                }
+                *none = Some(SetupRuns {
+                    setup: *setup,
+                    runs: Vec::new(),
+                });
+            }
+            (Line::Run { run }, Some(of)) => of.runs.push(*run),
+            (Line::Setup { .. }, Some(_)) => {
+                return Err(wrong(
+                    "a second setup in one file: join the files instead".to_owned(),
+                ));
+            }
+            (Line::Run { .. }, None) => {
+                return Err(wrong(
+                    "a run before the setup: the file's beginning is missing".to_owned(),
+                ));
+            }
+        }
+    }
+    Ok(found)
+}
+
+/// Reads a file of `albireo eval board`, or the published rows of the paper (CSV). A last line that was cut off is left out.
+///
+/// # Errors
+/// When the file cannot be read, is neither, or has no run.
+pub fn read(path: &Path) -> Result<SetupRuns, EvalError> {
+    let help =
+        "give files of `albireo eval board`, or summary.csv files of the paper's published results";
+    let text = crate::files::read_text(path, help)?;
+    let found = if text.starts_with('{') {
+        let whole = text.rfind('\n').map_or(0, |end| end + 1);
+        parse(path, &text[..whole])?
+    } else {
+        Some(published::parse(path, &text)?)
+    };
+    let found = found.filter(|found| !found.runs.is_empty());
+    found.ok_or_else(|| EvalError::content(path, format!("it has no rows; {help}")))
+}

@@ -1,0 +1,292 @@
+//! Summarises the runs of a setup: means by policy, and paired differences to the baseline over the same clips.
+
+use super::run::{Run, SetupRuns};
+use crate::spec::BASELINE;
+use crate::statistics::mean;
+use crate::summary::Difference;
+use albireo_core::policy::FrameState;
+use std::collections::{BTreeMap, HashMap};
+
+/// The figures of a setup.
+pub(super) struct SetupSummary {
+    /// The setup's title.
+    pub title: String,
+    /// What its joules include, and whether they are measured; empty without energy.
+    pub energy_of: String,
+    /// One entry per policy, the baseline first.
+    pub policies: Vec<PolicyFigures>,
+}
+
+/// The figures of one policy in one setup: unweighted means over its clips, as in the paper.
+pub(super) struct PolicyFigures {
+    pub policy: String,
+    pub clips: usize,
+    pub frames: u64,
+    pub dropped: u64,
+    pub ap50: Option<f64>,
+    pub map: Option<f64>,
+    pub joules: Option<f64>,
+    pub frame_ms: f64,
+    /// Mean joules times mean time of a frame, J·ms/frame: how the paper's tables have it.
+    pub edp: Option<f64>,
+    /// Mean over the clips of joules times duration over frames: the paper's definition.
+    pub edp_of_clips: Option<f64>,
+    pub skip_rate: f64,
+    /// Shares of E, P, E+I, I and AI.
+    pub states: [f64; 5],
+    pub detector_calls: f64,
+    pub domains: BTreeMap<String, f64>,
+    pub cpu_s: Option<f64>,
+    pub peak_mib: Option<f64>,
+    pub throttled: usize,
+    /// `None` for the baseline, and if no clip was also played under it.
+    pub change: Option<Changes>,
+}
+
+/// Paired differences to the baseline over the clips that both played.
+pub(super) struct Changes {
+    /// AP@50, points.
+    pub ap50: Option<Difference>,
+    /// mAP, points.
+    pub map: Option<Difference>,
+    /// Joules, percent of the baseline's mean.
+    pub joules: Option<Difference>,
+    /// Time of a frame, percent of the baseline's mean.
+    pub frame_ms: Option<Difference>,
+    /// EDP by the paper's tables, percent.
+    pub edp: Option<f64>,
+    /// Share of the clips that used fewer joules.
+    pub clips_that_save: Option<f64>,
+    /// How AP@50 changed clip by clip.
+    pub clips: Option<ClipsOfAp>,
+}
+
+/// How many clips kept their AP@50.
+pub(super) struct ClipsOfAp {
+    pub as_good: usize,
+    pub all: usize,
+    /// Median drop of the others, points; `None` if there are none.
+    pub median_drop: Option<f64>,
+}
+
+/// Summarises a setup's runs, policies in the order in which they first occur.
+pub(super) fn summarise(of: &SetupRuns) -> SetupSummary {
+    let mut order: Vec<&str> = Vec::new();
+    let mut by_policy: HashMap<&str, Vec<&Run>> = HashMap::new();
+    for run in &of.runs {
+        let runs = by_policy.entry(&run.policy).or_default();
+        if runs.is_empty() {
+            order.push(&run.policy);
+        }
+        runs.push(run);
+    }
+    order.sort_by_key(|policy| *policy != BASELINE);
+    let baseline: HashMap<&str, &Run> = by_policy
+        .get(BASELINE)
+        .into_iter()
+        .flatten()
+        .map(|run| (run.clip.as_str(), *run))
+        .collect();
+    let policies = order.into_iter().map(|policy| {
+        let runs = &by_policy[policy];
+        let change = (policy != BASELINE).then(|| changes(runs, &baseline)).flatten();
+        figures(policy, runs, change)
+    });
+    let estimated = of.runs.iter().any(|run| run.estimated);
+    let measured = of.runs.iter().find(|run| run.joules.is_some());
+    SetupSummary {
+        title: of.setup.title(),
+        energy_of: measured.map_or_else(String::new, |run| {
+            let how = if estimated { "estimated" } else { "measured" };
+            format!("{} ({how})", run.energy_of)
+        }),
+        policies: policies.collect(),
+    }
+}
+
+fn figures(policy: &str, runs: &[&Run], change: Option<Changes>) -> PolicyFigures {
+    let over =
+        |figure: &dyn Fn(&Run) -> Option<f64>| mean(runs.iter().filter_map(|run| figure(run)));
+    // A mean over only some of the clips would not be that of the others.
+    let if_all = |figure: &dyn Fn(&Run) -> Option<f64>| {
+        let is_known = runs.iter().all(|run| figure(run).is_some());
+        is_known.then(|| over(figure)).flatten()
+    };
+    let all = |figure: &dyn Fn(&Run) -> f64| over(&|run| Some(figure(run))).unwrap_or_default();
+    let joules = if_all(&|run| run.joules);
+    let frame_ms = all(&|run| run.frame_ms);
+    let mut domains = BTreeMap::new();
+    for name in runs.iter().flat_map(|run| run.domains.keys()) {
+        if let Some(joules) = if_all(&|run| run.domains.get(name).copied()) {
+            domains.insert(name.clone(), joules);
+        }
+    }
+    PolicyFigures {
+        policy: policy.to_owned(),
+        clips: runs.len(),
+        frames: runs.iter().map(|run| run.frames).sum(),
+        dropped: runs.iter().map(|run| run.dropped).sum(),
+        ap50: over(&|run| run.ap50),
+        map: over(&|run| run.map),
+        joules,
+        frame_ms,
+        edp: joules.map(|joules| joules * frame_ms),
+        edp_of_clips: if_all(&|run| run.edp()),
+        skip_rate: all(&|run| run.skip_rate()),
+        states: FrameState::ALL.map(|state| {
+            all(&|run| run.states.get(state) as f64 / run.states.frames().max(1) as f64)
+        }),
+        detector_calls: all(&|run| run.detector_calls as f64),
+        domains,
+        cpu_s: if_all(&|run| run.cpu_s),
+        peak_mib: if_all(&|run| run.peak_mib),
+        throttled: runs.iter().filter(|run| run.throttled).count(),
+        change,
+    }
+}
+
+/// Compares runs with the baseline's on the same clips; `None` if there are no such clips.
+fn changes(runs: &[&Run], baseline: &HashMap<&str, &Run>) -> Option<Changes> {
+    let pairs: Vec<(&Run, &Run)> = runs
+        .iter()
+        .filter_map(|run| Some((*run, *baseline.get(run.clip.as_str())?)))
+        .collect();
+    if pairs.is_empty() {
+        return None;
+    }
+    // Every pair of a figure that both runs have.
+    let both = |figure: &dyn Fn(&Run) -> Option<f64>| -> Vec<(f64, f64)> {
+        pairs
+            .iter()
+            .filter_map(|(run, before)| Some((figure(run)?, figure(before)?)))
+            .collect()
+    };
+    let points = |values: &[(f64, f64)]| {
+        let differences: Vec<f64> =
+            values.iter().map(|(own, before)| 100.0 * (own - before)).collect();
+        Difference::of(&differences)
+    };
+    let percent = |values: &[(f64, f64)]| {
+        let base = mean(values.iter().map(|(_, before)| *before)).filter(|base| *base > 0.0)?;
+        let differences: Vec<f64> = values.iter().map(|(own, before)| own - before).collect();
+        Some(Difference::of(&differences)?.scaled(100.0 / base))
+    };
+    let ap50 = both(&|run| run.ap50);
+    let joules = both(&|run| run.joules);
+    let times = both(&|run| Some(run.frame_ms));
+    let edp = |which: fn(&(f64, f64)) -> f64| {
+        Some(mean(joules.iter().map(which))? * mean(times.iter().map(which))?)
+    };
+    let saving = joules.iter().filter(|(own, before)| own < before).count();
+    Some(Changes {
+        map: points(&both(&|run| run.map)),
+        joules: percent(&joules),
+        frame_ms: percent(&times),
+        edp: edp(|pair| pair.0)
+            .zip(edp(|pair| pair.1))
+            .map(|(own, before)| 100.0 * (own / before - 1.0)),
+        clips_that_save: (!joules.is_empty()).then(|| saving as f64 / joules.len() as f64),
+        clips: clips_of(&ap50),
+        ap50: points(&ap50),
+    })
+}
+
+/// Counts the clips whose AP@50 did not fall.
+fn clips_of(ap50: &[(f64, f64)]) -> Option<ClipsOfAp> {
+    let mut drops: Vec<f64> = ap50
+        .iter()
+        .map(|(own, before)| 100.0 * (before - own))
+        .filter(|drop| *drop > 0.0)
+        .collect();
+    drops.sort_by(f64::total_cmp);
+    (!ap50.is_empty()).then(|| ClipsOfAp {
+        as_good: ap50.len() - drops.len(),
+        all: ap50.len(),
+        median_drop: crate::statistics::quantile(&drops, 0.5),
+    })
+}
+
+/// Whether the saving by skipping and the saving by another setup multiply.
+pub(super) struct Composition {
+    /// The setup without the other saving, the one with it, and the policy.
+    pub from: String,
+    pub to: String,
+    pub policy: String,
+    pub clips: usize,
+    /// Savings of joules: skipping alone, the other setup alone, and both together as measured. Shares of the baseline.
+    pub skipping: f64,
+    pub other: f64,
+    pub together: f64,
+    /// `1 − (1 − skipping)(1 − other)`.
+    pub expected: f64,
+    /// How much more joules both together use than the product says: a factor with its 95 % interval (geometric mean over
+    /// the clips, paired t of the logarithms).
+    pub factor: f64,
+    pub interval: Option<[f64; 2]>,
+}
+
+/// Compares each pair of setups of one machine, in both of which a policy and the baseline were measured on the same clips.
+pub(super) fn compositions(setups: &[SetupRuns]) -> Vec<Composition> {
+    let mut found = Vec::new();
+    for from in setups {
+        for to in setups {
+            let same_machine = from.setup.machine == to.setup.machine;
+            // The setup that uses more without skipping is where the savings start.
+            if same_machine && from.setup != to.setup {
+                let policies = from.runs.iter().map(|run| run.policy.as_str());
+                let mut policies: Vec<&str> =
+                    policies.filter(|policy| *policy != BASELINE).collect();
+                policies.sort_unstable();
+                policies.dedup();
+                found.extend(policies.into_iter().filter_map(|policy| compose(from, to, policy)));
+            }
+        }
+    }
+    found
+}
+
+fn compose(from: &SetupRuns, to: &SetupRuns, policy: &str) -> Option<Composition> {
+    let joules = |of: &SetupRuns, policy: &str| -> BTreeMap<String, f64> {
+        let runs = of.runs.iter().filter(|run| run.policy == policy);
+        runs.filter_map(|run| Some((run.clip.clone(), run.joules?))).collect()
+    };
+    let all = [
+        joules(from, BASELINE),
+        joules(from, policy),
+        joules(to, BASELINE),
+        joules(to, policy),
+    ];
+    let clips: Vec<[f64; 4]> = all[0]
+        .iter()
+        .filter_map(|(clip, first)| {
+            let [second, third, fourth] = [1, 2, 3].map(|at| all[at].get(clip).copied());
+            Some([*first, second?, third?, fourth?])
+        })
+        .filter(|figures| figures.iter().all(|joules| *joules > 0.0))
+        .collect();
+    let total = |at: usize| clips.iter().map(|figures| figures[at]).sum::<f64>();
+    let [base, skipped, other, both] = [0, 1, 2, 3].map(total);
+    if clips.is_empty() || other >= base {
+        return None;
+    }
+    let logs: Vec<f64> = clips
+        .iter()
+        .map(|[base, skipped, other, both]| {
+            (both / base).ln() - (skipped / base).ln() - (other / base).ln()
+        })
+        .collect();
+    let log = Difference::of(&logs)?;
+    let [skipping, alone, together] = [skipped, other, both].map(|joules| 1.0 - joules / base);
+    Some(Composition {
+        from: from.setup.title(),
+        to: to.setup.title(),
+        policy: policy.to_owned(),
+        clips: clips.len(),
+        skipping,
+        other: alone,
+        together,
+        expected: 1.0 - (1.0 - skipping) * (1.0 - alone),
+        factor: log.mean.exp(),
+        interval: log.interval.map(|ends| ends.map(f64::exp)),
+    })
+}

@@ -1,0 +1,241 @@
+use super::*;
+use crate::spec::BASELINE;
+use albireo_wire::FrameStates;
+use std::fs;
+use std::path::PathBuf;
+
+fn setup() -> Setup {
+    Setup {
+        detector: "yolo".to_owned(),
+        detector_checksum: "ab".to_owned(),
+        precision: "fp16".to_owned(),
+        power_mode: "15 W".to_owned(),
+        machine: "board".to_owned(),
+        provider: "cpu".to_owned(),
+        pace: "unpaced".to_owned(),
+        truth: "labels".to_owned(),
+    }
+}
+
+fn run(clip: &str, policy: &str, joules: f64, ap50: f64) -> Run {
+    let skipped = if policy == BASELINE { 0 } else { 20 };
+    Run {
+        clip: clip.to_owned(),
+        policy: policy.to_owned(),
+        frames: 100,
+        dropped: 0,
+        states: FrameStates {
+            p: skipped,
+            i: 100 - skipped,
+            ..FrameStates::default()
+        },
+        degraded: 0,
+        detector_calls: 100 - skipped,
+        duration_s: 10.0,
+        frame_ms: 50.0,
+        ap50: Some(ap50),
+        map: Some(ap50 / 2.0),
+        joules: Some(joules),
+        domains: [
+            ("gpu".to_owned(), joules / 2.0),
+            ("cpu".to_owned(), joules / 4.0),
+        ]
+        .into(),
+        estimated: false,
+        energy_of: "input_rail".to_owned(),
+        cpu_s: None,
+        peak_mib: None,
+        throttled: false,
+    }
+}
+
+#[test]
+fn a_run_survives_a_stop_and_a_line_cut_off_by_it_is_played_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut file = RunsFile::open(folder.path(), &setup()).unwrap();
+    for clip in ["a", "b"] {
+        file.add(run(clip, BASELINE, 10.0, 0.5)).unwrap();
+    }
+    let path = file.path().to_owned();
+    drop(file);
+    let whole = fs::read(&path).unwrap();
+    // Every place at which writing the second run can have been cut off.
+    let second = whole[..whole.len() - 1].iter().rposition(|byte| *byte == b'\n').unwrap() + 1;
+    for cut in second..whole.len() {
+        fs::write(&path, &whole[..cut]).unwrap();
+        let mut file = RunsFile::open(folder.path(), &setup()).unwrap();
+        assert!(
+            file.has("a", BASELINE) && !file.has("b", BASELINE),
+            "cut at {cut}"
+        );
+        file.add(run("b", BASELINE, 10.0, 0.5)).unwrap();
+        drop(file);
+        assert_eq!(fs::read(&path).unwrap(), whole, "cut at {cut}");
+    }
+}
+
+#[test]
+fn runs_of_another_setup_are_not_added_to_a_file() {
+    let folder = tempfile::tempdir().unwrap();
+    drop(RunsFile::open(folder.path(), &setup()).unwrap());
+    let other = Setup {
+        detector_checksum: "cd".to_owned(),
+        ..setup()
+    };
+    let refused = RunsFile::open(folder.path(), &other).unwrap_err().to_string();
+    assert!(
+        refused.contains("checksum") && refused.contains("--out"),
+        "{refused}"
+    );
+    // Another precision has a file of its own.
+    let half = Setup {
+        precision: "fp32".to_owned(),
+        ..setup()
+    };
+    assert_ne!(half.file_name(), setup().file_name());
+    drop(RunsFile::open(folder.path(), &half).unwrap());
+}
+
+#[test]
+fn two_commands_do_not_write_one_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let _first = RunsFile::open(folder.path(), &setup()).unwrap();
+    let refused = RunsFile::open(folder.path(), &setup()).unwrap_err().to_string();
+    assert!(refused.contains("stop that one first"), "{refused}");
+}
+
+#[test]
+fn what_is_neither_runs_nor_published_rows_is_refused_by_its_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("rows");
+    for text in [
+        "",
+        "a,b\n1,2\n",
+        "{\"v\":1}\n",
+        "{\"run\":{}}\n",
+        "\u{7f}ELF",
+    ] {
+        fs::write(&path, text).unwrap();
+        let refused = read(&path).unwrap_err().to_string();
+        assert!(refused.contains("rows"), "{text}: {refused}");
+    }
+}
+
+#[test]
+fn differences_are_paired_over_the_clips_that_both_played() {
+    let runs = vec![
+        run("a", BASELINE, 100.0, 0.50),
+        run("b", BASELINE, 200.0, 0.60),
+        run("c", BASELINE, 300.0, 0.70),
+        run("a", "albireo", 80.0, 0.51),
+        run("b", "albireo", 220.0, 0.58),
+    ];
+    let summary = summary::summarise(&SetupRuns {
+        setup: setup(),
+        runs,
+    });
+    let albireo = &summary.policies[1];
+    let change = albireo.change.as_ref().unwrap();
+    assert_eq!(change.joules.unwrap().mean, 0.0);
+    assert_eq!(change.clips_that_save, Some(0.5));
+    assert!((change.ap50.unwrap().mean + 0.5).abs() < 1e-9);
+    let clips = change.clips.as_ref().unwrap();
+    assert_eq!((clips.as_good, clips.all), (1, 2));
+    assert!((clips.median_drop.unwrap() - 2.0).abs() < 1e-9);
+}
+
+#[test]
+fn savings_that_multiply_have_the_factor_one() {
+    let of =
+        |mode: &str, factor: f64| {
+            let setup = Setup {
+                power_mode: mode.to_owned(),
+                ..setup()
+            };
+            let runs = ["a", "b", "c"].into_iter().zip([100.0, 200.0, 300.0]).flat_map(
+                |(clip, joules)| {
+                    [
+                        run(clip, BASELINE, joules * factor, 0.5),
+                        run(clip, "albireo", joules * factor * 0.8, 0.5),
+                    ]
+                },
+            );
+            SetupRuns {
+                setup,
+                runs: runs.collect(),
+            }
+        };
+    let found = summary::compositions(&[of("MAXN", 1.0), of("15W", 0.5)]);
+    assert_eq!(found.len(), 1);
+    let only = &found[0];
+    assert!((only.factor - 1.0).abs() < 1e-12);
+    assert!((only.together - 0.6).abs() < 1e-12 && (only.expected - 0.6).abs() < 1e-12);
+}
+
+/// The rows of the paper's repository for the Thor board; the project does not carry them.
+fn published() -> Option<PathBuf> {
+    let shared = std::env::var_os("ALBIREO_SHARED")?;
+    let rows = "data/published-results/thor/albireo/yolo26x/summary-selected-columns.csv";
+    Some(PathBuf::from(shared).join(rows)).filter(|path| path.is_file())
+}
+
+#[test]
+#[ignore = "needs ../shared"]
+fn the_published_rows_give_the_papers_main_table() {
+    let path = published().expect("ALBIREO_SHARED names the folder with the published rows");
+    let text = render(&[read(&path).unwrap()]);
+    // AP@50, energy, time, EDP (the paper has 31023, the product of its rounded means), skip rate and states.
+    let row = |name: &str| -> Vec<String> {
+        let line = text.lines().find(|line| line.starts_with(name)).unwrap();
+        line.split_whitespace().map(str::to_owned).collect()
+    };
+    let vanilla = row("vanilla");
+    assert_eq!(
+        vanilla[1..6],
+        ["0.609", "0.470", "811.5", "50.9", "41305"],
+        "{text}"
+    );
+    // The rows are rounded to five decimals, and their mean, 0.61648, to 0.616; the paper has 0.617.
+    let albireo = row("albireo");
+    assert_eq!(
+        albireo[1..7],
+        ["0.616", "0.433", "668.6", "46.4", "31036", "19.3"],
+        "{text}"
+    );
+    for part in [
+        "yolo26x",
+        "thor",
+        "-17.6",
+        "-8.8",
+        "-24.9",
+        "144 of 200",
+        "89 %",
+        "<.001",
+        "-3.7",
+    ] {
+        assert!(text.contains(part), "{part}: {text}");
+    }
+    assert!(
+        text.lines().all(|line| line.chars().count() <= 100),
+        "{text}"
+    );
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), &[read(&path).unwrap()], &text).unwrap();
+    for file in [
+        "join.html",
+        "join.txt",
+        "clips.csv",
+        "policies.csv",
+        "ap50-against-edp.svg",
+        "clips-ap50-change.svg",
+    ] {
+        assert!(
+            folder.path().join(file).metadata().unwrap().len() > 400,
+            "{file}"
+        );
+    }
+    assert_eq!(
+        fs::read_to_string(folder.path().join("clips.csv")).unwrap().lines().count(),
+        401
+    );
+}

@@ -1,0 +1,280 @@
+//! Draws charts as SVG: a plane with series, and stacked bars.
+
+use crate::spec::{BASELINE, split_label};
+use albireo_core::policy::FrameState;
+use plotters::chart::SeriesAnno;
+use plotters::coord::types::RangedCoordf64;
+use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
+use std::ops::Range;
+
+/// A figure of the report.
+pub(crate) struct Plot {
+    /// The name of its file, without extension.
+    pub name: &'static str,
+    /// The heading: what the figure shows.
+    pub title: &'static str,
+    /// The caption: how to read the figure.
+    pub caption: &'static str,
+    /// The SVG document.
+    pub svg: String,
+}
+
+/// The error of drawing.
+pub(crate) type PlotError = DrawingAreaErrorKind<std::io::Error>;
+
+/// Width and height of a chart, in CSS pixels.
+pub(crate) const SIZE: (u32, u32) = (720, 430);
+
+pub(crate) const FONT: &str = "sans-serif";
+pub(crate) const INK: RGBColor = RGBColor(0x22, 0x28, 0x31);
+pub(crate) const SOFT_INK: RGBColor = RGBColor(0x5c, 0x65, 0x70);
+pub(crate) const GRID: RGBColor = RGBColor(0xe8, 0xeb, 0xef);
+/// The Pareto frontier.
+pub(crate) const BAND: RGBColor = RGBColor(0xcd, 0xd2, 0xd9);
+
+/// Colours that colour-blind people can distinguish (Okabe and Ito, 2008), without yellow, which is faint on white; then a violet,
+/// a brown and three of P. Tol's "muted" colours.
+const PALETTE: [RGBColor; 11] = [
+    RGBColor(0x00, 0x72, 0xb2),
+    RGBColor(0xd5, 0x5e, 0x00),
+    RGBColor(0x00, 0x9e, 0x73),
+    RGBColor(0xcc, 0x79, 0xa7),
+    RGBColor(0xe6, 0x9f, 0x00),
+    RGBColor(0x56, 0xb4, 0xe9),
+    RGBColor(0x78, 0x5e, 0xf0),
+    RGBColor(0x6b, 0x42, 0x26),
+    RGBColor(0x88, 0x22, 0x55),
+    RGBColor(0x99, 0x99, 0x33),
+    RGBColor(0x11, 0x77, 0x33),
+];
+
+/// Fill and text colour of a frame state: cool if the detector is skipped, warm if it runs.
+pub(crate) const fn state_colors(state: FrameState) -> (RGBColor, RGBColor) {
+    match state {
+        FrameState::E => (RGBColor(0x8f, 0xbc, 0xdb), INK),
+        FrameState::P => (RGBColor(0x26, 0x70, 0xb0), WHITE),
+        FrameState::EI => (RGBColor(0xfd, 0xd0, 0x8b), INK),
+        FrameState::I => (RGBColor(0xf1, 0x8c, 0x46), INK),
+        FrameState::AI => (RGBColor(0xbe, 0x3e, 0x2c), WHITE),
+    }
+}
+
+pub(crate) type Plane<'a> =
+    ChartContext<'a, SVGBackend<'a>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
+
+/// An axis of a chart: its name, its range, and the text of a value.
+pub(crate) struct Axis<'a> {
+    pub name: &'a str,
+    pub range: Range<f64>,
+    pub label: &'a dyn Fn(&f64) -> String,
+}
+
+impl Axis<'_> {
+    /// The axis of the skip rate in percent.
+    pub(crate) fn skip_rate(range: Range<f64>) -> Self {
+        Self {
+            name: "Frames without the detector, %",
+            range,
+            label: &|percent| format!("{percent:.0}"),
+        }
+    }
+}
+
+/// Draws a chart; `draw` adds the series.
+pub(crate) fn chart(
+    x: Axis<'_>,
+    y: Axis<'_>,
+    draw: impl FnOnce(&mut Plane<'_>) -> Result<(), PlotError>,
+) -> Result<String, PlotError> {
+    let mut svg = String::new();
+    {
+        let root = SVGBackend::with_string(&mut svg, SIZE).into_drawing_area();
+        root.fill(&WHITE)?;
+        let mut plane = ChartBuilder::on(&root)
+            .margin(12)
+            .x_label_area_size(42)
+            .y_label_area_size(56)
+            .build_cartesian_2d(x.range, y.range)?;
+        plane
+            .configure_mesh()
+            .light_line_style(TRANSPARENT)
+            .bold_line_style(GRID)
+            .axis_style(SOFT_INK)
+            .label_style((FONT, 14).into_font().color(&SOFT_INK))
+            .axis_desc_style((FONT, 15).into_font().color(&INK))
+            .x_desc(x.name)
+            .x_label_formatter(x.label)
+            .y_desc(y.name)
+            .y_label_formatter(y.label)
+            .draw()?;
+        draw(&mut plane)?;
+        plane
+            .configure_series_labels()
+            .position(SeriesLabelPosition::LowerLeft)
+            .label_font((FONT, 14).into_font().color(&INK))
+            .background_style(WHITE.mix(0.8))
+            .border_style(GRID)
+            .draw()?;
+        root.present()?;
+    }
+    Ok(svg)
+}
+
+/// Returns the families of `labels` in order, without repetition.
+pub(crate) fn families<'a>(labels: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
+    let mut families = Vec::new();
+    for label in labels {
+        let (family, _) = split_label(label);
+        if !families.contains(&family) {
+            families.push(family);
+        }
+    }
+    families
+}
+
+/// Returns the colour of the `index`th family; the baseline is black.
+pub(crate) fn color_of(index: usize, family: &str) -> RGBColor {
+    if family == BASELINE {
+        INK
+    } else {
+        PALETTE[index % PALETTE.len()]
+    }
+}
+
+/// Draws the markers of the `index`th family. Families differ in shape and colour.
+pub(crate) fn mark<'p, 'a>(
+    plane: &'p mut Plane<'a>,
+    points: &[(f64, f64)],
+    index: usize,
+    style: ShapeStyle,
+) -> Result<&'p mut SeriesAnno<'a, SVGBackend<'a>>, PlotError> {
+    let points = points.iter().copied();
+    match index % 3 {
+        0 => plane.draw_series(points.map(|at| Circle::new(at, 4, style))),
+        1 => plane.draw_series(points.map(|at| TriangleMarker::new(at, 5, style))),
+        _ => plane.draw_series(
+            points.map(|at| EmptyElement::at(at) + Rectangle::new([(-4, -4), (4, 4)], style)),
+        ),
+    }
+}
+
+/// Names the `index`th family in the legend, with its marker.
+pub(crate) fn label<'a>(series: &mut SeriesAnno<'a, SVGBackend<'a>>, index: usize, family: &str) {
+    let style = color_of(index, family).filled();
+    series.label(family).legend(move |(x, y)| {
+        let at = (x + 10, y);
+        match index % 3 {
+            0 => Circle::new(at, 4, style).into_dyn(),
+            1 => TriangleMarker::new(at, 5, style).into_dyn(),
+            _ => Rectangle::new([(x + 6, y - 4), (x + 14, y + 4)], style).into_dyn(),
+        }
+    });
+}
+
+/// A part of stacked bars: its name, its fill, and the colour of text on it.
+pub(crate) type BarPart<'a> = (&'a str, RGBColor, RGBColor);
+
+/// The parts of bars of frame states.
+pub(crate) fn state_parts() -> [BarPart<'static>; 5] {
+    FrameState::ALL.map(|state| {
+        let (fill, ink) = state_colors(state);
+        (state.as_str(), fill, ink)
+    })
+}
+
+/// Draws a bar per row, stacked of `parts`; `label` formats a value, and an empty text leaves it out.
+pub(crate) fn stacked(
+    rows: &[(String, Vec<f64>)],
+    parts: &[BarPart<'_>],
+    label: &dyn Fn(f64) -> String,
+) -> Result<String, PlotError> {
+    let count = rows.len();
+    let size = (SIZE.0, 70 + 26 * count.clamp(1, 60) as u32);
+    let widest = rows.iter().map(|(name, _)| name.chars().count()).max().unwrap_or(0);
+    let longest = rows.iter().map(|(_, values)| values.iter().sum::<f64>()).fold(0.0, f64::max);
+    let longest = if longest > 0.0 { longest } else { 1.0 };
+    let mut svg = String::new();
+    {
+        let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
+        root.fill(&WHITE)?;
+        let mut plane = ChartBuilder::on(&root)
+            .margin(12)
+            .margin_top(32)
+            .margin_right(28)
+            .x_label_area_size(24)
+            .y_label_area_size(20 + 7 * widest as u32)
+            .build_cartesian_2d(0.0..longest, 0.0..count as f64)?;
+        plane
+            .configure_mesh()
+            .disable_y_mesh()
+            .disable_y_axis()
+            .light_line_style(TRANSPARENT)
+            .bold_line_style(GRID)
+            .axis_style(SOFT_INK)
+            .label_style((FONT, 14).into_font().color(&SOFT_INK))
+            .x_labels(6)
+            .x_label_formatter(&|value| label(*value))
+            .draw()?;
+        let text = |size: i32, ink: RGBColor, h: HPos| {
+            let style = (FONT, size).into_font().color(&ink);
+            style.pos(Pos::new(h, VPos::Center))
+        };
+        for (row, (name, values)) in rows.iter().enumerate() {
+            let middle = (count - row) as f64 - 0.5;
+            let (x, y) = plane.backend_coord(&(0.0, middle));
+            root.draw(&Text::new(
+                name.clone(),
+                (x - 8, y),
+                text(14, INK, HPos::Right),
+            ))?;
+            let mut from = 0.0;
+            for ((_, fill, ink), value) in parts.iter().zip(values) {
+                let corners = [(from, middle - 0.36), (from + value, middle + 0.36)];
+                plane.draw_series([Rectangle::new(corners, fill.filled())])?;
+                if *value >= 0.045 * longest {
+                    let place = (from + value / 2.0, middle);
+                    let words = label(*value).trim_end_matches(" %").to_owned();
+                    plane.draw_series([Text::new(words, place, text(12, *ink, HPos::Center))])?;
+                }
+                from += value;
+            }
+        }
+        let mut x = plane.backend_coord(&(0.0, 0.0)).0;
+        for (name, fill, _) in parts {
+            root.draw(&Rectangle::new([(x, 12), (x + 10, 22)], fill.filled()))?;
+            root.draw(&Text::new(
+                (*name).to_owned(),
+                (x + 15, 17),
+                text(14, INK, HPos::Left),
+            ))?;
+            x += 60_i32.max(30 + 8 * name.chars().count() as i32);
+        }
+        root.present()?;
+    }
+    Ok(svg)
+}
+
+/// Returns a range around `values`, extended by this share on both sides; it is never empty.
+pub(crate) fn range(values: impl Iterator<Item = f64>, margin: f64) -> Range<f64> {
+    let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| {
+        (low.min(value), high.max(value))
+    });
+    if !(low.is_finite() && high.is_finite()) {
+        return 0.0..1.0;
+    }
+    let span = (high - low).max(high.abs() * 1e-3).max(1e-6);
+    low - margin * span..high + margin * span
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_range_is_never_empty() {
+        assert_eq!(range([].into_iter(), 0.1), 0.0..1.0);
+        let range = range([0.5].into_iter(), 0.1);
+        assert!(range.start < 0.5 && 0.5 < range.end);
+    }
+}

@@ -1,0 +1,451 @@
+//! `albireo eval board`: measures policies on this machine over the clips of a data set, and goes on where it was stopped.
+
+use super::JUDGED;
+use super::video::{clip_names, truth_places};
+use crate::cli::play::{Played, Player, choose_meter, clip};
+use crate::cli::progress;
+use crate::cli::values::{not_negative, parse_rate};
+use albireo_core::policy::PolicyConfig;
+use albireo_eval::board::{Run, RunsFile, Setup};
+use albireo_eval::boxes::ScoredBox;
+use albireo_eval::data::{Clip, GroundTruth, LoadReport, Rules, TruthFormat, classes};
+use albireo_eval::footage::{FrameSource, SourceName, VideoEncoding};
+use albireo_eval::judge::{Classes, Interpolation, Truth, accuracy};
+use albireo_eval::settings::ScreenRule;
+use albireo_eval::spec::{PolicySpec, Sweep, resolve};
+use albireo_node::config::NodeConfig;
+use albireo_service::{logging, signals};
+use anyhow::{Context, ensure};
+use clap::Args;
+use indicatif::HumanDuration;
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+/// Headings of the help.
+const PLAYING: &str = "How it is played";
+
+/// Longest clip, seconds: a clip is held in memory while its policies are played.
+const LONGEST_S: f64 = 3600.0;
+
+/// Arguments of `albireo eval board`.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Each run starts a node as `albireo node` does and plays one clip to it under one
+policy; the meter of the node measures it. On every second clip the policies run
+in reverse order. Each run is on disk when it is done: stopped, by Ctrl-C or a
+power cut, the same command goes on with the runs that are missing.
+
+There is a file for each detector, precision, power mode and machine. `albireo
+eval join` makes tables of one or several.
+
+Examples:
+  albireo eval board demo --out results
+      vanilla and albireo on the demonstration's road, by this machine's meter
+  albireo eval board bdd100k/images/track/val \\
+      --ground-truth bdd100k/labels/box_track_20/val --truth-format bdd100k \\
+      --config /etc/albireo/node.toml --sweep u=3e-4,5e-4,7e-4,1e-3,3e-3 \\
+      --precision fp16 --out results
+      the paper's sweep over a whole data set, with this board's detector")]
+pub(super) struct BoardArguments {
+    /// Video files, folders of pictures, folders of such folders, or tar archives; `demo` is the demonstration's road
+    #[arg(required = true, value_name = "CLIP")]
+    clips: Vec<SourceName>,
+    /// A policy, as NAME or NAME:SETTING; may be repeated. Vanilla always runs as well
+    #[arg(long, value_name = "NAME[:SETTING]", default_value = "albireo")]
+    policy: Vec<String>,
+    /// Values of a setting to try one after the other, for instance u=3e-4,5e-4
+    #[arg(long, value_name = "NAME=VALUE,…")]
+    sweep: Vec<Sweep>,
+    /// Ground truth; may be repeated. `demo` has its own
+    #[arg(long, help_heading = JUDGED, value_name = "PATH", requires = "truth_format")]
+    ground_truth: Vec<PathBuf>,
+    /// Layout of the ground truth
+    #[arg(long, help_heading = JUDGED, value_enum, requires = "ground_truth")]
+    truth_format: Option<TruthFormat>,
+    /// How boxes are judged where the ground truth marks crowds, distractors or ignored regions
+    #[arg(long, help_heading = JUDGED, value_enum, default_value = "benchmark")]
+    rules: Rules,
+    /// Play frames at the clip's own rate, as a camera does, and not each as soon as the node has taken the last one
+    #[arg(long, help_heading = PLAYING)]
+    paced: bool,
+    /// Frames per second of a source that has none of its own
+    #[arg(long, help_heading = PLAYING, value_name = "FPS", value_parser = parse_rate)]
+    rate: Option<f64>,
+    /// Warm-up before each run, seconds of the clip
+    #[arg(long, help_heading = PLAYING, value_name = "SECONDS", default_value_t = 1.0, value_parser = not_negative)]
+    warm_up: f64,
+    /// Rest before each run, seconds
+    #[arg(long, help_heading = PLAYING, value_name = "SECONDS", default_value_t = 0.0, value_parser = not_negative)]
+    cool_down: f64,
+    /// Configuration of the node: detector, screen, policy settings and meter are taken from it
+    #[arg(long, short, env = "ALBIREO_CONFIG", value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// The detector, an ONNX file [default: the configuration's]
+    #[arg(long, value_name = "FILE")]
+    detector: Option<PathBuf>,
+    /// The detector's precision, for the tables [default: fp16 if the configuration has it, else as exported]
+    #[arg(long, value_name = "NAME")]
+    precision: Option<String>,
+    /// The power mode, for the tables [default: the machine's own name for it]
+    #[arg(long, value_name = "NAME")]
+    power_mode: Option<String>,
+    /// The machine's name, for the tables [default: its host name]
+    #[arg(long, value_name = "NAME")]
+    machine: Option<String>,
+    /// Write the file of runs here
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+}
+
+/// Runs the command; progress goes to standard error.
+///
+/// # Errors
+/// When an argument is invalid, the ground truth does not fit the clips, a node does not start, or a run cannot be kept.
+pub(super) async fn run(arguments: &BoardArguments) -> anyhow::Result<()> {
+    let names = clip_names(&arguments.clips)?;
+    let mut config = node_of(arguments)?;
+    let policies = policies(arguments, &config.policy)?;
+    let (paths, format) = truth_places(
+        &arguments.clips,
+        &arguments.ground_truth,
+        arguments.truth_format,
+    )
+    .context(
+        "--ground-truth PATH --truth-format LAYOUT: the boxes have to be judged by something",
+    )?;
+    let mut truth = GroundTruth::read(&paths, format, arguments.rules)?;
+    truth.check(&names)?;
+    logging::start(&config.log)?;
+    let shutdown = signals::shutdown(None)?;
+    let meter = choose_meter(&mut config.power).await?;
+    let clips = measured_clips(arguments, &mut truth, names.len() == 1)?;
+    let mut file = RunsFile::open(&arguments.out, &setup(arguments, &config)?)?;
+    let scheduled = scheduled(&clips, &policies, &file);
+    let all = clips.len() * policies.len();
+    eprintln!(
+        "{} clips, {} policies: {} of {all} runs are done; power: {meter}; {}",
+        clips.len(),
+        policies.len(),
+        all - scheduled.len(),
+        file.path().display()
+    );
+    let mut measuring = Measuring {
+        arguments,
+        config,
+        truth,
+        alone: names.len() == 1,
+        left_out: BTreeSet::new(),
+        loaded: None,
+    };
+    let left: u64 = scheduled.iter().map(|run| run.0.frames.unwrap_or(1)).sum();
+    let bar = progress::bar(Some(left), "frames  {msg}");
+    let start = Instant::now();
+    let mut done = 0;
+    for (number, (of, policy)) in scheduled.iter().enumerate() {
+        let name = format!("{} under {}", of.name, policy.label);
+        bar.set_message(name.clone());
+        // Without a terminal for the bar, a line per run shows the progress.
+        if bar.is_hidden() {
+            let left = time_left(start.elapsed(), done, left);
+            eprintln!("run {} of {}: {name}{left}", number + 1, scheduled.len());
+        }
+        let steps = |sent: u64, _: &str| bar.set_position(done + sent.min(of.frames.unwrap_or(1)));
+        let played = measuring.play(of, policy, steps, &shutdown).await;
+        if shutdown.is_cancelled() {
+            bar.finish_and_clear();
+            eprintln!(
+                "Stopped: {number} more runs are kept. The same command goes on with the others."
+            );
+            return Ok(());
+        }
+        file.add(played.with_context(|| name)?)?;
+        done += of.frames.unwrap_or(1);
+    }
+    bar.finish_and_clear();
+    for class in &measuring.left_out {
+        eprintln!("Boxes of the class `{class}` were left out: the ground truth does not have it.");
+    }
+    eprintln!(
+        "All {all} runs are in {0}; next: albireo eval join {0} --out tables",
+        file.path().display()
+    );
+    Ok(())
+}
+
+/// `, about 2 hours left`, from the frames that were played since the start.
+fn time_left(elapsed: Duration, done: u64, all: u64) -> String {
+    if done == 0 {
+        return String::new();
+    }
+    let left = elapsed.mul_f64((all - done.min(all)) as f64 / done as f64);
+    format!(", about {} left", HumanDuration(left))
+}
+
+/// The configuration of the nodes.
+fn node_of(arguments: &BoardArguments) -> anyhow::Result<NodeConfig> {
+    let mut config = crate::cli::node::configuration(arguments.config.as_deref())?;
+    if let Some(model) = &arguments.detector {
+        config.detector.model.clone_from(model);
+    }
+    let model = &config.detector.model;
+    ensure!(
+        model.is_file(),
+        "{}: no such file; run this in the project's folder, or name an ONNX file with --detector or --config",
+        model.display()
+    );
+    if config.log.level == albireo_service::config::LogConfig::default().level {
+        // A node per run would otherwise write its start and its end for each.
+        config.log.level =
+            "error,albireo_node::outbox=off,albireo_service::readiness=off".to_owned();
+    }
+    Ok(config)
+}
+
+fn policies(arguments: &BoardArguments, base: &PolicyConfig) -> anyhow::Result<Vec<PolicySpec>> {
+    // Labels name no screen: it is the node's own.
+    let specs = resolve(
+        &arguments.policy,
+        &arguments.sweep,
+        base,
+        ScreenRule::Nonempty,
+        true,
+    )?;
+    let plain = |spec: PolicySpec| PolicySpec {
+        label: spec.label.split("-erd-").next().unwrap_or_default().to_owned(),
+        ..spec
+    };
+    Ok(specs.into_iter().map(plain).collect())
+}
+
+/// A clip of the measurement, found and checked before the first run.
+struct MeasuredClip {
+    name: String,
+    source: SourceName,
+    /// Its number in the source, if that has several.
+    number: usize,
+    /// `None` for a video, whose frames are counted when it is read.
+    frames: Option<u64>,
+}
+
+/// Lists the clips that the ground truth names, and holds each one's number of frames and size of pictures against it:
+/// a mistake is found now and not after hours.
+fn measured_clips(
+    arguments: &BoardArguments,
+    truth: &mut GroundTruth,
+    alone: bool,
+) -> anyhow::Result<Vec<MeasuredClip>> {
+    let mut clips = Vec::new();
+    for source in &arguments.clips {
+        let opened = source.open_clips(arguments.rate, VideoEncoding::default())?;
+        for (number, mut clip) in opened.into_iter().enumerate() {
+            let name = clip.name().to_owned();
+            if !truth.has(&name, alone) {
+                eprintln!("{name}: not in the ground truth, left out");
+                continue;
+            }
+            let frames = clip.frames();
+            if let Some(frames) = frames {
+                let first = clip.next()?.with_context(|| format!("{name}: it has no pictures"))?;
+                attach(truth, &name, first.size, frames, alone)?;
+            }
+            clips.push(MeasuredClip {
+                name,
+                source: source.clone(),
+                number,
+                frames,
+            });
+        }
+    }
+    Ok(clips)
+}
+
+/// Returns the ground truth of a clip.
+fn attach(
+    truth: &mut GroundTruth,
+    name: &str,
+    size: albireo_core::geometry::PictureSize,
+    frames: u64,
+    alone: bool,
+) -> anyhow::Result<Clip> {
+    let mut clip = Clip::new(name.to_owned(), size, usize::try_from(frames)?);
+    truth.attach_to(&mut clip, alone, true, &mut LoadReport::default())?;
+    Ok(clip)
+}
+
+/// The runs that are missing, clip by clip; on every second clip the policies are in reverse order.
+fn scheduled<'a>(
+    clips: &'a [MeasuredClip],
+    policies: &'a [PolicySpec],
+    file: &RunsFile,
+) -> Vec<(&'a MeasuredClip, &'a PolicySpec)> {
+    let mut runs = Vec::new();
+    for (number, clip) in clips.iter().enumerate() {
+        let mut of_clip: Vec<_> = policies
+            .iter()
+            .filter(|policy| !file.has(&clip.name, &policy.label))
+            .map(|policy| (clip, policy))
+            .collect();
+        if number % 2 == 1 {
+            of_clip.reverse();
+        }
+        runs.extend(of_clip);
+    }
+    runs
+}
+
+/// Describes what all runs have in common.
+fn setup(arguments: &BoardArguments, config: &NodeConfig) -> anyhow::Result<Setup> {
+    let model = &config.detector.model;
+    let bytes = std::fs::read(model).with_context(|| model.display().to_string())?;
+    let stem = model.file_stem().unwrap_or_default();
+    let host = || std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
+    let mode = || albireo_power::board_state(&config.power).power_mode;
+    let precision = if config.detector.gpu.fp16 {
+        "fp16"
+    } else {
+        "as exported"
+    };
+    let truth = match (arguments.truth_format, arguments.ground_truth.first()) {
+        (Some(format), Some(path)) => format!("{format:?} {}", path.display()),
+        _ => "demo/truth.json".to_owned(),
+    };
+    Ok(Setup {
+        detector: stem.to_string_lossy().into_owned(),
+        detector_checksum: format!("{:08x}-{}", crc32fast::hash(&bytes), bytes.len()),
+        precision: arguments.precision.clone().unwrap_or_else(|| precision.to_owned()),
+        power_mode: arguments.power_mode.clone().or_else(mode).unwrap_or_default(),
+        machine: arguments.machine.clone().unwrap_or_else(|| host().trim().to_owned()),
+        provider: config
+            .detector
+            .providers
+            .iter()
+            .map(|provider| provider.as_str())
+            .collect::<Vec<_>>()
+            .join(", "),
+        pace: if arguments.paced { "paced" } else { "unpaced" }.to_owned(),
+        truth,
+    })
+}
+
+/// Plays runs and judges them.
+struct Measuring<'a> {
+    arguments: &'a BoardArguments,
+    config: NodeConfig,
+    truth: GroundTruth,
+    alone: bool,
+    /// Classes of boxes that the ground truth does not have.
+    left_out: BTreeSet<String>,
+    /// The clip that is in memory, and its ground truth: all its policies are played before the next.
+    loaded: Option<(Player, Clip)>,
+}
+
+impl Measuring<'_> {
+    /// Plays a clip under a policy.
+    async fn play(
+        &mut self,
+        of: &MeasuredClip,
+        policy: &PolicySpec,
+        progress: impl Fn(u64, &str),
+        shutdown: &tokio_util::sync::CancellationToken,
+    ) -> anyhow::Result<Run> {
+        if self.loaded.as_ref().is_none_or(|(_, clip)| clip.name != of.name) {
+            self.loaded = None;
+            self.loaded = Some(self.load(of).await?);
+        }
+        let Some((player, clip)) = &self.loaded else {
+            unreachable!("it was loaded above")
+        };
+        memory::forget_peak();
+        let played = player.play(&policy.config, progress, shutdown).await?;
+        let mut run = Run::of(&played.report, &of.name, &policy.label);
+        run.frame_ms = played.frame_ms(player.rate);
+        run.cpu_s = Some(played.cpu.as_secs_f64());
+        run.peak_mib = memory::peak_mib();
+        let boxes = published(
+            &played,
+            player.warm_up_frames(),
+            clip.frames,
+            &mut self.left_out,
+        );
+        let truth = Truth {
+            objects: clip.truth.as_deref().unwrap_or_default(),
+            ignored: &clip.ignored,
+        };
+        let judged = accuracy(&boxes, truth, Classes::Pooled, Interpolation::AllPoints);
+        run.ap50 = judged.map(|found| found.ap50);
+        run.map = judged.map(|found| found.map);
+        Ok(run)
+    }
+
+    /// Reads a clip into memory and makes its player.
+    async fn load(&mut self, of: &MeasuredClip) -> anyhow::Result<(Player, Clip)> {
+        let arguments = self.arguments;
+        let opened = of.source.open_clips(arguments.rate, VideoEncoding::default())?;
+        let source = opened.into_iter().nth(of.number).context("the clip is gone")?;
+        let rate = self.truth.rate(&of.name, self.alone).filter(|_| arguments.rate.is_none());
+        let rate = rate.unwrap_or_else(|| source.rate());
+        let loading = tokio::task::spawn_blocking(move || clip::load(source, LONGEST_S));
+        let (pictures, size) = loading.await.context("reading the clip")??;
+        let frames = pictures.frames().unwrap_or_default();
+        let clip = attach(&mut self.truth, &of.name, size, frames, self.alone)?;
+        let player = Player {
+            config: self.config.clone(),
+            clip: pictures,
+            size,
+            rate: arguments.paced.then_some(rate),
+            warm_up_s: arguments.warm_up,
+            cool_down: Duration::from_secs_f64(arguments.cool_down),
+        };
+        Ok((player, clip))
+    }
+}
+
+/// Returns the published boxes of each frame; a frame without an answer has none.
+fn published(
+    played: &Played,
+    first: u64,
+    frames: usize,
+    left_out: &mut BTreeSet<String>,
+) -> Vec<Vec<ScoredBox>> {
+    let mut boxes = vec![Vec::new(); frames];
+    for answer in played.answers() {
+        let frame = answer.seq.checked_sub(first).and_then(|frame| usize::try_from(frame).ok());
+        let Some(place) = frame.and_then(|frame| boxes.get_mut(frame)) else {
+            continue;
+        };
+        for found in &answer.boxes {
+            let Ok(class) = classes::from_name(&found.class) else {
+                left_out.insert(found.class.clone());
+                continue;
+            };
+            let [x1, y1, x2, y2] = found.corners.map(f64::from);
+            place.push(ScoredBox {
+                corners: albireo_core::geometry::Corners { x1, y1, x2, y2 },
+                class,
+                confidence: f64::from(found.confidence),
+                object: None,
+            });
+        }
+    }
+    boxes
+}
+
+/// The memory of this process, as Linux counts it.
+mod memory {
+    use std::fs;
+
+    /// Starts the count of the peak anew.
+    pub(super) fn forget_peak() {
+        // Where it is not allowed, the peak is that of the process since its start, and is not reported.
+        let _ = fs::write("/proc/self/clear_refs", "5");
+    }
+
+    /// The peak since then, MiB.
+    pub(super) fn peak_mib() -> Option<f64> {
+        let status = fs::read_to_string("/proc/self/status").ok()?;
+        let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+        let kib: f64 = line.trim().trim_end_matches(" kB").trim().parse().ok()?;
+        Some(kib / 1024.0)
+    }
+}
