@@ -26,6 +26,7 @@ mod documentation;
 mod end_to_end;
 mod eval_agreement;
 mod eval_audit;
+mod eval_board;
 mod eval_coco;
 mod eval_command;
 mod eval_pictures;

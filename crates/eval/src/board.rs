@@ -1,7 +1,7 @@
 //! Measures policies on a machine, clip by clip, and joins the measurements of several machines and settings into tables.
 //!
 //! ```text
-//! (a run on the node) ─▶ Run ─▶ runs file, one per setup ─┐
+//! (a run on the node) ─▶ ClipRun ─▶ runs file, one per setup ─┐
 //! published rows of the paper ────────────────────────────┴─▶ Setup with its runs ─▶ tables, figures, page
 //! ```
 
@@ -13,7 +13,7 @@ mod runs_file;
 mod summary;
 mod table;
 
-pub use run::{Run, Setup, SetupRuns};
+pub use run::{ClipRun, Setup, SetupRuns};
 pub use runs_file::{RunsFile, read};
 pub use table::render;
 

@@ -7,7 +7,7 @@
 //!
 //! ```text
 //! error, statistics, text, boxes | files, footage, judge | data, result | energy_model
-//! settings | spec | chart | pictures, replay, summary | run | board, report, advise, compare
+//! settings | spec | chart | pictures, replay, summary | run | report | board, advise, compare
 //! ```
 
 pub mod advise;

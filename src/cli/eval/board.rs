@@ -6,7 +6,7 @@ use crate::cli::play::{Played, Player, choose_meter, clip};
 use crate::cli::progress;
 use crate::cli::values::{not_negative, parse_rate};
 use albireo_core::policy::PolicyConfig;
-use albireo_eval::board::{Run, RunsFile, Setup};
+use albireo_eval::board::{ClipRun, RunsFile, Setup};
 use albireo_eval::boxes::ScoredBox;
 use albireo_eval::data::{Clip, GroundTruth, LoadReport, Rules, TruthFormat, classes};
 use albireo_eval::footage::{FrameSource, SourceName, VideoEncoding};
@@ -15,6 +15,7 @@ use albireo_eval::settings::ScreenRule;
 use albireo_eval::spec::{PolicySpec, Sweep, resolve};
 use albireo_node::config::NodeConfig;
 use albireo_service::{logging, signals};
+use albireo_vision::detector::ExecutionProvider;
 use anyhow::{Context, ensure};
 use clap::Args;
 use indicatif::HumanDuration;
@@ -84,7 +85,7 @@ pub(super) struct BoardArguments {
     /// The detector, an ONNX file [default: the configuration's]
     #[arg(long, value_name = "FILE")]
     detector: Option<PathBuf>,
-    /// The detector's precision, for the tables [default: fp16 if the configuration has it, else as exported]
+    /// The detector's precision, for the tables [default: fp16 for TensorRT with detector.gpu.fp16, else as exported]
     #[arg(long, value_name = "NAME")]
     precision: Option<String>,
     /// The power mode, for the tables [default: the machine's own name for it]
@@ -301,11 +302,10 @@ fn setup(arguments: &BoardArguments, config: &NodeConfig) -> anyhow::Result<Setu
     let stem = model.file_stem().unwrap_or_default();
     let host = || std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
     let mode = || albireo_power::board_state(&config.power).power_mode;
-    let precision = if config.detector.gpu.fp16 {
-        "fp16"
-    } else {
-        "as exported"
-    };
+    // Half precision is a setting of TensorRT alone; elsewhere the model runs as it was exported.
+    let first = config.detector.providers.first();
+    let is_half = config.detector.gpu.fp16 && first == Some(&ExecutionProvider::TensorRt);
+    let precision = if is_half { "fp16" } else { "as exported" };
     let truth = match (arguments.truth_format, arguments.ground_truth.first()) {
         (Some(format), Some(path)) => format!("{format:?} {}", path.display()),
         _ => "demo/truth.json".to_owned(),
@@ -348,7 +348,7 @@ impl Measuring<'_> {
         policy: &PolicySpec,
         progress: impl Fn(u64, &str),
         shutdown: &tokio_util::sync::CancellationToken,
-    ) -> anyhow::Result<Run> {
+    ) -> anyhow::Result<ClipRun> {
         if self.loaded.as_ref().is_none_or(|(_, clip)| clip.name != of.name) {
             self.loaded = None;
             self.loaded = Some(self.load(of).await?);
@@ -356,12 +356,10 @@ impl Measuring<'_> {
         let Some((player, clip)) = &self.loaded else {
             unreachable!("it was loaded above")
         };
-        memory::forget_peak();
         let played = player.play(&policy.config, progress, shutdown).await?;
-        let mut run = Run::of(&played.report, &of.name, &policy.label);
+        let mut run = ClipRun::of(&played.report, &of.name, &policy.label);
         run.frame_ms = played.frame_ms(player.rate);
         run.cpu_s = Some(played.cpu.as_secs_f64());
-        run.peak_mib = memory::peak_mib();
         let boxes = published(
             &played,
             player.warm_up_frames(),
@@ -429,23 +427,4 @@ fn published(
         }
     }
     boxes
-}
-
-/// The memory of this process, as Linux counts it.
-mod memory {
-    use std::fs;
-
-    /// Starts the count of the peak anew.
-    pub(super) fn forget_peak() {
-        // Where it is not allowed, the peak is that of the process since its start, and is not reported.
-        let _ = fs::write("/proc/self/clear_refs", "5");
-    }
-
-    /// The peak since then, MiB.
-    pub(super) fn peak_mib() -> Option<f64> {
-        let status = fs::read_to_string("/proc/self/status").ok()?;
-        let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
-        let kib: f64 = line.trim().trim_end_matches(" kB").trim().parse().ok()?;
-        Some(kib / 1024.0)
-    }
 }

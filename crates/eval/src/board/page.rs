@@ -2,7 +2,7 @@
 
 use super::run::SetupRuns;
 use super::summary::SetupSummary;
-use super::table::{Table, tables};
+use super::table::{JoinedTable, tables};
 use crate::chart::Plot;
 use crate::report::STYLE;
 use crate::text::Column;
@@ -49,7 +49,7 @@ pub(super) fn render(setups: &[SetupRuns], summaries: &[SetupSummary], figures: 
     page.into_string()
 }
 
-fn table(found: &Table) -> Markup {
+fn table(found: &JoinedTable) -> Markup {
     let Some((names, others)) = found.columns.split_first() else {
         return Markup::default();
     };

@@ -1,6 +1,6 @@
 //! Reads the per-clip results that accompany the paper: `results/BOARD/SYSTEM/DETECTOR/summary.csv` of its repository.
 
-use super::run::{Run, Setup, SetupRuns};
+use super::run::{ClipRun, Setup, SetupRuns};
 use crate::error::EvalError;
 use crate::spec::BASELINE;
 use albireo_wire::FrameStates;
@@ -9,7 +9,7 @@ use std::path::Path;
 
 /// The columns that are read of a row.
 #[derive(Deserialize)]
-struct Row {
+struct PublishedRow {
     sequence: String,
     system: String,
     ap_50: Option<f64>,
@@ -36,7 +36,7 @@ pub(super) fn parse(path: &Path, text: &str) -> Result<SetupRuns, EvalError> {
     let mut reader = csv::Reader::from_reader(text.as_bytes());
     let mut runs = Vec::new();
     for (number, row) in (2..).zip(reader.deserialize()) {
-        let row: Row = row.map_err(|error| {
+        let row: PublishedRow = row.map_err(|error| {
             let what = format!(
                 "{error}; a summary.csv of the paper's results has the columns sequence, system, ap_50, infer_count, energy_j, …"
             );
@@ -61,7 +61,7 @@ pub(super) fn parse(path: &Path, text: &str) -> Result<SetupRuns, EvalError> {
     Ok(SetupRuns { setup, runs })
 }
 
-fn run(row: Row) -> Run {
+fn run(row: PublishedRow) -> ClipRun {
     let states = FrameStates {
         e: row.erd_empty_count,
         p: row.predict_count,
@@ -82,7 +82,7 @@ fn run(row: Row) -> Run {
     let known = domains
         .into_iter()
         .filter_map(|(name, joules)| Some((name.to_owned(), joules?)));
-    Run {
+    ClipRun {
         clip: row.sequence,
         policy,
         frames: states.frames(),
@@ -99,7 +99,6 @@ fn run(row: Row) -> Run {
         estimated: false,
         energy_of: "the board".to_owned(),
         cpu_s: None,
-        peak_mib: None,
         throttled: false,
     }
 }

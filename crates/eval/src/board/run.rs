@@ -85,7 +85,7 @@ impl Setup {
 
 /// The figures of one clip under one policy.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Run {
+pub struct ClipRun {
     /// The clip's name.
     pub clip: String,
     /// The policy's label.
@@ -125,15 +125,12 @@ pub struct Run {
     /// Processor time of the program, seconds.
     #[serde(default)]
     pub cpu_s: Option<f64>,
-    /// Highest memory of the program during the run, MiB, with the clip in it.
-    #[serde(default)]
-    pub peak_mib: Option<f64>,
     /// True if the machine reported throttled clocks.
     #[serde(default)]
     pub throttled: bool,
 }
 
-impl Run {
+impl ClipRun {
     /// Takes from the node's report what it has; accuracy, times and memory of the program are the caller's.
     pub fn of(report: &ClipReport, clip: &str, policy: &str) -> Self {
         let energy = &report.energy;
@@ -156,7 +153,6 @@ impl Run {
             estimated: energy.quality == EnergyQuality::Estimated,
             energy_of: energy.total_from.clone(),
             cpu_s: None,
-            peak_mib: None,
             throttled: report.board.as_ref().is_some_and(|board| board.throttled == Some(true)),
         }
     }
@@ -178,5 +174,5 @@ pub struct SetupRuns {
     /// The setup.
     pub setup: Setup,
     /// Its runs.
-    pub runs: Vec<Run>,
+    pub runs: Vec<ClipRun>,
 }

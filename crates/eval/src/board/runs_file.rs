@@ -1,7 +1,7 @@
 //! Keeps the runs of a setup in a file, one line each, so that a measurement of many hours goes on where it was stopped.
 
 use super::published;
-use super::run::{Run, Setup, SetupRuns};
+use super::run::{ClipRun, Setup, SetupRuns};
 use crate::error::EvalError;
 use serde::{Deserialize, Serialize};
 use std::fs::{File, OpenOptions};
@@ -16,7 +16,7 @@ const VERSION: u32 = 1;
 #[serde(untagged)]
 enum Line {
     Setup { v: u32, setup: Box<Setup> },
-    Run { run: Box<Run> },
+    Run { run: Box<ClipRun> },
 }
 
 /// The file of a setup's runs, open for more.
@@ -24,7 +24,7 @@ enum Line {
 pub struct RunsFile {
     path: PathBuf,
     file: File,
-    runs: Vec<Run>,
+    runs: Vec<ClipRun>,
 }
 
 impl RunsFile {
@@ -86,7 +86,7 @@ impl RunsFile {
     }
 
     /// The runs so far.
-    pub fn runs(&self) -> &[Run] {
+    pub fn runs(&self) -> &[ClipRun] {
         &self.runs
     }
 
@@ -99,7 +99,7 @@ impl RunsFile {
     ///
     /// # Errors
     /// When it cannot be written.
-    pub fn add(&mut self, run: Run) -> Result<(), EvalError> {
+    pub fn add(&mut self, run: ClipRun) -> Result<(), EvalError> {
         self.append(&Line::Run {
             run: Box::new(run.clone()),
         })?;

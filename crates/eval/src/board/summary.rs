@@ -1,6 +1,6 @@
 //! Summarises the runs of a setup: means by policy, and paired differences to the baseline over the same clips.
 
-use super::run::{Run, SetupRuns};
+use super::run::{ClipRun, SetupRuns};
 use crate::spec::BASELINE;
 use crate::statistics::mean;
 use crate::summary::Difference;
@@ -37,7 +37,6 @@ pub(super) struct PolicyFigures {
     pub detector_calls: f64,
     pub domains: BTreeMap<String, f64>,
     pub cpu_s: Option<f64>,
-    pub peak_mib: Option<f64>,
     pub throttled: usize,
     /// `None` for the baseline, and if no clip was also played under it.
     pub change: Option<Changes>,
@@ -72,7 +71,7 @@ pub(super) struct ClipsOfAp {
 /// Summarises a setup's runs, policies in the order in which they first occur.
 pub(super) fn summarise(of: &SetupRuns) -> SetupSummary {
     let mut order: Vec<&str> = Vec::new();
-    let mut by_policy: HashMap<&str, Vec<&Run>> = HashMap::new();
+    let mut by_policy: HashMap<&str, Vec<&ClipRun>> = HashMap::new();
     for run in &of.runs {
         let runs = by_policy.entry(&run.policy).or_default();
         if runs.is_empty() {
@@ -81,7 +80,7 @@ pub(super) fn summarise(of: &SetupRuns) -> SetupSummary {
         runs.push(run);
     }
     order.sort_by_key(|policy| *policy != BASELINE);
-    let baseline: HashMap<&str, &Run> = by_policy
+    let baseline: HashMap<&str, &ClipRun> = by_policy
         .get(BASELINE)
         .into_iter()
         .flatten()
@@ -98,21 +97,24 @@ pub(super) fn summarise(of: &SetupRuns) -> SetupSummary {
         title: of.setup.title(),
         energy_of: measured.map_or_else(String::new, |run| {
             let how = if estimated { "estimated" } else { "measured" };
-            format!("{} ({how})", run.energy_of)
+            match run.energy_of.strip_prefix("estimated: ") {
+                Some(formula) => format!("{how}: {formula}"),
+                None => format!("{how}: {}", run.energy_of),
+            }
         }),
         policies: policies.collect(),
     }
 }
 
-fn figures(policy: &str, runs: &[&Run], change: Option<Changes>) -> PolicyFigures {
+fn figures(policy: &str, runs: &[&ClipRun], change: Option<Changes>) -> PolicyFigures {
     let over =
-        |figure: &dyn Fn(&Run) -> Option<f64>| mean(runs.iter().filter_map(|run| figure(run)));
+        |figure: &dyn Fn(&ClipRun) -> Option<f64>| mean(runs.iter().filter_map(|run| figure(run)));
     // A mean over only some of the clips would not be that of the others.
-    let if_all = |figure: &dyn Fn(&Run) -> Option<f64>| {
+    let if_all = |figure: &dyn Fn(&ClipRun) -> Option<f64>| {
         let is_known = runs.iter().all(|run| figure(run).is_some());
         is_known.then(|| over(figure)).flatten()
     };
-    let all = |figure: &dyn Fn(&Run) -> f64| over(&|run| Some(figure(run))).unwrap_or_default();
+    let all = |figure: &dyn Fn(&ClipRun) -> f64| over(&|run| Some(figure(run))).unwrap_or_default();
     let joules = if_all(&|run| run.joules);
     let frame_ms = all(&|run| run.frame_ms);
     let mut domains = BTreeMap::new();
@@ -139,15 +141,14 @@ fn figures(policy: &str, runs: &[&Run], change: Option<Changes>) -> PolicyFigure
         detector_calls: all(&|run| run.detector_calls as f64),
         domains,
         cpu_s: if_all(&|run| run.cpu_s),
-        peak_mib: if_all(&|run| run.peak_mib),
         throttled: runs.iter().filter(|run| run.throttled).count(),
         change,
     }
 }
 
 /// Compares runs with the baseline's on the same clips; `None` if there are no such clips.
-fn changes(runs: &[&Run], baseline: &HashMap<&str, &Run>) -> Option<Changes> {
-    let pairs: Vec<(&Run, &Run)> = runs
+fn changes(runs: &[&ClipRun], baseline: &HashMap<&str, &ClipRun>) -> Option<Changes> {
+    let pairs: Vec<(&ClipRun, &ClipRun)> = runs
         .iter()
         .filter_map(|run| Some((*run, *baseline.get(run.clip.as_str())?)))
         .collect();
@@ -155,7 +156,7 @@ fn changes(runs: &[&Run], baseline: &HashMap<&str, &Run>) -> Option<Changes> {
         return None;
     }
     // Every pair of a figure that both runs have.
-    let both = |figure: &dyn Fn(&Run) -> Option<f64>| -> Vec<(f64, f64)> {
+    let both = |figure: &dyn Fn(&ClipRun) -> Option<f64>| -> Vec<(f64, f64)> {
         pairs
             .iter()
             .filter_map(|(run, before)| Some((figure(run)?, figure(before)?)))

@@ -11,7 +11,7 @@ use albireo_core::policy::FrameState;
 const WIDTH: usize = 100;
 
 /// A table with its title, for the terminal and the page.
-pub(super) struct Table {
+pub(super) struct JoinedTable {
     pub title: String,
     pub columns: Vec<Column>,
     pub notes: Vec<String>,
@@ -37,7 +37,7 @@ pub fn render(setups: &[SetupRuns]) -> String {
 }
 
 /// Makes all tables: two for each setup, then those across setups.
-pub(super) fn tables(setups: &[SetupRuns], summaries: &[SetupSummary]) -> Vec<Table> {
+pub(super) fn tables(setups: &[SetupRuns], summaries: &[SetupSummary]) -> Vec<JoinedTable> {
     let mut tables = Vec::new();
     for (setup, summary) in setups.iter().zip(summaries) {
         tables.push(figures(setup, summary));
@@ -67,7 +67,7 @@ fn percent(share: f64) -> String {
 }
 
 /// The main table of a setup.
-fn figures(setup: &SetupRuns, summary: &SetupSummary) -> Table {
+fn figures(setup: &SetupRuns, summary: &SetupSummary) -> JoinedTable {
     let rows = &summary.policies;
     let mut columns = vec![
         named(rows),
@@ -86,9 +86,6 @@ fn figures(setup: &SetupRuns, summary: &SetupSummary) -> Table {
         }));
     }
     columns.push(column("CPU", "s", rows, |of| one_decimal(of.cpu_s)));
-    columns.push(column("memory", "MiB", rows, |of| {
-        or_dash(of.peak_mib.map(|mib| format!("{mib:.0}")))
-    }));
     columns.retain(|column| column.cells.iter().any(|cell| cell != "-"));
     let clips = rows.iter().map(|of| of.clips).max().unwrap_or_default();
     let mut notes = vec![
@@ -101,7 +98,7 @@ fn figures(setup: &SetupRuns, summary: &SetupSummary) -> Table {
             "No energy: there was no meter, or its samples did not cover the runs.".to_owned(),
         );
     } else {
-        notes.push(format!("Energy is that of {}.", summary.energy_of));
+        notes.push(format!("Energy is {}.", summary.energy_of));
     }
     notes.extend(cautions(rows, clips));
     let pace = &setup.setup.pace;
@@ -111,7 +108,7 @@ fn figures(setup: &SetupRuns, summary: &SetupSummary) -> Table {
         .filter(|(_, what)| !what.is_empty())
         .map(|(name, what)| format!("; {name} {what}"))
         .collect::<String>();
-    Table {
+    JoinedTable {
         title: format!("{}: {clips} clips{how}", summary.title),
         columns,
         notes,
@@ -146,7 +143,7 @@ fn cautions(rows: &[PolicyFigures], clips: usize) -> Vec<String> {
 }
 
 /// The differences to the baseline; none if only it was measured.
-fn differences(summary: &SetupSummary) -> Option<Table> {
+fn differences(summary: &SetupSummary) -> Option<JoinedTable> {
     let rows: Vec<(&PolicyFigures, &Changes)> = summary
         .policies
         .iter()
@@ -162,7 +159,9 @@ fn differences(summary: &SetupSummary) -> Option<Table> {
         column("mAP", "points", &rows, |(_, change)| figure(change.map)),
         column("energy", "%", &rows, |(_, change)| figure(change.joules)),
         column("", "p", &rows, |(_, change)| p(change.joules)),
-        column("time", "%", &rows, |(_, change)| figure(change.frame_ms)),
+        column("time", "%", &rows, |(_, change)| {
+            or_dash(change.frame_ms.map(|found| signed(found.mean, 1)))
+        }),
         column("EDP", "%", &rows, |(_, change)| {
             or_dash(change.edp.map(|edp| signed(edp, 1)))
         }),
@@ -170,7 +169,7 @@ fn differences(summary: &SetupSummary) -> Option<Table> {
     columns.retain(|column| column.cells.iter().any(|cell| cell != "-"));
     let clips = rows.iter().filter_map(|(_, change)| Some(change.ap50?.clips)).max();
     let notes = rows.iter().flat_map(|(of, change)| sentences(of, change)).collect();
-    (!rows.is_empty()).then(|| Table {
+    (!rows.is_empty()).then(|| JoinedTable {
         title: format!(
             "Differences to vanilla with 95 % intervals and p of the energy (paired t{})",
             clips.map_or_else(String::new, |clips| format!(
@@ -204,7 +203,7 @@ fn sentences(of: &PolicyFigures, change: &Changes) -> Option<String> {
 }
 
 /// Energy by domain; none if the machine has no domains.
-fn domains(summary: &SetupSummary) -> Option<Table> {
+fn domains(summary: &SetupSummary) -> Option<JoinedTable> {
     let rows = &summary.policies;
     let mut names: Vec<&String> = rows.iter().flat_map(|of| of.domains.keys()).collect();
     names.sort();
@@ -215,7 +214,7 @@ fn domains(summary: &SetupSummary) -> Option<Table> {
             one_decimal(of.domains.get(*name).copied())
         })
     }));
-    (columns.len() > 2).then(|| Table {
+    (columns.len() > 2).then(|| JoinedTable {
         title: format!("Energy by domain: {}", summary.title),
         columns,
         notes: Vec::new(),
@@ -223,7 +222,7 @@ fn domains(summary: &SetupSummary) -> Option<Table> {
 }
 
 /// One row for each setup and policy.
-fn across(summaries: &[SetupSummary]) -> Option<Table> {
+fn across(summaries: &[SetupSummary]) -> Option<JoinedTable> {
     let rows: Vec<(&str, &PolicyFigures, &Changes)> = summaries
         .iter()
         .flat_map(|summary| {
@@ -247,7 +246,7 @@ fn across(summaries: &[SetupSummary]) -> Option<Table> {
         }),
     ];
     columns.retain(|column| column.cells.iter().any(|cell| cell != "-"));
-    (!rows.is_empty()).then(|| Table {
+    (!rows.is_empty()).then(|| JoinedTable {
         title: "Across setups: changes against vanilla of the same setup".to_owned(),
         columns,
         notes: Vec::new(),
@@ -255,7 +254,7 @@ fn across(summaries: &[SetupSummary]) -> Option<Table> {
 }
 
 /// Whether savings multiply; none without two setups of one machine.
-fn composed(rows: &[Composition]) -> Option<Table> {
+fn composed(rows: &[Composition]) -> Option<JoinedTable> {
     let columns = vec![
         column("", "from", rows, |row| row.from.clone()),
         column("", "to", rows, |row| row.to.clone()),
@@ -272,7 +271,7 @@ fn composed(rows: &[Composition]) -> Option<Table> {
         }),
         column("clips", "", rows, |row| row.clips.to_string()),
     ];
-    (!rows.is_empty()).then(|| Table {
+    (!rows.is_empty()).then(|| JoinedTable {
         title: "Do savings multiply? Energy saved by skipping in the first setup, by the second setup without skipping, and \
                 by both"
             .to_owned(),
@@ -324,7 +323,6 @@ pub(super) fn rows_of_clips(setups: &[SetupRuns]) -> Vec<Cells> {
             ("energy_io_mem_j", domain("io_mem")),
             ("edp_j_ms_per_frame", number(run.edp())),
             ("cpu_s", number(run.cpu_s)),
-            ("peak_mib", number(run.peak_mib)),
             ("throttled", run.throttled.to_string()),
         ]
     })

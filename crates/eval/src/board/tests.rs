@@ -17,9 +17,9 @@ fn setup() -> Setup {
     }
 }
 
-fn run(clip: &str, policy: &str, joules: f64, ap50: f64) -> Run {
+fn run(clip: &str, policy: &str, joules: f64, ap50: f64) -> ClipRun {
     let skipped = if policy == BASELINE { 0 } else { 20 };
-    Run {
+    ClipRun {
         clip: clip.to_owned(),
         policy: policy.to_owned(),
         frames: 100,
@@ -44,7 +44,6 @@ fn run(clip: &str, policy: &str, joules: f64, ap50: f64) -> Run {
         estimated: false,
         energy_of: "input_rail".to_owned(),
         cpu_s: None,
-        peak_mib: None,
         throttled: false,
     }
 }

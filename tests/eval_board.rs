@@ -1,0 +1,146 @@
+//! `albireo eval board` and `join` on a split in BDD100K's layout: measured through the real node, killed, and gone on with.
+
+use crate::eval_command::eval;
+use crate::support::{assert_contains, project, run, text, until};
+use albireo_eval::footage::{FrameSource, SourceName, VideoEncoding};
+use serde_json::{Value, json};
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+const CLIPS: usize = 3;
+const FRAMES: usize = 6;
+
+/// Writes pictures and labels of the demonstration's road as BDD100K lays them out: a folder and a label file for each
+/// clip, eleven categories, crowds.
+fn split(folder: &Path) {
+    let truth: Value = serde_json::from_str(&text("demo/truth.json")).unwrap();
+    let labels = |clip: &str, frame: usize| -> Vec<Value> {
+        let mut frames = truth.as_array().unwrap().iter();
+        let of = frames.find(|of| of["videoName"] == clip && of["frameIndex"] == frame);
+        of.unwrap()["labels"].as_array().cloned().unwrap_or_default()
+    };
+    let categories = [
+        "other person",
+        "trailer",
+        "other vehicle",
+        "train",
+        "rider",
+        "bicycle",
+        "motorcycle",
+        "bus",
+        "truck",
+        "pedestrian",
+        "car",
+    ];
+    let road = SourceName::Archive(project("demo/road.tar"));
+    let mut busy = road.open_clips(None, VideoEncoding::Jpeg).unwrap().swap_remove(0);
+    let mut frames: Vec<Vec<Value>> = vec![Vec::new(); CLIPS];
+    for number in 0..CLIPS * FRAMES {
+        let (clip, frame) = (number / FRAMES, number % FRAMES);
+        let name = format!("b1c{clip:05x}-{clip:08x}");
+        let picture = format!("{name}-{:07}.jpg", frame + 1);
+        let place = folder.join("images/track/val").join(&name);
+        fs::create_dir_all(&place).unwrap();
+        fs::write(place.join(&picture), busy.next().unwrap().unwrap().bytes).unwrap();
+        let mut labels = labels("busy", number);
+        labels.push(json!({
+            "id": "900", "category": categories[number % categories.len()],
+            "attributes": {"crowd": number % 3 == 0}, "box2d": {"x1": 5, "y1": 5, "x2": 60, "y2": 60}
+        }));
+        frames[clip].push(
+            json!({"name": picture, "videoName": name, "frameIndex": frame, "labels": labels}),
+        );
+    }
+    fs::create_dir_all(folder.join("labels/val")).unwrap();
+    for (clip, frames) in frames.iter().enumerate() {
+        let path = folder.join(format!("labels/val/{clip}.json"));
+        fs::write(path, json!(frames).to_string()).unwrap();
+    }
+}
+
+/// The clips and policies of all whole runs in the file, in order.
+fn runs(file: &Path) -> Vec<(String, String)> {
+    let text = fs::read_to_string(file).unwrap_or_default();
+    let whole = text.split_inclusive('\n').filter(|line| line.ends_with('\n'));
+    let runs = whole.map(|line| serde_json::from_str::<Value>(line).unwrap());
+    let word = |value: &Value| value.as_str().unwrap().to_owned();
+    runs.filter(|line| line["run"].is_object())
+        .map(|line| (word(&line["run"]["clip"]), word(&line["run"]["policy"])))
+        .collect()
+}
+
+fn arguments(folder: &Path) -> Vec<String> {
+    let folder = folder.display();
+    let text = format!(
+        "eval board {folder}/images/track/val --ground-truth {folder}/labels/val --truth-format bdd100k \
+         --policy albireo --policy fixed-skip:2 --machine board --power-mode 15W --out {folder}/out"
+    );
+    text.split_whitespace().map(str::to_owned).collect()
+}
+
+#[tokio::test]
+#[ignore = "needs ONNX Runtime"]
+async fn a_killed_measurement_goes_on_and_its_files_join_into_tables() {
+    let folder = tempfile::tempdir().unwrap();
+    split(folder.path());
+    let file = folder.path().join("out/yolox_nano.as-exported.15W.board.jsonl");
+    let mut first = Command::new(env!("CARGO_BIN_EXE_albireo"))
+        .args(arguments(folder.path()))
+        .current_dir(project(""))
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    until("two runs are kept", async || runs(&file).len() >= 2).await;
+    first.kill().unwrap();
+    first.wait().unwrap();
+    let kept = runs(&file);
+    assert!(kept.len() < CLIPS * 3, "it was done before it was killed");
+
+    let words = arguments(folder.path());
+    let words: Vec<&str> = words.iter().map(String::as_str).collect();
+    let ended = run(&words, &[]);
+    assert_contains(
+        &ended.err,
+        &[&format!("{} of 9 runs are done", kept.len()), "All 9 runs"],
+    );
+    ended.succeeds();
+    let all = runs(&file);
+    assert_eq!(all[..kept.len()], kept);
+    assert_eq!(all.len(), 9);
+    assert_eq!(all.iter().collect::<BTreeSet<_>>().len(), 9);
+
+    let out = folder.path().join("tables");
+    let joined = eval(&format!("join {} --out {}", file.display(), out.display()));
+    let table = joined.succeeds();
+    assert_contains(
+        &table,
+        &[
+            "yolox_nano, as exported, 15W, board: 3 clips",
+            "fixedskip-2",
+            "albireo-u3e-4",
+        ],
+    );
+    assert!(out.join("join.html").metadata().unwrap().len() > 10_000);
+    let rows = fs::read_to_string(out.join("clips.csv")).unwrap();
+    assert_eq!(rows.lines().count(), 10);
+    // Every second frame of the six was skipped.
+    assert_contains(&rows, &["fixedskip-2,6,0,0,3,"]);
+}
+
+#[test]
+#[ignore = "needs ONNX Runtime"]
+fn a_clip_that_is_not_what_its_truth_is_for_is_found_before_the_first_run() {
+    let folder = tempfile::tempdir().unwrap();
+    split(folder.path());
+    let last = folder
+        .path()
+        .join("images/track/val/b1c00002-00000002/b1c00002-00000002-0000006.jpg");
+    fs::remove_file(last).unwrap();
+    let words = arguments(folder.path());
+    let words: Vec<&str> = words.iter().map(String::as_str).collect();
+    let refused = run(&words, &[]).fails();
+    assert_contains(&refused, &["b1c00002-00000002", "6 frames, the clip has 5"]);
+    assert!(!folder.path().join("out").exists());
+}
