@@ -3,6 +3,8 @@
 use crate::support::fleet::HubProcess;
 use crate::support::{Ended, assert_contains, free_port, run};
 use rstest::rstest;
+use std::fs::Permissions;
+use std::os::unix::fs::PermissionsExt;
 
 /// Checks the shipped configuration without looking at this machine.
 const CHECK: [&str; 3] = ["check", "--file-only", "config/node.toml"];
@@ -68,6 +70,20 @@ fn environment_variables_override_the_shipped_configuration(
 ) {
     let said = run(&CHECK, &[(name, value)]).succeeds();
     assert!(said.contains(expected), "{said}");
+}
+
+#[test]
+fn check_names_a_file_with_a_secret_that_every_user_can_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("hub.toml");
+    let text = "[hub]\nprefix = \"albireo\"\n[http]\ntoken = \"0123456789abcdefgh\"\n";
+    std::fs::write(&file, text).unwrap();
+    for (mode, is_open) in [(0o640, false), (0o644, true)] {
+        std::fs::set_permissions(&file, Permissions::from_mode(mode)).unwrap();
+        let said = run(&["check", file.to_str().unwrap()], &[]).succeeds();
+        let note = "every user of this machine can read it (mode 644): chmod o= ";
+        assert_eq!(said.contains(note), is_open, "{said}");
+    }
 }
 
 /// Tries everything that the shipped configuration with an uplink names, as a node uses it.

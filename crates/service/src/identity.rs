@@ -109,6 +109,11 @@ impl Certificate {
         }
     }
 
+    fn is_valid(&self, now_s: i64) -> bool {
+        let validity = self.validity.as_ref();
+        validity.is_ok_and(|known| (known.from_s..known.until_s).contains(&now_s))
+    }
+
     /// Why it cannot be used at this time, or soon cannot. The text is the same all day.
     fn fault(&self, now_s: i64) -> Option<String> {
         let shown = format!("{} ({})", self.key, self.file.display());
@@ -230,6 +235,18 @@ impl Certificates {
         self.fault_at(unix_milliseconds().div_euclid(1000))
     }
 
+    /// Why some of them cannot be used now.
+    pub fn invalid(&self) -> Option<String> {
+        self.invalid_at(unix_milliseconds().div_euclid(1000))
+    }
+
+    fn invalid_at(&self, now_s: i64) -> Option<String> {
+        let known = self.0.read();
+        let invalid = known.iter().filter(|one| !one.is_valid(now_s));
+        let faults: Vec<_> = invalid.filter_map(|one| one.fault(now_s)).collect();
+        (!faults.is_empty()).then(|| faults.join("; "))
+    }
+
     fn fault_at(&self, now_s: i64) -> Option<String> {
         let known = self.0.read();
         let faults: Vec<_> = known.iter().filter_map(|one| one.fault(now_s)).collect();
@@ -295,6 +312,10 @@ mod tests {
             let fault = certificates.fault_at(seconds(date)).unwrap_or_default();
             assert!(fault.contains(said), "{date}: {fault}");
             assert_eq!(fault.is_empty(), said.is_empty(), "{date}: {fault}");
+            let is_invalid = said.contains("expired") || said.contains("set the clock");
+            let invalid = certificates.invalid_at(seconds(date)).is_some();
+            assert!(!is_invalid || invalid, "{date}");
+            assert!(invalid == is_invalid || date > "2026-01-31", "{date}");
         }
         let broken = Certificates::read([write("certificate", "nothing")]);
         let fault = broken.fault().unwrap();

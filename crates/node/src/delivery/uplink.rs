@@ -231,7 +231,7 @@ impl Worker {
                 }
             };
             // A session that failed for a certificate does not come back by itself.
-            let (why, normal) = match self.setup.board.certificates.fault() {
+            let (why, normal) = match self.setup.board.certificates.invalid() {
                 Some(fault) => (format!("{failed}: {fault}"), Duration::ZERO),
                 None => (failed.to_owned(), self.schedule.offline()),
             };
