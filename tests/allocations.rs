@@ -6,7 +6,7 @@ use albireo_core::detection::{ClassId, Detection};
 use albireo_core::geometry::{BoundingBox, PictureSize};
 use albireo_core::policy::{
     EvidenceAtHand, FrameEvidence, FrameHead, FrameState, GreyPicture, LatePolicy, Need, Outcome,
-    Policy, PolicyConfig, Profile, Settler, decide,
+    PauseFrames, Policy, PolicyConfig, Profile, Settler, WithPause, decide,
 };
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -126,7 +126,8 @@ fn check(asked: &str, profile: Profile, states: &[FrameState], late: bool) {
     let mut config = PolicyConfig::default();
     config.select(asked).unwrap();
     config.profile = profile;
-    let mut policy = config.build().unwrap();
+    let pause = PauseFrames { every: 3, after: 0 };
+    let mut policy: Box<dyn Policy> = Box::new(WithPause::new(config.build().unwrap(), pause));
     let mut outcome = Outcome::default();
     let picture = match asked.contains("+flow") {
         true => texture,

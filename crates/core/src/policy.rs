@@ -26,6 +26,8 @@
 //! | `even-skip-in-tracker[:skip_rate]` | evenly spaced, at any rate | predicted boxes of expected-loss | comparison: the object keeping alone |
 //! | `expected-loss+flow[:lambda]` and the two above with `+flow` | the same | boxes followed by optical flow in a small grey picture | our own |
 //!
+//! [`WithPause`] adds a pause on an empty road to those that call the detector whenever nothing is tracked.
+//!
 //! A policy uses no clock, picture format or network, and a frame that needs no evidence costs no decoding. The live
 //! node, the evaluation and the tests all drive policies through [`decide`], with their own evidence.
 
@@ -40,6 +42,7 @@ mod cause;
 mod config;
 mod decide;
 mod detector_boxes;
+mod empty_road;
 mod expected_loss;
 mod fixed_skip;
 mod late;
@@ -63,6 +66,7 @@ pub use baselines::{Ctd, CtdSettings, Statues, StatuesSettings};
 pub use cause::CallCause;
 pub use config::{PolicyConfig, PolicyConfigError};
 pub use decide::{EvidenceAtHand, FrameEvidence, decide};
+pub use empty_road::{EmptyRoad, PauseFrames, WithPause, can_pause, no_pause};
 pub use expected_loss::{ExpectedLoss, ExpectedLossSettings, InTracker, Pixels, Trigger};
 pub use fixed_skip::{FixedSkip, FixedSkipSettings, SkippedBoxes};
 pub use late::{CannotRewind, LatePolicy, NotPending};
@@ -127,7 +131,7 @@ pub enum Evidence<'a> {
     Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize,
 )]
 pub enum FrameState {
-    /// The screen reported "empty"; the detector was skipped.
+    /// The screen reported "empty", or an empty road was passed over in a pause; the detector was skipped.
     E,
     /// The boxes are predicted or repeated from an earlier frame; the detector was skipped.
     #[default]

@@ -24,6 +24,8 @@ pub enum CallCause {
     Audit,
     /// The number of consecutive "empty" answers of the screen exceeds the limit.
     EmptyLimit,
+    /// A pause on an empty road has ended: the detector looks whether the road is still empty.
+    EmptyRoad,
     /// No object is tracked, and no screen decides whether the scene is empty.
     NoObjects,
     /// The frame is the first of the stream.
@@ -40,7 +42,7 @@ pub enum CallCause {
 
 impl CallCause {
     /// All causes, in counting order.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 15] = [
         Self::Uncertain,
         Self::NewObject,
         Self::ExpectedLoss,
@@ -49,6 +51,7 @@ impl CallCause {
         Self::Screen,
         Self::Audit,
         Self::EmptyLimit,
+        Self::EmptyRoad,
         Self::NoObjects,
         Self::Start,
         Self::Retry,
@@ -68,6 +71,7 @@ impl CallCause {
             Self::Screen => "screen",
             Self::Audit => "audit",
             Self::EmptyLimit => "empty_limit",
+            Self::EmptyRoad => "empty_road",
             Self::NoObjects => "no_objects",
             Self::Start => "start",
             Self::Retry => "retry",

@@ -11,7 +11,7 @@
 //!
 //! The final state and boxes of frame k are the same as if the frame had waited for its detections.
 
-use super::{Evidence, FrameHead, InvalidThreshold, Need, Outcome, Policy};
+use super::{Evidence, FrameHead, InvalidThreshold, Need, Outcome, PauseFrames, Policy, WithPause};
 
 /// Frames after the pending one that are predicted again one by one; further ones are predicted as lost frames.
 const MOST_STEPS: usize = 256;
@@ -45,7 +45,7 @@ pub struct NotPending {
 /// A policy whose frames are answered before their evidence arrives, or, if they [wait](Self::waiting), afterwards. At
 /// most one frame is pending at a time.
 pub struct LatePolicy {
-    policy: Box<dyn Policy>,
+    policy: WithPause,
     /// True if frames wait for their evidence.
     waits: bool,
     pending: Option<Step>,
@@ -75,7 +75,7 @@ impl LatePolicy {
     /// the next one begins.
     pub fn waiting(policy: Box<dyn Policy>) -> Self {
         Self {
-            policy,
+            policy: WithPause::new(policy, PauseFrames::OFF),
             waits: true,
             pending: None,
             steps: Vec::new(),
@@ -90,7 +90,7 @@ impl LatePolicy {
 
     /// The policy, in its state after the last frame.
     pub fn policy(&self) -> &dyn Policy {
-        &*self.policy
+        &self.policy
     }
 
     /// Returns the index of the frame that is waiting for evidence.
@@ -107,8 +107,13 @@ impl LatePolicy {
         self.policy.set_threshold(value)
     }
 
-    /// Answers a frame immediately: overwrites `outcome` with state `P` (not `degraded`, without a cause) and predicted
-    /// boxes. Returns what the frame needs: with [`Need::Nothing`] this is its final answer, otherwise it is pending
+    /// Sets the pause on an empty road for the frames that follow.
+    pub fn set_pause(&mut self, pause: PauseFrames) {
+        self.policy.set_pause(pause);
+    }
+
+    /// Answers a frame immediately: overwrites `outcome` with state `P`, or `E` in a pause on an empty road (not
+    /// `degraded`, without a cause), and predicted boxes. Returns what the frame needs: with [`Need::Nothing`] this is its final answer, otherwise it is pending
     /// until [`deliver`](Self::deliver) completes it. A frame needs nothing while another one is pending. If frames
     /// wait, a frame that needs something has no answer yet.
     pub fn frame(&mut self, head: FrameHead, outcome: &mut Outcome) -> Need {
@@ -123,14 +128,14 @@ impl LatePolicy {
         }
         if self.pending.is_some() {
             self.remember(step);
-            predict(&mut *self.policy, need, outcome);
+            predict(&mut self.policy, need, outcome);
             return Need::Nothing;
         }
         if need != Need::Nothing {
             self.pending = Some(step);
             self.policy.save();
         }
-        predict(&mut *self.policy, need, outcome);
+        predict(&mut self.policy, need, outcome);
         need
     }
 
@@ -155,21 +160,21 @@ impl LatePolicy {
         }
         let threshold = self.policy.threshold();
         self.policy.rewind();
-        restore(&mut *self.policy, pending.threshold);
+        restore(&mut self.policy, pending.threshold);
         let need = self.policy.answer(evidence);
         if self.finish_unless(need, outcome) != Need::Nothing {
             self.policy.save();
-            predict(&mut *self.policy, need, &mut self.unused);
+            predict(&mut self.policy, need, &mut self.unused);
         }
         for step in &self.steps {
-            restore(&mut *self.policy, step.threshold);
+            restore(&mut self.policy, step.threshold);
             let need = self.policy.begin(step.head);
-            predict(&mut *self.policy, need, &mut self.unused);
+            predict(&mut self.policy, need, &mut self.unused);
         }
         if self.pending.is_none() {
             self.steps.clear();
         }
-        restore(&mut *self.policy, threshold);
+        restore(&mut self.policy, threshold);
         Ok(need)
     }
 

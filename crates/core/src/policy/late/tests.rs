@@ -279,7 +279,7 @@ fn frames_beyond_the_list_of_steps_are_repeated_as_lost_ones() {
             ..head(index + frames)
         };
         let need = short.policy.begin(lost);
-        predict(&mut *short.policy, need, &mut outcome);
+        predict(&mut short.policy, need, &mut outcome);
         assert_eq!(records(late.policy()), records(short.policy()), "{name}");
     }
 }

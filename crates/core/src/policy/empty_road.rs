@@ -1,0 +1,282 @@
+//! A pause on an empty road: once looks have found nothing for a while, only every n-th frame is looked at.
+//!
+//! ```text
+//! found   1 0 0 0 0 0 0 0 0 . . 0 . . 0 . . 1 1 1      `.` passed over, state E
+//!           └──── after ──┘ └every┘     └ a look that finds something ends the pause
+//! ```
+//!
+//! It is a screen that needs no picture: it answers the question that a [policy](can_pause) asks while nothing is
+//! tracked, not even tentatively. A look is an answer
+//! of the detector, or of a screen model that says "empty". Lost frames count as time.
+
+use super::{
+    CallCause, Evidence, FrameHead, InvalidThreshold, Need, ObjectRecord, Outcome, Policy,
+    ThresholdSpec,
+};
+use crate::geometry::PictureSize;
+use serde::{Deserialize, Serialize};
+
+/// The pause in seconds, as it is configured.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct EmptyRoad {
+    /// Seconds from one look at an empty road to the next; 0 looks at every frame.
+    pub pause_s: f64,
+    /// Seconds without a detection after which the road is empty.
+    pub after_s: f64,
+}
+
+impl Default for EmptyRoad {
+    fn default() -> Self {
+        Self {
+            pause_s: 0.0,
+            after_s: 1.0,
+        }
+    }
+}
+
+impl EmptyRoad {
+    /// The longest pause, seconds: whoever wants longer ones does not want to see what comes.
+    pub const LONGEST_PAUSE_S: f64 = 60.0;
+    /// The longest time without a detection, seconds.
+    pub const LONGEST_AFTER_S: f64 = 3600.0;
+
+    /// A measured rate may be this much too low without costing a frame of the pause.
+    const RATE_TOLERANCE: f64 = 1.02;
+
+    /// Returns what is wrong, with the setting's name.
+    pub fn problem(&self) -> Option<(&'static str, String)> {
+        let settings = [
+            ("pause_s", self.pause_s, Self::LONGEST_PAUSE_S),
+            ("after_s", self.after_s, Self::LONGEST_AFTER_S),
+        ];
+        settings.into_iter().find_map(|(name, value, most)| {
+            let right = (0.0..=most).contains(&value);
+            (!right).then(|| {
+                (
+                    name,
+                    format!("must be a number of seconds from 0 to {most}, not {value}"),
+                )
+            })
+        })
+    }
+
+    /// Converts to frames at `rate` frames per second: the pause is rounded down, the time before it up. Without a
+    /// rate, every frame is looked at.
+    pub fn frames(&self, rate: Option<f64>) -> PauseFrames {
+        let Some(rate) = rate.filter(|rate| rate.is_finite() && *rate > 0.0) else {
+            return PauseFrames::OFF;
+        };
+        // Casts saturate, and turn what is not a number into 0.
+        PauseFrames {
+            every: (self.pause_s * rate * Self::RATE_TOLERANCE).floor() as u32,
+            after: (self.after_s * rate / Self::RATE_TOLERANCE).ceil() as u32,
+        }
+    }
+}
+
+/// True if `policy`, at the start of a stream, asks a screen and without one the detector, only because nothing is
+/// tracked: the policies that a pause is for. `expected-loss` looks at an empty road less often by itself, and loses less
+/// by a higher price than by a pause (docs/method.md).
+pub fn can_pause(policy: &mut dyn Policy) -> bool {
+    let mut need = policy.begin(FrameHead {
+        index: 0,
+        step: 1,
+        picture: PictureSize::new(1280, 720),
+    });
+    let asks_screen = need == Need::Screen;
+    while need != Need::Nothing {
+        need = policy.answer(Evidence::Unavailable);
+    }
+    let mut outcome = Outcome::default();
+    policy.finish(&mut outcome);
+    policy.reset();
+    asks_screen && outcome.cause == Some(CallCause::NoObjects)
+}
+
+/// The words for a policy that [takes no pause](can_pause).
+pub fn no_pause(policy: &str) -> String {
+    format!(
+        "policy `{policy}` takes no pause on an empty road: it is for policies that call the detector whenever nothing is \
+         tracked, such as `albireo`"
+    )
+}
+
+/// The pause in frames.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PauseFrames {
+    /// One frame in this many is looked at while the road is empty; 0 and 1 look at every frame.
+    pub every: u32,
+    /// Frames in a row without a detection, at least one of them looked at, after which the road is empty.
+    pub after: u32,
+}
+
+impl PauseFrames {
+    /// Every frame is looked at.
+    pub const OFF: Self = Self { every: 0, after: 0 };
+}
+
+/// The frames since the last looks: all that the decision depends on.
+#[derive(Clone, Copy, Debug, Default)]
+struct Looks {
+    /// Frames since something was found, or since the start.
+    since_found: u32,
+    /// Frames since the last look, or since the start.
+    since_look: u32,
+}
+
+impl Looks {
+    fn advance(&mut self, step: u32) {
+        self.since_found = self.since_found.saturating_add(step);
+        self.since_look = self.since_look.saturating_add(step);
+    }
+
+    fn looked(&mut self, found: bool) {
+        self.since_look = 0;
+        if found {
+            self.since_found = 0;
+        }
+    }
+
+    /// True if looks have found nothing for so long that the current frame belongs to a pause.
+    fn is_empty(self, pause: PauseFrames) -> bool {
+        pause.every > 1 && self.since_found > pause.after && self.since_look < self.since_found
+    }
+
+    /// True if the current frame can be passed over.
+    fn passes(self, pause: PauseFrames) -> bool {
+        self.is_empty(pause) && self.since_look < pause.every
+    }
+}
+
+/// The progress of the current frame, and what the next ones depend on.
+#[derive(Clone, Copy, Debug, Default)]
+struct State {
+    looks: Looks,
+    need: Need,
+    /// True if the frame is a look at an empty road.
+    looking: bool,
+}
+
+/// A policy with a pause on an empty road.
+pub struct WithPause {
+    policy: Box<dyn Policy>,
+    /// False for a policy that takes no pause.
+    applies: bool,
+    pause: PauseFrames,
+    state: State,
+    /// The state that [`Policy::rewind`] restores.
+    saved: State,
+}
+
+impl WithPause {
+    /// Adds a pause to `policy`, which is at the start of a stream. If it [takes none](can_pause), nothing changes.
+    pub fn new(mut policy: Box<dyn Policy>, pause: PauseFrames) -> Self {
+        Self {
+            applies: can_pause(&mut *policy),
+            policy,
+            pause,
+            state: State::default(),
+            saved: State::default(),
+        }
+    }
+
+    /// Changes the pause for the frames that follow.
+    pub fn set_pause(&mut self, pause: PauseFrames) {
+        self.pause = pause;
+    }
+
+    fn ask(&mut self, need: Need) -> Need {
+        self.state.need = need;
+        need
+    }
+}
+
+impl Policy for WithPause {
+    fn name(&self) -> &'static str {
+        self.policy.name()
+    }
+
+    fn threshold_spec(&self) -> Option<ThresholdSpec> {
+        self.policy.threshold_spec()
+    }
+
+    fn threshold(&self) -> Option<f64> {
+        self.policy.threshold()
+    }
+
+    fn set_threshold(&mut self, value: f64) -> Result<(), InvalidThreshold> {
+        self.policy.set_threshold(value)
+    }
+
+    fn begin(&mut self, frame: FrameHead) -> Need {
+        self.state.looks.advance(frame.step.max(1));
+        self.state.looking = false;
+        let mut need = self.policy.begin(frame);
+        if need == Need::Screen && self.applies {
+            let looks = self.state.looks;
+            self.state.looking = looks.is_empty(self.pause);
+            if looks.passes(self.pause) {
+                need = self.policy.answer(Evidence::Screen { empty: true });
+            }
+        }
+        self.ask(need)
+    }
+
+    fn answer(&mut self, evidence: Evidence<'_>) -> Need {
+        let looks = &mut self.state.looks;
+        match (self.state.need, evidence) {
+            (Need::Screen, Evidence::Screen { empty: true }) => looks.looked(false),
+            (Need::Detections, Evidence::Detections(found)) => looks.looked(!found.is_empty()),
+            _ => {}
+        }
+        let need = self.policy.answer(evidence);
+        self.ask(need)
+    }
+
+    fn pictures(&self) -> Option<Need> {
+        self.policy.pictures()
+    }
+
+    fn longest_pause(&self) -> Option<u32> {
+        self.policy.longest_pause()
+    }
+
+    fn can_rewind(&self) -> bool {
+        self.policy.can_rewind()
+    }
+
+    fn save(&mut self) {
+        self.saved = self.state;
+        self.policy.save();
+    }
+
+    fn rewind(&mut self) {
+        self.state = self.saved;
+        self.policy.rewind();
+    }
+
+    /// A call at the end of a pause has the pause as its cause, unless a screen model asked for it.
+    fn finish(&mut self, outcome: &mut Outcome) {
+        self.policy.finish(outcome);
+        if self.state.looking && outcome.cause.is_some_and(|cause| cause != CallCause::Screen) {
+            outcome.cause = Some(CallCause::EmptyRoad);
+        }
+    }
+
+    fn reset(&mut self) {
+        self.state = State::default();
+        self.policy.reset();
+    }
+
+    fn objects(&self, visit: &mut dyn FnMut(&ObjectRecord)) {
+        self.policy.objects(visit);
+    }
+
+    fn rejected_detections(&self) -> u64 {
+        self.policy.rejected_detections()
+    }
+}
+
+#[cfg(test)]
+mod tests;
