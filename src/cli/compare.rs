@@ -51,7 +51,8 @@ Examples:
   albireo compare --detector yolo26n.onnx --u 5e-4 --clip drive.mp4
       another model without a configuration file")]
 pub(super) struct Arguments {
-    /// A policy, as NAME or NAME:SETTING; may be repeated. The others are compared with the first
+    /// A policy, as NAME or NAME:SETTING; may be repeated. `,pause_s=SECONDS` behind it adds a pause on an empty road. The
+    /// others are compared with the first
     #[arg(long, value_name = "NAME[:SETTING]", default_values = [BASELINE, "albireo", "expected-loss"])]
     policy: Vec<String>,
     /// Threshold of the policies that have one; may be repeated to try several [default: the configuration's]
@@ -176,7 +177,8 @@ fn prepare(arguments: &Arguments) -> anyhow::Result<(NodeConfig, Vec<PolicySpec>
         config.log.level = "warn,albireo_node::input::receiver=error,albireo_node::outbox=error,albireo_service::readiness=error"
                 .to_owned();
     }
-    let variants = variants(&arguments.policy, &arguments.u, &config.policy)?;
+    let base = (&config.policy, config.screen.empty_road());
+    let variants = variants(&arguments.policy, &arguments.u, base)?;
     Ok((config, variants))
 }
 
@@ -203,7 +205,7 @@ async fn play_all(
             bar.set_position(before + sent);
             bar.set_message(format!("{name}: {step}"));
         };
-        let played = player.play(&variant.config, progress, shutdown).await;
+        let played = player.play(variant, progress, shutdown).await;
         if shutdown.is_cancelled() {
             break;
         }

@@ -105,7 +105,8 @@ struct RunArguments {
     #[command(flatten)]
     settings: SettingsArguments,
     /// A policy, as NAME or NAME:SETTING, or `all` for every one with the paper's settings; may be given
-    /// several times. Vanilla always runs as well.
+    /// several times. `,pause_s=SECONDS` behind it adds a pause on an empty road (`[screen]`), `,after_s=SECONDS` says
+    /// after how long without a detection. Vanilla always runs as well.
     #[arg(long, value_name = "NAME[:SETTING]", default_value = "albireo")]
     policy: Vec<String>,
     /// Uncertainty threshold of the policies that have one.

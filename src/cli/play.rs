@@ -5,9 +5,10 @@ pub(super) mod clip;
 use super::frames::{FrameSender, Pacing, close, open_session};
 use super::replay::{PublishOptions, Sent, UNPACED, publish};
 use albireo_core::geometry::PictureSize;
-use albireo_core::policy::{PolicyConfig, ThresholdSpec};
+use albireo_core::policy::ThresholdSpec;
 use albireo_eval::compare::{Boxes, ClassNumbers, Suggestion};
 use albireo_eval::footage::{FrameSource, Pictures};
+use albireo_eval::spec::PolicySpec;
 use albireo_node::PreparedNode;
 use albireo_node::camera::{AnswerTime, SettleConfig};
 use albireo_node::config::{CameraConfig, NodeConfig};
@@ -120,7 +121,7 @@ impl Player {
     /// When the node cannot start or does not answer, or on `shutdown`.
     pub(super) async fn play(
         &self,
-        policy: &PolicyConfig,
+        policy: &PolicySpec,
         progress: impl Fn(u64, &str),
         shutdown: &CancellationToken,
     ) -> anyhow::Result<Played> {
@@ -261,7 +262,7 @@ impl Player {
 /// node reports to no hub, waits for the detector before it answers, and has no target that changes the threshold.
 fn configuration(
     base: &NodeConfig,
-    policy: &PolicyConfig,
+    policy: &PolicySpec,
     delivery: Delivery,
 ) -> anyhow::Result<NodeConfig> {
     let mut config = base.clone();
@@ -276,7 +277,9 @@ fn configuration(
     };
     config.uplink = UplinkConfig::default();
     config.target = TargetConfig::default();
-    config.policy.clone_from(policy);
+    config.policy.clone_from(&policy.config);
+    config.screen.pause_s = policy.empty_road.pause_s;
+    config.screen.after_s = policy.empty_road.after_s;
     let mut camera = CameraConfig::named(CAMERA);
     camera.delivery = delivery;
     config.cameras = vec![camera];
@@ -333,6 +336,8 @@ fn process_cpu() -> Duration {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use albireo_core::policy::EmptyRoad;
+    use albireo_eval::compare::variants;
     use albireo_wire::Target;
 
     #[test]
@@ -364,15 +369,16 @@ mod tests {
         base.node.answer = AnswerTime::AtOnce;
         base.settle.enabled = true;
         for policy in ["albireo", "vanilla"] {
-            let policy = PolicyConfig {
-                name: policy.to_owned(),
-                ..PolicyConfig::default()
-            };
-            let config = configuration(&base, &policy, Delivery::Newest).unwrap();
+            let asked = [policy.to_owned(), "albireo:1e-3,pause_s=0.2".to_owned()];
+            let policies = variants(&asked, &[], (&base.policy, EmptyRoad::default())).unwrap();
+            let config = configuration(&base, &policies[0], Delivery::Newest).unwrap();
+            assert_eq!(config.screen.pause_s, 0.0);
             assert!(!config.uplink.is_set() && config.zenoh.connect.is_empty());
             assert_eq!((config.target.hold, config.node.state_dir), (None, None));
             assert_eq!(config.node.answer, AnswerTime::WhenKnown);
             assert!(!config.settle.enabled);
+            let config = configuration(&base, &policies[1], Delivery::Newest).unwrap();
+            assert_eq!(config.screen.pause_s, 0.2);
         }
     }
 }

@@ -87,7 +87,7 @@ fn run_policy(
     policy: &PolicySpec,
     settings: &Settings,
 ) -> Result<ClipResult, EvalError> {
-    let mut decider = policy.build()?;
+    let mut decider = policy.build(clip.frame_rate)?;
     let profile = profile_of(decider.name(), settings.profile);
     let mut source =
         StoredEvidence::new(clip, settings).map_err(|source| no_evidence(clip, policy, source))?;

@@ -1,10 +1,11 @@
-//! Selects the policies of a run from `NAME[:ARGUMENT]` on the command line and sweeps, and gives them their labels
-//! in traces, tables and plots.
+//! Selects the policies of a run from `NAME[:ARGUMENT][,pause_s=SECONDS][,after_s=SECONDS]` on the command line and
+//! sweeps, and gives them their labels in traces, tables and plots.
 
 use crate::error::EvalError;
 use crate::settings::ScreenRule;
 use albireo_core::policy::{
-    Albireo, Ctd, FixedSkip, Policy, PolicyConfig, PolicyConfigError, Statues, Vanilla,
+    Albireo, Ctd, EmptyRoad, FixedSkip, Policy, PolicyConfig, Statues, Vanilla, WithPause,
+    can_pause, no_pause,
 };
 use std::collections::BTreeSet;
 
@@ -45,17 +46,26 @@ pub struct PolicySpec {
     pub label: String,
     /// The configuration from which it is built.
     pub config: PolicyConfig,
+    /// Its pause on an empty road.
+    pub empty_road: EmptyRoad,
 }
 
 impl PolicySpec {
-    /// Builds the policy.
+    /// Builds the policy for a clip of `rate` frames per second.
     ///
     /// # Errors
-    /// When its configuration is invalid.
-    pub(crate) fn build(&self) -> Result<Box<dyn Policy>, EvalError> {
-        self.config
-            .build()
-            .map_err(|error| EvalError::new(format!("policy {}: {error}", self.label)))
+    /// When its configuration is invalid, or when it has a pause and the rate is not known.
+    pub(crate) fn build(&self, rate: Option<f64>) -> Result<Box<dyn Policy>, EvalError> {
+        let refused = |what: &str| EvalError::new(format!("policy {}: {what}", self.label));
+        let policy = self.config.build().map_err(|error| refused(&error.to_string()))?;
+        if self.empty_road.pause_s == 0.0 {
+            return Ok(policy);
+        }
+        let rate = rate.ok_or_else(|| {
+            refused("a pause is in seconds, and the data has no frame rate: give it with --rate")
+        })?;
+        let pause = self.empty_road.frames(Some(rate));
+        Ok(Box::new(WithPause::new(policy, pause)))
     }
 }
 
@@ -112,13 +122,16 @@ pub fn resolve(
         asked => vec![asked],
     });
     let asked: Vec<&str> = std::iter::once(BASELINE).chain(asked).collect();
-    swept(&asked, sweeps, base, |policy| label(policy, screen))
+    let base = (base, EmptyRoad::default());
+    swept(&asked, sweeps, base, |policy, empty_road| {
+        label(policy, empty_road, screen)
+    })
 }
 
-/// A policy, and the configuration from which it was built.
-type Built = (PolicyConfig, Box<dyn Policy>);
+/// A policy, and what it was built from.
+type Built = (PolicyConfig, EmptyRoad, Box<dyn Policy>);
 
-/// Returns the policies `asked` for (`NAME[:ARGUMENT]` each) in order, without repetitions, with everything else as in
+/// Returns the policies `asked` for (`NAME[:ARGUMENT][,pause_s=…][,after_s=…]` each) in order, without repetitions, with everything else as in
 /// `base`. A policy whose threshold is swept occurs once for each value, unless it has an argument of its own.
 ///
 /// # Errors
@@ -127,21 +140,22 @@ type Built = (PolicyConfig, Box<dyn Policy>);
 pub(crate) fn swept(
     asked: &[&str],
     sweeps: &[Sweep],
-    base: &PolicyConfig,
-    label: impl Fn(&dyn Policy) -> String,
+    base: (&PolicyConfig, EmptyRoad),
+    label: impl Fn(&dyn Policy, EmptyRoad) -> String,
 ) -> Result<Vec<PolicySpec>, EvalError> {
     let mut found = Vec::new();
     let mut applied = vec![false; sweeps.len()];
     for asked in asked {
         let one = build(asked, base)?;
-        let spec = one.1.threshold_spec();
+        let spec = one.2.threshold_spec();
+        let (name, pause) = asked.split_at(asked.find(',').unwrap_or(asked.len()));
         let sweep =
             sweeps.iter().position(|sweep| spec.is_some_and(|spec| spec.name == sweep.name));
         match sweep {
-            Some(index) if !asked.contains(':') => {
+            Some(index) if !name.contains(':') => {
                 applied[index] = true;
                 for value in &sweeps[index].values {
-                    found.push(build(&format!("{asked}:{value:e}"), base)?);
+                    found.push(build(&format!("{name}:{value:e}{pause}"), base)?);
                 }
             }
             _ => found.push(one),
@@ -156,9 +170,10 @@ pub(crate) fn swept(
             let mut seen = BTreeSet::new();
             let mut specs: Vec<PolicySpec> = found
                 .into_iter()
-                .map(|(config, policy)| PolicySpec {
-                    label: label(policy.as_ref()),
+                .map(|(config, empty_road, policy)| PolicySpec {
+                    label: label(policy.as_ref(), empty_road),
                     config,
+                    empty_road,
                 })
                 .collect();
             specs.retain(|spec| seen.insert(spec.label.clone()));
@@ -167,14 +182,58 @@ pub(crate) fn swept(
     }
 }
 
-/// Reads `NAME[:ARGUMENT]` and makes sure that the policy can be built.
-fn build(asked: &str, base: &PolicyConfig) -> Result<Built, EvalError> {
-    let refused =
-        |error: PolicyConfigError| EvalError::new(error).context(format!("--policy {asked}"));
-    let mut config = base.clone();
-    config.select(asked).map_err(refused)?;
-    let policy = config.build().map_err(refused)?;
-    Ok((config, policy))
+/// Reads `NAME[:ARGUMENT][,pause_s=…][,after_s=…]` and makes sure that the policy can be built.
+fn build(asked: &str, base: (&PolicyConfig, EmptyRoad)) -> Result<Built, EvalError> {
+    let refused = |error: EvalError| error.context(format!("--policy {asked}"));
+    let mut parts = asked.split(',');
+    let mut config = base.0.clone();
+    let name = parts.next().unwrap_or_default();
+    config.select(name).map_err(|error| refused(EvalError::new(error)))?;
+    let asked_for = asked.contains(',');
+    let empty_road = read_pause(parts, base.1).map_err(|reason| refused(EvalError::new(reason)))?;
+    let mut policy = config.build().map_err(|error| refused(EvalError::new(error)))?;
+    if can_pause(&mut *policy) {
+        return Ok((config, empty_road, policy));
+    }
+    if asked_for {
+        return Err(refused(EvalError::new(no_pause(config.name.as_str()))));
+    }
+    Ok((config, EmptyRoad::default(), policy))
+}
+
+/// Reads `pause_s=…` and `after_s=…` in place of those of `base`.
+fn read_pause<'a>(
+    parts: impl Iterator<Item = &'a str>,
+    base: EmptyRoad,
+) -> Result<EmptyRoad, String> {
+    let mut empty_road = base;
+    for part in parts {
+        let (name, value) = part.split_once('=').unwrap_or((part, ""));
+        let place = match name.trim() {
+            "pause_s" => &mut empty_road.pause_s,
+            "after_s" => &mut empty_road.after_s,
+            _ => {
+                return Err(format!(
+                    "`{part}` is neither pause_s=SECONDS nor after_s=SECONDS"
+                ));
+            }
+        };
+        *place = value.trim().parse().map_err(|_| format!("`{part}`: write {name}=SECONDS"))?;
+    }
+    match empty_road.problem() {
+        Some((name, reason)) => Err(format!("{name} {reason}")),
+        None => Ok(empty_road),
+    }
+}
+
+/// The part of a label that tells the pause; empty without one.
+pub(crate) fn pause_label(empty_road: EmptyRoad) -> String {
+    let EmptyRoad { pause_s, after_s } = empty_road;
+    match pause_s {
+        0.0 => String::new(),
+        _ if after_s == EmptyRoad::default().after_s => format!("+pause{pause_s}"),
+        _ => format!("+pause{pause_s}after{after_s}"),
+    }
 }
 
 /// True if the policy's threshold is the paper's `u`.
@@ -183,7 +242,7 @@ pub(crate) fn takes_u(policy: &dyn Policy) -> bool {
 }
 
 /// Labels a policy as the published traces do, if they contain it.
-fn label(policy: &dyn Policy, screen: ScreenRule) -> String {
+fn label(policy: &dyn Policy, empty_road: EmptyRoad, screen: ScreenRule) -> String {
     let name = match policy.name() {
         FixedSkip::NAME => "fixedskip",
         name => name,
@@ -194,6 +253,7 @@ fn label(policy: &dyn Policy, screen: ScreenRule) -> String {
         (Some(_), Some(value)) => format!("-{value}"),
         _ => String::new(),
     };
+    let setting = setting + &pause_label(empty_road);
     // The screen is part of the label of policies that use it.
     let screened = !matches!(
         policy.name(),
@@ -212,9 +272,14 @@ pub(crate) fn short_label(label: &str) -> &str {
 }
 
 /// Splits a label into its family, shared by all settings of a policy, and its setting: `albireo-u3e-4-erd-nonempty` is
-/// `albireo` at `u = 3e-4`, `fixedskip-2` is `fixedskip` at `2`, `vanilla` has none.
+/// `albireo` at `u = 3e-4`, `fixedskip-2` is `fixedskip` at `2`, `vanilla` has none. A pause belongs to the setting.
 pub(crate) fn split_label(label: &str) -> (&str, String) {
-    let base = label.split_once("-erd-").map_or(label, |(base, _)| base);
+    let base = short_label(label);
+    if let Some((start, pause)) = base.split_once("+pause") {
+        let (family, setting) = split_label(start);
+        let setting = format!("{setting} pause {}", pause.replace("after", " after "));
+        return (family, setting.trim_start().to_owned());
+    }
     if let Some((family, u)) = base.rsplit_once("-u")
         && u.parse::<f64>().is_ok()
     {
@@ -248,6 +313,16 @@ mod tests {
             ("ctd-0.50", "ctd", "0.50"),
             ("erd-only-erd-detections", "erd-only", ""),
             ("vanilla", "vanilla", ""),
+            (
+                "albireo-u3e-4+pause0.16-erd-nonempty",
+                "albireo",
+                "u = 3e-4 pause 0.16",
+            ),
+            (
+                "kill+erd-10d-u1e-3+pause0.2after2",
+                "kill+erd-10d",
+                "u = 1e-3 pause 0.2 after 2",
+            ),
         ] {
             assert_eq!(split_label(label), (family, setting.to_owned()));
         }
@@ -286,6 +361,38 @@ mod tests {
         let labels = labels(&["albireo", "vanilla"], &["u=3e-4,7e-4,3e-4"], false).unwrap();
         let [three, seven] = ["albireo-u3e-4-erd-nonempty", "albireo-u7e-4-erd-nonempty"];
         assert_eq!(labels, ["vanilla", three, seven]);
+    }
+
+    #[test]
+    fn a_pause_is_part_of_a_policy_and_keeps_its_sweep() {
+        let asked = ["albireo,pause_s=0.16", "albireo:1e-3,pause_s=0.2,after_s=2"];
+        let labels = labels(&asked, &["u=3e-4,7e-4"], false).unwrap();
+        let [three, seven] = [
+            "albireo-u3e-4+pause0.16-erd-nonempty",
+            "albireo-u7e-4+pause0.16-erd-nonempty",
+        ];
+        let other = "albireo-u1e-3+pause0.2after2-erd-nonempty";
+        assert_eq!(labels, ["vanilla", three, seven, other]);
+    }
+
+    #[test]
+    fn an_unreadable_pause_is_rejected_with_what_to_write() {
+        for (asked, part) in [
+            ("albireo,pause=0.1", "pause_s=SECONDS"),
+            ("albireo,pause_s", "write pause_s=SECONDS"),
+            ("albireo,pause_s=-1", "from 0 to 60"),
+            ("albireo,after_s=nan", "from 0 to 3600"),
+            ("vanilla,pause_s=0.1", "takes no pause"),
+            ("expected-loss:0.1,pause_s=0.1", "takes no pause"),
+        ] {
+            let refused = labels(&[asked], &[], false).unwrap_err().to_string();
+            assert!(refused.contains(part), "{refused}");
+        }
+        let base = PolicyConfig::default();
+        let asked = ["albireo,pause_s=0.1".to_owned()];
+        let specs = resolve(&asked, &[], &base, ScreenRule::Nonempty, false).unwrap();
+        let refused = specs[1].build(None).map(|_| ()).unwrap_err().to_string();
+        assert!(refused.contains("--rate"), "{refused}");
     }
 
     #[test]

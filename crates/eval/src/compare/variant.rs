@@ -1,11 +1,11 @@
 //! Lists the variants of a comparison: policies with the values of their thresholds.
 
 use crate::error::EvalError;
-use crate::spec::{PolicySpec, Sweep, swept};
-use albireo_core::policy::{Albireo, Policy, PolicyConfig};
+use crate::spec::{PolicySpec, Sweep, pause_label, swept};
+use albireo_core::policy::{Albireo, EmptyRoad, Policy, PolicyConfig};
 
-/// Returns the variants of `asked` (`NAME[:ARGUMENT]` each) in order, without repetitions. A policy with the threshold
-/// `u` and without an argument of its own occurs once for each value of `thresholds`; everything else is
+/// Returns the variants of `asked` (`NAME[:ARGUMENT][,pause_s=…][,after_s=…]` each) in order, without repetitions. A policy
+/// with the threshold `u` and without an argument of its own occurs once for each value of `thresholds`; everything else is
 /// as in `base`.
 ///
 /// # Errors
@@ -14,7 +14,7 @@ use albireo_core::policy::{Albireo, Policy, PolicyConfig};
 pub fn variants(
     asked: &[String],
     thresholds: &[f64],
-    base: &PolicyConfig,
+    base: (&PolicyConfig, EmptyRoad),
 ) -> Result<Vec<PolicySpec>, EvalError> {
     let asked: Vec<&str> = asked.iter().map(String::as_str).collect();
     let sweep = (!thresholds.is_empty()).then(|| Sweep {
@@ -31,15 +31,16 @@ pub fn variants(
     }
 }
 
-fn label(policy: &dyn Policy) -> String {
+fn label(policy: &dyn Policy, empty_road: EmptyRoad) -> String {
     let name = policy.name();
-    match (policy.threshold_spec(), policy.threshold()) {
+    let label = match (policy.threshold_spec(), policy.threshold()) {
         (Some(spec), Some(value)) if value != 0.0 && value.abs() < 0.01 => {
             format!("{name} {}={value:e}", spec.name)
         }
         (Some(spec), Some(value)) => format!("{name} {}={value}", spec.name),
         _ => name.to_owned(),
-    }
+    };
+    label + &pause_label(empty_road)
 }
 
 #[cfg(test)]
@@ -48,9 +49,13 @@ mod tests {
 
     fn labels(asked: &[&str], thresholds: &[f64]) -> Result<Vec<String>, String> {
         let asked: Vec<_> = asked.iter().map(|name| (*name).to_owned()).collect();
-        variants(&asked, thresholds, &PolicyConfig::default())
-            .map(|found| found.into_iter().map(|variant| variant.label).collect())
-            .map_err(|error| error.to_string())
+        variants(
+            &asked,
+            thresholds,
+            (&PolicyConfig::default(), EmptyRoad::default()),
+        )
+        .map(|found| found.into_iter().map(|variant| variant.label).collect())
+        .map_err(|error| error.to_string())
     }
 
     #[test]

@@ -29,7 +29,7 @@ impl PassSettings {
     pub fn for_policies(policies: &[PolicySpec]) -> Result<Self, EvalError> {
         let mut settings = Self::default();
         for policy in policies {
-            match policy.build()?.pictures() {
+            match policy.config.build().map_err(EvalError::new)?.pictures() {
                 Some(Need::GreyPicture) => settings.keep_grey = true,
                 Some(Need::SmallGreyPicture { width }) => settings.keep_small = Some(width),
                 _ => {}

@@ -79,7 +79,7 @@ pub fn run<'a>(
         settings,
         &|| (),
         &|clip, spec, settings| {
-            let policy = spec.build()?;
+            let policy = spec.build(clip.frame_rate)?;
             let rate = clip.frame_rate.filter(|rate| *rate > 0.0);
             let interval = 1.0 / rate.ok_or_else(|| unjudgeable(clip, spec))?;
             let published = StoredEvidence::new(clip, settings)
