@@ -6,5 +6,6 @@ mod documented;
 pub(crate) mod events;
 mod history;
 mod resources;
+mod screen;
 pub(crate) mod served;
 mod threshold;

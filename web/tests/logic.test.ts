@@ -17,6 +17,7 @@ const { EventParser, follow } = await import("../src/shared/api");
 const { frameAt, placeOf } = await import("../src/node/ribbon");
 const { shownStates } = await import("../src/node/frames");
 const { estimated, fromSlider, outside, toSlider, usefulRange } = await import("../src/node/threshold");
+const { meaning } = await import("../src/node/screen");
 const { graver } = await import("../src/node/log");
 const { cameraState, shortFault } = await import("../src/node/cameras");
 const { afterReturn } = await import("../src/hub/rollouts");
@@ -235,6 +236,16 @@ describe("an order", () => {
     expect(parser.take('{"node":"a","outcome":"app')).toEqual([]);
     const lines = parser.take('lied"}\n{"node":"b","outcome":"refused"}\n\n') as { outcome: string }[];
     expect(countOutcomes(lines)).toEqual({ applied: 1, refused: 1 });
+  });
+});
+
+describe("a pause on an empty road", () => {
+  test("is told in frames of the camera's rate, and says when it does nothing", () => {
+    const front = { camera: "front", frames_per_second: 25, looks_at_one_in: 5 };
+    expect(meaning(front, false)).toBe("one frame in 5 is looked at, at 25 frames/s");
+    expect(meaning(front, true)).toMatch(/^front: /);
+    expect(meaning({ ...front, frames_per_second: 5, looks_at_one_in: 1 }, false)).toContain("shorter than two frames");
+    expect(meaning({ camera: "front", looks_at_one_in: 1 }, false)).toBe("no frames yet");
   });
 });
 

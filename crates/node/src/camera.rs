@@ -7,6 +7,7 @@ pub mod clip;
 mod config;
 mod decider;
 pub mod evidence;
+mod rate;
 mod settled;
 
 pub use config::{AnswerTime, ReportConfig, SettleConfig};
@@ -18,12 +19,15 @@ use crate::camera::audit::{AuditConfig, CameraAudit};
 use crate::camera::clip::{Clip, ClipConfig, ClipTracker};
 use crate::camera::decider::{Decider, Fetched};
 use crate::camera::evidence::LiveEvidence;
+use crate::camera::rate::FrameRate;
 use crate::camera::settled::SettledStream;
 use crate::frame::{FrameRecord, Times};
 use crate::input::receiver::{FrameReceiver, SequencedFrame, kind_of};
 use crate::publishing::Outlet;
 use crate::state::board::CameraBoard;
-use albireo_core::policy::{CallCause, FrameHead, LatePolicy, MinConfidence, Need, Outcome};
+use albireo_core::policy::{
+    CallCause, EmptyRoad, FrameHead, LatePolicy, MinConfidence, Need, Outcome,
+};
 use albireo_power::CameraEnergy;
 use albireo_service::clock::milliseconds;
 use albireo_wire::{DetectionsMessage, DropKind, Latency, Threshold};
@@ -96,6 +100,10 @@ pub(crate) struct Camera {
     /// The frames that the detector examines afterwards.
     audit: CameraAudit,
     threshold: watch::Receiver<Option<f64>>,
+    empty_road: watch::Receiver<EmptyRoad>,
+    rate: FrameRate,
+    /// True once it was said what the pause on an empty road means at the camera's rate.
+    pause_is_told: bool,
     /// The highest index and newest stream of the camera so far.
     newest: Option<(u64, u64)>,
     /// The index of the policy's first frame, from which it counts.
@@ -146,13 +154,16 @@ impl Camera {
             settled,
             tracker: ClipTracker::new(settings.clip, energy, settings.audit.report()),
             audit,
-            parts,
             threshold,
+            empty_road: parts.board.watch_empty_road(),
+            rate: FrameRate::default(),
+            pause_is_told: false,
             newest: None,
             first_index: None,
             broken_since: None,
             clip: None,
             outcome: Outcome::default(),
+            parts,
         }
     }
 
@@ -298,6 +309,8 @@ impl Camera {
             step: u32::try_from(step).unwrap_or(u32::MAX),
             picture: frame.picture.size,
         };
+        self.rate.add(frame.time_ns, head.step);
+        self.take_pause();
         // Frames dropped before this one belong to the clip that was open then.
         self.count_others();
         let parts = &self.parts;
@@ -356,6 +369,41 @@ impl Camera {
             parts.board.show(Arc::clone(&message));
         }
         message
+    }
+
+    /// Applies the pause on an empty road, in frames of the measured rate, from this frame on. Says once what it means: a
+    /// pause may be shorter than two frames.
+    fn take_pause(&mut self) {
+        if self.empty_road.has_changed().unwrap_or(false) {
+            self.empty_road.mark_unchanged();
+            self.pause_is_told = false;
+        }
+        let empty_road = *self.empty_road.borrow();
+        let rate = self.rate.rate();
+        let frames = empty_road.frames(rate);
+        self.decider.policy.set_pause(frames);
+        self.parts.board.set_rate(rate);
+        if self.pause_is_told || empty_road.pause_s == 0.0 || !self.rate.is_settled() {
+            return;
+        }
+        self.pause_is_told = true;
+        let (camera, pause_s) = (self.parts.board.name(), empty_road.pause_s);
+        let rate = rate.unwrap_or_default();
+        match frames.every {
+            0 | 1 => tracing::warn!(
+                camera,
+                pause_s,
+                frames_per_second = format!("{rate:.1}"),
+                "the pause on an empty road is shorter than two frames and does nothing: set screen.pause_s to {:.2} or more",
+                2.0 / rate
+            ),
+            every => tracing::info!(
+                camera,
+                pause_s,
+                frames_per_second = format!("{rate:.1}"),
+                "on an empty road, one frame in {every} is looked at"
+            ),
+        }
     }
 
     /// Applies a changed threshold from this frame on.

@@ -7,12 +7,13 @@ mod orders;
 #[cfg(test)]
 pub(crate) mod tests;
 
-pub(crate) use change::Change;
+pub(crate) use change::{Change, RefusedPause};
 pub(crate) use file::SettingsFile;
 pub(crate) use orders::{MAX_MESSAGE_BYTES, Place};
 
 use crate::state::board::{Board, CameraBoard};
 use crate::state::readiness;
+use albireo_core::policy::EmptyRoad;
 use albireo_service::readiness::Fault;
 use albireo_wire::Threshold;
 use orders::Orders;
@@ -42,6 +43,7 @@ impl Settings {
             orders: Orders::default(),
         };
         board.cameras.iter().for_each(|camera| settings.restore(camera));
+        settings.restore_pause();
         let target = &board.target;
         let kept = settings.file.kept(change::TARGET, &target.configured());
         target.begin(kept);
@@ -73,6 +75,16 @@ impl Settings {
                 value,
                 "threshold restored from the last run"
             );
+        }
+    }
+
+    /// Restores the pause on an empty road.
+    fn restore_pause(&self) {
+        let kept = (self.file).kept::<EmptyRoad, _>(change::SCREEN, &self.board.configured_road());
+        if let Some((kept, _)) = kept
+            && kept.problem().is_none()
+        {
+            self.board.set_empty_road(kept);
         }
     }
 

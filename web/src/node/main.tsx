@@ -15,6 +15,7 @@ import { ThresholdPanel } from "./threshold";
 import { Log } from "./log";
 import { Picture } from "./picture";
 import { Ribbon } from "./ribbon";
+import { ScreenPanel } from "./screen";
 import { States } from "./states";
 import { TargetPanel } from "./target";
 import { cameras, lost, opened, overview, watchFrames, watchNode } from "./store";
@@ -53,6 +54,7 @@ function Page() {
           <div class="stack">
             <Saving />
             <ThresholdPanel />
+            <ScreenPanel />
           </div>
           <Ribbon />
           <div class="stack">

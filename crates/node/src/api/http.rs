@@ -10,6 +10,7 @@ mod history;
 mod metrics;
 mod node;
 mod picture;
+mod screen;
 mod states;
 mod target;
 mod threshold;
@@ -117,6 +118,7 @@ fn described() -> (Router<RouteState>, OpenApi) {
         .routes(routes!(threshold::get_all, threshold::put_all))
         .routes(routes!(threshold::get_one, threshold::put_one))
         .routes(routes!(target::get, target::put))
+        .routes(routes!(screen::get, screen::put))
         .routes(routes!(states::all))
         .routes(routes!(states::one))
         .routes(routes!(node::index))

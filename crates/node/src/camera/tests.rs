@@ -71,6 +71,10 @@ impl Bench {
         let mut config = NodeConfig::default();
         config.audit.share = share;
         config.policy.select(policy).unwrap();
+        Self::of(config).await
+    }
+
+    async fn of(mut config: NodeConfig) -> Self {
         config.cameras[0].ring = 64;
         let node = PreparedNode::new(&config).unwrap();
         let board = Arc::clone(&node.board);
@@ -149,10 +153,19 @@ fn put(receiver: &FrameReceiver, index: u64, epoch: u64, received: Instant) {
     assert!(matches!(pushed, Pushed::Queued));
 }
 
+/// Puts a frame with this picture.
+fn put_picture(receiver: &FrameReceiver, index: u64, picture: EncodedPicture) {
+    let mut sequenced = sequenced(index, 0, Instant::now());
+    sequenced.frame.picture = picture;
+    let pushed = receiver.ring.push(sequenced, 0);
+    assert!(matches!(pushed, Pushed::Queued));
+}
+
+/// A frame of a camera with 25 frames per second, whenever it is received.
 fn sequenced(index: u64, epoch: u64, received: Instant) -> SequencedFrame {
     let frame = Frame {
         sequence: index,
-        time_ns: 0,
+        time_ns: 1_000_000_000 + index * 40_000_000,
         clip: Some("drive".into()),
         picture: picture(index),
         received,
@@ -199,6 +212,59 @@ async fn frames_that_wait_are_no_silence_and_dropped_ones_count_for_their_clip()
     let dropped = &report.dropped;
     assert_eq!((dropped.undecodable, dropped.total()), (3, 3));
     assert_eq!(snapshot.dropped, *dropped);
+}
+
+fn empty_picture() -> EncodedPicture {
+    let size = PictureSize::new(640, 360);
+    EncodedPicture {
+        format: PictureFormat::Gray8,
+        bytes: vec![0; 640 * 360].into(),
+        size,
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn an_empty_road_is_passed_over_and_the_audit_tells_what_was_missed() {
+    let mut config = NodeConfig::default();
+    config.audit.share = 1.0;
+    (config.screen.pause_s, config.screen.after_s) = (0.12, 0.16);
+    let mut bench = Bench::of(config).await;
+    let board = Arc::clone(&bench.board.cameras[0]);
+    let mut events = bench.board.subscribe();
+    let stop = CancellationToken::new();
+    let camera = tokio::spawn(bench.camera.run(stop.clone()));
+    let mut states = Vec::new();
+    for index in 0..12 {
+        // Something comes in while nobody looks.
+        let picture = if index < 8 {
+            empty_picture()
+        } else {
+            picture(index)
+        };
+        put_picture(&bench.receiver, index, picture);
+        while states.len() as u64 <= index {
+            if let News::Frame(event) = &events.recv().await.unwrap().news {
+                states.push(event.detections.state.as_str());
+            }
+        }
+        let skipped = states.iter().filter(|state| matches!(**state, "E" | "P")).count() as u64;
+        while board.snapshot().audit.unwrap().sums.drawn() < skipped {
+            tokio::task::yield_now().await;
+        }
+    }
+    stop.cancel();
+    camera.await.unwrap();
+    assert_eq!(states[..10].join(" "), "I I I I E E I E E I");
+    let snapshot = board.snapshot();
+    assert_eq!(snapshot.states.e, 4);
+    assert_eq!(snapshot.calls.get(CallCause::EmptyRoad), 2);
+    assert!((board.rate().unwrap() - 25.0).abs() < 0.1);
+    let report = report(bench.clips.recv().await.unwrap()).await;
+    assert_eq!(report.states.e, 4);
+    // On frame 8, passed over, the detector finds what was not shown.
+    let sums = report.audit.unwrap().sums;
+    assert!(sums.frames >= 4 && sums.detected > sums.paired, "{sums:?}");
 }
 
 /// Plays a drive; returns its messages without latencies, and the audit of its report, which must agree with the board.

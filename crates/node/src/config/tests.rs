@@ -84,6 +84,10 @@ clip.silence_s: clip.silence_s = -1.0
 frame.max_payload_bytes: frame.max_payload_bytes = 0
 power.idle_watts: power.idle_watts = nan
 log.level: log.level = "loud"
+screen.pause_s: screen.pause_s = -0.1
+screen.pause_s: screen.pause_s = 61
+screen.after_s: screen.after_s = nan
+screen.pause_s: policy.name = "expected-loss" & screen.pause_s = 0.2
 policy.name: policy.name = "albiro"
 policy.u: policy.u = 0
 policy.profile: policy.profile = "mine"

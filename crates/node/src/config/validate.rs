@@ -4,7 +4,9 @@ use super::{CameraConfig, NodeConfig};
 use crate::camera::AnswerTime;
 use crate::input::Delivery;
 use crate::input::source::{RtspTransport, SourceAddress, SourceKind};
-use albireo_core::policy::{Albireo, ExpectedLoss, LatePolicy, Policy, ThresholdSpec};
+use albireo_core::policy::{
+    Albireo, ExpectedLoss, LatePolicy, Policy, ThresholdSpec, can_pause, no_pause,
+};
 use albireo_core::target::{Target, ThresholdRange};
 use albireo_service::config::{Configuration, DAY_S, Finding, Findings};
 use std::collections::{HashMap, HashSet};
@@ -93,7 +95,8 @@ power.gpu_busy_watts: the estimate is of the processor alone; a GPU needs a mete
         self.check_models(&mut findings);
         self.check_figures(&mut findings);
         self.log.check(&mut findings);
-        let policy = self.check_policy(&mut findings);
+        let mut policy = self.check_policy(&mut findings);
+        self.check_pause(policy.as_deref_mut(), &mut findings);
         let spec = policy.as_ref().map(|policy| policy.threshold_spec());
         self.check_answers(policy, &mut findings);
         self.check_target(spec, &mut findings);
@@ -118,6 +121,9 @@ impl NodeConfig {
         }
         for (key, reason) in self.detector.problems() {
             findings.add(format!("detector.{key}"), reason);
+        }
+        if let Some((key, reason)) = self.screen.empty_road().problem() {
+            findings.add(format!("screen.{key}"), reason);
         }
         let library = self.detector.onnxruntime.as_deref();
         findings.path("detector.onnxruntime", library);
@@ -161,6 +167,17 @@ impl NodeConfig {
             findings.check("policy.lambda", lambda);
         }
         None
+    }
+
+    /// Checks that a pause on an empty road is not set in vain.
+    fn check_pause(&self, policy: Option<&mut (dyn Policy + 'static)>, findings: &mut Findings) {
+        if let Some(policy) = policy
+            && self.screen.pause_s > 0.0
+            && !can_pause(policy)
+        {
+            let reason = format!("is set, but {}", no_pause(&self.policy.name));
+            findings.add("screen.pause_s", reason);
+        }
     }
 
     /// Checks that the policy can answer at once, and that settled frames wait long enough for the detector.

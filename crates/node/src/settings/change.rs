@@ -2,7 +2,7 @@
 
 use super::file::KeptValues;
 use crate::state::board::{Board, CameraBoard};
-use albireo_core::policy::InvalidThreshold;
+use albireo_core::policy::{EmptyRoad, InvalidThreshold, no_pause};
 use albireo_core::target::{Target, TargetError};
 use albireo_wire::{SettingSource, Threshold};
 use serde::Serialize;
@@ -13,9 +13,23 @@ use std::sync::Arc;
 /// The name of the target among the kept settings.
 pub(super) const TARGET: &str = "target";
 
+/// The name of the pause on an empty road among the kept settings.
+pub(super) const SCREEN: &str = "screen";
+
 /// The name of a camera's threshold among the kept settings.
 pub(super) fn of_threshold(camera: &str) -> String {
     format!("threshold/{camera}")
+}
+
+/// The reason why a pause on an empty road is refused.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum RefusedPause {
+    /// A number is out of range.
+    #[error("`{0}` {1}")]
+    OutOfRange(&'static str, String),
+    /// The policy takes no pause.
+    #[error("{}", no_pause(.0))]
+    NoPause(&'static str),
 }
 
 /// A change that is being made. What it sets is kept together, or not at all.
@@ -77,6 +91,27 @@ impl<'a> Change<'a> {
                 }
             }
         }
+        Ok(())
+    }
+
+    /// Changes the pause on an empty road, of all cameras; `next` makes it of the one in force.
+    ///
+    /// # Errors
+    /// [`RefusedPause`]; then nothing changes.
+    pub(crate) fn empty_road(
+        &mut self,
+        next: impl FnOnce(EmptyRoad) -> EmptyRoad,
+    ) -> Result<(), RefusedPause> {
+        let empty_road = next(self.board.empty_road());
+        if let Some((name, reason)) = empty_road.problem() {
+            return Err(RefusedPause::OutOfRange(name, reason));
+        }
+        if empty_road.pause_s > 0.0 && !self.board.can_pause() {
+            return Err(RefusedPause::NoPause(self.board.policy));
+        }
+        self.board.set_empty_road(empty_road);
+        let configured = self.board.configured_road();
+        self.kept.keep(SCREEN, empty_road, SettingSource::Local, configured);
         Ok(())
     }
 

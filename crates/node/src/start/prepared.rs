@@ -35,8 +35,8 @@ impl PreparedNode {
     pub fn new(config: &NodeConfig) -> Result<Self, NodeError> {
         let directory = config.node.state_dir.as_deref();
         let outbox = Arc::new(Outbox::open(directory)?);
-        let policy = config.policy.build().map_err(NodeError::new)?;
-        let board = board(config, &*policy).map_err(NodeError::new)?;
+        let mut policy = config.policy.build().map_err(NodeError::new)?;
+        let board = board(config, &mut *policy).map_err(NodeError::new)?;
         let settings = Arc::new(Settings::open(&board, directory));
         watch_outbox(&board.readiness, &outbox);
         let policy = config.policy.clone();
@@ -74,7 +74,7 @@ impl PreparedNode {
     }
 }
 
-fn board(config: &NodeConfig, policy: &dyn Policy) -> Result<Arc<Board>, KeyError> {
+fn board(config: &NodeConfig, policy: &mut dyn Policy) -> Result<Arc<Board>, KeyError> {
     let path = &config.detector.model;
     let model = path.file_name().unwrap_or(path.as_os_str());
     let first = config.cameras.first().and_then(|camera| camera.threshold);
@@ -86,7 +86,8 @@ fn board(config: &NodeConfig, policy: &dyn Policy) -> Result<Arc<Board>, KeyErro
         providers: config.detector.providers.clone(),
         cameras: cameras.collect::<Result<_, _>>()?,
         certificates: Certificates::read(config.certificates()),
-        target: NodeTarget::new(&config.target, policy, first_threshold),
+        target: NodeTarget::new(&config.target, &*policy, first_threshold),
+        empty_road: config.screen.empty_road(),
     };
     Ok(Board::new(setup, policy))
 }

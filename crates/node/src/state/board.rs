@@ -5,6 +5,7 @@ mod event;
 mod flow;
 mod history;
 mod savings;
+mod screen;
 mod threshold;
 
 pub(crate) use camera::CameraSetup;
@@ -16,7 +17,7 @@ pub(crate) use savings::{Savings, Totals};
 
 use crate::state::readiness;
 use crate::state::target::NodeTarget;
-use albireo_core::policy::Policy;
+use albireo_core::policy::{EmptyRoad, Policy, can_pause};
 pub use albireo_power::PowerSnapshot;
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::identity::Certificates;
@@ -32,7 +33,7 @@ use savings::Today;
 use std::collections::VecDeque;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
-use tokio::sync::broadcast;
+use tokio::sync::{broadcast, watch};
 use tokio::time::Instant;
 use uuid::Uuid;
 
@@ -66,6 +67,10 @@ pub struct Board {
     pub(crate) certificates: Certificates,
     /// The target, which moves the thresholds while one is set.
     pub(crate) target: NodeTarget,
+    /// True if the policy takes a pause on an empty road.
+    can_pause: bool,
+    /// The pause on an empty road of the configuration.
+    configured_road: EmptyRoad,
     shared: Shared,
     clips: Mutex<VecDeque<Arc<ClipReport>>>,
     detector: Arc<Mutex<ModelStatus>>,
@@ -106,16 +111,19 @@ pub(crate) struct BoardSetup {
     pub certificates: Certificates,
     /// The target, which holds nothing yet.
     pub target: NodeTarget,
+    /// The pause on an empty road.
+    pub empty_road: EmptyRoad,
 }
 
 impl Board {
     /// Creates the board of a node under that policy, without frames, with the configured thresholds in force.
-    pub(crate) fn new(setup: BoardSetup, policy: &dyn Policy) -> Arc<Self> {
+    pub(crate) fn new(setup: BoardSetup, policy: &mut dyn Policy) -> Arc<Self> {
         let shared = Shared {
             started: Instant::now(),
             events: broadcast::channel(EVENT_BACKLOG).0,
+            empty_road: watch::Sender::new(setup.empty_road),
         };
-        let camera = |camera| Arc::new(CameraBoard::new(camera, policy, shared.clone()));
+        let camera = |camera| Arc::new(CameraBoard::new(camera, &*policy, shared.clone()));
         let cameras = setup.cameras.into_iter().map(camera).collect();
         let readiness = Readiness::default();
         let detector = Arc::new(Mutex::new(ModelStatus::Starting));
@@ -138,6 +146,8 @@ impl Board {
             tasks: TaskFailures::default(),
             certificates: setup.certificates,
             target: setup.target,
+            can_pause: can_pause(policy),
+            configured_road: setup.empty_road,
             shared,
             clips: Mutex::default(),
             detector,

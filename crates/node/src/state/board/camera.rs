@@ -10,7 +10,7 @@ use crate::publishing::Unpublished;
 use crate::state::advice::{Advice, SkipWatch};
 use albireo_core::audit::AuditSums;
 use albireo_core::geometry::PictureSize;
-use albireo_core::policy::{BoxSource, Policy, Profile, ThresholdSpec, short};
+use albireo_core::policy::{BoxSource, EmptyRoad, Policy, Profile, ThresholdSpec, short};
 use albireo_service::metrics::LatencyHistogram;
 use albireo_service::rate_limit::RateLimit;
 use albireo_wire::{
@@ -20,6 +20,7 @@ use albireo_wire::{
 use parking_lot::Mutex;
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
 use std::time::Duration;
 use tokio::sync::{broadcast, watch};
 use tokio::time::Instant;
@@ -150,6 +151,8 @@ pub(super) struct Shared {
     /// The node's start, from which times of the past are counted.
     pub started: Instant,
     pub events: broadcast::Sender<Arc<Event>>,
+    /// The pause on an empty road.
+    pub empty_road: watch::Sender<EmptyRoad>,
 }
 
 /// What the board of a camera shows that never changes, and its first threshold.
@@ -197,6 +200,8 @@ pub struct CameraBoard {
     pub(super) configured: Option<f64>,
     pub(super) threshold: watch::Sender<Option<f64>>,
     pub(super) set_by: Mutex<SettingSource>,
+    /// The bits of the measured frames per second; 0 before the second frame.
+    pub(super) rate: AtomicU64,
     /// Counts the frames that do not reach its loop, and keeps its newest picture.
     pub input: Arc<InputCounter>,
     /// Counts the messages about it that were not published.
@@ -231,6 +236,7 @@ impl CameraBoard {
             input: Arc::default(),
             unpublished: Unpublished::default(),
             changes: RateLimit::new(CHANGES_PERIOD),
+            rate: AtomicU64::default(),
             counts: Mutex::new(counts),
             history: Mutex::default(),
         }

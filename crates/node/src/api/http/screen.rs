@@ -1,0 +1,118 @@
+//! The routes that read and set the pause on an empty road.
+
+use super::RouteState;
+use super::change::{message, off_the_runtime};
+use crate::settings::RefusedPause;
+use albireo_core::policy::EmptyRoad;
+use albireo_service::http::Problem;
+use axum::Json;
+use axum::body::Bytes;
+use axum::extract::State;
+use axum::http::{HeaderMap, StatusCode};
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+use utoipa::ToSchema;
+
+const EXPECTED: &str = "a JSON object such as {\"pause_s\": 0.2}, with seconds; `after_s` may follow, and `pause_s` 0 means \
+                        no pause";
+
+/// A new pause on an empty road: `{"pause_s": 0.2}`. What is left out stays as it is.
+#[derive(Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct NewPause {
+    /// Seconds from one look at an empty road to the next; 0 looks at every frame.
+    pause_s: Option<f64>,
+    /// Seconds without a detection after which the road is empty.
+    after_s: Option<f64>,
+}
+
+/// What the pause means for a camera.
+#[derive(Serialize, ToSchema)]
+pub(super) struct CameraPause {
+    /// Camera.
+    camera: String,
+    /// Its measured frames per second; absent before its second frame.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    frames_per_second: Option<f64>,
+    /// On an empty road, one frame in this many is looked at: 1 if the pause is shorter than two frames at this rate.
+    looks_at_one_in: u32,
+}
+
+/// The pause on an empty road.
+#[derive(Serialize, ToSchema)]
+pub(super) struct Pause {
+    /// Seconds from one look at an empty road to the next; 0 looks at every frame.
+    pause_s: f64,
+    /// Seconds without a detection after which the road is empty.
+    after_s: f64,
+    /// False if the policy takes no pause: it does not call the detector whenever nothing is tracked.
+    applies: bool,
+    /// True if what was set at run time survives a restart.
+    survives_restart: bool,
+    /// What it means for each camera.
+    cameras: Vec<CameraPause>,
+}
+
+fn pause(shared: &RouteState) -> Pause {
+    let board = &shared.board;
+    let empty_road = board.empty_road();
+    let cameras = board.cameras.iter().map(|camera| {
+        let rate = camera.rate();
+        CameraPause {
+            camera: camera.name().to_owned(),
+            frames_per_second: rate.map(|rate| (rate * 10.0).round() / 10.0),
+            looks_at_one_in: empty_road.frames(rate).every.max(1),
+        }
+    });
+    Pause {
+        pause_s: empty_road.pause_s,
+        after_s: empty_road.after_s,
+        applies: board.can_pause(),
+        survives_restart: shared.settings.survive_restart(),
+        cameras: cameras.collect(),
+    }
+}
+
+/// The pause on an empty road
+///
+/// `curl http://127.0.0.1:8080/api/v1/screen`
+#[utoipa::path(get, operation_id = "screen", path = "/api/v1/screen", tag = "threshold", responses((status = 200, body = Pause)))]
+pub(super) async fn get(State(shared): State<RouteState>) -> Json<Pause> {
+    Json(pause(&shared))
+}
+
+/// Changes the pause on an empty road, of all cameras
+///
+/// Applies from each camera's next frame. Once nothing was detected for `after_s`, one frame per `pause_s` is looked at
+/// until something is found; the others are answered with state E.
+/// `curl -X PUT -d '{"pause_s": 0.2}' http://127.0.0.1:8080/api/v1/screen`
+#[utoipa::path(
+    put, operation_id = "set_screen", path = "/api/v1/screen", tag = "threshold", request_body = NewPause,
+    responses((status = 200, body = Pause))
+)]
+pub(super) async fn put(
+    State(shared): State<RouteState>,
+    headers: HeaderMap,
+    body: Bytes,
+) -> Result<Json<Pause>, Problem> {
+    let sent: NewPause = message(&headers, &body, EXPECTED)?;
+    if sent.pause_s.is_none() && sent.after_s.is_none() {
+        let empty = format!("the body must be {EXPECTED}: it has neither");
+        return Err(Problem::new(StatusCode::UNPROCESSABLE_ENTITY, empty));
+    }
+    let settings = Arc::clone(&shared.settings);
+    let place = settings.orders.place();
+    let next = move |before: EmptyRoad| EmptyRoad {
+        pause_s: sent.pause_s.unwrap_or(before.pause_s),
+        after_s: sent.after_s.unwrap_or(before.after_s),
+    };
+    let set = move || settings.change_in_turn(place, |change| change.empty_road(next));
+    off_the_runtime(set).await?.map_err(|refused| {
+        let status = match refused {
+            RefusedPause::OutOfRange(..) => StatusCode::UNPROCESSABLE_ENTITY,
+            RefusedPause::NoPause(_) => StatusCode::CONFLICT,
+        };
+        Problem::new(status, refused.to_string())
+    })?;
+    Ok(Json(pause(&shared)))
+}

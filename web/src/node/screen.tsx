@@ -1,0 +1,70 @@
+// The pause on an empty road: on or off with one click, and what it means at each camera's rate.
+
+import { useEffect, useState } from "preact/hooks";
+import { every, json, Refused, send } from "../shared/api";
+import { Section, whyNot } from "../shared/parts";
+import type { Pause } from "./types";
+
+const LOOK_MS = 5000;
+
+/** The pause that docs/method.md suggests, and its price there. */
+export const SUGGESTED = { pause_s: 0.2, after_s: 1 };
+
+/** What a pause means for one camera, in words. */
+export function meaning(camera: Pause["cameras"][number], several: boolean): string {
+  const rate = camera.frames_per_second;
+  const who = several ? `${camera.camera}: ` : "";
+  if (!rate) return `${who}no frames yet`;
+  const one = camera.looks_at_one_in;
+  if (one <= 1) return `${who}nothing, at ${rate} frames/s it is shorter than two frames`;
+  return `${who}one frame in ${one} is looked at, at ${rate} frames/s`;
+}
+
+export function ScreenPanel() {
+  const [pause, setPause] = useState<Pause | undefined>(undefined);
+  const [said, setSaid] = useState<string | undefined>(undefined);
+  useEffect(() => {
+    const stop = new AbortController();
+    void every(LOOK_MS, stop.signal, async () => setPause(await json<Pause>("/api/v1/screen", { signal: stop.signal })));
+    return () => stop.abort();
+  }, []);
+  if (!pause?.applies) return null;
+  const set = async (next: Partial<typeof SUGGESTED>) => {
+    try {
+      setPause(await send<Pause>("PUT", "/api/v1/screen", next));
+      setSaid(undefined);
+    } catch (error) {
+      setSaid(error instanceof Refused || error instanceof Error ? error.message : String(error));
+    }
+  };
+  const forbidden = whyNot();
+  const on = pause.pause_s > 0;
+  return (
+    <Section
+      id="screen"
+      title="Pause on an empty road"
+      aside={<span id="pause-in-force">{on ? `${pause.pause_s} s, after ${pause.after_s} s without a detection` : "none"}</span>}
+    >
+      <p class="message quiet">Once nothing was detected for a while, the detector looks only now and then, until it finds something.</p>
+      {on && <p class="message" id="pause-means">{pause.cameras.map((camera) => meaning(camera, pause.cameras.length > 1)).join("; ")}.</p>}
+      <p class="row">
+        {on ? (
+          <button type="button" disabled={forbidden !== undefined} onClick={() => void set({ pause_s: 0 })}>
+            Look at every frame
+          </button>
+        ) : (
+          <button type="button" disabled={forbidden !== undefined} onClick={() => void set(SUGGESTED)}>
+            Pause for {SUGGESTED.pause_s} s
+          </button>
+        )}
+        <span class="quiet">
+          On the demonstration’s road: 563 detector calls instead of 826, at the same accuracy. A car that comes in during a pause is
+          found up to that much later.
+        </span>
+      </p>
+      <p class="message bad" id="screen-message" role="alert">
+        {forbidden ?? said ?? ""}
+      </p>
+    </Section>
+  );
+}
