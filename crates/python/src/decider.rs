@@ -7,7 +7,10 @@ use crate::settled::Settling;
 use albireo_core::audit::{AuditDraw, AuditSums};
 use albireo_core::detection::Detection;
 use albireo_core::geometry::PictureSize;
-use albireo_core::policy::{Evidence, FrameHead, LatePolicy, Need, Outcome, PolicyConfig, Profile};
+use albireo_core::policy::{
+    Evidence, FrameHead, LatePolicy, Need, Outcome, PauseFrames, PolicyConfig, Profile, can_pause,
+    no_pause,
+};
 use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
@@ -34,7 +37,9 @@ pub(crate) struct Decider {
 
 #[pymethods]
 impl Decider {
-    /// Makes a decider for pictures of `size` (width, height); `audit` is the share of frames that are drawn, and a seed.
+    /// Makes a decider for pictures of `size` (width, height); `audit` is the share of frames that are drawn, and a seed;
+    /// then whether detections come late, and the longest delay of settled frames; then the pause: on an empty road one
+    /// frame in `every` is looked at, after `after` frames without a detection.
     #[new]
     fn new(
         policy: &str,
@@ -42,8 +47,8 @@ impl Decider {
         threshold: Option<f64>,
         size: (u32, u32),
         audit: (f64, u64),
-        late: bool,
-        settle: Option<u64>,
+        (late, settle): (bool, Option<u64>),
+        (every, after): (u32, u32),
     ) -> PyResult<Self> {
         let mut config = PolicyConfig {
             profile: match profile {
@@ -62,7 +67,10 @@ impl Decider {
         if let Some(threshold) = threshold {
             policy.set_threshold(threshold).map_err(wrong)?;
         }
-        let policy = if late {
+        if every > 1 && !can_pause(&mut *policy) {
+            return Err(PyValueError::new_err(no_pause(policy.name())));
+        }
+        let mut policy = if late {
             LatePolicy::new(policy).map_err(|error| {
                 PyValueError::new_err(format!(
                     "policy '{}' cannot take late detections: it predicts no boxes",
@@ -72,6 +80,7 @@ impl Decider {
         } else {
             LatePolicy::waiting(policy)
         };
+        policy.set_pause(PauseFrames { every, after });
         Ok(Self {
             policy,
             size: PictureSize::new(size.0, size.1),

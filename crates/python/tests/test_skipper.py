@@ -209,6 +209,28 @@ class Pickle(unittest.TestCase):
             pickle.dumps(skip)
 
 
+class Pause(unittest.TestCase):
+    def test_on_an_empty_road_one_frame_in_n_is_looked_at_until_something_is_found(self):
+        nothing = (np.zeros((0, 4)), np.zeros(0), np.zeros(0))
+        skip = Skipper("albireo", size=SIZE, pause=3, pause_after=4)
+        states = []
+        for n in range(11):
+            boxes = skip.update(nothing) if skip.wants_detector(n) else skip.predict()
+            states.append(skip.state)
+        self.assertEqual(" ".join(states), "I I I I E E I E E I E")
+        self.assertEqual(skip.causes["empty_road"], 2)
+        self.assertTrue(skip.wants_detector(12))
+        skip.update(found(12))
+        self.assertTrue(skip.wants_detector(13))
+        self.assertEqual(len(boxes.xyxy), 0)
+
+    def test_a_pause_that_can_change_nothing_is_refused(self):
+        with self.assertRaisesRegex(ValueError, "takes no pause"):
+            Skipper("expected-loss", size=SIZE, pause=3)
+        with self.assertRaisesRegex(ValueError, "whole number of frames"):
+            Skipper("albireo", size=SIZE, pause=0.2)
+
+
 class Late(unittest.TestCase):
     def test_frames_are_answered_at_once_and_late_detections_apply_to_their_own_frame(self):
         late = Skipper(threshold=0.3, size=SIZE, late=True)

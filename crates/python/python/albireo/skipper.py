@@ -33,6 +33,7 @@ _CAUSES = {
     "screen": "something is in view",
     "audit": "audit",
     "empty_limit": "the scene was said to be empty for long",
+    "empty_road": "a pause on an empty road had ended",
     "no_objects": "no object was followed",
     "start": "first frame",
     "retry": "the call before failed",
@@ -83,6 +84,9 @@ class Skipper(Generic[Shown]):
     threshold: the price of a call; higher skips more. Its name and range depend on the policy (`threshold_spec`).
     size: width and height of the pictures in pixels.
     profile: `"paper"`, or `"reference"` for the published code's decisions.
+    pause: on an empty road the detector looks at one frame in this many; 0 looks at every frame. `pause_after` is the number
+        of frames without a detection after which the road is empty. For `albireo`: `expected-loss` looks at
+        an empty road less often by itself.
     audit: the share of skipped frames that `audit_due` draws, 0 to 1; `seed` decides which.
     late: for a detector in another thread: `submit` and `deliver` take the place of `wants_detector` and `update`.
     settle: `settled` returns every frame again when the next call is known, with boxes interpolated between two calls.
@@ -96,6 +100,8 @@ class Skipper(Generic[Shown]):
         threshold: float | None = None,
         size: tuple[int, int],
         profile: str = "paper",
+        pause: int = 0,
+        pause_after: int = 25,
         audit: float = 0.0,
         seed: int = 0,
         late: bool = False,
@@ -110,11 +116,17 @@ class Skipper(Generic[Shown]):
             raise ValueError(f"size is (width, height) in pixels, not {size!r}") from None
         if not (0 < width <= 65535 and 0 < height <= 65535):
             raise ValueError(f"size is (width, height) of 1 to 65535 pixels, not {size!r}")
+        for name, frames in (("pause", pause), ("pause_after", pause_after)):
+            if not isinstance(frames, int) or not 0 <= frames < 2**32:
+                raise ValueError(f"{name} is a whole number of frames from 0 to 2**32 - 1, not {frames!r}")
         if not 0.0 <= audit <= 1.0:
             raise ValueError(f"audit is a share of frames from 0 to 1, not {audit!r}")
         if not 0 <= seed < 2**64:
             raise ValueError(f"seed is a whole number from 0 to 2**64 - 1, not {seed!r}")
-        self._made_with = (policy, profile, threshold, (width, height), (float(audit), seed), bool(late), 256 if settle else None)
+        self._made_with = (
+            policy, profile, threshold, (width, height), (float(audit), seed),
+            (bool(late), 256 if settle else None), (pause, pause_after),
+        )
         self._core = _core.Decider(*self._made_with)
         self._size = (width, height)
         self._audit = audit > 0.0
