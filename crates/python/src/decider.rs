@@ -38,8 +38,8 @@ pub(crate) struct Decider {
 #[pymethods]
 impl Decider {
     /// Makes a decider for pictures of `size` (width, height); `audit` is the share of frames that are drawn, and a seed;
-    /// then whether detections come late, and the longest delay of settled frames; then the pause: on an empty road one
-    /// frame in `every` is looked at, after `after` frames without a detection.
+    /// `answers` says whether detections come late, and the longest delay of settled frames; `pause` is the number of frames
+    /// of which one is looked at on an empty road, and the frames without a detection after which it is empty.
     #[new]
     fn new(
         policy: &str,
@@ -47,9 +47,11 @@ impl Decider {
         threshold: Option<f64>,
         size: (u32, u32),
         audit: (f64, u64),
-        (late, settle): (bool, Option<u64>),
-        (every, after): (u32, u32),
+        answers: (bool, Option<u64>),
+        pause: (u32, u32),
     ) -> PyResult<Self> {
+        let (late, settle) = answers;
+        let (every, after) = pause;
         let mut config = PolicyConfig {
             profile: match profile {
                 "paper" => Profile::Paper,
