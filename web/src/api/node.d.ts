@@ -1032,6 +1032,104 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/screen": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * The pause on an empty road
+         * @description `curl http://127.0.0.1:8080/api/v1/screen`
+         */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["Pause"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        /**
+         * Changes the pause on an empty road, of all cameras
+         * @description Applies from each camera's next frame. Once nothing was detected for `after_s`, one frame per `pause_s` is looked at
+         *     until something is found; the others are answered with state E.
+         *     `curl -X PUT -d '{"pause_s": 0.2}' http://127.0.0.1:8080/api/v1/screen`
+         */
+        put: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody: {
+                content: {
+                    "application/json": components["schemas"]["NewPause"];
+                };
+            };
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["Pause"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/target": {
         parameters: {
             query?: never;
@@ -1681,7 +1779,7 @@ export interface components {
          *     list is reported.
          * @enum {string}
          */
-        CallCause: "uncertain" | "new_object" | "expected_loss" | "object_cap" | "periodic_cap" | "screen" | "audit" | "empty_limit" | "no_objects" | "start" | "retry" | "changed" | "schedule" | "every_frame";
+        CallCause: "uncertain" | "new_object" | "expected_loss" | "object_cap" | "periodic_cap" | "screen" | "audit" | "empty_limit" | "empty_road" | "no_objects" | "start" | "retry" | "changed" | "schedule" | "every_frame";
         /** @description A camera. */
         CameraEntry: components["schemas"]["CameraStates"] & {
             advice?: components["schemas"]["Advice"] | null;
@@ -1757,6 +1855,21 @@ export interface components {
             slot_s: number;
             /** @description The last hour in pieces, the oldest first, the last one still open; pieces without a frame are left out. */
             slots: components["schemas"]["CameraSlot"][];
+        };
+        /** @description What the pause means for a camera. */
+        CameraPause: {
+            /** @description Camera. */
+            camera: string;
+            /**
+             * Format: double
+             * @description Its measured frames per second; absent before its second frame.
+             */
+            frames_per_second?: number | null;
+            /**
+             * Format: int32
+             * @description On an empty road, one frame in this many is looked at: 1 if the pause is shorter than two frames at this rate.
+             */
+            looks_at_one_in: number;
         };
         /** @description A piece of the last hour. */
         CameraSlot: {
@@ -2508,6 +2621,19 @@ export interface components {
             /** @description Spans, message and fields. */
             text: string;
         };
+        /** @description A new pause on an empty road: `{"pause_s": 0.2}`. What is left out stays as it is. */
+        NewPause: {
+            /**
+             * Format: double
+             * @description Seconds without a detection after which the road is empty.
+             */
+            after_s?: number | null;
+            /**
+             * Format: double
+             * @description Seconds from one look at an empty road to the next; 0 looks at every frame.
+             */
+            pause_s?: number | null;
+        };
         /** @description A new threshold: `{"u": 3e-4}`, or `{"lambda": 0.3}` under expected-loss. */
         NewThreshold: {
             /**
@@ -2654,6 +2780,25 @@ export interface components {
             threshold: (number | null)[];
             /** @description Milliseconds from reception to publication. */
             total_ms: number[];
+        };
+        /** @description The pause on an empty road. */
+        Pause: {
+            /**
+             * Format: double
+             * @description Seconds without a detection after which the road is empty.
+             */
+            after_s: number;
+            /** @description False if the policy takes no pause: it does not call the detector whenever nothing is tracked. */
+            applies: boolean;
+            /** @description What it means for each camera. */
+            cameras: components["schemas"]["CameraPause"][];
+            /**
+             * Format: double
+             * @description Seconds from one look at an empty road to the next; 0 looks at every frame.
+             */
+            pause_s: number;
+            /** @description True if what was set at run time survives a restart. */
+            survives_restart: boolean;
         };
         /** @description Mean and percentiles of a set of durations, milliseconds. */
         Percentiles: {

@@ -43,6 +43,26 @@ impl Settings {
 }
 
 #[test]
+fn a_changed_pause_survives_a_restart_and_an_edited_one_is_newer() {
+    let directory = tempfile::tempdir().unwrap();
+    let restarted = |pause_s| {
+        let mut config = config(Some(directory.path()), "albireo");
+        config.screen.pause_s = pause_s;
+        prepared(&config)
+    };
+    let next = |before| EmptyRoad {
+        pause_s: 0.2,
+        ..before
+    };
+    let first = restarted(0.0);
+    first.settings.change(|change| change.empty_road(next)).unwrap();
+    assert_eq!(first.board.empty_road(), next(EmptyRoad::default()));
+    drop(first);
+    assert_eq!(restarted(0.0).board.empty_road().pause_s, 0.2);
+    assert_eq!(restarted(0.1).board.empty_road().pause_s, 0.1);
+}
+
+#[test]
 fn a_changed_threshold_survives_a_restart() {
     let directory = tempfile::tempdir().unwrap();
     let state = directory.path().join("state");
