@@ -356,7 +356,7 @@ impl Measuring<'_> {
         let Some((player, clip)) = &self.loaded else {
             unreachable!("it was loaded above")
         };
-        let played = player.play(&policy.config, progress, shutdown).await?;
+        let played = player.play(policy, progress, shutdown).await?;
         let mut run = ClipRun::of(&played.report, &of.name, &policy.label);
         run.frame_ms = played.frame_ms(player.rate);
         run.cpu_s = Some(played.cpu.as_secs_f64());
