@@ -203,7 +203,7 @@ fn pictures_are_judged_by_their_ground_truth_and_their_streams_as_those_of_store
         "video {sequence}/img1 --detector {boxes} --truth-format motchallenge --ground-truth {sequence} \
          --policy fixed-skip:2 --policy expected-loss+flow --save-detections {saved} {streams} {first}"
     ));
-    assert_contains(&said.succeeds(), &["Judged by ground truth"]);
+    assert_contains(&said.succeeds(), &["Judged by the ground truth of"]);
     let report = std::fs::read(format!("{first}/report.json")).unwrap();
     let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
     let ap50 = |policy: usize| report["policies"][policy]["ap50"].as_f64().unwrap();

@@ -80,11 +80,14 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let shutdown = signals::shutdown(None)?;
     let listener = listen(arguments.port).await?;
     let endpoint = format!("tcp/127.0.0.1:{}", listen(7447).await?.local_addr()?.port());
-    let config = configuration(&arguments, &endpoint)?;
-    let prepared = PreparedNode::new(&config)?;
     let hub_listener = listen(arguments.hub_port).await?;
-    let show = Show::new(prepared.board());
     let addresses = [listener.local_addr()?, hub_listener.local_addr()?];
+    let mut config = configuration(&arguments, &endpoint)?;
+    for (label, address) in ["page", "hub"].into_iter().zip(addresses) {
+        config.node.labels.insert(label.to_owned(), format!("http://{address}/"));
+    }
+    let prepared = PreparedNode::new(&config)?;
+    let show = Show::new(prepared.board());
     show.banner(&config, addresses);
 
     // Each part is a task: opening a Zenoh session blocks its thread, and no part may wait for another.

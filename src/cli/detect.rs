@@ -9,7 +9,7 @@ use albireo_vision::detector::{
 };
 use albireo_vision::picture::{
     ColorOrder, EncodedPicture, Fit, FrameLimits, Picture, PictureFormat, PixelLayout, ValueRange,
-    decode, picture_files, read_picture_file, to_jpeg,
+    decode, outline, picture_files, read_picture_file, to_jpeg,
 };
 use albireo_vision::screen::decoding_target;
 use anyhow::{Context, bail, ensure};
@@ -329,7 +329,7 @@ fn write_drawn(
     for detection in &found.detections {
         let Corners { x1, y1, x2, y2 } = detection.bounding_box.pixel_corners(picture.size);
         let colour = COLOURS[usize::from(detection.class.0) % COLOURS.len()];
-        outline(&mut picture, [x1, y1, x2, y2], colour);
+        outline(&mut picture, [x1, y1, x2, y2], colour, false);
     }
     let drawn = EncodedPicture {
         bytes: picture.pixels.into(),
@@ -342,38 +342,4 @@ fn write_drawn(
         ensure!(source != target, "--out would overwrite the picture itself");
     }
     write(&target, &to_jpeg(&drawn, &limits)?)
-}
-
-/// Draws the outline of a box, `[x1, y1, x2, y2]` in pixels, into an RGB picture; parts outside the picture are cut off.
-fn outline(picture: &mut Picture, corners: [f64; 4], colour: [u8; 3]) {
-    let (width, height) = (
-        i64::from(picture.size.width),
-        i64::from(picture.size.height),
-    );
-    // The outline is two pixels wide in a picture of 640 columns.
-    let thick = (width / 320).max(1);
-    let [x1, y1, x2, y2] = corners.map(|place| place.round() as i64);
-    for y in y1.max(0)..y2.min(height) {
-        let edge = y - y1 < thick || y2 - y <= thick;
-        for x in x1.max(0)..x2.min(width) {
-            if edge || x - x1 < thick || x2 - x <= thick {
-                let at = 3 * (y * width + x) as usize;
-                picture.pixels[at..at + 3].copy_from_slice(&colour);
-            }
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_box_is_outlined_and_cut_off_at_the_border_of_the_picture() {
-        let mut picture = Picture::black(PictureSize::new(8, 6));
-        outline(&mut picture, [2.0, 1.0, 20.0, 5.0], [9, 9, 9]);
-        let lit = |x: usize, y: usize| picture.pixels[3 * (8 * y + x)] == 9;
-        assert!(lit(2, 1) && lit(7, 1) && lit(2, 4) && lit(7, 4));
-        assert!(!lit(3, 2) && !lit(7, 2) && !lit(1, 1) && !lit(2, 5));
-    }
 }

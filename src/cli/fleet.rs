@@ -32,7 +32,7 @@ Examples:
   albireo fleet set-target skip_rate=0.5 --select region=north
       a target instead of a value
   albireo fleet set-target off --select region=north
-  albireo fleet rollout start 5e-4 --select all --stages 1,10%,50%,100% \\
+  albireo fleet rollout start 5e-4 --select all --stages 1,10%,50%,90% \\
       --soak 30m --gate 'joules<=+5%'
   albireo fleet rollout show --follow
       until it is done, held or returned

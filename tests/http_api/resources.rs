@@ -3,9 +3,12 @@ use crate::support::{assert_contains, assert_has};
 use albireo_core::policy::FrameState;
 use albireo_service::config::HttpConfig;
 use albireo_vision::detector::{ExecutionProvider, ModelStatus};
-use albireo_vision::picture::PictureFormat;
+use albireo_vision::picture::{
+    FrameLimits, Picture, PictureFormat, PixelLayout, decode, picture_of_file,
+};
 use albireo_wire::{CallCause, DropKind};
-use reqwest::Method;
+use reqwest::{Method, Response};
+use rstest::rstest;
 use serde_json::json;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
@@ -99,6 +102,85 @@ async fn the_latest_picture_is_jpeg_whatever_the_camera_sends_and_decoded_once_f
     assert_eq!(response.bytes().await.unwrap(), &b"\xff\xd8 as it came"[..]);
     show(10, PictureFormat::Png, b"broken".to_vec());
     node.refused(path, 500).await;
+}
+
+/// The next part of a stream of pictures: the sequence number of its frame, and the file.
+async fn next_part(stream: &mut Response, read: &mut Vec<u8>) -> Option<(u64, Vec<u8>)> {
+    loop {
+        let ends = (read.windows(4)).position(|bytes| bytes == b"\r\n\r\n");
+        if let Some(end) = ends {
+            let head = String::from_utf8(read[..end].to_vec()).unwrap();
+            let field = |name: &str| {
+                let line = head.lines().find_map(|line| line.strip_prefix(name));
+                line.unwrap().parse::<u64>().unwrap()
+            };
+            let length = field("Content-Length: ") as usize;
+            let behind = b"\r\n--frame\r\n";
+            if read.len() >= end + 4 + length + behind.len() {
+                let file = read[end + 4..end + 4 + length].to_vec();
+                assert_eq!(read[end + 4 + length..][..behind.len()], behind[..]);
+                read.drain(..end + 4 + length + behind.len());
+                return Some((field("albireo-frame: "), file));
+            }
+        }
+        read.extend_from_slice(&stream.chunk().await.ok()??);
+    }
+}
+
+#[rstest]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_stream_of_pictures_has_the_boxes_of_its_frames_and_ends_at_the_shutdown() {
+    let node = Served::start().await;
+    let path = "/api/v1/cameras/front/stream.mjpg";
+    let none = node.refused("/api/v1/cameras/front/frame.jpg?boxes=true", 404).await;
+    assert_contains(&none["detail"], &["no picture"]);
+    answered(node.front(), frame(7, FrameState::I));
+    let mut stream = node.get(&format!("{path}?rate=30")).await;
+    let kind = &stream.headers()["content-type"];
+    assert_eq!(kind, "multipart/x-mixed-replace; boundary=frame");
+    let mut read = Vec::new();
+    // The picture that is there already, then each new one.
+    for seq in [7, 8, 9] {
+        if seq > 7 {
+            answered(node.front(), frame(seq, FrameState::P));
+        }
+        let (shown, file) = next_part(&mut stream, &mut read).await.unwrap();
+        assert_eq!(shown, seq);
+        if seq == 7 {
+            assert_eq!(read, b"", "the boundary follows at once");
+        }
+        let mut picture = Picture::default();
+        let encoded = picture_of_file(file.into(), &FrameLimits::default()).unwrap();
+        let limits = FrameLimits::default();
+        decode(&encoded, &limits, PixelLayout::Rgb8, None, &mut picture).unwrap();
+        let blue = |x: usize, y: usize| picture.pixels[3 * (320 * y + x) + 2];
+        // The box of `frame` is from 10, 20 to 110, 90.
+        assert!(blue(60, 20) > 150 && blue(10, 60) > 150, "no box");
+        assert!(blue(60, 55) < 50 && blue(200, 200) < 50, "more than a box");
+    }
+    let drawn = node.get("/api/v1/cameras/front/frame.jpg?boxes=true").await;
+    assert_eq!(drawn.headers()["albireo-frame"], "9");
+    node.refused(&format!("{path}?rate=31"), 400).await;
+    node.refused("/api/v1/cameras/roof/stream.mjpg", 404).await;
+    node.shutdown.cancel();
+    assert_eq!(next_part(&mut stream, &mut read).await, None);
+}
+
+#[rstest]
+#[tokio::test]
+async fn a_node_has_at_most_sixteen_streams_of_pictures() {
+    let node = Served::start().await;
+    let path = "/api/v1/cameras/front/stream.mjpg";
+    let mut open = Vec::new();
+    for _ in 0..16 {
+        open.push(node.get(path).await);
+    }
+    let refused = node.refused(path, 503).await;
+    assert_contains(&refused["detail"], &["16", "boxes=true"]);
+    open.pop();
+    while node.get(path).await.status() != 200 {
+        tokio::task::yield_now().await;
+    }
 }
 
 #[tokio::test]

@@ -138,7 +138,14 @@ pub(crate) async fn problem(response: Response, status: u16) -> Value {
 pub(crate) fn answered(camera: &CameraBoard, detections: DetectionsMessage) {
     let detections = Arc::new(detections);
     let total = Duration::from_secs_f64(detections.latency_ms.total / 1e3);
-    camera.show(Arc::clone(&detections));
+    // A black picture.
+    let (width, height) = (detections.width, detections.height);
+    let picture = EncodedPicture {
+        format: PictureFormat::Rgb8,
+        bytes: vec![0; 3 * (width * height) as usize].into(),
+        size: PictureSize::new(width, height),
+    };
+    camera.show(Arc::clone(&detections), picture);
     camera.record_frame(&FrameRecord::new(detections, total));
 }
 

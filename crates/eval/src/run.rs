@@ -6,8 +6,8 @@ pub mod streams;
 mod worst;
 
 pub use against_detector::against_detector;
-pub(crate) use worst::SHOWN_POLICIES;
 pub use worst::attach_pictures;
+pub(crate) use worst::shown_policies;
 
 use crate::data::Clip;
 use crate::error::EvalError;

@@ -366,7 +366,7 @@ impl Camera {
             parts.board.show_late(Arc::clone(&message));
         } else {
             parts.detections.put(&*message);
-            parts.board.show(Arc::clone(&message));
+            (parts.board).show(Arc::clone(&message), incoming.frame.picture.clone());
         }
         message
     }

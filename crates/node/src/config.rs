@@ -158,7 +158,7 @@ pub struct NodeSection {
     pub state_dir: Option<PathBuf>,
     /// The time at which frames are answered.
     pub answer: AnswerTime,
-    /// Labels by which a hub selects nodes.
+    /// Labels by which a hub selects nodes; `page` and `hub` are addresses that the pages link to.
     pub labels: BTreeMap<String, String>,
     /// Maximum time for stopping, even if something hangs. Not a setting: service managers wait for 10 s and more.
     #[serde(skip)]

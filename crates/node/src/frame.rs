@@ -1,6 +1,9 @@
 //! What is known of a frame: its newest picture, the times spent on its answer, and the record that everything counts.
 
-use albireo_vision::picture::{EncodedPicture, FrameLimits, PictureFormat, to_jpeg};
+use albireo_core::policy::BoxSource;
+use albireo_vision::picture::{
+    EncodedPicture, FrameLimits, Picture, PictureFormat, PixelLayout, decode, outline, to_jpeg,
+};
 use albireo_wire::{DetectionsMessage, Latency};
 use bytes::Bytes;
 use std::sync::{Arc, OnceLock};
@@ -41,6 +44,66 @@ impl LatestFrame {
     /// True if the file exists, or is known to be impossible.
     pub(crate) fn is_made(&self) -> bool {
         self.jpeg.get().is_some()
+    }
+}
+
+/// An answered frame: its picture, and the boxes that were published for it.
+#[derive(Debug)]
+pub(crate) struct AnsweredFrame {
+    picture: EncodedPicture,
+    detections: Arc<DetectionsMessage>,
+    /// The picture with its boxes as a JPEG file, once requested.
+    drawn: OnceLock<Result<Bytes, String>>,
+}
+
+impl AnsweredFrame {
+    pub(crate) fn new(picture: EncodedPicture, detections: Arc<DetectionsMessage>) -> Self {
+        Self {
+            picture,
+            detections,
+            drawn: OnceLock::new(),
+        }
+    }
+
+    /// The frame's sequence number.
+    pub(crate) fn seq(&self) -> u64 {
+        self.detections.seq
+    }
+
+    /// The picture with its boxes as a JPEG file, drawn at most once however many read it. Decodes and encodes: call it
+    /// outside async workers.
+    ///
+    /// # Errors
+    /// The reason it cannot be shown.
+    pub(crate) fn drawn(&self, limits: &FrameLimits) -> Result<Bytes, String> {
+        self.drawn.get_or_init(|| self.draw(limits)).clone()
+    }
+
+    fn draw(&self, limits: &FrameLimits) -> Result<Bytes, String> {
+        let mut picture = Picture::default();
+        decode(&self.picture, limits, PixelLayout::Rgb8, None, &mut picture)
+            .map_err(|fault| fault.to_string())?;
+        for found in &self.detections.boxes {
+            let colour = colour(found.source);
+            let dashed = found.source != BoxSource::Detected;
+            outline(&mut picture, found.corners.map(f64::from), colour, dashed);
+        }
+        let drawn = EncodedPicture {
+            bytes: picture.pixels.into(),
+            format: PictureFormat::Rgb8,
+            size: picture.size,
+        };
+        to_jpeg(&drawn, limits).map_err(|fault| fault.to_string())
+    }
+}
+
+/// The colour of a box, the same as on the page.
+fn colour(source: BoxSource) -> [u8; 3] {
+    match source {
+        BoxSource::Detected => [79, 179, 255],
+        BoxSource::Predicted => [107, 226, 143],
+        BoxSource::Followed => [214, 226, 107],
+        BoxSource::Rescued => [255, 180, 84],
     }
 }
 

@@ -14,6 +14,7 @@ mod huffman;
 mod letterbox;
 mod limits;
 mod orientation;
+mod outline;
 mod raw;
 mod stream;
 
@@ -26,6 +27,7 @@ pub use letterbox::{
     ColorOrder, Fit, InputFormat, InputMapping, Letterbox, TensorLayout, ValueRange,
 };
 pub use limits::{FrameLimits, check_payload, check_picture};
+pub use outline::outline;
 pub use raw::raw_picture;
 pub use stream::{read_part, read_png, read_ppm};
 

@@ -67,6 +67,7 @@ impl Show {
                  on the empty road every fifth frame is looked at: 563 calls a round, not 826"
             );
         }
+        println!("  fleet's page  http://{hub}/");
         println!("  hub      curl http://{hub}/api/v1/clips");
         println!("  fleet    albireo fleet --hub http://{hub} ls");
         println!("E empty, P predicted, E+I screen then detector, I detector, AI with rescue");

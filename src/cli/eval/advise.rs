@@ -28,6 +28,14 @@ pub(super) struct AdviseArguments {
     /// The target to meet: recall (against the detector) or skip_rate.
     #[arg(long, value_name = "NAME=VALUE", default_value = "recall=0.95")]
     target: Target,
+    /// The precision against the detector that a value must have, too, by the lower end of its interval.
+    #[arg(
+        long,
+        value_name = "SHARE",
+        default_value_t = 0.7,
+        allow_negative_numbers = true
+    )]
+    precision: f64,
     /// The policy whose threshold is chosen.
     #[arg(long, value_name = "NAME", default_value = "albireo")]
     policy: String,
@@ -57,6 +65,11 @@ pub(super) fn run(arguments: &AdviseArguments) -> anyhow::Result<()> {
         (0.0..=1.0).contains(&confidence),
         "--confidence {confidence} is not between 0 and 1"
     );
+    let precision = arguments.precision;
+    ensure!(
+        (0.0..1.0).contains(&precision),
+        "--precision {precision} is not from 0 to below 1"
+    );
     let settings = Settings {
         confidence,
         longest_empty_run: arguments.longest_empty_run,
@@ -64,7 +77,13 @@ pub(super) fn run(arguments: &AdviseArguments) -> anyhow::Result<()> {
     };
     let clips = read(arguments)?;
     eprintln!("Trying {} on {} clips", arguments.policy, clips.len());
-    let advice = advise(&clips, arguments.target, &arguments.policy, &settings)?;
+    let advice = advise(
+        &clips,
+        arguments.target,
+        precision,
+        &arguments.policy,
+        &settings,
+    )?;
     if arguments.json {
         println!("{}", serde_json::to_string_pretty(&advice)?);
     } else {

@@ -283,7 +283,16 @@ impl Evaluation<'_> {
         let pass = &self.video.pass;
         end_pass(pass, &self.report, &self.kept)?;
         let basis = match self.truth {
-            Some(_) => "by ground truth".to_owned(),
+            Some(_) if self.video.ground_truth.is_empty() => {
+                "by the ground truth that comes with the demonstration".to_owned()
+            }
+            Some(_) => {
+                let files = self.video.ground_truth.iter().map(|file| file.display().to_string());
+                format!(
+                    "by the ground truth of {}",
+                    files.collect::<Vec<_>>().join(", ")
+                )
+            }
             None => format!(
                 "against vanilla: its own output at confidence {} is used as ground truth",
                 self.settings.confidence

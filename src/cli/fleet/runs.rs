@@ -388,16 +388,17 @@ fn entry_text(entry: &Entry, begun_ms: i64) -> String {
         let change = change.map(|change| interval(change, result.gate.scale == Scale::Relative));
         [
             format!("   {}", result.gate),
-            measured.unwrap_or_else(|| "not measured".to_owned()),
-            result.nodes.to_string(),
-            result.compared.to_string(),
+            name_of(&result.verdict),
+            change.unwrap_or("-".to_owned()),
             mean(result.before),
             mean(result.after),
-            change.unwrap_or("-".to_owned()),
-            name_of(&result.verdict),
+            result.nodes.to_string(),
+            result.compared.to_string(),
+            measured.unwrap_or_else(|| "not measured".to_owned()),
         ]
     });
-    let headings = "   gate|figure|>nodes|>others|>before|>after|change|verdict";
+    // The verdict comes early: a terminal of 80 columns cuts the end.
+    let headings = "   gate|verdict|change|>before|>after|>nodes|>others|figure";
     text += &table(headings, rows);
     text
 }

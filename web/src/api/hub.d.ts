@@ -777,11 +777,18 @@ export interface paths {
         };
         /**
          * The newest picture of a node's camera
-         * @description The node sends pictures only on request. The header `albireo-frame` has the sequence number of the frame. `curl -o frame.jpg http://127.0.0.1:8090/api/v1/nodes/car-7/cameras/front/frame.jpg`
+         * @description The node sends pictures only on request. The header `albireo-frame` has the sequence number of the frame.
+         *     `curl -o frame.jpg 'http://127.0.0.1:8090/api/v1/nodes/car-7/cameras/front/frame.jpg?boxes=true'`
          */
         get: {
             parameters: {
-                query?: never;
+                query?: {
+                    /**
+                     * @description True for the newest answered picture with its boxes: solid where detected, dashed where predicted. A node of an older
+                     *     version sends it without.
+                     */
+                    boxes?: boolean;
+                };
                 header?: never;
                 path: {
                     /** @description Its name */
@@ -940,7 +947,7 @@ export interface paths {
         /**
          * Begins a rollout
          * @description The body is its plan with the new threshold beside it:
-         *     `{"u": 5e-4, "select": ["cam-*"], "stages": ["1", "10%", "50%", "100%"], "soak_s": 1800, "gates": ["joules<=+5%"]}`.
+         *     `{"u": 5e-4, "select": ["cam-*"], "stages": ["1", "10%", "50%", "90%"], "soak_s": 1800, "gates": ["joules<=+5%"]}`.
          */
         post: {
             parameters: {
@@ -2618,7 +2625,7 @@ export interface components {
              *       "1",
              *       "10%",
              *       "50%",
-             *       "100%"
+             *       "90%"
              *     ]
              */
             stages: string[];

@@ -346,11 +346,14 @@ export interface paths {
         /**
          * The latest picture received from a camera
          * @description The header `albireo-frame` has the sequence number of the frame.
-         *     `curl -o frame.jpg http://127.0.0.1:8080/api/v1/cameras/front/frame.jpg`
+         *     `curl -o frame.jpg 'http://127.0.0.1:8080/api/v1/cameras/front/frame.jpg?boxes=true'`
          */
         get: {
             parameters: {
-                query?: never;
+                query?: {
+                    /** @description True for the newest answered picture with its boxes: solid where detected, dashed where predicted. */
+                    boxes?: boolean;
+                };
                 header?: never;
                 path: {
                     /** @description The camera's name. */
@@ -494,6 +497,70 @@ export interface paths {
                     };
                     content: {
                         "application/json": components["schemas"]["SkipEstimates"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/cameras/{camera}/stream.mjpg": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * A camera's pictures with boxes, as motion JPEG
+         * @description For whatever shows a camera by its address: a browser, Home Assistant, VLC, ffmpeg. A slow reader gets fewer pictures,
+         *     never old ones; each picture is drawn once for all readers. Boxes are solid where detected, dashed where predicted.
+         *     While no frame arrives, none is sent. 503 while 16 streams are open.
+         *     `ffplay 'http://127.0.0.1:8080/api/v1/cameras/front/stream.mjpg?rate=5'`
+         */
+        get: {
+            parameters: {
+                query?: {
+                    /** @description Pictures per second at most, 1 to 30; 10 by default. */
+                    rate?: number;
+                };
+                header?: never;
+                path: {
+                    /** @description The camera's name. */
+                    camera: string;
+                };
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                /** @description JPEG files; `albireo-frame` of each part is the sequence number of the frame. */
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "multipart/x-mixed-replace": number[];
                     };
                 };
                 "4XX": {
@@ -2647,6 +2714,8 @@ export interface components {
             /** @description The certificates of its sessions, with their ends. */
             certificates: components["schemas"]["CertificateStatus"][];
             detector?: components["schemas"]["DetectorReading"] | null;
+            /** @description The address of the hub's page: the label `hub`; absent without it. */
+            hub?: string | null;
             /** @description Reports that wait for a hub. */
             outbox: components["schemas"]["OutboxStatus"];
             /** @description The source of its figures of power: `rapl`, `estimate`, …; `none` without one. */

@@ -262,7 +262,8 @@ function Row(props: { index: number; node: NodeView | undefined; picked: boolean
   const held = nameAndValue(node.status?.target?.target);
   const heard = node.heard_ms ? (Date.now() - node.heard_ms) / 1000 : undefined;
   const since = Math.max(0, (Date.now() - node.since_ms) / 1000);
-  const labels = Object.entries(node.status?.labels ?? {}).map(([label, value]) => `${label}=${value}`).join(" ");
+  // Addresses of pages are links on the node's own view.
+  const labels = Object.entries(node.status?.labels ?? {}).filter(([label]) => label !== "page" && label !== "hub").map(([label, value]) => `${label}=${value}`).join(" ");
   return (
     <div class="fleet-row" role="row" aria-rowindex={index + 2} style={place}>
       <span role="cell" class="c-pick">

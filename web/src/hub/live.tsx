@@ -65,7 +65,7 @@ export function Live({ node }: { node: string }) {
       <Held report={[...cameras.values()][0]?.at(-1)?.target} />
       <div class="live">
         {[...cameras].map(([camera, samples]) => (
-          <Camera key={camera} path={`/api/v1/nodes/${at}/cameras/${encodeURIComponent(camera)}/frame.jpg`} samples={samples} />
+          <Camera key={camera} path={`/api/v1/nodes/${at}/cameras/${encodeURIComponent(camera)}/frame.jpg?boxes=true`} samples={samples} />
         ))}
       </div>
     </Section>

@@ -2,7 +2,7 @@
 
 import { answer } from "../shared/api";
 import { certificates, count, dateTime, duration, edp, joules, milliseconds, percent, small, ago } from "../shared/format";
-import { Pill, Quality, Section, whyNot } from "../shared/parts";
+import { isPage, Pill, Quality, Section, whyNot } from "../shared/parts";
 import { heldText } from "../shared/target";
 import { Download, Fault, Setting, Outcomes, Presence, Saved, useLoaded } from "./parts";
 import { Live } from "./live";
@@ -52,7 +52,17 @@ export function Node({ name }: { name: string }) {
         id="node"
         title={name}
         wide
-        aside={<a href={href(["fleet"])}>all nodes</a>}
+        aside={
+          <span>
+            {isPage(status?.labels?.page) && (
+              <>
+                <a href={status.labels.page}>its own page</a>
+                {" · "}
+              </>
+            )}
+            <a href={href(["fleet"])}>all nodes</a>
+          </span>
+        }
       >
         <Fault text={node.fault} />
         {is && (

@@ -2,7 +2,7 @@
 
 import { useComputed } from "@preact/signals";
 import { count, duration, percent, plural, small, watts } from "../shared/format";
-import { Figure, Pill, Quality, Section, type Mood } from "../shared/parts";
+import { Figure, isPage, Pill, Quality, Section, type Mood } from "../shared/parts";
 import type { AuditFigures, AuditRate, Savings } from "./types";
 import { cameras, counters, detector, thresholdSpec, thresholdInForce, lost, missed, opened, overview } from "./store";
 
@@ -108,6 +108,14 @@ export function Header() {
               <a href="/docs/">/docs</a>
             </dd>
           </div>
+          {isPage(now.hub) && (
+            <div>
+              <dt>hub</dt>
+              <dd>
+                <a href={`${now.hub.replace(/\/$/, "")}/#/nodes/${encodeURIComponent(now.node)}`}>its page there</a>
+              </dd>
+            </div>
+          )}
         </dl>
       )}
     </header>

@@ -53,6 +53,11 @@ export function Section(props: {
   );
 }
 
+/** Whether a label is the address of a page, and no script. */
+export function isPage(address: string | null | undefined): address is string {
+  return /^https?:\/\/[^\s]+$/.test(address ?? "");
+}
+
 /** Asks for the token; shown in place of everything that needs one. */
 export function Unlock({ what }: { what: string }) {
   const [text, setText] = useState("");

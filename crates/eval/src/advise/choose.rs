@@ -9,6 +9,7 @@ use crate::error::EvalError;
 use crate::settings::ScreenRule;
 use crate::settings::Settings;
 use albireo_core::policy::{ExpectedLoss, PolicyConfig, ThresholdSpec, short};
+use albireo_core::target::ThresholdRange;
 use rayon::iter::{IntoParallelIterator, ParallelIterator};
 use serde::Serialize;
 
@@ -26,7 +27,7 @@ pub struct Proposal {
     pub value: f64,
     /// The empty-scene screen: one that never says "empty", or the recorded one.
     pub screen: ScreenRule,
-    /// True if the target is met; otherwise this is the nearest value in the threshold's useful range.
+    /// True if target and precision are met; otherwise this is the nearest end of the range that was searched.
     pub meets_target: bool,
     /// Share of frames without the detector.
     pub skip_rate: Option<Estimate>,
@@ -54,6 +55,8 @@ pub struct HeldOut {
 pub struct Advice {
     /// The requested target.
     pub target: Target,
+    /// The precision against the detector that a value must have, by the lower end of its interval.
+    pub least_precision: f64,
     /// The number of clips of the recording.
     pub clips: usize,
     /// The number of frames of the recording.
@@ -73,13 +76,15 @@ impl Advice {
     }
 }
 
-/// Finds the value of the threshold of `policy` that meets `target` on `clips`.
+/// Finds the value of the threshold of `policy` that meets `target` on `clips` with a precision of at least
+/// `least_precision`, within the range in which a controller would move it.
 ///
 /// # Errors
 /// [`EvalError`] when the policy cannot be built or has no threshold, or the recording has no detections.
 pub fn advise(
     clips: &[Clip],
     target: Target,
+    least_precision: f64,
     policy: &str,
     settings: &Settings,
 ) -> Result<Advice, EvalError> {
@@ -110,6 +115,7 @@ pub fn advise(
             screen,
             settings,
             target,
+            least_precision,
         };
         search.propose()
     };
@@ -130,6 +136,7 @@ pub fn advise(
     });
     Ok(Advice {
         target,
+        least_precision,
         clips: clips.len(),
         frames: clips.iter().map(|clip| clip.frames).sum(),
         boxes,
@@ -138,10 +145,13 @@ pub fn advise(
     })
 }
 
-/// Returns rising values over the useful range in logarithmic steps, rounded to two digits.
-fn values(spec: &ThresholdSpec) -> Vec<f64> {
-    let low = spec.useful_minimum;
-    let high = spec.useful_maximum;
+/// Returns rising values in logarithmic steps, rounded to two digits: over the range of a controller, beyond which accuracy
+/// is lost whatever the target says, or over the useful range of a threshold that no controller moves.
+fn values(policy: &str, spec: &ThresholdSpec) -> Vec<f64> {
+    let (low, high) = match ThresholdRange::of(policy, Some(spec), None, None) {
+        Ok(range) => (range.least, range.most),
+        Err(_) => (spec.useful_minimum, spec.useful_maximum),
+    };
     let value = |step: usize| {
         let value = low * (high / low).powf(step as f64 / (VALUES - 1) as f64);
         let rounded = format!("{value:.1e}").parse().unwrap_or(value);
@@ -159,6 +169,7 @@ struct Search<'a> {
     screen: ScreenRule,
     settings: &'a Settings,
     target: Target,
+    least_precision: f64,
 }
 
 impl Search<'_> {
@@ -167,7 +178,7 @@ impl Search<'_> {
     /// not chosen. (Trials that skip too few frames for a narrow interval do not stop it.) For a skip rate, it is the
     /// first trial that meets it.
     fn best_trial(&self, trials: &[Trial]) -> Option<usize> {
-        let meets = |trial: &Trial| trial.meets(self.target);
+        let meets = |trial: &Trial| trial.meets(self.target, self.least_precision);
         match self.target {
             Target::SkipRate(_) => trials.iter().position(meets),
             Target::Recall(least) => {
@@ -180,7 +191,7 @@ impl Search<'_> {
     }
 
     fn propose(&self) -> Result<Proposal, EvalError> {
-        let trials = (values(&self.spec).into_par_iter())
+        let trials = (values(&self.config.name, &self.spec).into_par_iter())
             .map(|value| try_out(self.clips, self.config, value, self.screen, self.settings))
             .collect::<Result<Vec<_>, _>>()?;
         let best = self.best_trial(&trials);

@@ -14,6 +14,9 @@ const WIDTH: usize = 100;
 /// Below this share of frames the advice says that nothing is skipped.
 const NEGLIGIBLE_SKIP_RATE: f64 = 0.005;
 
+/// With fewer clips than this the advice asks for more.
+const FEW_CLIPS: usize = 3;
+
 // Writing to a string cannot fail, so the results are dropped throughout.
 
 /// Formats the advice, 100 columns wide.
@@ -28,7 +31,11 @@ pub fn render(advice: &Advice) -> String {
         advice.boxes,
         advice.confidence
     );
-    let _ = writeln!(text, "Target: {}.\n", advice.target);
+    let _ = writeln!(
+        text,
+        "Target: {}, with a precision of at least {}.\n",
+        advice.target, advice.least_precision
+    );
     let cells = |cell: &dyn Fn(&Proposal) -> String| advice.proposals.iter().map(cell).collect();
     let policies = advice.proposals.iter().enumerate().map(|(index, proposal)| {
         match (index, proposal.meets_target) {
@@ -57,7 +64,7 @@ pub fn render(advice: &Advice) -> String {
     text.push_str(&table(columns.iter(), "  "));
     if advice.proposals.iter().any(|found| !found.meets_target) {
         text.push_str(
-            "-: cannot meet the target inside its threshold's useful range; the nearest end of it\n",
+            "-: cannot meet the target inside the threshold's range; the nearest end of it\n",
         );
     }
     text.push('\n');
@@ -74,7 +81,8 @@ fn sentences(advice: &Advice) -> Vec<String> {
     let mut sentences = Vec::new();
     match advice.best() {
         None => sentences.push(
-            "No value meets the target on this recording: ask for less, or try another policy with --policy."
+            "No value meets the target on this recording, with recall and precision by the lower ends of their intervals: \
+             record more, which narrows them, ask for less (--target, --precision), or try another --policy."
                 .to_owned(),
         ),
         Some(best) if !skips(best) => sentences.push(
@@ -85,6 +93,13 @@ fn sentences(advice: &Advice) -> Vec<String> {
             sentences.push(proposed(best));
             sentences.extend(best.held_out.map(|held_out| checked(&held_out, advice.target)));
         }
+    }
+    if advice.clips < FEW_CLIPS {
+        sentences.push(format!(
+            "Only {} of {} frames: record other roads, hours and weather, too, before you rely on it.",
+            if advice.clips == 1 { "one clip" } else { "two clips" },
+            advice.frames
+        ));
     }
     sentences.push(
         "Recall and precision are against the detector, on the frames without it: a policy that goes on showing an object \

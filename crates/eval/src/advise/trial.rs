@@ -81,13 +81,16 @@ impl Trial {
         self.ratio(|block| [block.skipped.into(), block.frames.into()])
     }
 
-    /// True if this meets `target`.
-    pub(super) fn meets(&self, target: Target) -> bool {
-        match target {
-            // If the detector found nothing on the skipped frames, nothing was lost.
-            Target::Recall(least) => self.recall().is_none_or(|recall| recall.low >= least),
-            Target::SkipRate(least) => self.skip_rate().is_some_and(|rate| rate.value >= least),
-        }
+    /// True if this meets `target`, and the detector confirms at least a share of `least_precision` of the boxes shown.
+    pub(super) fn meets(&self, target: Target, least_precision: f64) -> bool {
+        // If nothing was shown on the skipped frames, nothing was wrong.
+        let confirmed = self.precision().is_none_or(|precision| precision.low >= least_precision);
+        confirmed
+            && match target {
+                // If the detector found nothing on the skipped frames, nothing was lost.
+                Target::Recall(least) => self.recall().is_none_or(|recall| recall.low >= least),
+                Target::SkipRate(least) => self.skip_rate().is_some_and(|rate| rate.value >= least),
+            }
     }
 }
 

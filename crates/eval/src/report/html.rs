@@ -12,6 +12,9 @@ use crate::text::{Column, or_dash};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use std::collections::{BTreeSet, HashMap};
 
+/// The name of the setting that says by what clips were judged.
+const JUDGED: &str = "Judged";
+
 pub(crate) const STYLE: &str = include_str!("report.css");
 const SCRIPT: &str = include_str!("report.js");
 
@@ -31,7 +34,7 @@ pub(super) fn render(report: &Report, figures: &[Plot]) -> String {
                     header {
                         p.kicker { "Albireo evaluation" }
                         h1 { (report.title) }
-                        (concluded(&report.policies))
+                        (concluded(report))
                     }
                     @for figure in figures {
                         section {
@@ -42,7 +45,7 @@ pub(super) fn render(report: &Report, figures: &[Plot]) -> String {
                             }
                         }
                     }
-                    (worst::frames(&report.clips))
+                    (worst::frames(&report.clips, truth(report)))
                     (policies(&report.policies))
                     (classes(&report.policies))
                     (clips(&report.clips))
@@ -64,11 +67,26 @@ pub(super) fn render(report: &Report, figures: &[Plot]) -> String {
     page.into_string()
 }
 
-/// Renders the conclusion, which comes first.
-fn concluded(summaries: &[PolicySummary]) -> Markup {
+/// How the clips were judged, if somebody noted it.
+fn judged(report: &Report) -> Option<&str> {
+    let found = report.settings.iter().find(|(name, _)| name == JUDGED);
+    found.map(|(_, how)| how.as_str())
+}
+
+/// What the boxes are by which clips were judged.
+fn truth(report: &Report) -> &'static str {
+    match judged(report) {
+        Some(how) if how.contains("its own output") => "the detector's own boxes",
+        _ => "ground truth",
+    }
+}
+
+/// Renders by what it was judged, then the conclusion; both come first.
+fn concluded(report: &Report) -> Markup {
     html! {
         div.conclusion {
-            @for sentence in conclusion(summaries) { p { (sentence.replace(" -", " −")) } }
+            @if let Some(how) = judged(report) { p { "Judged " (how) "." } }
+            @for sentence in conclusion(&report.policies) { p { (sentence.replace(" -", " −")) } }
         }
     }
 }

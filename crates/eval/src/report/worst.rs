@@ -1,7 +1,7 @@
 //! Draws the frames on which policies lost the most objects.
 
 use crate::result::{ClipResult, FramePicture, WorstFrame};
-use crate::run::SHOWN_POLICIES;
+use crate::run::shown_policies;
 use crate::spec::short_label;
 use albireo_core::geometry::Corners;
 use albireo_vision::picture::{PictureFormat, read_picture_file};
@@ -11,12 +11,11 @@ use maud::{Markup, html};
 /// The number of frames that are shown per policy.
 const SHOWN: usize = 3;
 
-/// Renders the frames of each policy that lost the most objects over all clips; nothing if none were lost.
-pub(super) fn frames(results: &[ClipResult]) -> Markup {
+/// Renders the frames of each policy that lost the most objects over all clips; nothing if none were lost. `truth` says
+/// what the objects are.
+pub(super) fn frames(results: &[ClipResult], truth: &str) -> Markup {
     let lost = results.iter().filter(|result| !result.worst.is_empty());
-    let mut policies: Vec<&str> = lost.map(|result| result.policy.as_str()).collect();
-    // Results are in order of policies.
-    policies.dedup();
+    let policies = shown_policies(lost.map(|result| result.policy.as_str()));
     if policies.is_empty() {
         return Markup::default();
     }
@@ -25,12 +24,12 @@ pub(super) fn frames(results: &[ClipResult]) -> Markup {
             h2 { "Where it was lost" }
             p.legend {
                 "Frames without the detector on which most objects were lost that it would have found: "
-                span.truth-word { "ground truth" } ", " span.found-word { "the policy's boxes" } "."
+                span.truth-word { (truth) } ", " span.found-word { "the policy's boxes" } "."
                 @if results.iter().flat_map(|result| &result.worst).all(|worst| worst.picture.is_none()) {
                     " The recording has detections and no pictures, so only boxes are drawn."
                 }
             }
-            @for (index, policy) in policies.into_iter().take(SHOWN_POLICIES).enumerate() {
+            @for (index, policy) in policies.into_iter().enumerate() {
                 @if index == 0 {
                     h3 { (short_label(policy)) }
                     (frames_of(results, policy))

@@ -7,6 +7,7 @@ use crate::footage::FrameSource;
 use crate::judge::hits;
 use crate::replay::Replay;
 use crate::result::{ClipResult, FramePicture, WorstFrame};
+use crate::spec::split_label;
 
 /// The number of frames of a clip that are kept for each policy.
 const KEPT: usize = 2;
@@ -15,7 +16,24 @@ const KEPT: usize = 2;
 const MIN_DISTANCE: usize = 20;
 
 /// The number of policies whose frames are shown, with their pictures.
-pub(crate) const SHOWN_POLICIES: usize = 8;
+const SHOWN_POLICIES: usize = 10;
+
+/// Chooses the policies whose frames are shown: the first setting of each, then further ones.
+pub(crate) fn shown_policies<'a>(labels: impl IntoIterator<Item = &'a str>) -> Vec<&'a str> {
+    let (mut first, mut further, mut families) = (Vec::new(), Vec::new(), Vec::new());
+    for label in labels {
+        let (family, _) = split_label(label);
+        if !families.contains(&family) {
+            families.push(family);
+            first.push(label);
+        } else if !first.contains(&label) && !further.contains(&label) {
+            further.push(label);
+        }
+    }
+    first.extend(further);
+    first.truncate(SHOWN_POLICIES);
+    first
+}
 
 /// Gives the frames in `results`, which are of one clip, their pictures from `source`. The source is read again from its
 /// start to the last of these frames, without its `unusable` pictures.
@@ -27,10 +45,12 @@ pub fn attach_pictures(
     results: &mut [ClipResult],
     unusable: &[usize],
 ) -> Result<(), EvalError> {
+    let lost = results.iter().filter(|result| !result.worst.is_empty());
+    let shown = shown_policies(lost.map(|result| result.policy.as_str()));
+    let shown: Vec<String> = shown.into_iter().map(str::to_owned).collect();
     let mut wanted: Vec<&mut WorstFrame> = results
         .iter_mut()
-        .filter(|result| !result.worst.is_empty())
-        .take(SHOWN_POLICIES)
+        .filter(|result| shown.contains(&result.policy))
         .flat_map(|result| &mut result.worst)
         .collect();
     wanted.sort_by_key(|worst| worst.frame);
@@ -100,4 +120,30 @@ pub(crate) fn worst_frames(clip: &Clip, replayed: &Replay, confidence: f64) -> V
         });
     }
     kept
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_policy_has_a_place_before_one_has_two() {
+        let labels = [
+            "albireo-u3e-4-erd-nonempty",
+            "albireo-u5e-4-erd-nonempty",
+            "fixedskip-2",
+            "fixedskip-3",
+            "expected-loss-0.1",
+            "expected-loss-0.3",
+            // Of the next clip.
+            "albireo-u3e-4-erd-nonempty",
+        ];
+        let expected = [0, 2, 4, 1, 3, 5].map(|index| labels[index]);
+        assert_eq!(shown_policies(labels), expected);
+        let many: Vec<String> = (0..20).map(|n| format!("fixedskip-{n}")).collect();
+        assert_eq!(
+            shown_policies(many.iter().map(String::as_str)).len(),
+            SHOWN_POLICIES
+        );
+    }
 }

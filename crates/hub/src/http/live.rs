@@ -5,15 +5,17 @@ use super::nodes::unknown;
 use crate::hub::{Hub, MOST_LIVE, attached};
 use albireo_service::http::Problem;
 use albireo_wire::{CountersMessage, NodeKeys};
-use axum::extract::{Path, State};
+use axum::extract::{Path, Query, State};
 use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
 use axum::http::{HeaderName, StatusCode};
 use axum::response::sse::{self, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
 use futures_util::{Stream, StreamExt, stream};
+use serde::Deserialize;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::MissedTickBehavior;
+use utoipa::IntoParams;
 use zenoh::Session;
 use zenoh::handlers::{IntoHandler, RingChannel};
 use zenoh::qos::{CongestionControl, Priority};
@@ -108,14 +110,27 @@ fn timed_out(reply: &Reply) -> bool {
     reply.result().is_err_and(ended)
 }
 
+/// What is drawn on a picture.
+#[derive(Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct Drawing {
+    /// True for the newest answered picture with its boxes: solid where detected, dashed where predicted. A node of an older
+    /// version sends it without.
+    #[serde(default)]
+    boxes: bool,
+}
+
 /// The newest picture of a node's camera
 ///
-/// The node sends pictures only on request. The header `albireo-frame` has the sequence number of the frame. `curl -o frame.jpg http://127.0.0.1:8090/api/v1/nodes/car-7/cameras/front/frame.jpg`
+/// The node sends pictures only on request. The header `albireo-frame` has the sequence number of the frame.
+/// `curl -o frame.jpg 'http://127.0.0.1:8090/api/v1/nodes/car-7/cameras/front/frame.jpg?boxes=true'`
 #[utoipa::path(
     get, operation_id = "node_camera_picture", path = "/api/v1/nodes/{node}/cameras/{camera}/frame.jpg", tag = "nodes",
     params(
         ("node" = String, Path, description = "Its name"),
-        ("camera" = String, Path, description = "The camera's name")
+        ("camera" = String, Path, description = "The camera's name"),
+        Drawing
     ),
     responses(
         (status = 200, body = Vec<u8>, content_type = "image/jpeg",
@@ -125,12 +140,16 @@ fn timed_out(reply: &Reply) -> bool {
 pub(super) async fn picture(
     State(hub): State<Hub>,
     Path((node, camera)): Path<(String, String)>,
+    Query(Drawing { boxes }): Query<Drawing>,
 ) -> Result<Response, Problem> {
     let (session, keys) = hub.way_to(&node)?;
-    let key = keys
+    let mut key = keys
         .camera(&camera)
         .map_err(|error| Problem::new(StatusCode::NOT_FOUND, error.to_string()))?
         .picture();
+    if boxes {
+        key += "?boxes=true";
+    }
     hub.desires.watch(&node, LEASE);
     let asking = async {
         loop {

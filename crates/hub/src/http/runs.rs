@@ -73,7 +73,7 @@ async fn order(
 /// Begins a rollout
 ///
 /// The body is its plan with the new threshold beside it:
-/// `{"u": 5e-4, "select": ["cam-*"], "stages": ["1", "10%", "50%", "100%"], "soak_s": 1800, "gates": ["joules<=+5%"]}`.
+/// `{"u": 5e-4, "select": ["cam-*"], "stages": ["1", "10%", "50%", "90%"], "soak_s": 1800, "gates": ["joules<=+5%"]}`.
 #[utoipa::path(
     post, operation_id = "begin_rollout", path = "/api/v1/rollouts", tag = "tuning", request_body = RolloutPlan,
     responses((status = 201, body = Run))

@@ -115,7 +115,8 @@ impl Default for RolloutPlan {
     fn default() -> Self {
         Self {
             basics: Basics::default(),
-            stages: ["1", "10%", "50%", "100%"].map(str::to_owned).to_vec(),
+            // Below 100 %: a stage is compared with the nodes that still have the old value.
+            stages: ["1", "10%", "50%", "90%"].map(str::to_owned).to_vec(),
             // A day covers all hours.
             soak_s: DAY_S,
             patience_s: 2.0 * DAY_S,

@@ -32,7 +32,7 @@ use axum::{Json, Router};
 use events::OpenStreams;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
-use tokio::sync::Mutex;
+use tokio::sync::{Mutex, Semaphore};
 use tokio_util::sync::CancellationToken;
 use utoipa::OpenApi as _;
 use utoipa::openapi::OpenApi;
@@ -54,6 +54,8 @@ struct RouteState {
     /// The number of pictures decoded for display.
     decoded: Arc<AtomicU64>,
     streams: Arc<OpenStreams>,
+    /// Permits for picture streams.
+    viewers: Arc<Semaphore>,
     shutdown: CancellationToken,
 }
 
@@ -129,6 +131,7 @@ fn described() -> (Router<RouteState>, OpenApi) {
         .routes(routes!(history::skip_estimate))
         .routes(routes!(history::power))
         .routes(routes!(picture::jpeg))
+        .routes(routes!(picture::mjpeg))
         .routes(routes!(clips::list))
         .routes(routes!(events::stream))
         .routes(routes!(diag::tail))
@@ -178,6 +181,7 @@ pub(crate) fn router(setup: RouterSetup, shutdown: CancellationToken) -> Router 
             decoding: Arc::default(),
             decoded: Arc::default(),
             streams: Arc::default(),
+            viewers: Arc::new(Semaphore::new(picture::MOST_VIEWERS)),
             shutdown,
         })
 }

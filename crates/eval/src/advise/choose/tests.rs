@@ -4,6 +4,7 @@ use super::*;
 use crate::advise::render;
 use crate::judge::average_precision::tests::{scored, square};
 use albireo_core::geometry::PictureSize;
+use albireo_core::policy::Albireo;
 
 /// Two objects that drift by `speed` pixels per frame, and one that comes and goes.
 fn recording(name: &str, speed: f64, frames: usize) -> Clip {
@@ -33,7 +34,7 @@ fn recordings() -> Vec<Clip> {
 
 fn advice(policy: &str, target: &str) -> Advice {
     let target = target.parse().unwrap();
-    advise(&recordings(), target, policy, &Settings::default()).unwrap()
+    advise(&recordings(), target, 0.0, policy, &Settings::default()).unwrap()
 }
 
 #[test]
@@ -75,7 +76,7 @@ fn a_recorded_screen_is_tried_as_well_as_none() {
         clip.screen = Some(boxes.map(|boxes| Some(boxes.is_empty())).collect());
     }
     let target = "skip_rate=0.1".parse().unwrap();
-    let advice = advise(&clips, target, "albireo", &Settings::default()).unwrap();
+    let advice = advise(&clips, target, 0.0, "albireo", &Settings::default()).unwrap();
     let screens: Vec<_> = advice.proposals.iter().map(|found| found.screen).collect();
     assert_eq!(screens.len(), 2);
     assert!(screens.contains(&ScreenRule::Recorded) && screens.contains(&ScreenRule::Nonempty));
@@ -93,7 +94,7 @@ fn an_unreachable_target_is_reported_without_a_proposal() {
 #[test]
 fn a_recording_without_boxes_and_a_policy_without_a_threshold_are_rejected() {
     let refused = |policy: &str, settings: &Settings| {
-        let error = advise(&recordings(), Target::Recall(0.9), policy, settings);
+        let error = advise(&recordings(), Target::Recall(0.9), 0.0, policy, settings);
         error.unwrap_err().to_string()
     };
     let sure = Settings {
@@ -122,14 +123,41 @@ fn the_proposed_lines_are_a_valid_node_configuration() {
 }
 
 #[test]
-fn values_have_two_digits_and_increase_through_the_useful_range() {
-    let spec = ExpectedLoss::THRESHOLD;
-    let values = values(&spec);
-    assert!(values.is_sorted(), "{values:?}");
-    assert!(values.len() > VALUES / 2, "{values:?}");
-    assert_eq!(values.first(), Some(&spec.useful_minimum));
-    assert_eq!(values.last(), Some(&spec.useful_maximum));
-    for value in values {
-        assert_eq!(format!("{value:.1e}").parse(), Ok(value));
+fn values_have_two_digits_and_stay_where_a_controller_would() {
+    for (policy, spec, ends) in [
+        (ExpectedLoss::NAME, ExpectedLoss::THRESHOLD, (0.05, 1.2)),
+        ("albireo", Albireo::THRESHOLD, (1.5e-4, 2e-3)),
+    ] {
+        let values = values(policy, &spec);
+        assert!(values.is_sorted(), "{values:?}");
+        assert!(values.len() > VALUES / 2, "{values:?}");
+        assert_eq!(values.first().zip(values.last()), Some((&ends.0, &ends.1)));
+        for value in values {
+            assert_eq!(format!("{value:.1e}").parse(), Ok(value));
+        }
+    }
+}
+
+#[test]
+fn a_value_must_also_have_the_precision_and_few_clips_are_called_few() {
+    let target = Target::Recall(0.5);
+    let advice = |least: f64| {
+        let clips = &recordings()[..1];
+        advise(clips, target, least, "expected-loss", &Settings::default()).unwrap()
+    };
+    let loose = advice(0.0);
+    let found = loose.best().expect("it can be met").precision.unwrap();
+    // A little more than it has: another value, or none.
+    let strict = advice(found.low + 1e-6);
+    assert!(strict.best().is_none_or(|best| best.precision.unwrap().low > found.low));
+    assert_ne!(strict.best(), loose.best());
+    let never = advice(0.9999);
+    let text = render(&never);
+    for part in [
+        "--precision",
+        "precision of at least 0.9999",
+        "Only one clip of 600",
+    ] {
+        assert!(text.contains(part), "{text}");
     }
 }

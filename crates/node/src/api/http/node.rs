@@ -36,6 +36,9 @@ pub(super) struct NodeOverview {
     uptime_s: f64,
     #[serde(flatten)]
     readiness: Readiness,
+    /// The address of the hub's page: the label `hub`; absent without it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    hub: Option<String>,
     /// How the detector's model is read; absent while it starts.
     #[serde(skip_serializing_if = "Option::is_none")]
     detector: Option<DetectorReading>,
@@ -74,6 +77,8 @@ pub(super) async fn overview(State(shared): State<RouteState>) -> Json<NodeOverv
         version: env!("CARGO_PKG_VERSION"),
         uptime_s: seconds(board.uptime()),
         readiness: readiness(board),
+        hub: (shared.config.pointer("/node/labels/hub"))
+            .and_then(|label| label.as_str().map(str::to_owned)),
         detector: board.reading.get().map(detector),
         outbox: shared.outbox.counts().status,
         certificates: board.certificates.status(),

@@ -106,17 +106,23 @@ impl Watched {
 
 /// Answers a picture query. Encodes the picture: call it outside async workers.
 fn answer(camera: &CameraBoard, query: &Query, setup: &UplinkSetup) {
-    let answered = match camera.input.latest_frame() {
+    let limits = &setup.limits;
+    let found = if query.parameters().get("boxes") == Some("true") {
+        let frame = camera.answered().borrow().clone();
+        frame.map(|frame| (frame.seq(), frame.drawn(limits)))
+    } else {
+        let frame = camera.input.latest_frame();
+        frame.map(|frame| (frame.seq, frame.jpeg(limits)))
+    };
+    let answered = match found {
         _ if !setup.uplink.pictures => query.reply_err(REFUSED).wait(),
         None => query.reply_err("no frame has arrived yet").wait(),
-        Some(frame) => match frame.jpeg(&setup.limits) {
-            Ok(file) => query
-                .reply(query.key_expr().clone(), file.to_vec())
-                .encoding(Encoding::IMAGE_JPEG)
-                .attachment(frame.seq.to_string())
-                .wait(),
-            Err(reason) => query.reply_err(reason).wait(),
-        },
+        Some((seq, Ok(file))) => query
+            .reply(query.key_expr().clone(), file.to_vec())
+            .encoding(Encoding::IMAGE_JPEG)
+            .attachment(seq.to_string())
+            .wait(),
+        Some((_, Err(reason))) => query.reply_err(reason).wait(),
     };
     if let Err(error) = answered {
         tracing::debug!(camera = camera.name(), %error, "a picture was not sent");

@@ -4,7 +4,7 @@ use super::CHANGES_PERIOD;
 use super::event::{Event, FrameEvent, News};
 use super::flow::Flow;
 use super::history::{CameraPiece, Clock, History, PastFrame, SkipEstimate};
-use crate::frame::FrameRecord;
+use crate::frame::{AnsweredFrame, FrameRecord};
 use crate::input::{ArrivalCounts, InputCounter, Unusable};
 use crate::publishing::Unpublished;
 use crate::state::advice::{Advice, SkipWatch};
@@ -13,6 +13,7 @@ use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{BoxSource, EmptyRoad, Policy, Profile, ThresholdSpec, short};
 use albireo_service::metrics::LatencyHistogram;
 use albireo_service::rate_limit::RateLimit;
+use albireo_vision::picture::EncodedPicture;
 use albireo_wire::{
     AuditReport, BoxMessage, CameraKeys, DetectionsMessage, DetectorCalls, DroppedFrames,
     FrameStates, SettingSource,
@@ -210,6 +211,8 @@ pub struct CameraBoard {
     pub(super) changes: RateLimit,
     counts: Mutex<Counts>,
     history: Mutex<History>,
+    /// The newest answered frame, for viewers of pictures with boxes.
+    answered: watch::Sender<Option<Arc<AnsweredFrame>>>,
 }
 
 impl CameraBoard {
@@ -239,7 +242,13 @@ impl CameraBoard {
             rate: AtomicU64::default(),
             counts: Mutex::new(counts),
             history: Mutex::default(),
+            answered: watch::Sender::default(),
         }
+    }
+
+    /// The newest answered frame with its picture, now and whenever there is a newer one.
+    pub(crate) fn answered(&self) -> watch::Receiver<Option<Arc<AnsweredFrame>>> {
+        self.answered.subscribe()
     }
 
     /// The camera's name.
@@ -281,8 +290,10 @@ impl CameraBoard {
         }
     }
 
-    /// Sends a frame's answer, which may be pending, to subscribers.
-    pub fn show(&self, detections: Arc<DetectionsMessage>) {
+    /// Sends a frame's answer, which may be pending, to subscribers, and keeps its picture for viewers.
+    pub fn show(&self, detections: Arc<DetectionsMessage>, picture: EncodedPicture) {
+        let answered = AnsweredFrame::new(picture, Arc::clone(&detections));
+        self.answered.send_replace(Some(Arc::new(answered)));
         let mut counts = self.counts.lock();
         counts.shown.last_frame = Some(Instant::now());
         let before = counts.shown.latest.replace(Arc::clone(&detections));

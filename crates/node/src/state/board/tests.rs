@@ -1,6 +1,9 @@
 use crate::camera::answer;
 use crate::settings::tests::{config, prepared, thresholds};
+use albireo_core::geometry::PictureSize;
 use albireo_core::policy::FrameState;
+use albireo_vision::picture::{EncodedPicture, PictureFormat};
+use bytes::Bytes;
 use serde_json::Value;
 
 #[test]
@@ -14,7 +17,12 @@ fn a_camera_has_its_own_threshold_or_that_of_the_policy() {
 fn an_event_is_written_as_json_once_however_many_read_it() {
     let board = prepared(&config(None, "albireo")).board;
     let mut readers: Vec<_> = (0..64).map(|_| board.subscribe()).collect();
-    board.cameras[0].show(answer(7, FrameState::I, false, None));
+    let picture = EncodedPicture {
+        format: PictureFormat::Rgb8,
+        bytes: Bytes::new(),
+        size: PictureSize::new(0, 0),
+    };
+    board.cameras[0].show(answer(7, FrameState::I, false, None), picture);
     let events = readers.iter_mut().map(|reader| reader.try_recv().unwrap());
     let events: Vec<_> = events.collect();
     assert_eq!(events[0].news.camera(), Some("front"));
