@@ -8,7 +8,7 @@ use std::path::Path;
 
 /// Runs a comparison of two rounds of 20 frames, with changed constants.
 fn compare(development: &str, arguments: &[&str]) -> Ended {
-    let short = "compare --seconds 0.8 --repeat 2 --warm-up 0.2 --cool-down 0 --u=1e-3";
+    let short = "compare --seconds 0.8 --repeat 2 --warm-up 0.6 --cool-down 0 --u=1e-3";
     let arguments: Vec<_> = short.split(' ').chain(arguments.iter().copied()).collect();
     run(&arguments, &[("ALBIREO_DEVELOPMENT", development)])
 }

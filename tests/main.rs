@@ -19,6 +19,7 @@ mod deploy_systemd;
 mod deploy_watching;
 mod detector_exports;
 mod detector_families;
+mod detector_inputs;
 mod detector_models;
 mod detector_quantised;
 mod detector_session;

@@ -15,26 +15,26 @@ def pictures(folder):
 class Yolox:
     """Finds COCO's 80 classes: `model(image)` returns (xyxy, confidence, class_id)."""
 
-    def __init__(self, file="models/yolox_nano.onnx", least=0.3, overlap=0.5):
+    def __init__(self, file="models/yolox_nano.onnx", side=416, least=0.3, overlap=0.5):
         self.session = onnxruntime.InferenceSession(file, providers=["CPUExecutionProvider"])
-        self.least, self.overlap = least, overlap
-        self.side = self.session.get_inputs()[0].shape[-1]
-        cells = []
-        for stride in (8, 16, 32):
-            y, x = np.mgrid[: self.side // stride, : self.side // stride]
-            cells.append(np.stack([x, y, np.full_like(x, stride)], -1).reshape(-1, 3))
-        self.cells = np.concatenate(cells)
+        self.side, self.least, self.overlap = side, least, overlap
 
     def __call__(self, image):
         rows, columns = image.shape[:2]
         scale = self.side / max(rows, columns)
         small = Image.fromarray(image).resize((int(columns * scale), int(rows * scale)), Image.Resampling.BILINEAR)
-        # The picture in the upper left corner, the rest grey; blue before red.
-        square = np.full((self.side, self.side, 3), 114, np.float32)
-        square[: small.height, : small.width] = np.asarray(small)[..., ::-1]
-        (found,) = self.session.run(None, {"images": square.transpose(2, 0, 1)[None]})[0]
-        stride = self.cells[:, 2:]
-        centre = (found[:, :2] + self.cells[:, :2]) * stride / scale
+        # The picture in the upper left corner of the smallest input that holds it, the rest grey; blue before red.
+        shape = [-(-side // 32) * 32 for side in (small.height, small.width)]
+        filled = np.full((*shape, 3), 114, np.float32)
+        filled[: small.height, : small.width] = np.asarray(small)[..., ::-1]
+        (found,) = self.session.run(None, {"images": filled.transpose(2, 0, 1)[None]})[0]
+        cells = []
+        for stride in (8, 16, 32):
+            y, x = np.mgrid[: shape[0] // stride, : shape[1] // stride]
+            cells.append(np.stack([x, y, np.full_like(x, stride)], -1).reshape(-1, 3))
+        cells = np.concatenate(cells)
+        stride = cells[:, 2:]
+        centre = (found[:, :2] + cells[:, :2]) * stride / scale
         half = np.exp(found[:, 2:4]) * stride / scale / 2
         scores = found[:, 4:5] * found[:, 5:]
         confidence, class_id = scores.max(1), scores.argmax(1)

@@ -47,10 +47,13 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         return check_hub(arguments);
     }
     let (config, mut findings) = examine::<NodeConfig>(Some(&arguments.file));
+    let mut detector = Vec::new();
     if let Some(config) = config.as_ref().filter(|_| !arguments.file_only) {
         let known: Vec<_> = findings.iter().map(|finding| finding.key.clone()).collect();
-        let missing = config.missing_here().into_iter();
+        let here = config.look_here();
+        let missing = here.missing.into_iter();
         findings.extend(missing.filter(|finding| !known.contains(&finding.key)));
+        detector = here.detector;
     }
     let file = arguments.file.display().to_string();
     let tried = match config.as_ref().filter(|_| arguments.online) {
@@ -67,6 +70,12 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         config.cameras.len(),
         if config.cameras.len() == 1 { "" } else { "s" },
     );
+    if let [reads, notes @ ..] = detector.as_slice() {
+        println!("the detector {}: {reads}", config.detector.model.display());
+        for note in notes {
+            println!("note: detector.model: {note}");
+        }
+    }
     if !arguments.file_only {
         for finding in config.in_the_way() {
             println!("note: {finding} (by a running node?)");

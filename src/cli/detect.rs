@@ -6,6 +6,7 @@ use albireo_core::detection::Detection;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_vision::detector::{
     ClassNames, DetectorConfig, DetectorNetwork, ExecutionProvider, Found, HeadCounts, HeadSetting,
+    USUAL_PICTURE,
 };
 use albireo_vision::picture::{
     ColorOrder, EncodedPicture, Fit, FrameLimits, Picture, PictureFormat, PixelLayout, ValueRange,
@@ -101,6 +102,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let model = &arguments.model;
         let facts = json!({
             "model": model, "head": network.head().as_str(), "input": network.input_format().shape(),
+            "open": network.input().open.is_some(),
             "classes": names, "not_reported": network.left_out(),
         });
         println!("{facts}");
@@ -128,6 +130,14 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
             }
         }
     }
+    if !arguments.json {
+        for found in network.preparation().inputs() {
+            println!("{found}");
+        }
+        if let (None, []) = (network.input().open, arguments.pictures.as_slice()) {
+            print_waste(&network);
+        }
+    }
     for line in not_reported(&network.counts(), network.left_out()) {
         eprintln!("albireo: {line}");
     }
@@ -142,6 +152,14 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         "{unusable} of {pictures} pictures could not be used"
     );
     Ok(())
+}
+
+/// Says what a model of one size wastes on most cameras' pictures, if that is worth a word.
+fn print_waste(network: &DetectorNetwork) {
+    let usual = network.input().first_use(USUAL_PICTURE);
+    if usual.is_wasteful() {
+        println!("{usual}");
+    }
 }
 
 /// The classes that are reported, and those that are not.
@@ -262,7 +280,8 @@ fn look(
         };
         let detections: Vec<_> = found.detections.iter().map(detection).collect();
         let facts = json!({
-            "picture": file, "width": size.width, "height": size.height, "decode_ms": decode,
+            "picture": file, "width": size.width, "height": size.height, "input": prepared.size().to_string(),
+            "padding": network.input_format().padding(size, prepared.size()), "decode_ms": decode,
             "letterbox_ms": letterbox, "model_ms": model, "head_ms": head, "detections": detections,
         });
         writeln!(out, "{facts}")?;

@@ -3,11 +3,12 @@
 
 use crate::config::NodeConfig;
 use crate::input::source::{FIRST_PICTURE, LiveSource, SourceEvent, SourceSettings};
+use albireo_core::geometry::PictureSize;
 use albireo_service::ServiceError;
 use albireo_service::clock::milliseconds;
 use albireo_service::config::{ZenohConfig, ZenohMode};
 use albireo_service::session;
-use albireo_vision::detector::{DetectorConfig, DetectorNetwork};
+use albireo_vision::detector::{DetectorConfig, DetectorNetwork, USUAL_PICTURE};
 use albireo_vision::picture::{EncodedPicture, FrameLimits, Picture, PixelLayout, decode};
 use albireo_vision::screen::ScreenHandle;
 use parking_lot::Mutex;
@@ -124,6 +125,11 @@ fn look(
     if left_out > 0 {
         text.push_str(&format!(" and {left_out} of classes that are not reported"));
     }
+    let smallest = network.input().smallest_for(decoded.source_size);
+    let inputs = network.preparation().inputs();
+    if let Some(found) = inputs.iter().find(|found| found.smallest.size == smallest) {
+        text.push_str(&format!("; {found}"));
+    }
     Ok(text)
 }
 
@@ -132,20 +138,17 @@ fn try_detector(config: &DetectorConfig) -> Result<(DetectorNetwork, String), Tr
     let begun = Instant::now();
     let mut network = DetectorNetwork::open(config)?;
     let loaded = begun.elapsed();
-    let prepared = network.preparation().prepare(&Picture::black(network.input_format().size))?;
-    let mut took = Vec::with_capacity(PICTURES);
-    for _ in 0..PICTURES {
-        let begun = Instant::now();
-        network.detect(&prepared)?;
-        took.push(begun.elapsed());
+    let largest = network.input_format().size;
+    let mut times = format!("{:.1} ms per picture", median(&mut network, largest)?);
+    let usual = network.input().first_use(USUAL_PICTURE).smallest.size;
+    if network.input().open.is_some() && usual != largest {
+        let usual = median(&mut network, usual)?;
+        times = format!("{times} at {largest}, {usual:.1} ms for 16:9");
     }
-    took.sort();
-    let median = took.get(PICTURES / 2).copied().unwrap_or_default();
     let provider = network.provider();
     let mut text = format!(
-        "runs on {}, {:.1} ms per picture (median of {PICTURES}), loaded in {:.1} s; {}; reports {}",
+        "runs on {}, {times} (median of {PICTURES}), loaded in {:.1} s; {}; reports {}",
         provider.as_str(),
-        milliseconds(median),
         loaded.as_secs_f64(),
         network.description(),
         network.class_names().join(", "),
@@ -163,6 +166,16 @@ fn try_detector(config: &DetectorConfig) -> Result<(DetectorNetwork, String), Tr
         ));
     }
     Ok((network, text))
+}
+
+/// The median time of a run on a black picture at an input of `size`, in milliseconds.
+fn median(network: &mut DetectorNetwork, size: PictureSize) -> Result<f64, TrialFailure> {
+    let mut took = Vec::with_capacity(PICTURES);
+    for _ in 0..PICTURES {
+        took.push(network.time_at(size)?);
+    }
+    took.sort();
+    Ok(took.get(PICTURES / 2).copied().map_or(0.0, milliseconds))
 }
 
 /// Waits for the first picture.

@@ -6,7 +6,10 @@ mod config;
 mod handle;
 pub mod head;
 mod head_name;
+mod heads;
+mod inputs;
 mod network;
+mod opening;
 mod preparation;
 mod reader;
 
@@ -16,6 +19,7 @@ pub use class_names::are_of_coco;
 pub use config::{ClassNames, DetectorConfig};
 pub use handle::{Detected, DetectorHandle, SpareTurn};
 pub use head_name::{HeadName, HeadSetting};
+pub use inputs::{Agreement, Choice, InputUse, ModelInput, OpenSides, PaddedInput, USUAL_PICTURE};
 pub use network::{DetectorNetwork, Found};
 pub(crate) use preparation::prepare_off_thread;
 pub use preparation::{Preparation, PreparedPicture};

@@ -17,6 +17,6 @@ pub use metadata::Metadata;
 pub(crate) use metadata::tests::metadata;
 pub use onnxruntime::find_library;
 pub use provider::ExecutionProvider;
-pub use session::{OnnxSession, SessionSettings, TensorView};
+pub use session::{OnnxSession, SessionSettings, ShapeRange, TensorView};
 pub(crate) use signature::shape_text;
 pub use signature::{ElementType, PictureInput, Signature, TensorSpec};

@@ -19,6 +19,7 @@ pub use error::RunError;
 pub use status::ModelStatus;
 
 use crate::onnx::{ExecutionProvider, StartError, fault};
+use albireo_core::geometry::PictureSize;
 use queue::{Queue, Request};
 use std::sync::Arc;
 use std::time::Duration;
@@ -45,10 +46,16 @@ const STILL_BUILDING: Duration = Duration::from_secs(10);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(crate) struct Asker(pub(crate) usize);
 
+/// A picture in the form that a model accepts.
+pub(crate) trait WorkerInput: Send + 'static {
+    /// Its columns and rows: only pictures of one size share a run.
+    fn size(&self) -> PictureSize;
+}
+
 /// A model that answers pictures, built and used on one thread.
 pub(crate) trait Model: 'static {
     /// A picture in the form that the model accepts.
-    type Input: Send + 'static;
+    type Input: WorkerInput;
     /// The result for one picture.
     type Output: Send + 'static;
     /// The facts that its users rely on as long as the program runs: a rebuilt model must have the same.
@@ -57,8 +64,8 @@ pub(crate) trait Model: 'static {
     /// The facts that its users rely on.
     fn facts(&self) -> Self::Facts;
 
-    /// Runs on at least one picture and at most the worker's batch size; returns one output per picture, in their
-    /// order. Blocks.
+    /// Runs on at least one picture and at most the worker's batch size, all of one size; returns one output per picture,
+    /// in their order. Blocks.
     ///
     /// # Errors
     /// If the run failed.
@@ -75,7 +82,7 @@ pub(crate) struct WorkerSettings {
     pub(crate) name: &'static str,
     /// The longest time that a run may take.
     pub(crate) timeout: Duration,
-    /// The maximum number of pictures in a run, each from another asker.
+    /// The maximum number of pictures in a run, each from another asker and all of one size.
     pub(crate) batch_size: usize,
     /// The longest time that a picture waits for pictures of other askers to share its run, from its request.
     pub(crate) batch_wait: Duration,
@@ -119,7 +126,7 @@ impl<I, T> Clone for Worker<I, T> {
     }
 }
 
-impl<I: Send + 'static, T: Send + 'static> Worker<I, T> {
+impl<I: WorkerInput, T: Send + 'static> Worker<I, T> {
     /// Builds the model on its thread and waits for it; also returns the model's facts. Calls `build` again after each
     /// failure. Counts with `meter`. Needs a tokio runtime with timers.
     ///
@@ -201,6 +208,7 @@ impl<I: Send + 'static, T: Send + 'static> Worker<I, T> {
         let (reply, answer) = oneshot::channel();
         let request = Request {
             asker,
+            size: picture.size(),
             picture,
             requested_at: Instant::now(),
             reply,

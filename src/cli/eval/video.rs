@@ -298,7 +298,9 @@ impl Evaluation<'_> {
                 self.settings.confidence
             ),
         };
-        let times = times_of_steps(&self.times);
+        let mut notes = times_of_steps(&self.times);
+        let inputs = self.models.inputs().into_iter();
+        notes.extend(inputs.map(|words| ("Input of the detector".to_owned(), words)));
         let mut settings = vec![("Judged".to_owned(), basis.clone())];
         settings.extend(listed(&self.arguments, &rates(&self.results))?);
         settings.push((
@@ -313,7 +315,7 @@ impl Evaluation<'_> {
         if let Some(screen) = &pass.screen_model {
             settings.push(("Screen model".to_owned(), screen.display().to_string()));
         }
-        settings.extend(times.iter().cloned());
+        settings.extend(notes.iter().cloned());
 
         // The results came clip by clip; a report is in order of policies.
         self.results.sort_by_key(|result| {
@@ -330,7 +332,7 @@ impl Evaluation<'_> {
         println!("Judged {basis}");
         conclude(&report, &self.streams, &self.arguments)?;
         print_screens(&report.clips);
-        for (name, value) in times {
+        for (name, value) in notes {
             println!("{name}: {value}");
         }
         Ok(())

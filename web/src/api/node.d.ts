@@ -2335,6 +2335,31 @@ export interface components {
             /** @description `starting`, `ready` or `degraded`. */
             status: string;
         };
+        /** @description The input that pictures of one shape run at. */
+        DetectorInput: {
+            /**
+             * @description `fixed`: the model has one size. Of a model with open height and width: `comparing` the smallest input that holds the
+             *     picture with the largest, `smallest` once both find the same, `largest` if they do not.
+             */
+            choice: string;
+            /**
+             * @description The input, columns x rows.
+             * @example 416x256
+             */
+            input: string;
+            /**
+             * Format: double
+             * @description Share of the input that the picture leaves empty, 0 to 1.
+             */
+            padding: number;
+            /**
+             * @description Size of the first picture of this shape, columns x rows.
+             * @example 1920x1080
+             */
+            picture: string;
+            /** @description The same in words, with the reason and what to do. */
+            words: string;
+        };
         /** @description How the detector's model is read, and which of its classes are reported. */
         DetectorReading: {
             /**
@@ -2352,6 +2377,8 @@ export interface components {
             classes: string[];
             /** @description Head and input, in words. */
             head: string;
+            /** @description The inputs that pictures run at, one for each shape of picture that has come. */
+            inputs: components["schemas"]["DetectorInput"][];
             /** @description Names of the model's classes that are not reported (`detector.report_classes`). */
             left_out: string[];
         };

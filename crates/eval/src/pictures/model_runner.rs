@@ -7,7 +7,7 @@ use crate::error::EvalError;
 use albireo_core::detection::{ClassId, Detection};
 use albireo_core::policy::Need;
 use albireo_vision::detector::{
-    CameraSlot, DetectorConfig, DetectorHandle, ExecutionProvider, StartError,
+    CameraSlot, Choice, DetectorConfig, DetectorHandle, ExecutionProvider, StartError,
 };
 use albireo_vision::picture::{
     EncodedPicture, FrameLimits, Picture, PixelLayout, decode, decode_grey_half, decode_small_grey,
@@ -117,6 +117,25 @@ impl ModelRunner {
     /// The detector's execution provider.
     pub fn provider(&self) -> ExecutionProvider {
         self.detector.provider()
+    }
+
+    /// True if the detector chooses the size of its input by the shape of the picture.
+    pub(super) fn chooses_input(&self) -> bool {
+        self.detector.preparation().model().open.is_some()
+    }
+
+    /// True if it has chosen the input for the picture that was decoded last.
+    pub(super) fn has_chosen_input(&self) -> bool {
+        let picture = self.picture.source_size;
+        let smallest = self.detector.preparation().model().smallest_for(picture);
+        let inputs = self.detector.inputs();
+        let found = inputs.iter().find(|found| found.smallest.size == smallest);
+        found.is_some_and(|found| !matches!(found.choice, Choice::Comparing(_)))
+    }
+
+    /// The inputs of the detector so far, in words: one line for each shape of picture.
+    pub fn inputs(&self) -> Vec<String> {
+        self.detector.inputs().iter().map(ToString::to_string).collect()
     }
 
     /// Decodes the picture that [`run`](Self::run) then looks at; returns the milliseconds that this took.

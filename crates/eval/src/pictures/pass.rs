@@ -54,6 +54,7 @@ pub fn run_pass(
     progress: &mut dyn FnMut(),
 ) -> Result<Clip, EvalError> {
     let name = source.name().to_owned();
+    settle_input(source, models)?;
     let mut size = None;
     let mut detections = Vec::new();
     let mut verdicts = Vec::new();
@@ -194,6 +195,21 @@ impl Faults {
         ));
         report.notes.extend(self.named.iter().map(EvalError::to_string));
     }
+}
+
+/// Lets the detector choose its input on the first pictures, as a node does, so that the whole clip runs at one size and the
+/// pass gives the same boxes wherever it begins.
+fn settle_input(source: &mut dyn FrameSource, models: &mut ModelRunner) -> Result<(), EvalError> {
+    if !models.chooses_input() {
+        return Ok(());
+    }
+    // The pass reports a picture that cannot be used.
+    while let Ok(Some(_)) = next_decoded(source, models) {
+        if models.has_chosen_input() || models.run().is_err() {
+            break;
+        }
+    }
+    source.rewind()
 }
 
 /// Converts detections to pixels, as they are stored. The replay in this process starts from these too, so that

@@ -6,22 +6,32 @@ use crate::input::source::{LiveSource, SourceAddress};
 use albireo_service::config::{Finding, Findings};
 use albireo_service::http::read_token;
 use albireo_service::identity::{Certificates, exposed, exposed_files};
-use albireo_vision::detector::{DetectorConfig, DetectorNetwork};
+use albireo_vision::detector::{Choice, DetectorConfig, DetectorNetwork, USUAL_PICTURE};
 use albireo_vision::onnx::{ExecutionProvider, StartErrorKind, find_library};
 use std::fmt::Display;
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 
+/// What a configuration finds on this machine.
+pub struct Here {
+    /// What is missing: without it a node would not start.
+    pub missing: Vec<Finding>,
+    /// How the detector's model is read, and what is wasteful about it, a sentence each; empty if it was not opened.
+    pub detector: Vec<String>,
+}
+
 impl NodeConfig {
-    /// Finds everything missing on this machine without which a node would not start.
-    pub fn missing_here(&self) -> Vec<Finding> {
+    /// Finds everything missing on this machine without which a node would not start, and tells how the detector is read if
+    /// it can be.
+    pub fn look_here(&self) -> Here {
         let mut findings = Findings::default();
+        let mut detector = Vec::new();
         for (key, path) in self.model_files() {
             file(key, path, &mut findings);
         }
         self.check_library(&mut findings);
         if findings.0.is_empty() {
-            self.check_detector(&mut findings);
+            detector = self.check_detector(&mut findings);
         }
         if let Some(file) = &self.http.token_file {
             findings.check("http.token_file", read_token(file));
@@ -39,7 +49,10 @@ impl NodeConfig {
             let found = settings.map(LiveSource::find).transpose();
             findings.check(format!("camera.{}.source", camera.name), found);
         }
-        findings.0
+        Here {
+            missing: findings.0,
+            detector,
+        }
     }
 
     /// Finds obstacles that may be temporary: ports in use, perhaps by this very node.
@@ -93,16 +106,24 @@ impl NodeConfig {
         found
     }
 
-    /// Opens the detector's model, which finds its head and holds the configured classes against it. On the processor: a GPU
-    /// may build engines for minutes, and `--online` tries it.
-    fn check_detector(&self, findings: &mut Findings) {
+    /// Opens the detector's model, which finds its head and holds the configured classes against it; returns what there is
+    /// to say about it. On the processor: a GPU may build engines for minutes, and `--online` tries it.
+    fn check_detector(&self, findings: &mut Findings) -> Vec<String> {
         let here = DetectorConfig {
             providers: vec![ExecutionProvider::Cpu],
             batch_size: self.detector.batch_size,
             ..self.detector.clone()
         };
-        let Err(error) = DetectorNetwork::open(&here) else {
-            return;
+        let error = match DetectorNetwork::open(&here) {
+            Err(error) => error,
+            Ok(network) => {
+                let mut words = vec![network.description()];
+                let usual = network.input().first_use(USUAL_PICTURE);
+                if usual.choice == Choice::Fixed && usual.is_wasteful() {
+                    words.push(usual.to_string());
+                }
+                return words;
+            }
         };
         let text = error.to_string();
         // Such an error begins with its key.
@@ -110,6 +131,7 @@ impl NodeConfig {
             text.split_once(": ").filter(|_| error.kind() == StartErrorKind::Configuration);
         let (key, reason) = of_key.unwrap_or(("detector.model", &text));
         findings.add(key, reason);
+        Vec::new()
     }
 
     fn check_library(&self, findings: &mut Findings) {
@@ -194,7 +216,7 @@ mod tests {
         config.uplink.root_ca_certificate = Some("/nowhere/ca.pem".into());
         let expected = "detector.model detector.class_names screen.model detector.onnxruntime http.token_file \
                         uplink.root_ca_certificate node.state_dir";
-        assert_eq!(keys(config.missing_here()).join(" "), expected);
+        assert_eq!(keys(config.look_here().missing).join(" "), expected);
     }
 
     #[test]
@@ -206,7 +228,7 @@ mod tests {
         config.detector.onnxruntime = Some(library);
         config.detector.providers = vec![ExecutionProvider::Cuda];
         let fault = |config: &NodeConfig| {
-            let mut found = config.missing_here().into_iter();
+            let mut found = config.look_here().missing.into_iter();
             let fault = found.find(|finding| finding.key == "detector.providers");
             fault.map_or(String::new(), |finding| finding.reason)
         };

@@ -93,6 +93,7 @@ fn show_reading(detector: &DetectorHandle, board: &Board) {
         classes: detector.class_names().to_vec(),
         left_out: left_out.to_vec(),
         meter: detector.head_meter(),
+        preparation: detector.preparation().clone(),
     });
 }
 

@@ -23,7 +23,7 @@ use albireo_service::clock::unix_milliseconds;
 use albireo_service::identity::Certificates;
 use albireo_service::readiness::{Fault, Readiness};
 use albireo_service::supervise::TaskFailures;
-use albireo_vision::detector::{ExecutionProvider, HeadMeter, ModelStatus};
+use albireo_vision::detector::{ExecutionProvider, HeadMeter, ModelStatus, Preparation};
 use albireo_vision::worker::{WorkerCounts, WorkerMeter};
 use albireo_wire::{AuditReport, ClipReport, CountersMessage};
 use camera::Shared;
@@ -94,6 +94,8 @@ pub(crate) struct ModelReading {
     pub(crate) left_out: Vec<String>,
     /// The counts of boxes that were not reported.
     pub(crate) meter: HeadMeter,
+    /// The sizes of its input in use.
+    pub(crate) preparation: Preparation,
 }
 
 /// What the board of a node shows that never changes, and what its parts begin with.

@@ -30,7 +30,8 @@ pub struct DetectorConfig {
     pub model: PathBuf,
     /// The head that reads its output.
     pub head: HeadSetting,
-    /// Columns and rows of the input, for a model that leaves them open. Default: those of its metadata.
+    /// Columns and rows of the input, for a model that leaves them open: the most, of which pictures get what they need.
+    /// Default: those of its metadata.
     pub input_size: Option<[u32; 2]>,
     /// The range of the input's values. Default: as the head's models are trained.
     pub range: Option<ValueRange>,
@@ -113,6 +114,7 @@ impl DetectorConfig {
             gpu: self.gpu.clone(),
             threads: self.threads,
             onnxruntime: self.onnxruntime.clone(),
+            shapes: None,
         }
     }
 

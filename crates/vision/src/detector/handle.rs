@@ -2,7 +2,9 @@
 
 use super::network::DetectorNetwork;
 use super::preparation::prepare_off_thread;
-use super::{CameraSlot, DetectorConfig, ExecutionProvider, Found, HeadMeter, Preparation};
+use super::{
+    CameraSlot, DetectorConfig, ExecutionProvider, Found, HeadMeter, InputUse, Preparation,
+};
 use super::{PreparedPicture, StartError};
 use crate::picture::Picture;
 use crate::worker::{Answer, Asker, ModelStatus, RunError, Worker, WorkerCounts};
@@ -146,6 +148,11 @@ impl DetectorHandle {
     /// The names of the model's classes that are not reported.
     pub fn left_out(&self) -> &[String] {
         &self.left_out
+    }
+
+    /// The inputs of the pictures so far, by their shape.
+    pub fn inputs(&self) -> Vec<InputUse> {
+        self.preparation.inputs()
     }
 
     /// The head and the input, in one line.

@@ -1,6 +1,7 @@
 //! The names of the heads, and the setting that chooses one.
 
 use super::head::ColumnList;
+use albireo_core::geometry::PictureSize;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::str::FromStr;
@@ -74,6 +75,28 @@ impl HeadName {
     /// Its name in configuration and messages.
     pub fn as_str(self) -> &'static str {
         NAMES.iter().find(|(head, _)| *head == self).map_or("", |(_, name)| name)
+    }
+
+    /// How its models are exported with open height and width, or for an input of this size.
+    pub(super) fn export_for(self, PictureSize { width, height }: PictureSize) -> String {
+        let sides = format!("[{height}, {width}]");
+        let how = match self {
+            Self::Yolo | Self::EndToEnd => {
+                format!("export it with dynamic=True, or with imgsz={sides}")
+            }
+            Self::Yolov5 => {
+                format!(
+                    "export it with --dynamic, or with --imgsz {height} {width} (v6, v7: --img-size)"
+                )
+            }
+            Self::Yolox => format!(
+                "open its sides with models/open_input.py, or export it with test_size ({height},{width})"
+            ),
+            Self::YoloNas => format!("export it with input_image_shape={sides}"),
+            Self::Rtmdet => "export it with mmdeploy's dynamic configuration".to_owned(),
+            _ => format!("export it with open height and width, or with {sides} (rows, columns)"),
+        };
+        format!("{how} (models/README.md)")
     }
 }
 

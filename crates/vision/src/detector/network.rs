@@ -1,15 +1,16 @@
 //! A detector network: ONNX Runtime session, preparation, head and class names, all on the caller's thread.
 
 use super::classes::Classes;
-use super::head::{self, Evidence, Head};
+use super::heads::Heads;
+use super::inputs::percent;
 use super::reader::{Parts, Reader};
-use super::{DetectorConfig, HeadCounts, HeadMeter, HeadName, HeadSetting, Preparation};
-use super::{PreparedPicture, class_names};
-use crate::onnx::{ExecutionProvider, OnnxSession, PictureInput, Signature};
-use crate::onnx::{StartError, StartErrorKind, TensorSpec, TensorView};
-use crate::picture::{ColorOrder, Fit, InputFormat, Picture, ValueRange};
-use crate::worker::{Model, RunError};
+use super::{Agreement, ModelInput, PreparedPicture, USUAL_PICTURE, class_names, opening};
+use super::{DetectorConfig, HeadCounts, HeadMeter, HeadName, Preparation};
+use crate::onnx::{ExecutionProvider, OnnxSession, Signature, StartError};
+use crate::picture::{InputFormat, Picture};
+use crate::worker::{Model, RunError, WorkerInput};
 use albireo_core::detection::Detection;
+use albireo_core::geometry::PictureSize;
 use std::time::{Duration, Instant};
 
 /// The detections in one picture, and the duration of each step.
@@ -30,7 +31,10 @@ pub struct Found {
 pub struct DetectorNetwork {
     session: OnnxSession,
     preparation: Preparation,
+    heads: Heads,
     reader: Reader,
+    /// The least confidence of a detection.
+    confidence: f64,
     /// The number of consecutive runs with only impossible results.
     impossible_runs: u32,
     /// What the last of these showed, if it showed that another head is needed.
@@ -39,9 +43,6 @@ pub struct DetectorNetwork {
 
 /// This many consecutive runs with only impossible results are a fault of the model.
 const IMPOSSIBLE_RUNS: u32 = 5;
-
-/// Scores of a real run are above it, and unused rows are 0.
-const LEAST_SCORE: f64 = 1e-4;
 
 impl DetectorNetwork {
     /// Loads the model, finds and binds its head, and runs it once, so that the first picture is not slow.
@@ -57,19 +58,20 @@ impl DetectorNetwork {
         config: &DetectorConfig,
         meter: HeadMeter,
     ) -> Result<Self, StartError> {
-        let mut session = OnnxSession::open(&config.session_settings())?;
-        check_batch(config, session.signature())?;
-        let head = head_for(config, &mut session)?;
+        let (session, heads) = opening::open(config)?;
         let names = class_names::read(
             config.class_names.as_ref(),
             &session.signature().metadata,
-            &head,
+            heads.largest(),
         )?;
         let classes = Classes::new(&names, config)?;
+        let input = opening::model_input(config, session.signature(), heads.largest());
         let mut network = Self {
             session,
-            preparation: Preparation::new(head.input_format),
-            reader: Reader::new(head, classes, config),
+            preparation: Preparation::new(input),
+            heads,
+            reader: Reader::new(classes, config),
+            confidence: config.confidence,
             impossible_runs: 0,
             doubt: None,
         };
@@ -89,6 +91,11 @@ impl DetectorNetwork {
         // `self.preparation` would keep these buffers, and a batch of them may be large.
         let preparation = Preparation::new(self.input_format());
         let black = Picture::black(self.input_format().size);
+        // A GPU's library looks for the fastest kernels of each size that it meets, which takes seconds.
+        if self.input().open.is_some() && self.provider() != ExecutionProvider::Cpu {
+            // The comparison with the largest input tells whether the model runs at it.
+            let _ = self.time_at(self.input().smallest_for(USUAL_PICTURE));
+        }
         let mut pictures = Vec::new();
         for _ in 0..batch_size.max(1) {
             let prepared = preparation.prepare(&black);
@@ -111,6 +118,23 @@ impl DetectorNetwork {
         found.ok_or_else(|| RunError::Failed("the model returned no answer".to_owned()))
     }
 
+    /// The time of a run on a black picture at an input of `size`: that of the largest input, or a smaller one of a model
+    /// whose sides are open.
+    ///
+    /// # Errors
+    /// If the run failed.
+    pub fn time_at(&mut self, size: PictureSize) -> Result<Duration, RunError> {
+        let black = Preparation::new(self.input_format())
+            .prepare_at(&Picture::black(size), size)
+            .map_err(|error| RunError::BadPicture(error.to_string()))?;
+        Ok(self.detect(&black)?.model)
+    }
+
+    /// The input of the model, and the sizes that it may have.
+    pub fn input(&self) -> ModelInput {
+        self.preparation.model()
+    }
+
     /// Makes the model's input from pictures.
     pub fn preparation(&self) -> &Preparation {
         &self.preparation
@@ -123,7 +147,7 @@ impl DetectorNetwork {
 
     /// The head that reads the model's output.
     pub fn head(&self) -> HeadName {
-        self.reader.head.name
+        self.heads.largest().name
     }
 
     /// The names of the model's classes that are not reported.
@@ -136,7 +160,7 @@ impl DetectorNetwork {
         self.doubt.as_deref()
     }
 
-    /// The head, the input and the classes, in one line.
+    /// The head and the input, with what a picture of 16:9 leaves empty of it, in one line.
     pub fn description(&self) -> String {
         let InputFormat {
             size,
@@ -145,8 +169,23 @@ impl DetectorNetwork {
             value_range,
             ..
         } = self.input_format();
+        let usual = self.input().first_use(USUAL_PICTURE);
+        let open = match self.input().open {
+            Some(_) => format!(
+                " or less, as the picture needs: for 16:9 {} with {} of padding",
+                usual.smallest.size,
+                percent(usual.smallest.padding)
+            ),
+            None if usual.largest.padding > 0.0 => {
+                format!(
+                    ", for 16:9 with {} of padding",
+                    percent(usual.largest.padding)
+                )
+            }
+            None => String::new(),
+        };
         format!(
-            "head {}, input {size} ({}, {}, {})",
+            "head {}, input {size}{open} ({}, {}, {})",
             self.head().as_str(),
             fit.as_str(),
             color_order.as_str(),
@@ -160,7 +199,7 @@ impl DetectorNetwork {
         self.session.provider()
     }
 
-    /// The input that the model expects.
+    /// The input that the model expects; the largest, if its sides are open.
     pub fn input_format(&self) -> InputFormat {
         self.preparation.format()
     }
@@ -176,116 +215,6 @@ impl DetectorNetwork {
     }
 }
 
-/// Checks that the model accepts and returns as many pictures at once as configured.
-fn check_batch(config: &DetectorConfig, signature: &Signature) -> Result<(), StartError> {
-    let is_open = |tensor: &TensorSpec| tensor.shape.first() == Some(&-1);
-    // An output of rows has those of all pictures one after another.
-    let is_split = |output: &TensorSpec| {
-        output.shape.len() > 2 || output.name == "labels" || output.name == "scores"
-    };
-    if config.batch_size == 1
-        || signature.inputs.iter().all(is_open) && signature.outputs.iter().all(is_split)
-    {
-        return Ok(());
-    }
-    Err(StartError::configuration(
-        "detector.batch_size",
-        format_args!(
-            "is {}, and {} takes one picture at a time ({signature}); export it with an open batch (Ultralytics: \
-             dynamic=True), or leave batch_size at 1",
-            config.batch_size,
-            config.model.display()
-        ),
-    ))
-}
-
-/// The head for a model: the configured one, or the recognised one.
-fn head_for(config: &DetectorConfig, session: &mut OnnxSession) -> Result<Head, StartError> {
-    let signature = session.signature().clone();
-    let name = config.head.name();
-    let not_recognised = |reason: String| {
-        StartError::new(
-            StartErrorKind::DoesNotFit,
-            format_args!(
-                "the model {} is not recognised: {reason}\n  The model has {signature}.\n  If you know how to read it, \
-                 set detector.head",
-                config.model.display()
-            ),
-        )
-    };
-    let does_not_fit = |reason: String| match name {
-        HeadName::Auto => not_recognised(reason),
-        name => {
-            let head = (name.as_str(), name.looks_for());
-            StartError::does_not_fit(&config.model, &signature, head, reason)
-        }
-    };
-    let names = class_names::count(config.class_names.as_ref(), &signature.metadata);
-    if signature.lacks_size(config.input_size()) {
-        // A model that no head reads is not asked for its size first.
-        let any = signature.picture_input(Some(ANY_SIZE)).map_err(&does_not_fit)?;
-        if name == HeadName::Auto {
-            head::recognise(&signature, any, names).map_err(|reason| {
-                not_recognised(format!(
-                    "{reason}\n  Its input size is open as well: set detector.input_size, for example [640, 640]"
-                ))
-            })?;
-        }
-        return Err(StartError::configuration(
-            "detector.input_size",
-            format_args!(
-                "the input size of {} is open: set it to the columns and rows that the model was trained with, for \
-                 example [640, 640]",
-                config.model.display()
-            ),
-        ));
-    }
-    let input = signature.picture_input(config.input_size()).map_err(&does_not_fit)?;
-    let setting = match name {
-        HeadName::Auto => {
-            let found = head::recognise(&signature, input, names).map_err(&not_recognised)?;
-            let name = match found.only() {
-                Some(name) => name,
-                None => look_at_black(session, input, |outputs| {
-                    found.by_values(&signature, outputs)
-                })
-                .map_err(|reason| StartError::first_run(&config.model, reason))?
-                .map_err(&not_recognised)?,
-            };
-            HeadSetting::Named(name)
-        }
-        _ => config.head.clone(),
-    };
-    let bound =
-        head::bind(&setting, &signature, input, config.overrides()).map_err(&does_not_fit)?;
-    let evidence = look_at_black(session, input, |outputs| {
-        bound.evidence(outputs, LEAST_SCORE)
-    });
-    match evidence.map_err(|reason| StartError::first_run(&config.model, reason))? {
-        Evidence::Against(reason) => Err(does_not_fit(format!(
-            "its shapes are those of the head `{}`, but {reason}. If you know the columns of its output, list them: \
-             detector.head = {{ columns = \"x1 y1 x2 y2 score class\" }}",
-            setting.name().as_str()
-        ))),
-        Evidence::For | Evidence::None => Ok(bound),
-    }
-}
-
-/// A size to try heads with while that of the input is open.
-const ANY_SIZE: albireo_core::geometry::PictureSize =
-    albireo_core::geometry::PictureSize::new(640, 640);
-
-/// Runs the model on zeros, which are black in most ranges, and shows the outputs.
-fn look_at_black<R>(
-    session: &mut OnnxSession,
-    input: PictureInput,
-    look: impl FnOnce(&[TensorView<'_>]) -> R,
-) -> Result<R, String> {
-    let format = input.format(Fit::Stretch, ColorOrder::Rgb, ValueRange::To255);
-    let pixels = 3 * usize::try_from(format.size.pixels()).unwrap_or_default();
-    session.run(format.shape(), format.size, &[&vec![0.0; pixels]], look)
-}
-
 /// What users of a detector rely on: the class names, whose numbers are in use, and the input that pictures are prepared
 /// for.
 #[derive(Clone, Debug, PartialEq)]
@@ -295,7 +224,7 @@ pub(crate) struct Facts {
     /// The names of the model's classes that are not reported.
     pub left_out: Vec<String>,
     /// The input that pictures are prepared for.
-    pub input: InputFormat,
+    pub input: ModelInput,
     /// Head and input, in words.
     pub description: String,
 }
@@ -309,53 +238,23 @@ impl Model for DetectorNetwork {
         Facts {
             class_names: self.class_names().to_vec(),
             left_out: self.left_out().to_vec(),
-            input: self.input_format(),
+            input: self.input(),
             description: self.description(),
         }
     }
 
     fn run(&mut self, pictures: &[PreparedPicture]) -> Result<Vec<Found>, RunError> {
-        let Self {
-            session,
-            preparation,
-            reader,
-            ..
-        } = self;
-        let started = Instant::now();
-        let inputs: Vec<_> = pictures.iter().map(PreparedPicture::values).collect();
-        let mut impossible = 0;
-        let mut doubt = None;
-        let format = preparation.format();
-        let found = session.run(format.shape(), format.size, &inputs, |outputs| {
-            let model = started.elapsed();
-            let mut read = |picture: &PreparedPicture, outputs: &[TensorView<'_>]| {
-                let start = Instant::now();
-                let read = reader.read(outputs, picture.mapping())?;
-                impossible += usize::from(read.is_impossible);
-                doubt = doubt.take().or(read.doubt);
-                Ok(Found {
-                    detections: read.detections,
-                    letterbox: picture.took(),
-                    model,
-                    head: start.elapsed(),
-                })
-            };
-            if let [picture] = pictures {
-                return Ok(vec![read(picture, outputs)?]);
-            }
-            let parts = Parts::of(outputs, pictures.len())?;
-            let each = pictures.iter().enumerate();
-            each.map(|(number, picture)| read(picture, &parts.get(outputs, number)))
-                .collect()
-        });
-        let found = found.map_err(RunError::Failed)??;
-        if impossible < pictures.len() {
+        let answered = self.answer(pictures)?;
+        for (number, largest) in &answered.to_compare {
+            self.compare(&pictures[*number], largest);
+        }
+        if answered.impossible < pictures.len() {
             self.impossible_runs = 0;
             self.doubt = None;
-            return Ok(found);
+            return Ok(answered.found);
         }
         self.impossible_runs = self.impossible_runs.saturating_add(1);
-        self.doubt = doubt;
+        self.doubt = answered.doubt;
         if self.impossible_runs >= IMPOSSIBLE_RUNS {
             let cause = match &self.doubt {
                 Some(reason) => format!(
@@ -370,10 +269,85 @@ impl Model for DetectorNetwork {
                  outside of the picture or much larger than it), {IMPOSSIBLE_RUNS} runs in a row or more: {cause}"
             )));
         }
-        Ok(found)
+        Ok(answered.found)
     }
 
     fn provider(&self) -> ExecutionProvider {
         self.session.provider()
+    }
+}
+
+/// The answer of one run.
+struct Answered {
+    found: Vec<Found>,
+    /// The pictures of which only impossible boxes were found.
+    impossible: usize,
+    /// What shows that another head is needed.
+    doubt: Option<String>,
+    /// The pictures whose smallest input is to be compared with this one, and the boxes found in them.
+    to_compare: Vec<(usize, Vec<Detection>)>,
+}
+
+impl DetectorNetwork {
+    /// Runs the model on pictures of one size and reads its outputs.
+    fn answer(&mut self, pictures: &[PreparedPicture]) -> Result<Answered, RunError> {
+        let started = Instant::now();
+        let inputs: Vec<_> = pictures.iter().map(PreparedPicture::values).collect();
+        let format = self.preparation.format();
+        let size = pictures.first().map_or(format.size, WorkerInput::size);
+        let head = self.heads.at(size).map_err(RunError::Failed)?;
+        let least = Agreement::least_confidence(self.confidence);
+        let reader = &mut self.reader;
+        let mut answered = Answered {
+            found: Vec::with_capacity(pictures.len()),
+            impossible: 0,
+            doubt: None,
+            to_compare: Vec::new(),
+        };
+        let ran = self.session.run(format.shape_of(size), size, &inputs, |outputs| {
+            let model = started.elapsed();
+            let parts = match pictures {
+                [_] => None,
+                several => Some(Parts::of(outputs, several.len())?),
+            };
+            for (number, picture) in pictures.iter().enumerate() {
+                let start = Instant::now();
+                let part = parts.as_ref().map(|parts| parts.get(outputs, number));
+                let outputs = part.as_deref().unwrap_or(outputs);
+                let read = reader.read(head, outputs, picture.mapping())?;
+                answered.found.push(Found {
+                    detections: read.detections,
+                    letterbox: picture.took(),
+                    model,
+                    head: start.elapsed(),
+                });
+                answered.impossible += usize::from(read.is_impossible);
+                answered.doubt = answered.doubt.take().or(read.doubt);
+                if size == format.size && picture.inputs().compared(picture.source()).is_some() {
+                    let boxes = reader.look(head, outputs, picture.mapping(), least);
+                    answered.to_compare.push((number, boxes.map_err(RunError::Failed)?));
+                }
+            }
+            Ok(answered)
+        });
+        ran.map_err(RunError::Failed)?
+    }
+
+    /// Runs the model on a picture at the smallest input, and adds how its boxes agree with those of the largest.
+    fn compare(&mut self, picture: &PreparedPicture, largest: &[Detection]) {
+        let Some(size) = picture.inputs().compared(picture.source()) else {
+            return;
+        };
+        let format = self.preparation.format();
+        let (values, mapping) = format.cut(picture.values(), picture.source(), size);
+        let least = Agreement::least_confidence(self.confidence);
+        let reader = &mut self.reader;
+        let boxes = self.heads.at(size).and_then(|head| {
+            self.session.run(format.shape_of(size), size, &[&values], |outputs| {
+                reader.look(head, outputs, mapping, least)
+            })?
+        });
+        let agreement = boxes.map(|boxes| Agreement::of(largest, &boxes, self.confidence));
+        picture.inputs().add(size, agreement);
     }
 }

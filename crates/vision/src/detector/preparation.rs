@@ -1,9 +1,13 @@
 //! Turns pictures into the input of one model by letterbox, on any thread, so that the model's own thread only runs the
 //! model. Buffers are reused.
 
+use super::inputs::Inputs;
+use super::{InputUse, ModelInput};
 use crate::picture::{FrameFault, InputFormat, InputMapping, Letterbox, Picture};
-use crate::worker::RunError;
+use crate::worker::{RunError, WorkerInput};
+use albireo_core::geometry::PictureSize;
 use parking_lot::Mutex;
+use std::fmt;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -12,8 +16,8 @@ use std::time::{Duration, Instant};
 pub struct Preparation(Arc<PreparationState>);
 
 struct PreparationState {
-    format: InputFormat,
-    /// Buffers not in use, at most as many as were ever in use at once.
+    inputs: Inputs,
+    /// Buffers not in use: of each size at most as many as were ever in use at once.
     idle: Mutex<Vec<Letterbox>>,
 }
 
@@ -21,36 +25,69 @@ struct PreparationState {
 pub struct PreparedPicture {
     /// Always `Some` until the picture is dropped.
     letterbox: Option<Letterbox>,
+    /// The size of the picture itself.
+    source: PictureSize,
     mapping: InputMapping,
     took: Duration,
     origin: Preparation,
 }
 
+impl fmt::Debug for Preparation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("Preparation").field(&self.model()).finish()
+    }
+}
+
 impl Preparation {
     /// Creates a preparation for a model with this input.
-    pub fn new(format: InputFormat) -> Self {
+    pub fn new(input: impl Into<ModelInput>) -> Self {
         Self(Arc::new(PreparationState {
-            format,
+            inputs: Inputs::new(input.into()),
             idle: Mutex::default(),
         }))
     }
 
-    /// The input that the model expects.
+    /// The input that the model expects; the largest, if its sides are open.
     pub fn format(&self) -> InputFormat {
-        self.0.format
+        self.0.inputs.model().format
     }
 
-    /// Resizes `picture` and converts it to the model's input. Takes up to a few milliseconds.
+    /// The input that the model expects, and the sizes that it may have.
+    pub fn model(&self) -> ModelInput {
+        self.0.inputs.model()
+    }
+
+    /// The inputs of the pictures so far, by their shape.
+    pub fn inputs(&self) -> Vec<InputUse> {
+        self.0.inputs.uses()
+    }
+
+    /// Resizes `picture` and converts it to the model's input, of the size that pictures of its shape run at. Takes up to
+    /// a few milliseconds.
     ///
     /// # Errors
     /// If the picture is empty or its buffer does not fit its size.
     pub fn prepare(&self, picture: &Picture) -> Result<PreparedPicture, FrameFault> {
+        self.prepare_at(picture, self.0.inputs.size_for(picture.source_size))
+    }
+
+    /// [`prepare`](Self::prepare) for an input of `size`.
+    pub(super) fn prepare_at(
+        &self,
+        picture: &Picture,
+        size: PictureSize,
+    ) -> Result<PreparedPicture, FrameFault> {
         let start = Instant::now();
-        let idle = self.0.idle.lock().pop();
-        let mut letterbox = idle.unwrap_or_else(|| Letterbox::new(self.0.format));
+        let idle = {
+            let mut idle = self.0.idle.lock();
+            let place = idle.iter().rposition(|letterbox| letterbox.size() == size);
+            place.map(|place| idle.swap_remove(place))
+        };
+        let mut letterbox = idle.unwrap_or_else(|| Letterbox::of_size(self.format(), size));
         let mapping = letterbox.fill(picture)?;
         Ok(PreparedPicture {
             letterbox: Some(letterbox),
+            source: picture.source_size,
             mapping,
             took: start.elapsed(),
             origin: self.clone(),
@@ -91,6 +128,28 @@ impl PreparedPicture {
     /// The duration of the preparation.
     pub fn took(&self) -> Duration {
         self.took
+    }
+
+    /// Columns and rows of the input.
+    pub fn size(&self) -> PictureSize {
+        let letterbox = self.letterbox.as_ref();
+        letterbox.map_or(PictureSize::new(0, 0), Letterbox::size)
+    }
+
+    /// The size of the picture itself.
+    pub(super) fn source(&self) -> PictureSize {
+        self.source
+    }
+
+    /// The sizes of the input to which this one belongs.
+    pub(super) fn inputs(&self) -> &Inputs {
+        &self.origin.0.inputs
+    }
+}
+
+impl WorkerInput for PreparedPicture {
+    fn size(&self) -> PictureSize {
+        self.size()
     }
 }
 

@@ -53,7 +53,6 @@ pub(super) struct ReadOut {
 
 /// Turns the model's output into detections.
 pub(super) struct Reader {
-    pub(super) head: Head,
     confidence: f64,
     suppression: Suppression,
     pub(super) classes: Classes,
@@ -64,10 +63,9 @@ pub(super) struct Reader {
 }
 
 impl Reader {
-    /// Creates a reader for a model with this head and these classes. It counts by itself until it is given a meter.
-    pub(super) fn new(head: Head, classes: Classes, config: &DetectorConfig) -> Self {
+    /// Creates a reader for a model with these classes. It counts by itself until it is given a meter.
+    pub(super) fn new(classes: Classes, config: &DetectorConfig) -> Self {
         Self {
-            head,
             confidence: config.confidence,
             suppression: Suppression {
                 overlap: config.suppression_overlap,
@@ -81,31 +79,57 @@ impl Reader {
         }
     }
 
-    /// Reads the output for one picture.
+    /// Reads the output for one picture with the head of its input.
     ///
     /// # Errors
     /// If the output does not have the shape that the model announced.
     pub(super) fn read(
         &mut self,
+        head: &Head,
         outputs: &[TensorView<'_>],
         mapping: InputMapping,
     ) -> Result<ReadOut, RunError> {
         self.candidates.clear();
-        let rejected = self
-            .head
+        let rejected = head
             .read(outputs, self.confidence, &mut self.candidates)
             .map_err(RunError::Failed)?;
-        let mut read = self.detections(mapping, rejected);
+        let mut read = self.detections(head, mapping, rejected);
         if read.is_impossible
-            && let Evidence::Against(reason) = self.head.evidence(outputs, self.confidence)
+            && let Evidence::Against(reason) = head.evidence(outputs, self.confidence)
         {
             read.doubt = Some(reason);
         }
         Ok(read)
     }
 
+    /// The detections of reported classes of at least `confidence` in the output for one picture; counts nothing.
+    ///
+    /// # Errors
+    /// If the output does not have the shape that the model announced.
+    pub(super) fn look(
+        &mut self,
+        head: &Head,
+        outputs: &[TensorView<'_>],
+        mapping: InputMapping,
+        confidence: f64,
+    ) -> Result<Vec<Detection>, String> {
+        self.candidates.clear();
+        head.read(outputs, confidence, &mut self.candidates)?;
+        let classes = &self.classes;
+        self.candidates.retain_mut(|candidate| {
+            let reported = classes.reported_as(candidate.class).flatten();
+            candidate.class = reported.unwrap_or(candidate.class);
+            reported.is_some()
+        });
+        if head.overlaps {
+            suppress(&mut self.candidates, self.suppression);
+        }
+        let found = self.candidates.iter();
+        Ok(found.filter_map(|candidate| detection(candidate, mapping)).collect())
+    }
+
     /// Returns the candidates that stay, as detections in the source picture; counts the others and the `rejected`.
-    fn detections(&mut self, mapping: InputMapping, rejected: u64) -> ReadOut {
+    fn detections(&mut self, head: &Head, mapping: InputMapping, rejected: u64) -> ReadOut {
         let mut counts = HeadCounts {
             rejected,
             ..HeadCounts::default()
@@ -125,11 +149,11 @@ impl Reader {
             reported.is_some()
         });
         let are_all_reported = others.is_empty() && counts.unknown_class == 0;
-        if self.head.overlaps {
+        if head.overlaps {
             suppress(others, self.suppression);
         }
         counts.other_class = others.len() as u64;
-        counts.over_limit = if self.head.overlaps {
+        counts.over_limit = if head.overlaps {
             suppress(&mut self.candidates, self.suppression)
         } else {
             keep_best(&mut self.candidates, self.suppression.most)
@@ -234,8 +258,8 @@ mod tests {
         let [x, y, width, height] = boxes;
         let values = [x, y, width, height, score].map(|value| [value; ANCHORS]);
         let output = view(&shape, values.as_flattened());
-        let mut reader = Reader::new(head, classes, &config);
-        reader.read(&[output], mapping).unwrap()
+        let mut reader = Reader::new(classes, &config);
+        reader.read(&head, &[output], mapping).unwrap()
     }
 
     #[test]

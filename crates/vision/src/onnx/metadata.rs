@@ -48,6 +48,12 @@ impl Metadata {
         }
     }
 
+    /// The stride of the export: sides of the input are multiples of it.
+    pub fn stride(&self) -> Option<u32> {
+        let stride: f64 = self.get("stride")?.trim().parse().ok()?;
+        (1.0..=256.0).contains(&stride).then_some(stride as u32)
+    }
+
     /// The class names in `names`: a dictionary from number to name in Python or JSON syntax, or a list.
     ///
     /// # Errors

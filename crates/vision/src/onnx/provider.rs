@@ -1,6 +1,6 @@
 //! Execution providers: the configured list, in order, without a silent fallback.
 
-use super::{GpuConfig, StartError};
+use super::{GpuConfig, SessionSettings, StartError};
 use ort::ep::{ArenaExtendStrategy, CUDA, ExecutionProviderDispatch, TensorRT};
 use serde::{Deserialize, Serialize};
 use tracing::warn;
@@ -35,11 +35,11 @@ impl ExecutionProvider {
 /// provider that it cannot register.
 pub(super) fn registrations(
     provider: ExecutionProvider,
-    configured: &[ExecutionProvider],
-    gpu: &GpuConfig,
+    settings: &SessionSettings,
 ) -> Vec<ExecutionProviderDispatch> {
-    let cuda = || cuda(gpu).build().error_on_failure();
-    let tensorrt = || tensorrt(gpu).build().error_on_failure();
+    let configured = &settings.providers;
+    let cuda = || cuda(&settings.gpu).build().error_on_failure();
+    let tensorrt = || tensorrt(settings).build().error_on_failure();
     match provider {
         ExecutionProvider::Cpu => Vec::new(),
         ExecutionProvider::Cuda => vec![cuda()],
@@ -61,11 +61,18 @@ fn cuda(gpu: &GpuConfig) -> CUDA {
     }
 }
 
-fn tensorrt(gpu: &GpuConfig) -> TensorRT {
+fn tensorrt(settings: &SessionSettings) -> TensorRT {
+    let gpu = &settings.gpu;
     let mut tensorrt =
         TensorRT::default().with_device_id(gpu.device.cast_signed()).with_fp16(gpu.fp16);
     if let Some(limit) = gpu.memory_limit() {
         tensorrt = tensorrt.with_max_workspace_size(limit);
+    }
+    if let Some(shapes) = &settings.shapes {
+        tensorrt = tensorrt
+            .with_profile_min_shapes(&shapes.least)
+            .with_profile_opt_shapes(&shapes.usual)
+            .with_profile_max_shapes(&shapes.most);
     }
     if let Some(folder) = &gpu.engine_cache {
         let folder = folder.display();

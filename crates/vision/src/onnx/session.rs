@@ -12,6 +12,19 @@ use ort::value::{DynValue, Outlet, Tensor, TensorElementType, TensorRef, ValueTy
 use std::borrow::Cow;
 use std::path::PathBuf;
 
+/// The shapes between which TensorRT must run a model, each for all inputs as `name:1x3x416x416,…`. ONNX Runtime runs only
+/// the first optimisation profile of an engine, so there is one for all shapes, built for the usual one
+/// (<https://github.com/microsoft/onnxruntime/pull/31624>).
+#[derive(Clone, Debug)]
+pub struct ShapeRange {
+    /// The least of each dimension.
+    pub least: String,
+    /// The shapes for which the engine is made fast.
+    pub usual: String,
+    /// The most of each dimension.
+    pub most: String,
+}
+
 /// The file of a model, and what runs it.
 #[derive(Clone, Debug)]
 pub struct SessionSettings {
@@ -25,6 +38,8 @@ pub struct SessionSettings {
     pub threads: usize,
     /// The ONNX Runtime library, if configured.
     pub onnxruntime: Option<PathBuf>,
+    /// The shapes that TensorRT is told before it builds an engine; it would build another for each new one.
+    pub shapes: Option<ShapeRange>,
 }
 
 /// An output tensor as borrowed float32 values.
@@ -250,7 +265,7 @@ fn build(
         .with_inter_threads(1)?
         // Threads that spin between runs take processor time from the rest of the program.
         .with_intra_op_spinning(false)?;
-    let registrations = provider::registrations(provider, &settings.providers, &settings.gpu);
+    let registrations = provider::registrations(provider, settings);
     if !registrations.is_empty() {
         builder = builder.with_execution_providers(registrations)?;
     }

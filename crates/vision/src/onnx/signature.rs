@@ -159,6 +159,36 @@ impl Signature {
             && self.picture_input(Some(PictureSize::new(640, 640))).is_ok()
     }
 
+    /// True if the model leaves both height and width of its picture input open.
+    pub(crate) fn has_open_sides(&self) -> bool {
+        let shape = self.picture().map(|input| input.shape.as_slice());
+        matches!(shape, Some([_, 3 | -1, -1, -1] | [_, -1, -1, 3]))
+    }
+
+    /// The shapes of all inputs for `batch` pictures at an input of `size`, as TensorRT's profiles are written. A batch that
+    /// is not open stays.
+    pub(crate) fn shapes(&self, size: PictureSize, batch: usize) -> String {
+        let of_input = |input: &TensorSpec| {
+            let is_picture = !input.is_beside_picture();
+            let sides = input.shape.iter().enumerate().map(|(place, &side)| {
+                let open = match (place, side, input.shape.as_slice()) {
+                    (_, 0.., _) => side,
+                    (0, _, _) => batch as i64,
+                    (1, _, [_, _, _, 3]) | (2, _, [_, 3 | -1, _, _]) if is_picture => {
+                        i64::from(size.height)
+                    }
+                    (2, _, [_, _, _, 3]) | (3, _, _) if is_picture => i64::from(size.width),
+                    // Open colours.
+                    _ if is_picture => 3,
+                    _ => 2,
+                };
+                open.to_string()
+            });
+            format!("{}:{}", input.name, sides.collect::<Vec<_>>().join("x"))
+        };
+        self.inputs.iter().map(of_input).collect::<Vec<_>>().join(",")
+    }
+
     /// The first input that is not one of those beside the picture.
     pub(super) fn picture(&self) -> Option<&TensorSpec> {
         self.inputs.iter().find(|input| !input.is_beside_picture())

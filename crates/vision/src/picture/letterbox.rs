@@ -112,7 +112,7 @@ pub enum TensorLayout {
 /// The input that a network expects: one picture of `size`, float32.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct InputFormat {
-    /// Columns and rows of a plane.
+    /// Columns and rows of a plane; the largest, for a network with open sides.
     pub size: PictureSize,
     /// The way the picture is fitted.
     pub fit: Fit,
@@ -127,7 +127,12 @@ pub struct InputFormat {
 impl InputFormat {
     /// The shape of the input.
     pub fn shape(&self) -> [i64; 4] {
-        let (rows, columns) = (i64::from(self.size.height), i64::from(self.size.width));
+        self.shape_of(self.size)
+    }
+
+    /// The shape of an input of `size`.
+    pub(crate) fn shape_of(&self, size: PictureSize) -> [i64; 4] {
+        let (rows, columns) = (i64::from(size.height), i64::from(size.width));
         match self.layout {
             TensorLayout::Nchw => [1, 3, rows, columns],
             TensorLayout::Nhwc => [1, rows, columns, 3],
@@ -136,8 +141,62 @@ impl InputFormat {
 
     /// The size of a picture of `source` in the input, without margins: a decoder that scales need not deliver more.
     pub(crate) fn fitted(&self, source: PictureSize) -> PictureSize {
-        let (placement, _) = place(source, *self);
+        let (placement, _) = place(source, *self, self.size);
         PictureSize::new(placement.width, placement.height)
+    }
+
+    /// The smallest input of whole strides that holds a picture of `source` as large as the largest input does, with no
+    /// side below `least`.
+    pub(crate) fn smallest_for(
+        &self,
+        source: PictureSize,
+        stride: u32,
+        least: PictureSize,
+    ) -> PictureSize {
+        let (_, mapping) = place(source, *self, self.size);
+        let side = |used: f64, least: u32, most: u32| {
+            // An error of the scale in the last bit is not a pixel.
+            let strides = (used.max(f64::from(least)) / f64::from(stride) - 1e-6).ceil();
+            (strides as u32).max(1).saturating_mul(stride).min(most)
+        };
+        PictureSize::new(
+            side(mapping.width, least.width, self.size.width),
+            side(mapping.height, least.height, self.size.height),
+        )
+    }
+
+    /// The share of an input of `size` that a picture of `source` does not cover, 0 to 1.
+    pub fn padding(&self, source: PictureSize, size: PictureSize) -> f64 {
+        let covered = self.fitted(source).pixels() as f64;
+        1.0 - covered / (size.pixels() as f64).max(1.0)
+    }
+
+    /// Cuts the input of `size` out of `values`, the largest input filled with a picture of `source`; also returns its
+    /// mapping.
+    pub(crate) fn cut(
+        &self,
+        values: &[f32],
+        source: PictureSize,
+        size: PictureSize,
+    ) -> (Vec<f32>, InputMapping) {
+        let (from, _) = place(source, *self, self.size);
+        let (to, mapping) = place(source, *self, size);
+        let (left, top) = ((from.left - to.left) as usize, (from.top - to.top) as usize);
+        let (rows, columns) = (size.height as usize, size.width as usize);
+        let whole = self.size.width as usize;
+        let (planes, step) = match self.layout {
+            TensorLayout::Nchw => (3, 1),
+            TensorLayout::Nhwc => (1, 3),
+        };
+        let plane = step * whole * self.size.height as usize;
+        let mut cut = Vec::with_capacity(3 * rows * columns);
+        for number in 0..planes {
+            for row in 0..rows {
+                let start = number * plane + ((top + row) * whole + left) * step;
+                cut.extend_from_slice(&values[start..][..columns * step]);
+            }
+        }
+        (cut, mapping)
     }
 
     /// For each of the network's colour planes in order: the index of its colour in red, green, blue, the factor of its
@@ -189,6 +248,8 @@ struct Placement {
 /// Fills one network's input, reusing its buffers from picture to picture.
 pub struct Letterbox {
     format: InputFormat,
+    /// Columns and rows of the input, at most those of the format.
+    size: PictureSize,
     resizer: Resizer,
     resized: Vec<u8>,
     tensor: Vec<f32>,
@@ -199,14 +260,25 @@ pub struct Letterbox {
 impl Letterbox {
     /// Creates a letterbox for a network with this input.
     pub fn new(format: InputFormat) -> Self {
-        let plane = format.size.width as usize * format.size.height as usize;
+        Self::of_size(format, format.size)
+    }
+
+    /// Creates a letterbox for an input of `size`, at most that of the format.
+    pub(crate) fn of_size(format: InputFormat, size: PictureSize) -> Self {
+        let plane = size.width as usize * size.height as usize;
         Self {
             format,
+            size,
             resizer: Resizer::new(),
             resized: Vec::new(),
             tensor: vec![0.0; 3 * plane],
             filled: None,
         }
+    }
+
+    /// Columns and rows of the input.
+    pub(crate) fn size(&self) -> PictureSize {
+        self.size
     }
 
     /// The input, in the shape of the format, with the content of the last [`fill`](Self::fill).
@@ -222,7 +294,7 @@ impl Letterbox {
     pub fn fill(&mut self, picture: &Picture) -> Result<InputMapping, FrameFault> {
         check(picture)?;
         // Uses the size before the decoder scaled it, so that scaling moves nothing.
-        let (placement, mapping) = place(picture.source_size, self.format);
+        let (placement, mapping) = place(picture.source_size, self.format, self.size);
         if self.filled != Some(placement) {
             self.fill_margin();
             self.filled = Some(placement);
@@ -241,7 +313,7 @@ impl Letterbox {
             TensorLayout::Nchw => convert::<1>,
             TensorLayout::Nhwc => convert::<3>,
         };
-        convert(&self.format, placement, pixels, &mut self.tensor);
+        convert(&self.format, self.size, placement, pixels, &mut self.tensor);
         Ok(mapping)
     }
 
@@ -282,14 +354,15 @@ impl Letterbox {
 /// Converts interleaved bytes to float32: to planes if values of a colour are `STEP` = 1 apart, else interleaved.
 fn convert<const STEP: usize>(
     format: &InputFormat,
+    size: PictureSize,
     placement: Placement,
     pixels: &[u8],
     tensor: &mut [f32],
 ) {
-    let columns = format.size.width as usize;
+    let columns = size.width as usize;
     let (width, left) = (placement.width as usize, placement.left as usize);
     let from_color_to_color = match STEP {
-        1 => columns * format.size.height as usize,
+        1 => columns * size.height as usize,
         _ => 1,
     };
     let factors = format.factors();
@@ -322,10 +395,11 @@ fn check(picture: &Picture) -> Result<(), FrameFault> {
     Ok(())
 }
 
-/// Returns the position of a picture of `size` in the input, and the mapping back.
-fn place(size: PictureSize, format: InputFormat) -> (Placement, InputMapping) {
+/// Returns the position of a picture of `source` in an input of `size`, and the mapping back. The picture is as large as
+/// in the largest input, so that its pixels are the same in all.
+fn place(source: PictureSize, format: InputFormat, size: PictureSize) -> (Placement, InputMapping) {
     let input = format.size;
-    let (width, height) = (f64::from(size.width), f64::from(size.height));
+    let (width, height) = (f64::from(source.width), f64::from(source.height));
     let (columns, rows) = (f64::from(input.width), f64::from(input.height));
     let scale = (columns / width).min(rows / height);
     let (scaled_width, scaled_height) = match format.fit {
@@ -348,8 +422,8 @@ fn place(size: PictureSize, format: InputFormat) -> (Placement, InputMapping) {
     // An odd margin has its larger part at the right and bottom, as in Ultralytics.
     let (left, top) = match format.fit {
         Fit::Centre => (
-            (input.width - used_width) / 2,
-            (input.height - used_height) / 2,
+            size.width.saturating_sub(used_width) / 2,
+            size.height.saturating_sub(used_height) / 2,
         ),
         Fit::TopLeft | Fit::Stretch => (0, 0),
     };

@@ -35,6 +35,7 @@ impl ScreenNetwork {
             gpu: GpuConfig::default(),
             threads: 1,
             onnxruntime,
+            shapes: None,
         })?;
         let signature = session.signature();
         let input = picture_input(signature).map_err(|reason| {

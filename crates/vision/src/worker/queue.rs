@@ -1,7 +1,8 @@
-//! The pictures that wait for a run: askers take turns, and a run takes at most one picture of each.
+//! The pictures that wait for a run: askers take turns, and a run takes at most one picture of each, all of one size.
 
 use super::{Answer, Asker, RunError};
-use std::collections::BTreeSet;
+use albireo_core::geometry::PictureSize;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 use tokio::sync::oneshot;
 use tokio::time::Instant;
@@ -11,6 +12,7 @@ pub(super) struct Request<I, T> {
     /// Who asked; `None` for a picture that runs only when no asker waits.
     pub(super) asker: Option<Asker>,
     pub(super) picture: I,
+    pub(super) size: PictureSize,
     pub(super) requested_at: Instant,
     pub(super) reply: oneshot::Sender<Result<Answer<T>, RunError>>,
 }
@@ -18,8 +20,9 @@ pub(super) struct Request<I, T> {
 /// The waiting requests, in order of arrival.
 pub(super) struct Queue<I, T> {
     waiting: Vec<Request<I, T>>,
-    /// All that have ever asked: a batch cannot have more pictures.
-    askers: BTreeSet<Asker>,
+    /// All that have ever asked, with the size of their latest picture: a batch cannot have more pictures than there are
+    /// askers of its size.
+    askers: BTreeMap<Asker, PictureSize>,
     last_served: Option<Asker>,
     /// The maximum number of pictures in a run.
     batch_size: usize,
@@ -31,7 +34,7 @@ impl<I, T> Queue<I, T> {
     pub(super) fn new(batch_size: usize, batch_wait: Duration) -> Self {
         Self {
             waiting: Vec::new(),
-            askers: BTreeSet::new(),
+            askers: BTreeMap::new(),
             last_served: None,
             batch_size: batch_size.max(1),
             batch_wait,
@@ -39,7 +42,7 @@ impl<I, T> Queue<I, T> {
     }
 
     pub(super) fn push(&mut self, request: Request<I, T>) {
-        self.askers.extend(request.asker);
+        self.askers.extend(request.asker.map(|asker| (asker, request.size)));
         self.waiting.push(request);
     }
 
@@ -62,32 +65,51 @@ impl<I, T> Queue<I, T> {
     /// The time at which the next run may begin: as soon as its pictures are there, or once the first of them has
     /// waited long enough for others. `None` if nothing waits.
     pub(super) fn begins_at(&self) -> Option<Instant> {
-        let Some(first) = self.of_askers().map(|request| request.requested_at).min() else {
+        let Some(next) = self.next(|_| true) else {
             return self.waiting.first().map(|request| request.requested_at);
         };
-        let waiting: BTreeSet<_> = self.of_askers().map(|request| request.asker).collect();
-        if waiting.len() >= self.batch_size.min(self.askers.len()) {
+        let size = self.waiting[next].size;
+        let of_size = || self.of_askers().filter(|request| request.size == size);
+        let first = of_size().map(|request| request.requested_at).min()?;
+        let waiting: BTreeSet<_> = of_size().map(|request| request.asker).collect();
+        let could_wait = self.askers.values().filter(|latest| **latest == size).count();
+        if waiting.len() >= self.batch_size.min(could_wait) {
             Some(first)
         } else {
             Some(first + self.batch_wait)
         }
     }
 
-    /// Takes the pictures of the next run: those of the next askers in round-robin order, else one of nobody.
+    /// The place of the request whose asker is next in turn, among those that `fit`.
+    fn next(&self, fits: impl Fn(&Request<I, T>) -> bool) -> Option<usize> {
+        let last = self.last_served;
+        self.waiting
+            .iter()
+            .enumerate()
+            .filter(|(_, request)| request.asker.is_some() && fits(request))
+            .min_by_key(|(_, request)| (request.asker <= last, request.asker))
+            .map(|(place, _)| place)
+    }
+
+    /// Takes the pictures of the next run: that of the next asker in round-robin order and those of others that have its
+    /// size, else one of nobody.
     pub(super) fn take_batch(&mut self) -> Vec<Request<I, T>> {
         let mut batch: Vec<Request<I, T>> = Vec::new();
+        // An asker that is passed over, because its picture has another size, is the next in turn.
+        let mut all_in_turn = true;
         while batch.len() < self.batch_size {
-            let last = self.last_served;
-            let next = self
-                .waiting
-                .iter()
-                .enumerate()
-                .filter(|(_, request)| request.asker.is_some())
-                .filter(|(_, request)| batch.iter().all(|other| other.asker != request.asker))
-                .min_by_key(|(_, request)| (request.asker <= last, request.asker));
-            let Some((place, _)) = next else { break };
+            let is_new =
+                |request: &Request<I, T>| batch.iter().all(|other| other.asker != request.asker);
+            let in_turn = self.next(is_new);
+            let fitting = self.next(|request| {
+                is_new(request) && batch.first().is_none_or(|first| first.size == request.size)
+            });
+            let Some(place) = fitting else { break };
+            all_in_turn &= in_turn == fitting;
             let request = self.waiting.remove(place);
-            self.last_served = request.asker;
+            if all_in_turn {
+                self.last_served = request.asker;
+            }
             batch.push(request);
         }
         if batch.is_empty() && !self.waiting.is_empty() {

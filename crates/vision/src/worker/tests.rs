@@ -28,6 +28,14 @@ const FAIL: Step = Step::Fail("scripted failure");
 /// The picture of a scripted model: its camera, and shared data.
 type Scene = (Asker, Arc<()>);
 
+impl WorkerInput for Scene {
+    /// Cameras from 10 on have pictures of another size.
+    fn size(&self) -> PictureSize {
+        let Asker(camera) = self.0;
+        PictureSize::new(1, 1 + u32::from(camera >= 10))
+    }
+}
+
 struct Script {
     started: mpsc::UnboundedSender<Vec<Asker>>,
     steps: Mutex<blocking::Receiver<Step>>,
@@ -431,6 +439,28 @@ async fn a_picture_waits_for_others_only_for_the_configured_time_or_until_the_wo
     stage.until_waiting(1).await;
     stage.worker.stop().await;
     assert_eq!(waiting.await.unwrap().unwrap_err(), RunError::Stopped);
+}
+
+/// Cameras from 10 on have pictures of another size.
+#[tokio::test(start_paused = true)]
+async fn pictures_of_one_size_share_a_run_and_those_of_another_wait_neither_for_them_nor_for_ever()
+{
+    let mut stage = stage(in_threes()).await;
+    let mut running = stage.begin(0).await;
+    // No time passes: the third camera is the only one of its size, so it waits for no other.
+    for shared in [vec![1, 0], vec![0, 1]] {
+        let mut asked: Vec<_> = [0, 1, 10].map(|camera| stage.ask(camera)).into();
+        stage.until_waiting(3).await;
+        stage.answer(running).await;
+        assert_eq!(stage.next_run().await, shared);
+        stage.end(Step::Answer);
+        assert_eq!(stage.next_run().await, [10]);
+        running = asked.pop().unwrap();
+        for asked in asked {
+            asked.await.unwrap().unwrap();
+        }
+    }
+    stage.answer(running).await;
 }
 
 #[tokio::test(start_paused = true)]

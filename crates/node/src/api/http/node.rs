@@ -5,6 +5,7 @@ use super::health::{Readiness, readiness};
 use crate::state::board::{ModelReading, Savings};
 use albireo_service::clock::seconds;
 use albireo_service::http::{Route, routes};
+use albireo_vision::detector::{InputUse, PaddedInput};
 use albireo_wire::{CertificateStatus, OutboxStatus};
 use axum::Json;
 use axum::extract::State;
@@ -25,6 +26,26 @@ pub(super) struct DetectorReading {
     /// Rows of the model's output that were impossible since the start: a number that is not finite, or a box without an
     /// area or much larger than the input.
     boxes_impossible: u64,
+    /// The inputs that pictures run at, one for each shape of picture that has come.
+    inputs: Vec<DetectorInput>,
+}
+
+/// The input that pictures of one shape run at.
+#[derive(Serialize, ToSchema)]
+struct DetectorInput {
+    /// Size of the first picture of this shape, columns x rows.
+    #[schema(example = "1920x1080")]
+    picture: String,
+    /// The input, columns x rows.
+    #[schema(example = "416x256")]
+    input: String,
+    /// Share of the input that the picture leaves empty, 0 to 1.
+    padding: f64,
+    /// `fixed`: the model has one size. Of a model with open height and width: `comparing` the smallest input that holds the
+    /// picture with the largest, `smallest` once both find the same, `largest` if they do not.
+    choice: &'static str,
+    /// The same in words, with the reason and what to do.
+    words: String,
 }
 
 /// A node: its readiness, run time, energy and savings.
@@ -62,6 +83,18 @@ fn detector(reading: &ModelReading) -> DetectorReading {
         left_out: reading.left_out.clone(),
         boxes_left_out: counts.other_class,
         boxes_impossible: counts.rejected,
+        inputs: reading.preparation.inputs().iter().map(input).collect(),
+    }
+}
+
+fn input(found: &InputUse) -> DetectorInput {
+    let PaddedInput { size, padding } = found.input();
+    DetectorInput {
+        picture: found.picture.to_string(),
+        input: size.to_string(),
+        padding,
+        choice: found.choice.as_str(),
+        words: found.to_string(),
     }
 }
 

@@ -51,6 +51,10 @@ fn format(width: u32, height: u32, fit: Fit) -> InputFormat {
     }
 }
 
+fn place_in_largest(source: PictureSize, format: InputFormat) -> (Placement, InputMapping) {
+    place(source, format, format.size)
+}
+
 /// Compares the tensor with the reference in the picture of size `used` at row `top`, and with the margin's grey elsewhere.
 fn compare(picture: &Picture, format: InputFormat, top: u32, used: PictureSize) {
     let mut letterbox = Letterbox::new(format);
@@ -153,9 +157,45 @@ fn a_picture_scaled_by_the_decoder_has_the_place_of_the_whole_one() {
 #[test]
 fn the_fraction_is_truncated_as_in_yolox() {
     // In double precision 720 * (416 / 720) is just below 416.
-    let (placement, mapping) = place(PictureSize::new(720, 576), format(416, 416, Fit::TopLeft));
+    let (placement, mapping) =
+        place_in_largest(PictureSize::new(720, 576), format(416, 416, Fit::TopLeft));
     assert_eq!((placement.width, placement.height), (415, 332));
     assert!((mapping.width - 416.0).abs() < 1e-9 && (mapping.height - 332.8).abs() < 1e-9);
+}
+
+#[test]
+fn the_smallest_input_has_whole_strides_and_holds_the_picture() {
+    let any = PictureSize::new(1, 1);
+    for (fit, (columns, rows), picture, smallest) in [
+        (Fit::TopLeft, (416, 416), (1920, 1080), (416, 256)),
+        (Fit::TopLeft, (416, 416), (1080, 1920), (256, 416)),
+        (Fit::TopLeft, (416, 416), (640, 480), (416, 320)),
+        (Fit::TopLeft, (416, 416), (720, 576), (416, 352)),
+        (Fit::TopLeft, (416, 416), (500, 500), (416, 416)),
+        (Fit::TopLeft, (416, 416), (3840, 1080), (416, 128)),
+        (Fit::TopLeft, (416, 416), (8000, 1), (416, 32)),
+        // 256 of 416 exactly, and an error in the last bit of the scale.
+        (Fit::Centre, (416, 416), (1300, 800), (416, 256)),
+        (Fit::Centre, (640, 640), (1280, 720), (640, 384)),
+        (Fit::Centre, (640, 384), (1280, 720), (640, 384)),
+        (Fit::Centre, (640, 384), (720, 1280), (224, 384)),
+        (Fit::Centre, (600, 600), (1280, 720), (600, 352)),
+        (Fit::Stretch, (640, 640), (1280, 720), (640, 640)),
+    ] {
+        let size = |(width, height)| PictureSize::new(width, height);
+        let found = format(columns, rows, fit).smallest_for(size(picture), 32, any);
+        assert_eq!(
+            found,
+            size(smallest),
+            "{fit:?} {columns}x{rows} {picture:?}"
+        );
+    }
+    let half = PictureSize::new(224, 224);
+    let wide = PictureSize::new(3840, 1080);
+    let found = format(416, 416, Fit::TopLeft).smallest_for(wide, 32, half);
+    assert_eq!(found, PictureSize::new(416, 224));
+    let padding = format(416, 416, Fit::TopLeft).padding(wide, found);
+    assert!((padding - (1.0 - 117.0 / 224.0)).abs() < 1e-9, "{padding}");
 }
 
 #[test]
@@ -179,13 +219,30 @@ fn a_picture_of_any_shape_is_taken_unless_it_is_empty_too_short_or_grey() {
 
 proptest! {
     #[test]
+    fn the_smallest_input_is_the_largest_without_some_of_its_margin(
+        width in 1_u32..200, height in 1_u32..200,
+        fit in prop::sample::select(FITS.to_vec()),
+        layout in prop::sample::select(vec![TensorLayout::Nchw, TensorLayout::Nhwc]),
+    ) {
+        let format = InputFormat { layout, ..format(64, 48, fit) };
+        let picture = picture(width, height);
+        let smallest = format.smallest_for(picture.size, 8, PictureSize::new(1, 1));
+        let mut largest = Letterbox::new(format);
+        largest.fill(&picture).unwrap();
+        let (cut, mapping) = format.cut(largest.tensor(), picture.size, smallest);
+        let mut filled = Letterbox::of_size(format, smallest);
+        prop_assert_eq!(filled.fill(&picture).unwrap(), mapping);
+        prop_assert_eq!(filled.tensor(), cut.as_slice());
+    }
+
+    #[test]
     fn the_inverse_mapping_undoes_the_mapping(
         width in 1_u32..3000, height in 1_u32..3000,
         columns in 1_u32..700, rows in 1_u32..700,
         fit in prop::sample::select(FITS.to_vec()),
         x1 in 0.0..1.0_f64, y1 in 0.0..1.0_f64, w in 0.0..1.0_f64, h in 0.0..1.0_f64,
     ) {
-        let (placement, mapping) = place(PictureSize::new(width, height), format(columns, rows, fit));
+        let (placement, mapping) = place_in_largest(PictureSize::new(width, height), format(columns, rows, fit));
         prop_assert!(placement.left + placement.width <= columns);
         prop_assert!(placement.top + placement.height <= rows);
         // The picture's edges in the input are within a pixel of where its pixels were placed.

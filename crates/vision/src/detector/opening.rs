@@ -1,0 +1,183 @@
+//! Opens a detector's model: finds the head that reads it, and the sizes that its input may have.
+
+use super::class_names;
+use super::head::{self, Evidence, Head};
+use super::heads::Heads;
+use super::inputs::STRIDE;
+use super::{DetectorConfig, HeadName, HeadSetting, ModelInput, OpenSides, USUAL_PICTURE};
+use crate::onnx::{ExecutionProvider, OnnxSession, PictureInput, SessionSettings, ShapeRange};
+use crate::onnx::{Signature, StartError, StartErrorKind, TensorSpec, TensorView};
+use crate::picture::{ColorOrder, Fit, ValueRange};
+use albireo_core::geometry::PictureSize;
+
+/// Scores of a real run are above it, and unused rows are 0.
+const LEAST_SCORE: f64 = 1e-4;
+
+/// Opens the model and finds its head. TensorRT builds an engine for a range of shapes, which must be known before, and
+/// only a run shows how the outputs are read: there the processor looks at the model first.
+pub(super) fn open(config: &DetectorConfig) -> Result<(OnnxSession, Heads), StartError> {
+    let mut settings = config.session_settings();
+    if !settings.providers.contains(&ExecutionProvider::TensorRt) {
+        let mut session = OnnxSession::open(&settings)?;
+        check_batch(config, session.signature())?;
+        let heads = head_for(config, &mut session)?;
+        return Ok((session, heads));
+    }
+    let mut looked_at = OnnxSession::open(&SessionSettings {
+        providers: vec![ExecutionProvider::Cpu],
+        ..settings.clone()
+    })?;
+    check_batch(config, looked_at.signature())?;
+    let heads = head_for(config, &mut looked_at)?;
+    let signature = looked_at.signature();
+    let input = model_input(config, signature, heads.largest());
+    settings.shapes = input.open.map(|open| ShapeRange {
+        least: signature.shapes(open.least, 1),
+        usual: signature.shapes(input.smallest_for(USUAL_PICTURE), 1),
+        most: signature.shapes(input.format.size, config.batch_size),
+    });
+    drop(looked_at);
+    Ok((OnnxSession::open(&settings)?, heads))
+}
+
+/// Half of each side, in whole strides: the least input that an engine of TensorRT is built for.
+fn half(size: PictureSize, stride: u32) -> PictureSize {
+    let half = |side: u32| side.div_ceil(2).next_multiple_of(stride).min(side);
+    PictureSize::new(half(size.width), half(size.height))
+}
+
+/// The input of a model, and the sizes below the largest that it may run at: none, if its sides are fixed or any picture
+/// fills it.
+pub(super) fn model_input(
+    config: &DetectorConfig,
+    signature: &Signature,
+    head: &Head,
+) -> ModelInput {
+    let format = head.input_format;
+    let is_padded = format.fit != Fit::Stretch;
+    let stride = signature.metadata.stride().unwrap_or(STRIDE);
+    let least = if config.providers.contains(&ExecutionProvider::TensorRt) {
+        half(format.size, stride)
+    } else {
+        PictureSize::new(1, 1)
+    };
+    ModelInput {
+        format,
+        open: (is_padded && signature.has_open_sides()).then_some(OpenSides { stride, least }),
+        head: Some(head.name),
+    }
+}
+
+/// Checks that the model accepts and returns as many pictures at once as configured.
+fn check_batch(config: &DetectorConfig, signature: &Signature) -> Result<(), StartError> {
+    let is_open = |tensor: &TensorSpec| tensor.shape.first() == Some(&-1);
+    // An output of rows has those of all pictures one after another.
+    let is_split = |output: &TensorSpec| {
+        output.shape.len() > 2 || output.name == "labels" || output.name == "scores"
+    };
+    if config.batch_size == 1
+        || signature.inputs.iter().all(is_open) && signature.outputs.iter().all(is_split)
+    {
+        return Ok(());
+    }
+    Err(StartError::configuration(
+        "detector.batch_size",
+        format_args!(
+            "is {}, and {} takes one picture at a time ({signature}); export it with an open batch (Ultralytics: \
+             dynamic=True), or leave batch_size at 1",
+            config.batch_size,
+            config.model.display()
+        ),
+    ))
+}
+
+/// The head for a model: the configured one, or the recognised one.
+fn head_for(config: &DetectorConfig, session: &mut OnnxSession) -> Result<Heads, StartError> {
+    let signature = session.signature().clone();
+    let name = config.head.name();
+    let not_recognised = |reason: String| {
+        StartError::new(
+            StartErrorKind::DoesNotFit,
+            format_args!(
+                "the model {} is not recognised: {reason}\n  The model has {signature}.\n  If you know how to read it, \
+                 set detector.head",
+                config.model.display()
+            ),
+        )
+    };
+    let does_not_fit = |reason: String| match name {
+        HeadName::Auto => not_recognised(reason),
+        name => {
+            let head = (name.as_str(), name.looks_for());
+            StartError::does_not_fit(&config.model, &signature, head, reason)
+        }
+    };
+    let names = class_names::count(config.class_names.as_ref(), &signature.metadata);
+    if signature.lacks_size(config.input_size()) {
+        // A model that no head reads is not asked for its size first.
+        let any = signature.picture_input(Some(ANY_SIZE)).map_err(&does_not_fit)?;
+        if name == HeadName::Auto {
+            head::recognise(&signature, any, names).map_err(|reason| {
+                not_recognised(format!(
+                    "{reason}\n  Its input size is open as well: set detector.input_size, for example [640, 640]"
+                ))
+            })?;
+        }
+        return Err(StartError::configuration(
+            "detector.input_size",
+            format_args!(
+                "the input size of {} is open: set it to the columns and rows that the model was trained with, for \
+                 example [640, 640]",
+                config.model.display()
+            ),
+        ));
+    }
+    let input = signature.picture_input(config.input_size()).map_err(&does_not_fit)?;
+    let setting = match name {
+        HeadName::Auto => {
+            let found = head::recognise(&signature, input, names).map_err(&not_recognised)?;
+            let name = match found.only() {
+                Some(name) => name,
+                None => look_at_black(session, input, |outputs| {
+                    found.by_values(&signature, outputs)
+                })
+                .map_err(|reason| StartError::first_run(&config.model, reason))?
+                .map_err(&not_recognised)?,
+            };
+            HeadSetting::Named(name)
+        }
+        _ => config.head.clone(),
+    };
+    let bound = Heads::bind(
+        setting.clone(),
+        signature.clone(),
+        input,
+        config.overrides(),
+    )
+    .map_err(&does_not_fit)?;
+    let evidence = look_at_black(session, input, |outputs| {
+        bound.largest().evidence(outputs, LEAST_SCORE)
+    });
+    match evidence.map_err(|reason| StartError::first_run(&config.model, reason))? {
+        Evidence::Against(reason) => Err(does_not_fit(format!(
+            "its shapes are those of the head `{}`, but {reason}. If you know the columns of its output, list them: \
+             detector.head = {{ columns = \"x1 y1 x2 y2 score class\" }}",
+            setting.name().as_str()
+        ))),
+        Evidence::For | Evidence::None => Ok(bound),
+    }
+}
+
+/// A size to try heads with while that of the input is open.
+const ANY_SIZE: PictureSize = PictureSize::new(640, 640);
+
+/// Runs the model on zeros, which are black in most ranges, and shows the outputs.
+fn look_at_black<R>(
+    session: &mut OnnxSession,
+    input: PictureInput,
+    look: impl FnOnce(&[TensorView<'_>]) -> R,
+) -> Result<R, String> {
+    let format = input.format(Fit::Stretch, ColorOrder::Rgb, ValueRange::To255);
+    let pixels = 3 * usize::try_from(format.size.pixels()).unwrap_or_default();
+    session.run(format.shape(), format.size, &[&vec![0.0; pixels]], look)
+}
