@@ -2,7 +2,7 @@
 
 use crate::eval_command::eval;
 use crate::support::{assert_contains, project, run, text, until};
-use albireo_eval::footage::{FrameSource, SourceName, VideoEncoding};
+use albireo_eval::footage::{SourceName, VideoEncoding};
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use std::fs;

@@ -233,10 +233,10 @@ impl Camera {
             return self.conclude(&frame);
         }
         if frame.incoming.broken {
-            return match self.decider.without_evidence(frame, &mut self.outcome) {
-                Some(frame) => self.conclude(&frame),
-                None => {}
-            };
+            if let Some(frame) = self.decider.without_evidence(frame, &mut self.outcome) {
+                self.conclude(&frame);
+            }
+            return;
         }
         if self.decider.answers_at_once() {
             let message = self.answer(&frame, true);

@@ -119,11 +119,14 @@ const BOXES: [&str; 4] = [
     "testsrc2=size=320x180:rate=15:duration=8",
 ];
 
+/// The seconds that a camera stamps on a frame.
+type Stamp = fn(u64) -> f64;
+
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ffmpeg"]
 async fn the_rate_is_the_one_asked_for_whatever_a_camera_stamps_on_its_frames() {
     let film = Arc::new(film(&BOXES, "30"));
-    let stamps: [(&str, fn(u64) -> f64); 6] = [
+    let stamps: [(&str, Stamp); 6] = [
         ("right", |frame| frame as f64 / RATE),
         ("equal", |_| 1.0),
         ("one in thirty far back", |frame| {

@@ -155,7 +155,7 @@ mod tests {
                 self.arrived.frames += frames;
                 self.arrived.broken += broken;
                 self.dropped.overrun += overrun;
-                self.flow.sample(self.now, self.arrived.clone(), self.dropped.clone());
+                self.flow.sample(self.now, self.arrived.clone(), self.dropped);
             }
             self.flow.fault(Some("error while decoding MB 3 4"))
         }
