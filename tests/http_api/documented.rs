@@ -139,10 +139,13 @@ async fn every_documented_command_works() {
         let command = command.unwrap_or_else(|| panic!("{name} shows no command"));
         let here = command.replace("127.0.0.1:8080", &node.address.to_string());
         assert_ne!(here, command, "{name}");
-        // The stream never ends by itself.
-        let (limit, code, begin) = match name.ends_with("/events") {
-            true => (3, 28, "event: "),
-            false => (60, 0, ""),
+        // The streams never end by themselves.
+        let (limit, code, begin) = if name.ends_with("/events") {
+            (3, 28, "event: ")
+        } else if name.ends_with("/stream.mjpg") {
+            (3, 28, "")
+        } else {
+            (60, 0, "")
         };
         let curl = format!("exec curl -sSf --max-time {limit} ");
         let mut shell = tokio::process::Command::new("sh");

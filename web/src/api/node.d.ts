@@ -537,6 +537,7 @@ export interface paths {
          * @description For whatever shows a camera by its address: a browser, Home Assistant, VLC, ffmpeg. A slow reader gets fewer pictures,
          *     never old ones; each picture is drawn once for all readers. Boxes are solid where detected, dashed where predicted.
          *     While no frame arrives, none is sent. 503 while 16 streams are open.
+         *     `curl -N -o front.mjpg 'http://127.0.0.1:8080/api/v1/cameras/front/stream.mjpg?rate=5'` keeps it; players show it:
          *     `ffplay 'http://127.0.0.1:8080/api/v1/cameras/front/stream.mjpg?rate=5'`
          */
         get: {

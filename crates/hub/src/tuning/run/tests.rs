@@ -175,6 +175,8 @@ fn plan() -> RolloutPlan {
         patience_s: 50.0,
         offline_deadline_s: 1_000.0,
         held_for_s: 600.0,
+        // To all nodes; by default a tenth is left to compare with.
+        stages: ["1", "10%", "50%", "100%"].map(str::to_owned).to_vec(),
         ..RolloutPlan::default()
     }
 }

@@ -120,6 +120,7 @@ async fn draw(shared: &RouteState, frame: &Arc<AnsweredFrame>) -> Result<Bytes, 
 /// For whatever shows a camera by its address: a browser, Home Assistant, VLC, ffmpeg. A slow reader gets fewer pictures,
 /// never old ones; each picture is drawn once for all readers. Boxes are solid where detected, dashed where predicted.
 /// While no frame arrives, none is sent. 503 while 16 streams are open.
+/// `curl -N -o front.mjpg 'http://127.0.0.1:8080/api/v1/cameras/front/stream.mjpg?rate=5'` keeps it; players show it:
 /// `ffplay 'http://127.0.0.1:8080/api/v1/cameras/front/stream.mjpg?rate=5'`
 #[utoipa::path(
     get, operation_id = "camera_stream", path = "/api/v1/cameras/{camera}/stream.mjpg", tag = "frames",
