@@ -410,17 +410,6 @@ impl DataSet {
     }
 }
 
-/// Lists the paths in a folder for which `wanted` is true, sorted.
-fn entries(folder: &Path, wanted: impl Fn(&Path) -> bool) -> std::io::Result<Vec<PathBuf>> {
-    let entries = std::fs::read_dir(folder)?;
-    let mut paths: Vec<PathBuf> = entries
-        .filter_map(|entry| Some(entry.ok()?.path()))
-        .filter(|path| wanted(path))
-        .collect();
-    paths.sort();
-    Ok(paths)
-}
-
 fn has_extension(path: &Path, wanted: &[&str]) -> bool {
     let extension = path.extension().and_then(|extension| extension.to_str());
     extension.is_some_and(|extension| {

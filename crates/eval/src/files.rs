@@ -2,11 +2,25 @@
 
 use crate::error::EvalError;
 use serde::Serialize;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Reads the text of a file; `help` says what to do if it is missing.
 pub(crate) fn read_text(path: &Path, help: &str) -> Result<String, EvalError> {
     std::fs::read_to_string(path).map_err(|error| EvalError::read(path, error, help))
+}
+
+/// Lists the paths in a folder for which `wanted` is true, sorted.
+pub(crate) fn entries(
+    folder: &Path,
+    wanted: impl Fn(&Path) -> bool,
+) -> std::io::Result<Vec<PathBuf>> {
+    let entries = std::fs::read_dir(folder)?;
+    let mut paths: Vec<PathBuf> = entries
+        .filter_map(|entry| Some(entry.ok()?.path()))
+        .filter(|path| wanted(path))
+        .collect();
+    paths.sort();
+    Ok(paths)
 }
 
 /// Writes a file, and creates its folder if needed.

@@ -9,7 +9,7 @@ mod table;
 mod worst;
 
 pub use conclusion::conclusion;
-pub(crate) use html::STYLE;
+pub(crate) use html::{document, figures};
 pub use table::render;
 
 use crate::data::LoadReport;

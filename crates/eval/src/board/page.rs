@@ -4,49 +4,31 @@ use super::run::SetupRuns;
 use super::summary::SetupSummary;
 use super::table::{JoinedTable, tables};
 use crate::chart::Plot;
-use crate::report::STYLE;
+use crate::report::{document, figures};
 use crate::text::Column;
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::{Markup, html};
 
 /// Renders the page.
-pub(super) fn render(setups: &[SetupRuns], summaries: &[SetupSummary], figures: &[Plot]) -> String {
+pub(super) fn render(setups: &[SetupRuns], summaries: &[SetupSummary], plots: &[Plot]) -> String {
     let titles: Vec<&str> = summaries.iter().map(|summary| summary.title.as_str()).collect();
-    let page = html! {
-        (DOCTYPE)
-        html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                title { "Albireo, measured: " (titles.join("; ")) }
-                style { (PreEscaped(STYLE)) }
+    let titles = titles.join("; ");
+    let content = html! {
+        main {
+            header {
+                p.kicker { "Albireo, measured on the machine" }
+                h1 { (titles) }
             }
-            body {
-                main {
-                    header {
-                        p.kicker { "Albireo, measured on the machine" }
-                        h1 { (titles.join("; ")) }
-                    }
-                    @for found in tables(setups, summaries) { (table(&found)) }
-                    @for figure in figures {
-                        section {
-                            h2 { (figure.title) }
-                            figure.plot {
-                                (PreEscaped(&figure.svg))
-                                figcaption { (figure.caption) }
-                            }
-                        }
-                    }
-                    footer {
-                        p {
-                            "Made by albireo " (env!("CARGO_PKG_VERSION")) ". The same figures are in " code { "policies.csv" }
-                            ", each run's in " code { "clips.csv" } "."
-                        }
-                    }
+            @for found in tables(setups, summaries) { (table(&found)) }
+            (figures(plots))
+            footer {
+                p {
+                    "Made by albireo " (env!("CARGO_PKG_VERSION")) ". The same figures are in " code { "policies.csv" }
+                    ", each run's in " code { "clips.csv" } "."
                 }
             }
         }
     };
-    page.into_string()
+    document(&format!("Albireo, measured: {titles}"), &content)
 }
 
 fn table(found: &JoinedTable) -> Markup {

@@ -30,37 +30,27 @@ pub struct Setup {
 }
 
 impl Setup {
-    /// Names the setup in tables: detector, precision, power mode and machine.
-    pub fn title(&self) -> String {
-        let parts = [
+    /// What names the setup, as far as it is known: detector, precision, power mode and machine.
+    fn names(&self) -> impl Iterator<Item = &str> {
+        let names = [
             &self.detector,
             &self.precision,
             &self.power_mode,
             &self.machine,
         ];
-        let known: Vec<&str> =
-            parts.into_iter().map(String::as_str).filter(|part| !part.is_empty()).collect();
-        known.join(", ")
+        names.into_iter().map(String::as_str).filter(|name| !name.is_empty())
+    }
+
+    /// Names the setup in tables.
+    pub fn title(&self) -> String {
+        self.names().collect::<Vec<_>>().join(", ")
     }
 
     /// Names the file of the setup's runs.
     pub fn file_name(&self) -> String {
-        let plain = |text: &str| {
-            let kept = |c: char| c.is_ascii_alphanumeric() || matches!(c, '.' | '_' | '-');
-            text.replace(|c: char| !kept(c), "-")
-        };
-        let parts = [
-            &self.detector,
-            &self.precision,
-            &self.power_mode,
-            &self.machine,
-        ];
-        let known: Vec<String> = parts
-            .into_iter()
-            .filter(|part| !part.is_empty())
-            .map(|part| plain(part))
-            .collect();
-        format!("{}.jsonl", known.join("."))
+        let kept = |c: char| c.is_ascii_alphanumeric() || matches!(c, '.' | '_' | '-');
+        let plain = self.names().map(|name| name.replace(|c: char| !kept(c), "-"));
+        format!("{}.jsonl", plain.collect::<Vec<_>>().join("."))
     }
 
     /// Describes the first difference to `other` in words, if there is one.

@@ -10,10 +10,10 @@
 
 use super::classes::Evaluated;
 use super::rows::MAX_FRAMES;
-use super::{Clip, DataSet, LabelledBox, LoadReport, Rules, entries, has_extension};
+use super::{Clip, DataSet, LabelledBox, LoadReport, Rules, has_extension};
 use crate::boxes::ScoredBox;
 use crate::error::EvalError;
-use crate::files::read_text;
+use crate::files::{entries, read_text};
 use crate::judge::{Ignored, Mark};
 use albireo_core::geometry::{Corners, PictureSize};
 use serde::Deserialize;

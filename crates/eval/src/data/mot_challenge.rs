@@ -12,10 +12,10 @@
 
 use super::classes::{PERSON, from_mot_challenge};
 use super::rows::{GONE, Row, Table};
-use super::{Clip, DataSet, LabelledBox, LoadReport, entries, pictures_in};
+use super::{Clip, DataSet, LabelledBox, LoadReport, pictures_in};
 use crate::boxes::ScoredBox;
 use crate::error::EvalError;
-use crate::files::read_text;
+use crate::files::{entries, read_text};
 use crate::judge::{Ignored, Mark};
 use albireo_core::geometry::{Corners, PictureSize};
 use std::collections::HashMap;

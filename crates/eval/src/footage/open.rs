@@ -4,6 +4,7 @@ use super::pictures::Pictures;
 use super::source::{FrameSource, clip_name};
 use super::video::{Ffmpeg, Video, VideoEncoding};
 use crate::error::EvalError;
+use crate::files::entries;
 use albireo_vision::picture::is_picture_file;
 use std::fmt::{Display, Formatter};
 use std::path::{Path, PathBuf};
@@ -89,36 +90,33 @@ impl SourceName {
         }
     }
 
-    /// Returns the folders of pictures in a folder that has no picture itself, such as that of a whole data set; `None` for
-    /// any other source. A MOTChallenge sequence has its pictures in `img1`.
+    /// Returns each folder of pictures in a folder that has no picture itself, such as that of a whole data set; any other
+    /// source is returned as it is. A MOTChallenge sequence has its pictures in `img1`.
     ///
     /// # Errors
     /// When the folder cannot be read.
-    fn folders_of_clips(&self) -> Result<Option<Vec<PathBuf>>, EvalError> {
-        let Self::Pictures(path) = self else {
-            return Ok(None);
+    pub fn split(&self) -> Result<Vec<Self>, EvalError> {
+        let inside = |folder: &Path, wanted: fn(&Path) -> bool| {
+            entries(folder, wanted)
+                .map_err(|error| EvalError::read(folder, error, "name a folder of pictures"))
         };
-        let of = |folder: &Path| -> Result<Vec<PathBuf>, EvalError> {
-            let entries = std::fs::read_dir(folder)
-                .map_err(|error| EvalError::read(folder, error, "name a folder of pictures"))?;
-            let mut paths: Vec<PathBuf> =
-                entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
-            paths.sort();
-            Ok(paths)
-        };
-        let has_pictures = |paths: &[PathBuf]| paths.iter().any(|path| is_picture_file(path));
-        if !path.is_dir() || has_pictures(&of(path)?) {
-            return Ok(None);
-        }
         let mut folders = Vec::new();
-        for folder in of(path)?.into_iter().filter(|inside| inside.is_dir()) {
-            let inside = folder.join("img1");
-            let pictures = if inside.is_dir() { inside } else { folder };
-            if has_pictures(&of(&pictures)?) {
-                folders.push(pictures);
+        if let Self::Pictures(path) = self
+            && path.is_dir()
+            && inside(path, is_picture_file)?.is_empty()
+        {
+            for folder in inside(path, Path::is_dir)? {
+                let sequence = folder.join("img1");
+                let pictures = if sequence.is_dir() { sequence } else { folder };
+                if !inside(&pictures, is_picture_file)?.is_empty() {
+                    folders.push(Self::Pictures(pictures));
+                }
             }
         }
-        Ok((!folders.is_empty()).then_some(folders))
+        if folders.is_empty() {
+            folders.push(self.clone());
+        }
+        Ok(folders)
     }
 
     /// Returns the path if it exists, or if it is an address, which [`Video::open`] refuses.
@@ -140,15 +138,9 @@ impl SourceName {
         rate: Option<f64>,
         encoding: VideoEncoding,
     ) -> Result<Vec<Box<dyn FrameSource>>, EvalError> {
-        if let Some(folders) = self.folders_of_clips()? {
-            let open = |folder: &PathBuf| {
-                let clip = Pictures::of_folder(folder, self.pictures_rate(rate))?;
-                Ok(Box::new(clip) as Box<dyn FrameSource>)
-            };
-            return folders.iter().map(open).collect();
-        }
         if !matches!(self, Self::Archive(_) | Self::Demo) {
-            return Ok(vec![self.open(rate, encoding)?]);
+            self.existing()?;
+            return self.split()?.iter().map(|clip| clip.open(rate, encoding)).collect();
         }
         let archive = Pictures::of_archive(self.existing()?, self.pictures_rate(rate))?;
         let clips = archive.into_clips().into_iter();
@@ -161,19 +153,19 @@ impl SourceName {
     /// When it does not exist or is an archive that cannot be read.
     pub fn clip_names(&self) -> Result<Vec<String>, EvalError> {
         let path = self.existing()?;
-        if let Some(folders) = self.folders_of_clips()? {
-            return Ok(folders.iter().map(|folder| clip_name(folder)).collect());
+        if matches!(self, Self::Archive(_) | Self::Demo) {
+            let clips = Pictures::of_archive(path, Pictures::DEFAULT_RATE)?.into_clips();
+            return Ok(clips.iter().map(|clip| clip.name().to_owned()).collect());
         }
-        match self {
-            Self::Archive(_) | Self::Demo => {
-                let clips = Pictures::of_archive(path, Pictures::DEFAULT_RATE)?.into_clips();
-                return Ok(clips.iter().map(|clip| clip.name().to_owned()).collect());
-            }
+        let mut names = Vec::new();
+        for clip in self.split()? {
             // Opened so that a folder without pictures is reported before anything else is done.
-            Self::Pictures(_) => drop(Pictures::of_folder(path, Pictures::DEFAULT_RATE)?),
-            Self::Video(_) => {}
+            if let Self::Pictures(folder) = &clip {
+                drop(Pictures::of_folder(folder, Pictures::DEFAULT_RATE)?);
+            }
+            names.push(clip_name(clip.path()));
         }
-        Ok(vec![clip_name(path)])
+        Ok(names)
     }
 }
 

@@ -15,56 +15,69 @@ use std::collections::{BTreeSet, HashMap};
 /// The name of the setting that says by what clips were judged.
 const JUDGED: &str = "Judged";
 
-pub(crate) const STYLE: &str = include_str!("report.css");
+const STYLE: &str = include_str!("report.css");
 const SCRIPT: &str = include_str!("report.js");
 
 /// Renders the page.
-pub(super) fn render(report: &Report, figures: &[Plot]) -> String {
+pub(super) fn render(report: &Report, plots: &[Plot]) -> String {
+    let content = html! {
+        main {
+            header {
+                p.kicker { "Albireo evaluation" }
+                h1 { (report.title) }
+                (concluded(report))
+            }
+            (figures(plots))
+            (worst::frames(&report.clips, truth(report)))
+            (policies(&report.policies))
+            (classes(&report.policies))
+            (clips(&report.clips))
+            section {
+                h2 { "How it was judged" }
+                (settings(report))
+            }
+            footer {
+                p {
+                    "Made by albireo " (env!("CARGO_PKG_VERSION")) ". The same figures are in "
+                    code { "summary.csv" } " and " code { "report.json" } "."
+                }
+            }
+        }
+        script { (PreEscaped(SCRIPT)) }
+    };
+    document(&format!("Albireo evaluation: {}", report.title), &content)
+}
+
+/// Renders a page that loads no other file.
+pub(crate) fn document(title: &str, content: &Markup) -> String {
     let page = html! {
         (DOCTYPE)
         html lang="en" {
             head {
                 meta charset="utf-8";
                 meta name="viewport" content="width=device-width, initial-scale=1";
-                title { "Albireo evaluation: " (report.title) }
+                title { (title) }
                 style { (PreEscaped(STYLE)) }
             }
-            body {
-                main {
-                    header {
-                        p.kicker { "Albireo evaluation" }
-                        h1 { (report.title) }
-                        (concluded(report))
-                    }
-                    @for figure in figures {
-                        section {
-                            h2 { (figure.title) }
-                            figure.plot {
-                                (PreEscaped(&figure.svg))
-                                figcaption { (figure.caption) }
-                            }
-                        }
-                    }
-                    (worst::frames(&report.clips, truth(report)))
-                    (policies(&report.policies))
-                    (classes(&report.policies))
-                    (clips(&report.clips))
-                    section {
-                        h2 { "How it was judged" }
-                        (settings(report))
-                    }
-                    footer {
-                        p {
-                            "Made by albireo " (env!("CARGO_PKG_VERSION")) ". The same figures are in "
-                            code { "summary.csv" } " and " code { "report.json" } "."
-                        }
-                    }
-                }
-                script { (PreEscaped(SCRIPT)) }
-            }
+            body { (content) }
         }
     };
     page.into_string()
+}
+
+/// Renders each figure in a section of its own.
+pub(crate) fn figures(plots: &[Plot]) -> Markup {
+    html! {
+        @for plot in plots {
+            section {
+                h2 { (plot.title) }
+                figure.plot {
+                    (PreEscaped(&plot.svg))
+                    figcaption { (plot.caption) }
+                }
+            }
+        }
+    }
 }
 
 /// How the clips were judged, if somebody noted it.
