@@ -1,6 +1,6 @@
 //! `albireo compare`: plays the same clip to a live node under several policies, and compares them.
 
-use super::play::{Played, Player, choose_meter, clip};
+use super::play::{Played, Player, choose_meter, clip, node_configuration};
 use super::progress;
 use super::values::{above_zero, not_negative, parse_rate};
 use albireo_eval::compare::{
@@ -12,11 +12,14 @@ use albireo_eval::spec::{BASELINE, PolicySpec};
 use albireo_node::config::NodeConfig;
 use albireo_service::{logging, signals};
 use albireo_vision::detector::HeadSetting;
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, bail};
 use indicatif::HumanDuration;
 use std::path::PathBuf;
 use std::time::Duration;
 use tokio_util::sync::CancellationToken;
+
+/// The table shows dropped frames; the node keeps no reports and is not ready immediately on purpose.
+const LOG_LEVEL: &str = "warn,albireo_node::input::receiver=error,albireo_node::outbox=error,albireo_service::readiness=error";
 
 /// Headings of the help.
 const PLAYING: &str = "How it is played";
@@ -155,27 +158,16 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
 
 /// Returns the node's configuration and the variants, checked before anything starts.
 fn prepare(arguments: &Arguments) -> anyhow::Result<(NodeConfig, Vec<PolicySpec>)> {
-    let mut config = super::node::configuration(arguments.config.as_deref())?;
-    if let Some(model) = &arguments.detector {
-        config.detector.model.clone_from(model);
+    let detector = arguments.detector.as_deref();
+    let mut config = node_configuration(arguments.config.as_deref(), detector, LOG_LEVEL)?;
+    if detector.is_some() {
         config.screen.model = None;
     }
-    let model = &config.detector.model;
-    ensure!(
-        model.is_file(),
-        "{}: no such file; run this in the project's folder, or name an ONNX file with --detector or --config",
-        model.display()
-    );
     if let Some(head) = &arguments.head {
         config.detector.head = head.clone();
     }
     if let Some(screen) = &arguments.screen_model {
         config.screen.model = Some(screen.clone());
-    }
-    if config.log.level == albireo_service::config::LogConfig::default().level {
-        // The table shows dropped frames; the node keeps no reports and is not ready immediately on purpose.
-        config.log.level = "warn,albireo_node::input::receiver=error,albireo_node::outbox=error,albireo_service::readiness=error"
-                .to_owned();
     }
     let base = (&config.policy, config.screen.empty_road());
     let variants = variants(&arguments.policy, &arguments.u, base)?;

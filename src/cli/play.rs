@@ -17,9 +17,10 @@ use albireo_node::state::advice::SkipWatch;
 use albireo_node::state::board::{Board, CameraBoard, Event, News};
 use albireo_node::state::target::TargetConfig;
 use albireo_power::PowerConfig;
-use albireo_service::config::{Configuration, UplinkConfig, ZenohConfig};
+use albireo_service::config::{Configuration, LogConfig, UplinkConfig, ZenohConfig};
 use albireo_wire::{ClipReport, DetectionsMessage, EnergyQuality};
-use anyhow::{Context, anyhow, bail};
+use anyhow::{Context, anyhow, bail, ensure};
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::broadcast::Receiver;
@@ -289,6 +290,32 @@ fn configuration(
         Some(problem) => bail!("{problem}"),
         None => Ok(config),
     }
+}
+
+/// The configuration of the nodes that runs are played to: that of `file`, with another detector if one is named.
+/// `log_level` takes the place of the default level: a node per run would otherwise write its start and its end for each.
+///
+/// # Errors
+/// When the file is invalid, or there is no detector.
+pub(super) fn node_configuration(
+    file: Option<&Path>,
+    detector: Option<&Path>,
+    log_level: &str,
+) -> anyhow::Result<NodeConfig> {
+    let mut config = super::node::configuration(file)?;
+    if let Some(model) = detector {
+        config.detector.model = model.to_path_buf();
+    }
+    let model = &config.detector.model;
+    ensure!(
+        model.is_file(),
+        "{}: no such file; run this in the project's folder, or name an ONNX file with --detector or --config",
+        model.display()
+    );
+    if config.log.level == LogConfig::default().level {
+        log_level.clone_into(&mut config.log.level);
+    }
+    Ok(config)
 }
 
 /// Selects the power meter, so that every run uses the same one and unusable meters are reported once. Returns its name.

@@ -2,7 +2,7 @@
 
 use super::JUDGED;
 use super::video::{clip_names, truth_places};
-use crate::cli::play::{Played, Player, choose_meter, clip};
+use crate::cli::play::{Played, Player, choose_meter, clip, node_configuration};
 use crate::cli::progress;
 use crate::cli::values::{not_negative, parse_rate};
 use albireo_core::policy::PolicyConfig;
@@ -16,7 +16,7 @@ use albireo_eval::spec::{PolicySpec, Sweep, resolve};
 use albireo_node::config::NodeConfig;
 use albireo_service::{logging, signals};
 use albireo_vision::detector::ExecutionProvider;
-use anyhow::{Context, ensure};
+use anyhow::Context;
 use clap::Args;
 use indicatif::HumanDuration;
 use std::collections::BTreeSet;
@@ -25,6 +25,9 @@ use std::time::{Duration, Instant};
 
 /// Headings of the help.
 const PLAYING: &str = "How it is played";
+
+/// The node keeps no reports, and is not ready immediately, on purpose.
+const LOG_LEVEL: &str = "error,albireo_node::outbox=off,albireo_service::readiness=off";
 
 /// Longest clip, seconds: a clip is held in memory while its policies are played.
 const LONGEST_S: f64 = 3600.0;
@@ -105,7 +108,8 @@ pub(super) struct BoardArguments {
 /// When an argument is invalid, the ground truth does not fit the clips, a node does not start, or a run cannot be kept.
 pub(super) async fn run(arguments: &BoardArguments) -> anyhow::Result<()> {
     let names = clip_names(&arguments.clips)?;
-    let mut config = node_of(arguments)?;
+    let (file, detector) = (arguments.config.as_deref(), arguments.detector.as_deref());
+    let mut config = node_configuration(file, detector, LOG_LEVEL)?;
     let policies = policies(arguments, &config.policy)?;
     let (paths, format) = truth_places(
         &arguments.clips,
@@ -183,26 +187,6 @@ fn time_left(elapsed: Duration, done: u64, all: u64) -> String {
     format!(", about {} left", HumanDuration(left))
 }
 
-/// The configuration of the nodes.
-fn node_of(arguments: &BoardArguments) -> anyhow::Result<NodeConfig> {
-    let mut config = crate::cli::node::configuration(arguments.config.as_deref())?;
-    if let Some(model) = &arguments.detector {
-        config.detector.model.clone_from(model);
-    }
-    let model = &config.detector.model;
-    ensure!(
-        model.is_file(),
-        "{}: no such file; run this in the project's folder, or name an ONNX file with --detector or --config",
-        model.display()
-    );
-    if config.log.level == albireo_service::config::LogConfig::default().level {
-        // A node per run would otherwise write its start and its end for each.
-        config.log.level =
-            "error,albireo_node::outbox=off,albireo_service::readiness=off".to_owned();
-    }
-    Ok(config)
-}
-
 fn policies(arguments: &BoardArguments, base: &PolicyConfig) -> anyhow::Result<Vec<PolicySpec>> {
     // Labels name no screen: it is the node's own.
     let specs = resolve(
@@ -237,7 +221,8 @@ fn measured_clips(
     alone: bool,
 ) -> anyhow::Result<Vec<MeasuredClip>> {
     let mut clips = Vec::new();
-    for source in &arguments.clips {
+    let split = arguments.clips.iter().map(SourceName::split);
+    for source in split.collect::<Result<Vec<_>, _>>()?.into_iter().flatten() {
         let opened = source.open_clips(arguments.rate, VideoEncoding::default())?;
         for (number, mut clip) in opened.into_iter().enumerate() {
             let name = clip.name().to_owned();
@@ -349,13 +334,12 @@ impl Measuring<'_> {
         progress: impl Fn(u64, &str),
         shutdown: &tokio_util::sync::CancellationToken,
     ) -> anyhow::Result<ClipRun> {
-        if self.loaded.as_ref().is_none_or(|(_, clip)| clip.name != of.name) {
-            self.loaded = None;
-            self.loaded = Some(self.load(of).await?);
-        }
-        let Some((player, clip)) = &self.loaded else {
-            unreachable!("it was loaded above")
+        // The clip before is dropped before the next one is read.
+        let loaded = match self.loaded.take().filter(|(_, clip)| clip.name == of.name) {
+            Some(loaded) => loaded,
+            None => self.load(of).await?,
         };
+        let (player, clip) = &*self.loaded.insert(loaded);
         let played = player.play(policy, progress, shutdown).await?;
         let mut run = ClipRun::of(&played.report, &of.name, &policy.label);
         run.frame_ms = played.frame_ms(player.rate);
