@@ -192,6 +192,7 @@ fn pictures() -> Vec<EncodedPicture> {
         format: PictureFormat::Jpeg,
         bytes: scene.frame(index).jpeg(85).expect("a JPEG file").into(),
         size: SIZE,
+        mount: None,
     };
     (0..32).map(picture).collect()
 }

@@ -49,11 +49,13 @@ fn picture() -> EncodedPicture {
         format: PictureFormat::Nv12,
         bytes: Bytes::from(pixels),
         size: SIZE,
+        mount: None,
     };
     EncodedPicture {
         format: PictureFormat::Jpeg,
         bytes: to_jpeg(&raw, &FrameLimits::default()).expect("a picture is coded"),
         size: SIZE,
+        mount: None,
     }
 }
 

@@ -46,6 +46,7 @@ fn raw() -> EncodedPicture {
         format: PictureFormat::Nv12,
         bytes: Bytes::from(bytes),
         size: SIZE,
+        mount: None,
     }
 }
 
@@ -60,11 +61,13 @@ fn jpeg() -> EncodedPicture {
         format: PictureFormat::Nv12,
         bytes: Bytes::from(bytes),
         size: SIZE,
+        mount: None,
     };
     EncodedPicture {
         format: PictureFormat::Jpeg,
         bytes: to_jpeg(&soft, &FrameLimits::default()).expect("a picture is coded"),
         size: SIZE,
+        mount: None,
     }
 }
 

@@ -17,6 +17,7 @@ fn encoded(format: PictureFormat, width: u32, height: u32, bytes: Vec<u8>) -> En
         format,
         bytes: Bytes::from(bytes),
         size: PictureSize::new(width, height),
+        mount: None,
     }
 }
 

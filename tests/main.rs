@@ -8,6 +8,7 @@ const _: &str = env!("RSTEST_TIMEOUT");
 mod support;
 
 mod answers;
+mod camera_mounts;
 mod cameras;
 mod command_line;
 mod compare;

@@ -354,6 +354,7 @@ fn write_drawn(
         bytes: picture.pixels.into(),
         format: PictureFormat::Rgb8,
         size: picture.size,
+        mount: None,
     };
     let name = Path::new(file.file_name().unwrap_or_default()).with_extension("jpg");
     let target = in_folder(folder, &name)?;

@@ -144,6 +144,7 @@ pub(crate) fn answered(camera: &CameraBoard, detections: DetectionsMessage) {
         format: PictureFormat::Rgb8,
         bytes: vec![0; 3 * (width * height) as usize].into(),
         size: PictureSize::new(width, height),
+        mount: None,
     };
     camera.show(Arc::clone(&detections), picture);
     camera.record_frame(&FrameRecord::new(detections, total));
@@ -167,6 +168,7 @@ pub(crate) fn received(
         format,
         bytes: bytes.into(),
         size: PictureSize::new(width, height),
+        mount: None,
     };
     camera.input.set_latest_frame(LatestFrame::new(seq, picture));
 }

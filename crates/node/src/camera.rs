@@ -342,6 +342,8 @@ impl Camera {
         let BegunFrame { incoming, .. } = frame;
         let received = incoming.frame.received;
         let late = frame.first_answer.is_some();
+        // Its object may have moved into the mask since the detector saw it.
+        outcome.boxes.retain(|one| !parts.receiver.hides(one.bounding_box));
         match &mut self.settled {
             Some(settled) if late => settled.late(incoming.index, outcome),
             Some(settled) => settled.frame(incoming, &frame.clip, outcome, pending),

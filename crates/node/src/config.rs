@@ -16,12 +16,13 @@ use albireo_core::policy::PolicyConfig;
 use albireo_power::PowerConfig;
 use albireo_service::config::{HttpConfig, LogConfig, NamedToken, UplinkConfig, ZenohConfig};
 use albireo_vision::detector::{ClassNames, DetectorConfig};
-use albireo_vision::picture::FrameLimits;
+use albireo_vision::picture::{Flip, FrameLimits, Mask, Mount};
 use albireo_vision::screen::ScreenConfig;
 use albireo_wire::{KeyError, NodeKeys};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Duration;
 
 /// A source without a picture for this long is reopened. Not a setting: a camera that records only motion needs a
@@ -213,6 +214,14 @@ pub struct CameraConfig {
     pub threshold: Option<f64>,
     /// True if the policy forgets its objects at a new clip id of the camera.
     pub reset_at_clip: bool,
+    /// Degrees clockwise by which its pictures are turned: 0, 90, 180 or 270.
+    pub rotate: i64,
+    /// How its turned pictures are mirrored.
+    pub flip: Option<Flip>,
+    /// Left, top, right and bottom of the part that is kept, shares of the turned picture.
+    pub crop: Option<[f64; 4]>,
+    /// What is painted grey in the part that is kept, and in which nothing is reported.
+    pub mask: Mask,
 }
 
 impl Default for CameraConfig {
@@ -231,6 +240,10 @@ impl Default for CameraConfig {
             answer: None,
             threshold: None,
             reset_at_clip: true,
+            rotate: 0,
+            flip: None,
+            crop: None,
+            mask: Mask::default(),
         }
     }
 }
@@ -252,7 +265,19 @@ impl CameraConfig {
             delivery: self.delivery,
             ring: self.ring,
             limits,
+            mount: self.mount(),
         }
+    }
+
+    /// How it is mounted; `None` if its pictures stay as they are sent.
+    pub(crate) fn mount(&self) -> Option<Arc<Mount>> {
+        let mount = Mount {
+            rotate: self.rotate,
+            flip: self.flip,
+            crop: self.crop,
+            mask: self.mask.clone(),
+        };
+        (!mount.is_plain()).then(|| Arc::new(mount))
     }
 
     /// The settings for opening its source, if it has one.

@@ -25,7 +25,9 @@ impl LatestFrame {
     /// Creates the picture of frame `seq`.
     pub fn new(seq: u64, picture: EncodedPicture) -> Self {
         let jpeg = match picture.format {
-            PictureFormat::Jpeg => OnceLock::from(Ok(picture.bytes.clone())),
+            PictureFormat::Jpeg if picture.mount.is_none() => {
+                OnceLock::from(Ok(picture.bytes.clone()))
+            }
             _ => OnceLock::new(),
         };
         Self { seq, picture, jpeg }
@@ -92,6 +94,7 @@ impl AnsweredFrame {
             bytes: picture.pixels.into(),
             format: PictureFormat::Rgb8,
             size: picture.size,
+            mount: None,
         };
         to_jpeg(&drawn, limits).map_err(|fault| fault.to_string())
     }

@@ -53,9 +53,15 @@ pub async fn try_all(config: &NodeConfig, mut each: impl FnMut(&str, Result<Stri
             let key = format!("camera.{}.source", camera.name);
             let arrived = try_source(settings).await;
             let limits = config.frame;
+            let mount = camera.mount();
             let network = network.clone();
-            let looked =
-                tokio::task::spawn_blocking(move || look(&arrived?, &limits, network.as_deref()));
+            let looked = tokio::task::spawn_blocking(move || {
+                look(
+                    &arrived?.mounted(mount.as_ref()),
+                    &limits,
+                    network.as_deref(),
+                )
+            });
             report(&key, looked.await.unwrap_or_else(|error| Err(error.into())));
         }
     }

@@ -13,6 +13,7 @@ mod header;
 mod huffman;
 mod letterbox;
 mod limits;
+mod mount;
 mod orientation;
 mod outline;
 mod raw;
@@ -27,6 +28,7 @@ pub use letterbox::{
     ColorOrder, Fit, InputFormat, InputMapping, Letterbox, TensorLayout, ValueRange,
 };
 pub use limits::{FrameLimits, check_payload, check_picture};
+pub use mount::{Flip, Mask, Mount, Mounted};
 pub use outline::outline;
 pub use raw::raw_picture;
 pub use stream::{read_part, read_png, read_ppm};

@@ -157,7 +157,7 @@ impl LiveEvidence {
         };
         let preparing = self.current.place + prepared.took();
         let start = Instant::now();
-        let answer = tokio::select! {
+        let mut answer = tokio::select! {
             biased;
             // The detector counts and logs its failures itself.
             answer = self.detector.detect_prepared(self.slot, prepared) => answer.ok(),
@@ -165,7 +165,9 @@ impl LiveEvidence {
         };
         let end = Instant::now();
         self.current.times.latency.detector = Some(milliseconds(preparing + (end - start)));
-        if let Some(detected) = &answer {
+        if let Some(detected) = &mut answer {
+            let detections = &mut detected.output.detections;
+            detections.retain(|found| !encoded.hides(found.bounding_box));
             self.current.times.detector_run = Some(DetectorRun {
                 end,
                 used: detected.took / detected.pictures.max(1),

@@ -91,6 +91,7 @@ fn release(waiting: &mut VecDeque<SettledMessage>, parts: &CameraParts, frame: &
         return;
     };
     let mut boxes = frame.boxes.to_vec();
+    boxes.retain(|one| !parts.receiver.hides(one.bounding_box));
     parts.min_confidence.select(&mut boxes);
     let size = PictureSize::new(message.width, message.height);
     message.state = frame.state;

@@ -54,6 +54,7 @@ pub(super) fn picture(index: u64) -> EncodedPicture {
         format: PictureFormat::Jpeg,
         bytes: frame.jpeg(85).unwrap().into(),
         size,
+        mount: None,
     }
 }
 
@@ -220,6 +221,7 @@ fn empty_picture() -> EncodedPicture {
         format: PictureFormat::Gray8,
         bytes: vec![0; 640 * 360].into(),
         size,
+        mount: None,
     }
 }
 

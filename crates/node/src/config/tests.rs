@@ -108,6 +108,14 @@ camera.a.hardware: camera = [{ name = "a", source = "b ! jpegenc", hardware = "c
 camera.a.max_rate: camera = [{ name = "a", max_rate = 5 }]
 camera.a.max_rate: camera = [{ name = "a", source = "b.mp4", max_rate = 0 }]
 camera.a.threshold: camera = [{ name = "a", threshold = 0 }]
+camera.a.rotate: camera = [{ name = "a", rotate = -90 }]
+camera.a.flip: camera = [{ name = "a", flip = true }]
+camera.a.flip: camera = [{ name = "a", flip = "left" }]
+camera.a.crop: camera = [{ name = "a", crop = [0, 0, 640, 360] }]
+camera.a.crop: camera = [{ name = "a", crop = [0.5] }]
+camera.a.mask: camera = [{ name = "a", mask = [[0, 0], [1, 0]] }]
+camera.a.mask: camera = [{ name = "a", mask = [0, 0, 1, 0] }]
+camera.a.mask: camera = [{ name = "a", mask = [[[0, 0], [1, 0], [1, 1], [0, 1]]] }]
 camera.a.threshold: policy.name = "vanilla" & camera = [{ name = "a", threshold = 3e-4 }]
 "#;
 

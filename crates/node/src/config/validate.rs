@@ -297,6 +297,9 @@ fn check_camera(camera: &CameraConfig, key: &dyn Fn(&str) -> String, findings: &
             ),
         }
     }
+    for (name, reason) in camera.mount().iter().flat_map(|mount| mount.problems()) {
+        findings.add(key(name), reason);
+    }
     check_source(camera, key, findings);
 }
 

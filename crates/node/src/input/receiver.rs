@@ -5,9 +5,10 @@ use super::read::{RawSample, read_frame};
 use super::sequence::{Arrival, SequenceTracker};
 use super::{Delivery, Frame, FrameNumber, InputCounter, PayloadFormat, Pushed, Ring};
 use crate::frame::LatestFrame;
+use albireo_core::geometry::BoundingBox;
 use albireo_service::clock::unix_nanoseconds;
 use albireo_service::rate_limit::RateLimit;
-use albireo_vision::picture::{EncodedPicture, FrameFault, FrameLimits};
+use albireo_vision::picture::{EncodedPicture, FrameFault, FrameLimits, Mount};
 use albireo_wire::{DropKind, FrameAnswer, VERSION};
 use parking_lot::Mutex;
 use std::collections::BTreeMap;
@@ -69,6 +70,8 @@ pub(crate) struct ReceiverSettings {
     pub ring: usize,
     /// Limits of its frames.
     pub limits: FrameLimits,
+    /// How it is mounted, if its pictures do not stay as they are sent.
+    pub mount: Option<Arc<Mount>>,
 }
 
 /// The receiving end of one camera.
@@ -156,6 +159,12 @@ impl FrameReceiver {
         });
     }
 
+    /// True if the camera's mask hides that box.
+    pub(crate) fn hides(&self, bounding_box: BoundingBox) -> bool {
+        let mount = self.settings.mount.as_ref();
+        mount.is_some_and(|mount| mount.hides(bounding_box))
+    }
+
     fn read(&self, raw: RawSample<'_>, arrival: u64) -> NumberedFrame {
         let raw = RawSample { arrival, ..raw };
         read_frame(raw, self.settings.format, &self.settings.limits)
@@ -238,10 +247,11 @@ impl FrameReceiver {
                 self.count_dropped(DropKind::Lost, lost, &reason);
             }
         }
-        let frame = read.map_err(|fault| Refused {
+        let mut frame = read.map_err(|fault| Refused {
             kind: kind_of(&fault),
             reason: fault.to_string(),
         })?;
+        frame.picture = frame.picture.mounted(self.settings.mount.as_ref());
         let sequence = frame.sequence;
         let (kind, reason) = match arrival {
             Arrival::New { index, .. } => {

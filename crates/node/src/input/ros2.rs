@@ -66,6 +66,7 @@ pub(super) fn read_image(
         format,
         bytes,
         size,
+        mount: None,
     };
     Ok((picture, time_ns))
 }

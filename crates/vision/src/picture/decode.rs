@@ -3,7 +3,7 @@
 #[cfg(feature = "turbojpeg")]
 use super::decode_jpeg_scaled;
 use super::limits::{check_payload, check_picture, decoded_bytes};
-use super::orientation::orientation;
+use super::orientation::{Part, orientation};
 use super::{
     EncodedPicture, FrameFault, FrameLimits, Picture, PictureFormat, PixelLayout, decode_jpeg,
     decode_png, decode_raw, raw_picture,
@@ -21,7 +21,8 @@ const JPEG_QUALITY: u8 = 85;
 /// program was built with the feature `turbojpeg`.
 ///
 /// Grey is luma with the weights of BT.601, full range. Alpha is ignored. Samples of 16 bits keep the upper eight of the
-/// bits that are used (10, 12, 14 or all). A file whose Exif data say that it lies on its side is turned upright.
+/// bits that are used (10, 12, 14 or all). A file whose Exif data say that it lies on its side is turned upright. Then
+/// the picture is turned, cropped and masked as its camera is [mounted](EncodedPicture::mounted): nobody gets it otherwise.
 ///
 /// # Errors
 /// [`FrameFault`] if a limit is exceeded or the picture is broken, even if only its end is missing. The pixels of
@@ -34,15 +35,27 @@ pub fn decode(
     into: &mut Picture,
 ) -> Result<(), FrameFault> {
     check_payload(picture.bytes.len(), limits)?;
-    check_picture(picture.size, limits)?;
+    let sent = picture.sent_size();
+    check_picture(sent, limits)?;
     let orientation = orientation(picture.format, &picture.bytes);
     let stored = EncodedPicture {
-        size: orientation.turned(picture.size),
+        size: orientation.turned(sent),
+        mount: None,
         ..picture.clone()
     };
-    let target = target.map(|target| orientation.turned(target));
+    let turn = picture.mount().map_or(orientation, |mount| orientation.then(mount.turn()));
+    let target = target.map(|target| {
+        let whole = picture.mount().map_or(target, |mount| mount.whole(target));
+        turn.turned(whole)
+    });
     decode_stored(&stored, limits, layout, target, into)?;
-    orientation.apply(into);
+    let whole = turn.turned(into.size);
+    let part = picture.mount().map_or(Part::all(whole), |mount| mount.part(whole));
+    turn.apply(into, part);
+    into.source_size = picture.size;
+    if let Some(mount) = picture.mount() {
+        mount.paint(into);
+    }
     Ok(())
 }
 
@@ -170,12 +183,13 @@ fn halve(into: &mut Picture) -> Result<(), FrameFault> {
     Ok(())
 }
 
-/// Returns the picture as a JPEG file: unchanged if it is one, else encoded with quality 85.
+/// Returns the picture as a JPEG file, as its camera is mounted: unchanged if it is a file that need not be turned, cropped
+/// or masked, else encoded with quality 85.
 ///
 /// # Errors
 /// Same as [`decode`].
 pub fn to_jpeg(picture: &EncodedPicture, limits: &FrameLimits) -> Result<Bytes, FrameFault> {
-    if picture.format == PictureFormat::Jpeg {
+    if picture.format == PictureFormat::Jpeg && picture.mount.is_none() {
         return Ok(picture.bytes.clone());
     }
     let (Ok(width), Ok(height)) = (

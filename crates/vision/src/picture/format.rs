@@ -1,5 +1,6 @@
 //! Pictures before and after decoding.
 
+use super::mount::Mounted;
 use super::raw::Plane;
 use albireo_core::geometry::PictureSize;
 use bytes::Bytes;
@@ -124,14 +125,17 @@ impl PictureFormat {
 }
 
 /// A picture as the camera sent it. Its size is known without decoding.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct EncodedPicture {
     /// The encoding of the bytes.
     pub format: PictureFormat,
     /// The bytes, shared with the network buffer they arrived in.
     pub bytes: Bytes,
-    /// Columns and rows: from the file's header, or from the camera for raw pictures.
+    /// Columns and rows: from the file's header, or from the camera for raw pictures; turned and cropped as its camera is
+    /// mounted.
     pub size: PictureSize,
+    /// How its camera is mounted, if it must be turned, cropped or masked; see [`EncodedPicture::mounted`].
+    pub mount: Option<Mounted>,
 }
 
 /// The layout of one pixel of a decoded picture.

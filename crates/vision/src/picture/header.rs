@@ -278,6 +278,7 @@ pub fn picture_of_kind(
         format,
         bytes,
         size,
+        mount: None,
     })
 }
 

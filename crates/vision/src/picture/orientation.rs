@@ -1,8 +1,10 @@
-//! The orientation of a picture in its Exif data (JEITA CP-3451, tag 0x0112): how its pixels must be turned to stand
-//! upright, as browsers and vision libraries show it.
+//! How a picture's pixels must be turned to stand upright: as its Exif data say (JEITA CP-3451, tag 0x0112), as browsers
+//! and vision libraries show it, and as its camera is mounted.
 
-use super::{Picture, PictureFormat};
+use super::mount::Flip;
+use super::{Picture, PictureFormat, PixelLayout};
 use albireo_core::geometry::PictureSize;
+use std::ops::Range;
 
 /// How stored pixels become upright ones, by the eight values of the tag.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -48,19 +50,59 @@ impl Orientation {
         }
     }
 
-    /// Turns the pixels of `picture` upright.
-    pub(super) fn apply(self, picture: &mut Picture) {
-        if self == Self::UPRIGHT {
+    /// Turned clockwise by so many degrees, in steps of a right angle.
+    pub(super) fn clockwise(degrees: i64) -> Self {
+        match degrees {
+            90 => Self::from_tag(6),
+            180 => Self::from_tag(3),
+            270 => Self::from_tag(8),
+            _ => Self::UPRIGHT,
+        }
+    }
+
+    pub(super) const fn mirrored(flip: Flip) -> Self {
+        match flip {
+            Flip::Horizontal => Self::new(false, true, false),
+            Flip::Vertical => Self::new(false, false, true),
+        }
+    }
+
+    /// This orientation, and then `next` of what it has made.
+    pub(super) const fn then(self, next: Self) -> Self {
+        let (from_right, from_bottom) = if self.transposed {
+            (next.from_bottom, next.from_right)
+        } else {
+            (next.from_right, next.from_bottom)
+        };
+        Self {
+            transposed: self.transposed != next.transposed,
+            from_right: self.from_right != from_right,
+            from_bottom: self.from_bottom != from_bottom,
+        }
+    }
+
+    /// Turns the pixels of `picture` upright, and keeps `part` of that.
+    pub(super) fn apply(self, picture: &mut Picture, part: Part) {
+        let is_whole = part.size == self.turned(picture.size);
+        if self == Self::UPRIGHT && is_whole {
             return;
         }
-        let stored = picture.size;
-        let channels = picture.layout.channels();
-        let columns = stored.width as usize;
-        let rows = stored.height as usize;
-        let upright = self.turned(stored);
-        let mut turned = Vec::with_capacity(picture.pixels.len());
-        for y in 0..upright.height as usize {
-            for x in 0..upright.width as usize {
+        picture.pixels = match picture.layout {
+            PixelLayout::Rgb8 => self.turned_pixels::<3>(picture, part),
+            PixelLayout::Gray8 => self.turned_pixels::<1>(picture, part),
+        };
+        picture.size = part.size;
+    }
+
+    /// The pixels of `part` of the upright picture, of which each has `BYTES` bytes.
+    fn turned_pixels<const BYTES: usize>(self, picture: &Picture, part: Part) -> Vec<u8> {
+        let (stored, _) = picture.pixels.as_chunks::<BYTES>();
+        let columns = picture.size.width as usize;
+        let rows = picture.size.height as usize;
+        let mut turned =
+            Vec::with_capacity(part.size.width as usize * part.size.height as usize * BYTES);
+        for y in part.rows() {
+            for x in part.columns() {
                 let (column, row) = if self.transposed { (y, x) } else { (x, y) };
                 let column = if self.from_right {
                     columns - 1 - column
@@ -72,13 +114,37 @@ impl Orientation {
                 } else {
                     row
                 };
-                let at = (row * columns + column) * channels;
-                turned.extend_from_slice(&picture.pixels[at..at + channels]);
+                turned.extend_from_slice(&stored[row * columns + column]);
             }
         }
-        picture.pixels = turned;
-        picture.size = upright;
-        picture.source_size = self.turned(picture.source_size);
+        turned
+    }
+}
+
+/// A part of a picture, in pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Part {
+    pub left: u32,
+    pub top: u32,
+    pub size: PictureSize,
+}
+
+impl Part {
+    /// All of a picture of `size`.
+    pub(super) const fn all(size: PictureSize) -> Self {
+        Self {
+            left: 0,
+            top: 0,
+            size,
+        }
+    }
+
+    fn columns(self) -> Range<usize> {
+        self.left as usize..(self.left + self.size.width) as usize
+    }
+
+    fn rows(self) -> Range<usize> {
+        self.top as usize..(self.top + self.size.height) as usize
     }
 }
 
@@ -128,7 +194,6 @@ fn tag(tiff: &[u8]) -> Option<u16> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::picture::PixelLayout;
 
     #[test]
     fn each_orientation_turns_the_picture_as_the_standard_says() {
@@ -151,7 +216,9 @@ mod tests {
                 layout: PixelLayout::Gray8,
                 pixels: vec![1, 2, 3, 4, 5, 6],
             };
-            Orientation::from_tag(value).apply(&mut picture);
+            let orientation = Orientation::from_tag(value);
+            let whole = Part::all(orientation.turned(size));
+            orientation.apply(&mut picture, whole);
             assert_eq!(
                 (picture.size.width, &picture.pixels[..]),
                 (columns, &expected[..]),

@@ -41,6 +41,7 @@ pub fn raw_picture(
         format,
         bytes,
         size,
+        mount: None,
     })
 }
 

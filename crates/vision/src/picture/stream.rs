@@ -113,6 +113,7 @@ pub fn read_ppm(
         format: PictureFormat::Rgb8,
         bytes: Bytes::from(pixels),
         size,
+        mount: None,
     })))
 }
 

@@ -12,6 +12,7 @@ fn numbers(length: u8) -> Box<dyn FrameSource> {
         format: PictureFormat::Gray8,
         bytes: Bytes::from(vec![number]),
         size: PictureSize::new(1, 1),
+        mount: None,
     };
     let pictures = (0..length).map(picture).collect();
     Box::new(Pictures::in_memory("numbers".to_owned(), pictures, 10.0))

@@ -35,10 +35,12 @@ impl Examiner {
         let until = Instant::now() + LONGEST_WAIT;
         let turn = timeout_at(until, self.detector.spare_turn()).await.ok()??;
         // Only now that the detector is free: most pictures are never decoded.
-        let prepared = self.pixels.prepared(picture).await;
+        let prepared = self.pixels.prepared(picture.clone()).await;
         let answer = timeout_at(until, self.detector.detect_spare(turn, prepared?)).await;
         // The detector counts and logs its failures itself.
-        let detected = answer.ok()?.ok()?;
+        let mut detected = answer.ok()?.ok()?;
+        let detections = &mut detected.output.detections;
+        detections.retain(|found| !picture.hides(found.bounding_box));
         self.energy.detector_called(Instant::now(), detected.took);
         let mut found = AuditReport {
             calls: 1,

@@ -12,6 +12,7 @@ fn receiver(capacity: usize) -> Arc<FrameReceiver> {
         delivery: Delivery::default(),
         ring: capacity,
         limits: FrameLimits::default(),
+        mount: None,
     };
     Arc::new(FrameReceiver::new(settings, Arc::default()))
 }
@@ -30,6 +31,7 @@ impl FrameReceiver {
                 format: PictureFormat::Jpeg,
                 bytes: bytes::Bytes::new(),
                 size: PictureSize::new(64, 36),
+                mount: None,
             },
             received: Instant::now(),
         };

@@ -21,6 +21,7 @@ fn an_event_is_written_as_json_once_however_many_read_it() {
         format: PictureFormat::Rgb8,
         bytes: Bytes::new(),
         size: PictureSize::new(0, 0),
+        mount: None,
     };
     board.cameras[0].show(answer(7, FrameState::I, false, None), picture);
     let events = readers.iter_mut().map(|reader| reader.try_recv().unwrap());

@@ -10,6 +10,7 @@ fn scene(size: PictureSize) -> EncodedPicture {
         format: PictureFormat::Jpeg,
         bytes: BoxScene::new(5, size).frame(10).jpeg(90).unwrap().into(),
         size,
+        mount: None,
     }
 }
 
@@ -87,7 +88,7 @@ fn scaled_decoding_rejects_a_truncated_or_damaged_file() {
         let damaged = EncodedPicture {
             bytes,
             size,
-            ..picture
+            ..picture.clone()
         };
         assert!(decoded(&damaged, PixelLayout::Rgb8, target).is_err());
     }

@@ -1,0 +1,252 @@
+use super::*;
+use crate::picture::{
+    FrameLimits, PictureFormat, PixelLayout, decode, decode_small_grey, picture_of_file,
+    raw_picture, to_jpeg,
+};
+use albireo_scene::BoxScene;
+use bytes::Bytes;
+use proptest::prelude::*;
+
+fn grey(size: PictureSize, pixels: Vec<u8>) -> EncodedPicture {
+    let limits = FrameLimits::default();
+    raw_picture(PictureFormat::Gray8, size, Bytes::from(pixels), &limits).unwrap()
+}
+
+fn decoded(picture: &EncodedPicture, target: Option<PictureSize>) -> Picture {
+    let mut into = Picture::default();
+    let limits = FrameLimits::default();
+    decode(picture, &limits, PixelLayout::Gray8, target, &mut into).unwrap();
+    into
+}
+
+fn mounted(picture: EncodedPicture, mount: &Mount) -> EncodedPicture {
+    picture.mounted(Some(&Arc::new(mount.clone())))
+}
+
+#[test]
+fn a_picture_is_turned_then_mirrored_then_cropped() {
+    // Two rows of three pixels: 1 2 3 / 4 5 6.
+    let picture = grey(PictureSize::new(3, 2), vec![1, 2, 3, 4, 5, 6]);
+    let all = [0.0, 0.0, 1.0, 1.0];
+    let (across, down) = (Some(Flip::Horizontal), Some(Flip::Vertical));
+    for (rotate, flip, crop, columns, expected) in [
+        (0, None, all, 3, &[1, 2, 3, 4, 5, 6][..]),
+        (90, None, all, 2, &[4, 1, 5, 2, 6, 3]),
+        (180, None, all, 3, &[6, 5, 4, 3, 2, 1]),
+        (270, None, all, 2, &[3, 6, 2, 5, 1, 4]),
+        (0, across, all, 3, &[3, 2, 1, 6, 5, 4]),
+        (0, down, all, 3, &[4, 5, 6, 1, 2, 3]),
+        (90, across, all, 2, &[1, 4, 2, 5, 3, 6]),
+        (90, down, all, 2, &[6, 3, 5, 2, 4, 1]),
+        (0, None, [0.0, 0.5, 0.67, 1.0], 2, &[4, 5]),
+        (90, across, [0.5, 0.34, 1.0, 1.0], 1, &[5, 6]),
+    ] {
+        let mount = Mount {
+            rotate,
+            flip,
+            crop: Some(crop),
+            ..Mount::default()
+        };
+        let picture = mounted(picture.clone(), &mount);
+        let seen = decoded(&picture, None);
+        assert_eq!(seen.pixels, expected, "{mount:?}");
+        assert_eq!((seen.size.width, seen.size), (columns, picture.size));
+        assert_eq!(seen.source_size, picture.size);
+    }
+}
+
+/// The share of the sent picture at a share of the published one, as docs/messages.md says.
+fn back(mount: &Mount, [x, y]: [f64; 2]) -> [f64; 2] {
+    let [left, top, right, bottom] = mount.crop.unwrap();
+    let (mut x, mut y) = (left + x * (right - left), top + y * (bottom - top));
+    match mount.flip {
+        Some(Flip::Horizontal) => x = 1.0 - x,
+        Some(Flip::Vertical) => y = 1.0 - y,
+        None => {}
+    }
+    match mount.rotate {
+        90 => [y, 1.0 - x],
+        180 => [1.0 - x, 1.0 - y],
+        270 => [1.0 - y, x],
+        _ => [x, y],
+    }
+}
+
+proptest! {
+    #[test]
+    fn every_published_pixel_is_found_again_in_the_picture_as_it_was_sent(
+        quarter in 0_i64..4, flip in 0_usize..3, left in 0_u32..5, top in 0_u32..5, right in 5_u32..8, bottom in 5_u32..8
+    ) {
+        let (columns, rows) = (24_u32, 40_u32);
+        let sent: Vec<u8> = (0..columns * rows).map(|at| (at % 251) as u8).collect();
+        let share = |eighths: u32| f64::from(eighths) / 8.0;
+        let mount = Mount {
+            rotate: 90 * quarter,
+            flip: [None, Some(Flip::Horizontal), Some(Flip::Vertical)][flip],
+            crop: Some([left, top, right, bottom].map(share)),
+            ..Mount::default()
+        };
+        let picture = grey(PictureSize::new(columns, rows), sent.clone());
+        let seen = decoded(&mounted(picture, &mount), None);
+        let (width, height) = (seen.size.width, seen.size.height);
+        for (at, pixel) in (0_u32..).zip(&seen.pixels) {
+            let middle = |at: u32, side: u32| (f64::from(at) + 0.5) / f64::from(side);
+            let [x, y] = back(&mount, [middle(at % width, width), middle(at / width, height)]);
+            let (x, y) = ((x * f64::from(columns)) as u32, (y * f64::from(rows)) as u32);
+            prop_assert_eq!(sent[(y * columns + x) as usize], *pixel);
+        }
+    }
+}
+
+fn masked(polygons: &[&[[f64; 2]]]) -> Mount {
+    Mount {
+        mask: Mask(polygons.iter().map(|polygon| polygon.to_vec()).collect()),
+        ..Mount::default()
+    }
+}
+
+const LOWER_HALF: &[[f64; 2]] = &[[0.0, 0.5], [1.0, 0.5], [1.0, 1.0], [0.0, 1.0]];
+const LOWER_LEFT: &[[f64; 2]] = &[[0.0, 0.0], [1.0, 1.0], [0.0, 1.0]];
+
+#[test]
+fn what_is_masked_is_grey_for_everybody_who_decodes_the_picture() {
+    let white = grey(PictureSize::new(8, 8), vec![255; 64]);
+    let seen = decoded(&mounted(white.clone(), &masked(&[LOWER_HALF])), None);
+    assert!(seen.pixels[..32].iter().all(|pixel| *pixel == 255));
+    assert!(seen.pixels[32..].iter().all(|pixel| *pixel == MASKED));
+    // Each row up to the pixel that the edge crosses.
+    let seen = decoded(&mounted(white, &masked(&[LOWER_LEFT])), None);
+    let grey_in = |row: usize| {
+        let row = &seen.pixels[8 * row..8 * row + 8];
+        row.iter().filter(|pixel| **pixel == MASKED).count()
+    };
+    assert_eq!(
+        (0..8).map(grey_in).collect::<Vec<_>>(),
+        [1, 2, 3, 4, 5, 6, 7, 8]
+    );
+
+    // A JPEG file is encoded again, and a small grey picture is masked too.
+    let file = BoxScene::new(3, PictureSize::new(640, 360)).frame(0).jpeg(90).unwrap();
+    let limits = FrameLimits::default();
+    let sent = picture_of_file(Bytes::from(file), &limits).unwrap();
+    let hidden = mounted(sent.clone(), &masked(&[LOWER_HALF]));
+    assert_ne!(to_jpeg(&hidden, &limits).unwrap(), sent.bytes);
+    assert_eq!(to_jpeg(&sent, &limits).unwrap(), sent.bytes);
+    let shown = picture_of_file(to_jpeg(&hidden, &limits).unwrap(), &limits).unwrap();
+    let shown = decoded(&shown, None);
+    let lower = &shown.pixels[640 * 190..];
+    assert!(lower.iter().all(|pixel| pixel.abs_diff(MASKED) < 3));
+    let mut small = Picture::default();
+    decode_small_grey(&hidden, &limits, 160, &mut small).unwrap();
+    let lower = &small.pixels[small.pixels.len() / 2 + 160..];
+    assert!(lower.iter().all(|pixel| *pixel == MASKED));
+}
+
+#[test]
+fn a_picture_that_is_scaled_while_it_is_decoded_is_cropped_at_the_same_place() {
+    let file = BoxScene::new(5, PictureSize::new(1280, 720)).frame(0).jpeg(90).unwrap();
+    let limits = FrameLimits::default();
+    let sent = picture_of_file(Bytes::from(file), &limits).unwrap();
+    let mount = Mount {
+        rotate: 180,
+        crop: Some([0.25, 0.0, 0.75, 0.5]),
+        ..Mount::default()
+    };
+    let picture = mounted(sent, &mount);
+    assert_eq!(picture.size, PictureSize::new(640, 360));
+    let whole = decoded(&picture, None);
+    let target = PictureSize::new(160, 90);
+    let small = decoded(&picture, Some(target));
+    assert!(small.size.width >= target.width && small.size.height >= target.height);
+    assert_eq!(small.source_size, picture.size);
+    // The means of the squares that its pixels stand for.
+    let factor = (whole.size.width / small.size.width) as usize;
+    let columns = small.size.width as usize;
+    let mut far_off = 0;
+    for (at, pixel) in small.pixels.iter().enumerate() {
+        let (left, top) = (at % columns * factor, at / columns * factor);
+        let square = (top..top + factor).flat_map(|y| {
+            let row = y * whole.size.width as usize;
+            whole.pixels[row + left..row + left + factor]
+                .iter()
+                .map(|pixel| u32::from(*pixel))
+        });
+        let mean = square.sum::<u32>() / (factor * factor) as u32;
+        far_off += usize::from(mean.abs_diff(u32::from(*pixel)) > 24);
+    }
+    assert!(
+        far_off * 200 < small.pixels.len(),
+        "{far_off} pixels differ"
+    );
+}
+
+#[test]
+fn a_box_is_hidden_once_more_than_half_of_it_lies_in_the_mask() {
+    let mount = masked(&[LOWER_HALF, LOWER_LEFT]);
+    for (bounding_box, hidden) in [
+        ([0.75, 0.25, 0.2, 0.2], false),
+        ([0.75, 0.75, 0.2, 0.2], true),
+        // In the second polygon only, and its part that the first one does not cover.
+        ([0.1, 0.3, 0.1, 0.1], true),
+        ([0.9, 0.55, 0.1, 0.2], true),
+        ([0.9, 0.45, 0.1, 0.2], false),
+        // A large box with a small part in it, and one of which the picture shows only what lies in it.
+        ([0.8, 0.4, 0.4, 0.8], false),
+        ([0.5, 1.0, 0.2, 0.6], true),
+    ] {
+        assert_eq!(mount.hides(bounding_box.into()), hidden, "{bounding_box:?}");
+    }
+    assert!(!Mount::default().hides([0.5, 0.5, 1.0, 1.0].into()));
+}
+
+#[test]
+fn what_cannot_be_meant_is_said_with_its_key() {
+    let crop = |crop| Mount {
+        crop: Some(crop),
+        ..Mount::default()
+    };
+    let turned = Mount {
+        rotate: 45,
+        ..Mount::default()
+    };
+    let line = [[0.1, 0.1], [0.5, 0.5], [0.9, 0.9]];
+    let all = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]];
+    for (mount, key, part) in [
+        (turned, "rotate", "0, 90, 180 or 270"),
+        (crop([0.0, 0.0, 1280.0, 720.0]), "crop", "from 0 to 1"),
+        (crop([0.0, f64::NAN, 1.0, 1.0]), "crop", "from 0 to 1"),
+        (
+            crop([0.6, 0.0, 0.4, 1.0]),
+            "crop",
+            "left is 0.6 and right 0.4",
+        ),
+        (
+            crop([0.0, 0.5, 1.0, 0.5]),
+            "crop",
+            "top is 0.5 and bottom 0.5",
+        ),
+        (
+            masked(&[LOWER_HALF, &line[..2]]),
+            "mask",
+            "polygon 2 has 2 points",
+        ),
+        (masked(&[&line]), "mask", "polygon 1 has no area"),
+        (
+            masked(&[&[[0.0, 0.0], [320.0, 0.0], [0.0, 1.0]]]),
+            "mask",
+            "the point [320.0, 0.0]",
+        ),
+        (masked(&[&all]), "mask", "covers the whole picture"),
+    ] {
+        let problems = mount.problems();
+        assert_eq!(problems.len(), 1, "{problems:?}");
+        assert_eq!(problems[0].0, key);
+        assert!(problems[0].1.contains(part), "{problems:?}");
+    }
+    let right = Mount {
+        rotate: 270,
+        flip: Some(Flip::Vertical),
+        ..masked(&[LOWER_HALF, LOWER_LEFT])
+    };
+    assert_eq!(right.problems(), []);
+}
