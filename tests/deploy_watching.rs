@@ -116,3 +116,22 @@ fn every_alert_has_a_test() {
     let there = alerts("prometheus/rules.yml", "- alert: ");
     assert_eq!(there, alerts("prometheus/rules_test.yml", "alertname: "));
 }
+
+#[test]
+fn the_map_of_the_dashboard_asks_the_hub_through_a_provisioned_data_source() {
+    let (_, fleet) = dashboards().into_iter().find(|(name, _)| name == "fleet.json").unwrap();
+    let fleet: Value = serde_json::from_str(&fleet).unwrap();
+    let mut panels = fleet["panels"].as_array().unwrap().iter();
+    let map = panels.find(|panel| panel["type"] == "geomap").unwrap();
+    let asked = map["options"]["layers"][0]["config"]["src"].as_str().unwrap();
+    let (source, path) = asked
+        .strip_prefix("api/datasources/proxy/uid/")
+        .and_then(|rest| rest.split_once('/'))
+        .unwrap();
+    let sources = text("grafana/provisioning/datasources/prometheus.yml");
+    assert!(sources.contains(&format!("uid: {source}\n")), "{sources}");
+    let described = serde_json::to_value(albireo_hub::http::openapi()).unwrap();
+    let route = &described["paths"][format!("/{path}")]["get"];
+    let kinds = &route["responses"]["200"]["content"];
+    assert!(kinds["application/geo+json"].is_object(), "{route}");
+}

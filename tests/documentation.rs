@@ -11,8 +11,8 @@ use crate::support::{
 };
 use albireo_node::state::board::ThresholdEvent;
 use albireo_wire::{
-    ClipReport, CountersMessage, Desired, DetectionsMessage, FrameAnswer, FrameAttachment,
-    SettledMessage, ThresholdMessage,
+    ClipReport, ClipTravel, CountersMessage, Desired, DetectionsMessage, FrameAnswer,
+    FrameAttachment, SettledMessage, ThresholdMessage,
 };
 use clap::CommandFactory;
 use rstest::rstest;
@@ -202,6 +202,7 @@ fn the_messages_named_are_described_and_their_examples_are_valid() {
             "ThresholdEvent" => event_written(example),
             "FrameAttachment" => read_and_written::<FrameAttachment>(example),
             "FrameAnswer" => read_and_written::<FrameAnswer>(example),
+            "ClipTravel" => read_and_written::<ClipTravel>(example),
             "Desired" => read_and_written::<Desired>(example),
             other => panic!("{other}: add its type to this test"),
         };

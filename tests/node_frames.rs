@@ -11,10 +11,10 @@ use albireo_scene::BoxScene;
 use albireo_vision::picture::{
     FrameLimits, Picture, PictureFormat, PixelLayout, decode, picture_of_file,
 };
-use albireo_wire::{DetectionsMessage, FrameAnswer, FrameAttachment, VERSION, read};
+use albireo_wire::{ClipReport, DetectionsMessage, FrameAnswer, FrameAttachment, VERSION, read};
 use rstest::rstest;
 use serde::de::DeserializeOwned;
-use serde_json::Value;
+use serde_json::{Value, json};
 use std::sync::Arc;
 use tokio::sync::mpsc::UnboundedReceiver;
 use tokio::task::JoinHandle;
@@ -203,6 +203,58 @@ async fn every_kind_of_dropped_frame_is_counted_under_its_own_name_and_the_next_
     let expected =
         "lost 3, late 1, stray 1, duplicate 1, undecodable 2, oversized 1, unknown_format 1";
     assert_eq!(kinds.join(", "), expected);
+    bench.stop().await;
+}
+
+#[rstest]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn positions_of_frames_are_the_way_of_their_clip_and_a_wrong_one_costs_no_frame() {
+    let mut bench = Bench::start(&configuration()).await;
+    let mut clips = bench.published::<ClipReport>("clip").await;
+    let picture = pictures(1).remove(0);
+    let of_clip = |seq: u64, clip: &str, position: Value| {
+        let attachment = json!({
+            "v": VERSION, "seq": seq, "t_ns": seq * 1_000_000_000, "clip": clip, "position": position,
+        });
+        serde_json::to_vec(&attachment).unwrap()
+    };
+    for seq in 0..11 {
+        // 22.24 m to the north each second.
+        let latitude = 48.0 + seq as f64 * 0.0002;
+        let position = match seq {
+            5 => json!({"latitude": 95.0, "longitude": 11.0}),
+            6 => json!("N48.0012 E11"),
+            _ => json!({"latitude": latitude, "longitude": 11.0, "speed_m_s": 20 + seq}),
+        };
+        let attachment = of_clip(seq, "drive", position);
+        let reply = ask_frame(
+            &bench.session,
+            CAMERA,
+            picture.clone(),
+            "image/jpeg",
+            attachment,
+        );
+        assert_eq!(refused(reply.await), None);
+        assert_eq!(bench.answer().await.seq, seq);
+    }
+    let health = bench.board.readiness.health().status();
+    let reason = health.reasons.get("position").map(String::as_str).unwrap_or_default();
+    assert!(
+        reason.contains("a frame of front: ") && reason.contains("(2 since"),
+        "{reason}"
+    );
+
+    let attachment = of_clip(11, "home", Value::Null);
+    ask_frame(&bench.session, CAMERA, picture, "image/jpeg", attachment).await;
+    let drive = next(&mut clips).await;
+    let travel = drive.travel.expect("a way");
+    assert_eq!((drive.frames, travel.check()), (11, Ok(())));
+    assert!((travel.distance_m - 222.4).abs() < 0.1, "{travel:?}");
+    assert_eq!(travel.fastest_m_s, Some(30.0));
+    assert_eq!(travel.bounds, [11.0, 48.0, 11.0, 48.002]);
+    assert_eq!(travel.track.first(), Some(&[11.0, 48.0]));
+    assert_eq!(travel.track.last(), Some(&[11.0, 48.002]));
     bench.stop().await;
 }
 

@@ -105,6 +105,7 @@ impl<'a> OurPath<'a> {
             sequence: self.frames,
             time_ns: self.frames * 100_000_000,
             clip: None,
+            position: None,
             picture: encoded.clone(),
             received: tokio::time::Instant::now(),
         };

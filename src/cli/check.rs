@@ -83,7 +83,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         for finding in config.exposed_here(Some(&arguments.file)) {
             println!("note: {finding}");
         }
-        if let Some(fault) = config.certificate_fault() {
+        for fault in [config.certificate_fault(), config.position_fault()].iter().flatten() {
             println!("note: {fault}");
         }
     }

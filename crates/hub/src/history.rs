@@ -1,9 +1,11 @@
-//! Reads the history: clips, sums of energy, events, and what was set aside.
+//! Reads the history: clips and their positions, sums of energy, events, and what was set aside.
 
 mod energy;
+mod positions;
 mod rows;
 
 pub use energy::{EnergyBy, EnergyGroup, EnergyQuery, Resolution, Sort};
+pub use positions::{PositionQuery, PositionedClip};
 pub use rows::{ClipQuery, StoredClip, StoredEvent, StoredSetAside};
 
 use albireo_wire::{AuditFigures, AuditReport, AuditSquares, AuditSums};

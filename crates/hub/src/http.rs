@@ -10,6 +10,7 @@ mod health;
 mod live;
 mod metrics;
 mod nodes;
+mod positions;
 mod runs;
 
 pub use changes::{ChangeView, Changes, OrderAnswer, OrderLine};
@@ -66,6 +67,8 @@ fn described() -> (Router<Hub>, OpenApi) {
         .routes(routes!(clips::csv))
         .routes(routes!(clips::set_aside))
         .routes(routes!(energy::sums))
+        .routes(routes!(positions::geojson))
+        .routes(routes!(positions::delete))
         .routes(routes!(events::stream))
         .routes(routes!(diag::archive))
         .routes(routes!(changes::set_threshold))

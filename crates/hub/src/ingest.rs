@@ -18,6 +18,7 @@ mod retention;
 mod tables;
 #[cfg(test)]
 mod tests;
+mod travel;
 mod writer;
 
 pub use counters::{IngestCounters, IngestCounts};

@@ -10,6 +10,7 @@ mod support;
 mod history;
 mod ingest;
 mod live;
+mod positions;
 mod presence;
 mod ready;
 mod targets;

@@ -23,6 +23,7 @@ use crate::camera::rate::FrameRate;
 use crate::camera::settled::SettledStream;
 use crate::frame::{FrameRecord, Times};
 use crate::input::receiver::{FrameReceiver, SequencedFrame, kind_of};
+use crate::position::Positions;
 use crate::publishing::Outlet;
 use crate::state::board::CameraBoard;
 use albireo_core::policy::{
@@ -63,6 +64,8 @@ pub(crate) struct CameraParts {
     pub closed: mpsc::UnboundedSender<Clip>,
     /// The camera's share of the node's energy.
     pub energy: CameraEnergy,
+    /// Where its frames are taken.
+    pub positions: Arc<Positions>,
     /// True if the policy forgets its objects at a new clip id of the camera.
     pub reset_at_clip: bool,
 }
@@ -316,6 +319,10 @@ impl Camera {
         let parts = &self.parts;
         let clip = frame.clip.as_deref();
         parts.hand_over(self.tracker.arrive(frame.time_ns, clip, frame.received));
+        let position = parts.positions.of_frame(parts.board.name(), frame.position.as_ref());
+        if let Some(position) = position {
+            self.tracker.locate(position, frame.time_ns, frame.received);
+        }
         let clip = self.tracker.clip().map_or_else(|| "".into(), Arc::clone);
         let spec = parts.board.threshold_spec.zip(self.decider.policy.policy().threshold());
         BegunFrame {

@@ -11,6 +11,7 @@ use crate::input::receiver::ReceiverSettings;
 use crate::input::source::{RtspTransport, SourceAddress, SourceOptions, SourceSettings};
 use crate::input::{Delivery, PayloadFormat};
 use crate::outbox::OutboxConfig;
+use crate::position::PositionConfig;
 use crate::state::target::TargetConfig;
 use albireo_core::policy::PolicyConfig;
 use albireo_power::PowerConfig;
@@ -63,6 +64,8 @@ pub struct NodeConfig {
     pub frame: FrameLimits,
     /// The source of power figures.
     pub power: PowerConfig,
+    /// The source of positions.
+    pub position: PositionConfig,
     /// The log.
     pub log: LogConfig,
     /// Further tokens of the HTTP interface besides `http.token`, one `[[token]]` each.
@@ -91,6 +94,7 @@ impl Default for NodeConfig {
             clip: ClipConfig::default(),
             frame: FrameLimits::default(),
             power: PowerConfig::default(),
+            position: PositionConfig::default(),
             log: LogConfig::default(),
             tokens: Vec::new(),
             cameras: vec![CameraConfig::named("front")],

@@ -11,6 +11,7 @@ pub mod input;
 pub mod online;
 pub mod outbox;
 mod percentiles;
+pub mod position;
 mod publishing;
 mod run;
 mod settings;

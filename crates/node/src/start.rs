@@ -107,6 +107,10 @@ impl PreparedNode {
             watched.watch(POLL_INTERVAL).await;
         });
         tasks.until_shutdown("power sampler", sampler);
+        if config.position.source.is_receiver() {
+            let positions = Arc::clone(&board.positions);
+            tasks.until_shutdown("position", crate::position::follow(positions));
+        }
         tasks.until_shutdown("certificates", board.certificates.clone().follow());
 
         // Each camera has its loop, its reporter, and its source of frames.

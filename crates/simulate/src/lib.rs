@@ -7,6 +7,7 @@ mod options;
 mod play;
 mod summary;
 mod totals;
+mod travel;
 
 pub use error::SimulateError;
 pub use options::Options;

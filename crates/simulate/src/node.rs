@@ -1,6 +1,7 @@
 //! Simulates one node, its reports and its reactions to desired settings, without network or clock.
 
 use super::options::Options;
+use super::travel::travel;
 use albireo_wire::{
     CameraState, CameraStatus, ClipEnd, ClipEnergy, ClipReport, Desired, DesiredSetting,
     DomainEnergy, DroppedFrames, EnergyQuality, FrameStates, HealthState, HealthStatus, Heartbeat,
@@ -332,6 +333,8 @@ impl SimNode {
             },
             board: None,
             audit: None,
+            travel: (self.options.positions)
+                .then(|| travel(self.seed, number, self.options.clip_s)),
         }
     }
 

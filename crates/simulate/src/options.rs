@@ -47,6 +47,9 @@ pub struct Options {
     /// Reports that every node has waiting at the start.
     #[arg(long, help_heading = REPORTS, default_value_t = 0)]
     pub backlog: u64,
+    /// Reports say where their clips were made: each node drives its own rounds in a made-up town.
+    #[arg(long, help_heading = REPORTS)]
+    pub positions: bool,
     /// Nodes do not subscribe to notices: they learn a new value from the answer to a report.
     #[arg(long = "no-notices", action = clap::ArgAction::SetFalse)]
     pub notices: bool,

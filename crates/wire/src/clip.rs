@@ -1,6 +1,8 @@
 //! The report of one clip: frames, latencies, energy.
 
-use crate::{AuditReport, DroppedFrames, FrameStates, Target, Threshold, ThresholdChange};
+use crate::{
+    AuditReport, ClipTravel, DroppedFrames, FrameStates, Target, Threshold, ThresholdChange,
+};
 use serde::{Deserialize, Serialize};
 use serde_with::skip_serializing_none;
 use utoipa::ToSchema;
@@ -191,6 +193,8 @@ pub struct ClipReport {
     pub board: Option<BoardState>,
     /// The results of the audit on skipped frames; absent without an audit.
     pub audit: Option<AuditReport>,
+    /// The clip's way; absent if no position is known.
+    pub travel: Option<ClipTravel>,
 }
 
 // Serde passes a reference.
@@ -245,6 +249,10 @@ impl ClipReport {
         }
         if let Some(audit) = &mut self.audit {
             audit.joules.iter_mut().for_each(four);
+        }
+        if let Some(travel) = &mut self.travel {
+            six(&mut travel.distance_m);
+            travel.fastest_m_s.iter_mut().for_each(four);
         }
     }
 }

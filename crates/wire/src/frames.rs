@@ -1,6 +1,6 @@
 //! The messages of a frame: the incoming attachment and the outgoing detections.
 
-use crate::Threshold;
+use crate::{Position, Threshold};
 use albireo_core::detection::ObjectId;
 use albireo_core::policy::{BoxSource, CallCause, FrameState};
 use serde::{Deserialize, Serialize};
@@ -26,6 +26,22 @@ pub struct FrameAttachment {
     pub width: Option<u32>,
     /// Height of a raw picture, pixels.
     pub height: Option<u32>,
+    /// Where the frame was taken. A position that cannot be read is counted and left out, and the frame is processed.
+    // As it came: a position of another form must not cost the frame.
+    #[schema(value_type = Option<Position>)]
+    pub position: Option<serde_json::Value>,
+}
+
+impl FrameAttachment {
+    /// Where the frame was taken; `None` if the attachment does not say it.
+    ///
+    /// # Errors
+    /// The reason why it is no position.
+    pub fn position(&self) -> Option<Result<Position, String>> {
+        let given = self.position.as_ref()?;
+        let read = Position::deserialize(given).map_err(|error| error.to_string());
+        Some(read.and_then(|position| position.check().map(|()| position)))
+    }
 }
 
 /// The node's answer to a frame received as a query, sent when the frame's turn comes: the sender of a camera with

@@ -17,6 +17,7 @@ mod target;
 #[cfg(test)]
 mod tests;
 mod threshold;
+mod travel;
 mod version;
 
 pub use albireo_core::audit::{AuditRate, AuditSquares, AuditSums};
@@ -45,4 +46,5 @@ pub use status::{
 };
 pub use target::{NodeTarget, TargetMessage, TargetReport};
 pub use threshold::{OtherThreshold, Threshold, ThresholdChange, ThresholdMessage, ThresholdName};
+pub use travel::{ClipTravel, FASTEST_M_S, MOST_TRACK_POINTS, Position};
 pub use version::{MessageError, VERSION, check_version, read};

@@ -136,3 +136,37 @@ fn figures_are_rounded_to_significant_digits() {
     assert_eq!([1.912_345_678e-4, 0.0].map(rounded), [1.912_35e-4, 0.0]);
     assert!(rounded(f64::NAN).is_nan());
 }
+
+#[test]
+fn a_position_that_cannot_be_right_says_why_and_leaves_the_frame() {
+    let position = |json: &str| {
+        let text = format!(r#"{{"v":1,"seq":7,"position":{json}}}"#);
+        let attachment = read::<FrameAttachment>(text.as_bytes()).unwrap();
+        assert_eq!(attachment.seq, Some(7));
+        attachment.position()
+    };
+    assert_eq!(position("null"), None);
+    let good = position(r#"{"latitude":-33.9,"longitude":18.4,"speed_m_s":8,"fix":3}"#);
+    let expected = Position {
+        latitude: -33.9,
+        longitude: 18.4,
+        speed_m_s: Some(8.0),
+    };
+    assert_eq!(good, Some(Ok(expected)));
+    for (json, part) in [
+        (
+            r#"{"latitude":91,"longitude":0}"#,
+            "latitude is 91, not from -90 to 90",
+        ),
+        (r#"{"latitude":0,"longitude":181}"#, "longitude is 181"),
+        (
+            r#"{"latitude":0,"longitude":0,"speed_m_s":-1}"#,
+            "speed_m_s is -1",
+        ),
+        (r#"{"latitude":0}"#, "missing field `longitude`"),
+        (r#""52.5,13.4""#, "invalid type"),
+    ] {
+        let reason = position(json).unwrap().unwrap_err();
+        assert!(reason.contains(part), "{reason}");
+    }
+}

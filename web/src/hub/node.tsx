@@ -233,6 +233,7 @@ function Forget({ name }: { name: string }) {
 export function EnergyTable({ energy }: { energy: Energy | undefined }) {
   if (!energy) return <p class="message quiet">…</p>;
   if (energy.groups.length === 0) return <p class="message quiet">No clip yet.</p>;
+  const hasWay = energy.groups.some((group) => typeof group.joules_per_km === "number");
   return (
     <div class="scroll" tabIndex={0} role="group" aria-label="Energy by policy and value">
       <table>
@@ -240,7 +241,7 @@ export function EnergyTable({ energy }: { energy: Energy | undefined }) {
           <tr>
             <th scope="col" class="left">policy and value</th>
             <th scope="col" class="left">energy is</th>
-            {["clips", "hours", "skipped", "calls avoided", "recall against the detector", "energy", "per hour", "saved ≈"].map((head) => (
+            {["clips", "hours", "skipped", "calls avoided", "recall against the detector", "energy", "per hour", ...(hasWay ? ["km", "per km"] : []), "saved ≈"].map((head) => (
               <th key={head} scope="col">{head}</th>
             ))}
           </tr>
@@ -257,6 +258,8 @@ export function EnergyTable({ energy }: { energy: Energy | undefined }) {
               <td>{group.audit?.recall ? `${percent(group.audit.recall.rate)} (${(100 * group.audit.recall.low).toFixed(1)} to ${(100 * group.audit.recall.high).toFixed(1)})` : "–"}</td>
               <td>{joules(group.joules)}</td>
               <td>{joules(group.duration_s ? (group.joules / group.duration_s) * 3600 : undefined)}</td>
+              {hasWay && <td>{group.distance_km?.toFixed(1) ?? "–"}</td>}
+              {hasWay && <td title="of the whole node, where energy and distance are known in full">{joules(group.joules_per_km)}</td>}
               <td>
                 <Saved group={group} />
               </td>

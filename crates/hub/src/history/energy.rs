@@ -98,6 +98,13 @@ pub struct EnergyGroup {
     pub skip_rate: f64,
     /// Energy, joules: exact sums of what the nodes report, in whole microjoules.
     pub joules: f64,
+    /// Kilometres that were driven in the clips of which both way and energy are known in full; absent if there are none. As
+    /// seconds of clips, they count for each camera of a node.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub distance_km: Option<f64>,
+    /// Energy of the whole node in those clips per kilometre, joules, of this quality.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub joules_per_km: Option<f64>,
     /// Energy that the avoided calls would have cost, joules: always an estimate, summed over the nodes' reports.
     pub saved_joules_estimated: f64,
     /// Avoided calls that the estimate leaves out, because their node did not know the cost of a call.
@@ -117,7 +124,9 @@ const HOURS: &str = "(SELECT h.*, '' AS clip FROM sums_hour h)";
 const FIVE_MINUTES: &str = "(SELECT f.*, '' AS clip FROM sums_5m f)";
 /// Single clips, in the columns of sums.
 const CLIPS: &str = "(SELECT c.*, c.at_ms / 1000 AS bucket_s, CASE c.part WHEN 0 THEN 1 ELSE 0 END AS clips, \
-    CASE WHEN c.avoided_uj IS NULL THEN c.avoided_calls ELSE 0 END AS unpriced_calls FROM clips c)";
+    CASE WHEN c.avoided_uj IS NULL THEN c.avoided_calls ELSE 0 END AS unpriced_calls, \
+    CASE WHEN c.coverage_ppm >= 999000 AND c.node_uj IS NOT NULL THEN c.distance_mm END AS travel_mm, \
+    CASE WHEN c.coverage_ppm >= 999000 AND c.distance_mm IS NOT NULL THEN c.node_uj END AS travel_uj FROM clips c)";
 
 const FLEET: &str = "(0) AND $6 = ''";
 const CAMERAS: &str = "(SELECT id FROM cameras) AND $6 = ''";

@@ -100,6 +100,8 @@ pub struct StoredClip {
     pub joules: Option<f64>,
     /// Energy-delay product, J·ms/frame.
     pub edp: Option<f64>,
+    /// Distance driven, metres, if the node knows its position. `/api/v1/positions.geojson` has the way.
+    pub distance_m: Option<f64>,
     /// Audit results of skipped frames; absent without an audit.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub audit: Option<AuditFigures>,

@@ -3,6 +3,7 @@
 
 use super::counters::IngestCounts;
 use super::plan::Present;
+use super::travel::TravelRow;
 use crate::store::row::{Columns, text};
 use albireo_service::clock::DAY_MS;
 use albireo_wire::{AuditReport, ClipEnd, ClipReport};
@@ -85,6 +86,7 @@ pub(crate) struct ClipRow {
     coverage_ppm: i64,
     threshold_changed: bool,
     audit: Option<AuditRow>,
+    travel: Option<TravelRow>,
 }
 
 /// The columns of a clip's audit.
@@ -220,6 +222,7 @@ fn row(report: &ClipReport, at_ms: i64, received_ms: i64) -> Result<ClipRow, Str
         coverage_ppm: (energy.coverage * 1e6).round() as i64,
         threshold_changed: report.threshold_changes.len() > 1,
         audit: report.audit.as_ref().map(audit).transpose()?,
+        travel: report.travel.as_ref().map(TravelRow::new).transpose()?,
     })
 }
 
@@ -245,7 +248,7 @@ fn audit(audit: &AuditReport) -> Result<AuditRow, String> {
 }
 
 /// Converts a figure to whole units of its column, and checks that it is from 0 to `most`.
-fn whole(column: &str, value: f64, most: f64, units: f64) -> Result<i64, String> {
+pub(super) fn whole(column: &str, value: f64, most: f64, units: f64) -> Result<i64, String> {
     if (0.0..=most).contains(&value) {
         Ok((value * units).round() as i64)
     } else {
@@ -358,6 +361,14 @@ impl ClipRow {
             ("audit_paired_sq", audit(|audit| audit.paired_sq)),
             ("audit_detected_x", audit(|audit| audit.detected_x)),
             ("audit_shown_x", audit(|audit| audit.shown_x)),
+            (
+                "distance_mm",
+                json!(self.travel.as_ref().map(|travel| travel.distance_mm)),
+            ),
+            (
+                "travel",
+                json!(self.travel.as_ref().map(|travel| &travel.json)),
+            ),
         ]
     }
 }

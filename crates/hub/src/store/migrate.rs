@@ -1,11 +1,15 @@
-//! Creates the tables. A database of another program or of another version is refused and not changed.
+//! Creates the tables, and adds what those of an earlier version lack. A database of another program or of any other version
+//! is refused and not changed.
 
 use super::{Database, DatabaseKind, StoreError};
 
 /// The version of the tables, which the schemas store.
-const VERSION: i64 = 14;
+const VERSION: i64 = 15;
 
-/// Creates the tables if there are none.
+/// The statements that bring tables of a version to the next, in order.
+const UPGRADES: [(i64, &str); 1] = [(14, include_str!("schema/from_14.sql"))];
+
+/// Creates the tables if there are none, and upgrades those that can be upgraded.
 pub(super) fn migrate(database: &mut dyn Database) -> Result<(), StoreError> {
     database.begin()?;
     if tables(database)?.is_empty() {
@@ -14,8 +18,26 @@ pub(super) fn migrate(database: &mut dyn Database) -> Result<(), StoreError> {
             DatabaseKind::Postgres => include_str!("schema/postgres.sql"),
         })?;
     }
+    for (from, statements) in UPGRADES {
+        if is_a_hub(database)? && version(database)? == Some(from) {
+            tracing::info!(from, "adding what the tables of the database lack");
+            database.script(statements)?;
+        }
+    }
     check(database)?;
     database.commit()
+}
+
+fn is_a_hub(database: &mut dyn Database) -> Result<bool, StoreError> {
+    Ok(tables(database)?.iter().any(|name| name == "hub_meta"))
+}
+
+/// The version of a hub's tables; `None` if they are of another program.
+fn version(database: &mut dyn Database) -> Result<Option<i64>, StoreError> {
+    let text = "SELECT v.value FROM hub_meta p JOIN hub_meta v ON v.key = 'version' \
+                WHERE p.key = 'program' AND p.value = 'albireo-hub'";
+    let versions = database.texts(text)?;
+    Ok(versions.first().and_then(|version| version.parse().ok()))
 }
 
 /// Checks that the database is that of a hub of this version.
@@ -28,14 +50,11 @@ pub(super) fn check(database: &mut dyn Database) -> Result<(), StoreError> {
             "the database is not a hub's ({what}) and was not changed: set an empty one in database.url"
         ))
     };
-    let names = tables(database)?;
-    if !names.iter().any(|name| name == "hub_meta") {
-        return Err(stranger(format!("it has the table {}", names.join(", "))));
+    if !is_a_hub(database)? {
+        let names = tables(database)?.join(", ");
+        return Err(stranger(format!("it has the table {names}")));
     }
-    let text = "SELECT v.value FROM hub_meta p JOIN hub_meta v ON v.key = 'version' \
-                WHERE p.key = 'program' AND p.value = 'albireo-hub'";
-    let versions = database.texts(text)?;
-    match versions.first().and_then(|version| version.parse::<i64>().ok()) {
+    match version(database)? {
         Some(VERSION) => Ok(()),
         Some(found) => Err(StoreError::Refused(format!(
             "the tables of the database have version {found}, and this albireo reads only version {VERSION}: run the older \

@@ -4,6 +4,7 @@ mod report;
 #[cfg(test)]
 pub(crate) mod tests;
 mod tracker;
+mod travel;
 
 pub(crate) use report::Clip;
 pub(crate) use tracker::ClipTracker;

@@ -108,6 +108,7 @@ impl Bench {
         let evidence = live_evidence(&detector, &pixels);
         let parts = CameraParts {
             detections: detections.await.unwrap(),
+            positions: Arc::clone(&board.positions),
             board: camera,
             receiver: Arc::clone(&receiver),
             late: None,
@@ -168,6 +169,7 @@ fn sequenced(index: u64, epoch: u64, received: Instant) -> SequencedFrame {
         sequence: index,
         time_ns: 1_000_000_000 + index * 40_000_000,
         clip: Some("drive".into()),
+        position: None,
         picture: picture(index),
         received,
     };

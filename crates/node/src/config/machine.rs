@@ -91,6 +91,13 @@ impl NodeConfig {
         Certificates::read(self.certificates()).fault()
     }
 
+    /// Why positions cannot be had now from where they should come.
+    pub fn position_fault(&self) -> Option<String> {
+        let source = &self.position.source;
+        let fault = |error| format!("position.source: {source} cannot be used now: {error}");
+        source.look().err().map(fault)
+    }
+
     /// Finds files with secrets that other users of this machine can read; `file` is the configuration's.
     pub fn exposed_here(&self, file: Option<&Path>) -> Vec<Finding> {
         let mut found = exposed_files(file, &self.http, &self.tokens, &self.zenoh);

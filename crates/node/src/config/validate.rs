@@ -23,7 +23,7 @@ const NEVER_WAITS: &str =
 impl Configuration for NodeConfig {
     const SECTIONS: &'static [&'static str] = &[
         "NODE", "ZENOH", "UPLINK", "OUTBOX", "HTTP", "DETECTOR", "SCREEN", "POLICY", "TARGET",
-        "REPORT", "SETTLE", "AUDIT", "CLIP", "FRAME", "POWER", "LOG", "TOKEN",
+        "REPORT", "SETTLE", "AUDIT", "CLIP", "FRAME", "POWER", "POSITION", "LOG", "TOKEN",
     ];
 
     const REMOVED: &'static str = "\

@@ -9,7 +9,7 @@ use albireo_vision::picture::{
     EncodedPicture, FrameFault, FrameLimits, PictureFormat, check_payload, format_of,
     picture_of_kind, raw_picture,
 };
-use albireo_wire::FrameAttachment;
+use albireo_wire::{FrameAttachment, Position};
 use bytes::Bytes;
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -45,6 +45,8 @@ pub struct Frame {
     pub time_ns: u64,
     /// The frame's clip, as named by the camera.
     pub clip: Option<Arc<str>>,
+    /// The frame's position, or why what the camera sent is none; `None` if it sends none.
+    pub position: Option<Result<Position, String>>,
     /// The picture, still encoded.
     pub picture: EncodedPicture,
     /// The time at which the sample was received.
@@ -117,6 +119,7 @@ pub fn read_frame(
         sequence: number.seq.unwrap_or(raw.arrival),
         // A ROS header's stamp is the time of capture, the attachment's the time of sending.
         time_ns: stamp.or(attachment.t_ns).or(raw.timestamp_ns).unwrap_or_else(unix_nanoseconds),
+        position: attachment.position(),
         clip: attachment.clip.map(Arc::from),
         picture,
         received: raw.received,

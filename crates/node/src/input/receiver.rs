@@ -186,6 +186,7 @@ impl FrameReceiver {
                 sequence: arrival,
                 time_ns: unix_nanoseconds(),
                 clip: None,
+                position: None,
                 picture,
                 received: Instant::now(),
             });

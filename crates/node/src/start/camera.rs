@@ -147,6 +147,7 @@ impl SharedParts {
             class_names: self.models.detector.class_names().to_vec(),
             closed,
             energy: self.power.camera(),
+            positions: Arc::clone(&self.board.positions),
             reset_at_clip: config.reset_at_clip,
         })
     }

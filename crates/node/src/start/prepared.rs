@@ -5,6 +5,7 @@ use crate::api::http::{self, RouterSetup};
 use crate::config::{CameraConfig, NodeConfig};
 use crate::error::NodeError;
 use crate::outbox::Outbox;
+use crate::position::Positions;
 use crate::settings::Settings;
 use crate::state::board::{Board, BoardSetup, CameraSetup};
 use crate::state::readiness;
@@ -86,6 +87,7 @@ fn board(config: &NodeConfig, policy: &mut dyn Policy) -> Result<Arc<Board>, Key
         providers: config.detector.providers.clone(),
         cameras: cameras.collect::<Result<_, _>>()?,
         certificates: Certificates::read(config.certificates()),
+        positions: Positions::new(&config.position),
         target: NodeTarget::new(&config.target, &*policy, first_threshold),
         empty_road: config.screen.empty_road(),
     };

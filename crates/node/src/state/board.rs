@@ -15,6 +15,7 @@ pub use event::{DetectorEvent, Event, FrameEvent, News, ThresholdEvent};
 pub(crate) use history::{CameraPiece, Clock, FRAMES, PastFrame, PowerPiece, SLOT_S, SkipEstimate};
 pub(crate) use savings::{Savings, Totals};
 
+use crate::position::Positions;
 use crate::state::readiness;
 use crate::state::target::NodeTarget;
 use albireo_core::policy::{EmptyRoad, Policy, can_pause};
@@ -65,6 +66,8 @@ pub struct Board {
     pub tasks: TaskFailures,
     /// The certificates of its sessions.
     pub(crate) certificates: Certificates,
+    /// Where the node is.
+    pub(crate) positions: Arc<Positions>,
     /// The target, which moves the thresholds while one is set.
     pub(crate) target: NodeTarget,
     /// True if the policy takes a pause on an empty road.
@@ -111,6 +114,8 @@ pub(crate) struct BoardSetup {
     pub cameras: Vec<CameraSetup>,
     /// The certificates of its sessions.
     pub certificates: Certificates,
+    /// The positions, of which there are none yet.
+    pub positions: Positions,
     /// The target, which holds nothing yet.
     pub target: NodeTarget,
     /// The pause on an empty road.
@@ -137,6 +142,11 @@ impl Board {
         readiness.probe(readiness::CERTIFICATES, "", move || {
             certificates.fault().map(Fault::degraded)
         });
+        let positions = Arc::new(setup.positions);
+        let located = Arc::clone(&positions);
+        readiness.probe(readiness::POSITION, "", move || {
+            located.fault().map(Fault::degraded)
+        });
         let started_ms = unix_milliseconds();
         Arc::new(Self {
             node: setup.node,
@@ -147,6 +157,7 @@ impl Board {
             readiness,
             tasks: TaskFailures::default(),
             certificates: setup.certificates,
+            positions,
             target: setup.target,
             can_pause: can_pause(policy),
             configured_road: setup.empty_road,

@@ -6,6 +6,7 @@
 //! | `screen` | | its session is being rebuilt: the detector is called instead |
 //! | `cameras` | they are not subscribed yet | no frame has arrived from one for a while, its source has failed, or its frames are slow, broken or dropped |
 //! | `power` | | the meter cannot be read, or returns no samples |
+//! | `position` | | the receiver gives none, or a position cannot be used |
 //! | `outbox` | | reports are lost, or do not survive a power loss although a state directory is set |
 //! | `zenoh` | the local session is not open, or closed | another node has the same name |
 //! | `uplink` | | the session to the hub is not open, or no hub acknowledges the reports that are due |
@@ -31,6 +32,8 @@ pub const CAMERAS: &str = "cameras";
 pub(crate) const PICTURES: &str = " (pictures)";
 /// The power meter.
 pub(crate) const POWER: &str = "power";
+/// Where the node is.
+pub(crate) const POSITION: &str = "position";
 /// Clip reports on their way to the hub.
 pub(crate) const OUTBOX: &str = "outbox";
 /// The local Zenoh session.
@@ -50,11 +53,12 @@ pub(crate) const TASKS: &str = albireo_service::supervise::PART;
 const FIRST_SAMPLE: Duration = Duration::from_secs(15);
 
 /// All parts, in the order of the metrics.
-pub(crate) const PARTS: [&str; 10] = [
+pub(crate) const PARTS: [&str; 11] = [
     DETECTOR,
     SCREEN,
     CAMERAS,
     POWER,
+    POSITION,
     OUTBOX,
     ZENOH,
     UPLINK,

@@ -19,6 +19,8 @@ SELECT CASE $1
        COALESCE(SUM(CAST(t.avoided_calls AS DOUBLE PRECISION))
            / NULLIF(SUM(CAST(t.frames AS DOUBLE PRECISION)), 0), 0) AS skip_rate,
        COALESCE(SUM(CAST(t.energy_uj AS DOUBLE PRECISION)), 0) / 1000000 AS joules,
+       NULLIF(SUM(CAST(t.travel_mm AS DOUBLE PRECISION)), 0) / 1000000 AS distance_km,
+       SUM(CAST(t.travel_uj AS DOUBLE PRECISION)) / NULLIF(SUM(CAST(t.travel_mm AS DOUBLE PRECISION)), 0) AS joules_per_km,
        COALESCE(SUM(CAST(t.avoided_uj AS DOUBLE PRECISION)), 0) / 1000000 AS saved_joules_estimated,
        COALESCE(SUM(CAST(t.audit_uj AS DOUBLE PRECISION)), 0) / 1000000 AS audit_joules,
        SUM(CAST(t.audit_frames AS DOUBLE PRECISION)) AS audit_frames,

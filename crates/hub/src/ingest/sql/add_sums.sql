@@ -1,11 +1,12 @@
 -- Adds the clips with ids from $1 on to the sums over spans of $2 seconds: for each camera, and under camera 0 for the fleet.
 -- A clip without a value adds nothing; a long clip is counted at its first part. Sums stop at $3, so that none is too large
--- for its column.
+-- for its column. Only clips of which both distance and energy are known in full add to joules per kilometre.
  AS t (
     camera_id, bucket_s, setup_id, quality, clips, unpriced_calls, duration_us, frames, frames_e, frames_p, frames_ei,
     frames_i, frames_ai, degraded, dropped, latency_us, detector_calls, detector_us, avoided_calls, avoided_uj,
     energy_uj, audit_frames, audit_missed, audit_missed_boxes, audit_calls, audit_us, audit_uj, audit_detected,
-    audit_shown, audit_paired, audit_detected_sq, audit_detected_x, audit_shown_sq, audit_paired_sq, audit_shown_x
+    audit_shown, audit_paired, audit_detected_sq, audit_detected_x, audit_shown_sq, audit_paired_sq, audit_shown_x,
+    travel_mm, travel_uj
 )
 SELECT c.camera_id * side.is_camera,
        c.at_ms / 1000 / $2 * $2,
@@ -41,7 +42,9 @@ SELECT c.camera_id * side.is_camera,
        COALESCE(sum(c.audit_detected_x), 0),
        COALESCE(sum(c.audit_shown_sq), 0),
        COALESCE(sum(c.audit_paired_sq), 0),
-       COALESCE(sum(c.audit_shown_x), 0)
+       COALESCE(sum(c.audit_shown_x), 0),
+       COALESCE(sum(CASE WHEN c.coverage_ppm >= 999000 AND c.node_uj IS NOT NULL THEN c.distance_mm END), 0),
+       COALESCE(sum(CASE WHEN c.coverage_ppm >= 999000 AND c.distance_mm IS NOT NULL THEN c.node_uj END), 0)
 FROM clips c
 CROSS JOIN (SELECT 0 AS is_camera UNION ALL SELECT 1) AS side
 WHERE c.id >= $1
@@ -77,4 +80,6 @@ ON CONFLICT (camera_id, bucket_s, setup_id, quality) DO UPDATE SET
     audit_detected_x = CASE WHEN t.audit_detected_x + excluded.audit_detected_x > $3 THEN $3 ELSE t.audit_detected_x + excluded.audit_detected_x END,
     audit_shown_sq = CASE WHEN t.audit_shown_sq + excluded.audit_shown_sq > $3 THEN $3 ELSE t.audit_shown_sq + excluded.audit_shown_sq END,
     audit_paired_sq = CASE WHEN t.audit_paired_sq + excluded.audit_paired_sq > $3 THEN $3 ELSE t.audit_paired_sq + excluded.audit_paired_sq END,
-    audit_shown_x = CASE WHEN t.audit_shown_x + excluded.audit_shown_x > $3 THEN $3 ELSE t.audit_shown_x + excluded.audit_shown_x END
+    audit_shown_x = CASE WHEN t.audit_shown_x + excluded.audit_shown_x > $3 THEN $3 ELSE t.audit_shown_x + excluded.audit_shown_x END,
+    travel_mm = CASE WHEN t.travel_mm + excluded.travel_mm > $3 THEN $3 ELSE t.travel_mm + excluded.travel_mm END,
+    travel_uj = CASE WHEN t.travel_uj + excluded.travel_uj > $3 THEN $3 ELSE t.travel_uj + excluded.travel_uj END

@@ -4,7 +4,7 @@
 
 -- The program and the version of these tables.
 CREATE TABLE hub_meta (key TEXT NOT NULL PRIMARY KEY, value TEXT NOT NULL);
-INSERT INTO hub_meta (key, value) VALUES ('program', 'albireo-hub'), ('version', '14');
+INSERT INTO hub_meta (key, value) VALUES ('program', 'albireo-hub'), ('version', '15');
 
 CREATE TABLE nodes (
     id INTEGER PRIMARY KEY AUTOINCREMENT,
@@ -62,7 +62,7 @@ CREATE TABLE setups (
 );
 
 -- A clip, or a part of a long one. `day` is that of the report's identity, or that of receipt where the identity's cannot be
--- believed.
+-- believed. `travel` is JSON: the box and the track, if the node knows its position.
 CREATE TABLE clips (
     id INTEGER PRIMARY KEY AUTOINCREMENT,
     day BIGINT NOT NULL,
@@ -111,12 +111,16 @@ CREATE TABLE clips (
     audit_detected_x BIGINT,
     audit_shown_sq BIGINT,
     audit_paired_sq BIGINT,
-    audit_shown_x BIGINT
+    audit_shown_x BIGINT,
+    distance_mm BIGINT,
+    travel TEXT
 );
 CREATE INDEX clips_by_camera ON clips (camera_id, at_ms);
+CREATE INDEX clips_with_positions ON clips (at_ms) WHERE distance_mm IS NOT NULL;
 
 -- Sums over the clips of one camera, setup and energy quality that began within five minutes. Under camera 0 are those of the
--- whole fleet, so that its figures read a few rows.
+-- whole fleet, so that its figures read a few rows. `travel_mm` and `travel_uj` are the distance and the node's energy of the
+-- clips of which both are known in full.
 CREATE TABLE sums_5m (
     bucket_s BIGINT NOT NULL,
     camera_id BIGINT NOT NULL,
@@ -153,6 +157,8 @@ CREATE TABLE sums_5m (
     audit_shown_sq BIGINT NOT NULL,
     audit_paired_sq BIGINT NOT NULL,
     audit_shown_x BIGINT NOT NULL,
+    travel_mm BIGINT NOT NULL DEFAULT 0,
+    travel_uj BIGINT NOT NULL DEFAULT 0,
     PRIMARY KEY (camera_id, bucket_s, setup_id, quality)
 ) WITHOUT ROWID;
 
@@ -193,6 +199,8 @@ CREATE TABLE sums_hour (
     audit_shown_sq BIGINT NOT NULL,
     audit_paired_sq BIGINT NOT NULL,
     audit_shown_x BIGINT NOT NULL,
+    travel_mm BIGINT NOT NULL DEFAULT 0,
+    travel_uj BIGINT NOT NULL DEFAULT 0,
     PRIMARY KEY (camera_id, bucket_s, setup_id, quality)
 ) WITHOUT ROWID;
 

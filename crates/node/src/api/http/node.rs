@@ -2,6 +2,7 @@
 
 use super::RouteState;
 use super::health::{Readiness, readiness};
+use crate::position::PositionStatus;
 use crate::state::board::{ModelReading, Savings};
 use albireo_service::clock::seconds;
 use albireo_service::http::{Route, routes};
@@ -67,6 +68,8 @@ pub(super) struct NodeOverview {
     outbox: OutboxStatus,
     /// The certificates of its sessions, with their ends.
     certificates: Vec<CertificateStatus>,
+    /// Where its positions come from; never the position itself.
+    position: PositionStatus,
     /// The source of its figures of power: `rapl`, `estimate`, …; `none` without one.
     power_source: String,
     /// Savings since the start.
@@ -115,6 +118,7 @@ pub(super) async fn overview(State(shared): State<RouteState>) -> Json<NodeOverv
         detector: board.reading.get().map(detector),
         outbox: shared.outbox.counts().status,
         certificates: board.certificates.status(),
+        position: board.positions.status(),
         power_source: board.power().source,
         since_start,
         today,

@@ -1,5 +1,6 @@
 //! Counts the frames of a clip and creates its report.
 
+use super::travel::Travel;
 use crate::frame::FrameRecord;
 use crate::percentiles::percentiles;
 use albireo_power::{Measured, Measurement};
@@ -46,6 +47,8 @@ pub(crate) struct Clip {
     pub arrivals: u64,
     /// True while one of its frames waits for its final answer.
     pub pending: bool,
+    /// Its way, once a frame had a position.
+    pub(super) travel: Option<Travel>,
 }
 
 impl Clip {
@@ -105,7 +108,9 @@ impl Clip {
     /// for a long clip.
     pub(crate) fn into_report(self, measured: Measured) -> ClipReport {
         let duration = self.duration();
-        let Self { mut report, .. } = self;
+        let Self {
+            mut report, travel, ..
+        } = self;
         if let Some(audit) = &mut report.audit {
             let seconds = audit.detector_us as f64 / 1e6;
             audit.joules = measured.detector_watts.map(|watts| watts * seconds);
@@ -113,6 +118,7 @@ impl Clip {
         ClipReport {
             v: VERSION,
             id: new_id(),
+            travel: travel.map(Travel::report),
             duration_s: duration.as_secs_f64(),
             skip_rate: report.states.skip_rate(report.degraded_frames),
             total_latency_ms: percentiles(self.total),

@@ -8,9 +8,10 @@
 
 use super::ClipConfig;
 use super::report::Clip;
+use super::travel::Travel;
 use crate::frame::FrameRecord;
 use albireo_power::CameraEnergy;
-use albireo_wire::{AuditReport, ClipEnd, ClipReport, DroppedFrames, Threshold};
+use albireo_wire::{AuditReport, ClipEnd, ClipReport, DroppedFrames, Position, Threshold};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::Instant;
@@ -91,6 +92,15 @@ impl ClipTracker {
             None => self.begin(t_ns, clip, arrival),
         }
         closed
+    }
+
+    /// Adds the position of the frame that has arrived, with its capture time and arrival.
+    pub(crate) fn locate(&mut self, position: Position, t_ns: u64, arrival: Instant) {
+        let Some(open) = &mut self.open else { return };
+        match &mut open.travel {
+            Some(travel) => travel.add(position, t_ns, arrival),
+            None => open.travel = Some(Travel::new(position, t_ns, arrival)),
+        }
     }
 
     /// Marks the last frame, with sequence number `seq` and this threshold, as pending: its final answer comes with
@@ -240,6 +250,7 @@ impl ClipTracker {
             last_answered: arrival,
             arrivals: 1,
             pending: false,
+            travel: None,
         });
     }
 

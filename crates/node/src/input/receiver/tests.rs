@@ -27,6 +27,7 @@ impl FrameReceiver {
             sequence,
             time_ns: 0,
             clip: None,
+            position: None,
             picture: EncodedPicture {
                 format: PictureFormat::Jpeg,
                 bytes: bytes::Bytes::new(),

@@ -1,0 +1,147 @@
+//! Reads a receiver, and opens it again when it ends.
+
+use super::sentences::{Reading, gpsd, nmea};
+use super::{PositionSource, Positions, SILENT};
+use rustix::termios::{OptionalActions, isatty, tcgetattr, tcsetattr};
+use std::fs::{File, OpenOptions};
+use std::io;
+use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::io::{AsyncBufReadExt, AsyncRead, AsyncReadExt, AsyncWriteExt, BufReader};
+use tokio::net::TcpStream;
+use tokio::net::unix::pipe::Receiver;
+use tokio::time::{sleep, timeout};
+
+/// The pause before a receiver is opened again.
+const PAUSE: Duration = Duration::from_secs(5);
+/// The pause before the end of a file is looked at again.
+const AT_THE_END: Duration = Duration::from_secs(1);
+/// The time limit for a connection.
+const CONNECTING: Duration = Duration::from_secs(10);
+/// The longest line, bytes: gpsd's lists of satellites are the longest.
+const LONGEST_LINE: u64 = 16 << 10;
+/// Asks gpsd for its reports.
+const WATCH: &[u8] = b"?WATCH={\"enable\":true,\"json\":true};\n";
+
+/// Reads the receiver for as long as it is polled.
+pub(crate) async fn follow(positions: Arc<Positions>) {
+    loop {
+        let ended = read(&positions).await;
+        let seconds = PAUSE.as_secs();
+        let reason = ended.err().map_or_else(
+            || "it ended the connection".to_owned(),
+            |error| error.to_string(),
+        );
+        positions.failing(format!("{reason}; next attempt in {seconds} s"));
+        sleep(PAUSE).await;
+    }
+}
+
+/// Opens the receiver and reads it to its end.
+async fn read(positions: &Positions) -> io::Result<()> {
+    match &positions.source {
+        PositionSource::Off | PositionSource::Frames => Ok(()),
+        PositionSource::Gpsd(place) => {
+            let mut stream = connect(place).await?;
+            stream.write_all(WATCH).await?;
+            lines(stream, positions, false, gpsd).await
+        }
+        PositionSource::Tcp(place) => {
+            let mut has_rmc = false;
+            let stream = connect(place).await?;
+            lines(stream, positions, false, |line| nmea(line, &mut has_rmc)).await
+        }
+        PositionSource::Path(path) => {
+            let mut has_rmc = false;
+            let read = |line: &str| nmea(line, &mut has_rmc);
+            match open(path)? {
+                Opened::Stream(stream) => lines(stream, positions, false, read).await,
+                Opened::File(file) => lines(file, positions, true, read).await,
+            }
+        }
+    }
+}
+
+async fn connect(place: &str) -> io::Result<TcpStream> {
+    let connected = timeout(CONNECTING, TcpStream::connect(place)).await;
+    let connected = connected.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into()));
+    connected.map_err(|error| io::Error::new(error.kind(), format!("cannot connect: {error}")))
+}
+
+/// An open path.
+enum Opened {
+    /// A serial port or a FIFO, which gives lines as they come.
+    Stream(Receiver),
+    /// A file, which may grow.
+    File(tokio::fs::File),
+}
+
+/// Opens a path without waiting for whoever writes.
+fn open(path: &Path) -> io::Result<Opened> {
+    let kind = std::fs::metadata(path)?.file_type();
+    if kind.is_file() {
+        return Ok(Opened::File(tokio::fs::File::from_std(File::open(path)?)));
+    }
+    // Opened for writing too, a FIFO does not end when a writer goes and the next one comes.
+    let file = OpenOptions::new()
+        .read(true)
+        .write(kind.is_fifo())
+        .custom_flags((rustix::fs::OFlags::NONBLOCK | rustix::fs::OFlags::NOCTTY).bits() as i32)
+        .open(path)?;
+    if isatty(&file) {
+        // Otherwise the system would send each line back to the receiver. Its speed stays as it is.
+        let mut settings = tcgetattr(&file)?;
+        settings.make_raw();
+        tcsetattr(&file, OptionalActions::Now, &settings)?;
+    }
+    Receiver::from_file_unchecked(file).map(Opened::Stream)
+}
+
+/// Reads lines to the end; of a file that `grows`, whatever is added to it.
+async fn lines(
+    stream: impl AsyncRead + Unpin,
+    positions: &Positions,
+    grows: bool,
+    mut read: impl FnMut(&str) -> Reading,
+) -> io::Result<()> {
+    let mut stream = BufReader::new(stream);
+    let mut line = Vec::new();
+    // The first line of a receiver that is already sending is a part of one.
+    let mut is_first = true;
+    loop {
+        let limit = LONGEST_LINE - line.len() as u64;
+        let mut limited = (&mut stream).take(limit);
+        let bytes = match timeout(SILENT, limited.read_until(b'\n', &mut line)).await {
+            Ok(bytes) => bytes?,
+            Err(_) => {
+                let words = format!("it has sent nothing for {} s", SILENT.as_secs());
+                return Err(io::Error::new(io::ErrorKind::TimedOut, words));
+            }
+        };
+        let is_whole = line.ends_with(b"\n") || line.len() as u64 == LONGEST_LINE;
+        if !is_whole && bytes == 0 {
+            if !grows {
+                return Ok(());
+            }
+            sleep(AT_THE_END).await;
+            continue;
+        }
+        if !is_whole {
+            continue;
+        }
+        match read(&String::from_utf8_lossy(&line)) {
+            Reading::Fix(position) => positions.found(position),
+            Reading::NoFix(words) => positions.searching(words),
+            Reading::Unreadable(_) if is_first => {}
+            Reading::Unreadable(reason) => {
+                positions.answering(&reason);
+                positions.refuse(reason);
+            }
+            Reading::Other => positions.answering("it answers without positions"),
+        }
+        is_first = false;
+        line.clear();
+    }
+}
