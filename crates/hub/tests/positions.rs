@@ -158,6 +158,16 @@ async fn a_way_that_cannot_be_right_is_set_aside_with_the_reason(database: &str)
         let cause = report["cause"].as_str().unwrap();
         assert!(cause.contains(part), "{cause}");
     }
+    // What is kept of them goes with the others.
+    let url = format!("{}/api/v1/positions?node=car-1", hub.http);
+    let deleted = reqwest::Client::new().delete(url).send().await.unwrap();
+    assert_eq!(deleted.json::<Value>().await.unwrap(), json!({"clips": 4}));
+    let aside = hub.get("/api/v1/set-aside").await;
+    let mut bodies = aside["reports"].as_array().unwrap().iter().map(|report| &report["body"]);
+    assert!(
+        bodies.len() == changes.len() && bodies.all(|body| body == ""),
+        "{aside}"
+    );
     hub.stop().await;
 }
 

@@ -895,6 +895,131 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/positions": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        post?: never;
+        /**
+         * Deletes where a node's clips were made
+         * @description The clips stay, and so do the sums of distance, which name no place. Reports that the node still has are stored with their
+         *     positions when they come. `curl -X DELETE 'http://127.0.0.1:8090/api/v1/positions?node=car-7'`
+         */
+        delete: {
+            parameters: {
+                query: {
+                    /** @description Of this node. */
+                    node: string;
+                    /** @description Only of clips that began before this time, milliseconds since the Unix epoch; all by default. */
+                    until_ms?: number;
+                };
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["Deleted"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/positions.geojson": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Where clips were made, as GeoJSON for QGIS and Grafana's Geomap
+         * @description Only of nodes that know their position. `curl -o positions.geojson http://127.0.0.1:8090/api/v1/positions.geojson`
+         */
+        get: {
+            parameters: {
+                query?: {
+                    /** @description Only of this node. */
+                    node?: string;
+                    /** @description Only of cameras of this name. */
+                    camera?: string;
+                    /** @description Only clips that began at this time or later, milliseconds since the Unix epoch; a day ago by default. */
+                    since_ms?: number;
+                    /** @description Only clips that began before this time; now by default. */
+                    until_ms?: number;
+                    /** @description Maximum number of clips, up to 5000; 1000 by default. */
+                    limit?: number;
+                };
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/geo+json": components["schemas"]["Positions"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/rollouts": {
         parameters: {
             query?: never;
@@ -1919,6 +2044,20 @@ export interface components {
              */
             next?: number | null;
         };
+        /** @description The GeoJSON of a clip. */
+        ClipFeature: {
+            /** @description West, south, east, north, degrees. */
+            bbox: number[];
+            geometry: components["schemas"]["Geometry"];
+            /**
+             * Format: int64
+             * @description Its number in the database.
+             */
+            id: number;
+            properties: components["schemas"]["Properties"];
+            /** @description `Feature`. */
+            type: string;
+        };
         /** @description A page of clips, the last received first. */
         ClipPage: {
             clips: components["schemas"]["StoredClip"][];
@@ -1977,6 +2116,11 @@ export interface components {
             v: number;
             /** @description Current power by domain, watts; empty without a source. */
             watts: components["schemas"]["DomainWatts"][];
+        };
+        /** @description What was deleted. */
+        Deleted: {
+            /** @description Clips whose positions are gone. */
+            clips: number;
         };
         /** @description The desired setting of a node: a threshold or a target. A node has only one, so each kind replaces the other. */
         DesiredSetting: {
@@ -2120,6 +2264,12 @@ export interface components {
             detector_calls: number;
             /**
              * Format: double
+             * @description Kilometres that were driven in the clips of which both way and energy are known in full; absent if there are none. As
+             *     seconds of clips, they count for each camera of a node.
+             */
+            distance_km?: number | null;
+            /**
+             * Format: double
              * @description Seconds of clips.
              */
             duration_s: number;
@@ -2138,6 +2288,11 @@ export interface components {
              * @description Energy, joules: exact sums of what the nodes report, in whole microjoules.
              */
             joules: number;
+            /**
+             * Format: double
+             * @description Energy of the whole node in those clips per kilometre, joules, of this quality.
+             */
+            joules_per_km?: number | null;
             /** @description Sums of different qualities are never added. */
             quality: components["schemas"]["EnergyQuality"];
             /**
@@ -2232,6 +2387,16 @@ export interface components {
             nodes: number;
             /** @description The verdict. */
             verdict: components["schemas"]["Verdict"];
+        };
+        /** @description A way, or the place of a camera that did not move. Longitude and latitude, degrees. */
+        Geometry: {
+            coordinates: number[];
+            /** @enum {string} */
+            type: "Point";
+        } | {
+            coordinates: number[][];
+            /** @enum {string} */
+            type: "LineString";
         };
         /** @description The process answers. */
         Health: {
@@ -2496,6 +2661,66 @@ export interface components {
          * @enum {string}
          */
         Phase: "applying" | "soaking" | "running" | "held" | "finishing" | "returning" | "done" | "returned" | "stopped";
+        /** @description A clip with its figures, where positions are known. */
+        PositionedClip: {
+            /**
+             * Format: int64
+             * @description When it began, milliseconds since the Unix epoch.
+             */
+            at_ms: number;
+            /** @description Camera. */
+            camera: string;
+            /** @description Clip id. */
+            clip: string;
+            /**
+             * Format: double
+             * @description Distance driven, metres.
+             */
+            distance_m: number;
+            /**
+             * Format: double
+             * @description Its length, seconds.
+             */
+            duration_s: number;
+            /**
+             * Format: int64
+             * @description Frames.
+             */
+            frames: number;
+            /**
+             * Format: double
+             * @description Energy of the camera's share, joules.
+             */
+            joules?: number | null;
+            /**
+             * Format: double
+             * @description Energy of the whole node per kilometre, joules; null if it is not known in full or the camera did not move.
+             */
+            joules_per_km?: number | null;
+            /** @description Node. */
+            node: string;
+            /**
+             * Format: int64
+             * @description Number of this part of the clip, from 0.
+             */
+            part: number;
+            /** @description Quality of the energy. */
+            quality: components["schemas"]["EnergyQuality"];
+            /**
+             * Format: double
+             * @description Share of frames that skipped the detector.
+             */
+            skip_rate: number;
+        };
+        /** @description The GeoJSON of clips, the last first. */
+        Positions: {
+            /** @description One for each clip. */
+            features: components["schemas"]["ClipFeature"][];
+            /** @description True if there are more clips than `limit`: ask again with `until_ms` of the last one's `at_ms`. */
+            truncated: boolean;
+            /** @description `FeatureCollection`. */
+            type: string;
+        };
         /**
          * @description The state of a node.
          * @enum {string}
@@ -2517,6 +2742,17 @@ export interface components {
             title: string;
             /** @description Always `about:blank`: the title is the text of the status. */
             type: string;
+        };
+        /** @description The figures of a clip. */
+        Properties: components["schemas"]["PositionedClip"] & {
+            /** @description When it began, and when it ended, as dates of RFC 3339. */
+            began: string;
+            ended: string;
+            /**
+             * Format: double
+             * @description The highest speed, metres per second; null if no position had one.
+             */
+            fastest_m_s?: number | null;
         };
         /** @description A desired value that a node refused. */
         RefusedDesired: {
@@ -2754,6 +2990,11 @@ export interface components {
              * @description Mean time of a call, milliseconds.
              */
             detector_mean_ms: number;
+            /**
+             * Format: double
+             * @description Distance driven, metres, if the node knows its position. `/api/v1/positions.geojson` has the way.
+             */
+            distance_m?: number | null;
             /**
              * Format: int64
              * @description Frames not processed.

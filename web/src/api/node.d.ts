@@ -2172,11 +2172,33 @@ export interface components {
             threshold_changes: components["schemas"]["ThresholdChange"][];
             /** @description Latency from reception until the answer is handed to Zenoh. */
             total_latency_ms: components["schemas"]["Percentiles"];
+            travel?: components["schemas"]["ClipTravel"] | null;
             /**
              * Format: int32
              * @description Version.
              */
             v: number;
+        };
+        /** @description The way of a clip, if positions are known. */
+        ClipTravel: {
+            /**
+             * @description The box around all positions: west, south, east, north, degrees (RFC 7946). West is greater than east if it
+             *     crosses the antimeridian.
+             */
+            box: number[];
+            /**
+             * Format: double
+             * @description Distance from the first to the last position of the clip along its way, metres. Where no position is known for a
+             *     while, it is the straight line.
+             */
+            distance_m: number;
+            /**
+             * Format: double
+             * @description The highest speed that a position had, metres per second; absent if none had one.
+             */
+            fastest_m_s?: number | null;
+            /** @description The way, simplified to at most 60 points: longitude and latitude of each, degrees, to about a metre. */
+            track: number[][];
         };
         /** @description Recent clip reports, newest first. */
         Clips: {
@@ -2526,6 +2548,7 @@ export interface components {
              * @description Height of a raw picture, pixels.
              */
             height?: number | null;
+            position?: components["schemas"]["Position"] | null;
             /**
              * Format: int64
              * @description Sequence number, incremented per frame. Without it, frames are numbered by arrival.
@@ -2746,6 +2769,8 @@ export interface components {
             hub?: string | null;
             /** @description Reports that wait for a hub. */
             outbox: components["schemas"]["OutboxStatus"];
+            /** @description Where its positions come from; never the position itself. */
+            position: components["schemas"]["PositionStatus"];
             /** @description The source of its figures of power: `rapl`, `estimate`, …; `none` without one. */
             power_source: string;
             /** @description Savings since the start. */
@@ -2924,6 +2949,55 @@ export interface components {
              * @description 99th percentile.
              */
             p99: number;
+        };
+        /** @description A place on the Earth (WGS 84), and the speed there. */
+        Position: {
+            /**
+             * Format: double
+             * @description Degrees north of the equator, -90 to 90.
+             */
+            latitude: number;
+            /**
+             * Format: double
+             * @description Degrees east of Greenwich, -180 to 180.
+             */
+            longitude: number;
+            /**
+             * Format: double
+             * @description Speed over ground, metres per second.
+             */
+            speed_m_s?: number | null;
+        };
+        /** @description Where positions come from, and how many came; never the position itself. */
+        PositionStatus: {
+            /**
+             * Format: int64
+             * @description Positions in attachments that were ignored because `position.source` is off.
+             */
+            ignored: number;
+            /** @description True if frames now have a position from the receiver. */
+            is_known: boolean;
+            /** @description The reason why the last one could not be used. */
+            last_refused?: string | null;
+            /**
+             * Format: int64
+             * @description Positions in attachments of frames that were used.
+             */
+            of_frames: number;
+            /**
+             * Format: int64
+             * @description Positions of the receiver since the start.
+             */
+            received: number;
+            /**
+             * Format: int64
+             * @description Positions that could not be used, or lines of a receiver that could not be read.
+             */
+            refused: number;
+            /** @description `position.source` of the configuration. */
+            source: string;
+            /** @description What the receiver does; empty without one. */
+            words: string;
         };
         /** @description Power over the last hour. */
         PowerHistory: {

@@ -82,7 +82,8 @@ impl Store {
         read_all(self.query(text, values).await?)
     }
 
-    /// Deletes the ways of a node's clips that began before `until_ms`. Clips and sums stay. Returns the number of clips.
+    /// Deletes the ways of a node's clips that began before `until_ms`, and the texts of its invalid reports with a way. Clips
+    /// and sums stay. Returns the number of clips.
     ///
     /// # Errors
     /// When the database cannot be written.
@@ -95,7 +96,11 @@ impl Store {
             let text = "UPDATE clips SET distance_mm = NULL, travel = NULL \
                         WHERE distance_mm IS NOT NULL AND at_ms < $2 AND camera_id IN \
                         (SELECT c.id FROM cameras c JOIN nodes n ON n.id = c.node_id WHERE n.name = $1) RETURNING 1 AS gone";
-            let gone = database.query(text, &[node.into(), until_ms.into()])?;
+            let values = [node.into(), until_ms.into()];
+            let gone = database.query(text, &values)?;
+            let text = "UPDATE set_aside SET body = '' WHERE received_ms < $2 AND body LIKE '%\"travel\"%' \
+                        AND node_id IN (SELECT id FROM nodes WHERE name = $1)";
+            database.query(text, &values)?;
             Ok(gone.len())
         })
         .await

@@ -148,6 +148,30 @@ fn reports_made_with_a_clock_behind_are_stored_once_the_clock_is_right() {
     }
 }
 
+#[test]
+fn clips_made_before_the_clock_was_set_are_stored_under_the_time_when_they_began() {
+    for clock in [-56 * YEAR, -45 * DAY, -2 * HOUR, 3 * YEAR] {
+        let mut bench = Bench::new();
+        bench.step(&Step::Clock(clock));
+        let mut began = Vec::new();
+        for _ in 0..3 {
+            began.push(bench.time.now(0).unix_ms);
+            bench.make();
+            bench.step(&Step::Pass(HOUR));
+        }
+        // The program may end in between: the steady clock is the machine's.
+        bench.step(&Step::Restart);
+        bench.step(&Step::Clock(0));
+        bench.send(Fate::Answered);
+        let dates = bench.hub.dates();
+        assert_eq!(dates.len(), began.len());
+        for (number, began) in began.into_iter().enumerate() {
+            let off = dates[&number] - began;
+            assert!(off.abs() <= SECOND, "clock {clock}: {off} ms");
+        }
+    }
+}
+
 fn step() -> impl Strategy<Value = Step> {
     // Near the limits of a hub, and anywhere.
     let clock = prop_oneof![-400 * DAY..400 * DAY, -60 * YEAR..60 * YEAR, Just(0),];

@@ -202,6 +202,17 @@ impl Hub {
         stored
     }
 
+    /// The time under which each report is stored, milliseconds since the Unix epoch.
+    pub(super) fn dates(&self) -> BTreeMap<usize, i64> {
+        let mut select = self.file.other.prepare("SELECT clip, at_ms FROM clips").unwrap();
+        let date = |row: &rusqlite::Row<'_>| {
+            let number = row.get::<_, String>(0)?.parse().unwrap();
+            Ok((number, row.get(1)?))
+        };
+        let dates = select.query_map([], date).unwrap();
+        dates.collect::<Result<_, _>>().unwrap()
+    }
+
     /// Asserts that the tables of the database agree.
     pub(super) fn check(&self) {
         let number = |query: &str| self.file.number(query);
