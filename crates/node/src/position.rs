@@ -36,7 +36,7 @@ pub(crate) struct Positions {
 #[derive(Debug)]
 struct Known {
     newest: Option<(Position, Instant)>,
-    /// What the receiver does, in words, if it gives no position.
+    /// What the receiver does instead of giving a position, in words; empty after a position.
     words: String,
     /// The last time at which the receiver answered readably.
     heard: Instant,
@@ -124,7 +124,7 @@ impl Positions {
         let mut known = self.known.lock();
         known.received += 1;
         known.heard = Instant::now();
-        known.words = "it gives positions".to_owned();
+        known.words.clear();
         known.newest = Some((position, known.heard));
     }
 
@@ -140,7 +140,7 @@ impl Positions {
     /// Notes what the receiver says instead of a position, unless it has just said whether it has one.
     fn answering(&self, words: &str) {
         let mut known = self.known.lock();
-        if known.words.is_empty() || known.heard.elapsed() >= SILENT {
+        if known.newest.is_none() && known.words.is_empty() || known.heard.elapsed() >= SILENT {
             known.words = words.to_owned();
         }
     }
@@ -160,7 +160,7 @@ impl Positions {
         PositionStatus {
             source: self.source.to_string(),
             is_known: known.fresh().is_some(),
-            words: known.words.clone(),
+            words: known.words(),
             received: known.received,
             of_frames: known.of_frames,
             refused: known.refused,
@@ -174,8 +174,8 @@ impl Positions {
         let known = self.known.lock();
         if self.source.is_receiver() && known.heard.elapsed() >= SILENT {
             let source = &self.source;
-            return Some(match known.words.as_str() {
-                "" => format!("{source} has not answered yet"),
+            return Some(match known.words() {
+                words if words.is_empty() => format!("{source} has not answered yet"),
                 words => format!("{source} gives no position: {words}"),
             });
         }
@@ -190,6 +190,18 @@ impl Known {
     fn fresh(&self) -> Option<Position> {
         let (position, at) = self.newest?;
         (at.elapsed() < FRESH).then_some(position)
+    }
+
+    fn words(&self) -> String {
+        match self.newest {
+            Some((_, at)) if self.words.is_empty() && at.elapsed() < FRESH => {
+                "it gives positions".to_owned()
+            }
+            Some((_, at)) if self.words.is_empty() => {
+                format!("its last position is {} s old", at.elapsed().as_secs())
+            }
+            _ => self.words.clone(),
+        }
     }
 
     fn refuse(&mut self, mut reason: String) {

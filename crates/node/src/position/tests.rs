@@ -76,16 +76,12 @@ fn what_is_no_sentence_says_why() {
         reason("!AIVDM,1,1,,A,H42O55i18tMET00000000000000,2*6D"),
         "Other"
     );
-    let mut read = |json: &str| gpsd(json);
-    assert!(matches!(read("$GPRMC"), Reading::Unreadable(_)));
-    assert!(matches!(
-        read(r#"{"class":"DEVICES","devices":[]}"#),
-        Reading::NoFix(_)
-    ));
-    assert!(matches!(
-        read(r#"{"class":"TPV","mode":3,"lat":97.0,"lon":8.5}"#),
-        Reading::Unreadable(_)
-    ));
+    let nowhere = r#"{"class":"TPV","mode":3,"lat":97.0,"lon":8.5}"#;
+    for line in ["$GPRMC", nowhere] {
+        assert!(matches!(gpsd(line), Reading::Unreadable(_)), "{line}");
+    }
+    let none = gpsd(r#"{"class":"DEVICES","devices":[]}"#);
+    assert!(matches!(none, Reading::NoFix(_)), "{none:?}");
 }
 
 #[test]
@@ -262,8 +258,17 @@ async fn a_receiver_that_is_away_is_a_fault_and_one_in_a_garage_is_not() {
     };
     garage.found(place);
     assert_eq!(garage.of_frame("front", None), Some(place));
+    assert_eq!(garage.status().words, "it gives positions");
     tokio::time::sleep(FRESH).await;
     assert_eq!(garage.of_frame("front", None), None, "it is too old");
+    assert_eq!(garage.status().words, "its last position is 10 s old");
+    assert_eq!(garage.fault(), None);
+    tokio::time::sleep(SILENT).await;
+    let fault = garage.fault().unwrap();
+    assert_eq!(
+        fault,
+        "/dev/ttyUSB0 gives no position: its last position is 40 s old"
+    );
 }
 
 #[tokio::test(start_paused = true)]
