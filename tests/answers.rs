@@ -13,16 +13,17 @@ use std::time::Duration;
 use tokio::sync::mpsc::UnboundedReceiver;
 use tokio::time::interval;
 
-/// The time between two frames, a fifth of a detector run.
+/// The time between two frames, a thirteenth of a detector run.
 const PERIOD: Duration = Duration::from_millis(20);
 
-/// A node that answers at once; its detector takes about 100 ms and times out after 1 s.
+/// A node that answers at once. On an idle machine its detector takes about 265 ms, on a white picture twenty times that, which
+/// misses the deadline; there is as much room between the three for a busy machine as can be.
 fn at_once(policy: &str) -> NodeConfig {
     let mut config = configuration();
     config.node.answer = AnswerTime::AtOnce;
     config.policy.select(policy).unwrap();
-    config.detector.model = model("slow.onnx");
-    config.detector.timeout_ms = 1000;
+    config.detector.model = model("slow_265.onnx");
+    config.detector.timeout_ms = 4000;
     config.settle.enabled = true;
     config.audit.share = 0.0;
     config
@@ -119,9 +120,15 @@ impl Drive {
         }
         let mut took: Vec<_> = self.live.iter().map(|live| live.latency_ms.total).collect();
         took.sort_by(f64::total_cmp);
-        // Half a detector run; a busy machine may delay single answers.
-        let half = took[took.len() / 2];
-        assert!(half < 50.0, "answers wait: median {half} ms");
+        // A busy machine delays single answers, and the detector's as well.
+        let mut runs: Vec<_> =
+            self.finals.values().map(|message| message.latency_ms.total).collect();
+        runs.sort_by(f64::total_cmp);
+        let (answer, run) = (took[took.len() / 2], runs[runs.len() / 2]);
+        assert!(
+            answer < run / 2.0,
+            "answers wait: median {answer} ms, of a run {run} ms"
+        );
         assert!(self.finals.values().all(|message| !message.pending));
         assert_eq!(counted, (frames, degraded));
         let reported = |figure: fn(&ClipReport) -> u64| reports.iter().map(figure).sum::<u64>();
@@ -148,7 +155,7 @@ async fn every_frame_is_answered_at_once_while_the_detector_is_slow_late_or_fail
         }
         // A run that misses its deadline, then a good one.
         let ahead = drive.until(&white, |late| late.degraded).await;
-        // The deadline is fifty frames long.
+        // On an idle machine the deadline is two hundred frames long.
         assert!(ahead >= 10, "only {ahead} frames were answered in between");
         drive.until(&scene, is_seen).await;
         // A run that fails, then a good one in a rebuilt session.
