@@ -80,6 +80,10 @@ fn without_a_meter_cpu_time_and_detector_calls_are_compared_and_energy_is_marked
         assert!(run["cpu_s"].as_f64().unwrap() > 0.0);
         let calls = report.detector_latency_ms.count;
         let agreement = &run["agreement"];
+        // The demonstration's road has ground truth.
+        let by_truth = &run["by_truth"];
+        assert_eq!(by_truth["frames"], 20, "{by_truth}");
+        assert!(by_truth["recall"].as_f64().unwrap() > 0.1, "{by_truth}");
         if run["variant"] == 0 {
             assert_eq!(calls, report.frames, "vanilla examines every frame");
             assert_eq!(agreement["ap50"], 1.0, "vanilla agrees with itself");

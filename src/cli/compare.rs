@@ -3,17 +3,22 @@
 use super::play::{Played, Player, choose_meter, clip, node_configuration};
 use super::progress;
 use super::values::{above_zero, not_negative, parse_rate};
+use albireo_core::geometry::PictureSize;
+use albireo_eval::boxes::ScoredBox;
 use albireo_eval::compare::{
-    Boxes, ClassNumbers, Comparison, Playback, Run, ScheduledRun, agreement, render, schedule,
-    summarise, variants, write,
+    Boxes, ClassNumbers, Comparison, Playback, Run, ScheduledRun, TruthSize, agreement,
+    agreement_with_truth, render, schedule, summarise, variants, write,
 };
+use albireo_eval::data::{Clip, GroundTruth, LoadReport, Rules, TruthFormat};
 use albireo_eval::footage::{FrameSource, SourceName, VideoEncoding};
+use albireo_eval::judge::{Ignored, Truth};
 use albireo_eval::spec::{BASELINE, PolicySpec};
 use albireo_node::config::NodeConfig;
 use albireo_service::{logging, signals};
 use albireo_vision::detector::HeadSetting;
 use anyhow::{Context, bail};
 use indicatif::HumanDuration;
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::time::Duration;
 use tokio_util::sync::CancellationToken;
@@ -119,6 +124,7 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let loading = tokio::task::spawn_blocking(move || clip::load(source, arguments.seconds));
     let (clip, size) = loading.await.context("reading the clip")??;
     let frames = clip.frames().unwrap_or_default();
+    let truth = own_truth(&arguments.clip, size, frames)?;
     let rate = (!arguments.unpaced).then(|| clip.rate() * arguments.speed);
     let scheduled = schedule(variants.len(), arguments.repeat as usize);
     let pace = match rate {
@@ -145,7 +151,7 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         cool_down: Duration::from_secs_f64(arguments.cool_down),
     };
     let played = play_all(&player, &variants, &scheduled, &shutdown).await?;
-    let comparison = judge(&player, &variants, played)?;
+    let comparison = judge(&player, &variants, played, truth.as_ref())?;
     let summary = summarise(&comparison);
     let text = render(&comparison, &summary);
     print!("{text}");
@@ -216,11 +222,58 @@ async fn play_all(
     Ok(done)
 }
 
-/// Judges every run's boxes against those of the policy that runs the detector on every frame.
+/// The ground truth of the frames that are played.
+struct OwnTruth {
+    objects: Vec<Vec<ScoredBox>>,
+    ignored: Vec<Vec<Ignored>>,
+    size: TruthSize,
+}
+
+/// Reads the ground truth that belongs to the source, for its first `frames` frames; `None` if it has none.
+fn own_truth(
+    source: &SourceName,
+    picture: PictureSize,
+    frames: u64,
+) -> anyhow::Result<Option<OwnTruth>> {
+    let Some(file) = source.truth() else {
+        return Ok(None);
+    };
+    let files = [file.to_path_buf()];
+    let mut truth = GroundTruth::read(&files, TruthFormat::Bdd100k, Rules::default())?;
+    let frames = usize::try_from(frames)?;
+    let (mut objects, mut ignored, mut clips) = (Vec::new(), Vec::new(), 0);
+    for part in source.open_clips(None, VideoEncoding::default())? {
+        if objects.len() >= frames {
+            break;
+        }
+        let pictures = usize::try_from(part.frames().unwrap_or_default())?;
+        let mut clip = Clip::new(part.name().to_owned(), picture, pictures);
+        truth.attach_to(&mut clip, false, true, &mut LoadReport::default())?;
+        clip.ignored.resize(pictures, Vec::new());
+        objects.extend(clip.truth.unwrap_or_else(|| vec![Vec::new(); pictures]));
+        ignored.extend(clip.ignored);
+        clips += 1;
+    }
+    objects.truncate(frames);
+    ignored.truncate(frames);
+    let size = TruthSize {
+        boxes: objects.iter().map(Vec::len).sum(),
+        frames,
+        clips,
+    };
+    Ok(Some(OwnTruth {
+        objects,
+        ignored,
+        size,
+    }))
+}
+
+/// Judges every run's boxes against those of the policy that runs the detector on every frame, and by the clip's `truth`.
 fn judge(
     player: &Player,
     variants: &[PolicySpec],
     done: Vec<(ScheduledRun, Played)>,
+    truth: Option<&OwnTruth>,
 ) -> anyhow::Result<Comparison> {
     let vanilla = variants.iter().position(|variant| variant.config.name == BASELINE);
     let boxes_of = vanilla.unwrap_or(0);
@@ -249,10 +302,17 @@ fn judge(
         cool_down_s: player.cool_down.as_secs_f64(),
         detector: format!("{} run by {provider}", model.display()),
         cores: std::thread::available_parallelism().map_or(1, usize::from),
+        truth: truth.map(|truth| truth.size),
     };
+    let mut left_out = BTreeSet::new();
     let mut runs = Vec::new();
     for ((scheduled, played), boxes) in done.into_iter().zip(&boxes) {
         let policy = &variants[scheduled.variant].config;
+        let by_truth = truth.and_then(|truth| {
+            let found = played.judged_boxes(first, truth.size.frames, &mut left_out);
+            let (objects, ignored) = (truth.objects.as_slice(), truth.ignored.as_slice());
+            agreement_with_truth(&found, Truth { objects, ignored })
+        });
         runs.push(Run {
             advice: played.advice(policy.build()?.threshold_spec()),
             round: scheduled.round,
@@ -262,7 +322,13 @@ fn judge(
             frame_ms: played.frame_ms(player.rate),
             report: played.report,
             agreement: agreement(boxes, &reference),
+            by_truth,
         });
+    }
+    for class in left_out {
+        eprintln!(
+            "Boxes of the class `{class}` were not judged by ground truth, which does not have it."
+        );
     }
     let labels = variants.iter().map(|variant| variant.label.clone());
     Ok(Comparison {

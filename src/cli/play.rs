@@ -4,9 +4,11 @@ pub(super) mod clip;
 
 use super::frames::{FrameSender, Pacing, close, open_session};
 use super::replay::{PublishOptions, Sent, UNPACED, publish};
-use albireo_core::geometry::PictureSize;
+use albireo_core::geometry::{Corners, PictureSize};
 use albireo_core::policy::ThresholdSpec;
+use albireo_eval::boxes::ScoredBox;
 use albireo_eval::compare::{Boxes, ClassNumbers, Suggestion};
+use albireo_eval::data::classes;
 use albireo_eval::footage::{FrameSource, Pictures};
 use albireo_eval::spec::PolicySpec;
 use albireo_node::PreparedNode;
@@ -20,6 +22,7 @@ use albireo_power::PowerConfig;
 use albireo_service::config::{Configuration, LogConfig, UplinkConfig, ZenohConfig};
 use albireo_wire::{ClipReport, DetectionsMessage, EnergyQuality};
 use anyhow::{Context, anyhow, bail, ensure};
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
@@ -91,6 +94,38 @@ impl Played {
     /// The answers to the clip's frames.
     pub(super) fn answers(&self) -> impl Iterator<Item = &DetectionsMessage> {
         self.answers.iter().map(AsRef::as_ref)
+    }
+
+    /// Returns the boxes of each frame that ground truth can judge, of a clip of `frames` frames of which the first has the
+    /// sequence number `first`; a frame without an answer has none. Classes that ground truth does not have are added to
+    /// `left_out`.
+    pub(super) fn judged_boxes(
+        &self,
+        first: u64,
+        frames: usize,
+        left_out: &mut BTreeSet<String>,
+    ) -> Vec<Vec<ScoredBox>> {
+        let mut boxes = vec![Vec::new(); frames];
+        for answer in self.answers() {
+            let frame = answer.seq.checked_sub(first).and_then(|frame| usize::try_from(frame).ok());
+            let Some(place) = frame.and_then(|frame| boxes.get_mut(frame)) else {
+                continue;
+            };
+            for found in &answer.boxes {
+                let Ok(class) = classes::from_name(&found.class) else {
+                    left_out.insert(found.class.clone());
+                    continue;
+                };
+                let [x1, y1, x2, y2] = found.corners.map(f64::from);
+                place.push(ScoredBox {
+                    corners: Corners { x1, y1, x2, y2 },
+                    class,
+                    confidence: f64::from(found.confidence),
+                    object: None,
+                });
+            }
+        }
+        boxes
     }
 
     /// Returns the boxes of the clip's frames, of which the first has the sequence number `first`.

@@ -14,9 +14,9 @@ mod table;
 mod variant;
 mod verdict;
 
-pub use agreement::{Agreement, Boxes, ClassNumbers, agreement};
+pub use agreement::{Agreement, Boxes, ClassNumbers, agreement, agreement_with_truth};
 pub use files::write;
-pub use run::{Comparison, Playback, Run, Suggestion};
+pub use run::{Comparison, Playback, Run, Suggestion, TruthSize};
 pub use schedule::{ScheduledRun, schedule};
 pub use summary::{Change, Figure, Mean, Summary, VariantSummary, summarise};
 pub use table::render;

@@ -2,13 +2,12 @@
 
 use super::JUDGED;
 use super::video::{clip_names, truth_places};
-use crate::cli::play::{Played, Player, choose_meter, clip, node_configuration};
+use crate::cli::play::{Player, choose_meter, clip, node_configuration};
 use crate::cli::progress;
 use crate::cli::values::{not_negative, parse_rate};
 use albireo_core::policy::PolicyConfig;
 use albireo_eval::board::{ClipRun, RunsFile, Setup};
-use albireo_eval::boxes::ScoredBox;
-use albireo_eval::data::{Clip, GroundTruth, LoadReport, Rules, TruthFormat, classes};
+use albireo_eval::data::{Clip, GroundTruth, LoadReport, Rules, TruthFormat};
 use albireo_eval::footage::{FrameSource, SourceName, VideoEncoding};
 use albireo_eval::judge::{Classes, Interpolation, Truth, accuracy};
 use albireo_eval::settings::ScreenRule;
@@ -344,12 +343,8 @@ impl Measuring<'_> {
         let mut run = ClipRun::of(&played.report, &of.name, &policy.label);
         run.frame_ms = played.frame_ms(player.rate);
         run.cpu_s = Some(played.cpu.as_secs_f64());
-        let boxes = published(
-            &played,
-            player.warm_up_frames(),
-            clip.frames,
-            &mut self.left_out,
-        );
+        let first = player.warm_up_frames();
+        let boxes = played.judged_boxes(first, clip.frames, &mut self.left_out);
         let truth = Truth {
             objects: clip.truth.as_deref().unwrap_or_default(),
             ignored: &clip.ignored,
@@ -381,34 +376,4 @@ impl Measuring<'_> {
         };
         Ok((player, clip))
     }
-}
-
-/// Returns the published boxes of each frame; a frame without an answer has none.
-fn published(
-    played: &Played,
-    first: u64,
-    frames: usize,
-    left_out: &mut BTreeSet<String>,
-) -> Vec<Vec<ScoredBox>> {
-    let mut boxes = vec![Vec::new(); frames];
-    for answer in played.answers() {
-        let frame = answer.seq.checked_sub(first).and_then(|frame| usize::try_from(frame).ok());
-        let Some(place) = frame.and_then(|frame| boxes.get_mut(frame)) else {
-            continue;
-        };
-        for found in &answer.boxes {
-            let Ok(class) = classes::from_name(&found.class) else {
-                left_out.insert(found.class.clone());
-                continue;
-            };
-            let [x1, y1, x2, y2] = found.corners.map(f64::from);
-            place.push(ScoredBox {
-                corners: albireo_core::geometry::Corners { x1, y1, x2, y2 },
-                class,
-                confidence: f64::from(found.confidence),
-                object: None,
-            });
-        }
-    }
-    boxes
 }

@@ -465,16 +465,16 @@ pub(super) fn look_at(
     Ok(pictured)
 }
 
-/// Prints how many frames the screen called empty, and how many of these wrongly, in a line per policy that used it. The
-/// results are in the order of the policies.
+/// Prints how many frames the screen or the pause called empty, and how many of these wrongly, in a line per policy under
+/// which there are any. The results are in the order of the policies.
 fn print_screens(results: &[ClipResult]) {
     for of in results.chunk_by(|a, b| a.policy == b.policy) {
         let sum = |count: fn(&ClipResult) -> usize| of.iter().map(count).sum::<usize>();
-        if sum(|result| result.screen_frames) == 0 {
+        let empty: u64 = of.iter().map(|result| result.states.e).sum();
+        if empty == 0 {
             continue;
         }
         let frames = sum(|result| result.frames);
-        let empty: u64 = of.iter().map(|result| result.states.e).sum();
         let occupied = sum(|result| result.occupied_frames);
         let missed = sum(|result| result.false_empty_frames);
         let share = 100.0 * missed as f64 / occupied.max(1) as f64;

@@ -58,7 +58,7 @@ export function ScreenPanel() {
           </button>
         )}
         <span class="quiet">
-          On the demonstration’s road: 563 detector calls instead of 826, at the same accuracy. A car that comes in during a pause is
+          On the demonstration’s road: 564 detector calls instead of 827, at the same accuracy. A car that comes in during a pause is
           found up to that much later.
         </span>
       </p>

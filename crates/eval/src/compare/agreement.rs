@@ -1,7 +1,7 @@
-//! Compares a policy's boxes with those of a policy that runs the detector on every frame.
+//! Judges a policy's boxes by those of a policy that runs the detector on every frame, and by ground truth.
 
 use crate::boxes::ScoredBox;
-use crate::judge::{Classes, Interpolation, accuracy};
+use crate::judge::{Classes, Interpolation, Truth, accuracy};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::Corners;
 use albireo_wire::DetectionsMessage;
@@ -11,16 +11,16 @@ use std::collections::BTreeMap;
 /// The boxes of a clip's frames, by the frame's number in the clip. Frames that were not answered are missing.
 pub type Boxes = BTreeMap<u64, Vec<ScoredBox>>;
 
-/// Boxes judged against those of a policy that runs the detector on every frame.
+/// Boxes judged by other boxes: those of a policy that runs the detector on every frame, or ground truth.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Agreement {
     /// Average precision at an intersection over union of 0.5, all classes as one, 0 to 1.
     pub ap50: f64,
-    /// Share of the boxes that match one of the detector's.
+    /// Share of the boxes that match one of the others.
     pub precision: f64,
-    /// Share of the detector's boxes that are matched.
+    /// Share of the others that are matched.
     pub recall: f64,
-    /// The number of frames that both answered: only those are judged.
+    /// The number of frames that are judged: those that both answered, or all that have ground truth.
     pub frames: u64,
 }
 
@@ -69,6 +69,18 @@ pub fn agreement(boxes: &Boxes, reference: &Boxes) -> Option<Agreement> {
     })
 }
 
+/// Judges the boxes of each frame by ground truth, as a user sees them: a frame that was not answered has no box. `None` if
+/// the truth has no object.
+pub fn agreement_with_truth(boxes: &[Vec<ScoredBox>], truth: Truth<'_>) -> Option<Agreement> {
+    let judged = accuracy(boxes, truth, Classes::Pooled, Interpolation::AllPoints)?;
+    Some(Agreement {
+        ap50: judged.ap50,
+        precision: judged.precision,
+        recall: judged.recall,
+        frames: boxes.len() as u64,
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -97,6 +109,17 @@ mod tests {
         let other: Boxes = [(1, vec![at(0.0, 0.9)]), (2, vec![at(0.0, 0.9)])].into();
         let found = agreement(&other, &reference).unwrap();
         assert_eq!((found.frames, found.precision, found.recall), (1, 1.0, 1.0));
+    }
+
+    #[test]
+    fn an_object_of_a_frame_without_an_answer_is_missed() {
+        let objects = [vec![at(0.0, 0.9)], vec![at(0.0, 0.9)]];
+        let truth = Truth {
+            objects: &objects,
+            ignored: &[],
+        };
+        let found = agreement_with_truth(&[vec![at(0.0, 0.9)], vec![]], truth).unwrap();
+        assert_eq!((found.precision, found.recall, found.frames), (1.0, 0.5, 2));
     }
 
     #[test]

@@ -25,6 +25,20 @@ pub struct Playback {
     pub detector: String,
     /// The number of processor cores of this machine.
     pub cores: usize,
+    /// The ground truth that belongs to the clip, if it has one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub truth: Option<TruthSize>,
+}
+
+/// The size of a clip's ground truth, of the frames that are played.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct TruthSize {
+    /// The number of boxes.
+    pub boxes: usize,
+    /// The number of frames, with and without boxes.
+    pub frames: usize,
+    /// The number of clips, which are judged as one.
+    pub clips: usize,
 }
 
 /// One run: the clip played once to a node with one policy.
@@ -46,6 +60,9 @@ pub struct Run {
     pub frame_ms: f64,
     /// The agreement of its boxes with the detector's; `None` if the detector found nothing.
     pub agreement: Option<Agreement>,
+    /// The agreement of its boxes with the ground truth; `None` if there is none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub by_truth: Option<Agreement>,
     /// A value to try, if no frame was skipped although objects were tracked.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub advice: Option<Suggestion>,

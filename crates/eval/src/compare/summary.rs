@@ -29,11 +29,17 @@ pub enum Figure {
     Precision,
     /// Recall of the boxes against the detector's own.
     Recall,
+    /// Average precision of the boxes by ground truth.
+    TruthAp50,
+    /// Precision of the boxes by ground truth.
+    TruthPrecision,
+    /// Recall of the boxes by ground truth.
+    TruthRecall,
 }
 
 impl Figure {
     /// All figures.
-    const ALL: [Self; 10] = [
+    const ALL: [Self; 13] = [
         Self::Joules,
         Self::Edp,
         Self::CpuSeconds,
@@ -44,6 +50,9 @@ impl Figure {
         Self::Ap50,
         Self::Precision,
         Self::Recall,
+        Self::TruthAp50,
+        Self::TruthPrecision,
+        Self::TruthRecall,
     ];
 
     /// The figure's value in a run, if the run has one.
@@ -60,6 +69,9 @@ impl Figure {
             Self::Ap50 => run.agreement.map(|found| found.ap50),
             Self::Precision => run.agreement.map(|found| found.precision),
             Self::Recall => run.agreement.map(|found| found.recall),
+            Self::TruthAp50 => run.by_truth.map(|found| found.ap50),
+            Self::TruthPrecision => run.by_truth.map(|found| found.precision),
+            Self::TruthRecall => run.by_truth.map(|found| found.recall),
         }
     }
 }

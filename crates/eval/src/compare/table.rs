@@ -1,6 +1,6 @@
 //! Formats a comparison as text, at most 100 columns wide.
 
-use super::run::Comparison;
+use super::run::{Comparison, TruthSize};
 use super::schedule::schedule;
 use super::summary::{Change, Figure, Mean, Summary, VariantSummary};
 use super::verdict::verdicts;
@@ -101,6 +101,15 @@ pub fn render(comparison: &Comparison, summary: &Summary) -> String {
         FigureColumn::new(Figure::Dropped, "frames dropped", ""),
     ];
     table(&mut text, &title, &summary.policies, &columns, means);
+    if let Some(truth) = comparison.playing.truth {
+        let columns = [
+            FigureColumn::new(Figure::TruthAp50, "AP@50", "%"),
+            FigureColumn::new(Figure::TruthPrecision, "precision", "%"),
+            FigureColumn::new(Figure::TruthRecall, "recall", "%"),
+        ];
+        let title = truth_heading(truth);
+        table(&mut text, &title, &summary.policies, &columns, means);
+    }
     for verdict in verdicts(comparison, summary) {
         wrap(&mut text, &verdict.sentence);
     }
@@ -144,6 +153,19 @@ fn heading(comparison: &Comparison, summary: &Summary) -> String {
         playing.warm_up_s,
         playing.detector,
         playing.cores,
+    )
+}
+
+/// Says what the boxes are judged by, and of how much the intervals tell.
+fn truth_heading(truth: TruthSize) -> String {
+    let clips = match truth.clips {
+        1 => "one clip".to_owned(),
+        clips => format!("{clips} clips as one"),
+    };
+    format!(
+        "Boxes by the clip's ground truth: {} boxes in {} frames of {clips}. A frame that was not answered has no box. \
+         The interval is over the rounds, which play the same pictures: of other roads it says nothing",
+        truth.boxes, truth.frames
     )
 }
 
@@ -225,7 +247,13 @@ fn cut(label: &str) -> String {
 fn is_share(figure: Figure) -> bool {
     matches!(
         figure,
-        Figure::Ap50 | Figure::Precision | Figure::Recall | Figure::SkipRate
+        Figure::Ap50
+            | Figure::Precision
+            | Figure::Recall
+            | Figure::SkipRate
+            | Figure::TruthAp50
+            | Figure::TruthPrecision
+            | Figure::TruthRecall
     )
 }
 

@@ -31,6 +31,7 @@ pub(crate) fn run(round: usize, variant: usize, calls: u64, joules: Option<f64>)
         meter_share_of_core: 0.001,
         frame_ms: 12.5,
         agreement: None,
+        by_truth: None,
         advice: None,
         report: ClipReport {
             duration_s: 10.0,
@@ -70,6 +71,7 @@ pub(crate) fn comparison(policies: &[&str], runs: Vec<Run>) -> Comparison {
             cool_down_s: 3.0,
             detector: "detector.onnx run by cpu".to_owned(),
             cores: 2,
+            truth: None,
         },
         policies: policies.iter().map(|name| (*name).to_owned()).collect(),
         boxes_of: 0,

@@ -28,6 +28,33 @@ fn a_measured_comparison_shows_means_changes_and_boxes() {
 }
 
 #[test]
+fn a_clip_with_ground_truth_is_judged_by_it_as_well_and_its_size_is_told() {
+    let mut comparison = played(EnergyQuality::Measured);
+    assert!(!text(&comparison).contains("ground truth"));
+    comparison.playing.truth = Some(TruthSize {
+        boxes: 834,
+        frames: 500,
+        clips: 2,
+    });
+    for run in &mut comparison.runs {
+        run.by_truth = Some(Agreement {
+            ap50: 0.512,
+            precision: 0.8,
+            recall: 0.61,
+            frames: 500,
+        });
+    }
+    let found = text(&comparison);
+    let words: Vec<_> = found.split_whitespace().collect();
+    let words = words.join(" ");
+    assert!(
+        words.contains("834 boxes in 500 frames of 2 clips as one"),
+        "{words}"
+    );
+    assert!(words.contains("51.2 ± 0"), "{words}");
+}
+
+#[test]
 fn an_estimate_is_never_called_a_measurement_and_without_energy_there_is_no_column_for_it() {
     let found = text(&played(EnergyQuality::Estimated));
     assert!(found.contains("There is no power meter here"), "{found}");
