@@ -111,6 +111,18 @@ async fn a_killed_measurement_goes_on_and_its_files_join_into_tables() {
     assert_eq!(all.len(), 9);
     assert_eq!(all.iter().collect::<BTreeSet<_>>().len(), 9);
 
+    let lines = fs::read_to_string(&file).unwrap();
+    let lines = lines.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
+    let runs: Vec<Value> = lines.map(|line| line["run"].clone()).collect();
+    let runs: Vec<&Value> = runs.iter().filter(|run| run.is_object()).collect();
+    let is_traced = |run: &Value| run["trace"].is_array();
+    // The power of the first two clips is kept, estimated here.
+    assert!(runs.iter().any(|run| is_traced(run)), "{runs:?}");
+    for run in runs {
+        assert!(run["memory_mb"].as_f64().unwrap() > 10.0, "{run}");
+        assert!(!is_traced(run) || run["clip"] != "b1c00002-00000002");
+    }
+
     let out = folder.path().join("tables");
     let joined = eval(&format!("join {} --out {}", file.display(), out.display()));
     let table = joined.succeeds();
@@ -120,6 +132,8 @@ async fn a_killed_measurement_goes_on_and_its_files_join_into_tables() {
             "yolox_nano, as exported, 15W, board: 3 clips",
             "fixedskip-2",
             "albireo-u3e-4",
+            "cores",
+            "memory",
         ],
     );
     assert!(out.join("join.html").metadata().unwrap().len() > 10_000);

@@ -18,7 +18,7 @@ use albireo_node::input::Delivery;
 use albireo_node::state::advice::SkipWatch;
 use albireo_node::state::board::{Board, CameraBoard, Event, News};
 use albireo_node::state::target::TargetConfig;
-use albireo_power::PowerConfig;
+use albireo_power::{PowerConfig, PowerHandle};
 use albireo_service::config::{Configuration, LogConfig, UplinkConfig, ZenohConfig};
 use albireo_wire::{ClipReport, DetectionsMessage, EnergyQuality};
 use anyhow::{Context, anyhow, bail, ensure};
@@ -32,6 +32,9 @@ use tokio_util::sync::CancellationToken;
 
 /// The longest time for the node to load its model, and for the camera to find the node.
 const PATIENCE: Duration = Duration::from_secs(120);
+
+/// The time between two entries of a power trace, as in the paper.
+const TRACE_PERIOD: Duration = Duration::from_millis(100);
 
 /// The names of the node, its camera, and the clips of warm-up and measurement.
 const NODE: &str = "compare";
@@ -63,8 +66,19 @@ pub(super) struct Played {
     pub cpu: Duration,
     /// CPU time of reading the power meter, as a share of one core.
     pub meter_share_of_core: f64,
+    /// The most memory that this process held while the clip was played, MB; `None` if the system does not tell.
+    pub memory_mb: Option<f64>,
+    /// The machine's power while the clip was played: seconds since its first frame, and watts.
+    pub trace: Vec<[f64; 2]>,
     /// The answers to the clip's frames.
     answers: Vec<Arc<DetectionsMessage>>,
+}
+
+/// What is measured while the clip is played.
+struct Measured {
+    cpu: Duration,
+    memory_mb: Option<f64>,
+    trace: Vec<[f64; 2]>,
 }
 
 impl Played {
@@ -181,16 +195,17 @@ impl Player {
         let started = shutdown.run_until_cancelled(starting).await;
         let node = started.context("stopped")??;
         let endpoints = node.endpoints().await;
+        let power = node.power();
         let stopped = tokio::spawn(node.stopped());
         let played = tokio::select! {
-            played = self.play_to(&config, &board, &endpoints, &progress, shutdown) => played,
+            played = self.play_to(&config, (&board, power), &endpoints, &progress, shutdown) => played,
             () = shutdown.cancelled() => Err(anyhow!("stopped")),
         };
         // The clip ends with the node; its report is on the board once the node has stopped.
         stop.cancel();
         stopped.await.context("the node")??;
         ended.cancel();
-        let cpu = played?;
+        let measured = played?;
         let answers = collecting.await.context("the node's answers")??;
         let report = board
             .recent_clips(Some(CAMERA), None, None, usize::MAX)
@@ -199,21 +214,23 @@ impl Player {
             .context("the node reported no clip")?;
         Ok(Played {
             report: ClipReport::clone(&report),
-            cpu,
+            cpu: measured.cpu,
+            memory_mb: measured.memory_mb,
+            trace: measured.trace,
             meter_share_of_core: board.power().meter_share_of_core(),
             answers,
         })
     }
 
-    /// Plays warm-up and clip to a running node; returns the CPU time of the clip.
+    /// Plays warm-up and clip to a running node.
     async fn play_to(
         &self,
         config: &NodeConfig,
-        board: &Board,
+        (board, power): (&Board, PowerHandle),
         endpoints: &[String],
         progress: &impl Fn(u64, &str),
         shutdown: &CancellationToken,
-    ) -> anyhow::Result<Duration> {
+    ) -> anyhow::Result<Measured> {
         let key = config.keys()?.camera(CAMERA)?.frame();
         let camera = board.camera(CAMERA).context("the camera is not on the board")?;
         let session = open_session(endpoints, &[], PATIENCE).await?;
@@ -242,6 +259,11 @@ impl Player {
             ..PublishOptions::default()
         };
         let before = process_cpu();
+        let forgotten = forget_peak_memory();
+        let ended = CancellationToken::new();
+        let tracing = tokio::spawn(trace(power, ended.clone()));
+        // The trace ends with this function, whatever its end.
+        let _ended = ended.clone().drop_guard();
         let report = |sent| progress(warm_up + sent, "playing");
         self.send(&sender, options, report, shutdown).await?;
         if let Some(rate) = self.rate {
@@ -250,8 +272,14 @@ impl Player {
         }
         self.answered(camera, self.frames_of_a_run()).await?;
         let cpu = process_cpu().saturating_sub(before);
+        ended.cancel();
+        let measured = Measured {
+            cpu,
+            memory_mb: forgotten.then(peak_memory_mb).flatten(),
+            trace: tracing.await.context("the power trace")?,
+        };
         close(session).await?;
-        Ok(cpu)
+        Ok(measured)
     }
 
     /// Sends the clip at the comparison's rate.
@@ -388,6 +416,39 @@ async fn collect(
     }
 }
 
+/// Collects the machine's power until `ended`: seconds since the start, and the mean watts since the entry before.
+async fn trace(power: PowerHandle, ended: CancellationToken) -> Vec<[f64; 2]> {
+    let start = Instant::now();
+    let mut trace = Vec::new();
+    let mut before = power.snapshot().energy("total").unwrap_or_default();
+    let mut ticks = tokio::time::interval(TRACE_PERIOD);
+    while ended.run_until_cancelled(ticks.tick()).await.is_some() {
+        let Some(now) = power.snapshot().energy("total") else {
+            continue;
+        };
+        let (joules, seconds) = (now.0 - before.0, now.1 - before.1);
+        // Without a new sample there is nothing to tell.
+        if seconds > 0.0 {
+            trace.push([start.elapsed().as_secs_f64(), joules / seconds]);
+            before = now;
+        }
+    }
+    trace
+}
+
+/// Makes the system count the peak of this process's memory anew; false if it does not.
+fn forget_peak_memory() -> bool {
+    std::fs::write("/proc/self/clear_refs", "5").is_ok()
+}
+
+/// The most resident memory since [`forget_peak_memory`], MB.
+fn peak_memory_mb() -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let kib: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kib * 1024.0 / 1e6)
+}
+
 /// The CPU time of all threads of this process so far.
 fn process_cpu() -> Duration {
     let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
@@ -414,6 +475,8 @@ mod tests {
         let played = Played {
             report: ClipReport::default(),
             cpu: Duration::ZERO,
+            memory_mb: None,
+            trace: Vec::new(),
             meter_share_of_core: 0.0,
             answers: vec![answer(31.0, 16.0), answer(30.0, 15.0)],
         };

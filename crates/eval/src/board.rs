@@ -13,7 +13,7 @@ mod runs_file;
 mod summary;
 mod table;
 
-pub use run::{ClipRun, Setup, SetupRuns};
+pub use run::{ClipRun, Setup, SetupRuns, TRACED_CLIPS};
 pub use runs_file::{RunsFile, read};
 pub use table::render;
 

@@ -16,6 +16,7 @@ use crate::settings::Settings;
 use crate::state::board::provider;
 use crate::state::readiness;
 use albireo_core::policy::{Policy, PolicyConfigError};
+use albireo_power::PowerHandle;
 use albireo_service::clock::Now;
 use albireo_service::config::ZenohConfig;
 use albireo_service::readiness::{Fault, Readiness};
@@ -173,6 +174,11 @@ impl Node {
     pub async fn endpoints(&self) -> Vec<String> {
         let locators = self.shared.session.info().locators().await;
         locators.iter().map(ToString::to_string).collect()
+    }
+
+    /// The machine's power and energy, sampled while the node runs.
+    pub fn power(&self) -> PowerHandle {
+        self.shared.power.clone()
     }
 
     /// The execution provider that runs the detector, if known.

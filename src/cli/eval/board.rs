@@ -6,7 +6,7 @@ use crate::cli::play::{Player, choose_meter, clip, node_configuration};
 use crate::cli::progress;
 use crate::cli::values::{not_negative, parse_rate};
 use albireo_core::policy::PolicyConfig;
-use albireo_eval::board::{ClipRun, RunsFile, Setup};
+use albireo_eval::board::{ClipRun, RunsFile, Setup, TRACED_CLIPS};
 use albireo_eval::data::{Clip, GroundTruth, LoadReport, Rules, TruthFormat};
 use albireo_eval::footage::{FrameSource, SourceName, VideoEncoding};
 use albireo_eval::judge::{Classes, Interpolation, Truth, accuracy};
@@ -210,6 +210,8 @@ struct MeasuredClip {
     number: usize,
     /// `None` for a video, whose frames are counted when it is read.
     frames: Option<u64>,
+    /// True if the power trace of its runs is kept.
+    is_traced: bool,
 }
 
 /// Lists the clips that the ground truth names, and holds each one's number of frames and size of pictures against it:
@@ -239,6 +241,7 @@ fn measured_clips(
                 source: source.clone(),
                 number,
                 frames,
+                is_traced: clips.len() < TRACED_CLIPS,
             });
         }
     }
@@ -343,6 +346,10 @@ impl Measuring<'_> {
         let mut run = ClipRun::of(&played.report, &of.name, &policy.label);
         run.frame_ms = played.frame_ms(player.rate);
         run.cpu_s = Some(played.cpu.as_secs_f64());
+        run.memory_mb = played.memory_mb;
+        if of.is_traced {
+            run.trace.clone_from(&played.trace);
+        }
         let first = player.warm_up_frames();
         let boxes = played.judged_boxes(first, clip.frames, &mut self.left_out);
         let truth = Truth {

@@ -57,7 +57,60 @@ pub(super) fn figures(
             svg: clips(&changes)?,
         });
     }
+    for (name, trace) in ["power-trace-1", "power-trace-2"].into_iter().zip(traces(setups)) {
+        figures.push(Plot {
+            name,
+            title: "Power over a clip",
+            caption: "The machine's power every 100 ms under each policy, from the clip's first frame on.",
+            svg: powers(&trace)?,
+        });
+    }
     Ok(figures)
+}
+
+/// The power over each clip that has a trace under several policies, of the first setup with any: a series per policy.
+fn traces(setups: &[SetupRuns]) -> Vec<(String, Vec<Series>)> {
+    let is_traced = |of: &&SetupRuns| of.runs.iter().any(|run| !run.trace.is_empty());
+    let mut clips: Vec<(String, Vec<Series>)> = Vec::new();
+    for run in setups.iter().find(is_traced).iter().flat_map(|of| &of.runs) {
+        if run.trace.is_empty() {
+            continue;
+        }
+        let points = run.trace.iter().map(|[seconds, watts]| (*seconds, *watts)).collect();
+        let series = (short_label(&run.policy).to_owned(), points);
+        match clips.iter_mut().find(|(clip, _)| *clip == run.clip) {
+            Some((_, policies)) => policies.push(series),
+            None => clips.push((run.clip.clone(), vec![series])),
+        }
+    }
+    for (_, policies) in &mut clips {
+        policies.sort_by_key(|(policy, _)| policy != BASELINE);
+    }
+    clips
+}
+
+/// Draws a line per policy.
+fn powers((clip, series): &(String, Vec<Series>)) -> Result<String, PlotError> {
+    let all = || series.iter().flat_map(|(_, points)| points);
+    let name = format!("Seconds of {clip}");
+    let seconds = Axis {
+        name: &name,
+        range: range(all().map(|at| at.0).chain([0.0]), 0.02),
+        label: &|seconds| format!("{seconds:.0}"),
+    };
+    let watts = Axis {
+        name: "Watts",
+        range: range(all().map(|at| at.1).chain([0.0]), 0.06),
+        label: &|watts| format!("{watts:.1}"),
+    };
+    chart(seconds, watts, |plane| {
+        for (index, (policy, points)) in series.iter().enumerate() {
+            let color = color_of(index, policy);
+            let drawn = plane.draw_series(LineSeries::new(points.iter().copied(), color))?;
+            label(drawn, index, policy);
+        }
+        Ok(())
+    })
 }
 
 /// Points of a series, and its name.

@@ -99,6 +99,8 @@ fn run(row: PublishedRow) -> ClipRun {
         estimated: false,
         energy_of: "the board".to_owned(),
         cpu_s: None,
+        memory_mb: None,
+        trace: Vec::new(),
         throttled: false,
     }
 }

@@ -115,10 +115,19 @@ pub struct ClipRun {
     /// Processor time of the program, seconds.
     #[serde(default)]
     pub cpu_s: Option<f64>,
+    /// The most memory that the program held, MB. It is that of all runs' program, which keeps what an earlier run took.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub memory_mb: Option<f64>,
+    /// The machine's power every 100 ms: seconds since the first frame, and watts. Kept of the first two clips.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub trace: Vec<[f64; 2]>,
     /// True if the machine reported throttled clocks.
     #[serde(default)]
     pub throttled: bool,
 }
+
+/// The number of clips of which the power trace is kept.
+pub const TRACED_CLIPS: usize = 2;
 
 impl ClipRun {
     /// Takes from the node's report what it has; accuracy, times and memory of the program are the caller's.
@@ -143,6 +152,8 @@ impl ClipRun {
             estimated: energy.quality == EnergyQuality::Estimated,
             energy_of: energy.total_from.clone(),
             cpu_s: None,
+            memory_mb: None,
+            trace: Vec::new(),
             throttled: report.board.as_ref().is_some_and(|board| board.throttled == Some(true)),
         }
     }
@@ -150,6 +161,11 @@ impl ClipRun {
     /// Share of frames that skipped the detector, without degraded ones.
     pub fn skip_rate(&self) -> f64 {
         self.states.skip_rate(self.degraded)
+    }
+
+    /// Processor cores that the program kept busy.
+    pub fn cores(&self) -> Option<f64> {
+        Some(self.cpu_s? / self.duration_s).filter(|cores| cores.is_finite())
     }
 
     /// Energy-delay product by the paper's definition, joules times duration over frames, J·ms/frame.

@@ -36,7 +36,8 @@ pub(super) struct PolicyFigures {
     pub states: [f64; 5],
     pub detector_calls: f64,
     pub domains: BTreeMap<String, f64>,
-    pub cpu_s: Option<f64>,
+    pub cores: Option<f64>,
+    pub memory_mb: Option<f64>,
     pub throttled: usize,
     /// `None` for the baseline, and if no clip was also played under it.
     pub change: Option<Changes>,
@@ -140,7 +141,8 @@ fn figures(policy: &str, runs: &[&ClipRun], change: Option<Changes>) -> PolicyFi
         }),
         detector_calls: all(&|run| run.detector_calls as f64),
         domains,
-        cpu_s: if_all(&|run| run.cpu_s),
+        cores: if_all(&|run| run.cores()),
+        memory_mb: if_all(&|run| run.memory_mb),
         throttled: runs.iter().filter(|run| run.throttled).count(),
         change,
     }

@@ -85,7 +85,12 @@ fn figures(setup: &SetupRuns, summary: &SetupSummary) -> JoinedTable {
             percent(of.states[at])
         }));
     }
-    columns.push(column("CPU", "s", rows, |of| one_decimal(of.cpu_s)));
+    columns.push(column("CPU", "cores", rows, |of| {
+        or_dash(of.cores.map(|cores| format!("{cores:.2}")))
+    }));
+    columns.push(column("memory", "MB", rows, |of| {
+        or_dash(of.memory_mb.map(|megabytes| format!("{megabytes:.0}")))
+    }));
     columns.retain(|column| column.cells.iter().any(|cell| cell != "-"));
     let clips = rows.iter().map(|of| of.clips).max().unwrap_or_default();
     let mut notes = vec![
@@ -323,6 +328,7 @@ pub(super) fn rows_of_clips(setups: &[SetupRuns]) -> Vec<Cells> {
             ("energy_io_mem_j", domain("io_mem")),
             ("edp_j_ms_per_frame", number(run.edp())),
             ("cpu_s", number(run.cpu_s)),
+            ("memory_mb", number(run.memory_mb)),
             ("throttled", run.throttled.to_string()),
         ]
     })

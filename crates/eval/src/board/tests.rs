@@ -43,7 +43,9 @@ fn run(clip: &str, policy: &str, joules: f64, ap50: f64) -> ClipRun {
         .into(),
         estimated: false,
         energy_of: "input_rail".to_owned(),
-        cpu_s: None,
+        cpu_s: Some(12.0),
+        memory_mb: Some(310.0),
+        trace: vec![[0.1, 5.0], [0.2, 6.0]],
         throttled: false,
     }
 }
@@ -71,6 +73,25 @@ fn a_run_survives_a_stop_and_a_line_cut_off_by_it_is_played_again() {
         drop(file);
         assert_eq!(fs::read(&path).unwrap(), whole, "cut at {cut}");
     }
+}
+
+#[test]
+fn the_power_of_a_traced_clip_is_drawn_with_a_line_for_each_policy() {
+    let runs = vec![
+        run("a", "albireo-u3e-4", 8.0, 0.5),
+        run("a", BASELINE, 10.0, 0.5),
+    ];
+    let setups = [SetupRuns {
+        setup: setup(),
+        runs,
+    }];
+    let summaries: Vec<_> = setups.iter().map(summary::summarise).collect();
+    let plots = figures::figures(&setups, &summaries).unwrap();
+    let trace = plots.iter().find(|plot| plot.name == "power-trace-1").unwrap();
+    for words in ["vanilla", "albireo", "Seconds of a", "Watts"] {
+        assert!(trace.svg.contains(words), "{words}");
+    }
+    assert!(!plots.iter().any(|plot| plot.name == "power-trace-2"));
 }
 
 #[test]
