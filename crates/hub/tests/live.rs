@@ -124,3 +124,40 @@ async fn the_index_lists_every_documented_route() {
     }
     hub.stop().await;
 }
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_list_of_no_or_a_negative_number_of_rows_is_refused_in_words_by_every_route() {
+    let hub = Hub::fresh().await;
+    let described = hub.get("/openapi.json").await;
+    let takes_limit = |route: &Value| {
+        let parameters = route["get"]["parameters"].as_array();
+        parameters.is_some_and(|all| all.iter().any(|one| one["name"] == "limit"))
+    };
+    let paths = described["paths"].as_object().unwrap();
+    let lists: Vec<&String> = paths
+        .iter()
+        .filter(|(_, route)| takes_limit(route))
+        .map(|(path, _)| path)
+        .collect();
+    assert!(lists.len() >= 7, "{lists:?}");
+    for path in lists {
+        for limit in ["-1", "-9223372036854775808", "9223372036854775808", "many"] {
+            let asked = format!("{}?limit={limit}", path.replace("{node}", "car-7"));
+            let (status, said) = answer(&hub, &asked).await;
+            assert_eq!(status, 400, "{asked}: {said}");
+            assert!(said.contains("limit"), "{asked}: {said}");
+        }
+        // Only the list of nodes can be asked for its number alone.
+        let asked = format!("{}?limit=0", path.replace("{node}", "car-7"));
+        let (status, said) = answer(&hub, &asked).await;
+        let expected = if path == "/api/v1/nodes" { 200 } else { 400 };
+        assert_eq!(status, expected, "{asked}: {said}");
+    }
+    hub.stop().await;
+}
+
+/// The status and the body of a GET.
+async fn answer(hub: &Hub, path: &str) -> (u16, String) {
+    let answer = reqwest::get(format!("{}{path}", hub.http)).await.unwrap();
+    (answer.status().as_u16(), answer.text().await.unwrap())
+}
