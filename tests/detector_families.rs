@@ -152,6 +152,10 @@ fn third_class(before: &[f32], score: f32) -> Vec<f32> {
     with_metadata(one("output0", &[1, 300, 84], 0.0, &rows(84, &[&third_class(&PARTS, 0.9)]))),
     nothing, "c2", STRETCHED
 )]
+#[case::rt_detr_of_ultralytics_8_4(
+    with_metadata(one("output0", &[1, 300, 6], 0.0, &rows(6, &[&row(PARTS, &[0.9, 2.0])]))).entry("head", "RTDETRDecoder"),
+    nothing, "c2", STRETCHED
+)]
 #[case::yolo_nas_flat(
     Planted::default().bytes_input("input", &INPUT).output(
         "graph2_flat_predictions", &[-1, 7], &[1, 7], 0.0,

@@ -8,6 +8,7 @@ spread. The weights stay random: the comparison covers arithmetic, not accuracy.
 
 import json
 import pathlib
+import types
 
 import cv2
 import numpy
@@ -15,7 +16,14 @@ import onnxruntime
 import torch
 from rfdetr import RFDETRNano
 from rfdetr.models.postprocess import PostProcess
-from ultralytics import YOLO
+from transformers import (
+    DFineConfig,
+    DFineForObjectDetection,
+    RTDetrConfig,
+    RTDetrForObjectDetection,
+    RTDetrImageProcessor,
+)
+from ultralytics import RTDETR, YOLO
 from ultralytics.utils.nms import non_max_suppression
 from ultralytics.utils.ops import scale_boxes
 
@@ -118,10 +126,7 @@ class Ultralytics:
         )
         target = pathlib.Path(folder) / f"{self.name}.onnx"
         pathlib.Path(file).replace(target)
-        options = onnxruntime.SessionOptions()
-        # One thread, like albireo, so that sums agree to the last bit and ties are decided alike.
-        options.intra_op_num_threads = 1
-        self.exported = onnxruntime.InferenceSession(target, options)
+        self.exported = session(target)
         return target
 
     def boxes_of(self, tensor, confidence, overlap):
@@ -254,6 +259,163 @@ class RfDetr:
         return [found["pred_boxes"].numpy(), found["pred_logits"].numpy()]
 
 
+def session(model):
+    """Opens an export in ONNX Runtime with one thread, like albireo, so that sums agree to the last bit."""
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    return onnxruntime.InferenceSession(model, options)
+
+
+def inside(rows, height, width):
+    """Cuts boxes off at the border of a picture of this size, which the vendors' code does for YOLO only."""
+    rows = rows.astype(numpy.float64)
+    rows[:, [0, 2]] = rows[:, [0, 2]].clip(0, width)
+    rows[:, [1, 3]] = rows[:, [1, 3]].clip(0, height)
+    return rows
+
+
+class UltralyticsRtDetr:
+    """RT-DETR-L of Ultralytics."""
+
+    side = 640
+    exported = None
+    faithful = True
+    # With random weights many queries are nearly equal, and rounding decides which of them are kept.
+    share = 0.85
+    name = "rtdetr-l"
+
+    def __init__(self):
+        torch.manual_seed(SEED)
+        self.model = RTDETR(f"{self.name}.yaml")
+
+    def calibrate(self, pictures):
+        network = self.model.model.eval()
+        head = network.model[-1]
+        tensor = batch(pictures)
+        normalise(network, lambda: network(tensor))
+        torch.nn.init.normal_(head.dec_bbox_head[-1].layers[-1].weight, std=0.02)
+        last = head.dec_score_head[-1]
+        spread(last, features(lambda: network(tensor), [last])[last], -5.0, 7.0)
+
+    def export(self, folder):
+        file = self.model.export(format="onnx", imgsz=self.side, opset=17, simplify=False, device="cpu")
+        target = pathlib.Path(folder) / f"{self.name}.onnx"
+        pathlib.Path(file).replace(target)
+        self.exported = session(target)
+        return target
+
+    def boxes(self, output, picture):
+        """Returns the boxes that the vendor's last step makes of the network's output."""
+        predictor = self.model.predictor
+        predictor.batch = [["picture"]]
+        [result] = predictor.postprocess(output, torch.zeros(1, 3, self.side, self.side), [picture])
+        return inside(result.boxes.data.numpy(), *picture.shape[:2])
+
+    def boxes_of(self, tensor, confidence, overlap):
+        del overlap
+        self.model.predictor.args.conf = confidence
+        [output] = self.raw(tensor)
+        return self.boxes(torch.from_numpy(output), numpy.zeros((self.side, self.side, 3), numpy.uint8))
+
+    def predict_exported(self, picture, tensor, confidence, overlap):
+        del overlap
+        self.model.predictor.args.conf = confidence
+        [output] = self.exported.run(None, {"images": tensor[None]})
+        return self.boxes(torch.from_numpy(output), picture)
+
+    def predict(self, picture, confidence, overlap):
+        del overlap
+        [result] = self.model.predict(picture, imgsz=self.side, conf=confidence, max_det=300, device="cpu", verbose=False)
+        return inside(result.boxes.data.numpy(), *picture.shape[:2])
+
+    def tensor(self, picture):
+        if self.model.predictor is None:
+            self.predict(picture, 0.5, 0.5)
+        return self.model.predictor.preprocess([picture])[0].numpy()
+
+    def raw(self, tensor):
+        with torch.no_grad():
+            return [self.model.predictor.model(torch.from_numpy(tensor)[None])[0].numpy()]
+
+
+class Transformers:
+    """A detector of transformers, exported by PyTorch with the names of its outputs, as optimum does."""
+
+    side = 640
+    exported = None
+    # With random weights thousands of queries are nearly equal, and rounding decides which 300 of them are kept.
+    faithful = False
+    # Nothing in the export says how it wants its pictures.
+    head = "rt-detr"
+
+    def __init__(self, name, configuration, network):
+        torch.manual_seed(SEED)
+        self.name = name
+        self.network = network(configuration(num_labels=80)).eval()
+        self.processor = RTDetrImageProcessor(size={"height": self.side, "width": self.side})
+
+    def calibrate(self, pictures):
+        tensor = batch(pictures)
+        normalise(self.network, lambda: self.network(tensor))
+        decoder = self.network.model.decoder
+        last = decoder.class_embed[-1]
+        spread(last, features(lambda: self.network(tensor), [last])[last], -5.0, 7.0)
+
+    def export(self, folder):
+        target = pathlib.Path(folder) / f"{self.name}.onnx"
+
+        class Outputs(torch.nn.Module):
+            def __init__(self, network):
+                super().__init__()
+                self.network = network
+
+            def forward(self, pixel_values):
+                found = self.network(pixel_values)
+                return found.logits, found.pred_boxes
+
+        torch.onnx.export(
+            Outputs(self.network),
+            (torch.zeros(1, 3, self.side, self.side),),
+            str(target),
+            input_names=["pixel_values"],
+            output_names=["logits", "pred_boxes"],
+            opset_version=17,
+            dynamo=False,
+        )
+        self.exported = session(target)
+        return target
+
+    def boxes(self, logits, boxes, size, confidence):
+        found = types.SimpleNamespace(logits=logits, pred_boxes=boxes)
+        [found] = self.processor.post_process_object_detection(found, threshold=confidence, target_sizes=[size])
+        rows = torch.column_stack([found["boxes"], found["scores"], found["labels"]])
+        return inside(rows.numpy(), *size)
+
+    def boxes_of(self, tensor, confidence, overlap):
+        del overlap
+        logits, boxes = map(torch.from_numpy, self.raw(tensor))
+        return self.boxes(logits, boxes, (self.side, self.side), confidence)
+
+    def predict_exported(self, picture, tensor, confidence, overlap):
+        del overlap
+        logits, boxes = map(torch.from_numpy, self.exported.run(None, {"pixel_values": tensor[None]}))
+        return self.boxes(logits, boxes, picture.shape[:2], confidence)
+
+    def predict(self, picture, confidence, overlap):
+        del overlap
+        logits, boxes = map(torch.from_numpy, self.raw(self.tensor(picture)))
+        return self.boxes(logits, boxes, picture.shape[:2], confidence)
+
+    def tensor(self, picture):
+        given = self.processor(images=picture[:, :, ::-1].copy(), return_tensors="pt")
+        return given["pixel_values"][0].numpy()
+
+    def raw(self, tensor):
+        with torch.no_grad():
+            found = self.network(torch.from_numpy(tensor)[None])
+        return [found.logits.numpy(), found.pred_boxes.numpy()]
+
+
 def networks():
     """All networks to compare."""
     return [
@@ -261,5 +423,9 @@ def networks():
         Ultralytics("yolo26n", True),
         Ultralytics("yolo26n", False),
         Quantised(),
+        Ultralytics("yolov10n", True),
         RfDetr(),
+        UltralyticsRtDetr(),
+        Transformers("transformers-rt-detr", RTDetrConfig, RTDetrForObjectDetection),
+        Transformers("transformers-d-fine", DFineConfig, DFineForObjectDetection),
     ]

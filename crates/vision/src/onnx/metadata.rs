@@ -32,6 +32,11 @@ impl Metadata {
             })
     }
 
+    /// True if the exporter says that the model is an RT-DETR: `head`, in Ultralytics 8.4.
+    pub fn is_rt_detr(&self) -> bool {
+        self.get("head") == Some("RTDETRDecoder")
+    }
+
     /// The input size of the export: `imgsz`, rows first.
     pub fn image_size(&self) -> Option<PictureSize> {
         let text = self.get("imgsz")?.trim();

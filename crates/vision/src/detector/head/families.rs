@@ -128,7 +128,7 @@ pub(super) const FAMILIES: [Family; 10] = [
     },
     Family {
         name: HeadName::RtDetr,
-        looks_for: "one output [1, queries, 4 + classes], or outputs `pred_boxes` and `logits` or `pred_logits`",
+        looks_for: "one output [1, queries, 4 + classes] or [1, queries, 6], or outputs `pred_boxes` and `logits` or `pred_logits`",
         fit: Stretch,
         color_order: Rgb,
         value_range: ToOne,
@@ -367,10 +367,15 @@ fn bind_yolo_nas(signature: &Signature, size: PictureSize) -> Result<Bound, Stri
     Ok(dense(reader, true))
 }
 
+/// A score per class for each query, or the best of them with their classes, as Ultralytics has exported since it writes the
+/// head into the metadata.
 fn bind_rt_detr(signature: &Signature, size: PictureSize) -> Result<Bound, String> {
     let [output] = signature.outputs.as_slice() else {
         return detr::bind(&detr::OTHERS, signature, size);
     };
+    if signature.metadata.is_rt_detr() && output.shape.last() == Some(&6) {
+        return listed("cx cy w h score class", signature, size);
+    }
     let (anchors, classes) = rows_with_classes(&output.float()?.shape, BEFORE_CLASSES)?;
     let reader = Dense {
         size,

@@ -28,13 +28,19 @@ pub fn recognise(
             ),
         ));
     }
-    if metadata.is_end_to_end() {
-        return fitting(signature, input, &[HeadName::EndToEnd]).map_err(|reason| {
+    let told = if metadata.is_rt_detr() {
+        Some(HeadName::RtDetr)
+    } else {
+        metadata.is_end_to_end().then_some(HeadName::EndToEnd)
+    };
+    if let Some(head) = told {
+        return fitting(signature, input, &[head]).map_err(|reason| {
             refused(
                 signature,
                 input,
                 format_args!(
-                    "its metadata are those of an export for the head `end-to-end`, and {reason}"
+                    "its metadata are those of an export for the head `{}`, and {reason}",
+                    head.as_str()
                 ),
             )
         });

@@ -127,6 +127,7 @@ fn models_are_recognised_by_their_exporters_conventions() {
         (model(640, boxes, &ultralytics), 80, EndToEnd),
         (model(640, boxes, &[]), 80, EndToEnd),
         (plain(640, "output0", &[1, 300, 84]), 80, RtDetr),
+        (model(640, boxes, &with("head", "RTDETRDecoder")), 1, RtDetr),
         (plain(640, "output0", &[1, 84, 8400]), 80, Yolo),
         // With a coarser fourth stride, and one that leaves its anchors open.
         (plain(640, "output0", &[1, 84, 8500]), 80, Yolo),
