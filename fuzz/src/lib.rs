@@ -9,6 +9,7 @@ use albireo_hub::tuning::selector::Selector;
 use albireo_node::PreparedNode;
 use albireo_node::config::NodeConfig;
 use albireo_node::input::{PayloadFormat, RawSample, read_frame};
+use albireo_node::position::positions_in;
 use albireo_power::tegrastats_rails;
 use albireo_router::authority::Entry;
 use albireo_service::config::{Configuration, examine_text};
@@ -37,7 +38,7 @@ use zenoh::key_expr::KeyExpr;
 /// A target: the name that it shares with its corpus, and the function that takes the bytes.
 pub type Target = (&'static str, fn(&[u8]) -> bool);
 
-pub const TARGETS: [Target; 15] = [
+pub const TARGETS: [Target; 16] = [
     ("access", access),
     ("attachment", attachment),
     ("desired", desired),
@@ -48,6 +49,7 @@ pub const TARGETS: [Target; 15] = [
     ("names", names),
     ("node_toml", toml::<NodeConfig>),
     ("picture_stream", picture_stream),
+    ("position", position),
     ("report_batch", report_batch),
     ("rollout", rollout),
     ("ros2", ros2),
@@ -165,6 +167,14 @@ fn json<T: DeserializeOwned + Serialize + PartialEq + Debug>(data: &[u8]) -> boo
 /// Does the same as [`json`] for a message with a version.
 fn message<T: DeserializeOwned + Serialize + PartialEq + Debug>(data: &[u8]) -> bool {
     read::<T>(data).is_ok() && json::<T>(data)
+}
+
+/// The lines of a receiver of positions: NMEA 0183 or gpsd.
+fn position(data: &[u8]) -> bool {
+    let text = String::from_utf8_lossy(data);
+    let found = positions_in(&text);
+    assert!(found.iter().all(|position| position.check().is_ok()));
+    !found.is_empty()
 }
 
 fn report_batch(data: &[u8]) -> bool {

@@ -21,7 +21,9 @@ Examples:
       --seconds 600 --worse-above 4e-4
       a small fast fleet that values above 4e-4 harm, for trying a rollout
   albireo simulate --nodes 10000 --sessions 50 --backlog 90 --seconds 60
-      after an hour's outage: every node has 90 reports to deliver")]
+      after an hour's outage: every node has 90 reports to deliver
+  albireo simulate --nodes 20 --backlog 90 --positions
+      an hour of made-up drives, for /api/v1/positions.geojson")]
 pub(super) struct Arguments {
     #[command(flatten)]
     options: Options,

@@ -134,7 +134,8 @@ on_both!(positions_are_served_as_geojson_until_they_are_deleted);
 async fn a_way_that_cannot_be_right_is_set_aside_with_the_reason(database: &str) {
     let hub = Hub::start(config(database)).await;
     let mut batch = driven("car-1");
-    let changes: [(fn(&mut ClipTravel), &str); 5] = [
+    type Change = fn(&mut ClipTravel);
+    let changes: [(Change, &str); 5] = [
         (
             |travel| travel.track = vec![[0.0, 0.0]; 61],
             "61 points, not 1 to 60",

@@ -7,6 +7,7 @@ mod sentences;
 pub use config::PositionConfig;
 pub(crate) use config::PositionSource;
 pub(crate) use receiver::follow;
+pub use sentences::positions_in;
 
 use albireo_service::rate_limit::RateLimit;
 use albireo_wire::Position;

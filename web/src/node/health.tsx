@@ -48,6 +48,15 @@ export function Health() {
             <dd>{certificates(now.certificates)}</dd>
           </>
         )}
+        {(now.position.words !== "" || now.position.of_frames > 0) && (
+          <>
+            <dt>position</dt>
+            <dd>
+              {now.position.words ? `${now.position.source}: ${now.position.words}` : `from ${plural(now.position.of_frames, "frame")}`}
+              {now.position.refused > 0 && <span class="bad">{`; ${count(now.position.refused)} could not be used`}</span>}
+            </dd>
+          </>
+        )}
         <dt>dropped frames</dt>
         <dd>
           {dropped.length
