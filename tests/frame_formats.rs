@@ -46,7 +46,7 @@ fn picture_files() -> (Vec<u8>, Vec<u8>) {
 
 #[test]
 fn ros2_messages_of_another_library_in_both_byte_orders_are_read_and_numbered_unless_cut_short() {
-    let read = |payload: &[u8]| read_ros(payload, PayloadFormat::Ros2CompressedImage);
+    let read = |payload: &[u8]| read_ros(payload, PayloadFormat::Ros2);
     let expected: Vec<Value> = serde_json::from_slice(&fixture("expected.json")).unwrap();
     assert_eq!(expected.len(), 4);
     for message in expected {
@@ -68,7 +68,7 @@ fn ros2_messages_of_another_library_in_both_byte_orders_are_read_and_numbered_un
         let attachment = [&900_u64.to_le_bytes()[..], &stamp, &[16], &[3; 16]].concat();
         let limits = FrameLimits::default();
         let numbered = sample(&payload, "", Some(&attachment));
-        let numbered = read_as(numbered, PayloadFormat::Ros2CompressedImage, &limits).unwrap();
+        let numbered = read_as(numbered, PayloadFormat::Ros2, &limits).unwrap();
         // The time is still the header's.
         assert_eq!((numbered.sequence, numbered.time_ns), (900, time));
 
@@ -118,17 +118,28 @@ fn a_ros2_image_is_read_with_and_without_row_padding() {
     for little_endian in [true, false] {
         for (step, data) in [(9, &rows), (12, &padded)] {
             let payload = ros_image(little_endian, "bgr8", [3, 2, step], data);
-            let frame = read_ros(&payload, PayloadFormat::Ros2Image).unwrap();
+            let frame = read_ros(&payload, PayloadFormat::Ros2).unwrap();
             assert_eq!(frame.picture.format, PictureFormat::Bgr8);
             assert_eq!(frame.picture.size, PictureSize::new(3, 2));
             assert_eq!(frame.picture.bytes, rows);
             assert_eq!(frame.time_ns, 1_700_000_000_000_000_005);
         }
     }
+    for (encoding, big_endian, bytes) in [
+        ("mono16", 0, [1, 2]),
+        ("mono16", 1, [2, 1]),
+        ("bayer_grbg16", 1, [2, 1]),
+    ] {
+        let mut payload = ros_image(true, encoding, [1, 1, 4], &[1, 2, 9, 9]);
+        // Behind 40 bytes, the text and its zero.
+        payload[40 + encoding.len() + 1] = big_endian;
+        let frame = read_ros(&payload, PayloadFormat::Ros2).unwrap();
+        assert_eq!(frame.picture.bytes.as_ref(), bytes, "{encoding}");
+    }
     // 2x2 NV12 with a step of 4: two rows of luma, one of chroma.
     let data = [1, 2, 0, 0, 3, 4, 0, 0, 5, 6, 0, 0];
     let payload = ros_image(true, "nv12", [2, 2, 4], &data);
-    let frame = read_ros(&payload, PayloadFormat::Ros2Image).unwrap();
+    let frame = read_ros(&payload, PayloadFormat::Ros2).unwrap();
     assert_eq!(frame.picture.bytes.as_ref(), [1, 2, 3, 4, 5, 6]);
 }
 
@@ -143,7 +154,7 @@ fn an_inconsistent_ros2_image_is_rejected() {
         ("16UC1", [2, 2, 4], 8, "unknown_format"),
     ] {
         let payload = ros_image(true, encoding, size_and_step, &vec![0; bytes]);
-        let rejected = read_ros(&payload, PayloadFormat::Ros2Image).unwrap_err();
+        let rejected = read_ros(&payload, PayloadFormat::Ros2).unwrap_err();
         assert_eq!(rejected.1.kind(), kind, "{encoding}: {rejected:?}");
     }
 }

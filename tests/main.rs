@@ -50,6 +50,7 @@ mod power_live;
 mod power_tegrastats;
 mod power_telemetry;
 mod replay;
+mod ros2;
 mod stopping;
 mod structure;
 mod supervision;

@@ -334,7 +334,7 @@ async fn a_ros_2_camera_beside_another_is_answered_under_its_own_key() {
     let mut config = configuration();
     config.cameras.push(CameraConfig {
         key: Some("camera/image_raw/compressed".to_owned()),
-        format: PayloadFormat::Ros2CompressedImage,
+        format: PayloadFormat::Ros2,
         ..CameraConfig::named("ros")
     });
     let mut bench = Bench::start(&config).await;

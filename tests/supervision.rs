@@ -71,9 +71,9 @@ fn settings(detector: &str, more: &str) -> String {
 async fn a_panicking_camera_loop_is_counted_reported_and_restarted_and_no_frame_vanishes() {
     let config = configuration();
     let policy: PolicyConfig = config.policy.clone();
-    // Each policy panics after two frames. Before them it is asked once whether it takes a pause on an empty road.
+    // Each policy panics after two frames.
     let policies = move |_: &str| {
-        let (inner, mut good) = (policy.build()?, 3_u32);
+        let (inner, mut good) = (policy.build()?, 2_u32);
         let before = move || good = good.checked_sub(1).expect("a bug in a policy");
         Ok(Box::new(Before { inner, before }) as Box<dyn Policy>)
     };

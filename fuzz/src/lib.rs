@@ -126,8 +126,7 @@ fn attachment(data: &[u8]) -> bool {
 }
 
 fn ros2(data: &[u8]) -> bool {
-    let formats = [PayloadFormat::Ros2CompressedImage, PayloadFormat::Ros2Image];
-    (formats.map(|format| sample(data, "", None, format))).contains(&true)
+    sample(data, "", None, PayloadFormat::Ros2)
 }
 
 /// The output of a camera's program: a sequence of multipart parts, PNG files or PPM files.

@@ -66,7 +66,7 @@ pub use baselines::{Ctd, CtdSettings, Statues, StatuesSettings};
 pub use cause::CallCause;
 pub use config::{PolicyConfig, PolicyConfigError};
 pub use decide::{EvidenceAtHand, FrameEvidence, decide};
-pub use empty_road::{EmptyRoad, PauseFrames, WithPause, can_pause, no_pause};
+pub use empty_road::{EmptyRoad, PauseFrames, WithPause, no_pause};
 pub use expected_loss::{ExpectedLoss, ExpectedLossSettings, InTracker, Pixels, Trigger};
 pub use fixed_skip::{FixedSkip, FixedSkipSettings, SkippedBoxes};
 pub use late::{CannotRewind, LatePolicy, NotPending};
@@ -351,6 +351,13 @@ pub trait Policy: Send + Sync {
     /// them.
     fn longest_pause(&self) -> Option<u32> {
         None
+    }
+
+    /// True if it asks a screen, and without one the detector, only because nothing is tracked: the policies that a pause on
+    /// an empty road is for. `expected-loss` looks at an empty road less often by itself, and loses less by a higher price
+    /// than by a pause (docs/method.md).
+    fn takes_pause(&self) -> bool {
+        false
     }
 
     /// True if frames can be answered by prediction before their evidence arrives, as [`LatePolicy`] requires.

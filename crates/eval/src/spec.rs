@@ -4,8 +4,7 @@
 use crate::error::EvalError;
 use crate::settings::ScreenRule;
 use albireo_core::policy::{
-    Albireo, Ctd, EmptyRoad, FixedSkip, Policy, PolicyConfig, Statues, Vanilla, WithPause,
-    can_pause, no_pause,
+    Albireo, Ctd, EmptyRoad, FixedSkip, Policy, PolicyConfig, Statues, Vanilla, WithPause, no_pause,
 };
 use std::collections::BTreeSet;
 
@@ -191,8 +190,8 @@ fn build(asked: &str, base: (&PolicyConfig, EmptyRoad)) -> Result<Built, EvalErr
     config.select(name).map_err(|error| refused(EvalError::new(error)))?;
     let asked_for = asked.contains(',');
     let empty_road = read_pause(parts, base.1).map_err(|reason| refused(EvalError::new(reason)))?;
-    let mut policy = config.build().map_err(|error| refused(EvalError::new(error)))?;
-    if can_pause(&mut *policy) {
+    let policy = config.build().map_err(|error| refused(EvalError::new(error)))?;
+    if policy.takes_pause() {
         return Ok((config, empty_road, policy));
     }
     if asked_for {

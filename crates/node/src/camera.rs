@@ -10,7 +10,7 @@ pub mod evidence;
 mod rate;
 mod settled;
 
-pub use config::{AnswerTime, ReportConfig, SettleConfig};
+pub use config::{AnswerTime, PublishConfig, ReportConfig, SettleConfig};
 #[cfg(test)]
 pub(crate) use tests::answer;
 
@@ -25,6 +25,7 @@ use crate::frame::{FrameRecord, Times};
 use crate::input::receiver::{FrameReceiver, SequencedFrame, kind_of};
 use crate::position::Positions;
 use crate::publishing::Outlet;
+use crate::publishing::ros2::Ros2Outlet;
 use crate::state::board::CameraBoard;
 use albireo_core::policy::{
     CallCause, EmptyRoad, FrameHead, LatePolicy, MinConfidence, Need, Outcome,
@@ -55,6 +56,8 @@ pub(crate) struct CameraParts {
     pub late: Option<Outlet>,
     /// Publishes every frame again once its boxes are settled.
     pub settled: Option<Outlet>,
+    /// Publishes the answers for ROS 2, too.
+    pub ros2: Option<Ros2Outlet>,
     /// Selects the boxes to publish.
     pub min_confidence: MinConfidence,
     /// The names of the detector's classes.
@@ -375,6 +378,9 @@ impl Camera {
             parts.board.show_late(Arc::clone(&message));
         } else {
             parts.detections.put(&*message);
+            if let Some(ros2) = &parts.ros2 {
+                ros2.put(&message);
+            }
             (parts.board).show(Arc::clone(&message), incoming.frame.picture.clone());
         }
         message

@@ -6,10 +6,10 @@ mod validate;
 
 use crate::camera::audit::AuditConfig;
 use crate::camera::clip::ClipConfig;
-use crate::camera::{AnswerTime, LoopSettings, ReportConfig, SettleConfig};
+use crate::camera::{AnswerTime, LoopSettings, PublishConfig, ReportConfig, SettleConfig};
 use crate::input::receiver::ReceiverSettings;
 use crate::input::source::{RtspTransport, SourceAddress, SourceOptions, SourceSettings};
-use crate::input::{Delivery, PayloadFormat};
+use crate::input::{Delivery, PayloadFormat, keys_of_topic};
 use crate::outbox::OutboxConfig;
 use crate::position::PositionConfig;
 use crate::state::target::TargetConfig;
@@ -54,6 +54,8 @@ pub struct NodeConfig {
     pub target: TargetConfig,
     /// The boxes to publish.
     pub report: ReportConfig,
+    /// Further forms in which boxes are published.
+    pub publish: PublishConfig,
     /// Publishes frames again, for consumers that store boxes.
     pub settle: SettleConfig,
     /// The share of skipped frames that is examined afterwards.
@@ -89,6 +91,7 @@ impl Default for NodeConfig {
             policy: PolicyConfig::default(),
             target: TargetConfig::default(),
             report: ReportConfig::default(),
+            publish: PublishConfig::default(),
             settle: SettleConfig::default(),
             audit: AuditConfig::default(),
             clip: ClipConfig::default(),
@@ -138,15 +141,34 @@ impl NodeConfig {
         camera.answer.unwrap_or(self.node.answer)
     }
 
-    /// The key of a camera's frames: its `key`, else `{prefix}/{node}/{camera}/frame`.
+    /// The keys of a camera's frames: its `key`, those of its ROS 2 `topic`, else `{prefix}/{node}/{camera}/frame`.
     ///
     /// # Errors
     /// [`KeyError`] if a name is invalid; never for a checked configuration.
-    pub(crate) fn frame_key(&self, camera: &CameraConfig) -> Result<String, KeyError> {
-        match &camera.key {
-            Some(key) => Ok(key.clone()),
-            None => Ok(self.keys()?.camera(&camera.name)?.frame()),
+    pub(crate) fn frame_keys(&self, camera: &CameraConfig) -> Result<Vec<String>, KeyError> {
+        match (&camera.key, &camera.topic) {
+            (Some(key), _) => Ok(vec![key.clone()]),
+            (None, Some(topic)) => {
+                Ok(keys_of_topic(ros_domain().unwrap_or_default(), topic).to_vec())
+            }
+            (None, None) => Ok(vec![self.keys()?.camera(&camera.name)?.frame()]),
         }
+    }
+}
+
+/// The ROS 2 domain, from the environment variable that all of ROS 2 takes it from.
+///
+/// # Errors
+/// The reason, if it is no number.
+pub(crate) fn ros_domain() -> Result<u32, String> {
+    let Ok(domain) = std::env::var("ROS_DOMAIN_ID") else {
+        return Ok(0);
+    };
+    let wrong =
+        |_| format!("the environment variable ROS_DOMAIN_ID must be a number, not `{domain}`");
+    match domain.trim() {
+        "" => Ok(0),
+        number => number.parse().map_err(wrong),
     }
 }
 
@@ -195,6 +217,8 @@ pub struct CameraConfig {
     pub name: String,
     /// Zenoh key of its frames; by default `{prefix}/{node}/{camera}/frame`.
     pub key: Option<String>,
+    /// ROS 2 topic of its frames, instead of the key.
+    pub topic: Option<String>,
     /// A source that the node opens itself, instead of the key.
     pub source: Option<SourceAddress>,
     /// Maximum frames per second of the source.
@@ -233,6 +257,7 @@ impl Default for CameraConfig {
         Self {
             name: String::new(),
             key: None,
+            topic: None,
             source: None,
             max_rate: None,
             rtsp_transport: RtspTransport::default(),
@@ -265,7 +290,10 @@ impl CameraConfig {
     pub(crate) fn receiver_settings(&self, limits: FrameLimits) -> ReceiverSettings {
         ReceiverSettings {
             camera: self.name.clone(),
-            format: self.format,
+            format: match self.topic {
+                Some(_) => PayloadFormat::Ros2,
+                None => self.format,
+            },
             delivery: self.delivery,
             ring: self.ring,
             limits,

@@ -14,6 +14,7 @@ pub use arrivals::ArrivalCounts;
 pub use counter::{InputCounter, Unusable};
 pub use read::{Frame, RawSample, read_frame};
 pub(crate) use ring::{Pushed, Ring};
+pub(crate) use ros2::{check_topic, keys_of_topic};
 pub use sequence::FrameNumber;
 
 use serde::{Deserialize, Serialize};
@@ -26,10 +27,9 @@ pub enum PayloadFormat {
     /// `nv12`; size in the attachment). Without an encoding, the first bytes distinguish JPEG and PNG.
     #[default]
     Encoding,
-    /// ROS 2 `sensor_msgs/msg/CompressedImage` in CDR.
-    Ros2CompressedImage,
-    /// ROS 2 `sensor_msgs/msg/Image` in CDR.
-    Ros2Image,
+    /// ROS 2 `sensor_msgs/msg/CompressedImage` or `Image` in CDR.
+    #[serde(alias = "ros2_compressed_image", alias = "ros2_image")]
+    Ros2,
 }
 
 /// The frames that a camera's loop sees when they arrive faster than it works.

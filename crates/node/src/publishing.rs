@@ -4,6 +4,8 @@
 //! that must not lose any, until its subscriber makes room. Each kind of message has its own priority, because
 //! Zenoh has a queue and a lock per priority: a report that waits for a slow subscriber never delays a detection.
 
+pub(crate) mod ros2;
+
 use crate::error::NodeError;
 use serde::Serialize;
 use std::sync::Arc;

@@ -8,7 +8,7 @@ use albireo_core::audit::{AuditDraw, AuditSums};
 use albireo_core::detection::Detection;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{
-    Evidence, FrameHead, LatePolicy, Need, Outcome, PauseFrames, PolicyConfig, Profile, can_pause,
+    Evidence, FrameHead, LatePolicy, Need, Outcome, PauseFrames, PolicyConfig, Profile,
     no_pause,
 };
 use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3};
@@ -69,7 +69,7 @@ impl Decider {
         if let Some(threshold) = threshold {
             policy.set_threshold(threshold).map_err(wrong)?;
         }
-        if every > 1 && !can_pause(&mut *policy) {
+        if every > 1 && !policy.takes_pause() {
             return Err(PyValueError::new_err(no_pause(policy.name())));
         }
         let mut policy = if late {

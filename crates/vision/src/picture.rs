@@ -22,7 +22,7 @@ mod stream;
 pub use decode::{decode, decode_grey_half, decode_small_grey, to_jpeg};
 pub use fault::FrameFault;
 pub use files::{PictureFileError, is_picture_file, picture_files, read_picture_file};
-pub use format::{EncodedPicture, Picture, PictureFormat, PixelLayout};
+pub use format::{BayerPattern, EncodedPicture, Picture, PictureFormat, PixelLayout};
 pub use header::{format_of, picture_of_file, picture_of_kind};
 pub use letterbox::{
     ColorOrder, Fit, InputFormat, InputMapping, Letterbox, TensorLayout, ValueRange,
@@ -30,7 +30,7 @@ pub use letterbox::{
 pub use limits::{FrameLimits, check_payload, check_picture};
 pub use mount::{Flip, Mask, Mount, Mounted};
 pub use outline::outline;
-pub use raw::raw_picture;
+pub use raw::{raw_picture, raw_picture_of_rows};
 pub use stream::{read_part, read_png, read_ppm};
 
 /// The maximum number of scans of a progressive JPEG file; encoders use about ten. Each costs a pass over the picture,

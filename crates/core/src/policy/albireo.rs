@@ -196,6 +196,10 @@ impl Policy for Albireo {
         }
     }
 
+    fn takes_pause(&self) -> bool {
+        self.tracker.settings.asks_screen
+    }
+
     fn can_rewind(&self) -> bool {
         true
     }

@@ -5,7 +5,7 @@
 //!           └──── after ──┘ └every┘     └ a look that finds something ends the pause
 //! ```
 //!
-//! It is a screen that needs no picture: it answers the question that a [policy](can_pause) asks while nothing is
+//! It is a screen that needs no picture: it answers the question that a [policy](Policy::takes_pause) asks while nothing is
 //! tracked, not even tentatively. A look is an answer
 //! of the detector, or of a screen model that says "empty". Lost frames count as time.
 
@@ -13,7 +13,6 @@ use super::{
     CallCause, Evidence, FrameHead, InvalidThreshold, Need, ObjectRecord, Outcome, Policy,
     ThresholdSpec,
 };
-use crate::geometry::PictureSize;
 use serde::{Deserialize, Serialize};
 
 /// The pause in seconds, as it is configured.
@@ -75,26 +74,7 @@ impl EmptyRoad {
     }
 }
 
-/// True if `policy`, at the start of a stream, asks a screen and without one the detector, only because nothing is
-/// tracked: the policies that a pause is for. `expected-loss` looks at an empty road less often by itself, and loses less
-/// by a higher price than by a pause (docs/method.md).
-pub fn can_pause(policy: &mut dyn Policy) -> bool {
-    let mut need = policy.begin(FrameHead {
-        index: 0,
-        step: 1,
-        picture: PictureSize::new(1280, 720),
-    });
-    let asks_screen = need == Need::Screen;
-    while need != Need::Nothing {
-        need = policy.answer(Evidence::Unavailable);
-    }
-    let mut outcome = Outcome::default();
-    policy.finish(&mut outcome);
-    policy.reset();
-    asks_screen && outcome.cause == Some(CallCause::NoObjects)
-}
-
-/// The words for a policy that [takes no pause](can_pause).
+/// The words for a policy that [takes no pause](Policy::takes_pause).
 pub fn no_pause(policy: &str) -> String {
     format!(
         "policy `{policy}` takes no pause on an empty road: it is for policies that call the detector whenever nothing is \
@@ -161,8 +141,6 @@ struct State {
 /// A policy with a pause on an empty road.
 pub struct WithPause {
     policy: Box<dyn Policy>,
-    /// False for a policy that takes no pause.
-    applies: bool,
     pause: PauseFrames,
     state: State,
     /// The state that [`Policy::rewind`] restores.
@@ -170,10 +148,9 @@ pub struct WithPause {
 }
 
 impl WithPause {
-    /// Adds a pause to `policy`, which is at the start of a stream. If it [takes none](can_pause), nothing changes.
-    pub fn new(mut policy: Box<dyn Policy>, pause: PauseFrames) -> Self {
+    /// Adds a pause to `policy`. If it [takes none](Policy::takes_pause), nothing changes.
+    pub fn new(policy: Box<dyn Policy>, pause: PauseFrames) -> Self {
         Self {
-            applies: can_pause(&mut *policy),
             policy,
             pause,
             state: State::default(),
@@ -213,7 +190,7 @@ impl Policy for WithPause {
         self.state.looks.advance(frame.step.max(1));
         self.state.looking = false;
         let mut need = self.policy.begin(frame);
-        if need == Need::Screen && self.applies {
+        if need == Need::Screen && self.policy.takes_pause() {
             let looks = self.state.looks;
             self.state.looking = looks.is_empty(self.pause);
             if looks.passes(self.pause) {
@@ -240,6 +217,10 @@ impl Policy for WithPause {
 
     fn longest_pause(&self) -> Option<u32> {
         self.policy.longest_pause()
+    }
+
+    fn takes_pause(&self) -> bool {
+        self.policy.takes_pause()
     }
 
     fn can_rewind(&self) -> bool {

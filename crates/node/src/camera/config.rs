@@ -1,4 +1,4 @@
-//! Settings for answers and published boxes: `node.answer`, `camera.answer`, `[settle]` and `[report]`.
+//! Settings for answers and published boxes: `node.answer`, `camera.answer`, `[settle]`, `[report]` and `[publish]`.
 
 use serde::{Deserialize, Serialize};
 
@@ -39,4 +39,12 @@ pub struct ReportConfig {
     /// Minimum confidence of a published box, 0 to 1. By default the detector's for detected boxes, and half of it for
     /// other boxes.
     pub confidence: Option<f64>,
+}
+
+/// The `[publish]` section.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct PublishConfig {
+    /// Publishes boxes for ROS 2, too, as `vision_msgs/msg/Detection2DArray`.
+    pub ros2: bool,
 }

@@ -1,12 +1,10 @@
 //! Checks a configuration's values beyond their types.
 
-use super::{CameraConfig, NodeConfig};
+use super::{CameraConfig, NodeConfig, ros_domain};
 use crate::camera::AnswerTime;
-use crate::input::Delivery;
 use crate::input::source::{RtspTransport, SourceAddress, SourceKind};
-use albireo_core::policy::{
-    Albireo, ExpectedLoss, LatePolicy, Policy, ThresholdSpec, can_pause, no_pause,
-};
+use crate::input::{Delivery, check_topic};
+use albireo_core::policy::{Albireo, ExpectedLoss, LatePolicy, Policy, ThresholdSpec, no_pause};
 use albireo_core::target::{Target, ThresholdRange};
 use albireo_service::config::{Configuration, DAY_S, Finding, Findings};
 use std::collections::{HashMap, HashSet};
@@ -17,13 +15,15 @@ const NO_SOURCE: &str = "applies only to a camera with a source, and this one ha
 const FOR_FFMPEG: &str =
     "is for ffmpeg; in a GStreamer pipeline name the decoder as one of its elements";
 const BESIDE_SOURCE: &str = "is set together with source: frames come from one or the other";
+const BESIDE_KEY: &str = "is set together with key: leave the key out, the topic says it";
 const NEVER_WAITS: &str =
     "`every` needs a sender that waits, which a source does not: use `albireo replay --every`";
 
 impl Configuration for NodeConfig {
     const SECTIONS: &'static [&'static str] = &[
         "NODE", "ZENOH", "UPLINK", "OUTBOX", "HTTP", "DETECTOR", "SCREEN", "POLICY", "TARGET",
-        "REPORT", "SETTLE", "AUDIT", "CLIP", "FRAME", "POWER", "POSITION", "LOG", "TOKEN",
+        "REPORT", "PUBLISH", "SETTLE", "AUDIT", "CLIP", "FRAME", "POWER", "POSITION", "LOG",
+        "TOKEN",
     ];
 
     const REMOVED: &'static str = "\
@@ -93,10 +93,13 @@ power.gpu_busy_watts: the estimate is of the processor alone; a GPU needs a mete
         }
         self.http.check(&self.tokens, &mut findings);
         self.check_models(&mut findings);
+        if self.publish.ros2 {
+            findings.check("publish.ros2", ros_domain());
+        }
         self.check_figures(&mut findings);
         self.log.check(&mut findings);
-        let mut policy = self.check_policy(&mut findings);
-        self.check_pause(policy.as_deref_mut(), &mut findings);
+        let policy = self.check_policy(&mut findings);
+        self.check_pause(policy.as_deref(), &mut findings);
         let spec = policy.as_ref().map(|policy| policy.threshold_spec());
         self.check_answers(policy, &mut findings);
         self.check_target(spec, &mut findings);
@@ -170,10 +173,10 @@ impl NodeConfig {
     }
 
     /// Checks that a pause on an empty road is not set in vain.
-    fn check_pause(&self, policy: Option<&mut (dyn Policy + 'static)>, findings: &mut Findings) {
+    fn check_pause(&self, policy: Option<&dyn Policy>, findings: &mut Findings) {
         if let Some(policy) = policy
             && self.screen.pause_s > 0.0
-            && !can_pause(policy)
+            && !policy.takes_pause()
         {
             let reason = format!("is set, but {}", no_pause(&self.policy.name));
             findings.add("screen.pause_s", reason);
@@ -257,18 +260,22 @@ impl NodeConfig {
             ]);
         }
         for (index, camera) in self.cameras.iter().enumerate() {
-            let Ok(key) = self.frame_key(camera) else {
-                continue;
-            };
-            let reason = match owners.insert(key.clone(), Some(&camera.name)) {
-                Some(None) => format!("`{key}` {WRITTEN}"),
-                Some(Some(other)) if *other != camera.name => {
-                    format!("`{key}` is the key of camera `{other}` too; each camera needs its own")
-                }
-                // Cameras with the same name are already reported.
-                _ => continue,
-            };
-            findings.add(format!("camera[{index}].key"), reason);
+            for key in self.frame_keys(camera).unwrap_or_default() {
+                let reason = match owners.insert(key.clone(), Some(&camera.name)) {
+                    Some(None) => format!("`{key}` {WRITTEN}"),
+                    Some(Some(other)) if *other != camera.name => format!(
+                        "`{key}` is the key of camera `{other}` too; each camera needs its own"
+                    ),
+                    // Cameras with the same name are already reported.
+                    _ => continue,
+                };
+                let name = if camera.topic.is_some() {
+                    "topic"
+                } else {
+                    "key"
+                };
+                findings.add(format!("camera[{index}].{name}"), reason);
+            }
         }
     }
 }
@@ -287,7 +294,8 @@ fn check_camera(camera: &CameraConfig, key: &dyn Fn(&str) -> String, findings: &
             Ok(expression) if expression.is_wild() => findings.add(
                 key("key"),
                 format!(
-                    "`{frames}` has a wildcard; a camera is one key, so that frames stay in order"
+                    "`{frames}` has a wildcard; a camera is one key, so that frames stay in order. For a camera of ROS 2 \
+                     write its topic: topic = \"/camera/image_raw\""
                 ),
             ),
             Ok(_) => {}
@@ -299,6 +307,10 @@ fn check_camera(camera: &CameraConfig, key: &dyn Fn(&str) -> String, findings: &
     }
     for (name, reason) in camera.mount().iter().flat_map(|mount| mount.problems()) {
         findings.add(key(name), reason);
+    }
+    if let Some(topic) = &camera.topic {
+        findings.check(key("topic"), check_topic(topic));
+        findings.check(key("topic"), ros_domain());
     }
     check_source(camera, key, findings);
 }
@@ -328,6 +340,12 @@ fn check_source(camera: &CameraConfig, key: &dyn Fn(&str) -> String, findings: &
         ("hardware", is_pipeline && hardware, FOR_FFMPEG),
         ("source_options", is_pipeline && options, FOR_FFMPEG),
         ("key", !none && camera.key.is_some(), BESIDE_SOURCE),
+        ("topic", !none && camera.topic.is_some(), BESIDE_SOURCE),
+        (
+            "topic",
+            camera.key.is_some() && camera.topic.is_some(),
+            BESIDE_KEY,
+        ),
         ("delivery", !none && every, NEVER_WAITS),
     ] {
         if is_wrong {

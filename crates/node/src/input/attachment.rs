@@ -20,7 +20,7 @@ pub(super) fn read_attachment(
     };
     match format {
         PayloadFormat::Encoding => read_json(bytes),
-        PayloadFormat::Ros2CompressedImage | PayloadFormat::Ros2Image => {
+        PayloadFormat::Ros2 => {
             Ok(read_rmw_zenoh(bytes).or_else(|| read_json(bytes).ok()).unwrap_or_default())
         }
     }
@@ -112,23 +112,21 @@ mod tests {
     fn every_release_of_rmw_zenoh_is_understood() {
         for (named, length_byte) in [(false, false), (false, true), (true, false), (true, true)] {
             let bytes = rmw(named, length_byte);
-            for format in [PayloadFormat::Ros2CompressedImage, PayloadFormat::Ros2Image] {
-                let attachment = read_attachment(Some(&bytes), format).unwrap();
-                assert_eq!(attachment.seq, Some(41), "{named} {length_byte}");
-                assert_eq!(attachment.t_ns, Some(1_700_000_000_123_456_789));
-                assert!(attachment.stream.is_some(), "a publisher's id");
-            }
+            let attachment = read_attachment(Some(&bytes), PayloadFormat::Ros2).unwrap();
+            assert_eq!(attachment.seq, Some(41), "{named} {length_byte}");
+            assert_eq!(attachment.t_ns, Some(1_700_000_000_123_456_789));
+            assert!(attachment.stream.is_some(), "a publisher's id");
         }
     }
 
     #[test]
     fn a_ros_attachment_of_another_kind_is_ignored() {
         for bytes in [&b"\0"[..], b"{", &[0xFF; 32], &[0; 500], b"sequence_number"] {
-            let attachment = read_attachment(Some(bytes), PayloadFormat::Ros2Image);
+            let attachment = read_attachment(Some(bytes), PayloadFormat::Ros2);
             assert_eq!(attachment.unwrap(), FrameAttachment::default());
         }
         let json = br#"{"v":1,"seq":3}"#;
-        let attachment = read_attachment(Some(json), PayloadFormat::Ros2Image).unwrap();
+        let attachment = read_attachment(Some(json), PayloadFormat::Ros2).unwrap();
         assert_eq!(attachment.seq, Some(3));
     }
 

@@ -138,8 +138,7 @@ fn read_picture(
         PayloadFormat::Encoding => {
             read_by_encoding(raw, attachment, limits).map(|picture| (picture, None))
         }
-        PayloadFormat::Ros2CompressedImage => ros2::read_compressed_image(&raw.payload, limits),
-        PayloadFormat::Ros2Image => ros2::read_image(&raw.payload, limits),
+        PayloadFormat::Ros2 => ros2::read_message(&raw.payload, limits),
     }
 }
 
@@ -175,7 +174,7 @@ fn read_by_encoding(
     }
 }
 
-const ENCODINGS: &str = "send image/jpeg, image/png, or image/raw;FORMAT with rgb8, bgr8, rgba8, bgra8, gray8, nv12, i420, yuyv or uyvy";
+const ENCODINGS: &str = "send image/jpeg, image/png, or image/raw;FORMAT with rgb8, bgr8, rgba8, bgra8, gray8, gray16, nv12, nv21, nv24, i420, yuyv, uyvy, or bayer_rggb8 and the like";
 
 fn unknown_encoding(encoding: &str) -> FrameFault {
     let start: String = encoding.chars().take(64).collect();

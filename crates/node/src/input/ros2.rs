@@ -1,113 +1,105 @@
 //! ROS 2 `sensor_msgs/msg/CompressedImage` and `Image` in CDR (OMG CDR, plain encoding of XTypes
-//! version 1), both byte orders. Nothing is copied, except the rows of an image with padding.
+//! version 1), both byte orders. Nothing is copied, except the rows of an image with padding and samples in the other byte order.
 
 use albireo_core::geometry::PictureSize;
 use albireo_vision::picture::{
-    EncodedPicture, FrameFault, FrameLimits, PictureFormat, check_picture, format_of,
-    picture_of_kind,
+    EncodedPicture, FrameFault, FrameLimits, PictureFormat, format_of, picture_of_kind,
+    raw_picture_of_rows,
 };
 use bytes::{Buf, Bytes};
 
 /// A message's picture, and its header stamp in nanoseconds since the Unix epoch, if that is set.
 pub(super) type StampedPicture = (EncodedPicture, Option<u64>);
 
-/// Reads a CompressedImage: header, format, data.
-pub(super) fn read_compressed_image(
-    payload: &Bytes,
-    limits: &FrameLimits,
-) -> Result<StampedPicture, FrameFault> {
-    let mut cdr = Cdr::new(payload)?;
-    let time_ns = cdr.header()?;
-    // Free text, such as `jpeg` or `bgr8; jpeg compressed bgr8`.
-    let named = cdr.text("format")?;
-    let file = cdr.bytes("data")?;
-    let Some(format) = format_of(&file) else {
-        let text: String = named.chars().take(48).collect();
-        return Err(FrameFault::unknown_format(format!(
-            "the CompressedImage (format {text:?}) holds neither a JPEG nor a PNG file"
-        )));
-    };
-    Ok((picture_of_kind(format, file, limits)?, time_ns))
+/// The longest text of a CompressedImage's format; `bgr8; jpeg compressed bgr8` is usual.
+const LONGEST_FORMAT: usize = 64;
+
+/// Returns the Zenoh keys on which a topic's messages arrive: those of rmw_zenoh (`<domain>/<topic>/<type>/<type hash>`, of
+/// which only newer distributions know the hash), and of the bridge zenoh-bridge-ros2dds (`<topic>`).
+pub(crate) fn keys_of_topic(domain: u32, topic: &str) -> [String; 2] {
+    let topic = topic.trim_matches('/');
+    [format!("{domain}/{topic}/*/*"), topic.to_owned()]
 }
 
-/// Reads an Image: header, height, width, encoding, is_bigendian, step, data. `is_bigendian` is irrelevant
-/// for the one-byte samples read here.
-pub(super) fn read_image(
+/// Checks that `topic` is a name that ROS 2 allows.
+///
+/// # Errors
+/// The reason.
+pub(crate) fn check_topic(topic: &str) -> Result<(), String> {
+    let is_word = |part: &str| {
+        let starts = part.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_');
+        starts && part.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'_')
+    };
+    match topic.strip_prefix('/') {
+        Some(parts) if parts.split('/').all(is_word) => Ok(()),
+        Some(_) => Err(format!(
+            "`{topic}` is not the name of a ROS 2 topic: its parts are letters, digits and `_`, and begin with no digit"
+        )),
+        None => Err(format!(
+            "`{topic}` must begin with `/`, as `ros2 topic list` shows it"
+        )),
+    }
+}
+
+/// Reads a CompressedImage or an Image. Both begin with a header; a short text follows in the one, a number of rows in the
+/// other.
+pub(super) fn read_message(
     payload: &Bytes,
     limits: &FrameLimits,
 ) -> Result<StampedPicture, FrameFault> {
     let mut cdr = Cdr::new(payload)?;
     let time_ns = cdr.header()?;
-    let height = cdr.u32("height")?;
-    let width = cdr.u32("width")?;
-    let encoding = cdr.text("encoding")?;
-    cdr.take(1, "is_bigendian")?;
-    let step = cdr.u32("step")? as usize;
-    let data = cdr.bytes("data")?;
-    // sensor_msgs/image_encodings.hpp; OpenCV's untyped names are treated like in cv_bridge.
-    let format = match encoding.as_str() {
-        "rgb8" => PictureFormat::Rgb8,
-        "bgr8" | "8UC3" => PictureFormat::Bgr8,
-        "rgba8" => PictureFormat::Rgba8,
-        "bgra8" | "8UC4" => PictureFormat::Bgra8,
-        "mono8" | "8UC1" => PictureFormat::Gray8,
-        "nv12" => PictureFormat::Nv12,
-        other => {
-            let start: String = other.chars().take(32).collect();
-            return Err(FrameFault::unknown_format(format!(
-                "ROS image encoding {start:?} is not supported; rgb8, bgr8, rgba8, bgra8, mono8 and nv12 are"
-            )));
-        }
-    };
-    let size = PictureSize::new(width, height);
-    check_picture(size, limits)?;
-    let bytes = without_padding(&data, step, format, size)?;
-    let picture = EncodedPicture {
-        format,
-        bytes,
-        size,
-        mount: None,
+    let picture = if cdr.begins_with_text() {
+        compressed_picture(&mut cdr, limits)?
+    } else {
+        raw_pixels(&mut cdr, limits)?
     };
     Ok((picture, time_ns))
 }
 
-/// The rows of a ROS image, packed: the data itself if its rows have no padding, else a copy that is no larger.
-fn without_padding(
-    data: &Bytes,
-    step: usize,
-    format: PictureFormat,
-    size: PictureSize,
-) -> Result<Bytes, FrameFault> {
-    let (width, height) = (size.width as usize, size.height as usize);
-    // Rows of pixels; for NV12, then rows of chroma: a Cb and a Cr byte per two columns.
-    let (row, chroma_row, chroma_rows) = match format {
-        PictureFormat::Gray8 => (width, 0, 0),
-        PictureFormat::Rgba8 | PictureFormat::Bgra8 => (4 * width, 0, 0),
-        PictureFormat::Nv12 => (width, 2 * width.div_ceil(2), height.div_ceil(2)),
-        _ => (3 * width, 0, 0),
+/// Reads the rest of a CompressedImage: format, data.
+fn compressed_picture(cdr: &mut Cdr, limits: &FrameLimits) -> Result<EncodedPicture, FrameFault> {
+    // Free text, such as `jpeg` or `bgr8; jpeg compressed bgr8`.
+    let named = cdr.text("format")?;
+    let file = cdr.bytes("data")?;
+    let Some(format) = format_of(&file) else {
+        return Err(FrameFault::unknown_format(format!(
+            "the CompressedImage (format {named:?}) holds neither a JPEG nor a PNG file"
+        )));
     };
-    let longest = row.max(chroma_row);
-    if step < longest {
-        return Err(FrameFault::undecodable(format!(
-            "a row of the {size} image has {longest} bytes, but its step is {step}"
-        )));
+    picture_of_kind(format, file, limits)
+}
+
+/// Reads the rest of an Image: height, width, encoding, is_bigendian, step, data.
+fn raw_pixels(cdr: &mut Cdr, limits: &FrameLimits) -> Result<EncodedPicture, FrameFault> {
+    let height = cdr.u32("height")?;
+    let width = cdr.u32("width")?;
+    let encoding = cdr.text("encoding")?;
+    let is_big_endian = cdr.take(1, "is_bigendian")?.as_ref() != [0];
+    let step = cdr.u32("step")? as usize;
+    let data = cdr.bytes("data")?;
+    // sensor_msgs/image_encodings.hpp; OpenCV's untyped names are treated like in cv_bridge.
+    let format = match encoding.as_str() {
+        "8UC3" => Some(PictureFormat::Bgr8),
+        "8UC4" => Some(PictureFormat::Bgra8),
+        "8UC1" => Some(PictureFormat::Gray8),
+        named => PictureFormat::raw_from_name(named),
+    };
+    let format = format.ok_or_else(|| {
+        let start: String = encoding.chars().take(32).collect();
+        FrameFault::unknown_format(format!(
+            "ROS image encoding {start:?} is not supported; rgb8, bgr8, rgba8, bgra8, mono8, mono16, bayer_*, yuyv, \
+             yuv422_yuy2, uyvy, yuv422, nv12, nv21 and nv24 are"
+        ))
+    })?;
+    let size = PictureSize::new(width, height);
+    let mut picture = raw_picture_of_rows(format, size, step, &data, limits)?;
+    if format.is_wide() && is_big_endian {
+        let mut swapped = picture.bytes.to_vec();
+        swapped.as_chunks_mut::<2>().0.iter_mut().for_each(|sample| sample.reverse());
+        picture.bytes = swapped.into();
     }
-    let rows = height + chroma_rows;
-    if step.checked_mul(rows).is_none_or(|needed| needed > data.len()) {
-        return Err(FrameFault::undecodable(format!(
-            "{rows} rows of {step} bytes do not fit in the {} bytes of the ROS image",
-            data.len()
-        )));
-    }
-    if step == row {
-        return Ok(data.slice(..row * rows));
-    }
-    let mut packed = Vec::with_capacity(row * height + chroma_row * chroma_rows);
-    for (index, padded) in data.chunks(step).take(rows).enumerate() {
-        let used = if index < height { row } else { chroma_row };
-        packed.extend_from_slice(&padded[..used]);
-    }
-    Ok(Bytes::from(packed))
+    Ok(picture)
 }
 
 /// A reader of plain CDR.
@@ -161,6 +153,22 @@ impl Cdr {
     fn bytes(&mut self, what: &str) -> Result<Bytes, FrameFault> {
         let length = self.u32(what)? as usize;
         self.take(length, what)
+    }
+
+    /// True if a short printable text follows.
+    fn begins_with_text(&self) -> bool {
+        let mut ahead = Self {
+            rest: self.rest.clone(),
+            ..*self
+        };
+        let text = ahead.u32("").and_then(|length| ahead.take(length as usize, ""));
+        text.is_ok_and(|text| match text.strip_suffix(b"\0") {
+            Some([]) => ahead.u32("").is_ok_and(|length| length as usize == ahead.rest.len()),
+            Some(text) => {
+                text.len() < LONGEST_FORMAT && text.iter().all(|byte| matches!(byte, b' '..=b'~'))
+            }
+            None => false,
+        })
     }
 
     /// Reads a string, whose length includes the NUL at its end.

@@ -6,13 +6,14 @@ use crate::camera::audit::{CameraAudit, Examiner};
 use crate::camera::clip::Clip;
 use crate::camera::evidence::LiveEvidence;
 use crate::camera::{AnswerTime, Camera, CameraParts};
-use crate::config::{CameraConfig, NodeConfig};
+use crate::config::{self, CameraConfig, NodeConfig};
 use crate::delivery::report::Reporter;
 use crate::error::NodeError;
 use crate::input::Delivery;
 use crate::input::receiver::FrameReceiver;
 use crate::input::source::{LiveSource, SourceEvent, SourceSettings};
 use crate::outbox::Outbox;
+use crate::publishing::ros2::{Ros2Outlet, Ros2Place};
 use crate::publishing::{self, Outlet};
 use crate::state::board::{Board, CameraBoard};
 use crate::state::readiness;
@@ -107,7 +108,13 @@ impl SharedParts {
 
         match config.source_settings(self.config.frame) {
             Some(settings) => self.add_source(board, receiver, settings, tasks).await,
-            None => self.subscribe(config.delivery, &board.key, receiver, subscriptions).await,
+            None => {
+                for key in self.config.frame_keys(config).map_err(NodeError::new)? {
+                    let receiver = Arc::clone(&receiver);
+                    self.subscribe(config.delivery, &key, receiver, subscriptions).await?;
+                }
+                Ok(())
+            }
         }
     }
 
@@ -136,6 +143,11 @@ impl SharedParts {
         } else {
             None
         };
+        let ros2 = if self.config.publish.ros2 {
+            Some(self.ros2_outlet(&config.name, board).await?)
+        } else {
+            None
+        };
         let least = self.config.report.confidence;
         Ok(CameraParts {
             board: Arc::clone(board),
@@ -143,6 +155,7 @@ impl SharedParts {
             detections,
             late,
             settled,
+            ros2,
             min_confidence: MinConfidence::new(least, self.config.detector.confidence),
             class_names: self.models.detector.class_names().to_vec(),
             closed,
@@ -150,6 +163,18 @@ impl SharedParts {
             positions: Arc::clone(&self.board.positions),
             reset_at_clip: config.reset_at_clip,
         })
+    }
+
+    /// Declares the topic of a camera's boxes in ROS 2.
+    async fn ros2_outlet(
+        &self,
+        camera: &str,
+        board: &CameraBoard,
+    ) -> Result<Ros2Outlet, NodeError> {
+        let domain = config::ros_domain().map_err(NodeError::new)?;
+        let node = &self.config.node;
+        let place = Ros2Place::new(domain, &node.prefix, &node.name, camera);
+        Ros2Outlet::declare(&self.session, place, &board.unpublished).await
     }
 
     /// Declares the key of a camera's clip reports.

@@ -36,8 +36,8 @@ impl PreparedNode {
     pub fn new(config: &NodeConfig) -> Result<Self, NodeError> {
         let directory = config.node.state_dir.as_deref();
         let outbox = Arc::new(Outbox::open(directory)?);
-        let mut policy = config.policy.build().map_err(NodeError::new)?;
-        let board = board(config, &mut *policy).map_err(NodeError::new)?;
+        let policy = config.policy.build().map_err(NodeError::new)?;
+        let board = board(config, &*policy).map_err(NodeError::new)?;
         let settings = Arc::new(Settings::open(&board, directory));
         watch_outbox(&board.readiness, &outbox);
         let policy = config.policy.clone();
@@ -75,7 +75,7 @@ impl PreparedNode {
     }
 }
 
-fn board(config: &NodeConfig, policy: &mut dyn Policy) -> Result<Arc<Board>, KeyError> {
+fn board(config: &NodeConfig, policy: &dyn Policy) -> Result<Arc<Board>, KeyError> {
     let path = &config.detector.model;
     let model = path.file_name().unwrap_or(path.as_os_str());
     let first = config.cameras.first().and_then(|camera| camera.threshold);
@@ -88,7 +88,7 @@ fn board(config: &NodeConfig, policy: &mut dyn Policy) -> Result<Arc<Board>, Key
         cameras: cameras.collect::<Result<_, _>>()?,
         certificates: Certificates::read(config.certificates()),
         positions: Positions::new(&config.position),
-        target: NodeTarget::new(&config.target, &*policy, first_threshold),
+        target: NodeTarget::new(&config.target, policy, first_threshold),
         empty_road: config.screen.empty_road(),
     };
     Ok(Board::new(setup, policy))
@@ -98,7 +98,7 @@ fn camera_setup(config: &NodeConfig, camera: &CameraConfig) -> Result<CameraSetu
     Ok(CameraSetup {
         name: camera.name.clone(),
         keys: config.keys()?.camera(&camera.name)?,
-        key: config.frame_key(camera)?,
+        key: config.frame_keys(camera)?.swap_remove(0),
         source: camera.source.as_ref().map(ToString::to_string),
         max_rate: camera.max_rate,
         threshold: camera.threshold,

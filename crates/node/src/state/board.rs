@@ -18,7 +18,7 @@ pub(crate) use savings::{Savings, Totals};
 use crate::position::Positions;
 use crate::state::readiness;
 use crate::state::target::NodeTarget;
-use albireo_core::policy::{EmptyRoad, Policy, can_pause};
+use albireo_core::policy::{EmptyRoad, Policy};
 pub use albireo_power::PowerSnapshot;
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::identity::Certificates;
@@ -124,13 +124,13 @@ pub(crate) struct BoardSetup {
 
 impl Board {
     /// Creates the board of a node under that policy, without frames, with the configured thresholds in force.
-    pub(crate) fn new(setup: BoardSetup, policy: &mut dyn Policy) -> Arc<Self> {
+    pub(crate) fn new(setup: BoardSetup, policy: &dyn Policy) -> Arc<Self> {
         let shared = Shared {
             started: Instant::now(),
             events: broadcast::channel(EVENT_BACKLOG).0,
             empty_road: watch::Sender::new(setup.empty_road),
         };
-        let camera = |camera| Arc::new(CameraBoard::new(camera, &*policy, shared.clone()));
+        let camera = |camera| Arc::new(CameraBoard::new(camera, policy, shared.clone()));
         let cameras = setup.cameras.into_iter().map(camera).collect();
         let readiness = Readiness::default();
         let detector = Arc::new(Mutex::new(ModelStatus::Starting));
@@ -159,7 +159,7 @@ impl Board {
             certificates: setup.certificates,
             positions,
             target: setup.target,
-            can_pause: can_pause(policy),
+            can_pause: policy.takes_pause(),
             configured_road: setup.empty_road,
             shared,
             clips: Mutex::default(),

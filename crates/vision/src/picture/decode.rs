@@ -201,7 +201,8 @@ pub fn to_jpeg(picture: &EncodedPicture, limits: &FrameLimits) -> Result<Bytes, 
             picture.size
         )));
     };
-    let (layout, color) = if picture.format == PictureFormat::Gray8 {
+    let is_grey = matches!(picture.format, PictureFormat::Gray8 | PictureFormat::Gray16);
+    let (layout, color) = if is_grey {
         (PixelLayout::Gray8, jpeg_encoder::ColorType::Luma)
     } else {
         (PixelLayout::Rgb8, jpeg_encoder::ColorType::Rgb)

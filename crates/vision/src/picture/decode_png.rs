@@ -61,7 +61,7 @@ pub(super) fn decode(
     make_room(&mut samples, length)?;
     reader.next_frame(&mut samples).map_err(fault)?;
     if wide {
-        samples = upper_bits(&samples);
+        samples = decode_raw::upper_bits(&samples, u16::from_be_bytes);
     }
     match (color, layout) {
         (ColorType::Grayscale, PixelLayout::Rgb8) => decode_raw::grey_to_rgb::<1>(&samples, pixels),
@@ -80,18 +80,6 @@ pub(super) fn decode(
         }
     }
     Ok(())
-}
-
-/// The upper eight of the used bits of samples of 16 bits. Cameras write 10, 12 or 14 bits without shifting them up; the
-/// brightest sample tells how many are used.
-fn upper_bits(samples: &[u8]) -> Vec<u8> {
-    let (samples, _) = samples.as_chunks::<2>();
-    let brightest = samples.iter().map(|pair| u16::from_be_bytes(*pair)).max().unwrap_or_default();
-    let used = [10, 12, 14].into_iter().find(|bits| brightest >> bits == 0).unwrap_or(16);
-    samples
-        .iter()
-        .map(|pair| (u16::from_be_bytes(*pair) >> (used - 8)) as u8)
-        .collect()
 }
 
 fn fault(error: DecodingError) -> FrameFault {

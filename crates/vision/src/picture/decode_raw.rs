@@ -1,6 +1,6 @@
 //! Converts raw pixels from one layout to another. Lengths have been checked.
 
-use super::{EncodedPicture, PictureFormat, PixelLayout};
+use super::{BayerPattern, EncodedPicture, PictureFormat, PixelLayout};
 use albireo_core::geometry::PictureSize;
 
 /// Converts into `pixels`, which has the length for `picture.size` and `layout`; `picture.bytes` has the length for its
@@ -16,8 +16,25 @@ pub(super) fn decode(picture: &EncodedPicture, layout: PixelLayout, pixels: &mut
         (PictureFormat::Bgr8, _) => colours::<3>(bytes, [2, 1, 0], layout, pixels),
         (PictureFormat::Rgba8, _) => colours::<4>(bytes, [0, 1, 2], layout, pixels),
         (PictureFormat::Bgra8, _) => colours::<4>(bytes, [2, 1, 0], layout, pixels),
+        (PictureFormat::Gray16, _) => {
+            decode(&narrow(picture, PictureFormat::Gray8), layout, pixels)
+        }
+        (PictureFormat::Bayer16(pattern), _) => {
+            bayer(
+                &narrow(picture, PictureFormat::Bayer(pattern)),
+                pattern,
+                layout,
+                pixels,
+            );
+        }
+        (PictureFormat::Bayer(pattern), _) => bayer(picture, pattern, layout, pixels),
         (
-            PictureFormat::Nv12 | PictureFormat::I420 | PictureFormat::Yuyv | PictureFormat::Uyvy,
+            PictureFormat::Nv12
+            | PictureFormat::Nv21
+            | PictureFormat::Nv24
+            | PictureFormat::I420
+            | PictureFormat::Yuyv
+            | PictureFormat::Uyvy,
             _,
         ) => ycbcr(picture, layout, pixels),
         // Not raw.
@@ -82,6 +99,11 @@ fn samples(format: PictureFormat, size: PictureSize) -> impl Fn(usize, usize) ->
             PictureFormat::I420 => [y * width + x, luma + in_plane, luma + quarter + in_plane],
             PictureFormat::Yuyv => [pair + 2 * (x % 2), pair + 1, pair + 3],
             PictureFormat::Uyvy => [pair + 1 + 2 * (x % 2), pair, pair + 2],
+            PictureFormat::Nv21 => [y * width + x, luma + 2 * in_plane + 1, luma + 2 * in_plane],
+            PictureFormat::Nv24 => {
+                let pixel = y * width + x;
+                [pixel, luma + 2 * pixel, luma + 2 * pixel + 1]
+            }
             _ => [y * width + x, luma + 2 * in_plane, luma + 2 * in_plane + 1],
         }
     }
@@ -111,6 +133,153 @@ fn ycbcr(picture: &EncodedPicture, layout: PixelLayout, pixels: &mut [u8]) {
                     ]);
                 }
             }
+        }
+    }
+}
+
+/// The picture with one byte per sample instead of two, in that format.
+fn narrow(picture: &EncodedPicture, format: PictureFormat) -> EncodedPicture {
+    EncodedPicture {
+        format,
+        bytes: upper_bits(&picture.bytes, u16::from_le_bytes).into(),
+        size: picture.size,
+        mount: None,
+    }
+}
+
+/// The upper eight of the used bits of samples of 16 bits. Cameras write 10, 12 or 14 bits without shifting them up; the
+/// brightest sample tells how many are used.
+pub(super) fn upper_bits(samples: &[u8], sample: fn([u8; 2]) -> u16) -> Vec<u8> {
+    let (samples, _) = samples.as_chunks::<2>();
+    let brightest = samples.iter().map(|pair| sample(*pair)).max().unwrap_or_default();
+    let used = [10, 12, 14].into_iter().find(|bits| brightest >> bits == 0).unwrap_or(16);
+    samples.iter().map(|pair| (sample(*pair) >> (used - 8)) as u8).collect()
+}
+
+/// Converts the single colours behind a Bayer filter: the two missing ones of a pixel are the means of its neighbours that
+/// have them (bilinear). At an edge, the neighbour on the other side counts twice, which has the same colour.
+fn bayer(picture: &EncodedPicture, pattern: BayerPattern, layout: PixelLayout, pixels: &mut [u8]) {
+    let width = picture.size.width as usize;
+    let height = picture.size.height as usize;
+    let bytes = picture.bytes.as_ref();
+    let (red_column, red_row) = pattern.red();
+    let beside = |at: usize, sides: usize| {
+        let last = sides - 1;
+        let before = at.checked_sub(1).unwrap_or(last.min(1));
+        let after = if at < last {
+            at + 1
+        } else {
+            last.saturating_sub(1)
+        };
+        (before, after)
+    };
+    let mean = |samples: &[u8]| {
+        let sum = samples.iter().map(|sample| u16::from(*sample)).sum::<u16>();
+        (sum / samples.len() as u16) as u8
+    };
+    let rows = pixels.chunks_exact_mut(layout.channels() * width);
+    for (y, to) in rows.enumerate() {
+        let (above, below) = beside(y, height);
+        let [upper, row, lower] = [above, y, below].map(|y| &bytes[y * width..][..width]);
+        for (x, to) in to.chunks_exact_mut(layout.channels()).enumerate() {
+            let (left, right) = beside(x, width);
+            let vertical = mean(&[upper[x], lower[x]]);
+            let horizontal = mean(&[row[left], row[right]]);
+            let [red, green, blue] = match (y % 2 == red_row, x % 2 == red_column) {
+                (true, false) => [horizontal, row[x], vertical],
+                (false, true) => [vertical, row[x], horizontal],
+                (in_red_row, _) => {
+                    let crossed = mean(&[upper[x], lower[x], row[left], row[right]]);
+                    let corners = mean(&[upper[left], upper[right], lower[left], lower[right]]);
+                    if in_red_row {
+                        [row[x], crossed, corners]
+                    } else {
+                        [corners, crossed, row[x]]
+                    }
+                }
+            };
+            match to {
+                [grey] => *grey = luma(red, green, blue),
+                colours => colours.copy_from_slice(&[red, green, blue]),
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use albireo_core::geometry::PictureSize;
+
+    const PATTERNS: [BayerPattern; 4] = [
+        BayerPattern::Rggb,
+        BayerPattern::Bggr,
+        BayerPattern::Gbrg,
+        BayerPattern::Grbg,
+    ];
+
+    /// A surface whose colours grow evenly, seen behind a colour filter.
+    fn seen(pattern: BayerPattern, size: PictureSize) -> Vec<u8> {
+        let (red_column, red_row) = pattern.red();
+        let places =
+            (0..size.height as usize).flat_map(|y| (0..size.width as usize).map(move |x| (x, y)));
+        places
+            .map(|(x, y)| match (y % 2 == red_row, x % 2 == red_column) {
+                (true, true) => 100 + 2 * x + 4 * y,
+                (false, false) => 20 + 4 * x + 2 * y,
+                _ => 60 + 2 * x + 2 * y,
+            } as u8)
+            .collect()
+    }
+
+    #[test]
+    fn the_colours_behind_each_bayer_filter_are_found_again() {
+        let size = PictureSize::new(8, 6);
+        for pattern in PATTERNS {
+            let narrow = seen(pattern, size);
+            // 12 bits, as sensors write them: the first sample shows that they are used.
+            let wide = narrow.iter().flat_map(|sample| (u16::from(*sample) << 4 | 9).to_le_bytes());
+            let mut wide: Vec<u8> = wide.collect();
+            wide[..2].copy_from_slice(&0x0FFF_u16.to_le_bytes());
+            for (format, bytes) in [
+                (PictureFormat::Bayer(pattern), narrow),
+                (PictureFormat::Bayer16(pattern), wide),
+            ] {
+                let picture = EncodedPicture {
+                    format,
+                    bytes: bytes.into(),
+                    size,
+                    mount: None,
+                };
+                let mut pixels = vec![0; 8 * 6 * 3];
+                decode(&picture, PixelLayout::Rgb8, &mut pixels);
+                // Inside, away from the edges and the first sample, interpolation is exact.
+                for (x, y) in [(3, 2), (4, 2), (3, 3), (4, 3), (6, 4)] {
+                    let found = &pixels[3 * (y * 8 + x)..][..3];
+                    let truth = [100 + 2 * x + 4 * y, 60 + 2 * x + 2 * y, 20 + 4 * x + 2 * y];
+                    let truth = truth.map(|sample| sample as u8);
+                    assert_eq!(found, truth, "{format:?} at {x}, {y}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_bayer_picture_of_one_pixel_is_decoded_and_a_grey_one_stays_grey() {
+        let size = PictureSize::new(1, 1);
+        for pattern in PATTERNS {
+            let picture = EncodedPicture {
+                format: PictureFormat::Bayer(pattern),
+                bytes: vec![77].into(),
+                size,
+                mount: None,
+            };
+            let mut pixels = [0; 3];
+            decode(&picture, PixelLayout::Rgb8, &mut pixels);
+            assert_eq!(pixels, [77; 3]);
+            let mut grey = [0];
+            decode(&picture, PixelLayout::Gray8, &mut grey);
+            assert_eq!(grey, [77]);
         }
     }
 }

@@ -32,6 +32,53 @@ pub enum PictureFormat {
     Yuyv,
     /// The same as Cb, luma, Cr, luma.
     Uyvy,
+    /// As [`Nv12`](Self::Nv12), with pairs of Cr, Cb.
+    Nv21,
+    /// As [`Nv12`](Self::Nv12), with a pair of Cb, Cr for each pixel: YCbCr 4:4:4.
+    Nv24,
+    /// Rows of luma, two bytes each, the lower first. The upper eight of the used bits are kept.
+    Gray16,
+    /// Rows of single colours behind a colour filter, one byte each.
+    Bayer(BayerPattern),
+    /// The same with two bytes each, the lower first. The upper eight of the used bits are kept.
+    Bayer16(BayerPattern),
+}
+
+/// The colours of the filter of a Bayer picture: those of its upper left square, row by row.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum BayerPattern {
+    /// Red, green; green, blue.
+    Rggb,
+    /// Blue, green; green, red.
+    Bggr,
+    /// Green, blue; red, green.
+    Gbrg,
+    /// Green, red; blue, green.
+    Grbg,
+}
+
+impl BayerPattern {
+    const ALL: [Self; 4] = [Self::Rggb, Self::Bggr, Self::Gbrg, Self::Grbg];
+
+    /// The names with one and with two bytes per pixel.
+    const fn names(self) -> [&'static str; 2] {
+        match self {
+            Self::Rggb => ["bayer_rggb8", "bayer_rggb16"],
+            Self::Bggr => ["bayer_bggr8", "bayer_bggr16"],
+            Self::Gbrg => ["bayer_gbrg8", "bayer_gbrg16"],
+            Self::Grbg => ["bayer_grbg8", "bayer_grbg16"],
+        }
+    }
+
+    /// Column and row of the red pixel in a square of four.
+    pub(super) const fn red(self) -> (usize, usize) {
+        match self {
+            Self::Rggb => (0, 0),
+            Self::Bggr => (1, 1),
+            Self::Gbrg => (0, 1),
+            Self::Grbg => (1, 0),
+        }
+    }
 }
 
 impl PictureFormat {
@@ -49,12 +96,17 @@ impl PictureFormat {
             Self::I420 => "i420",
             Self::Yuyv => "yuyv",
             Self::Uyvy => "uyvy",
+            Self::Nv21 => "nv21",
+            Self::Nv24 => "nv24",
+            Self::Gray16 => "gray16",
+            Self::Bayer(pattern) => pattern.names()[0],
+            Self::Bayer16(pattern) => pattern.names()[1],
         }
     }
 
-    /// The raw format with this name, or one of the names that cameras and ffmpeg give it.
+    /// The raw format with this name, or one of the names that cameras, ffmpeg and ROS 2 give it.
     pub fn raw_from_name(name: &str) -> Option<Self> {
-        [
+        let plain = [
             Self::Rgb8,
             Self::Bgr8,
             Self::Rgba8,
@@ -64,19 +116,29 @@ impl PictureFormat {
             Self::I420,
             Self::Yuyv,
             Self::Uyvy,
-        ]
-        .into_iter()
-        .find(|format| {
+            Self::Nv21,
+            Self::Nv24,
+            Self::Gray16,
+        ];
+        let filtered = BayerPattern::ALL.into_iter();
+        let filtered = filtered.flat_map(|pattern| [Self::Bayer(pattern), Self::Bayer16(pattern)]);
+        plain.into_iter().chain(filtered).find(|format| {
             let others: &[&str] = match format {
-                Self::Yuyv => &["yuyv422", "yuy2"],
-                Self::Uyvy => &["uyvy422"],
+                Self::Yuyv => &["yuyv422", "yuy2", "yuv422_yuy2"],
+                Self::Uyvy => &["uyvy422", "yuv422"],
                 Self::I420 => &["yuv420p"],
                 Self::Gray8 => &["mono8", "grey"],
+                Self::Gray16 => &["mono16", "gray16le"],
                 _ => &[],
             };
             let known = others.iter().copied().chain([format.as_str()]);
             known.into_iter().any(|known| known.eq_ignore_ascii_case(name))
         })
+    }
+
+    /// True if a sample has two bytes.
+    pub const fn is_wide(self) -> bool {
+        matches!(self, Self::Gray16 | Self::Bayer16(_))
     }
 
     /// The number of bytes of a raw picture of `size`; `None` for the compressed formats and if the number does not fit
@@ -88,8 +150,10 @@ impl PictureFormat {
             Self::Yuyv | Self::Uyvy => (4 * pairs).checked_mul(u64::from(size.height)),
             Self::Rgb8 | Self::Bgr8 => size.pixels().checked_mul(3),
             Self::Rgba8 | Self::Bgra8 => size.pixels().checked_mul(4),
-            Self::Gray8 => Some(size.pixels()),
-            Self::Nv12 | Self::I420 => {
+            Self::Gray8 | Self::Bayer(_) => Some(size.pixels()),
+            Self::Gray16 | Self::Bayer16(_) => size.pixels().checked_mul(2),
+            Self::Nv24 => size.pixels().checked_mul(3),
+            Self::Nv12 | Self::Nv21 | Self::I420 => {
                 let chroma = PictureSize::new(size.width.div_ceil(2), size.height.div_ceil(2));
                 size.pixels().checked_add(chroma.pixels().checked_mul(2)?)
             }
@@ -116,9 +180,17 @@ impl PictureFormat {
             Self::Jpeg | Self::Png => Vec::new(),
             Self::Rgb8 | Self::Bgr8 => vec![whole(3 * width)],
             Self::Rgba8 | Self::Bgra8 => vec![whole(4 * width)],
-            Self::Gray8 => vec![whole(width)],
+            Self::Gray8 | Self::Bayer(_) => vec![whole(width)],
+            Self::Gray16 | Self::Bayer16(_) => vec![whole(2 * width)],
             Self::Yuyv | Self::Uyvy => vec![whole(4 * half_width)],
-            Self::Nv12 => vec![whole(width), chroma(2 * half_width, 2)],
+            Self::Nv24 => vec![
+                whole(width),
+                Plane {
+                    share: 4,
+                    ..whole(2 * width)
+                },
+            ],
+            Self::Nv12 | Self::Nv21 => vec![whole(width), chroma(2 * half_width, 2)],
             Self::I420 => vec![whole(width), chroma(half_width, 1), chroma(half_width, 1)],
         }
     }

@@ -28,7 +28,7 @@ pub fn raw_picture(
     let bytes = if expected == bytes.len() as u64 {
         bytes
     } else {
-        without_padding(format, size, &bytes).ok_or_else(|| {
+        without_guessed_padding(format, size, &bytes).ok_or_else(|| {
             FrameFault::undecodable(format!(
                 "a raw {} picture of {size} must have {expected} bytes, not {}; rows may be padded, all alike, to a \
                  multiple of four bytes",
@@ -45,26 +45,75 @@ pub fn raw_picture(
     })
 }
 
+/// Makes a picture of raw pixels in `format` whose rows are `step` bytes apart; those of further planes in proportion.
+///
+/// # Errors
+/// If it exceeds a limit, or if the rows do not fit in `step` or in `bytes`.
+pub fn raw_picture_of_rows(
+    format: PictureFormat,
+    size: PictureSize,
+    step: usize,
+    bytes: &Bytes,
+    limits: &FrameLimits,
+) -> Result<EncodedPicture, FrameFault> {
+    check_picture(size, limits)?;
+    let planes = format.planes(size);
+    let row = |plane: &Plane| (plane.row * PARTS).div_ceil(plane.share);
+    let longest = planes.iter().map(row).max().unwrap_or(0);
+    if step < longest {
+        return Err(FrameFault::undecodable(format!(
+            "a row of the {size} {} picture has {longest} bytes, but its step is {step}",
+            format.as_str()
+        )));
+    }
+    let units = planes.iter().map(|plane| plane.rows * plane.share).sum::<usize>();
+    let needed = step.checked_mul(units).map(|parts| parts / PARTS);
+    let packed = match needed.filter(|needed| *needed <= bytes.len()) {
+        Some(needed) if planes.iter().all(|plane| step * plane.share == plane.row * PARTS) => {
+            Some(bytes.slice(..needed))
+        }
+        Some(_) => without_padding(&planes, step, bytes),
+        None => None,
+    };
+    let packed = packed.ok_or_else(|| {
+        FrameFault::undecodable(format!(
+            "a {} picture of {size} with rows of {step} bytes does not fit in the {} bytes that came",
+            format.as_str(),
+            bytes.len()
+        ))
+    })?;
+    Ok(EncodedPicture {
+        format,
+        bytes: packed,
+        size,
+        mount: None,
+    })
+}
+
 /// The pixels without the padding of their rows; `None` if padding does not explain the length.
-fn without_padding(format: PictureFormat, size: PictureSize, bytes: &Bytes) -> Option<Bytes> {
+fn without_guessed_padding(
+    format: PictureFormat,
+    size: PictureSize,
+    bytes: &Bytes,
+) -> Option<Bytes> {
     let planes = format.planes(size);
     let first = planes.first()?;
     // The rows of all planes are padded in proportion to the first's.
-    let (units, whole) = planes.iter().fold((0, 0), |(units, whole), plane| {
-        (
-            units + plane.rows * plane.share,
-            whole + plane.rows * plane.row,
-        )
-    });
+    let units = planes.iter().map(|plane| plane.rows * plane.share).sum::<usize>();
     let stride = bytes.len().checked_mul(PARTS)?.checked_div(units)?;
     let is_exact = stride.checked_mul(units)? == bytes.len() * PARTS;
     let padding = stride.checked_sub(first.row)?;
     if !is_exact || !stride.is_multiple_of(4) || padding == 0 || padding > MOST_PADDING {
         return None;
     }
+    without_padding(&planes, stride, bytes)
+}
+
+/// The pixels without the padding of their rows, which are `stride` bytes apart.
+fn without_padding(planes: &[Plane], stride: usize, mut rest: &[u8]) -> Option<Bytes> {
+    let whole = planes.iter().map(|plane| plane.rows * plane.row).sum();
     let mut packed = BytesMut::with_capacity(whole);
-    let mut rest = &bytes[..];
-    for plane in &planes {
+    for plane in planes {
         let step = stride * plane.share / PARTS;
         for _ in 0..plane.rows {
             let (row, after) = rest.split_at_checked(step)?;

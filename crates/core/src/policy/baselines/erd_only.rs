@@ -41,6 +41,10 @@ impl Policy for ErdOnly {
         }
     }
 
+    fn takes_pause(&self) -> bool {
+        true
+    }
+
     fn finish(&mut self, outcome: &mut Outcome) {
         self.boxes.finish(&self.progress, outcome);
     }

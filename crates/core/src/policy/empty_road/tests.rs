@@ -147,8 +147,18 @@ fn seconds_are_rounded_to_frames_by_the_rate_and_mean_nothing_without_one() {
 fn a_pause_changes_no_policy_that_does_not_call_whenever_nothing_is_tracked() {
     for name in known_policies() {
         let can = matches!(name, "albireo" | "erd-only" | "kill+erd" | "kill+erd-10d");
-        let policy = &mut *built(name, Profile::Paper);
-        assert_eq!(can_pause(policy), can, "{name}");
+        let mut policy = built(name, Profile::Paper);
+        assert_eq!(policy.takes_pause(), can, "{name}");
+        // What the method says is what the policy does.
+        let mut need = policy.begin(head(0));
+        let asks_screen = need == Need::Screen;
+        while need != Need::Nothing {
+            need = policy.answer(Evidence::Unavailable);
+        }
+        let mut outcome = Outcome::default();
+        policy.finish(&mut outcome);
+        let asks = asks_screen && outcome.cause == Some(CallCause::NoObjects);
+        assert_eq!(asks, can, "{name}");
     }
     let mut run = paused("expected-loss:0", PAUSE);
     assert_eq!(states(&mut run, 8, &[]), "I I I I I I I I");
