@@ -126,7 +126,10 @@ fn check(asked: &str, profile: Profile, states: &[FrameState], late: bool) {
     let mut config = PolicyConfig::default();
     config.select(asked).unwrap();
     config.profile = profile;
-    let pause = PauseFrames { every: 3, after: 0 };
+    let pause = PauseFrames {
+        every: 3,
+        ..PauseFrames::OFF
+    };
     let mut policy: Box<dyn Policy> = Box::new(WithPause::new(config.build().unwrap(), pause));
     let mut outcome = Outcome::default();
     let picture = match asked.contains("+flow") {

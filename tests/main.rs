@@ -43,6 +43,7 @@ mod head_fixtures;
 mod http_api;
 mod hub_faults;
 mod hub_kills;
+mod no_news;
 mod node_frames;
 mod pages;
 mod power_cuts;

@@ -1,6 +1,7 @@
 """Runs a node under faults for a long time: `make soak` (30 minutes), or soak.py --minutes 2 for a trial.
 
-A node with two cameras behind a router, a hub, and a subscriber. The faults: corrupt frames, cameras that restart, a router
+A node behind a router, a hub, and a subscriber. Of the node's five cameras two are right, one sends the same picture for ever,
+one puts wrong stamps on its frames, and one loses 3 % of the packets of its video (by HTTP, decoded by ffmpeg). The faults: corrupt frames, cameras that restart, a router
 that is killed and comes back, a detector that hangs (the fixture's model never finishes on a bright picture; the node exits
 after 30 s, and the script restarts it like a service manager), a subscriber that stops reading, and a node and a hub killed with -9.
 What ends the node or the hub happens in the first half only, so that both have a long run. At the end the hub must have every
@@ -9,6 +10,7 @@ report of the node exactly once. Prints the counts, and memory, threads and desc
 
 import argparse
 import atexit
+import http.server
 import json
 import os
 import pathlib
@@ -27,7 +29,9 @@ import zenoh
 
 ROOT = pathlib.Path(__file__).parent.parent
 WIDTH, HEIGHT = 64, 32
-CAMERAS = ["front", "rear"]
+# Those that send frames, and the one whose video the node opens.
+CAMERAS = ["front", "rear", "frozen", "stamped"]
+LOSSY = "lossy"
 
 NODE = """
 [node]
@@ -46,6 +50,8 @@ model = "{model}"
 timeout_ms = 300
 [policy]
 u = 1e-3
+[screen]
+still_s = 10.0
 [clip]
 window_s = 10.0
 silence_s = 5.0
@@ -53,6 +59,15 @@ silence_s = 5.0
 name = "front"
 [[camera]]
 name = "rear"
+[[camera]]
+name = "frozen"
+[[camera]]
+name = "stamped"
+[[camera]]
+name = "lossy"
+source = "http://127.0.0.1:{video}/video.ts"
+# Damage may be bright, which hangs the detector; some columns are left, for a mask must leave something.
+mask = [[[0.0, 0.0], [0.95, 0.0], [0.95, 1.0], [0.0, 1.0]]]
 """
 
 HUB = """
@@ -132,6 +147,46 @@ class Child:
             return "killed"
 
 
+def stamp(seq, random_):
+    """A wrong capture time: it stands still, goes back, jumps by years, or is far too fast."""
+    return int([7, 10**9 * (1000 - seq % 1000), random_.integers(0, 2**62), seq * 10**12][seq // 100 % 4])
+
+
+def lossy_video(folder):
+    """Serves a video for ever, at its own pace, without 3 % of its packets; returns the port."""
+    file = folder / "video.ts"
+    pictures = "testsrc2=size=320x180:rate=10:duration=20"
+    encode = ["-c:v", "libx264", "-preset", "ultrafast", "-g", "10", "-pix_fmt", "yuv420p", "-f", "mpegts", str(file)]
+    subprocess.run(["ffmpeg", "-v", "error", "-f", "lavfi", "-i", pictures, *encode], check=True)
+    data = file.read_bytes()
+    packets = [data[start : start + 188] for start in range(0, len(data), 188)]
+
+    class Handler(http.server.BaseHTTPRequestHandler):
+        def do_GET(self):
+            self.send_response(200)
+            self.send_header("content-type", "video/mp2t")
+            self.end_headers()
+            chance, begun, sent = random.Random(3), time.monotonic(), 0
+            try:
+                while True:
+                    packet = packets[sent % len(packets)]
+                    # The tables at the beginning come whole, or ffmpeg does not know what follows.
+                    if sent % len(packets) < 3 or chance.random() >= 0.03:
+                        self.wfile.write(packet)
+                    sent += 1
+                    time.sleep(max(0.0, begun + sent * 20 / len(packets) - time.monotonic()))
+            except OSError:
+                pass
+
+        def log_message(self, *_):
+            pass
+
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    server.daemon_threads = True
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    return server.server_port
+
+
 class Camera(threading.Thread):
     """Sends ten frames per second, of which some are corrupt and some bright."""
 
@@ -153,6 +208,10 @@ class Camera(threading.Thread):
                     attachment = {"v": 1, "seq": seq, "width": WIDTH, "height": HEIGHT}
                     encoding = "image/raw;gray8"
                     payload = random_.integers(0, 100, WIDTH * HEIGHT, numpy.uint8).tobytes()
+                    if self.name_ == "frozen":
+                        payload = bytes(60 + place % 40 for place in range(WIDTH * HEIGHT))
+                    if self.name_ == "stamped":
+                        attachment["t_ns"] = stamp(seq, random_)
                     # In a restart it might be lost.
                     if self.bright.is_set() and seq > 20:
                         self.bright.clear()
@@ -217,7 +276,7 @@ def main():
     folder = pathlib.Path(tempfile.mkdtemp(prefix="soak-"))
     router_at, uplink_at = (f"tcp/127.0.0.1:{free_port()}" for _ in range(2))
     node_http, hub_http = free_port(), free_port()
-    places = {"folder": folder, "router": router_at, "uplink": uplink_at}
+    places = {"folder": folder, "router": router_at, "uplink": uplink_at, "video": lossy_video(folder)}
     model = ROOT / "tests/fixtures/models/hanging.onnx"
     (folder / "node.toml").write_text(NODE.format(http=node_http, model=model, **places))
     (folder / "hub.toml").write_text(HUB.format(http=hub_http, **places))
@@ -227,7 +286,7 @@ def main():
     node = Child([arguments.program, "node", "--config", folder / "node.toml"], folder / "node.log")
     subscriber = Child([*here, "--subscriber", router_at], folder / "subscriber.log")
 
-    answers, done = {name: 0 for name in CAMERAS}, threading.Event()
+    answers, done = {name: 0 for name in [*CAMERAS, LOSSY]}, threading.Event()
 
     def answered(sample):
         answers[str(sample.key_expr).split("/")[2]] += 1
@@ -239,7 +298,7 @@ def main():
         camera.start()
 
     chance, begun = random.Random(5), time.monotonic()
-    counts = dict.fromkeys(["router", "hub", "deaf", "kill", "node", "slow health"], 0)
+    counts = dict.fromkeys(["router", "hub", "deaf", "kill", "node", "damage", "slow health"], 0)
     # Samples of each run of the node and of the hub.
     runs, hub_runs, deaf_until = [[]], [[]], None
     health = f"http://127.0.0.1:{node_http}/healthz"
@@ -285,7 +344,7 @@ def main():
                 hub.bounce(chance.choice([1.0, 8.0]))
                 hub_runs.append([])
             # A node with a hanging detector has to end by itself.
-            elif kind == "kill" and counts["node"] == sum(camera.hangs for camera in cameras):
+            elif kind == "kill" and counts["node"] - counts["damage"] == sum(camera.hangs for camera in cameras):
                 counts["kill"] += 1
                 node.bounce(chance.choice([0.0, 2.0]))
                 until_alive(health)
@@ -300,7 +359,9 @@ def main():
         time.sleep(0.2)
         if node.process.poll() is not None:
             counts["node"] += 1
-            if node.process.returncode != 1 or counts["node"] > sum(camera.hangs for camera in cameras):
+            # A bright picture of the lossy camera, too, hangs the detector.
+            counts["damage"] += counts["node"] - counts["damage"] > sum(camera.hangs for camera in cameras)
+            if node.process.returncode != 1 or "has not come back" not in (folder / "node.log").read_text()[-1000:]:
                 sys.exit(f"the node exited unexpectedly with {node.process.returncode}: see {folder}/node.log")
             node.start()
             until_alive(health)
@@ -313,6 +374,10 @@ def main():
     time.sleep(1)
     states = json.loads(get(f"http://127.0.0.1:{node_http}/api/v1/frame-states"))
     listed = json.loads(get(f"http://127.0.0.1:{node_http}/api/v1/cameras"))
+    passed = [
+        float(line.split()[-1]) for line in get(f"http://127.0.0.1:{node_http}/metrics").decode().splitlines()
+        if line.startswith('albireo_frames_passed_total{camera="frozen",cause="unchanged"}')
+    ]
     asked = time.monotonic()
     code = node.end()
     stopping = time.monotonic() - asked
@@ -343,15 +408,25 @@ def main():
             f"{camera.name_}: {camera.sent} frames sent, {answers[camera.name_]} answers seen, {camera.corrupt} corrupt, "
             f"{camera.hangs} that hang the detector, {camera.restarts} restarts"
         )
+    broken = next(camera["broken"] for camera in listed["cameras"] if camera["camera"] == LOSSY)
+    frozen = sum(passed)
+    print(f"{LOSSY}: {answers[LOSSY]} answers seen, {broken} frames broken in the last run; frozen: {frozen:.0f} frames passed over")
+    if not broken:
+        failures.append("no frame of the lossy camera was broken")
+    if not frozen:
+        failures.append("no frame of the frozen camera was passed over")
+    silent = [name for name, count in answers.items() if not count]
+    if silent:
+        failures.append(f"no answers from {', '.join(silent)}")
     if sorted(found) != list(range(1, len(found) + 1)):
         failures.append("a report is missing or duplicated")
     if not found:
         failures.append("no report reached the hub")
-    if counts["node"] != sum(camera.hangs for camera in cameras):
+    if counts["node"] - counts["damage"] != sum(camera.hangs for camera in cameras):
         failures.append("a hanging detector did not end the node")
     print(
         f"{len(found)} reports; faults: {counts['router']} router bounces, {counts['hub']} hubs killed, {counts['kill']} nodes killed, {counts['deaf']} "
-        f"subscriber pauses, {counts['node']} detector hangs"
+        f"subscriber pauses, {counts['node']} detector hangs, {counts['damage']} of them by damage"
     )
     if counts["slow health"]:
         failures.append(f"health took more than a second {counts['slow health']} times")

@@ -25,6 +25,8 @@ async fn a_pause_set_by_one_put_is_in_force_and_told_per_camera() {
     );
     let now: Value = node.put(PATH, r#"{"after_s": 2}"#).await.json().await.unwrap();
     assert_has(&now, &json!({"pause_s": 0.16, "after_s": 2.0}));
+    let now: Value = node.put(PATH, r#"{"still_s": 10}"#).await.json().await.unwrap();
+    assert_has(&now, &json!({"pause_s": 0.16, "still_s": 10.0}));
 }
 
 #[tokio::test]
@@ -41,8 +43,13 @@ async fn an_impossible_pause_is_refused_in_words_and_changes_nothing() {
             422,
             "`after_s` must be a number of seconds from 0 to 3600",
         ),
+        (
+            r#"{"still_s": 61}"#,
+            422,
+            "`still_s` must be a number of seconds from 0 to 60",
+        ),
         (r#"{"pause": 0.2}"#, 422, "unknown field `pause`"),
-        ("{}", 422, "it has neither"),
+        ("{}", 422, "it names no pause"),
         ("0.2", 422, "not a JSON object"),
         ("pause", 400, "with seconds"),
     ] {

@@ -26,7 +26,8 @@
 //! | `even-skip-in-tracker[:skip_rate]` | evenly spaced, at any rate | predicted boxes of expected-loss | comparison: the object keeping alone |
 //! | `expected-loss+flow[:lambda]` and the two above with `+flow` | the same | boxes followed by optical flow in a small grey picture | our own |
 //!
-//! [`WithPause`] adds a pause on an empty road to those that call the detector whenever nothing is tracked.
+//! [`WithPause`] adds a pause on an empty road to those that call the detector whenever nothing is tracked, and one for
+//! pictures without news to all that look at no pictures themselves.
 //!
 //! A policy uses no clock, picture format or network, and a frame that needs no evidence costs no decoding. The live
 //! node, the evaluation and the tests all drive policies through [`decide`], with their own evidence.
@@ -51,6 +52,7 @@ mod published;
 mod published_threshold;
 mod record;
 mod settled;
+mod still;
 #[cfg(test)]
 pub(crate) mod tests;
 mod tracker;
@@ -74,6 +76,7 @@ pub use published::MinConfidence;
 pub use published_threshold::published_threshold;
 pub use record::ObjectRecord;
 pub use settled::{SettledFrame, Settler};
+pub use still::PassCause;
 pub use vanilla::Vanilla;
 
 /// The information about a frame before its picture is decoded.
@@ -131,7 +134,7 @@ pub enum Evidence<'a> {
     Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize,
 )]
 pub enum FrameState {
-    /// The screen reported "empty", or an empty road was passed over in a pause; the detector was skipped.
+    /// The screen reported "empty", or the frame was passed over in a pause and shows nothing; the detector was skipped.
     E,
     /// The boxes are predicted or repeated from an earlier frame; the detector was skipped.
     #[default]
@@ -218,6 +221,8 @@ pub struct Outcome {
     pub degraded: bool,
     /// The reason for the detector call; `None` on a frame that needed none.
     pub cause: Option<CallCause>,
+    /// The reason why a pause passed over the frame; `None` if none did.
+    pub passed: Option<PassCause>,
     /// The boxes to report.
     pub boxes: Vec<OutputBox>,
 }

@@ -227,7 +227,9 @@ fn read_pause<'a>(
 
 /// The part of a label that tells the pause; empty without one.
 pub(crate) fn pause_label(empty_road: EmptyRoad) -> String {
-    let EmptyRoad { pause_s, after_s } = empty_road;
+    let EmptyRoad {
+        pause_s, after_s, ..
+    } = empty_road;
     match pause_s {
         0.0 => String::new(),
         _ if after_s == EmptyRoad::default().after_s => format!("+pause{pause_s}"),

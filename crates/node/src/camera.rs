@@ -26,7 +26,7 @@ use crate::input::receiver::{FrameReceiver, SequencedFrame, kind_of};
 use crate::position::Positions;
 use crate::publishing::Outlet;
 use crate::publishing::ros2::Ros2Outlet;
-use crate::state::board::CameraBoard;
+use crate::state::board::{CameraBoard, NoNews};
 use albireo_core::policy::{
     CallCause, EmptyRoad, FrameHead, LatePolicy, MinConfidence, Need, Outcome,
 };
@@ -396,6 +396,13 @@ impl Camera {
         let empty_road = *self.empty_road.borrow();
         let rate = self.rate.rate();
         let frames = empty_road.frames(rate);
+        let no_news = self.decider.policy.no_news();
+        let seconds = |frames| f64::from(frames) / rate.unwrap_or(1.0);
+        let no_news = no_news.map(|(cause, frames)| NoNews {
+            cause,
+            for_s: seconds(frames),
+        });
+        self.parts.board.set_no_news(no_news);
         self.decider.policy.set_pause(frames);
         self.parts.board.set_rate(rate);
         if self.pause_is_told || empty_road.pause_s == 0.0 || !self.rate.is_settled() {

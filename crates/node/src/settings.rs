@@ -9,7 +9,7 @@ pub(crate) mod tests;
 
 pub(crate) use change::{Change, RefusedPause};
 pub(crate) use file::SettingsFile;
-pub(crate) use orders::{MAX_MESSAGE_BYTES, Place};
+pub(crate) use orders::{MAX_MESSAGE_BYTES, Place, Setting};
 
 use crate::state::board::{Board, CameraBoard};
 use crate::state::readiness;

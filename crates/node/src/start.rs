@@ -132,7 +132,7 @@ impl PreparedNode {
         let counters = api::counters::declare(&session, &board, &settings, power, shutdown).await?;
         tasks.essential("counters", counters);
 
-        let requests = api::keys::declare(&session, &board, &settings, keys.target()).await?;
+        let requests = api::keys::declare(&session, &board, &settings, &keys).await?;
         tasks.until_shutdown("requests", requests);
 
         let retrying = retry_disk(Arc::clone(&outbox), Arc::clone(&settings));

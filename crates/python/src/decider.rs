@@ -82,7 +82,11 @@ impl Decider {
         } else {
             LatePolicy::waiting(policy)
         };
-        policy.set_pause(PauseFrames { every, after });
+        policy.set_pause(PauseFrames {
+            every,
+            after,
+            ..PauseFrames::OFF
+        });
         Ok(Self {
             policy,
             size: PictureSize::new(size.0, size.1),

@@ -2,7 +2,7 @@
 
 use crate::{Position, Threshold};
 use albireo_core::detection::ObjectId;
-use albireo_core::policy::{BoxSource, CallCause, FrameState};
+use albireo_core::policy::{BoxSource, CallCause, FrameState, PassCause};
 use serde::{Deserialize, Serialize};
 use serde_with::skip_serializing_none;
 use utoipa::ToSchema;
@@ -114,6 +114,8 @@ pub struct DetectionsMessage {
     pub degraded: bool,
     /// The reason for the detector call, also if the detector was not available; absent if the frame did not need it.
     pub cause: Option<CallCause>,
+    /// The reason why a pause passed over the frame; absent if none did.
+    pub passed: Option<PassCause>,
     /// Largest uncertainty τ before the decision; absent without objects.
     pub tau_max: Option<f64>,
     /// Threshold in force; absent if the policy has none.

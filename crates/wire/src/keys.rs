@@ -95,6 +95,11 @@ impl NodeKeys {
         format!("{}/{}/target", self.prefix, self.node)
     }
 
+    /// [`ScreenMessage`](super::ScreenMessage)s in by put, in and out by query.
+    pub fn screen(&self) -> String {
+        format!("{}/{}/screen", self.prefix, self.node)
+    }
+
     /// The counters of all cameras of the node, for subscribers that watch it.
     pub fn all_counters(&self) -> String {
         format!("{}/{}/*/counters", self.prefix, self.node)
@@ -189,6 +194,7 @@ mod tests {
         let node = NodeKeys::new("albireo", "car-7").unwrap();
         let camera = node.camera("front").unwrap();
         assert_eq!(node.target(), "albireo/car-7/target");
+        assert_eq!(node.screen(), "albireo/car-7/screen");
         assert_eq!(node.alive(), "albireo/@alive/car-7");
         assert_eq!(node.report(), "albireo/@report/car-7");
         let all = NodeKeys::all("albireo").unwrap();

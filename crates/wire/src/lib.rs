@@ -11,6 +11,7 @@ mod desired;
 mod frames;
 mod keys;
 mod report;
+mod screen;
 mod states;
 mod status;
 mod target;
@@ -39,6 +40,7 @@ pub use report::{
     REPORT_DICTIONARY, RefusalReason, RefusedReport, ReportAge, ReportAnswer, ReportBatch,
     ReportRefusal, decompress_batch,
 };
+pub use screen::{Pauses, ScreenMessage};
 pub use states::{DetectorCalls, DropKind, DroppedFrames, FrameStates};
 pub use status::{
     CameraState, CameraStatus, CertificateStatus, HealthState, HealthStatus, Heartbeat, NodeStatus,

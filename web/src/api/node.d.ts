@@ -1149,7 +1149,8 @@ export interface paths {
         /**
          * Changes the pause on an empty road, of all cameras
          * @description Applies from each camera's next frame. Once nothing was detected for `after_s`, one frame per `pause_s` is looked at
-         *     until something is found; the others are answered with state E.
+         *     until something is found; the others are answered with state E. With `still_s`, one frame per so many seconds is looked at
+         *     while the picture does not change.
          *     `curl -X PUT -d '{"pause_s": 0.2}' http://127.0.0.1:8080/api/v1/screen`
          */
         put: {
@@ -1161,7 +1162,7 @@ export interface paths {
             };
             requestBody: {
                 content: {
-                    "application/json": components["schemas"]["NewPause"];
+                    "application/json": components["schemas"]["Pauses"];
                 };
             };
             responses: {
@@ -1880,6 +1881,7 @@ export interface components {
              * @description Frames per second that the node takes from its source at most; absent without a limit.
              */
             max_rate?: number | null;
+            no_news?: components["schemas"]["NoNews"] | null;
             /** @description The policy that decides its frames. */
             policy: string;
             /**
@@ -2318,6 +2320,7 @@ export interface components {
             height: number;
             /** @description Duration of each step. */
             latency_ms: components["schemas"]["Latency"];
+            passed?: components["schemas"]["PassCause"] | null;
             /** @description True if the boxes are immediate predictions. Final state and boxes follow on the camera's `late` key. */
             pending?: boolean;
             /**
@@ -2739,19 +2742,6 @@ export interface components {
             /** @description Spans, message and fields. */
             text: string;
         };
-        /** @description A new pause on an empty road: `{"pause_s": 0.2}`. What is left out stays as it is. */
-        NewPause: {
-            /**
-             * Format: double
-             * @description Seconds without a detection after which the road is empty.
-             */
-            after_s?: number | null;
-            /**
-             * Format: double
-             * @description Seconds from one look at an empty road to the next; 0 looks at every frame.
-             */
-            pause_s?: number | null;
-        };
         /** @description A new threshold: `{"u": 3e-4}`, or `{"lambda": 0.3}` under expected-loss. */
         NewThreshold: {
             /**
@@ -2759,6 +2749,16 @@ export interface components {
              * @description Version of the message; may be left out.
              */
             v?: number | null;
+        };
+        /** @description Pictures of a camera without news. */
+        NoNews: {
+            /** @description Why. */
+            cause: components["schemas"]["PassCause"];
+            /**
+             * Format: double
+             * @description For how long nothing has changed, seconds.
+             */
+            for_s: number;
         };
         /** @description A node: its readiness, run time, energy and savings. */
         NodeOverview: components["schemas"]["Readiness"] & {
@@ -2880,6 +2880,11 @@ export interface components {
             /** @description The name of a camera or a task, if the part has several; absent for the part itself. */
             subject?: string | null;
         };
+        /**
+         * @description The reason why a frame was passed over by a pause.
+         * @enum {string}
+         */
+        PassCause: "empty_road" | "unchanged" | "dark";
         /** @description The last frames in columns: the n-th entry of each belongs to the n-th frame, the oldest first. */
         PastFrames: {
             /** @description Milliseconds between its answer and `now_ms`. */
@@ -2910,7 +2915,7 @@ export interface components {
              * @description Seconds without a detection after which the road is empty.
              */
             after_s: number;
-            /** @description False if the policy takes no pause: it does not call the detector whenever nothing is tracked. */
+            /** @description False if the policy takes no pause on an empty road: it does not call the detector whenever nothing is tracked. */
             applies: boolean;
             /** @description What it means for each camera. */
             cameras: components["schemas"]["CameraPause"][];
@@ -2919,8 +2924,32 @@ export interface components {
              * @description Seconds from one look at an empty road to the next; 0 looks at every frame.
              */
             pause_s: number;
+            /**
+             * Format: double
+             * @description Seconds from one look at a picture without news to the next; 0 compares no pictures. Works under every policy that
+             *     looks at no pictures itself.
+             */
+            still_s: number;
             /** @description True if what was set at run time survives a restart. */
             survives_restart: boolean;
+        };
+        /** @description Pauses, of all cameras: `{"pause_s": 0.2}`. What is left out stays as it is. */
+        Pauses: {
+            /**
+             * Format: double
+             * @description Seconds without a detection after which the road is empty.
+             */
+            after_s?: number | null;
+            /**
+             * Format: double
+             * @description Seconds from one look at an empty road to the next; 0 looks at every frame.
+             */
+            pause_s?: number | null;
+            /**
+             * Format: double
+             * @description Seconds from one look at a picture without news to the next; 0 compares no pictures.
+             */
+            still_s?: number | null;
         };
         /** @description Mean and percentiles of a set of durations, milliseconds. */
         Percentiles: {
@@ -3179,6 +3208,16 @@ export interface components {
              * @description The beginning of the time, milliseconds since the Unix epoch: the node's start, or midnight UTC if that is later.
              */
             since_ms: number;
+        };
+        /** @description The pauses in a put, in a query's payload and in the answer to a query: `{"screen": {"pause_s": 0.2}}`. */
+        ScreenMessage: {
+            /** @description The pauses. */
+            screen: components["schemas"]["Pauses"];
+            /**
+             * Format: int32
+             * @description Version; optional on input.
+             */
+            v?: number;
         };
         /**
          * @description The origin of a threshold or a target.

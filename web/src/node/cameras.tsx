@@ -117,6 +117,11 @@ function stateOf(camera: Entry): Stated {
   return { word, age, pill: <Pill mood={MOODS[word]}>{word}</Pill> };
 }
 
+/** That a camera's picture has no news, in words. */
+export function noNews({ cause, for_s }: { cause: string; for_s: number }): string {
+  return `${cause === "dark" ? "dark, " : ""}no change for ${for_s < 120 ? `${for_s.toFixed(0)} s` : `${(for_s / 60).toFixed(0)} min`}`;
+}
+
 function Tile({ camera, word, age, pill }: Stated & { camera: Entry }) {
   const lately = rates(camera.camera, 10);
   const isOpen = opened.value === camera.camera;
@@ -137,6 +142,7 @@ function Tile({ camera, word, age, pill }: Stated & { camera: Entry }) {
             {camera.rate && camera.rate > 1.1 * lately.perSecond ? ` of ${camera.rate.toFixed(1)}` : ""} frames/s · {percent(lately.skipRate, 0)} skipped
           </span>
         )}
+        {live && camera.no_news && <span class="quiet">{noNews(camera.no_news)}</span>}
         {!live && (age !== undefined || !fault) && <span class="quiet">{age === undefined ? "no picture yet" : `last picture ${ago(age)}`}</span>}
       </button>
     </li>

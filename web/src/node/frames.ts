@@ -62,7 +62,7 @@ export const CAUSES: Record<CallCause, CauseWords> = {
   screen: { name: "screen", meaning: "the screen saw something" },
   audit: { name: "audit", meaning: "the detector checks the screen by chance" },
   empty_limit: { name: "empty too long", meaning: "the screen had said “empty” too often in a row" },
-  empty_road: { name: "empty road", meaning: "a pause on an empty road had ended" },
+  empty_road: { name: "empty road", meaning: "a pause had ended" },
   no_objects: { name: "no objects", meaning: "no object is tracked and no screen decides" },
   start: { name: "start", meaning: "the stream began" },
   retry: { name: "retry", meaning: "the detector had failed before" },

@@ -24,7 +24,7 @@ pub enum CallCause {
     Audit,
     /// The number of consecutive "empty" answers of the screen exceeds the limit.
     EmptyLimit,
-    /// A pause on an empty road has ended: the detector looks whether the road is still empty.
+    /// A pause has ended, on an empty road or because the picture had no news: the detector looks again.
     EmptyRoad,
     /// No object is tracked, and no screen decides whether the scene is empty.
     NoObjects,

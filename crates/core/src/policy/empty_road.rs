@@ -5,13 +5,16 @@
 //!           └──── after ──┘ └every┘     └ a look that finds something ends the pause
 //! ```
 //!
-//! It is a screen that needs no picture: it answers the question that a [policy](Policy::takes_pause) asks while nothing is
+//! A second pause is for [pictures without news](super::still), whatever is tracked.
+//!
+//! The first is a screen that needs no picture: it answers the question that a [policy](Policy::takes_pause) asks while nothing is
 //! tracked, not even tentatively. A look is an answer
 //! of the detector, or of a screen model that says "empty". Lost frames count as time.
 
+use super::still::{Memory, PassCause, Still, WIDTH};
 use super::{
-    CallCause, Evidence, FrameHead, InvalidThreshold, Need, ObjectRecord, Outcome, Policy,
-    ThresholdSpec,
+    BoxSource, CallCause, Evidence, FrameHead, FrameState, InvalidThreshold, Need, ObjectRecord,
+    Outcome, Policy, ThresholdSpec,
 };
 use serde::{Deserialize, Serialize};
 
@@ -23,6 +26,8 @@ pub struct EmptyRoad {
     pub pause_s: f64,
     /// Seconds without a detection after which the road is empty.
     pub after_s: f64,
+    /// Seconds from one look at a picture without news to the next; 0 compares no pictures.
+    pub still_s: f64,
 }
 
 impl Default for EmptyRoad {
@@ -30,6 +35,7 @@ impl Default for EmptyRoad {
         Self {
             pause_s: 0.0,
             after_s: 1.0,
+            still_s: 0.0,
         }
     }
 }
@@ -48,6 +54,7 @@ impl EmptyRoad {
         let settings = [
             ("pause_s", self.pause_s, Self::LONGEST_PAUSE_S),
             ("after_s", self.after_s, Self::LONGEST_AFTER_S),
+            ("still_s", self.still_s, Self::LONGEST_PAUSE_S),
         ];
         settings.into_iter().find_map(|(name, value, most)| {
             let right = (0.0..=most).contains(&value);
@@ -70,6 +77,8 @@ impl EmptyRoad {
         PauseFrames {
             every: (self.pause_s * rate * Self::RATE_TOLERANCE).floor() as u32,
             after: (self.after_s * rate / Self::RATE_TOLERANCE).ceil() as u32,
+            still: (self.still_s * rate).round() as u32,
+            second: (rate / Self::RATE_TOLERANCE).ceil() as u32,
         }
     }
 }
@@ -89,11 +98,20 @@ pub struct PauseFrames {
     pub every: u32,
     /// Frames in a row without a detection, at least one of them looked at, after which the road is empty.
     pub after: u32,
+    /// One frame in this many is looked at while the picture has no news; 0 and 1 compare no pictures.
+    pub still: u32,
+    /// Frames per second, at least 1.
+    pub second: u32,
 }
 
 impl PauseFrames {
     /// Every frame is looked at.
-    pub const OFF: Self = Self { every: 0, after: 0 };
+    pub const OFF: Self = Self {
+        every: 0,
+        after: 0,
+        still: 0,
+        second: 1,
+    };
 }
 
 /// The frames since the last looks: all that the decision depends on.
@@ -134,8 +152,13 @@ impl Looks {
 struct State {
     looks: Looks,
     need: Need,
-    /// True if the frame is a look at an empty road.
+    /// True if the frame is a look at an empty road, or at a picture without news.
     looking: bool,
+    still: Still,
+    /// What the policy needs if the picture, which is compared first, has news.
+    wanted: Need,
+    /// Why the frame is passed over.
+    passed: Option<PassCause>,
 }
 
 /// A policy with a pause on an empty road.
@@ -145,6 +168,7 @@ pub struct WithPause {
     state: State,
     /// The state that [`Policy::rewind`] restores.
     saved: State,
+    memory: Memory,
 }
 
 impl WithPause {
@@ -155,12 +179,50 @@ impl WithPause {
             pause,
             state: State::default(),
             saved: State::default(),
+            memory: Memory::default(),
         }
     }
 
     /// Changes the pause for the frames that follow.
     pub fn set_pause(&mut self, pause: PauseFrames) {
         self.pause = pause;
+    }
+
+    /// The reason why the newest picture has no news, and the number of frames since it last had some.
+    pub fn no_news(&self) -> Option<(PassCause, u32)> {
+        self.state.still.cause(self.pause)
+    }
+
+    /// Asks for the picture before what the policy needs, if it should be compared.
+    fn compare_first(&mut self, need: Need) -> Need {
+        let calls = matches!(need, Need::Screen | Need::Detections);
+        if !calls || !self.state.still.is_due(self.pause) || self.policy.pictures().is_some() {
+            return need;
+        }
+        self.state.wanted = need;
+        Need::SmallGreyPicture { width: WIDTH }
+    }
+
+    /// Takes the picture that is compared. If it has no news, what the detector found at its last look stands.
+    fn compare(&mut self, evidence: Evidence<'_>) -> Need {
+        let mut need = std::mem::take(&mut self.state.wanted);
+        let still = &mut self.state.still;
+        let passed = still.compare(evidence, &mut self.memory, self.pause);
+        let is_look = passed.is_none() && still.cause(self.pause).is_some();
+        self.state.passed = passed;
+        self.state.looking |= is_look;
+        if passed.is_none() {
+            return need;
+        }
+        let found = &self.memory.found;
+        if need == Need::Screen {
+            let empty = found.is_empty();
+            need = self.policy.answer(Evidence::Screen { empty });
+        }
+        match need {
+            Need::Detections => self.policy.answer(Evidence::Detections(found)),
+            _ => need,
+        }
     }
 
     fn ask(&mut self, need: Need) -> Need {
@@ -187,24 +249,42 @@ impl Policy for WithPause {
     }
 
     fn begin(&mut self, frame: FrameHead) -> Need {
-        self.state.looks.advance(frame.step.max(1));
+        let step = frame.step.max(1);
+        self.state.looks.advance(step);
+        self.state.still.advance(step);
         self.state.looking = false;
+        self.state.wanted = Need::Nothing;
+        self.state.passed = None;
         let mut need = self.policy.begin(frame);
         if need == Need::Screen && self.policy.takes_pause() {
             let looks = self.state.looks;
             self.state.looking = looks.is_empty(self.pause);
             if looks.passes(self.pause) {
                 need = self.policy.answer(Evidence::Screen { empty: true });
+                self.state.passed = Some(PassCause::EmptyRoad);
             }
         }
+        let need = self.compare_first(need);
         self.ask(need)
     }
 
     fn answer(&mut self, evidence: Evidence<'_>) -> Need {
-        let looks = &mut self.state.looks;
-        match (self.state.need, evidence) {
+        if self.state.wanted != Need::Nothing {
+            let need = self.compare(evidence);
+            return self.ask(need);
+        }
+        let State {
+            looks, still, need, ..
+        } = &mut self.state;
+        match (*need, evidence) {
             (Need::Screen, Evidence::Screen { empty: true }) => looks.looked(false),
-            (Need::Detections, Evidence::Detections(found)) => looks.looked(!found.is_empty()),
+            (Need::Detections, Evidence::Detections(found)) => {
+                looks.looked(!found.is_empty());
+                if self.pause.still > 1 {
+                    still.looked();
+                    self.memory.looked(found);
+                }
+            }
             _ => {}
         }
         let need = self.policy.answer(evidence);
@@ -237,9 +317,20 @@ impl Policy for WithPause {
         self.policy.rewind();
     }
 
-    /// A call at the end of a pause has the pause as its cause, unless a screen model asked for it.
+    /// A call at the end of a pause has the pause as its cause, unless a screen model asked for it. In a frame without
+    /// news no detector ran, and the boxes are those of the last look.
     fn finish(&mut self, outcome: &mut Outcome) {
         self.policy.finish(outcome);
+        outcome.passed = self.state.passed;
+        if matches!(outcome.passed, Some(PassCause::Unchanged | PassCause::Dark)) {
+            outcome.cause = None;
+            outcome.state = if outcome.boxes.is_empty() {
+                FrameState::E
+            } else {
+                FrameState::P
+            };
+            outcome.boxes.iter_mut().for_each(|found| found.source = BoxSource::Predicted);
+        }
         if self.state.looking && outcome.cause.is_some_and(|cause| cause != CallCause::Screen) {
             outcome.cause = Some(CallCause::EmptyRoad);
         }
@@ -247,6 +338,7 @@ impl Policy for WithPause {
 
     fn reset(&mut self) {
         self.state = State::default();
+        self.memory = Memory::default();
         self.policy.reset();
     }
 

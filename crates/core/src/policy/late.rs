@@ -11,7 +11,9 @@
 //!
 //! The final state and boxes of frame k are the same as if the frame had waited for its detections.
 
-use super::{Evidence, FrameHead, InvalidThreshold, Need, Outcome, PauseFrames, Policy, WithPause};
+use super::{
+    Evidence, FrameHead, InvalidThreshold, Need, Outcome, PassCause, PauseFrames, Policy, WithPause,
+};
 
 /// Frames after the pending one that are predicted again one by one; further ones are predicted as lost frames.
 const MOST_STEPS: usize = 256;
@@ -107,7 +109,12 @@ impl LatePolicy {
         self.policy.set_threshold(value)
     }
 
-    /// Sets the pause on an empty road for the frames that follow.
+    /// Why the newest compared picture has no news, and the number of frames since it last had some.
+    pub fn no_news(&self) -> Option<(PassCause, u32)> {
+        self.policy.no_news()
+    }
+
+    /// Sets the pauses for the frames that follow.
     pub fn set_pause(&mut self, pause: PauseFrames) {
         self.policy.set_pause(pause);
     }

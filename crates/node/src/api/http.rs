@@ -24,7 +24,8 @@ use albireo_service::http::{self, Problem};
 use albireo_vision::picture::FrameLimits;
 use albireo_wire::{
     ConfigChanged, CountersMessage, Desired, DetectionsMessage, FrameAnswer, FrameAttachment,
-    PullRequest, ReportAnswer, ReportBatch, SettledMessage, StatusMessage, ThresholdMessage,
+    PullRequest, ReportAnswer, ReportBatch, ScreenMessage, SettledMessage, StatusMessage,
+    ThresholdMessage,
 };
 use axum::http::StatusCode;
 use axum::routing::get;
@@ -93,6 +94,7 @@ fn bad_request(detail: String) -> Problem {
         // Messages in events and on Zenoh: the document can describe them, but not the contents of a stream.
         CountersMessage,
         DetectionsMessage,
+        ScreenMessage,
         SettledMessage,
         FrameAttachment,
         FrameAnswer,

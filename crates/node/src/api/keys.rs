@@ -1,10 +1,11 @@
 //! Serves the node's values on Zenoh keys: a query reads a value, a put or a query with a payload changes it.
 
 use crate::error::NodeError;
-use crate::settings::{MAX_MESSAGE_BYTES, Place, Settings};
-use crate::state::board::{Board, CameraBoard};
+use crate::settings::{MAX_MESSAGE_BYTES, Place, Setting, Settings};
+use crate::state::board::Board;
+use albireo_core::policy::EmptyRoad;
 use albireo_service::rate_limit::RateLimit;
-use albireo_wire::{ThresholdMessage, VERSION};
+use albireo_wire::{NodeKeys, Pauses, ScreenMessage, ThresholdMessage, VERSION};
 use std::error::Error;
 use std::sync::Arc;
 use std::time::Duration;
@@ -23,8 +24,7 @@ const LOG_PERIOD: Duration = Duration::from_secs(10);
 /// A key, and its value.
 struct Served {
     key: String,
-    /// The camera whose threshold it is; without one, it is the node's target.
-    camera: Option<Arc<CameraBoard>>,
+    setting: Setting,
 }
 
 /// A query, with its place among the orders.
@@ -35,7 +35,7 @@ struct Request {
     query: Query,
 }
 
-/// Declares the keys of the cameras' thresholds, and the key `target`. The returned future applies puts and answers queries,
+/// Declares the keys of the cameras' thresholds, and the keys `target` and `screen`. The returned future applies puts and answers queries,
 /// in the order of arrival, for as long as it is polled.
 ///
 /// # Errors
@@ -44,16 +44,25 @@ pub(crate) async fn declare(
     session: &Session,
     board: &Arc<Board>,
     settings: &Arc<Settings>,
-    target: String,
+    node: &NodeKeys,
 ) -> Result<impl Future<Output = ()> + use<>, NodeError> {
     let (requests, mut waiting) = mpsc::channel(WAITING);
     let mut declared = Vec::new();
     let cameras = board.cameras.iter();
-    let thresholds = cameras.map(|camera| (camera.keys.threshold(), Some(Arc::clone(camera))));
-    for (key, camera) in thresholds.chain([(target, None)]) {
+    let thresholds = cameras.map(|camera| {
+        (
+            camera.keys.threshold(),
+            Setting::Threshold(Arc::clone(camera)),
+        )
+    });
+    let of_node = [
+        (node.target(), Setting::Target),
+        (node.screen(), Setting::Screen),
+    ];
+    for (key, setting) in thresholds.chain(of_node) {
         let served = Arc::new(Served {
             key: key.clone(),
-            camera,
+            setting,
         });
         // Zenoh's threads only keep orders, because a change writes a file, which can take a while on a slow SD card.
         let puts = Arc::clone(settings);
@@ -62,8 +71,8 @@ pub(crate) async fn declare(
         let subscriber = session
             .declare_subscriber(key.clone())
             .callback(move |sample| {
-                let Served { key, camera } = &*of_puts;
-                puts.orders.put(key, camera.as_ref(), beginning(sample.payload()));
+                let Served { key, setting } = &*of_puts;
+                puts.orders.put(key, setting, beginning(sample.payload()));
             })
             .await
             .map_err(refused())?;
@@ -117,13 +126,13 @@ pub(crate) async fn declare(
 impl Request {
     /// Changes the value if there is a payload, and replies with the value in force. May write a file.
     fn answer(self, board: &Board, settings: &Settings) {
-        let Served { key, camera } = &*self.served;
+        let Served { key, setting } = &*self.served;
         let query = self.query;
         let result = settings.in_turn(self.place, || {
             if let Some(payload) = self.payload {
-                settings.apply(camera.as_ref(), &payload)?;
+                settings.apply(setting, &payload)?;
             }
-            in_force(board, camera.as_deref())
+            in_force(board, setting)
         });
         let sent = match result {
             Ok(reply) => {
@@ -141,18 +150,31 @@ impl Request {
     }
 }
 
-/// Returns the camera's threshold in force, or the node's target, as JSON.
-fn in_force(
-    board: &Board,
-    camera: Option<&CameraBoard>,
-) -> Result<Vec<u8>, Box<dyn Error + Send + Sync>> {
-    let Some(camera) = camera else {
-        return Ok(serde_json::to_vec(&board.target.report())?);
-    };
-    let in_force = camera.threshold_in_force();
-    let threshold = in_force.ok_or("the policy in use has no threshold")?;
+/// Returns the value in force, as JSON.
+fn in_force(board: &Board, setting: &Setting) -> Result<Vec<u8>, Box<dyn Error + Send + Sync>> {
     let v = VERSION;
-    Ok(serde_json::to_vec(&ThresholdMessage { v, threshold })?)
+    let value = match setting {
+        Setting::Target => serde_json::to_vec(&board.target.report()),
+        Setting::Screen => {
+            let EmptyRoad {
+                pause_s,
+                after_s,
+                still_s,
+            } = board.empty_road();
+            let screen = Pauses {
+                pause_s: Some(pause_s),
+                after_s: Some(after_s),
+                still_s: Some(still_s),
+            };
+            serde_json::to_vec(&ScreenMessage { v, screen })
+        }
+        Setting::Threshold(camera) => {
+            let in_force = camera.threshold_in_force();
+            let threshold = in_force.ok_or("the policy in use has no threshold")?;
+            serde_json::to_vec(&ThresholdMessage { v, threshold })
+        }
+    };
+    Ok(value?)
 }
 
 /// Copies a payload, or only enough of an oversized one to detect it.

@@ -24,6 +24,7 @@ pub fn detections_message(
         pending: false,
         degraded: outcome.degraded,
         cause: outcome.cause,
+        passed: outcome.passed,
         tau_max: outcome.tau_max.map(|tau| significant(tau, 6)),
         threshold: None,
         width: size.width,

@@ -248,7 +248,7 @@ impl NodeConfig {
     fn check_keys(&self, findings: &mut Findings) {
         let Ok(node) = self.keys() else { return };
         // The camera of each key; `None` for the node itself.
-        let mut owners = HashMap::from([(node.target(), None)]);
+        let mut owners = HashMap::from([(node.target(), None), (node.screen(), None)]);
         for keys in self.cameras.iter().filter_map(|camera| node.camera(&camera.name).ok()) {
             owners.extend([
                 (keys.detections(), None),

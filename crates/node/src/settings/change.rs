@@ -4,7 +4,7 @@ use super::file::KeptValues;
 use crate::state::board::{Board, CameraBoard};
 use albireo_core::policy::{EmptyRoad, InvalidThreshold, no_pause};
 use albireo_core::target::{Target, TargetError};
-use albireo_wire::{SettingSource, Threshold};
+use albireo_wire::{Pauses, SettingSource, Threshold};
 use serde::Serialize;
 use std::error::Error;
 use std::slice::from_ref;
@@ -27,6 +27,9 @@ pub(crate) enum RefusedPause {
     /// A number is out of range.
     #[error("`{0}` {1}")]
     OutOfRange(&'static str, String),
+    /// It names none.
+    #[error("it names no pause: `pause_s`, `after_s` or `still_s`, in seconds")]
+    Nothing,
     /// The policy takes no pause.
     #[error("{}", no_pause(.0))]
     NoPause(&'static str),
@@ -94,15 +97,20 @@ impl<'a> Change<'a> {
         Ok(())
     }
 
-    /// Changes the pause on an empty road, of all cameras; `next` makes it of the one in force.
+    /// Changes the pauses of all cameras.
     ///
     /// # Errors
     /// [`RefusedPause`]; then nothing changes.
-    pub(crate) fn empty_road(
-        &mut self,
-        next: impl FnOnce(EmptyRoad) -> EmptyRoad,
-    ) -> Result<(), RefusedPause> {
-        let empty_road = next(self.board.empty_road());
+    pub(crate) fn pauses(&mut self, new: Pauses) -> Result<(), RefusedPause> {
+        if new == Pauses::default() {
+            return Err(RefusedPause::Nothing);
+        }
+        let before = self.board.empty_road();
+        let empty_road = EmptyRoad {
+            pause_s: new.pause_s.unwrap_or(before.pause_s),
+            after_s: new.after_s.unwrap_or(before.after_s),
+            still_s: new.still_s.unwrap_or(before.still_s),
+        };
         if let Some((name, reason)) = empty_road.problem() {
             return Err(RefusedPause::OutOfRange(name, reason));
         }

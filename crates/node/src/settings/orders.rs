@@ -5,7 +5,7 @@ use super::Settings;
 use super::change::Change;
 use crate::state::board::CameraBoard;
 use albireo_service::rate_limit::RateLimit;
-use albireo_wire::{SettingSource, TargetMessage, ThresholdMessage, check_version};
+use albireo_wire::{ScreenMessage, SettingSource, TargetMessage, ThresholdMessage, check_version};
 use parking_lot::Mutex;
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
@@ -25,12 +25,22 @@ const LOG_PERIOD: Duration = Duration::from_secs(10);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Place(u64);
 
+/// A setting with a key of its own.
+#[derive(Clone, Debug)]
+pub(crate) enum Setting {
+    /// The threshold of a camera.
+    Threshold(Arc<CameraBoard>),
+    /// The node's target.
+    Target,
+    /// The pauses of the node.
+    Screen,
+}
+
 /// A put that is not applied yet.
 #[derive(Debug)]
 struct Put {
     place: Place,
-    /// The camera whose threshold it sets; without one, it sets the node's target.
-    camera: Option<Arc<CameraBoard>>,
+    setting: Setting,
     payload: Vec<u8>,
     /// Earlier puts on the key that it replaced.
     replaced: u64,
@@ -74,14 +84,14 @@ impl Orders {
     }
 
     /// Keeps a put on `key` until its turn, in place of an earlier one on this key. Never waits for the disk.
-    pub(crate) fn put(&self, key: &str, camera: Option<&Arc<CameraBoard>>, payload: Vec<u8>) {
+    pub(crate) fn put(&self, key: &str, setting: &Setting, payload: Vec<u8>) {
         let mut arrived = self.arrived.lock();
         arrived.orders += 1;
         let place = Place(arrived.orders);
         let before = arrived.puts.get(key).map(|put| put.replaced + 1);
         let put = Put {
             place,
-            camera: camera.cloned(),
+            setting: setting.clone(),
             payload,
             replaced: before.unwrap_or(0),
         };
@@ -109,7 +119,7 @@ impl Settings {
                 let replaced = put.replaced;
                 tracing::debug!(key, replaced, "the newest of several puts is applied");
             }
-            if let Err(reason) = self.apply(put.camera.as_ref(), &put.payload) {
+            if let Err(reason) = self.apply(&put.setting, &put.payload) {
                 self.orders.refused.log(|held_back| {
                     tracing::warn!(key, held_back, "put rejected: {reason}");
                 });
@@ -132,10 +142,10 @@ impl Settings {
         self.in_turn(place, || self.change(change))
     }
 
-    /// Changes a camera's threshold, or the node's target, to the one in `payload`. Writes a small file.
+    /// Changes a setting to the value in `payload`. Writes a small file.
     pub(crate) fn apply(
         &self,
-        camera: Option<&Arc<CameraBoard>>,
+        setting: &Setting,
         payload: &[u8],
     ) -> Result<(), Box<dyn Error + Send + Sync>> {
         if payload.len() > MAX_MESSAGE_BYTES {
@@ -143,15 +153,23 @@ impl Settings {
             return Err(format!("a message has at most {most} bytes; this one has more").into());
         }
         let local = SettingSource::Local;
-        if let Some(camera) = camera {
-            let example = r#"{"threshold":{"name":"u","value":3e-4}}"#;
-            let ThresholdMessage { v, threshold } = read(payload, example)?;
-            check_version(v)?;
-            self.change(|change| change.thresholds(from_ref(camera), threshold, local))?;
-        } else {
-            let TargetMessage { v, target } = read(payload, r#"{"target":{"skip_rate":0.5}}"#)?;
-            check_version(v)?;
-            self.change(|change| change.target(target, local))?;
+        match setting {
+            Setting::Threshold(camera) => {
+                let example = r#"{"threshold":{"name":"u","value":3e-4}}"#;
+                let ThresholdMessage { v, threshold } = read(payload, example)?;
+                check_version(v)?;
+                self.change(|change| change.thresholds(from_ref(camera), threshold, local))?;
+            }
+            Setting::Target => {
+                let TargetMessage { v, target } = read(payload, r#"{"target":{"skip_rate":0.5}}"#)?;
+                check_version(v)?;
+                self.change(|change| change.target(target, local))?;
+            }
+            Setting::Screen => {
+                let ScreenMessage { v, screen } = read(payload, r#"{"screen":{"pause_s":0.2}}"#)?;
+                check_version(v)?;
+                self.change(|change| change.pauses(screen))?;
+            }
         }
         Ok(())
     }
@@ -179,10 +197,11 @@ mod tests {
 
     fn put(node: &PreparedNode, camera: usize, value: f64) {
         let camera = &node.board.cameras[camera];
+        let setting = Setting::Threshold(Arc::clone(camera));
         let payload = format!(r#"{{"threshold":{{"name":"u","value":{value}}}}}"#);
         node.settings
             .orders
-            .put(&camera.keys.threshold(), Some(camera), payload.into_bytes());
+            .put(&camera.keys.threshold(), &setting, payload.into_bytes());
     }
 
     fn set_by_http(node: &PreparedNode, place: Place, value: f64) {
@@ -230,5 +249,25 @@ mod tests {
         assert_eq!(thresholds(&node.board), [7e-4; 2]);
         node.settings.apply_puts();
         assert_eq!(thresholds(&node.board), [7e-4, 4e-4]);
+    }
+
+    #[test]
+    fn a_pause_comes_by_its_key_too_and_a_wrong_one_says_why() {
+        let node = prepared(&config(None, "albireo"));
+        let set = |payload: &str| node.settings.apply(&Setting::Screen, payload.as_bytes());
+        set(r#"{"screen":{"pause_s":0.2}}"#).unwrap();
+        set(r#"{"v":1,"screen":{"still_s":10}}"#).unwrap();
+        let now = node.board.empty_road();
+        assert_eq!((now.pause_s, now.after_s, now.still_s), (0.2, 1.0, 10.0));
+        for (payload, words) in [
+            (r#"{"screen":{"pause_s":99}}"#, "from 0 to 60"),
+            (r#"{"screen":{"pause":1}}"#, "unknown field `pause`"),
+            (r#"{"screen":{}}"#, "names no pause"),
+            (r#"{"v":2,"screen":{"pause_s":0}}"#, "version 2"),
+        ] {
+            let refused = set(payload).unwrap_err().to_string();
+            assert!(refused.contains(words), "{refused}");
+        }
+        assert_eq!(node.board.empty_road(), now);
     }
 }

@@ -2,7 +2,7 @@ use super::*;
 use crate::PreparedNode;
 use crate::config::{CameraConfig, NodeConfig};
 use albireo_core::policy::ExpectedLoss;
-use albireo_wire::SettingSource;
+use albireo_wire::{Pauses, SettingSource};
 use std::error::Error;
 
 pub(crate) fn config(state_dir: Option<&Path>, policy: &str) -> NodeConfig {
@@ -50,13 +50,13 @@ fn a_changed_pause_survives_a_restart_and_an_edited_one_is_newer() {
         config.screen.pause_s = pause_s;
         prepared(&config)
     };
-    let next = |before| EmptyRoad {
-        pause_s: 0.2,
-        ..before
+    let new = Pauses {
+        pause_s: Some(0.2),
+        ..Pauses::default()
     };
     let first = restarted(0.0);
-    first.settings.change(|change| change.empty_road(next)).unwrap();
-    assert_eq!(first.board.empty_road(), next(EmptyRoad::default()));
+    first.settings.change(|change| change.pauses(new)).unwrap();
+    assert_eq!(first.board.empty_road().pause_s, 0.2);
     drop(first);
     assert_eq!(restarted(0.0).board.empty_road().pause_s, 0.2);
     assert_eq!(restarted(0.1).board.empty_road().pause_s, 0.1);

@@ -14,6 +14,7 @@ pub(crate) use event::provider;
 pub use event::{DetectorEvent, Event, FrameEvent, News, ThresholdEvent};
 pub(crate) use history::{CameraPiece, Clock, FRAMES, PastFrame, PowerPiece, SLOT_S, SkipEstimate};
 pub(crate) use savings::{Savings, Totals};
+pub(crate) use screen::NoNews;
 
 use crate::position::Positions;
 use crate::state::readiness;

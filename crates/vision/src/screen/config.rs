@@ -13,6 +13,8 @@ pub struct ScreenConfig {
     pub pause_s: f64,
     /// Seconds without a detection after which the road is empty.
     pub after_s: f64,
+    /// Seconds from one look at a picture without news to the next; 0 compares no pictures.
+    pub still_s: f64,
     /// The ONNX file of a two-class model with input `[1, 3, height, width]`, values 0 to 1. If empty, there is no
     /// model: the detector is asked whenever no object is active, except in a pause.
     pub model: Option<PathBuf>,
@@ -33,10 +35,15 @@ pub struct ScreenConfig {
 
 impl Default for ScreenConfig {
     fn default() -> Self {
-        let EmptyRoad { pause_s, after_s } = EmptyRoad::default();
+        let EmptyRoad {
+            pause_s,
+            after_s,
+            still_s,
+        } = EmptyRoad::default();
         Self {
             pause_s,
             after_s,
+            still_s,
             model: None,
             color_order: ColorOrder::Rgb,
             empty_is_second: false,
@@ -52,6 +59,7 @@ impl ScreenConfig {
         EmptyRoad {
             pause_s: self.pause_s,
             after_s: self.after_s,
+            still_s: self.still_s,
         }
     }
 }

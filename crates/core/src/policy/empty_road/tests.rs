@@ -7,7 +7,11 @@ use crate::policy::{
 };
 use proptest::prelude::*;
 
-const PAUSE: PauseFrames = PauseFrames { every: 3, after: 4 };
+const PAUSE: PauseFrames = PauseFrames {
+    every: 3,
+    after: 4,
+    ..PauseFrames::OFF
+};
 
 fn paused(asked: &str, pause: PauseFrames) -> Run<WithPause> {
     let policy = WithPause::new(built(asked, Profile::Paper), pause);
@@ -35,6 +39,7 @@ fn on_an_empty_road_one_frame_in_n_is_looked_at_and_says_so() {
             run.outcome,
             Outcome {
                 state: FrameState::E,
+                passed: Some(PassCause::EmptyRoad),
                 ..Outcome::default()
             }
         );
@@ -100,13 +105,17 @@ fn the_pause_can_be_changed_between_frames() {
     assert_eq!(states(&mut run, 6, &[]), "I I I I I I");
     run.policy.set_pause(PAUSE);
     assert_eq!(states(&mut run, 4, &[]), "E E I E");
-    run.policy.set_pause(PauseFrames { every: 1, after: 0 });
+    run.policy.set_pause(PauseFrames::OFF);
     assert_eq!(states(&mut run, 2, &[]), "I I");
 }
 
 #[test]
 fn seconds_are_rounded_to_frames_by_the_rate_and_mean_nothing_without_one() {
-    let road = |pause_s, after_s| EmptyRoad { pause_s, after_s };
+    let road = |pause_s, after_s| EmptyRoad {
+        pause_s,
+        after_s,
+        still_s: 0.0,
+    };
     for (road, rate, every, after) in [
         (road(0.4, 0.3), 5.0, 2, 2),
         (road(0.39, 0.3), 5.0, 1, 2),
@@ -118,7 +127,12 @@ fn seconds_are_rounded_to_frames_by_the_rate_and_mean_nothing_without_one() {
         (road(0.0, 0.0), 30.0, 0, 0),
         (road(60.0, 3600.0), 1e9, u32::MAX, u32::MAX),
     ] {
-        let frames = PauseFrames { every, after };
+        let frames = PauseFrames {
+            every,
+            after,
+            still: 0,
+            second: (rate / 1.02_f64).ceil() as u32,
+        };
         assert_eq!(road.frames(Some(rate)), frames, "{road:?} at {rate}");
     }
     for rate in [
@@ -219,7 +233,7 @@ prop_compose! {
         every in 0..6u32,
         after in 0..6u32,
     ) -> Event {
-        Event { step, screen, detections, pause: PauseFrames { every, after } }
+        Event { step, screen, detections, pause: PauseFrames { every, after, ..PauseFrames::OFF } }
     }
 }
 
@@ -278,6 +292,8 @@ proptest! {
             }
             let mut outcome = Outcome::default();
             plain.finish(&mut outcome);
+            outcome.passed = run.outcome.passed;
+            prop_assert_eq!(outcome.passed, passed.then_some(PassCause::EmptyRoad));
             if run.outcome.cause == Some(CallCause::EmptyRoad) {
                 outcome.cause = Some(CallCause::EmptyRoad);
             }
@@ -289,7 +305,7 @@ proptest! {
     fn without_a_pause_no_bit_changes(script in prop::collection::vec(event(), 1..60), every in 0..2u32) {
         for name in known_policies() {
             let config = PolicyConfig { name: name.to_owned(), ..PolicyConfig::default() };
-            let off = PauseFrames { every, after: 0 };
+            let off = PauseFrames { every, ..PauseFrames::OFF };
             let mut with = Run::with(Box::new(WithPause::new(config.build().unwrap(), off)));
             let mut without = Run::with(config.build().unwrap());
             for event in &script {

@@ -3,7 +3,7 @@
 use super::RouteState;
 use super::states::{self, CameraStates};
 use crate::state::advice::Advice;
-use crate::state::board::{Board, CameraBoard};
+use crate::state::board::{Board, CameraBoard, NoNews};
 use crate::state::readiness::{CAMERAS, PICTURES};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::ThresholdSpec;
@@ -38,6 +38,8 @@ pub(super) struct CameraEntry {
     arrived: u64,
     /// Frames of these that show damage: from a complaint of the decoder to the next whole key frame.
     broken: u64,
+    /// Present while its picture has not changed (`screen.still_s`).
+    no_news: Option<NoNews>,
     /// Clips ended since the node started.
     clips: u64,
     /// Columns of its newest frame.
@@ -87,6 +89,7 @@ fn entry(board: &Board, camera: &CameraBoard) -> CameraEntry {
         max_rate: camera.max_rate,
         arrived: snapshot.arrived.frames,
         broken: snapshot.arrived.broken,
+        no_news: camera.no_news(),
         clips: snapshot.clips,
         width: picture.map(|picture| picture.width),
         height: picture.map(|picture| picture.height),

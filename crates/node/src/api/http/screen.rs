@@ -3,28 +3,18 @@
 use super::RouteState;
 use super::change::{message, off_the_runtime};
 use crate::settings::RefusedPause;
-use albireo_core::policy::EmptyRoad;
 use albireo_service::http::Problem;
+use albireo_wire::Pauses;
 use axum::Json;
 use axum::body::Bytes;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use std::sync::Arc;
 use utoipa::ToSchema;
 
-const EXPECTED: &str = "a JSON object such as {\"pause_s\": 0.2}, with seconds; `after_s` may follow, and `pause_s` 0 means \
-                        no pause";
-
-/// A new pause on an empty road: `{"pause_s": 0.2}`. What is left out stays as it is.
-#[derive(Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
-pub(super) struct NewPause {
-    /// Seconds from one look at an empty road to the next; 0 looks at every frame.
-    pause_s: Option<f64>,
-    /// Seconds without a detection after which the road is empty.
-    after_s: Option<f64>,
-}
+const EXPECTED: &str = "a JSON object such as {\"pause_s\": 0.2}, with seconds; `after_s` and `still_s` may follow, and 0 \
+                        means no pause";
 
 /// What the pause means for a camera.
 #[derive(Serialize, ToSchema)]
@@ -45,7 +35,10 @@ pub(super) struct Pause {
     pause_s: f64,
     /// Seconds without a detection after which the road is empty.
     after_s: f64,
-    /// False if the policy takes no pause: it does not call the detector whenever nothing is tracked.
+    /// Seconds from one look at a picture without news to the next; 0 compares no pictures. Works under every policy that
+    /// looks at no pictures itself.
+    still_s: f64,
+    /// False if the policy takes no pause on an empty road: it does not call the detector whenever nothing is tracked.
     applies: bool,
     /// True if what was set at run time survives a restart.
     survives_restart: bool,
@@ -67,6 +60,7 @@ fn pause(shared: &RouteState) -> Pause {
     Pause {
         pause_s: empty_road.pause_s,
         after_s: empty_road.after_s,
+        still_s: empty_road.still_s,
         applies: board.can_pause(),
         survives_restart: shared.settings.survive_restart(),
         cameras: cameras.collect(),
@@ -84,10 +78,11 @@ pub(super) async fn get(State(shared): State<RouteState>) -> Json<Pause> {
 /// Changes the pause on an empty road, of all cameras
 ///
 /// Applies from each camera's next frame. Once nothing was detected for `after_s`, one frame per `pause_s` is looked at
-/// until something is found; the others are answered with state E.
+/// until something is found; the others are answered with state E. With `still_s`, one frame per so many seconds is looked at
+/// while the picture does not change.
 /// `curl -X PUT -d '{"pause_s": 0.2}' http://127.0.0.1:8080/api/v1/screen`
 #[utoipa::path(
-    put, operation_id = "set_screen", path = "/api/v1/screen", tag = "threshold", request_body = NewPause,
+    put, operation_id = "set_screen", path = "/api/v1/screen", tag = "threshold", request_body = Pauses,
     responses((status = 200, body = Pause))
 )]
 pub(super) async fn put(
@@ -95,21 +90,15 @@ pub(super) async fn put(
     headers: HeaderMap,
     body: Bytes,
 ) -> Result<Json<Pause>, Problem> {
-    let sent: NewPause = message(&headers, &body, EXPECTED)?;
-    if sent.pause_s.is_none() && sent.after_s.is_none() {
-        let empty = format!("the body must be {EXPECTED}: it has neither");
-        return Err(Problem::new(StatusCode::UNPROCESSABLE_ENTITY, empty));
-    }
+    let sent: Pauses = message(&headers, &body, EXPECTED)?;
     let settings = Arc::clone(&shared.settings);
     let place = settings.orders.place();
-    let next = move |before: EmptyRoad| EmptyRoad {
-        pause_s: sent.pause_s.unwrap_or(before.pause_s),
-        after_s: sent.after_s.unwrap_or(before.after_s),
-    };
-    let set = move || settings.change_in_turn(place, |change| change.empty_road(next));
+    let set = move || settings.change_in_turn(place, |change| change.pauses(sent));
     off_the_runtime(set).await?.map_err(|refused| {
         let status = match refused {
-            RefusedPause::OutOfRange(..) => StatusCode::UNPROCESSABLE_ENTITY,
+            RefusedPause::OutOfRange(..) | RefusedPause::Nothing => {
+                StatusCode::UNPROCESSABLE_ENTITY
+            }
             RefusedPause::NoPause(_) => StatusCode::CONFLICT,
         };
         Problem::new(status, refused.to_string())

@@ -4,6 +4,7 @@ use super::CHANGES_PERIOD;
 use super::event::{Event, FrameEvent, News};
 use super::flow::Flow;
 use super::history::{CameraPiece, Clock, History, PastFrame, SkipEstimate};
+use super::screen::NoNews;
 use crate::frame::{AnsweredFrame, FrameRecord};
 use crate::input::{ArrivalCounts, InputCounter, Unusable};
 use crate::publishing::Unpublished;
@@ -35,6 +36,8 @@ pub struct CameraSnapshot {
     pub degraded_frames: u64,
     /// Frames for which the detector was called, by cause.
     pub calls: DetectorCalls,
+    /// Frames that a pause passed over, by cause in the order of `PassCause::ALL`.
+    pub passed: [u64; 3],
     /// Unprocessed frames, by kind.
     pub dropped: DroppedFrames,
     /// The audit's results; `None` without an audit.
@@ -66,6 +69,9 @@ pub struct CameraSnapshot {
     /// What is wrong with the frames of the last ten seconds.
     pub flow_fault: Option<Arc<str>>,
 }
+
+/// The least time between two log lines about pictures without news.
+const NEWS_PERIOD: Duration = Duration::from_secs(60);
 
 /// So many unusable frames in a row are a fault of the camera, and not of a frame.
 const UNUSABLE_IN_A_ROW: u64 = 5;
@@ -108,6 +114,9 @@ impl CameraSnapshot {
         self.count_boxes(&detections.boxes);
         if let Some(cause) = detections.cause {
             self.calls.count(cause);
+        }
+        if let Some(cause) = detections.passed {
+            self.passed[cause as usize] += 1;
         }
     }
 
@@ -203,6 +212,10 @@ pub struct CameraBoard {
     pub(super) set_by: Mutex<SettingSource>,
     /// The bits of the measured frames per second; 0 before the second frame.
     pub(super) rate: AtomicU64,
+    /// Whether its pictures have no news.
+    pub(super) no_news: Mutex<Option<NoNews>>,
+    /// Log lines about that: a picture may change every second.
+    pub(super) news_changes: RateLimit,
     /// Counts the frames that do not reach its loop, and keeps its newest picture.
     pub input: Arc<InputCounter>,
     /// Counts the messages about it that were not published.
@@ -240,6 +253,8 @@ impl CameraBoard {
             unpublished: Unpublished::default(),
             changes: RateLimit::new(CHANGES_PERIOD),
             rate: AtomicU64::default(),
+            no_news: Mutex::default(),
+            news_changes: RateLimit::new(NEWS_PERIOD),
             counts: Mutex::new(counts),
             history: Mutex::default(),
             answered: watch::Sender::default(),

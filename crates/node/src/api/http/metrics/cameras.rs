@@ -3,7 +3,7 @@
 use super::flag;
 use crate::state::board::{Board, CameraBoard, CameraSnapshot};
 use crate::state::readiness::CAMERAS;
-use albireo_core::policy::FrameState;
+use albireo_core::policy::{FrameState, PassCause};
 use albireo_service::metrics::MetricsPage;
 use albireo_wire::{AuditRate, AuditReport};
 
@@ -98,6 +98,15 @@ fn frames(page: &mut MetricsPage, cameras: &[ShownCamera<'_>]) {
             dropped.map(|(kind, count)| ([*camera, ("kind", kind)], count as f64))
         }),
     );
+    page.counters(
+        "albireo_frames_passed_total",
+        "Frames that a pause passed over, by cause: the road was empty, the picture has not changed, or is dark as well",
+        cameras.iter().flat_map(|(camera, _, snapshot)| {
+            let causes = PassCause::ALL.into_iter().zip(snapshot.passed);
+            let some = causes.filter(|(_, count)| *count > 0);
+            some.map(|(cause, count)| ([*camera, ("cause", cause.as_str())], count as f64))
+        }),
+    );
     for (name, help, value) in COUNTERS {
         let samples = cameras.iter();
         page.counters(
@@ -146,6 +155,14 @@ fn newest(page: &mut MetricsPage, board: &Board, cameras: &[ShownCamera<'_>]) {
         "Time since the newest frame",
         cameras.iter().filter_map(|(camera, _, snapshot)| {
             Some(([*camera], snapshot.last_frame_age()?.as_secs_f64()))
+        }),
+    );
+    page.gauges(
+        "albireo_camera_no_news_seconds",
+        "Time for which a camera's picture has not changed, by cause (unchanged, dark); absent while it changes",
+        cameras.iter().filter_map(|(camera, board, _)| {
+            let now = board.no_news()?;
+            Some(([*camera, ("cause", now.cause.as_str())], now.for_s))
         }),
     );
     page.gauges(
