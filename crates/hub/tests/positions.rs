@@ -256,7 +256,7 @@ async fn gdal_reads_the_positions_of_a_simulated_fleet() {
         backlog: 6,
         positions: true,
         duration: Duration::from_millis(100),
-        drain: PATIENCE / 6,
+        drain: PATIENCE / 2,
         seed: 1,
         ..albireo_simulate::Options::default()
     };
