@@ -34,7 +34,7 @@ async fn a_target_set_at_the_hub_is_held_by_the_node_until_its_threshold_is_set_
     assert_eq!(code, Some(3), "{said}");
     let revision = said.split("revision ").nth(1).unwrap();
     let revision = revision.split(':').next().unwrap();
-    let refused = hub.get(&format!("/api/v1/changes/{revision}")).await;
+    let refused = hub.get(&format!("/api/v1/revisions/{revision}")).await;
     let words = &refused["nodes"][1]["detail"];
     assert_contains(words, &["policy `vanilla` has no threshold"]);
     let held = json!({"target": {"skip_rate": 0.5}, "source": "hub"});

@@ -100,12 +100,12 @@ fn numbers(db: &Connection, query: &str) -> BTreeSet<u64> {
 struct Told {
     /// Reports by number.
     reports: Answered<u64>,
-    /// Orders by revision.
-    orders: Answered<u64>,
+    /// Revisions that were given.
+    revisions: Answered<u64>,
 }
 
 impl Told {
-    /// Sends reports and orders until it is dropped.
+    /// Sends reports and settings until it is dropped.
     async fn work(&mut self, hub: &HubProcess, zenoh: &str, begun_ns: u64) {
         let session = uplink(zenoh).await;
         loop {
@@ -113,25 +113,25 @@ impl Told {
             let reports = first..=first + first % 7;
             deliver(&session, NODE, reports.clone(), begun_ns).await;
             self.reports.extend(reports.map(|report| (report, now_us())));
-            let order = format!(
+            let setting = format!(
                 r#"{{"u": 0.{}, "select": ["{NODE}"], "wait_s": 0}}"#,
                 1000 + first
             );
             let put = reqwest::Client::new().put(format!("{}/api/v1/threshold", hub.http));
-            let put = put.header("content-type", "application/json").body(order);
+            let put = put.header("content-type", "application/json").body(setting);
             let answer = put.send().await.unwrap().text().await.unwrap();
             let answer: Value = serde_json::from_str(&answer).unwrap();
             let revision = answer["revision"].as_u64().unwrap_or_else(|| panic!("{answer}"));
-            self.orders.insert(revision, now_us());
+            self.revisions.insert(revision, now_us());
         }
     }
 
     /// Asserts that a disk has what was answered before the moment of its power cut, once and with the right sums.
     fn assert_kept(&self, files: &Files, moment: u64) {
         let reports: BTreeSet<u64> = before(&self.reports, moment).copied().collect();
-        let orders: BTreeSet<u64> = before(&self.orders, moment).copied().collect();
+        let revisions: BTreeSet<u64> = before(&self.revisions, moment).copied().collect();
         let Some((_folder, db)) = database(files, "hub.db") else {
-            return assert!(reports.is_empty() && orders.is_empty(), "no database");
+            return assert!(reports.is_empty() && revisions.is_empty(), "no database");
         };
         let kept = numbers(&db, "SELECT count FROM clips");
         let rows = number(&db, "SELECT count(*) FROM clips");
@@ -141,9 +141,9 @@ impl Told {
         let frames = number(&db, "SELECT coalesce(sum(frames), 0) FROM clips");
         let sums = "SELECT coalesce(sum(frames), 0) FROM sums_5m WHERE camera_id = 0";
         assert_eq!(number(&db, sums), frames, "sums of other clips");
-        let kept = numbers(&db, "SELECT revision FROM orders");
-        let lost: Vec<_> = orders.difference(&kept).collect();
-        assert!(lost.is_empty(), "orders {lost:?} were answered");
+        let kept = numbers(&db, "SELECT revision FROM revisions");
+        let lost: Vec<_> = revisions.difference(&kept).collect();
+        assert!(lost.is_empty(), "revisions {lost:?} were answered");
     }
 }
 
@@ -175,7 +175,7 @@ async fn a_hub_has_every_report_and_order_that_it_acknowledged_before_a_power_cu
         }
         // The hub goes on with the disk that was looked at last.
         told.reports.retain(|_, at| *at < last);
-        told.orders.retain(|_, at| *at < last);
+        told.revisions.retain(|_, at| *at < last);
     }
     let hub = HubProcess::start(&settings);
     let session = uplink(&zenoh).await;

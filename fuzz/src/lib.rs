@@ -18,9 +18,9 @@ use albireo_vision::picture::{
     FrameLimits, Picture, PixelLayout, decode, read_part, read_png, read_ppm,
 };
 use albireo_wire::{
-    BatchCompression, ConfigChanged, Desired, Heartbeat, NodeKeys, NodeStatus, PullRequest,
-    ReportAnswer, ReportBatch, StatusMessage, TargetMessage, ThresholdChange, ThresholdMessage,
-    read, stream_of_token,
+    BatchCompression, Desired, Heartbeat, NodeKeys, NodeStatus, ReportAnswer, ReportBatch,
+    RevisionMessage, StatusMessage, TargetMessage, ThresholdChange, ThresholdMessage, read,
+    stream_of_token,
 };
 use axum::body::Body;
 use axum::http::Request;
@@ -209,8 +209,8 @@ fn status(data: &[u8]) -> bool {
 fn desired(data: &[u8]) -> bool {
     [
         message::<Desired>(data),
-        message::<ConfigChanged>(data),
-        message::<PullRequest>(data),
+        message::<RevisionMessage>(data),
+        message::<RevisionMessage>(data),
         json::<ThresholdMessage>(data),
         json::<ThresholdChange>(data),
         json::<TargetMessage>(data),

@@ -11,7 +11,7 @@ use clap::Subcommand;
 use client::Client;
 use serde_json::{Value, json};
 
-/// Arguments of `albireo fleet`.
+/// FleetArguments of `albireo fleet`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Nodes are selected by name (cam-7), glob ('cam-*'), label (region=north) or
@@ -39,10 +39,10 @@ Examples:
   albireo fleet trial start 1e-4 3e-4 1e-3 --select region=north --for 2h
   albireo fleet forget car-7                         a scrapped node
   albireo fleet energy --since 7d --by node
-  albireo fleet changes --node cam-7
+  albireo fleet revisions --node cam-7
       who set what, when and why, and the outcome
   ALBIREO_HUB=http://hub.example:8090 ALBIREO_HUB_TOKEN=… albireo fleet watch")]
-pub(super) struct Arguments {
+pub(super) struct FleetArguments {
     /// The hub
     #[arg(
         long,
@@ -59,11 +59,11 @@ pub(super) struct Arguments {
     #[arg(long, global = true)]
     json: bool,
     #[command(subcommand)]
-    command: Command,
+    command: FleetCommand,
 }
 
 #[derive(Debug, Subcommand)]
-enum Command {
+enum FleetCommand {
     /// List all nodes with their states.
     Ls(nodes::ListArguments),
     /// Show one node.
@@ -85,7 +85,7 @@ enum Command {
         #[arg(long, default_value = "u")]
         threshold: String,
         #[command(flatten)]
-        order: set::Order,
+        arguments: set::GiveArguments,
     },
     /// Let selected nodes hold a target instead of a threshold.
     SetTarget {
@@ -93,11 +93,11 @@ enum Command {
         #[arg(value_parser = units::target)]
         target: Value,
         #[command(flatten)]
-        order: set::Order,
+        arguments: set::GiveArguments,
     },
-    /// Show the history of changes.
-    Changes(set::ChangesArguments),
-    /// List nodes that were changed locally after they applied the desired value or target.
+    /// Show the history of desired settings.
+    Revisions(set::RevisionsArguments),
+    /// List nodes that were changed locally after they applied the desired setting.
     Drift,
     /// Change a value in stages, each gated on measurements.
     #[command(subcommand)]
@@ -148,27 +148,29 @@ impl Context {
     }
 }
 
-pub(super) async fn run(arguments: Arguments) -> anyhow::Result<i32> {
+pub(super) async fn run(arguments: FleetArguments) -> anyhow::Result<i32> {
     let context = Context {
         client: Client::new(&arguments.hub, arguments.token)?,
         json: arguments.json,
     };
     let ended = match arguments.command {
-        Command::Ls(arguments) => nodes::list(&context, arguments).await,
-        Command::Show { node } => nodes::show(&context, &node).await,
-        Command::Forget { nodes } => nodes::forget(&context, &nodes).await,
-        Command::SetU {
+        FleetCommand::Ls(arguments) => nodes::list(&context, arguments).await,
+        FleetCommand::Show { node } => nodes::show(&context, &node).await,
+        FleetCommand::Forget { nodes } => nodes::forget(&context, &nodes).await,
+        FleetCommand::SetU {
             value,
             threshold,
-            order,
-        } => set::order(&context, &threshold, json!(value), order).await,
-        Command::SetTarget { target, order } => set::order(&context, "target", target, order).await,
-        Command::Changes(arguments) => set::changes(&context, arguments).await,
-        Command::Drift => set::drift(&context).await,
-        Command::Rollout(command) => runs::rollout(&context, command).await,
-        Command::Trial(command) => runs::trial(&context, command).await,
-        Command::Energy(arguments) => nodes::energy(&context, arguments).await,
-        Command::Watch { looks } => nodes::watch(&context, looks).await,
+            arguments,
+        } => set::give(&context, &threshold, json!(value), arguments).await,
+        FleetCommand::SetTarget { target, arguments } => {
+            set::give(&context, "target", target, arguments).await
+        }
+        FleetCommand::Revisions(arguments) => set::revisions(&context, arguments).await,
+        FleetCommand::Drift => set::drift(&context).await,
+        FleetCommand::Rollout(command) => runs::rollout(&context, command).await,
+        FleetCommand::Trial(command) => runs::trial(&context, command).await,
+        FleetCommand::Energy(arguments) => nodes::energy(&context, arguments).await,
+        FleetCommand::Watch { looks } => nodes::watch(&context, looks).await,
     }?;
     Ok(ended as i32)
 }

@@ -25,7 +25,7 @@ const { withGaps } = await import("../src/node/charts");
 const { headline } = await import("../src/node/header");
 const { href, parseRoute } = await import("../src/hub/route");
 const { Rows, PAGE, path } = await import("../src/hub/rows");
-const { LineParser, countOutcomes, ordered, terms } = await import("../src/hub/tune");
+const { LineParser, countOutcomes, request, terms } = await import("../src/hub/tune");
 const { settingText } = await import("../src/hub/parts");
 const { thresholdOf } = await import("../src/hub/fleet");
 const { beginnings } = await import("../src/hub/energy");
@@ -227,7 +227,7 @@ describe("the rows of a fleet", () => {
   });
 });
 
-describe("an order", () => {
+describe("a setting given", () => {
   test("is for the terms that were written", () => {
     expect(terms(" cam-*, region=north & !cam-3 ,, all")).toEqual(["cam-*", "region=north & !cam-3", "all"]);
   });
@@ -249,13 +249,13 @@ describe("a pause on an empty road", () => {
   });
 });
 
-describe("what is ordered", () => {
+describe("what is given", () => {
   test("goes where it belongs, though a threshold and a target have one name", () => {
-    expect(ordered("skip_rate", 0.5)).toEqual({ path: "/api/v1/threshold", fields: { skip_rate: 0.5 } });
-    expect(ordered("hold skip_rate", 0.5)).toEqual({ path: "/api/v1/target", fields: { target: { skip_rate: 0.5 } } });
-    expect(ordered("hold nothing", undefined)).toEqual({ path: "/api/v1/target", fields: { target: null } });
-    expect(ordered("hold watts", undefined)).toBeUndefined();
-    expect(ordered("u", undefined)).toBeUndefined();
+    expect(request("skip_rate", 0.5)).toEqual({ path: "/api/v1/threshold", fields: { skip_rate: 0.5 } });
+    expect(request("hold skip_rate", 0.5)).toEqual({ path: "/api/v1/target", fields: { target: { skip_rate: 0.5 } } });
+    expect(request("hold nothing", undefined)).toEqual({ path: "/api/v1/target", fields: { target: null } });
+    expect(request("hold watts", undefined)).toBeUndefined();
+    expect(request("u", undefined)).toBeUndefined();
   });
 
   test("is shown as a value or as a target", () => {

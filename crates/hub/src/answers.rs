@@ -18,7 +18,7 @@ pub(crate) use session::{MAX_SESSIONS, SESSION};
 
 use crate::ingest::IngestCounters;
 use crate::presence::Fleet;
-use crate::tuning::Desires;
+use crate::tuning::DesiredSettings;
 use albireo_wire::Desired;
 use std::sync::Arc;
 
@@ -26,7 +26,7 @@ use std::sync::Arc;
 #[derive(Clone, Debug)]
 pub(crate) struct Answers {
     pub(crate) fleet: Arc<Fleet>,
-    pub(crate) desires: Arc<Desires>,
+    pub(crate) desired: Arc<DesiredSettings>,
     pub(crate) counters: Arc<IngestCounters>,
     pub(crate) replies: Replies,
 }
@@ -37,7 +37,7 @@ impl Answers {
         Desired {
             heartbeat_s: Some(self.fleet.heartbeat_s()),
             send_full_status: self.fleet.needs_full_status(node),
-            ..self.desires.of(node)
+            ..self.desired.of(node)
         }
     }
 }

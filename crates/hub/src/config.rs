@@ -42,7 +42,7 @@ pub struct HubConfig {
     pub presence: PresenceConfig,
     /// The retention of the history.
     pub history: HistoryConfig,
-    /// The time limit of orders, and the reaction to local changes.
+    /// The time limit of desired settings, and the reaction to local changes.
     pub tuning: TuningConfig,
     /// The log.
     pub log: LogConfig,

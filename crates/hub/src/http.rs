@@ -1,7 +1,7 @@
 //! Defines the routes of a hub.
 
 mod body;
-mod changes;
+
 mod clips;
 mod diag;
 mod energy;
@@ -11,11 +11,12 @@ mod live;
 mod metrics;
 mod nodes;
 mod positions;
+mod revisions;
 mod runs;
 
-pub use changes::{ChangeView, Changes, OrderAnswer, OrderLine};
 pub use energy::Energy;
 pub use nodes::{NodeDetail, NodeList};
+pub use revisions::{OutcomeLine, Revision, Revisions};
 pub use runs::Runs;
 
 use crate::history::{EnergyBy, Sort, StoredEvent};
@@ -71,11 +72,11 @@ fn described() -> (Router<Hub>, OpenApi) {
         .routes(routes!(positions::delete))
         .routes(routes!(events::stream))
         .routes(routes!(diag::archive))
-        .routes(routes!(changes::set_threshold))
-        .routes(routes!(changes::set_target))
-        .routes(routes!(changes::changes))
-        .routes(routes!(changes::change))
-        .routes(routes!(changes::drift))
+        .routes(routes!(revisions::set_threshold))
+        .routes(routes!(revisions::set_target))
+        .routes(routes!(revisions::revisions))
+        .routes(routes!(revisions::revision))
+        .routes(routes!(revisions::drift))
         .routes(routes!(runs::rollouts, runs::begin_rollout))
         .routes(routes!(runs::one_rollout))
         .routes(routes!(runs::command_rollout))

@@ -4,7 +4,7 @@ use crate::config::HubConfig;
 use crate::ingest::IngestCounters;
 use crate::presence::Fleet;
 use crate::store::Store;
-use crate::tuning::{Desires, Tuner};
+use crate::tuning::{DesiredSettings, Tuner};
 use albireo_service::config;
 use albireo_service::http::Problem;
 use albireo_service::identity::{self, Certificates};
@@ -30,7 +30,7 @@ pub(crate) struct Hub {
     /// All nodes.
     pub(crate) fleet: Arc<Fleet>,
     /// The desired settings of the nodes.
-    pub(crate) desires: Arc<Desires>,
+    pub(crate) desired: Arc<DesiredSettings>,
     /// Counters of what is received and stored.
     pub(crate) ingest: Arc<IngestCounters>,
     /// Cancelled when the hub stops.
@@ -52,7 +52,11 @@ pub(crate) struct Hub {
 
 impl Hub {
     /// A hub that knows no node yet.
-    pub(crate) fn new(config: &HubConfig, desires: Desires, shutdown: CancellationToken) -> Self {
+    pub(crate) fn new(
+        config: &HubConfig,
+        desired: DesiredSettings,
+        shutdown: CancellationToken,
+    ) -> Self {
         let readiness = Readiness::default();
         let certificates = Certificates::read(config.zenoh.tls_files("certificate"));
         let read = certificates.clone();
@@ -63,7 +67,7 @@ impl Hub {
             readiness,
             certificates,
             fleet: Arc::new(Fleet::new(&config.presence)),
-            desires: Arc::new(desires),
+            desired: Arc::new(desired),
             ingest: Arc::default(),
             shutdown,
             opened: Arc::default(),

@@ -43,8 +43,8 @@ pub(crate) use named;
 mod tests {
     use crate::presence::PresenceState;
     use crate::tuning::gate::Verdict;
-    use crate::tuning::member::Outcome;
     use crate::tuning::metric::{Figure, Metric};
+    use crate::tuning::outcome::Outcome;
     use crate::tuning::run::{Command, Phase, What};
     use serde::Serialize;
 

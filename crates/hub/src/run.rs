@@ -8,7 +8,7 @@ use crate::hub::Hub;
 use crate::ingest::{self, Recorder};
 use crate::presence::follow_today;
 use crate::store::{Store, StoreError};
-use crate::tuning::{self, Desires, Tuner};
+use crate::tuning::{self, DesiredSettings, Tuner};
 use albireo_service::clock::Now;
 use albireo_service::config::ZenohMode;
 use albireo_service::notify;
@@ -49,8 +49,8 @@ pub async fn run(
 ) -> Result<(), HubError> {
     let address = listener.local_addr().map_err(HubError::at("the listener has no address"))?;
     config.database.passwords().for_each(logging::conceal);
-    let (desires, notices) = Desires::new();
-    let hub = Hub::new(config, desires, shutdown.clone());
+    let (desired, notices) = DesiredSettings::new();
+    let hub = Hub::new(config, desired, shutdown.clone());
     hub.readiness.part("zenoh").not_ready("the session is not open yet");
     hub.readiness.part("database").not_ready("it is not open yet");
     // HTTP stops last, so that the state can be read until the end.
@@ -135,7 +135,7 @@ async fn parts(
     watched.map_err(HubError::of)
 }
 
-/// Opens the database, and reads from it the nodes and what was ordered. Tries again until it can be opened; `None` after a
+/// Opens the database, and reads from it the nodes and what is desired. Tries again until it can be opened; `None` after a
 /// shutdown.
 async fn open_database(config: &HubConfig, hub: &Hub) -> Result<Option<Arc<Tuner>>, HubError> {
     let database = hub.readiness.part("database");
@@ -173,7 +173,7 @@ async fn open(config: &HubConfig, hub: &Hub) -> Result<Arc<Tuner>, StoreError> {
     let tuner = Tuner::open(
         store,
         Arc::clone(&hub.fleet),
-        Arc::clone(&hub.desires),
+        Arc::clone(&hub.desired),
         config.tuning.clone(),
         Uuid::now_v7().to_string(),
     );
@@ -238,7 +238,7 @@ async fn start(
     let (replies, replier) = Replies::start(Arc::clone(&hub.ingest));
     let answers = Answers {
         fleet: Arc::clone(&hub.fleet),
-        desires: Arc::clone(&hub.desires),
+        desired: Arc::clone(&hub.desired),
         counters: Arc::clone(&hub.ingest),
         replies,
     };
@@ -270,7 +270,7 @@ async fn start(
 
     let reports = answers.take_reports(&keys, session, inbox).await?;
     // Known nodes report their state now instead of at their next interval.
-    hub.fleet.each(|node| hub.desires.notify(&node.node));
+    hub.fleet.each(|node| hub.desired.notify(&node.node));
     hub.readiness.part("zenoh").works();
     Ok(Running {
         tasks,

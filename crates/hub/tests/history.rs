@@ -197,7 +197,7 @@ async fn the_diagnostic_archive_describes_the_hub() {
     let answer = reqwest::get(format!("{}/api/v1/diag", hub.http)).await;
     let archive = answer.unwrap().bytes().await.unwrap();
     let text = String::from_utf8_lossy(&archive);
-    let files = "about.json configuration.json nodes-not-online.json events.json changes.json metrics.txt log.txt";
+    let files = "about.json configuration.json nodes-not-online.json events.json revisions.json metrics.txt log.txt";
     assert_contains(&text, &files.split(' ').collect::<Vec<_>>());
     let lines = [
         "\"commit_ms\": 20",
@@ -209,6 +209,63 @@ async fn the_diagnostic_archive_describes_the_hub() {
     assert_contains(&text, &lines);
     hub.stop().await;
 }
+
+/// Runs a script in a database that no hub has opened yet.
+async fn script(url: &str, statements: &'static str) {
+    if let Some(file) = url.strip_prefix("sqlite:") {
+        let database = rusqlite::Connection::open(file).unwrap();
+        return database.execute_batch(statements).unwrap();
+    }
+    use sqlx::{Connection as _, Executor as _};
+    let mut connection = sqlx::PgConnection::connect(url).await.unwrap();
+    connection.execute(sqlx::raw_sql(statements)).await.unwrap();
+}
+
+async fn tables_of_version_14_are_brought_to_this_version_with_what_is_in_them(database: &str) {
+    let dump = if database.starts_with("sqlite:") {
+        include_str!("../../../tests/fixtures/databases/hub-14-sqlite.sql")
+    } else {
+        include_str!("../../../tests/fixtures/databases/hub-14-postgres.sql")
+    };
+    script(database, dump).await;
+    // The second start finds tables of its own version.
+    let hub = Hub::start(config(database)).await.restart().await;
+    let half = json!({"target": {"skip_rate": 0.5}});
+    let u = json!({"threshold": {"name": "u", "value": 5e-4}});
+    let all = hub.get("/api/v1/revisions").await;
+    let given = json!({
+        "revision": 6, "select": "car-8", "to": half, "why": "half", "counts": {"waiting": 1},
+    });
+    assert_has(&all["revisions"][0], &given);
+    let revision = hub.get("/api/v1/revisions/5").await;
+    let node = json!({
+        "node": "car-7", "from": {"threshold": {"name": "u", "value": 3e-4}}, "to": u, "revision": 5,
+        "given_ms": 1_795_321_700_000_u64, "outcome": "applied",
+    });
+    assert_has(&revision["nodes"][0], &node);
+    assert_eq!(json!(hub.pull("car-7").await.setting), u);
+    assert_eq!(json!(hub.pull("car-8").await.setting), half);
+    let rollout = hub.get("/api/v1/rollouts/1").await;
+    let member = json!({
+        "node": "car-7", "value": {"name": "u", "value": 5e-4}, "given_ms": 1_795_321_700_000_u64,
+    });
+    assert_has(&rollout["nodes"][0], &member);
+    assert_eq!(rollout["plan"]["why"], "they \"asked\": for it");
+    // What is given next has a higher number, and ends what was open.
+    hub.store("car-8", 1..=1).await;
+    let put = put(
+        &hub,
+        json!({"u": 5e-4, "select": "car-8", "wait_s": 0}),
+        json!({"waiting": 1}),
+    )
+    .await;
+    assert!(put["revision"].as_u64() > Some(6), "{put}");
+    let before = hub.get("/api/v1/revisions/6").await;
+    assert_eq!(before["nodes"][0]["outcome"], "superseded", "{before}");
+    hub.stop().await;
+}
+
+on_both!(tables_of_version_14_are_brought_to_this_version_with_what_is_in_them);
 
 #[rstest]
 #[tokio::test(flavor = "multi_thread")]
@@ -228,7 +285,7 @@ async fn postgres_imports_the_history_and_settings_of_a_database_of_0_1() {
     assert_has(&energy["groups"][0], &sums);
     let setting = json!({"threshold": {"name": "u", "value": 5e-4}});
     let change = json!({"revision": 3, "to": setting, "counts": {"applied": 1}});
-    assert_has(&hub.get("/api/v1/changes").await["changes"][0], &change);
+    assert_has(&hub.get("/api/v1/revisions").await["revisions"][0], &change);
     assert_eq!(json!(hub.pull("car-7").await.setting), setting);
     hub.stop().await;
 }
@@ -244,14 +301,14 @@ async fn postgres_imports_a_sqlite_file_with_history_report_ids_and_revisions() 
         hub.store("car-1", first..=first + 99).await;
     }
     let nodes = SimulatedFleet::start(&hub, fleet(2)).await;
-    let order = |u: f64| json!({"u": u, "select": "sim-*"});
+    let body = |u: f64| json!({"u": u, "select": "sim-*"});
     let applied = json!({"applied": 2});
-    let first = put(&hub, order(5e-4), applied.clone()).await;
+    let first = put(&hub, body(5e-4), applied.clone()).await;
     nodes.end().await;
     let paths = [
         "/api/v1/clips?limit=1000",
         "/api/v1/energy?by=camera&since_ms=0",
-        "/api/v1/changes",
+        "/api/v1/revisions",
     ];
     let mut before = Vec::new();
     for path in paths {
@@ -291,7 +348,7 @@ async fn postgres_imports_a_sqlite_file_with_history_report_ids_and_revisions() 
         .sum();
     assert_eq!(clips, 1250);
     let nodes = SimulatedFleet::start(&hub, fleet(2)).await;
-    let second = put(&hub, order(7e-4), applied).await;
+    let second = put(&hub, body(7e-4), applied).await;
     assert!(second["revision"].as_u64() > first["revision"].as_u64());
     nodes.end().await;
     hub.stop().await;

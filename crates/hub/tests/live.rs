@@ -111,7 +111,7 @@ async fn the_index_lists_every_documented_route() {
     let index = hub.get("/api/v1").await;
     let routes = index["routes"].as_array().unwrap();
     let described = hub.get("/openapi.json").await;
-    for path in "threshold target rollouts/{id} trials changes/{revision}".split(' ') {
+    for path in "threshold target rollouts/{id} trials revisions/{revision}".split(' ') {
         let path = format!("/api/v1/{path}");
         assert!(described["paths"][&path].is_object(), "{path}");
     }

@@ -4,7 +4,7 @@ use crate::support::{
     Hub, assert_contains, assert_has, free_port, full_status, names, open, status,
 };
 use albireo_service::config::ZenohMode;
-use albireo_wire::ConfigChanged;
+use albireo_wire::RevisionMessage;
 use rstest::rstest;
 use serde_json::json;
 use std::time::Duration;
@@ -43,7 +43,7 @@ async fn a_gap_in_the_numbers_makes_the_hub_ask_for_the_full_status_which_surviv
     assert!(!hub.pull("car-2").await.send_full_status);
     hub.put_status("car-2", &status(11, 5)).await;
     let notice = notices.recv_async().await.unwrap();
-    albireo_wire::read::<ConfigChanged>(&notice.payload().to_bytes()).unwrap();
+    albireo_wire::read::<RevisionMessage>(&notice.payload().to_bytes()).unwrap();
     assert!(hub.pull("car-2").await.send_full_status);
     let full = full_status(11, 6, &[("power", "no meter")]);
     hub.put_status("car-2", &full).await;

@@ -27,7 +27,7 @@ async fn a_value_or_target_reaches_the_selected_nodes_and_replaces_the_one_befor
     let dry = json!({"target": wanted, "select": "sim-*", "dry_run": true});
     let answer = put_at(&hub, "/api/v1/target", dry, json!({"would_change": 6})).await;
     assert_eq!(answer["nodes"][0]["outcome"], "would_change");
-    assert_eq!(hub.get("/api/v1/changes").await["changes"], json!([]));
+    assert_eq!(hub.get("/api/v1/revisions").await["revisions"], json!([]));
 
     // Nodes 0 and 4 are in the north.
     let counts = json!({"applied": 3, "refused": 1});
@@ -45,10 +45,10 @@ async fn a_value_or_target_reaches_the_selected_nodes_and_replaces_the_one_befor
     let us = values(&nodes);
     assert!(us[0] > 3e-4 && us[2] == 3e-4, "{nodes}");
     let change = answer["revision"].as_u64().unwrap();
-    let changes = hub.get("/api/v1/changes?node=sim-000004").await;
+    let revisions = hub.get("/api/v1/revisions?node=sim-000004").await;
     let expected = json!({"to": {"target": wanted}, "revision": change, "why": "a test"});
-    assert_has(&changes["changes"][0], &expected);
-    let detail = hub.get(&format!("/api/v1/changes/{change}")).await;
+    assert_has(&revisions["revisions"][0], &expected);
+    let detail = hub.get(&format!("/api/v1/revisions/{change}")).await;
     let from = json!({"threshold": {"name": "u", "value": 3e-4}});
     let expected = json!({"from": from, "outcome": "applied"});
     assert_has(&detail["nodes"][0], &expected);
@@ -79,12 +79,12 @@ async fn a_value_or_target_reaches_the_selected_nodes_and_replaces_the_one_befor
     assert_eq!((&held(&nodes)[0], values(&nodes)[0]), (off, 5e-4));
     let value = answer["revision"].as_u64().unwrap();
     assert!(value > change);
-    let changes = hub.get("/api/v1/changes?node=sim-000000").await;
+    let revisions = hub.get("/api/v1/revisions?node=sim-000000").await;
     let expected = json!({
         "revision": value, "threshold": null, "who": "anonymous",
         "to": {"threshold": {"name": "u", "value": 5e-4}},
     });
-    assert_has(&changes["changes"][0], &expected);
+    assert_has(&revisions["revisions"][0], &expected);
     let half = json!({"skip_rate": 0.5});
     let answer = hold(&hub, &half, "sim-000000", applied.clone()).await;
     let from = json!({"threshold": {"name": "u", "value": 5e-4}});
@@ -157,7 +157,7 @@ async fn a_node_changed_repeatedly_is_set_back_three_times_and_then_left_alone()
         hub.put_status("car-1", &status).await;
     };
     // Without waiting for the node.
-    let order = async |u: f64| {
+    let give = async |u: f64| {
         let body = json!({"u": u, "select": "car-1", "wait_s": 0});
         let path = "/api/v1/threshold";
         let ok = StatusCode::OK;
@@ -166,15 +166,15 @@ async fn a_node_changed_repeatedly_is_set_back_three_times_and_then_left_alone()
     };
     report(0, 3e-4).await;
     hub.until_state("car-1", "online").await;
-    let mut revision = order(5e-4).await;
+    let mut revision = give(5e-4).await;
     report(revision, 5e-4).await;
     for times in 1..=3 {
         report(revision, 9e-4).await;
         let drift = hub.until("/api/v1/drift", |drift| drift[0]["set_back"] == times).await;
         assert_eq!(drift[0]["node"], "car-1");
-        let changes = hub.get("/api/v1/changes").await;
-        assert_eq!(changes["changes"][0]["origin"], "drift", "{changes}");
-        revision = changes["changes"][0]["revision"].as_u64().unwrap();
+        let revisions = hub.get("/api/v1/revisions").await;
+        assert_eq!(revisions["revisions"][0]["origin"], "drift", "{revisions}");
+        revision = revisions["revisions"][0]["revision"].as_u64().unwrap();
         report(revision, 5e-4).await;
         if times == 1 {
             // The node applies the value, and the drift is over.
@@ -185,8 +185,8 @@ async fn a_node_changed_repeatedly_is_set_back_three_times_and_then_left_alone()
     let drift = hub.until("/api/v1/drift", |drift| drift[0]["node"] == "car-1").await;
     assert_eq!(drift[0]["set_back"], 3, "{drift}");
     // A change by a user restarts the count.
-    let ordered = order(6e-4).await;
-    let changes = hub.get("/api/v1/changes").await;
-    assert_eq!(changes["changes"][0]["revision"], ordered, "{changes}");
+    let given = give(6e-4).await;
+    let revisions = hub.get("/api/v1/revisions").await;
+    assert_eq!(revisions["revisions"][0]["revision"], given, "{revisions}");
     hub.stop().await;
 }

@@ -92,7 +92,7 @@ pub(crate) async fn send(
     answer
 }
 
-/// The order of a `u` for all nodes.
+/// A `u` for all nodes.
 fn all(u: f64) -> Value {
     json!({"u": u, "select": ["all"]})
 }
@@ -181,7 +181,7 @@ async fn an_offline_node_can_be_forgotten_with_its_desired_setting(database: &st
         nodes["counts"]["online"] == 0 && nodes["counts"]["degraded"] == 0
     })
     .await;
-    // A change requested while it is offline is dropped with it.
+    // A setting given while it is offline is dropped with it.
     let change = json!({"u": 5e-4, "select": ["sim-000001"], "wait_s": 0});
     let path = "/api/v1/threshold";
     let ok = StatusCode::OK;
@@ -190,7 +190,7 @@ async fn an_offline_node_can_be_forgotten_with_its_desired_setting(database: &st
     assert_eq!(forget(&hub, "sim-000001").await, StatusCode::NO_CONTENT);
     assert_eq!(forget(&hub, "sim-000001").await, StatusCode::NOT_FOUND);
     assert_eq!(names(&hub.get("/api/v1/nodes").await), ["sim-000000"]);
-    hub.until(&format!("/api/v1/changes/{change}"), |change| {
+    hub.until(&format!("/api/v1/revisions/{change}"), |change| {
         change["nodes"][0]["outcome"] == "missed"
     })
     .await;
@@ -298,10 +298,10 @@ async fn a_harmful_rollout_and_a_trial_restore_the_old_value_and_are_each_number
     assert!(gate["change"]["lower"].as_f64().unwrap() > 0.1, "{gate}");
     all_have(&hub, 20, 3e-4).await;
     // The first node took the value and kept reporting; nine more showed its cost, and all ten got the old value back.
-    let changes = hub.get("/api/v1/changes").await;
-    let made = changes["changes"].as_array().unwrap().iter();
+    let revisions = hub.get("/api/v1/revisions").await;
+    let made = revisions["revisions"].as_array().unwrap().iter();
     let origins: Vec<&Value> = made.map(|change| &change["origin"]).collect();
-    assert_eq!(origins, ["rollout 1"; 3], "{changes}");
+    assert_eq!(origins, ["rollout 1"; 3], "{revisions}");
 
     // The first value changes so many frames that the difference is far above any noise.
     let of = |values: Value, s: u64| json!({"values": values, "select": ["all"], "duration_s": s, "seed": 1});
@@ -414,7 +414,7 @@ async fn a_read_token_cannot_tune_and_a_tune_token_can() {
         let media_type = &response.headers()["content-type"];
         assert_eq!(media_type, "application/problem+json");
     }
-    let read = ask(&hub, &Method::GET, "/api/v1/changes", &[look]).await;
+    let read = ask(&hub, &Method::GET, "/api/v1/revisions", &[look]).await;
     assert_eq!(read.status(), StatusCode::OK);
     // There is no node to tune; the request itself is allowed.
     let change = ask(&hub, &Method::PUT, "/api/v1/threshold", &[JSON, turn]).await;

@@ -1,25 +1,25 @@
 //! Settings that are changed at run time, thresholds and the target: put in force on the board, in the order in which the
-//! changes arrive, and kept over a restart.
+//! settings arrive, and kept over a restart.
 
-mod change;
 mod file;
-mod orders;
 #[cfg(test)]
 pub(crate) mod tests;
+mod transaction;
+mod turns;
 
-pub(crate) use change::{Change, RefusedPause};
 pub(crate) use file::SettingsFile;
-pub(crate) use orders::{MAX_MESSAGE_BYTES, Place, Setting};
+pub(crate) use transaction::{RefusedPause, Transaction};
+pub(crate) use turns::{MAX_MESSAGE_BYTES, Place, Setting};
 
 use crate::state::board::{Board, CameraBoard};
 use crate::state::readiness;
 use albireo_core::policy::EmptyRoad;
 use albireo_service::readiness::Fault;
 use albireo_wire::Threshold;
-use orders::Orders;
 use serde::de::DeserializeOwned;
 use std::path::Path;
 use std::sync::Arc;
+use turns::Turns;
 
 /// The settings of one node.
 #[derive(Debug)]
@@ -28,8 +28,8 @@ pub(crate) struct Settings {
     board: Arc<Board>,
     /// Where they are kept.
     file: Arc<SettingsFile>,
-    /// The changes that arrived, in their order.
-    pub(crate) orders: Orders,
+    /// The settings that arrived, in their order.
+    pub(crate) turns: Turns,
 }
 
 impl Settings {
@@ -40,12 +40,12 @@ impl Settings {
         let settings = Self {
             board: Arc::clone(board),
             file: Arc::new(SettingsFile::open(directory)),
-            orders: Orders::default(),
+            turns: Turns::default(),
         };
         board.cameras.iter().for_each(|camera| settings.restore(camera));
         settings.restore_pause();
         let target = &board.target;
-        let kept = settings.file.kept(change::TARGET, &target.configured());
+        let kept = settings.file.kept(transaction::TARGET, &target.configured());
         target.begin(kept);
         // The probe belongs to the board, which the settings hold: with the settings in it, neither would ever end.
         let file = Arc::clone(&settings.file);
@@ -60,7 +60,7 @@ impl Settings {
         let Some(spec) = camera.threshold_spec else {
             return;
         };
-        let setting = change::of_threshold(camera.name());
+        let setting = transaction::of_threshold(camera.name());
         let Some((kept, source)) = self.file.kept::<Threshold, _>(&setting, &camera.configured())
         else {
             return;
@@ -80,7 +80,8 @@ impl Settings {
 
     /// Restores the pause on an empty road.
     fn restore_pause(&self) {
-        let kept = (self.file).kept::<EmptyRoad, _>(change::SCREEN, &self.board.configured_road());
+        let kept =
+            (self.file).kept::<EmptyRoad, _>(transaction::SCREEN, &self.board.configured_road());
         if let Some((kept, _)) = kept
             && kept.problem().is_none()
         {
@@ -88,16 +89,16 @@ impl Settings {
         }
     }
 
-    /// Makes a change: it is in force at once and before any other change, and kept as a whole or not at all. If it
-    /// cannot be kept now, it is when the disk works again. Writes a small file.
-    fn change<T>(&self, change: impl FnOnce(&mut Change<'_>) -> T) -> T {
-        self.file.change(|kept| change(&mut Change::new(&self.board, kept)))
+    /// Sets settings: they are in force at once and before any others, and kept as a whole or not at all. If they
+    /// cannot be kept now, they are when the disk works again. Writes a small file.
+    fn set<T>(&self, settings: impl FnOnce(&mut Transaction<'_>) -> T) -> T {
+        self.file.set(|kept| settings(&mut Transaction::new(&self.board, kept)))
     }
 
     /// Keeps the threshold's value while a target is held, so that a restart continues from there. Writes a small file.
     pub(crate) fn keep_place(&self) {
         if self.board.target.is_on() {
-            self.change(|change| change.keep_target());
+            self.set(|transaction| transaction.keep_target());
         }
     }
 

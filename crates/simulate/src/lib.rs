@@ -61,11 +61,13 @@ pub async fn run(
     ));
 
     let end = CancellationToken::new();
-    let (began, started_ns) = (Instant::now(), options::now_ns());
+    let began = Instant::now();
+    let started_ns = options::now_ns();
     let mut playing = JoinSet::new();
     for (index, session) in (0..options.nodes).zip(sessions.iter().cycle()) {
         let node = SimNode::new(index, &options, started_ns);
-        let (options, totals) = (Arc::clone(&options), Arc::clone(&totals));
+        let options = Arc::clone(&options);
+        let totals = Arc::clone(&totals);
         let player = Player::new(session.clone(), node, options, totals)?;
         playing.spawn(player.play(began, end.clone()));
     }
@@ -111,7 +113,8 @@ pub async fn run(
 }
 
 fn line(began: Instant, totals: &Totals) -> String {
-    let (counts, answers) = (*totals.counts.lock(), totals.answers.summary());
+    let counts = *totals.counts.lock();
+    let answers = totals.answers.summary();
     format!(
         "{:>5.0} s  {} status, {} made, {} acknowledged, {} busy, {} unanswered, p99 {:.0} ms",
         began.elapsed().as_secs_f64(),

@@ -5,7 +5,7 @@ use super::travel::travel;
 use albireo_wire::{
     CameraState, CameraStatus, ClipEnd, ClipEnergy, ClipReport, Desired, DesiredSetting,
     DomainEnergy, DroppedFrames, EnergyQuality, FrameStates, HealthState, HealthStatus, Heartbeat,
-    NodeStatus, NodeTarget, OutboxStatus, Percentiles, RefusedDesired, ReportBatch, SettingSource,
+    NodeStatus, NodeTarget, OutboxStatus, Percentiles, RefusedRevision, ReportBatch, SettingSource,
     StatusMessage, Target, TargetStatus, Threshold, VERSION,
 };
 use rand_core::{RngCore, SeedableRng};
@@ -45,7 +45,7 @@ pub(crate) struct SimNode {
     /// The values with the first report that used each, in order.
     values: Vec<(u64, f64)>,
     source: SettingSource,
-    refused: Option<RefusedDesired>,
+    refused: Option<RefusedRevision>,
     /// The target it holds, with its status.
     target: Option<NodeTarget>,
     seq: u64,
@@ -134,7 +134,7 @@ impl SimNode {
             },
         };
         self.full_due = true;
-        self.refused = refusal.map(|reason| RefusedDesired {
+        self.refused = refusal.map(|reason| RefusedRevision {
             revision: desired.revision,
             reason: reason.to_owned(),
         });
@@ -438,7 +438,8 @@ mod tests {
         #[test]
         fn every_report_is_sent_under_one_id_until_it_is_acknowledged(steps in prop::collection::vec((0u64..5, 1u64..8, any::<bool>()), 1..50)) {
             let mut node = node(Options::default());
-            let (mut sent, mut acknowledged) = (BTreeSet::new(), 0);
+            let mut sent = BTreeSet::new();
+            let mut acknowledged = 0;
             for (more, most, answered) in steps {
                 node.made += more;
                 if let Some(batch) = node.batch(most, 1_000_000_000_000_000_000) {

@@ -71,8 +71,7 @@ pub struct Options {
 }
 
 fn seconds(text: &str) -> Result<Duration, &'static str> {
-    let seconds = text.parse::<f64>().ok();
-    let seconds = seconds.filter(|seconds| (0.0..=86_400.0).contains(seconds));
+    let seconds = text.parse::<f64>().ok().filter(|seconds| (0.0..=86_400.0).contains(seconds));
     let seconds = seconds.ok_or("must be a number of seconds, at most a day")?;
     Ok(Duration::from_secs_f64(seconds))
 }
@@ -105,7 +104,8 @@ impl Options {
             (is_within.then_some(()))
                 .ok_or_else(|| format!("{what} must be from {least} to {most}, not {value}"))
         };
-        let (nodes, sessions) = (self.nodes as f64, self.sessions as f64);
+        let nodes = self.nodes as f64;
+        let sessions = self.sessions as f64;
         within("nodes", nodes, 1.0, MOST_NODES as f64)?;
         within("sessions", sessions, 1.0, nodes.min(MOST_SESSIONS as f64))?;
         within(

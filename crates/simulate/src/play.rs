@@ -5,8 +5,8 @@ use super::node::{SimNode, mix, unit};
 use super::options::{Options, now_ns};
 use super::totals::{Counts, Totals};
 use albireo_wire::{
-    BatchCompression, ConfigChanged, Desired, NodeKeys, PullRequest, RefusalReason, ReportAnswer,
-    ReportRefusal, VERSION, read,
+    BatchCompression, Desired, NodeKeys, RefusalReason, ReportAnswer, ReportRefusal,
+    RevisionMessage, VERSION, read,
 };
 use serde::de::DeserializeOwned;
 use std::sync::Arc;
@@ -98,8 +98,8 @@ impl Player {
         options: Arc<Options>,
         totals: Arc<Totals>,
     ) -> Result<Self, SimulateError> {
-        let keys = NodeKeys::new(PREFIX, &node.name);
-        let keys = keys.map_err(SimulateError::at("a simulated node's name"))?;
+        let keys = NodeKeys::new(PREFIX, &node.name)
+            .map_err(SimulateError::at("a simulated node's name"))?;
         totals.counts.lock().made += node.made;
         Ok(Self {
             session,
@@ -126,8 +126,11 @@ impl Player {
         let status = Duration::from_secs_f64(self.node.heartbeat_s);
         let clip = Duration::from_secs_f64(self.options.clip_s);
         // Spreads the times of all nodes over the period.
-        let name = self.node.name.bytes();
-        let name = name.fold(self.options.seed, |seed, byte| mix(seed, byte.into()));
+        let name = self
+            .node
+            .name
+            .bytes()
+            .fold(self.options.seed, |seed, byte| mix(seed, byte.into()));
         let spread = |period: Duration, salt| period.mul_f64(unit(mix(name, salt)));
         let mut next_status = began + spread(status.min(FIRST_STATUSES), 1);
         let mut next_clip = began + spread(clip, 2);
@@ -172,7 +175,7 @@ impl Player {
         let notice = Arc::clone(notice);
         let notices =
             self.session.declare_subscriber(self.keys.changed()).callback(move |sample| {
-                if read::<ConfigChanged>(&sample.payload().to_bytes()).is_ok() {
+                if read::<RevisionMessage>(&sample.payload().to_bytes()).is_ok() {
                     notice.notify_one();
                 }
             });
@@ -270,7 +273,8 @@ impl Player {
             counts.batch_bytes += payload.len() as u64;
         });
         let answer = ask(self.session.clone(), self.keys.report(), payload);
-        let (reports, sent) = (batch.reports.len() as u64, Instant::now());
+        let reports = batch.reports.len() as u64;
+        let sent = Instant::now();
         self.asked.spawn(async move {
             let answer = answer.await;
             Asked::Batch(reports, sent.elapsed(), answer)
@@ -278,7 +282,7 @@ impl Player {
     }
 
     fn pull(&mut self) {
-        let request = PullRequest {
+        let request = RevisionMessage {
             v: VERSION,
             revision: self.node.revision,
         };

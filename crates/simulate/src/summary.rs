@@ -35,7 +35,9 @@ impl fmt::Display for Summary {
         )?;
         let drained_s = self.drained_s;
         let bytes = counts.batch_bytes / counts.batches.max(1);
-        let (busy, refused, no_reply) = (counts.busy, counts.refused, counts.no_reply);
+        let busy = counts.busy;
+        let refused = counts.refused;
+        let no_reply = counts.no_reply;
         writeln!(
             f,
             "status           {:>10}\n\

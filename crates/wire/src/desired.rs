@@ -17,21 +17,12 @@ pub enum DesiredSetting {
     Target(Option<Target>),
 }
 
-/// Notifies a node that its desired setting has changed.
+/// The revision of a desired setting: in a notice the one that the node may pull, in a pull the one that it has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-pub struct ConfigChanged {
+pub struct RevisionMessage {
     /// Version.
     pub v: u32,
-    /// Revision of the desired setting.
-    pub revision: u64,
-}
-
-/// A node's request for its desired setting.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-pub struct PullRequest {
-    /// Version.
-    pub v: u32,
-    /// Revision that the node has; 0 for none.
+    /// The revision; 0 for none.
     pub revision: u64,
 }
 

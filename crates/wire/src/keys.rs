@@ -74,12 +74,12 @@ impl NodeKeys {
         self.key("@status")
     }
 
-    /// [`PullRequest`](super::PullRequest)s as queries to the hub.
+    /// [`RevisionMessage`](super::RevisionMessage)s as queries to the hub.
     pub fn pull(&self) -> String {
         self.key("@pull")
     }
 
-    /// [`ConfigChanged`](super::ConfigChanged)s from the hub.
+    /// [`RevisionMessage`](super::RevisionMessage)s from the hub.
     pub fn changed(&self) -> String {
         self.key("@changed")
     }

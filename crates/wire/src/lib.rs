@@ -2,7 +2,7 @@
 //!
 //! On the local network: frames in; [`DetectionsMessage`], [`ClipReport`] and [`CountersMessage`] out; the threshold
 //! both ways. Between node and hub: [`ReportBatch`], the only way to deliver reports, [`StatusMessage`], and the
-//! desired settings that a node pulls from the hub ([`PullRequest`], [`Desired`]).
+//! desired settings that a node pulls from the hub ([`RevisionMessage`], [`Desired`]).
 
 mod audit;
 mod clip;
@@ -30,7 +30,7 @@ pub use clip::{
     Percentiles, significant,
 };
 pub use counters::{CountersMessage, DomainWatts};
-pub use desired::{ConfigChanged, Desired, DesiredSetting, PullRequest};
+pub use desired::{Desired, DesiredSetting, RevisionMessage};
 pub use frames::{
     BoxMessage, DetectionsMessage, FrameAnswer, FrameAttachment, Latency, SettledMessage,
 };
@@ -44,7 +44,7 @@ pub use screen::{Pauses, ScreenMessage};
 pub use states::{DetectorCalls, DropKind, DroppedFrames, FrameStates};
 pub use status::{
     CameraState, CameraStatus, CertificateStatus, HealthState, HealthStatus, Heartbeat, NodeStatus,
-    OutboxStatus, RefusedDesired, SettingSource, StatusMessage,
+    OutboxStatus, RefusedRevision, SettingSource, StatusMessage,
 };
 pub use target::{NodeTarget, TargetMessage, TargetReport};
 pub use threshold::{OtherThreshold, Threshold, ThresholdChange, ThresholdMessage, ThresholdName};

@@ -96,7 +96,7 @@ pub struct HealthStatus {
 impl HealthStatus {
     /// The problems as one text; empty when ready.
     pub fn text(&self) -> String {
-        let reasons = (self.reasons.iter()).map(|(part, reason)| format!("{part}: {reason}"));
+        let reasons = self.reasons.iter().map(|(part, reason)| format!("{part}: {reason}"));
         reasons.collect::<Vec<_>>().join("; ")
     }
 }
@@ -127,7 +127,7 @@ pub struct NodeStatus {
     /// The outbox.
     pub outbox: OutboxStatus,
     /// The desired value that the node refused, until it accepts a later one; absent if it refused none.
-    pub refused: Option<RefusedDesired>,
+    pub refused: Option<RefusedRevision>,
     /// The node's target; absent without a target.
     pub target: Option<NodeTarget>,
     /// Human-readable reason why a target that the node had since its start was switched off.
@@ -148,7 +148,7 @@ pub struct CertificateStatus {
 
 /// A desired value that a node refused.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-pub struct RefusedDesired {
+pub struct RefusedRevision {
     /// Revision of the value, greater than the one in force.
     pub revision: u64,
     /// Human-readable reason: the policy has another threshold, or the value is out of range.

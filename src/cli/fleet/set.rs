@@ -1,18 +1,19 @@
-//! Runs the commands `set-u`, `set-target`, `changes` and `drift`.
+//! Runs the commands `set-u`, `set-target`, `revisions` and `drift`.
 
 use super::table::{WIDTH, cut, table};
 use super::units::{counts, name_of, seconds, setting, when};
 use super::{Context, Ended};
-use albireo_hub::http::{ChangeView, Changes, OrderAnswer, OrderLine};
-use albireo_hub::tuning::member::{ChangeNode, Outcome};
+use albireo_hub::http::{OutcomeLine, Revision, Revisions};
+use albireo_hub::tuning::desired::NodeSetting;
+use albireo_hub::tuning::outcome::Outcome;
 use albireo_hub::tuning::tuner::Drift;
 use albireo_wire::{DesiredSetting, Threshold};
 use serde::Serialize;
 use serde_json::{Value, json};
 
-/// The nodes of an order, and how it is followed: the request without its setting.
+/// The nodes to give a setting, and how that is followed: the request without its setting.
 #[derive(Debug, clap::Args, Serialize)]
-pub(super) struct Order {
+pub(super) struct GiveArguments {
     /// The nodes to set; may be given several times.
     #[arg(long, required = true, value_name = "SELECTOR")]
     select: Vec<String>,
@@ -27,12 +28,12 @@ pub(super) struct Order {
     wait_s: f64,
 }
 
-/// Sends the order to set `name` to `value`, and prints each node's outcome as it arrives.
-pub(super) async fn order(
+/// Gives the nodes the setting `name` with `value`, and prints each node's outcome as it arrives.
+pub(super) async fn give(
     context: &Context,
     name: &str,
     value: Value,
-    order: Order,
+    arguments: GiveArguments,
 ) -> anyhow::Result<Ended> {
     let (path, to) = if let Some(number) = value.as_f64() {
         let to = DesiredSetting::Threshold(Threshold::new(name, number));
@@ -42,21 +43,19 @@ pub(super) async fn order(
         let to = serde_json::from_value(json!({ "target": value })).ok();
         ("/api/v1/target", to)
     };
-    let mut body = serde_json::to_value(order)?;
+    let mut body = serde_json::to_value(arguments)?;
     body[name] = value;
     let mut last = None;
-    let lines = context.client.put_lines(path, &body, |line: OrderLine| {
+    let lines = context.client.put_lines(path, &body, |line: OutcomeLine| {
         match &line {
             _ if context.json => println!("{}", serde_json::to_string(&line)?),
-            OrderLine::Outcome(line) => println!("{}", outcome(line, to.as_ref())),
-            OrderLine::Last(OrderAnswer {
-                revision, counts, ..
-            }) => {
-                let revision = revision.map(|n| format!("revision {n}: "));
-                println!("{}{}", revision.unwrap_or_default(), self::counts(counts));
+            OutcomeLine::Outcome(line) => println!("{}", outcome(line, to.as_ref())),
+            OutcomeLine::Last(revision) => {
+                let number = revision.number.map(|n| format!("revision {n}: "));
+                println!("{}{}", number.unwrap_or_default(), counts(&revision.counts));
             }
         }
-        if let OrderLine::Last(line) = line {
+        if let OutcomeLine::Last(line) = line {
             last = Some(line);
         }
         Ok(())
@@ -66,14 +65,14 @@ pub(super) async fn order(
 }
 
 /// Formats the outcome of a node as a line.
-fn outcome(line: &ChangeNode, to: Option<&DesiredSetting>) -> String {
+fn outcome(line: &NodeSetting, to: Option<&DesiredSetting>) -> String {
     let text = format!(
         "{:<24} {:<12} {:>9} -> {:<9} {}",
         line.node,
-        name_of(&line.ask.outcome),
+        name_of(&line.given.outcome),
         known(line.from.as_ref()),
         known(to),
-        line.ask.detail,
+        line.given.detail,
     );
     cut(text.trim_end(), WIDTH)
 }
@@ -83,7 +82,7 @@ fn known(one: Option<&DesiredSetting>) -> String {
     one.map_or_else(|| "-".to_owned(), setting)
 }
 
-fn judge(last: Option<&OrderAnswer>) -> Ended {
+fn judge(last: Option<&Revision>) -> Ended {
     // Without a last line the answer is incomplete, and the outcome is unknown.
     let Some(last) = last else {
         return Ended::Failed;
@@ -98,56 +97,56 @@ fn judge(last: Option<&OrderAnswer>) -> Ended {
     }
 }
 
-/// Arguments of `albireo fleet changes`.
+/// Arguments of `albireo fleet revisions`.
 #[derive(Debug, clap::Args)]
-pub(super) struct ChangesArguments {
-    /// The change of this revision, with every node.
+pub(super) struct RevisionsArguments {
+    /// One revision, with every node.
     revision: Option<u64>,
-    /// Only changes of this node.
+    /// Only those that gave this node a setting.
     #[arg(long)]
     node: Option<String>,
-    /// The most changes to list.
+    /// The most to list.
     #[arg(long, default_value_t = 20)]
     limit: u32,
 }
 
-pub(super) async fn changes(
+pub(super) async fn revisions(
     context: &Context,
-    arguments: ChangesArguments,
+    arguments: RevisionsArguments,
 ) -> anyhow::Result<Ended> {
-    if let Some(revision) = arguments.revision {
-        let path = format!("/api/v1/changes/{revision}");
-        let change: ChangeView = context.client.get(&path, &[]).await?;
-        return context.print(&change, |change| {
-            let rows = change.nodes.iter().map(|node| {
+    if let Some(number) = arguments.revision {
+        let path = format!("/api/v1/revisions/{number}");
+        let revision: Revision = context.client.get(&path, &[]).await?;
+        return context.print(&revision, |revision| {
+            let rows = revision.nodes.iter().map(|node| {
                 [
                     node.node.clone(),
-                    name_of(&node.ask.outcome),
+                    name_of(&node.given.outcome),
                     known(node.from.as_ref()),
-                    when(node.ask.at_ms),
-                    node.ask.detail.clone(),
+                    when(node.given.at_ms),
+                    node.given.detail.clone(),
                 ]
             });
             let nodes = table("node|outcome|>from|when|detail", rows);
-            format!("{}\n{nodes}", list(std::slice::from_ref(change)))
+            format!("{}\n{nodes}", list(std::slice::from_ref(revision)))
         });
     }
     let mut query = vec![("limit", arguments.limit.to_string())];
     query.extend(arguments.node.map(|node| ("node", node)));
-    let changes: Changes = context.client.get("/api/v1/changes", &query).await?;
-    context.print(&changes, |changes| list(&changes.changes))
+    let found: Revisions = context.client.get("/api/v1/revisions", &query).await?;
+    context.print(&found, |found| list(&found.revisions))
 }
 
-fn list(changes: &[ChangeView]) -> String {
-    let rows = changes.iter().map(|ChangeView { change, counts, .. }| {
+fn list(revisions: &[Revision]) -> String {
+    let rows = revisions.iter().map(|revision| {
         [
-            change.revision.to_string(),
-            when(change.at_ms),
-            change.who.clone(),
-            change.origin.clone(),
-            setting(&change.setting),
-            self::counts(counts),
-            change.why.clone(),
+            revision.number.map(|number| number.to_string()).unwrap_or_default(),
+            when(revision.at_ms),
+            revision.who.clone(),
+            revision.origin.clone(),
+            setting(&revision.setting),
+            counts(&revision.counts),
+            revision.why.clone(),
         ]
     });
     table(">revision|when|who|by|>to|outcome|why", rows)

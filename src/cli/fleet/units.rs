@@ -2,7 +2,7 @@
 
 use albireo_core::policy::short;
 use albireo_hub::tuning::effect::Interval;
-use albireo_hub::tuning::member::Outcome;
+use albireo_hub::tuning::outcome::Outcome;
 use albireo_service::clock::unix_milliseconds;
 use albireo_wire::{DesiredSetting, Threshold};
 use serde::Serialize;
@@ -10,8 +10,7 @@ use std::collections::BTreeMap;
 
 /// Reads `90`, `90s`, `30m`, `2h`, `7d` as seconds.
 pub(super) fn seconds(text: &str) -> Result<f64, String> {
-    let units = [('s', 1.0), ('m', 60.0), ('h', 3_600.0), ('d', 86_400.0)];
-    let mut units = units.into_iter();
+    let mut units = [('s', 1.0), ('m', 60.0), ('h', 3_600.0), ('d', 86_400.0)].into_iter();
     let found = units.find_map(|(letter, unit)| Some((text.strip_suffix(letter)?, unit)));
     let (number, unit) = found.unwrap_or((text, 1.0));
     match number.trim().parse::<f64>() {
@@ -44,7 +43,7 @@ pub(super) fn name_of(value: &impl Serialize) -> String {
 
 /// Formats the number of nodes by outcome: `3 applied, 1 timed out`.
 pub(super) fn counts(counts: &BTreeMap<Outcome, usize>) -> String {
-    joined((counts.iter()).map(|(outcome, n)| format!("{n} {}", name_of(outcome))))
+    joined(counts.iter().map(|(outcome, n)| format!("{n} {}", name_of(outcome))))
 }
 
 /// Joins the texts of a list with commas.
@@ -54,11 +53,15 @@ pub(super) fn joined(texts: impl Iterator<Item = String>) -> String {
 
 /// Formats a change with its interval: `+1.2% [-0.3%, +2.7%]`, or as numbers if it is not `relative`.
 pub(super) fn interval(change: &Interval, relative: bool) -> String {
-    let shown = |value: f64| match relative {
-        true => format!("{:+.1}%", value * 100.0),
-        false => format!("{value:+.4}"),
+    let shown = |value: f64| {
+        if relative {
+            format!("{:+.1}%", value * 100.0)
+        } else {
+            format!("{value:+.4}")
+        }
     };
-    let (lower, upper) = (shown(change.lower), shown(change.upper));
+    let lower = shown(change.lower);
+    let upper = shown(change.upper);
     format!("{} [{lower}, {upper}]", shown(change.estimate))
 }
 
@@ -124,7 +127,9 @@ pub(super) fn target(text: &str) -> Result<serde_json::Value, String> {
         return Ok(value.get("target").cloned().unwrap_or(value));
     }
     let (name, value) = text.split_once('=').ok_or(FORMS)?;
-    let number: f64 = (value.trim().parse())
+    let number: f64 = value
+        .trim()
+        .parse()
         .map_err(|_| format!("`{}` is not a number; {FORMS}", value.trim()))?;
     Ok(serde_json::json!({ name.trim(): number }))
 }

@@ -6,7 +6,7 @@ import { Unlock } from "../shared/parts";
 import { start } from "../shared/start";
 import "../shared/style.css";
 import "./style.css";
-import { Aside, Change, Changes } from "./changes";
+import { Aside, OneRevision, Revisions } from "./revisions";
 import { EnergyView } from "./energy";
 import { Fleet } from "./fleet";
 import { Node } from "./node";
@@ -23,7 +23,7 @@ function View() {
     case "energy": return <EnergyView />;
     case "rollouts": return name === undefined ? <Rollouts /> : <Rollout key={name} id={name} />;
     case "trials": return name === undefined ? <Trials /> : <Trial key={name} id={name} />;
-    case "changes": return name === undefined ? <Changes /> : <Change key={name} id={name} />;
+    case "revisions": return name === undefined ? <Revisions /> : <OneRevision key={name} id={name} />;
     case "set-aside": return <Aside />;
     default: return <Fleet />;
   }

@@ -1,4 +1,4 @@
-// One node of the fleet: its health, its energy, its clips and changes.
+// One node of the fleet: its health, its energy, its clips and settings.
 
 import { answer } from "../shared/api";
 import { certificates, count, dateTime, duration, edp, joules, milliseconds, percent, small, ago } from "../shared/format";
@@ -10,7 +10,7 @@ import { href } from "./route";
 import { selected } from "./fleet";
 import { Tune } from "./tune";
 import { useEffect, useState } from "preact/hooks";
-import type { ChangeView, Energy, NodeDetail, StoredClip, TargetStatus } from "./types";
+import type { Revision, Energy, NodeDetail, StoredClip, TargetStatus } from "./types";
 
 const WEEK_MS = 7 * 86_400_000;
 
@@ -36,7 +36,7 @@ export function Node({ name }: { name: string }) {
   const since = Math.floor((Date.now() - WEEK_MS) / 3_600_000) * 3_600_000;
   const energy = useLoaded<Energy>(`/api/v1/energy?by=threshold&node=${at}&since_ms=${since}`, 30_000);
   const clips = useLoaded<{ clips: StoredClip[] }>(`/api/v1/clips?node=${at}&limit=30`, 10_000);
-  const changes = useLoaded<{ changes: ChangeView[] }>(`/api/v1/changes?node=${at}&limit=10`, 10_000);
+  const given = useLoaded<{ revisions: Revision[] }>(`/api/v1/revisions?node=${at}&limit=10`, 10_000);
   // Settings on this page apply to this node.
   useEffect(() => {
     selected.value = new Set([name]);
@@ -194,14 +194,14 @@ export function Node({ name }: { name: string }) {
           <dd>{is?.reports ? `${dateTime(is.reports.first_ms)}, ${dateTime(is.reports.last_ms)}` : "–"}</dd>
         </dl>
       </Section>
-      <Section id="node-changes" title="Changes" wide>
-        <Fault text={changes.fault} />
-        {changes.value?.changes.length === 0 && <p class="message quiet">This hub has changed nothing.</p>}
+      <Section id="node-revisions" title="Desired settings" wide>
+        <Fault text={given.fault} />
+        {given.value?.revisions.length === 0 && <p class="message quiet">This hub has given it no setting.</p>}
         <ul class="events">
-          {(changes.value?.changes ?? []).map((change) => (
-            <li key={change.revision}>
-              <time class="quiet">{dateTime(change.at_ms)}</time> <a href={href(["changes", String(change.revision)])}>revision {change.revision}</a>{" "}
-              <Setting value={change.to} /> by {change.who} ({change.origin}){change.why ? `: ${change.why}` : ""} · <Outcomes counts={change.counts} />
+          {(given.value?.revisions ?? []).map((revision) => (
+            <li key={revision.revision}>
+              <time class="quiet">{dateTime(revision.at_ms)}</time> <a href={href(["revisions", String(revision.revision)])}>revision {revision.revision}</a>{" "}
+              <Setting value={revision.to} /> by {revision.who} ({revision.origin}){revision.why ? `: ${revision.why}` : ""} · <Outcomes counts={revision.counts} />
             </li>
           ))}
         </ul>

@@ -27,10 +27,10 @@ const OUTCOME_WORDS: Record<string, string> = {
   refused: "refused",
   timed_out: "did not report in time",
   waiting: "out of reach, gets it when it returns",
-  pending: "asked, no answer yet",
-  superseded: "replaced by a later change",
+  pending: "given, no answer yet",
+  superseded: "replaced by a later revision",
   missed: "out of reach until the deadline",
-  untouched: "not asked yet",
+  untouched: "not given yet",
 };
 const OUTCOME_MOODS: Record<string, Mood> = { applied: "good", unchanged: "good", refused: "bad", timed_out: "bad", missed: "bad", waiting: "wait" };
 

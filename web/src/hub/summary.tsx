@@ -12,7 +12,7 @@ const VIEWS: [string, string][] = [
   ["energy", "Energy"],
   ["rollouts", "Rollouts"],
   ["trials", "Trials"],
-  ["changes", "Changes"],
+  ["revisions", "Settings"],
   ["set-aside", "Set aside"],
 ];
 

@@ -10,15 +10,15 @@ import { selected } from "./fleet";
 import { Fault, Field, Outcomes, outcomeWords, settingText } from "./parts";
 import { href, route } from "./route";
 import { lookSoon } from "./store";
-import type { OrderAnswer, ChangeNode } from "./types";
+import type { NodeSetting, Revision } from "./types";
 
 /** Most lines of outcomes that are shown; the counts include all. */
 const SHOWN = 100;
 /** How long the outcomes are followed, seconds. */
 const FOLLOW_S = 120;
 
-/** The last change, kept while the page shows another view. */
-const order = signal<{ counts: Record<string, number>; lines: ChangeNode[]; dry: boolean; running: boolean; revision?: number } | undefined>(undefined);
+/** The last setting given, kept while the page shows another view. */
+const given = signal<{ counts: Record<string, number>; lines: NodeSetting[]; dry: boolean; running: boolean; revision?: number } | undefined>(undefined);
 
 /** The terms of a text: names, globs and labels between commas. */
 export function terms(text: string): string[] {
@@ -40,8 +40,8 @@ export class LineParser {
 const HOLD = "hold ";
 const NOTHING = `${HOLD}nothing`;
 
-/** The path of a change and the fields of its body; undefined while a number is missing. */
-export function ordered(what: string, number: number | undefined): { path: string; fields: Record<string, unknown> } | undefined {
+/** The path of a setting and the fields of its body; undefined while a number is missing. */
+export function request(what: string, number: number | undefined): { path: string; fields: Record<string, unknown> } | undefined {
   const path = what.startsWith(HOLD) ? "/api/v1/target" : "/api/v1/threshold";
   if (what === NOTHING) return { path, fields: { target: null } };
   if (number === undefined) return undefined;
@@ -78,7 +78,7 @@ export function Tune() {
   const chosen = terms(select).length ? terms(select) : picked.length ? picked : terms(filtered);
   const forbidden = whyNot();
   const number = parsed(value);
-  const what = ordered(name, number);
+  const what = request(name, number);
   const body = { ...what?.fields, select: chosen, why };
 
   const attempt = async (work: () => Promise<void>) => {
@@ -93,8 +93,8 @@ export function Tune() {
   };
   const dry = () =>
     attempt(async () => {
-      const found = await send<OrderAnswer>("PUT", what!.path, { ...body, dry_run: true });
-      order.value = { counts: found.counts, lines: found.nodes, dry: true, running: false };
+      const found = await send<Revision>("PUT", what!.path, { ...body, dry_run: true });
+      given.value = { counts: found.counts, lines: found.nodes, dry: true, running: false };
     });
   const set = (event: Event) => {
     event.preventDefault();
@@ -104,10 +104,10 @@ export function Tune() {
         headers: { "Content-Type": "application/json", Accept: "application/x-ndjson" },
         body: JSON.stringify({ ...body, wait_s: FOLLOW_S }),
       });
-      const byNode = new Map<string, ChangeNode>();
+      const byNode = new Map<string, NodeSetting>();
       const show = (running: boolean, revision?: number) => {
         const lines = [...byNode.values()];
-        order.value = { counts: countOutcomes(lines), lines, dry: false, running, revision };
+        given.value = { counts: countOutcomes(lines), lines, dry: false, running, revision };
       };
       show(true);
       const reader = response.body!.pipeThrough(new TextDecoderStream()).getReader();
@@ -120,20 +120,20 @@ export function Tune() {
           const last = line as { revision?: number | null; counts?: object };
           // The last line has the sums.
           if (last.counts !== undefined) show(false, last.revision ?? undefined);
-          else byNode.set((line as ChangeNode).node, line as ChangeNode);
+          else byNode.set((line as NodeSetting).node, line as NodeSetting);
         }
         // Thousands may arrive at once.
-        if (order.value?.running && performance.now() - painted > 200) {
+        if (given.value?.running && performance.now() - painted > 200) {
           painted = performance.now();
           show(true);
         }
       }
-      if (order.value?.running) show(false);
+      if (given.value?.running) show(false);
       lookSoon();
     });
   };
 
-  const said = order.value;
+  const said = given.value;
   const interesting = said?.lines.filter((line) => said.dry || !["applied", "unchanged"].includes(line.outcome)) ?? [];
   return (
     <Section id="tune" title="Set a threshold or a target" wide>
@@ -192,14 +192,14 @@ export function Tune() {
         <Fault text={fault} />
       </form>
       {said && (
-        <div class="order" role="status" aria-live="polite">
+        <div class="given" role="status" aria-live="polite">
           <p class="message">
-            {said.dry ? "Nothing was changed: " : said.running ? "Waiting for the nodes: " : "Ordered: "}
+            {said.dry ? "Nothing was changed: " : said.running ? "Waiting for the nodes: " : "Given: "}
             <Outcomes counts={said.counts} />
             {said.revision !== undefined && (
               <>
                 {" · "}
-                <a href={href(["changes", String(said.revision)])}>revision {said.revision}</a>
+                <a href={href(["revisions", String(said.revision)])}>revision {said.revision}</a>
               </>
             )}
           </p>

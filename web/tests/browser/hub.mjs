@@ -128,10 +128,10 @@ token = "a-token-that-may-look"
     await page.getByLabel(/why/).fill("a test of the page");
     await page.getByRole("button", { name: "Show who would change" }).click();
     await page.getByText("Nothing was changed:").waitFor();
-    await until("who would change", async () => /100 would change/.test(await page.textContent(".order")));
+    await until("who would change", async () => /100 would change/.test(await page.textContent(".given")));
     await page.getByRole("button", { name: /^Set u/ }).click();
     await until("all outcomes", async () => {
-      const text = await page.textContent(".order");
+      const text = await page.textContent(".given");
       const [applied, refused] = [Number(text.match(/(\d+) in force/)?.[1] ?? 0), Number(text.match(/(\d+) refused/)?.[1] ?? 0)];
       return text.startsWith("Ordered") && applied + refused === 100 && applied > 90;
     });
@@ -145,9 +145,9 @@ token = "a-token-that-may-look"
     await page.getByLabel("threshold or target").selectOption("hold skip_rate");
     await page.getByLabel("value", { exact: true }).fill("0.6");
     await page.getByRole("button", { name: "Hold skip_rate = 0.6" }).click();
-    await until("the outcome", async () => /1 in force/.test((await page.textContent(".order")) ?? ""));
+    await until("the outcome", async () => /1 in force/.test((await page.textContent(".given")) ?? ""));
     await until("the target at the node", async () => /skip rate 0\.6 of the frames.*the target is held; set by the hub/.test((await page.textContent("#held")) ?? ""));
-    await page.locator("#node-changes").getByText("hold skip_rate = 0.6").waitFor();
+    await page.locator("#node-revisions").getByText("hold skip_rate = 0.6").waitFor();
     await accessible(page, "a node with a target");
     await page.goto(`${address}/#/fleet?search=sim-000005`);
     await page.locator(".fleet-body .c-threshold").getByText("hold skip_rate = 0.6").waitFor();
@@ -158,10 +158,10 @@ token = "a-token-that-may-look"
     quiet(page);
   });
 
-  await test("one node's own page shows it with clips, reports and changes", async () => {
+  await test("one node's own page shows it with clips, reports and settings", async () => {
     await page.goto(`${address}/#/nodes/sim-000003`);
     await page.getByRole("heading", { name: "sim-000003" }).waitFor();
-    await page.locator("#node-changes").getByText("a test of the page").waitFor();
+    await page.locator("#node-revisions").getByText("a test of the page").waitFor();
     await page.locator("#reports dd").first().waitFor();
     await until("a clip of it", async () => (await page.locator("#clips tbody tr").count()) > 0);
     await accessible(page, "a node of the fleet");
@@ -190,7 +190,7 @@ token = "a-token-that-may-look"
   await test("every view has no finding of axe and fits a phone", async () => {
     const phone = await open(browser, address, { width: 390, height: 844, scheme: "dark" });
     await unlock(phone, "a-token-that-may-tune");
-    for (const view of ["fleet", "energy", "rollouts", "trials", "changes", "set-aside"]) {
+    for (const view of ["fleet", "energy", "rollouts", "trials", "revisions", "set-aside"]) {
       await phone.goto(`${address}/#/${view}`);
       await phone.locator("main section h2").first().waitFor();
       await until("what is loaded", async () => (await phone.locator("text=…").count()) === 0 || view === "fleet");

@@ -1,6 +1,6 @@
 //! Notifies nodes that they should pull their desired setting.
 
-use albireo_wire::{ConfigChanged, NodeKeys, VERSION};
+use albireo_wire::{NodeKeys, RevisionMessage, VERSION};
 use std::sync::mpsc::Receiver;
 use std::time::Duration;
 use zenoh::qos::CongestionControl;
@@ -16,7 +16,7 @@ pub(crate) fn send_notices(session: &Session, prefix: &str, notices: &Receiver<(
         let Ok(keys) = NodeKeys::new(prefix, &node) else {
             continue;
         };
-        let notice = ConfigChanged {
+        let notice = RevisionMessage {
             v: VERSION,
             revision,
         };

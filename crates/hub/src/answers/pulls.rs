@@ -2,7 +2,7 @@
 
 use super::Answers;
 use crate::HubError;
-use albireo_wire::{NodeKeys, PullRequest, RefusalReason};
+use albireo_wire::{NodeKeys, RefusalReason, RevisionMessage};
 use zenoh::Session;
 use zenoh::query::{Query, Queryable};
 
@@ -26,7 +26,7 @@ impl Answers {
         self.counters.count(|counts| counts.pulls += 1);
         // The query waits for its answer without it.
         let payload = query.payload_mut().map(std::mem::take);
-        match albireo_wire::read::<PullRequest>(&payload.unwrap_or_default().to_bytes()) {
+        match albireo_wire::read::<RevisionMessage>(&payload.unwrap_or_default().to_bytes()) {
             Ok(_) => {
                 let node = NodeKeys::node_of(query.key_expr().as_str());
                 let desired = self.desired(node.unwrap_or_default());

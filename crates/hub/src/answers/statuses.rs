@@ -68,7 +68,7 @@ impl Answers {
             Ok(is_full_due) => {
                 self.counters.count(|counts| counts.statuses += 1);
                 if is_full_due {
-                    self.desires.notify(node);
+                    self.desired.notify(node);
                 }
             }
             Err(error) => {

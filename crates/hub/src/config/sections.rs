@@ -132,7 +132,7 @@ pub struct HistoryConfig {
     pub clips_days: u32,
     /// Days that five-minute sums are kept. Hourly sums are kept for ever.
     pub five_minutes_days: u32,
-    /// Days that events and changes are kept.
+    /// Days that events and revisions are kept.
     pub events_days: u32,
     /// Days that invalid reports are kept.
     pub set_aside_days: u32,
@@ -160,11 +160,11 @@ pub enum LocalChange {
     SetBack,
 }
 
-/// The time limit of orders, and the reaction to local changes: the `[tuning]` section.
+/// The time limit of desired settings, and the reaction to local changes: the `[tuning]` section.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TuningConfig {
-    /// Time that a reachable node has to report a new value before the order counts as timed out, seconds.
+    /// Time that a reachable node has to report a new value before it counts as timed out, seconds.
     pub apply_within_s: f64,
     /// The reaction to a change at the node.
     pub local_change: LocalChange,

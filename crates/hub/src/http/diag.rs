@@ -12,16 +12,16 @@ use serde::Serialize;
 use serde_json::json;
 use std::cmp::Reverse;
 
-/// Most nodes that are not online, most events and most changes in the archive.
+/// Most nodes that are not online, most events and most revisions in the archive.
 const MOST_NODES: usize = 1000;
 const MOST_EVENTS: i64 = 500;
-const MOST_CHANGES: i64 = 100;
+const MOST_REVISIONS: i64 = 100;
 
 /// Diagnostics as one tar archive
 ///
 /// The archive contains versions, the configuration with its secrets masked, readiness, the nodes that are not online,
-/// metrics, the last events and changes, and the last lines of the log. If the database cannot be read, the error is in
-/// place of events and changes.
+/// metrics, the last events and revisions, and the last lines of the log. If the database cannot be read, the error is in
+/// place of events and revisions.
 /// `curl -O -J http://127.0.0.1:8090/api/v1/diag`
 #[utoipa::path(
     get, operation_id = "download_diagnosis", path = "/api/v1/diag", tag = "diagnosis",
@@ -34,9 +34,9 @@ pub(super) async fn archive(State(hub): State<Hub>) -> Response {
         let last = store.last_event().await?;
         Ok(store.events_after(last - MOST_EVENTS, MOST_EVENTS).await?)
     };
-    let changes = async {
+    let revisions = async {
         let store = hub.store()?;
-        Ok(store.changes(i64::MAX, None, MOST_CHANGES).await?)
+        Ok(store.revisions(i64::MAX, None, MOST_REVISIONS).await?)
     };
     let mut unwell = hub.fleet.views(|node| node.state != PresenceState::Online);
     // The worst states come first.
@@ -58,7 +58,7 @@ pub(super) async fn archive(State(hub): State<Hub>) -> Response {
         ("configuration.json", text(Ok(&*hub.config))),
         ("nodes-not-online.json", text(Ok(unwell))),
         ("events.json", text(events.await)),
-        ("changes.json", text(changes.await)),
+        ("revisions.json", text(revisions.await)),
         ("metrics.txt", metrics.into_text().into_bytes()),
     ];
     archive::diagnostics("albireo-hub", &files, now_s)

@@ -83,7 +83,7 @@ pub(super) async fn live(
         loop {
             let sample = tokio::select! {
                 _ = renew.tick() => {
-                    hub.desires.watch(node, LEASE);
+                    hub.desired.watch(node, LEASE);
                     continue;
                 }
                 sample = counters.recv_async() => sample.ok()?,
@@ -150,7 +150,7 @@ pub(super) async fn picture(
     if boxes {
         key += "?boxes=true";
     }
-    hub.desires.watch(&node, LEASE);
+    hub.desired.watch(&node, LEASE);
     let asking = async {
         loop {
             let replies = session

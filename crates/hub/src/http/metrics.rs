@@ -73,8 +73,8 @@ fn presence(page: &mut MetricsPage, hub: &Hub) {
             missing += u32::from(expected.is_some_and(|when| when == "always"));
             return;
         }
-        let desired = hub.desires.get(&node.node);
-        behind += u32::from(desired.is_some_and(|desired| node.revision < desired.at.ask.revision));
+        let desired = hub.desired.get(&node.node);
+        behind += u32::from(desired.is_some_and(|desired| node.revision < desired.given.revision));
         if let Some(target) = node.status.as_ref().and_then(|status| status.target) {
             targets[target.status.unwrap_or(TargetStatus::Measuring) as usize] += 1;
         }

@@ -57,7 +57,7 @@ async fn begin(hub: &Hub, kind: Kind, caller: &Caller) -> Result<(StatusCode, Js
 }
 
 /// Executes a command, and shows the run after it.
-async fn order(
+async fn carry_out(
     hub: &Hub,
     kind: &str,
     id: i64,
@@ -129,7 +129,7 @@ pub(super) async fn command_rollout(
         let detail = format!("`{command}` is not a command of rollouts");
         Problem::new(StatusCode::NOT_FOUND, detail).allowing(Command::ALL.map(Command::name))
     })?;
-    order(&hub, "rollout", id, command, &caller).await
+    carry_out(&hub, "rollout", id, command, &caller).await
 }
 
 /// Begins a trial
@@ -188,5 +188,5 @@ pub(super) async fn end_trial(
     Extension(caller): Extension<Caller>,
     Path(id): Path<i64>,
 ) -> Result<Json<Run>, Problem> {
-    order(&hub, "trial", id, Command::Return, &caller).await
+    carry_out(&hub, "trial", id, Command::Return, &caller).await
 }

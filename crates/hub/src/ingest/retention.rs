@@ -13,7 +13,7 @@ const STEP: usize = 1000;
 const NO_DAY: i64 = -1_000_000;
 
 /// Deletes at most [`STEP`] rows of each of a room's tables that are older than the day (since the Unix epoch) up to which
-/// events and changes are kept. Returns the largest number of rows of one table.
+/// events and revisions are kept. Returns the largest number of rows of one table.
 pub(crate) type DeleteOld = fn(&mut dyn Database, i64) -> Result<usize, StoreError>;
 
 /// Deletes at most [`STEP`] rows of each table that are too old at `now_ms`, and whole partitions. If the clock is not

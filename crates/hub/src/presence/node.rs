@@ -124,7 +124,7 @@ impl NodeView {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use albireo_wire::RefusedDesired;
+    use albireo_wire::RefusedRevision;
     use serde_json::json;
     use std::sync::LazyLock;
 
@@ -146,7 +146,7 @@ pub(crate) mod tests {
     ) -> NodeView {
         let mut status = STATUS.clone();
         status.cameras[0].threshold = Some(threshold);
-        status.refused = refused.map(|revision| RefusedDesired {
+        status.refused = refused.map(|revision| RefusedRevision {
             revision,
             reason: "range".to_owned(),
         });

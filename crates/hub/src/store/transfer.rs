@@ -1,6 +1,6 @@
 //! Copies a hub's SQLite file into an empty PostgreSQL database.
 
-use super::migrate::{check, tables};
+use super::migrate::{tables, upgrade};
 use super::row::columns;
 use super::sqlite::Sqlite;
 use super::{Access, DAILY, Database, DatabaseKind, Row, Store, StoreError, keep_days};
@@ -56,7 +56,8 @@ pub async fn to_postgres(
         if is_of_0_1.is_ok_and(|found| found.is_some()) {
             source.script(include_str!("sql/read_0_1.sql"))?;
         } else {
-            check(&mut source).map_err(refused)?;
+            // Within the transaction, which is never committed: the file keeps its version.
+            upgrade(&mut source).map_err(refused)?;
         }
         Ok(source)
     })

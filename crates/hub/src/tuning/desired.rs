@@ -1,29 +1,57 @@
 //! Keeps the desired setting of each node in memory, for answering pulls, and what became of it at the node. Notifies nodes
 //! that they should pull.
 
-use super::member::{ChangeNode, Millis};
+use super::member::Millis;
+use super::outcome::{Given, Outcome};
 use crate::store::row::json_text;
 use albireo_wire::{Desired, DesiredSetting};
 use parking_lot::RwLock;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashMap};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::time::{Duration, Instant};
+use utoipa::ToSchema;
 
-/// The desired setting of a node: a threshold or a target.
-#[derive(Clone, Debug, Deserialize)]
-pub(crate) struct Wanted {
-    #[serde(with = "json_text")]
-    pub(crate) setting: DesiredSetting,
-    /// The order that gave it: the node, the revision and the outcome.
+/// The desired setting of a node, and what became of it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct NodeSetting {
+    /// The node.
+    pub node: String,
+    /// The setting: a threshold, or a target (null switches it off).
+    #[serde(rename = "to", deserialize_with = "json_text::deserialize")]
+    pub setting: DesiredSetting,
+    /// The setting that the node had before, if known.
+    #[serde(deserialize_with = "json_text::deserialize")]
+    pub from: Option<DesiredSetting>,
+    /// Its revision, and what became of it.
     #[serde(flatten)]
-    pub(crate) at: ChangeNode,
-    /// How often the node was set back since the last order by somebody else, as far as this hub knows.
+    pub given: Given,
+    /// How often the node was set back since a person gave it a setting, as far as this hub knows.
     #[serde(skip)]
     pub(crate) set_back: u32,
     /// When the hub noticed that the node drifted; absent unless it has.
     #[serde(skip)]
     pub(crate) drifted_ms: Option<Millis>,
+}
+
+impl NodeSetting {
+    /// One that a person gives, with its outcome at `now`; it has no revision yet.
+    pub(crate) const fn new(
+        node: String,
+        setting: DesiredSetting,
+        from: Option<DesiredSetting>,
+        outcome: Outcome,
+        now: Millis,
+    ) -> Self {
+        Self {
+            node,
+            setting,
+            from,
+            given: Given::new(0, now, outcome),
+            set_back: 0,
+            drifted_ms: None,
+        }
+    }
 }
 
 /// Most notices that may wait. Further ones are dropped: later notices, and the answers to reports, have the same
@@ -32,47 +60,47 @@ const NOTICES: usize = 65_536;
 
 /// The desired setting of each node, as in the database, and the nodes that somebody watches.
 #[derive(Debug)]
-pub struct Desires {
-    nodes: RwLock<BTreeMap<String, Wanted>>,
+pub struct DesiredSettings {
+    nodes: RwLock<BTreeMap<String, NodeSetting>>,
     watched: RwLock<HashMap<String, Instant>>,
     /// Queues notices: a node, and the revision that it may pull.
     notifier: SyncSender<(String, u64)>,
 }
 
-impl Desires {
+impl DesiredSettings {
     /// Creates it without a desired setting. Also returns the notices to send.
     pub fn new() -> (Self, Receiver<(String, u64)>) {
         let (notifier, notices) = sync_channel(NOTICES);
-        let desires = Self {
+        let desired = Self {
             nodes: RwLock::default(),
             watched: RwLock::default(),
             notifier,
         };
-        (desires, notices)
+        (desired, notices)
     }
 
     /// Replaces the desired setting of a node by one with a higher revision. With `keeps_drift` the node stays listed as
     /// drifted until it has its setting again.
-    pub(crate) fn set(&self, mut wanted: Wanted, keeps_drift: bool) {
+    pub(crate) fn set(&self, mut desired: NodeSetting, keeps_drift: bool) {
         let mut nodes = self.nodes.write();
-        if let Some(present) = nodes.get(&wanted.at.node) {
-            if present.at.ask.revision >= wanted.at.ask.revision {
+        if let Some(present) = nodes.get(&desired.node) {
+            if present.given.revision >= desired.given.revision {
                 return;
             }
             if keeps_drift {
-                wanted.set_back += present.set_back;
-                wanted.drifted_ms = present.drifted_ms;
+                desired.set_back += present.set_back;
+                desired.drifted_ms = present.drifted_ms;
             }
         }
-        nodes.insert(wanted.at.node.clone(), wanted);
+        nodes.insert(desired.node.clone(), desired);
     }
 
     /// Stores what became of a setting, unless another one replaced it meanwhile.
-    pub(crate) fn update(&self, wanted: Wanted) {
-        if let Some(present) = self.nodes.write().get_mut(&wanted.at.node)
-            && present.at.ask.revision == wanted.at.ask.revision
+    pub(crate) fn update(&self, desired: NodeSetting) {
+        if let Some(present) = self.nodes.write().get_mut(&desired.node)
+            && present.given.revision == desired.given.revision
         {
-            *present = wanted;
+            *present = desired;
         }
     }
 
@@ -82,12 +110,12 @@ impl Desires {
     }
 
     /// The desired setting of a node.
-    pub(crate) fn get(&self, node: &str) -> Option<Wanted> {
+    pub(crate) fn get(&self, node: &str) -> Option<NodeSetting> {
         self.nodes.read().get(node).cloned()
     }
 
     /// The desired settings for which `is_one` is true, in the order of the nodes' names.
-    pub(crate) fn list(&self, is_one: impl Fn(&Wanted) -> bool) -> Vec<Wanted> {
+    pub(crate) fn list(&self, is_one: impl Fn(&NodeSetting) -> bool) -> Vec<NodeSetting> {
         let nodes = self.nodes.read();
         nodes.values().filter(|one| is_one(one)).cloned().collect()
     }
@@ -97,10 +125,10 @@ impl Desires {
         let until = self.watched.read().get(node).copied();
         let left = until.and_then(|until| until.checked_duration_since(Instant::now()));
         let nodes = self.nodes.read();
-        let wanted = nodes.get(node);
+        let desired = nodes.get(node);
         Desired {
-            revision: wanted.map_or(0, |wanted| wanted.at.ask.revision),
-            setting: wanted.map(|wanted| wanted.setting),
+            revision: desired.map_or(0, |desired| desired.given.revision),
+            setting: desired.map(|desired| desired.setting),
             watched_for_s: left.map(|left| u32::try_from(left.as_secs() + 1).unwrap_or(u32::MAX)),
             ..Desired::nothing()
         }
@@ -125,7 +153,6 @@ impl Desires {
 
 #[cfg(test)]
 mod tests {
-    use super::super::member::{Ask, Outcome};
     use super::*;
     use albireo_wire::{Target, Threshold};
     use proptest::prelude::*;
@@ -133,7 +160,7 @@ mod tests {
     proptest! {
         #[test]
         fn a_lower_revision_never_replaces_a_higher(revisions in prop::collection::vec(0u64..20, 1..30)) {
-            let (values, _notices) = Desires::new();
+            let (values, _notices) = DesiredSettings::new();
             let mut highest = None;
             for revision in revisions {
                 let value = revision as f64;
@@ -142,17 +169,14 @@ mod tests {
                     0 => DesiredSetting::Threshold(Threshold::new("u", value)),
                     _ => DesiredSetting::Target(Some(Target::Watts(value))),
                 };
-                let at = ChangeNode {
-                    node: "n".to_owned(),
-                    from: None,
-                    ask: Ask::new(revision, 0, Outcome::Pending),
-                };
-                let wanted = Wanted { setting, at, set_back: 0, drifted_ms: None };
-                values.set(wanted, false);
+                let mut desired =
+                    NodeSetting::new("n".to_owned(), setting, None, Outcome::Pending, 0);
+                desired.given.revision = revision;
+                values.set(desired, false);
                 if highest.is_none_or(|(highest, _)| revision > highest) {
                     highest = Some((revision, setting));
                 }
-                let found = values.get("n").map(|found| (found.at.ask.revision, found.setting));
+                let found = values.get("n").map(|found| (found.given.revision, found.setting));
                 prop_assert_eq!(found, highest);
             }
             prop_assert_eq!(values.of("other"), Desired::nothing());

@@ -6,7 +6,7 @@
 //!    `after - before` for a figure that is a share. The logarithm matters: if a node's level varies by σ from hour to hour,
 //!    the mean of `after / before` is `exp(σ²)` without any effect, 17 % too much at σ = 0.4; the mean of the logarithm is 0.
 //!    The clips of a node are never counted as independent, because neighbouring clips show the same road.
-//! 2. **Minus the change of the others.** The same number is computed for nodes that were not asked yet, over the same hours,
+//! 2. **Minus the change of the others.** The same number is computed for nodes that were not given it yet, over the same hours,
 //!    and their typical change is subtracted. This removes rush hour, weather and season.
 //! 3. **Typical, not mean.** A node that reports nonsense must not decide. The typical change of a group is its mean without
 //!    the lowest and highest fifth. Its variance is the winsorised one (those fifths moved to their neighbours), after

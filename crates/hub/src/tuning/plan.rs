@@ -107,7 +107,7 @@ pub struct RolloutPlan {
     pub held_for_s: f64,
     /// Share of a stage's reachable nodes that must report the value; with fewer the stage fails.
     pub fewest_applied: f64,
-    /// Time that a node may stay out of reach, seconds; then its order is withdrawn, and the record names it.
+    /// Time that a node may stay out of reach, seconds; then its value is withdrawn, and the record names it.
     pub offline_deadline_s: f64,
 }
 

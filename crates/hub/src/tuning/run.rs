@@ -16,8 +16,9 @@ pub use record::{Entry, LeftOut, StageView, What};
 
 use super::effect::FEWEST_NODES;
 use super::gate::Verdict;
-use super::member::{Ask, Member, Millis, Outcome, shuffle};
+use super::member::{Member, Millis, shuffle};
 use super::metric::BeforeAfter;
+use super::outcome::{Given, Outcome};
 use super::plan::{Basics, OnFailure, RolloutPlan, TrialPlan};
 use crate::named::named;
 use crate::presence::NodeView;
@@ -38,7 +39,7 @@ const MOST_ENTRIES: usize = 500;
 named! {
     /// The phase of a rollout or a trial.
     pub enum Phase {
-        /// Its nodes, or those of the stage, were asked for the new value; it waits for their reports.
+        /// Its nodes, or those of the stage, were given the new value; it waits for their reports.
         Applying = "applying",
         /// The stage's nodes have the new value, and are measured.
         Soaking = "soaking",
@@ -106,7 +107,7 @@ impl Window {
     }
 }
 
-/// A value that is due: nodes to ask for it.
+/// A value that is due for some nodes.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct DueValue {
     /// The value.
@@ -285,30 +286,30 @@ impl Run {
     }
 
     /// The value that a member should have now; `None` if it keeps the one that it has.
-    fn wanted(&self, member: &Member) -> Option<Threshold> {
+    fn value_of(&self, member: &Member) -> Option<Threshold> {
         match (&self.kind, self.phase) {
             (_, Phase::Stopped) => None,
-            // A node that never got an order has nothing to return from.
+            // A node that was given no value has nothing to return from.
             (_, Phase::Returning | Phase::Returned) | (Kind::Trial { .. }, Phase::Done) => {
-                member.asked.map(|_| member.before)
+                member.value.map(|_| member.before)
             }
             (Kind::Trial { plan }, _) => plan.values.get(member.group).copied(),
             (Kind::Rollout { .. }, _) if member.group >= self.stage => None,
             // It would not be judged if it got its value after its deadline.
-            _ if member.ask.outcome == Outcome::Missed => Some(member.before),
+            _ if member.given.outcome == Outcome::Missed => Some(member.before),
             (Kind::Rollout { to, .. }, _) => Some(*to),
         }
     }
 
-    /// The value of the next order to a member, if any.
+    /// The value that is due for a member, if any.
     fn next(&self, member: &Member) -> Option<Threshold> {
-        self.wanted(member)
+        self.value_of(member)
             .filter(|_| self.paused_ms.is_none())
-            .filter(|wanted| member.asked != Some(*wanted))
+            .filter(|value| member.value != Some(*value))
     }
 
     /// The values that are due, even after its end: nodes that missed their deadline get the old value. The caller calls
-    /// [`Run::asked`] once a revision with the value is in the database.
+    /// [`Run::given`] once a revision with the value is in the database.
     pub(crate) fn due(&self) -> Vec<DueValue> {
         let mut values: Vec<DueValue> = Vec::new();
         for member in &self.members {
@@ -328,24 +329,24 @@ impl Run {
     }
 
     /// Notes that the value was given, with that revision.
-    pub(crate) fn asked(&mut self, due: &DueValue, revision: u64, now: Millis) {
+    pub(crate) fn given(&mut self, due: &DueValue, revision: u64, now: Millis) {
         self.unsaved = true;
         let mut members = std::mem::take(&mut self.members);
         for member in &mut members {
             if self.next(member) == Some(due.threshold) {
-                member.asked = Some(due.threshold);
+                member.value = Some(due.threshold);
                 // A node that missed its value remains listed as missed.
-                let outcome = match member.ask.outcome {
+                let outcome = match member.given.outcome {
                     Outcome::Missed => Outcome::Missed,
                     _ => Outcome::Pending,
                 };
-                member.ask = Ask::new(revision, now, outcome);
+                member.given = Given::new(revision, now, outcome);
             }
         }
         self.members = members;
     }
 
-    /// Counts the nodes of its stages or groups by outcome, without those that got no order.
+    /// Counts the nodes of its stages or groups by outcome, without those that were given no value.
     pub(crate) fn count_stages(&mut self) {
         let mut stages = vec![StageView::default(); self.stage_count()];
         for member in &self.members {
@@ -354,8 +355,8 @@ impl Run {
                 continue;
             };
             stage.nodes += 1;
-            if member.ask.outcome != Outcome::Untouched {
-                *stage.counts.entry(member.ask.outcome).or_default() += 1;
+            if member.given.outcome != Outcome::Untouched {
+                *stage.counts.entry(member.given.outcome).or_default() += 1;
             }
         }
         self.stages = stages;
@@ -370,18 +371,18 @@ impl Run {
     }
 
     /// Updates the members by the states of their nodes.
-    pub(crate) fn observe(&mut self, now: Millis, look: impl Fn(&str) -> Option<NodeView>) {
+    pub(crate) fn observe(&mut self, now: Millis, view: impl Fn(&str) -> Option<NodeView>) {
         // Time stops in a pause: reports during it count as if they came at its beginning.
         let now = self.paused_ms.unwrap_or(now);
         let patience = self.patience();
         for member in &mut self.members {
-            let Some(node) = look(&member.node) else {
+            let Some(node) = view(&member.node) else {
                 continue;
             };
             member.reachable = node.is_reachable();
-            if let Some(asked) = member.asked {
-                let asked = DesiredSetting::Threshold(asked);
-                self.unsaved |= member.ask.observe(&node, asked, patience, now);
+            if let Some(value) = member.value {
+                let setting = DesiredSetting::Threshold(value);
+                self.unsaved |= member.given.observe(&node, setting, patience, now);
             }
         }
     }
@@ -406,15 +407,15 @@ impl Run {
         None
     }
 
-    /// True if every node in reach answered the order that returns its value.
+    /// True if every node in reach reports the value that it had before.
     fn has_returned(&self) -> bool {
-        let pending = |member: &Member| member.ask.outcome == Outcome::Pending;
+        let pending = |member: &Member| member.given.outcome == Outcome::Pending;
         self.due().is_empty() && !self.members.iter().any(pending)
     }
 
     fn applying(&mut self, waited: Millis, now: Millis) {
         let members = self.members.iter().filter(|m| self.is_in_stage(m));
-        let outcomes: Vec<Outcome> = members.map(|member| member.ask.outcome).collect();
+        let outcomes: Vec<Outcome> = members.map(|member| member.given.outcome).collect();
         // A node that comes and goes must not delay the others.
         if outcomes.contains(&Outcome::Pending) && waited < 2 * self.patience() {
             return;
@@ -467,29 +468,29 @@ impl Run {
         }
     }
 
-    /// The windows to measure: of the nodes with their new value, before they were asked and since; of the nodes that were not
-    /// asked yet, over the same hours.
+    /// The windows to measure: of the nodes with their new value, before they were given it and since; of the nodes that were not
+    /// given it yet, over the same hours.
     pub(crate) fn windows(&self, now: Millis) -> Vec<[Window; 2]> {
         let baseline = milliseconds(self.kind.basics().baseline_s);
         let since = self.since_ms;
-        let asked = self
+        let given = self
             .members
             .iter()
             .filter(|m| self.is_in_stage(m))
-            .map(|m| m.ask.asked_ms)
+            .map(|m| m.given.given_ms)
             .min()
             .unwrap_or(since);
         let windows = self.members.iter().filter_map(|member| {
             // After a resumption only later clips count.
-            let (asked, value, from) = match member.applied_ms() {
+            let (given, value, from) = match member.applied_ms() {
                 Some(applied) if self.is_in_stage(member) => {
-                    (member.ask.asked_ms, member.asked?, applied.max(since))
+                    (member.given.given_ms, member.value?, applied.max(since))
                 }
-                _ if self.is_later(member) => (asked, member.before, since),
+                _ if self.is_later(member) => (given, member.before, since),
                 _ => return None,
             };
             Some([
-                Window::new(&member.node, member.before, asked - baseline, asked),
+                Window::new(&member.node, member.before, given - baseline, given),
                 Window::new(&member.node, value, from, now),
             ])
         });
@@ -597,7 +598,7 @@ impl Run {
         };
         self.since_ms += now - paused;
         for member in self.members.iter_mut().filter(|member| is_awaited(member)) {
-            member.ask.asked_ms += now - paused;
+            member.given.given_ms += now - paused;
         }
     }
 
@@ -618,8 +619,8 @@ impl Run {
         for member in &mut self.members {
             member.was_reachable = member.reachable;
             if is_trial || member.group + 1 == stage {
-                // Before it is asked, so that the phase cannot end before it has begun.
-                member.ask.outcome = Outcome::Pending;
+                // Before it is given the value, so that the phase cannot end before it has begun.
+                member.given.outcome = Outcome::Pending;
                 count += 1;
             }
         }
@@ -644,8 +645,8 @@ impl Run {
     fn go_back(&mut self, reason: &str, now: Millis) {
         self.enter(Phase::Returning, reason, now);
         self.noted(now, What::Returning, reason);
-        for member in self.members.iter_mut().filter(|m| m.asked.is_none()) {
-            member.ask.outcome = Outcome::Untouched;
+        for member in self.members.iter_mut().filter(|m| m.value.is_none()) {
+            member.given.outcome = Outcome::Untouched;
         }
     }
 
@@ -654,12 +655,13 @@ impl Run {
             (Kind::Rollout { .. }, Phase::Returning) => (Phase::Returned, What::Returned),
             _ => (Phase::Done, What::Done),
         };
-        let without = |m: &&Member| !matches!(m.ask.outcome, Outcome::Applied | Outcome::Untouched);
+        let without =
+            |m: &&Member| !matches!(m.given.outcome, Outcome::Applied | Outcome::Untouched);
         let names: Vec<String> = self
             .members
             .iter()
             .filter(without)
-            .map(|m| format!("{} {}", m.node, m.ask.outcome))
+            .map(|m| format!("{} {}", m.node, m.given.outcome))
             .collect();
         let text = match names.as_slice() {
             [] => "every node reported its value".to_owned(),
@@ -681,11 +683,11 @@ impl Run {
     /// then.
     pub(crate) fn leave_out(&mut self, changed_since: impl Fn(&Member) -> bool) {
         for member in self.members.iter_mut().filter(|m| changed_since(m)) {
-            member.asked = None;
+            member.value = None;
         }
     }
 
-    /// Withdraws the orders of nodes that missed their deadline.
+    /// Withdraws the values of nodes that missed their deadline.
     fn withdraw_the_missed(&mut self, now: Millis) {
         let deadline = match &self.kind {
             Kind::Rollout { plan, .. } if self.phase != Phase::Returning => {
@@ -695,8 +697,8 @@ impl Run {
         };
         let mut missed = Vec::new();
         for member in &mut self.members {
-            if member.ask.outcome == Outcome::Waiting && now - member.ask.asked_ms >= deadline {
-                member.ask.outcome = Outcome::Missed;
+            if member.given.outcome == Outcome::Waiting && now - member.given.given_ms >= deadline {
+                member.given.outcome = Outcome::Missed;
                 missed.push(member.node.clone());
             }
         }
@@ -710,7 +712,7 @@ impl Run {
         matches!(self.kind, Kind::Trial { .. }) || member.group + 1 == self.stage
     }
 
-    /// True if the member was not asked yet.
+    /// True if the member was not given its value yet.
     fn is_later(&self, member: &Member) -> bool {
         matches!(self.kind, Kind::Rollout { .. }) && member.group >= self.stage
     }
@@ -739,7 +741,7 @@ impl Run {
 
 /// True if a rollout waits for the node's answer.
 const fn is_awaited(member: &Member) -> bool {
-    matches!(member.ask.outcome, Outcome::Pending | Outcome::Waiting)
+    matches!(member.given.outcome, Outcome::Pending | Outcome::Waiting)
 }
 
 pub(crate) fn milliseconds(seconds: f64) -> Millis {

@@ -1,8 +1,8 @@
-//! Drives rollouts and trials: orders their values, measures the clips, and stores their state in the database.
+//! Drives rollouts and trials: gives their values, measures the clips, and stores their state in the database.
 
 use super::member::{Member, Millis};
+use super::revision::Revision;
 use super::run::{Command, Kind, LeftOut, Run};
-use super::tables::ChangeRow;
 use super::tuner::Tuner;
 use crate::presence::NodeView;
 use crate::store::{EventRow, StoreError};
@@ -81,7 +81,7 @@ impl Tuner {
             writing.insert_events(&[event])
         });
         written.await?;
-        self.desires.remove(node);
+        self.desired.remove(node);
         self.fleet.forget(node);
         Ok(())
     }
@@ -93,7 +93,7 @@ impl Tuner {
     /// When the database cannot be written; the next call finds them again.
     pub(super) async fn forget_strangers(&self, now: Millis) -> Result<(), StoreError> {
         let mut names = self.fleet.strangers(MOST_STRANGERS, now);
-        names.retain(|name| self.desires.get(name).is_none());
+        names.retain(|name| self.desired.get(name).is_none());
         if names.is_empty() {
             return Ok(());
         }
@@ -166,9 +166,10 @@ impl Tuner {
         } else if run.ended_ms.is_some() && is_rollout && command == Command::Return {
             let taken = self.taken().await?;
             run.leave_out(|member| {
-                let desired = self.desires.get(&member.node);
+                let desired = self.desired.get(&member.node);
                 taken.contains_key(&member.node)
-                    || desired.is_some_and(|wanted| wanted.at.ask.revision != member.ask.revision)
+                    || desired
+                        .is_some_and(|desired| desired.given.revision != member.given.revision)
             });
         } else {
             return Err(conflict(format!(
@@ -236,9 +237,9 @@ impl Tuner {
 
     /// Advances one run.
     async fn advance(&self, run: &mut Run, now: Millis) -> Result<(), StoreError> {
-        for order in run.due() {
-            let change = ChangeRow {
-                revision: 0,
+        for due in run.due() {
+            let revision = Revision {
+                number: None,
                 at_ms: now,
                 who: run.who.clone(),
                 // While old values return, the reason of that.
@@ -248,10 +249,12 @@ impl Tuner {
                 },
                 origin: format!("{} {}", run.kind.name(), run.id),
                 selector: String::new(),
-                setting: DesiredSetting::Threshold(order.threshold),
+                setting: DesiredSetting::Threshold(due.threshold),
+                counts: BTreeMap::new(),
+                nodes: Vec::new(),
             };
-            let revision = self.order(change, order.nodes.clone()).await?;
-            run.asked(&order, revision, now);
+            let number = self.give(revision, due.nodes.clone()).await?;
+            run.given(&due, number, now);
         }
         run.observe(now, |node| self.fleet.view(node));
         if let Some(windows) = run.tick(now) {

@@ -1,8 +1,9 @@
-//! The tables of tuning: orders, desired settings and outcomes, and rollouts and trials.
+//! The tables of tuning: desired settings, revisions and outcomes, rollouts and trials.
 
-use super::desired::Wanted;
-use super::member::{ChangeNode, Outcome};
+use super::desired::NodeSetting;
 use super::metric::{BeforeAfter, Figure, Figures, Mean};
+use super::outcome::Outcome;
+use super::revision::Revision;
 use super::run::{Measured, Run, Window};
 use super::runs::RunKey;
 use crate::store::row::{Row, json_text, read_all};
@@ -10,43 +11,6 @@ use crate::store::{Database, DatabaseKind, Store, StoreError};
 use albireo_wire::DesiredSetting;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use std::collections::BTreeMap;
-use utoipa::ToSchema;
-
-/// A change: a setting that was ordered for some nodes.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct ChangeRow {
-    /// Its number, which nodes report as the revision of their setting.
-    pub revision: i64,
-    /// When, milliseconds since the Unix epoch.
-    pub at_ms: i64,
-    /// The name of the caller's token.
-    pub who: String,
-    /// The reason.
-    pub why: String,
-    /// Its origin: `hand`, `rollout 3`, `trial 4`, `drift`.
-    pub origin: String,
-    /// The selector; empty for a rollout or trial.
-    #[serde(rename = "select")]
-    pub selector: String,
-    /// The ordered setting: a threshold, or a target (null switches it off).
-    #[serde(rename = "to", deserialize_with = "json_text::deserialize")]
-    pub setting: DesiredSetting,
-}
-
-/// A change in the history.
-#[derive(Debug, Serialize, Deserialize, ToSchema)]
-pub struct ChangeView {
-    /// The order.
-    #[serde(flatten)]
-    pub change: ChangeRow,
-    /// The number of nodes by outcome.
-    #[serde(deserialize_with = "json_text::deserialize")]
-    pub counts: BTreeMap<Outcome, usize>,
-    /// The outcome at each node; absent in a list.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub nodes: Vec<ChangeNode>,
-}
 
 /// A rollout or trial, which is JSON in one column.
 #[derive(Deserialize)]
@@ -78,6 +42,45 @@ struct DesiredRow<'a> {
     node: &'a str,
     revision: u64,
     setting: DesiredSetting,
+}
+
+/// The row of a revision.
+#[derive(Serialize)]
+struct RevisionRow<'a> {
+    revision: u64,
+    at_ms: i64,
+    who: &'a str,
+    why: &'a str,
+    origin: &'a str,
+    selector: &'a str,
+    setting: DesiredSetting,
+}
+
+/// The row of a node under a revision.
+#[derive(Serialize)]
+struct OutcomeRow<'a> {
+    revision: u64,
+    node: &'a str,
+    setting_before: Option<DesiredSetting>,
+    given_ms: i64,
+    outcome: Outcome,
+    at_ms: i64,
+    detail: &'a str,
+}
+
+impl<'a> OutcomeRow<'a> {
+    fn of(desired: &'a NodeSetting) -> Self {
+        let given = &desired.given;
+        Self {
+            revision: given.revision,
+            node: &desired.node,
+            setting_before: desired.from,
+            given_ms: given.given_ms,
+            outcome: given.outcome,
+            at_ms: given.at_ms,
+            detail: &given.detail,
+        }
+    }
 }
 
 /// The clips of a node in a window: for each figure how many clips have it, and their sum.
@@ -131,7 +134,7 @@ impl SumsRow {
     }
 }
 
-/// Deletes changes before `day`, at most 1000 rows of each table. Returns the largest number of rows of one table.
+/// Deletes revisions before `day`, at most 1000 rows of each table. Returns the largest number of rows of one table.
 pub(crate) fn delete_old(database: &mut dyn Database, day: i64) -> Result<usize, StoreError> {
     let mut most = 0;
     for text in include_str!("sql/delete_old.sql").split(';') {
@@ -146,26 +149,27 @@ impl dyn Database + '_ {
         value.ok_or_else(|| StoreError::Statement("there is no such counter".to_owned()))
     }
 
-    /// Stores a change and its nodes under the next revision, and makes its setting the desired one. The revision is
-    /// higher than every earlier one of any hub, and than `above`. Returns the nodes with it.
-    pub(crate) fn order(
+    /// Stores a revision and its nodes, and makes its setting the desired one. Its number is higher than that of every
+    /// earlier one of any hub, and than `above`. Returns the number, and the nodes with it.
+    pub(crate) fn give(
         &mut self,
-        mut change: ChangeRow,
-        mut nodes: Vec<Wanted>,
+        revision: &Revision,
+        mut nodes: Vec<NodeSetting>,
         above: u64,
-    ) -> Result<Vec<Wanted>, StoreError> {
-        change.revision = self.next(
+    ) -> Result<(u64, Vec<NodeSetting>), StoreError> {
+        let number = self.next(
             "UPDATE counters SET value = CASE WHEN value < $1 THEN $1 ELSE value END + 1 \
              WHERE name = 'revision' RETURNING value",
             above.into(),
         )?;
+        let number = number.unsigned_abs();
         for node in &mut nodes {
-            node.at.ask.revision = change.revision.unsigned_abs();
+            node.given.revision = number;
         }
-        let desired = nodes.iter().map(|Wanted { at, setting, .. }| DesiredRow {
-            node: &at.node,
-            revision: at.ask.revision,
-            setting: *setting,
+        let desired = nodes.iter().map(|node| DesiredRow {
+            node: &node.node,
+            revision: number,
+            setting: node.setting,
         });
         self.insert(
             "desired",
@@ -173,31 +177,40 @@ impl dyn Database + '_ {
             "ON CONFLICT (node) DO UPDATE SET revision = excluded.revision, \
              setting = excluded.setting WHERE excluded.revision > desired.revision",
         )?;
-        self.insert("orders", &[&change], "")?;
+        let row = RevisionRow {
+            revision: number,
+            at_ms: revision.at_ms,
+            who: &revision.who,
+            why: &revision.why,
+            origin: &revision.origin,
+            selector: &revision.selector,
+            setting: revision.setting,
+        };
+        self.insert("revisions", &[row], "")?;
         self.outcomes(&nodes)?;
         self.query(
-            "UPDATE order_nodes SET outcome = 'superseded', at_ms = $1 \
+            "UPDATE revision_nodes SET outcome = 'superseded', at_ms = $1 \
              WHERE outcome IN ('pending', 'waiting', 'timed_out') AND revision < $2 \
-             AND node IN (SELECT node FROM order_nodes WHERE revision = $2)",
-            &[change.at_ms.into(), change.revision.into()],
+             AND node IN (SELECT node FROM revision_nodes WHERE revision = $2)",
+            &[revision.at_ms.into(), number.into()],
         )?;
-        Ok(nodes)
+        Ok((number, nodes))
     }
 
-    /// Stores outcomes of orders. An order that has ended since then, for example because its node was forgotten, keeps
-    /// its outcome.
-    pub(crate) fn outcomes(&mut self, nodes: &[Wanted]) -> Result<(), StoreError> {
-        let nodes: Vec<&ChangeNode> = nodes.iter().map(|node| &node.at).collect();
+    /// Stores outcomes. One that has ended since then, for example because its node was forgotten, stays as it is.
+    pub(crate) fn outcomes(&mut self, nodes: &[NodeSetting]) -> Result<(), StoreError> {
+        let row = |node| OutcomeRow::of(node);
+        let rows: Vec<OutcomeRow> = nodes.iter().map(row).collect();
         let conflict = "ON CONFLICT (revision, node) DO UPDATE SET outcome = excluded.outcome, \
                         at_ms = excluded.at_ms, detail = excluded.detail \
-                        WHERE order_nodes.outcome IN ('pending', 'waiting', 'timed_out')";
-        self.insert("order_nodes", &nodes, conflict).map(drop)
+                        WHERE revision_nodes.outcome IN ('pending', 'waiting', 'timed_out')";
+        self.insert("revision_nodes", &rows, conflict).map(drop)
     }
 
-    /// Drops the desired setting of a node, and ends the orders that it has not answered.
+    /// Drops the desired setting of a node, and ends the revisions that it has not answered.
     pub(crate) fn drop_desired(&mut self, node: &str, now_ms: i64) -> Result<(), StoreError> {
         self.query(
-            "UPDATE order_nodes SET outcome = 'missed', at_ms = $2, detail = 'the node was forgotten' \
+            "UPDATE revision_nodes SET outcome = 'missed', at_ms = $2, detail = 'the node was forgotten' \
              WHERE node = $1 AND outcome IN ('pending', 'waiting', 'timed_out')",
             &[node.into(), now_ms.into()],
         )?;
@@ -256,37 +269,45 @@ impl dyn Database + '_ {
 
 impl Store {
     /// Desired settings with revisions above `after`. The outcome of a very old one is no longer stored.
-    pub(crate) async fn desired_after(&self, after: u64) -> Result<Vec<Wanted>, StoreError> {
-        let text = "SELECT d.node, d.revision, d.setting, o.\"from\", coalesce(o.outcome, 'untouched') AS outcome, \
-                    coalesce(o.asked_ms, 0) AS asked_ms, coalesce(o.at_ms, 0) AS at_ms, \
-                    coalesce(o.detail, '') AS detail FROM desired d LEFT JOIN order_nodes o \
-                    ON o.revision = d.revision AND o.node = d.node WHERE d.revision > $1";
+    pub(crate) async fn desired_after(&self, after: u64) -> Result<Vec<NodeSetting>, StoreError> {
+        let text = "SELECT d.node, d.revision, d.setting AS \"to\", n.setting_before AS \"from\", \
+                    coalesce(n.outcome, 'untouched') AS outcome, coalesce(n.given_ms, 0) AS given_ms, \
+                    coalesce(n.at_ms, 0) AS at_ms, coalesce(n.detail, '') AS detail \
+                    FROM desired d LEFT JOIN revision_nodes n \
+                    ON n.revision = d.revision AND n.node = d.node WHERE d.revision > $1";
         read_all(self.query(text, vec![after.into()]).await?)
     }
 
-    /// The outcome of a change at each node.
-    pub(crate) async fn change_nodes(&self, revision: i64) -> Result<Vec<ChangeNode>, StoreError> {
-        let text = "SELECT * FROM order_nodes WHERE revision = $1 ORDER BY node";
+    /// The outcome of a revision at each node.
+    pub(crate) async fn revision_nodes(
+        &self,
+        revision: u64,
+    ) -> Result<Vec<NodeSetting>, StoreError> {
+        let text = "SELECT n.node, n.revision, r.setting AS \"to\", n.setting_before AS \"from\", n.outcome, \
+                    n.given_ms, n.at_ms, n.detail \
+                    FROM revision_nodes n JOIN revisions r ON r.revision = n.revision \
+                    WHERE n.revision = $1 ORDER BY n.node";
         read_all(self.query(text, vec![revision.into()]).await?)
     }
 
-    /// The newest changes below revision `before`; only those of `node`, if it is given.
-    pub(crate) async fn changes(
+    /// The newest revisions below the number `before`; only those of `node`, if it is given.
+    pub(crate) async fn revisions(
         &self,
         before: i64,
         node: Option<&str>,
         limit: i64,
-    ) -> Result<Vec<ChangeView>, StoreError> {
+    ) -> Result<Vec<Revision>, StoreError> {
         let object = match self.database_kind() {
             DatabaseKind::Sqlite => "json_group_object",
             DatabaseKind::Postgres => "jsonb_object_agg",
         };
         let text = format!(
-            "SELECT o.*, (SELECT coalesce(CAST({object}(c.outcome, c.nodes) AS TEXT), '{{}}') FROM (SELECT outcome, \
-             count(*) AS nodes FROM order_nodes WHERE revision = o.revision GROUP BY outcome) AS c) AS counts \
-             FROM orders o WHERE o.revision < $1 \
-             AND ($2 = '' OR o.revision IN (SELECT revision FROM order_nodes WHERE node = $2)) \
-             ORDER BY o.revision DESC LIMIT $3"
+            "SELECT r.revision, r.at_ms, r.who, r.why, r.origin, r.selector AS \"select\", r.setting AS \"to\", \
+             (SELECT coalesce(CAST({object}(c.outcome, c.nodes) AS TEXT), '{{}}') FROM (SELECT outcome, \
+             count(*) AS nodes FROM revision_nodes WHERE revision = r.revision GROUP BY outcome) AS c) AS counts \
+             FROM revisions r WHERE r.revision < $1 \
+             AND ($2 = '' OR r.revision IN (SELECT revision FROM revision_nodes WHERE node = $2)) \
+             ORDER BY r.revision DESC LIMIT $3"
         );
         let values = vec![before.into(), node.unwrap_or_default().into(), limit.into()];
         read_all(self.query(text, values).await?)
@@ -353,7 +374,8 @@ impl Store {
 
 #[cfg(test)]
 mod tests {
-    use super::super::member::{Ask, ChangeNode, Outcome};
+    use super::super::desired::NodeSetting;
+    use super::super::outcome::{Given, Outcome};
     use crate::store::row::{read, row};
     use albireo_wire::{DesiredSetting, Target, Threshold};
     use proptest::prelude::*;
@@ -368,18 +390,17 @@ mod tests {
                 Some(DesiredSetting::Target(None)),
                 None,
             ] {
-                let given = ChangeNode {
-                    node: "a".to_owned(),
-                    from,
-                    ask: Ask::new(7, 1, Outcome::Applied),
-                };
+                let setting = from.unwrap_or(DesiredSetting::Target(None));
+                let given = NodeSetting::new("a".to_owned(), setting, from, Outcome::Applied, 1);
                 let mut written = row(&given).unwrap();
-                prop_assert_eq!(&read::<ChangeNode>(written.clone()).unwrap(), &given);
+                prop_assert_eq!(&read::<NodeSetting>(written.clone()).unwrap(), &given);
                 // In a table it is text.
-                if written["from"].is_object() {
-                    written["from"] = written["from"].to_string().into();
+                for column in ["from", "to"] {
+                    if written[column].is_object() {
+                        written[column] = written[column].to_string().into();
+                    }
                 }
-                prop_assert_eq!(read::<ChangeNode>(written).unwrap(), given);
+                prop_assert_eq!(read::<NodeSetting>(written).unwrap(), given);
             }
         }
     }
@@ -387,10 +408,10 @@ mod tests {
     #[test]
     fn a_column_of_another_type_or_a_missing_one_is_a_clear_error() {
         let mut row = row(&serde_json::json!({ "revision": "seven" })).unwrap();
-        let error = read::<Ask>(row.clone()).unwrap_err();
+        let error = read::<Given>(row.clone()).unwrap_err();
         assert!(error.to_string().contains("seven"), "{error}");
         row.clear();
-        let error = read::<Ask>(row).unwrap_err();
+        let error = read::<Given>(row).unwrap_err();
         assert!(error.to_string().contains("revision"), "{error}");
     }
 }

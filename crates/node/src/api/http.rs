@@ -1,7 +1,7 @@
 //! The HTTP routes of a node.
 
+mod body;
 mod cameras;
-mod change;
 mod clips;
 mod diag;
 mod events;
@@ -23,9 +23,8 @@ use crate::state::board::{Board, CameraBoard, DetectorEvent, FrameEvent, Thresho
 use albireo_service::http::{self, Problem};
 use albireo_vision::picture::FrameLimits;
 use albireo_wire::{
-    ConfigChanged, CountersMessage, Desired, DetectionsMessage, FrameAnswer, FrameAttachment,
-    PullRequest, ReportAnswer, ReportBatch, ScreenMessage, SettledMessage, StatusMessage,
-    ThresholdMessage,
+    CountersMessage, Desired, DetectionsMessage, FrameAnswer, FrameAttachment, ReportAnswer,
+    ReportBatch, RevisionMessage, ScreenMessage, SettledMessage, StatusMessage, ThresholdMessage,
 };
 use axum::http::StatusCode;
 use axum::routing::get;
@@ -101,9 +100,8 @@ fn bad_request(detail: String) -> Problem {
         ReportBatch,
         ReportAnswer,
         StatusMessage,
-        PullRequest,
+        RevisionMessage,
         Desired,
-        ConfigChanged,
         ThresholdMessage,
         FrameEvent,
         ThresholdEvent,

@@ -27,7 +27,7 @@ struct Served {
     setting: Setting,
 }
 
-/// A query, with its place among the orders.
+/// A query, with its place among the settings that arrived.
 struct Request {
     served: Arc<Served>,
     place: Place,
@@ -64,7 +64,7 @@ pub(crate) async fn declare(
             key: key.clone(),
             setting,
         });
-        // Zenoh's threads only keep orders, because a change writes a file, which can take a while on a slow SD card.
+        // Zenoh's threads only keep settings, because setting them writes a file, which can take a while on a slow SD card.
         let puts = Arc::clone(settings);
         let of_puts = Arc::clone(&served);
         let refused = || NodeError::refused(format!("`{key}` cannot be served"));
@@ -72,7 +72,7 @@ pub(crate) async fn declare(
             .declare_subscriber(key.clone())
             .callback(move |sample| {
                 let Served { key, setting } = &*of_puts;
-                puts.orders.put(key, setting, beginning(sample.payload()));
+                puts.turns.put(key, setting, beginning(sample.payload()));
             })
             .await
             .map_err(refused())?;
@@ -85,7 +85,7 @@ pub(crate) async fn declare(
                 let payload = query.payload().filter(|payload| !payload.is_empty());
                 let request = Request {
                     served: Arc::clone(&served),
-                    place: queries.orders.place(),
+                    place: queries.turns.place(),
                     payload: payload.map(beginning),
                     query,
                 };
@@ -107,7 +107,7 @@ pub(crate) async fn declare(
         let _held = (requests, declared);
         loop {
             let request = tokio::select! {
-                () = settings.orders.changed.notified() => None,
+                () = settings.turns.changed.notified() => None,
                 request = waiting.recv() => request,
             };
             let board = Arc::clone(&board);

@@ -37,9 +37,10 @@ impl NodeName {
     pub(crate) async fn hold(self, session: Session, key: String, part: Part) {
         let own = format!("{key}/{}", session.zid());
         loop {
-            let pause = match self.is_held() {
-                true => OWNER_CHECK_EVERY,
-                false => CHECK_EVERY,
+            let pause = if self.is_held() {
+                OWNER_CHECK_EVERY
+            } else {
+                CHECK_EVERY
             };
             match self.claim(&session, &key, &own).await {
                 Ok(true) => part.works(),

@@ -22,7 +22,7 @@ use albireo_service::readiness::Part;
 use albireo_service::session;
 use albireo_vision::picture::FrameLimits;
 use albireo_wire::{
-    BatchCompression, Desired, NodeKeys, PullRequest, ReportAnswer, ReportBatch, VERSION,
+    BatchCompression, Desired, NodeKeys, ReportAnswer, ReportBatch, RevisionMessage, VERSION,
 };
 use backoff::Backoff;
 use futures_util::future::{BoxFuture, FutureExt, Shared};
@@ -268,9 +268,10 @@ impl Worker {
             .await?;
         let news = session.declare_subscriber(keys.changed()).with(RingChannel::new(1)).await?;
         let own = setup.local.is_none();
-        let _alive = match own && setup.uplink.liveliness {
-            true => Some(session.liveliness().declare_token(keys.alive()).await?),
-            false => None,
+        let _alive = if own && setup.uplink.liveliness {
+            Some(session.liveliness().declare_token(keys.alive()).await?)
+        } else {
+            None
         };
         let mut last_try = None;
         let mut asked = FuturesUnordered::<BoxFuture<'_, (Asked, Ended)>>::new();
@@ -311,7 +312,7 @@ impl Worker {
                 return Err("no answer to the waiting reports for too long".into());
             }
             let latest = last_try.unwrap_or(now + POLL_EVERY);
-            let look = self.schedule.next_look(latest, now);
+            let due = self.schedule.next_due(latest, now);
             tokio::select! {
                 () = self.stop.cancelled(), if last_try.is_none() => {
                     let now = Instant::now();
@@ -321,7 +322,7 @@ impl Worker {
                 Some((query, ended)) = asked.next() => self.take(query, ended).await,
                 () = outbox.changed() => {}
                 Ok(_) = news.recv_async() => self.schedule.want_pull(),
-                () = tokio::time::sleep_until(look.into()) => {}
+                () = tokio::time::sleep_until(due.into()) => {}
             }
         }
     }
@@ -385,7 +386,7 @@ pub(crate) fn conclude(
 
 /// Queries the desired setting.
 async fn pull(setup: &UplinkSetup, pulls: &Querier<'_>) -> Ended {
-    let request = PullRequest {
+    let request = RevisionMessage {
         v: VERSION,
         revision: known(&setup.settings).revision(),
     };
@@ -453,9 +454,10 @@ mod tests {
         let accepting = Arc::clone(&accepts);
         let hub = router.declare_queryable("albireo/@report/node").callback(move |query| {
             let answer = serde_json::to_vec(&ReportAnswer::default()).unwrap();
-            let _ = match accepting.load(Ordering::Relaxed) {
-                true => query.reply(query.key_expr().clone(), answer).wait(),
-                false => query.reply_err(refusal.clone()).wait(),
+            let _ = if accepting.load(Ordering::Relaxed) {
+                query.reply(query.key_expr().clone(), answer).wait()
+            } else {
+                query.reply_err(refusal.clone()).wait()
             };
         });
         let _hub = hub.await.unwrap();

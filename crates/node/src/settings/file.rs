@@ -167,15 +167,15 @@ impl SettingsFile {
         is_current.then_some((kept.value, kept.source))
     }
 
-    /// Makes a change: `change` puts it in force, at once and before any other change, and sets what is to be kept of it.
+    /// Sets settings: `settings` puts them in force, at once and before any others, and sets what is to be kept of them.
     /// That is written to the file together, or not at all. If it cannot be written now, it is written when the disk works
     /// again. Writes a small file.
-    pub(crate) fn change<T>(&self, change: impl FnOnce(&mut KeptValues) -> T) -> T {
-        let changed = change(&mut self.values.lock());
+    pub(crate) fn set<T>(&self, settings: impl FnOnce(&mut KeptValues) -> T) -> T {
+        let set = settings(&mut self.values.lock());
         if let Err(error) = self.save() {
             tracing::error!(%error, "a setting is not kept: it will not survive a restart");
         }
-        changed
+        set
     }
 
     /// Writes the file if it differs from the settings, after reading it if that failed before. Settings that are read
@@ -259,7 +259,7 @@ mod tests {
 
         /// Keeps a setting. Returns true if it survives a restart.
         fn set(&self, name: &str, setting: impl Serialize) -> bool {
-            self.change(|values| values.set(name, &setting));
+            self.set(|values| values.set(name, &setting));
             self.save().is_ok()
         }
     }

@@ -38,7 +38,7 @@ impl Settings {
     ) -> Result<(), Box<dyn Error + Send + Sync>> {
         let name = cameras[0].threshold_spec.unwrap().name;
         let threshold = Threshold::new(name, value);
-        self.change(|change| change.thresholds(cameras, threshold, SettingSource::Local))
+        self.set(|transaction| transaction.thresholds(cameras, threshold, SettingSource::Local))
     }
 }
 
@@ -55,7 +55,7 @@ fn a_changed_pause_survives_a_restart_and_an_edited_one_is_newer() {
         ..Pauses::default()
     };
     let first = restarted(0.0);
-    first.settings.change(|change| change.pauses(new)).unwrap();
+    first.settings.set(|transaction| transaction.pauses(new)).unwrap();
     assert_eq!(first.board.empty_road().pause_s, 0.2);
     drop(first);
     assert_eq!(restarted(0.0).board.empty_road().pause_s, 0.2);

@@ -113,7 +113,7 @@ pub(crate) fn of_screen(status: &ModelStatus) -> Option<Fault> {
 const CAMERA_SILENCE: Duration = Duration::from_secs(30);
 
 /// Adds probes for frames from every camera without a source; a source reports its own faults.
-pub(crate) fn look_at_cameras(board: &Board) {
+pub(crate) fn check_cameras(board: &Board) {
     let start = tokio::time::Instant::now();
     for camera in &board.cameras {
         let name = camera.name().to_owned();
@@ -148,7 +148,7 @@ pub(crate) fn look_at_cameras(board: &Board) {
 }
 
 /// Adds a probe for samples from the power meter.
-pub(crate) fn look_at_power(board: &Board, power: &PowerHandle) {
+pub(crate) fn check_power(board: &Board, power: &PowerHandle) {
     let power = power.clone();
     let begun = tokio::time::Instant::now();
     board.readiness.probe(POWER, "", move || {

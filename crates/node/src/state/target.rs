@@ -51,7 +51,7 @@ pub(crate) struct NodeTarget {
     /// The threshold with which the controller begins without a kept one.
     first_threshold: Option<f64>,
     held: Mutex<Held>,
-    /// Log lines about orders.
+    /// Log lines about settings.
     changes: RateLimit,
 }
 

@@ -60,7 +60,7 @@ pub fn decompress_batch(payload: &[u8]) -> Result<Vec<u8>, MessageError> {
     let mut decoder = zstd::Decoder::with_prepared_dictionary(compressed, &DECODER)?;
     decoder.window_log_max(WINDOW_LOG)?;
     let mut json = Vec::new();
-    (decoder.take(LARGEST_BATCH_BYTES as u64 + 1)).read_to_end(&mut json)?;
+    decoder.take(LARGEST_BATCH_BYTES as u64 + 1).read_to_end(&mut json)?;
     if json.len() > LARGEST_BATCH_BYTES {
         return Err(MessageError::TooLarge);
     }

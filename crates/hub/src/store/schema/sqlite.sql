@@ -4,7 +4,7 @@
 
 -- The program and the version of these tables.
 CREATE TABLE hub_meta (key TEXT NOT NULL PRIMARY KEY, value TEXT NOT NULL);
-INSERT INTO hub_meta (key, value) VALUES ('program', 'albireo-hub'), ('version', '15');
+INSERT INTO hub_meta (key, value) VALUES ('program', 'albireo-hub'), ('version', '16');
 
 CREATE TABLE nodes (
     id INTEGER PRIMARY KEY AUTOINCREMENT,
@@ -223,7 +223,7 @@ CREATE TABLE events (
     detail TEXT NOT NULL
 );
 
--- What is desired of nodes, by whom it was ordered, what became of it; rollouts and trials. A setting is JSON, as in the API:
+-- What is desired of nodes, under which revision, what became of it; rollouts and trials. A setting is JSON, as in the API:
 -- {"threshold": {"name": "u", "value": 0.0003}}, {"target": {"skip_rate": 0.5}}, or {"target": null} for no target.
 CREATE TABLE counters (
     name TEXT NOT NULL PRIMARY KEY,
@@ -238,29 +238,29 @@ CREATE TABLE desired (
 );
 CREATE INDEX desired_by_revision ON desired (revision);
 
-CREATE TABLE orders (
+CREATE TABLE revisions (
     revision BIGINT NOT NULL PRIMARY KEY,
     at_ms BIGINT NOT NULL,
     who TEXT NOT NULL,
     why TEXT NOT NULL,
     origin TEXT NOT NULL,
-    "select" TEXT NOT NULL,
-    "to" TEXT NOT NULL
+    selector TEXT NOT NULL,
+    setting TEXT NOT NULL
 );
 
--- `from` is the setting that a node had, where that was known.
-CREATE TABLE order_nodes (
+-- `setting_before` is the setting that a node had, where that was known.
+CREATE TABLE revision_nodes (
     revision BIGINT NOT NULL,
     node TEXT NOT NULL,
-    "from" TEXT,
-    asked_ms BIGINT NOT NULL,
+    setting_before TEXT,
+    given_ms BIGINT NOT NULL,
     outcome TEXT NOT NULL,
     at_ms BIGINT NOT NULL,
     detail TEXT NOT NULL,
     PRIMARY KEY (revision, node)
 ) WITHOUT ROWID;
-CREATE INDEX order_nodes_by_node ON order_nodes (node, revision);
-CREATE INDEX order_nodes_open ON order_nodes (revision)
+CREATE INDEX revision_nodes_by_node ON revision_nodes (node, revision);
+CREATE INDEX revision_nodes_open ON revision_nodes (revision)
     WHERE outcome IN ('pending', 'waiting', 'timed_out');
 
 -- Rollouts and trials, each counted from 1.

@@ -52,23 +52,23 @@ CREATE TEMP VIEW counters AS
 SELECT 'revision' AS name, value FROM main.counters WHERE name = 'generation'
 UNION ALL SELECT 'rollout', 0 UNION ALL SELECT 'trial', 0;
 
--- An order of a target has no knob.
+-- A target has no knob.
 CREATE TEMP VIEW desired AS
 SELECT node, generation AS revision,
     json_object('threshold', json_object('name', knob, 'value', CAST(value AS REAL))) AS setting
 FROM main.desired WHERE knob <> '';
 
-CREATE TEMP VIEW orders AS
-SELECT generation AS revision, at_ms, who, why, origin, selector AS "select",
-    json_object('threshold', json_object('name', knob, 'value', CAST(value AS REAL))) AS "to"
+CREATE TEMP VIEW revisions AS
+SELECT generation AS revision, at_ms, who, why, origin, selector,
+    json_object('threshold', json_object('name', knob, 'value', CAST(value AS REAL))) AS setting
 FROM main.orders WHERE knob <> '';
 
-CREATE TEMP VIEW order_nodes AS
+CREATE TEMP VIEW revision_nodes AS
 SELECT n.generation AS revision, n.node,
     CASE WHEN n.from_value IS NOT NULL THEN
         json_object('threshold', json_object('name', o.knob, 'value', CAST(n.from_value AS REAL)))
-    END AS "from",
-    o.at_ms AS asked_ms, CASE WHEN n.outcome IN ('applied', 'refused', 'superseded') THEN n.outcome ELSE 'missed' END AS outcome,
+    END AS setting_before,
+    o.at_ms AS given_ms, CASE WHEN n.outcome IN ('applied', 'refused', 'superseded') THEN n.outcome ELSE 'missed' END AS outcome,
     n.at_ms, n.detail
 FROM main.order_nodes n JOIN main.orders o ON o.generation = n.generation
 WHERE o.knob <> '';

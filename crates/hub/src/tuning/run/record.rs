@@ -1,7 +1,8 @@
 //! Defines the record of a rollout or trial, and what an answer adds to it.
 
 use super::super::gate::{GateResult, Verdict};
-use super::super::member::{Millis, Outcome};
+use super::super::member::Millis;
+use super::super::outcome::Outcome;
 use crate::named::named;
 use serde::{Deserialize, Serialize};
 use serde_with::skip_serializing_none;
@@ -33,9 +34,9 @@ named! {
         Paused = "paused",
         /// Somebody resumed it.
         Resumed = "resumed",
-        /// Somebody ordered the next stage.
+        /// Somebody began the next stage.
         Next = "next",
-        /// Somebody ordered the return.
+        /// Somebody began the return.
         Return = "return",
         /// Somebody ended it.
         Stopped = "stopped",
@@ -52,7 +53,7 @@ pub struct Entry {
     pub stage: usize,
     /// Its kind.
     pub what: What,
-    /// Who ordered it; absent if the hub did it by itself.
+    /// Who commanded it; absent if the hub did it by itself.
     pub who: Option<String>,
     /// Details, as text.
     #[serde(default, skip_serializing_if = "String::is_empty")]

@@ -48,7 +48,7 @@ struct SimNode {
     factor: f64,
 }
 
-/// A fleet that applies what it is asked for, and a hub that carries out orders.
+/// A fleet that applies what it is given, and a hub that gives it.
 #[derive(Clone, Default)]
 struct World {
     nodes: BTreeMap<String, SimNode>,
@@ -90,14 +90,14 @@ impl World {
     /// Advances by 1 s.
     fn step(&mut self, rollout: &mut Run) {
         self.now += SECOND;
-        for order in rollout.due() {
+        for due in rollout.due() {
             self.revision += 1;
-            for name in &order.nodes {
+            for name in &due.nodes {
                 if let Some(node) = self.nodes.get_mut(name) {
-                    node.desired = Some((self.revision, order.threshold));
+                    node.desired = Some((self.revision, due.threshold));
                 }
             }
-            rollout.asked(&order, self.revision, self.now);
+            rollout.given(&due, self.revision, self.now);
         }
         for node in self.nodes.values_mut().filter(|n| n.reachable) {
             match node.desired {
@@ -393,7 +393,7 @@ fn a_stage_whose_nodes_refuse_fails_without_waiting_for_its_soak() {
 }
 
 #[test]
-fn a_pause_stops_the_soak_and_all_deadlines_and_no_node_is_asked() {
+fn a_pause_stops_the_soak_and_all_deadlines_and_no_node_is_given_a_value() {
     let mut world = World::new(10);
     let mut rollout = world.begin(plan());
     world.run_until(&mut rollout, "soaking");
@@ -412,8 +412,8 @@ fn a_pause_stops_the_soak_and_all_deadlines_and_no_node_is_asked() {
     rollout.command(Command::Pause, "ops", world.now).unwrap();
     assert_eq!(rollout.due(), []);
     rollout.command(Command::Resume, "ops", world.now).unwrap();
-    let order = rollout.due().remove(0);
-    rollout.asked(&order, 7, world.now);
+    let due = rollout.due().remove(0);
+    rollout.given(&due, 7, world.now);
     rollout.command(Command::Pause, "ops", world.now).unwrap();
     let silent = |_: &str| Some(reported(true, 0, old(), None));
     let hours = 3 * 3_600_000;
@@ -422,9 +422,9 @@ fn a_pause_stops_the_soak_and_all_deadlines_and_no_node_is_asked() {
     rollout.command(Command::Resume, "ops", later).unwrap();
     rollout.observe(later + 1_000, silent);
     let members = rollout.members.iter();
-    let asked = members.filter(|m| order.nodes.contains(&m.node));
-    assert!(asked.clone().count() > 0);
-    assert!(asked.clone().all(|m| m.ask.outcome == Outcome::Pending));
+    let given = members.filter(|m| due.nodes.contains(&m.node));
+    assert!(given.clone().count() > 0);
+    assert!(given.clone().all(|m| m.given.outcome == Outcome::Pending));
 }
 
 #[test]
@@ -448,18 +448,18 @@ fn after_its_end_a_rollout_only_returns_and_skips_nodes_that_were_changed_since(
 }
 
 #[test]
-fn a_node_that_was_never_asked_has_nothing_to_return_from() {
+fn a_node_that_was_given_nothing_has_nothing_to_return_from() {
     let world = World::new(4);
     let mut rollout = world.begin(plan());
     let mut never = rollout.clone();
     never.command(Command::Return, "ops", 0).unwrap();
     assert_eq!(never.due(), []);
     assert!(never.has_returned());
-    let order = rollout.due().remove(0);
-    rollout.asked(&order, 9, 0);
+    let first = rollout.due().remove(0);
+    rollout.given(&first, 9, 0);
     rollout.command(Command::Return, "ops", 0).unwrap();
     let due = rollout.due();
-    assert_eq!((due.len(), &due[0].nodes), (1, &order.nodes));
+    assert_eq!((due.len(), &due[0].nodes), (1, &first.nodes));
     assert_eq!(due[0].threshold, old());
 }
 
@@ -541,7 +541,7 @@ proptest! {
             }
             let stage = rollout.stage;
             for member in &rollout.members {
-                prop_assert!(member.group < stage || rollout.wanted(member) != Some(new()));
+                prop_assert!(member.group < stage || rollout.value_of(member) != Some(new()));
             }
         }
         for (i, entry) in rollout.record.iter().enumerate() {

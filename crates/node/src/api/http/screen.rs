@@ -1,7 +1,7 @@
 //! The routes that read and set the pause on an empty road.
 
 use super::RouteState;
-use super::change::{message, off_the_runtime};
+use super::body::{message, off_the_runtime};
 use crate::settings::RefusedPause;
 use albireo_service::http::Problem;
 use albireo_wire::Pauses;
@@ -92,8 +92,8 @@ pub(super) async fn put(
 ) -> Result<Json<Pause>, Problem> {
     let sent: Pauses = message(&headers, &body, EXPECTED)?;
     let settings = Arc::clone(&shared.settings);
-    let place = settings.orders.place();
-    let set = move || settings.change_in_turn(place, |change| change.pauses(sent));
+    let place = settings.turns.place();
+    let set = move || settings.set_in_turn(place, |transaction| transaction.pauses(sent));
     off_the_runtime(set).await?.map_err(|refused| {
         let status = match refused {
             RefusedPause::OutOfRange(..) | RefusedPause::Nothing => {

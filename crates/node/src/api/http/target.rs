@@ -1,7 +1,7 @@
 //! The routes that read and set the target.
 
 use super::RouteState;
-use super::change::{message, off_the_runtime};
+use super::body::{message, off_the_runtime};
 use albireo_service::http::Problem;
 use albireo_wire::{SettingSource, Target, TargetMessage, TargetReport, check_version};
 use axum::Json;
@@ -42,8 +42,12 @@ pub(super) async fn put(
     check_version(message.v).map_err(|error| refused(error.to_string()))?;
     let settings = Arc::clone(&shared.settings);
     let local = SettingSource::Local;
-    let place = settings.orders.place();
-    let set = move || settings.change_in_turn(place, |change| change.target(message.target, local));
+    let place = settings.turns.place();
+    let set = move || {
+        settings.set_in_turn(place, |transaction| {
+            transaction.target(message.target, local)
+        })
+    };
     off_the_runtime(set).await?.map_err(|error| refused(error.to_string()))?;
     Ok(Json(shared.board.target.report()))
 }

@@ -1,7 +1,7 @@
 //! The routes that read and set the uncertainty threshold.
 
 use super::RouteState;
-use super::change::{message, off_the_runtime};
+use super::body::{message, off_the_runtime};
 use crate::state::board::CameraBoard;
 use albireo_core::policy::{InvalidThreshold, ThresholdSpec, short};
 use albireo_service::http::Problem;
@@ -114,10 +114,10 @@ async fn put(
     let threshold = Threshold::new(&name, value);
     let local = SettingSource::Local;
     let settings = Arc::clone(&shared.settings);
-    let place = settings.orders.place();
+    let place = settings.turns.place();
     let set = move || {
-        settings.change_in_turn(place, |change| {
-            change.thresholds(&cameras, threshold, local)
+        settings.set_in_turn(place, |transaction| {
+            transaction.thresholds(&cameras, threshold, local)
         })
     };
     off_the_runtime(set).await?.map_err(|error| fault(&error))

@@ -87,7 +87,7 @@ impl Bench {
         // Longer than any pause after a failure.
         self.time.now_ms += HOUR;
         let (question, now) = (self.time.number(), self.now());
-        let Some((Some(batch), _)) = self.node.look(question, now) else {
+        let Some((Some(batch), _)) = self.node.poll(question, now) else {
             return;
         };
         let mut reply = Err(b"no reply".to_vec());

@@ -193,8 +193,8 @@ impl Node {
         }
     }
 
-    /// Looks what is to be sent: a batch, as the question of that number; and when to look again.
-    pub(super) fn look(
+    /// Says what is to be sent: a batch, as the question of that number; and when to call it again.
+    pub(super) fn poll(
         &mut self,
         question: u64,
         now: Now,
@@ -214,7 +214,7 @@ impl Node {
         }
         let fails = outbox.counts().failing.is_some();
         let latest = now.at + Duration::from_secs(if fails { 20 } else { 900 });
-        let pause = schedule.next_look(latest, now.at) - now.at;
+        let pause = schedule.next_due(latest, now.at) - now.at;
         self.note_durable();
         Some((sent, pause))
     }

@@ -1,4 +1,4 @@
-//! Simulates settings sent from a hub to nodes: real orders, rollouts, trials and files over a faulty network.
+//! Simulates settings sent from a hub to nodes: real desired settings, rollouts, trials and files over a faulty network.
 
 mod hub;
 mod node;
@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 use std::rc::Rc;
 use tempfile::TempDir;
 
-/// Once nothing fails any more, every order is answered and every rollout and trial has ended within this time.
+/// Once nothing fails any more, every setting is answered and every rollout and trial has ended within this time.
 const SETTLED_WITHIN: i64 = 4 * HOUR;
 const TICK: i64 = 5 * SECOND;
 
@@ -35,7 +35,7 @@ const FAULTS: [&str; 9] = [
 #[derive(Clone, Debug)]
 enum Event {
     /// A node checks what it has to send.
-    Look(usize),
+    Poll(usize),
     Status(usize, Payload<Vec<u8>>),
     Notice(usize),
     Pull(usize, u64),
@@ -46,7 +46,7 @@ enum Event {
     HubDiskFree,
     /// The hub processes what nodes reported.
     Tick,
-    Order,
+    Set,
     Rollout,
     Command,
     /// Targets are switched off, so that a trial can begin soon.
@@ -67,7 +67,7 @@ pub(super) struct Settings {
     values: u64,
     /// What each node accepted, by revision.
     taken: BTreeMap<(usize, u64), DesiredSetting>,
-    /// The highest revision that was ordered, whatever the hub forgot since.
+    /// The highest revision that was given, whatever the hub forgot since.
     highest: u64,
     restored_ms: i64,
     _folder: TempDir,
@@ -98,10 +98,11 @@ impl Settings {
         for at in 0..world.nodes.len() {
             world.time.after(0, Event::NodeOn(at));
         }
-        let plenty = [(6, Event::Order), (10, Event::Fault), (2, Event::BackUp)];
-        let runs = match has_trials {
-            false => [(4, Event::Rollout), (5, Event::Command)],
-            true => [(6, Event::PrepareTrial), (3, Event::EndTrial)],
+        let plenty = [(6, Event::Set), (10, Event::Fault), (2, Event::BackUp)];
+        let runs = if has_trials {
+            [(6, Event::PrepareTrial), (3, Event::EndTrial)]
+        } else {
+            [(4, Event::Rollout), (5, Event::Command)]
         };
         for (most, event) in plenty.into_iter().chain(runs) {
             for _ in 0..=world.time.below(most) {
@@ -135,7 +136,7 @@ impl Settings {
 
     fn handle(&mut self, event: Event) {
         match event {
-            Event::Look(at) => self.look(at),
+            Event::Poll(at) => self.poll(at),
             Event::Status(at, payload) => {
                 let now = self.time.now(0);
                 if self.hub.hear(&self.nodes[at].name, &payload.0, now) {
@@ -166,7 +167,7 @@ impl Settings {
                 self.notices();
                 self.time.after(TICK, Event::Tick);
             }
-            Event::Order => self.order(),
+            Event::Set => self.set_one(),
             Event::Rollout => self.rollout(),
             Event::Command => {
                 let (command, which) = (self.time.one_of(&Command::ALL), self.time.random());
@@ -175,7 +176,7 @@ impl Settings {
             }
             Event::PrepareTrial => {
                 let (all, off) = (self.all(), DesiredSetting::Target(None));
-                self.hub.order(&all, off, self.time.now(0));
+                self.hub.set(&all, off, self.time.now(0));
                 self.notices();
                 self.time.after(60 * SECOND, Event::Trial);
             }
@@ -196,13 +197,13 @@ impl Settings {
         if !self.nodes[at].is_on() {
             let (now, random) = (self.time.now(0), self.time.random());
             self.nodes[at].switch_on(now, random);
-            self.time.after(0, Event::Look(at));
+            self.time.after(0, Event::Poll(at));
         }
     }
 
-    fn look(&mut self, at: usize) {
+    fn poll(&mut self, at: usize) {
         let (now, question) = (self.time.now(0), self.time.number());
-        let Some((status, pulls)) = self.nodes[at].look(question, now) else {
+        let Some((status, pulls)) = self.nodes[at].poll(question, now) else {
             return;
         };
         if let Some(status) = status {
@@ -214,7 +215,7 @@ impl Settings {
             self.time.after(10 * SECOND, unanswered);
         }
         let longest = 5 * SECOND * self.nodes.len() as i64;
-        self.time.sometime(SECOND, longest / 4, Event::Look(at));
+        self.time.sometime(SECOND, longest / 4, Event::Poll(at));
     }
 
     fn pulled(&mut self, at: usize, question: u64, answer: Option<&[u8]>) {
@@ -252,7 +253,7 @@ impl Settings {
         }
     }
 
-    /// A value not ordered before; some are out of range.
+    /// A value not given before; some are out of range.
     fn value(&mut self) -> f64 {
         self.values += 1;
         if self.time.chance(100) {
@@ -285,10 +286,10 @@ impl Settings {
         names
     }
 
-    fn order(&mut self) {
+    fn set_one(&mut self) {
         let (names, setting) = (self.some(), self.setting());
         self.time.note(&format!("{setting:?} for {names:?}"));
-        self.hub.order(&names, setting, self.time.now(0));
+        self.hub.set(&names, setting, self.time.now(0));
         self.notices();
     }
 
@@ -388,7 +389,7 @@ impl Settings {
                 let now = self.time.now(0);
                 let before = self.hub.file.read();
                 match event {
-                    0 => self.hub.order(&names, setting, now),
+                    0 => self.hub.set(&names, setting, now),
                     1 => self.hub.command(cut, command, now),
                     2 => self.hub.end_trial(cut, now),
                     _ => self.hub.tick(now),
@@ -445,7 +446,7 @@ impl Settings {
                 continue;
             };
             let (revision, setting) = (node.revision(), desired.setting);
-            // What the hub forgot with its database may be in force; a setting ordered since must not be skipped.
+            // What the hub forgot with its database may be in force; a setting given since must not be skipped.
             let is_newer = revision > desired.revision;
             let is_forgotten = is_newer && desired.at_ms <= self.restored_ms;
             let is_replaced = revision == desired.revision && node.deviates(setting);

@@ -35,7 +35,7 @@ const HUB_CLOCK: &str = "hub's clock is set";
 #[derive(Clone, Debug)]
 enum Event {
     Clip(usize),
-    Look(usize),
+    Poll(usize),
     Batch(Asker, Sent),
     Commit(usize),
     Reply(Asker, Payload<Reply>),
@@ -152,10 +152,10 @@ impl World {
                     self.time.sometime(60 * SECOND, 900 * SECOND, Event::Clip(at));
                 }
             }
-            Event::Look(at) => {
+            Event::Poll(at) => {
                 if self.nodes[at].looks_at_ms == Some(self.time.now_ms) {
                     self.nodes[at].looks_at_ms = None;
-                    self.look(at);
+                    self.poll(at);
                 }
             }
             Event::Batch(from, Sent(batch)) => {
@@ -184,7 +184,7 @@ impl World {
                     || format!("reports {refused:?} of node {at}"),
                 );
                 self.excused.extend(refused);
-                self.look(at);
+                self.poll(at);
                 if self.time.unlucky(10) {
                     self.node_crash(at);
                 }
@@ -215,7 +215,7 @@ impl World {
             let (now, random) = (self.now_at(at), self.time.random());
             self.nodes[at].switch_on(now, random);
             self.note_counts(at);
-            self.look(at);
+            self.poll(at);
             self.time.sometime(SECOND, 600 * SECOND, Event::Clip(at));
         }
     }
@@ -241,13 +241,13 @@ impl World {
             self.reports += 1;
             self.time.note(&format!("node {at} makes report {number}"));
             self.nodes[at].make(number, random as u16, now);
-            self.look(at);
+            self.poll(at);
         }
     }
 
-    fn look(&mut self, at: usize) {
+    fn poll(&mut self, at: usize) {
         let (question, now) = (self.time.number(), self.now_at(at));
-        let Some((batch, pause)) = self.nodes[at].look(question, now) else {
+        let Some((batch, pause)) = self.nodes[at].poll(question, now) else {
             return;
         };
         if let Some(batch) = batch {
@@ -259,7 +259,7 @@ impl World {
         let (at_ms, looks_at_ms) = (self.time.now_ms + pause, &mut self.nodes[at].looks_at_ms);
         if looks_at_ms.is_none_or(|looks_at_ms| at_ms < looks_at_ms) {
             *looks_at_ms = Some(at_ms);
-            self.time.after(pause, Event::Look(at));
+            self.time.after(pause, Event::Poll(at));
         }
     }
 

@@ -2,7 +2,7 @@
 
 use crate::settings::Settings;
 use crate::state::board::Board;
-use albireo_wire::{Desired, DesiredSetting, RefusedDesired, SettingSource};
+use albireo_wire::{Desired, DesiredSetting, RefusedRevision, SettingSource};
 use serde::{Deserialize, Serialize};
 
 const SETTING: &str = "desired";
@@ -10,14 +10,14 @@ const SETTING: &str = "desired";
 /// What a node knows of its desired setting, over restarts.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
-pub(in crate::delivery) struct Known {
+pub(in crate::delivery) struct KnownRevision {
     /// The highest revision that came into force; 0 for none.
     pub in_force: u64,
     /// The refused desired setting, if it has a higher revision.
-    pub refused: Option<RefusedDesired>,
+    pub refused: Option<RefusedRevision>,
 }
 
-impl Known {
+impl KnownRevision {
     /// The highest revision seen.
     pub(in crate::delivery) fn revision(&self) -> u64 {
         let refused = self.refused.as_ref();
@@ -26,7 +26,7 @@ impl Known {
 }
 
 /// Returns what the node knows.
-pub(in crate::delivery) fn known(settings: &Settings) -> Known {
+pub(in crate::delivery) fn known(settings: &Settings) -> KnownRevision {
     settings.get(SETTING).unwrap_or_default()
 }
 
@@ -46,28 +46,30 @@ pub(in crate::delivery) fn take(desired: &Desired, settings: &Settings, board: &
     if revision <= known {
         return false;
     }
-    settings.change_in_turn(settings.orders.place(), |change| {
+    settings.set_in_turn(settings.turns.place(), |transaction| {
         let hub = SettingSource::Hub;
         let applied = match desired.setting {
             None => Ok(()),
             Some(DesiredSetting::Threshold(threshold)) => {
-                change.thresholds(&board.cameras, threshold, hub)
+                transaction.thresholds(&board.cameras, threshold, hub)
             }
-            Some(DesiredSetting::Target(target)) => change.target(target, hub).map_err(Into::into),
+            Some(DesiredSetting::Target(target)) => {
+                transaction.target(target, hub).map_err(Into::into)
+            }
         };
         let known = match applied {
-            Ok(()) => Known {
+            Ok(()) => KnownRevision {
                 in_force: revision,
                 refused: None,
             },
             Err(error) => {
                 let reason = error.to_string();
                 tracing::warn!(revision, reason, "rejected a desired setting");
-                let refused = Some(RefusedDesired { revision, reason });
-                Known { refused, ..before }
+                let refused = Some(RefusedRevision { revision, reason });
+                KnownRevision { refused, ..before }
             }
         };
-        change.keep(SETTING, &known);
+        transaction.keep(SETTING, &known);
     });
     true
 }
@@ -98,7 +100,7 @@ mod tests {
             take(&desired, &self.0.settings, &self.0.board)
         }
 
-        fn known(&self) -> Known {
+        fn known(&self) -> KnownRevision {
             known(&self.0.settings)
         }
 

@@ -235,7 +235,7 @@ impl Schedule {
     }
 
     /// The time of the next check: `latest`, or the end of a pause if that is earlier.
-    pub(crate) fn next_look(&self, latest: Instant, now: Instant) -> Instant {
+    pub(crate) fn next_due(&self, latest: Instant, now: Instant) -> Instant {
         let times = [
             self.reports.not_before,
             self.pulls.not_before.filter(|_| self.pull_wanted),
@@ -289,7 +289,7 @@ mod tests {
             let start = self.start;
             assert!(self.schedule.next_pull(start));
             self.schedule.pull_ended::<()>(&Err(failure), start);
-            self.start = self.schedule.next_look(self.at(3_600_000), start);
+            self.start = self.schedule.next_due(self.at(3_600_000), start);
             let early = self.start - Duration::from_millis(1);
             assert!(!self.schedule.next_pull(early));
             self.start - start
@@ -375,9 +375,9 @@ mod tests {
         assert!(!bench.schedule.is_stale(minute, bench.at(559_000)));
         assert!(bench.schedule.is_stale(minute, bench.at(561_000)));
         let latest = bench.at(2_000_000);
-        let end = bench.schedule.next_look(latest, bench.at(511_000));
+        let end = bench.schedule.next_due(latest, bench.at(511_000));
         assert!(end > bench.at(511_000) && end <= bench.at(512_500));
-        assert_eq!(bench.schedule.next_look(latest, end), latest);
+        assert_eq!(bench.schedule.next_due(latest, end), latest);
     }
 
     #[test]

@@ -6,7 +6,7 @@ use crate::settings::Settings;
 use crate::state::board::{Board, provider};
 use albireo_service::clock::Now;
 use albireo_wire::{
-    CameraState, CameraStatus, Desired, Heartbeat, NodeStatus, RefusedDesired, StatusMessage,
+    CameraState, CameraStatus, Desired, Heartbeat, NodeStatus, RefusedRevision, StatusMessage,
     TargetStatus, VERSION,
 };
 use std::collections::BTreeMap;
@@ -111,7 +111,7 @@ impl StatusSender {
         &self,
         board: &Board,
         outbox: &Outbox,
-        refused: Option<RefusedDesired>,
+        refused: Option<RefusedRevision>,
     ) -> NodeStatus {
         let cameras = board.cameras.iter().map(|camera| {
             let state = match camera.snapshot().last_frame_age() {

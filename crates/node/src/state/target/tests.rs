@@ -1,6 +1,6 @@
 use super::*;
 use crate::PreparedNode;
-use crate::settings::Change;
+use crate::settings::Transaction;
 use crate::settings::tests::{config, prepared};
 use albireo_core::target::TargetStatus;
 use std::path::Path;
@@ -16,9 +16,9 @@ fn node(state: Option<&Path>, policy: &str, configured: Option<Target>) -> Prepa
 }
 
 fn set_target(node: &PreparedNode, target: Option<Target>) -> Result<(), TargetError> {
-    let place = node.settings.orders.place();
-    let set = |change: &mut Change<'_>| change.target(target, SettingSource::Local);
-    node.settings.change_in_turn(place, set)
+    let place = node.settings.turns.place();
+    let set = |transaction: &mut Transaction<'_>| transaction.target(target, SettingSource::Local);
+    node.settings.set_in_turn(place, set)
 }
 
 fn hold(node: &PreparedNode, target: Option<Target>) {

@@ -102,11 +102,11 @@ impl Fleet {
 
     fn step(&mut self, rollout: &mut Run) {
         self.now += STEP;
-        for order in rollout.due() {
-            for node in &order.nodes {
-                self.has[Self::number(node) as usize] = order.threshold;
+        for due in rollout.due() {
+            for node in &due.nodes {
+                self.has[Self::number(node) as usize] = due.threshold;
             }
-            rollout.asked(&order, 1, self.now);
+            rollout.given(&due, 1, self.now);
         }
         rollout.observe(self.now, |node| {
             let number = Self::number(node);

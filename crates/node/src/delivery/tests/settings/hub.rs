@@ -1,4 +1,4 @@
-//! Simulates a hub with its real orders, rollouts, trials and database.
+//! Simulates a hub with its real settings, rollouts, trials and database.
 
 use super::super::hub::{HubFile, Image};
 use super::super::timeline::BEGIN;
@@ -6,10 +6,10 @@ use albireo_hub::config::{HistoryConfig, PresenceConfig, TuningConfig};
 use albireo_hub::ingest::Recorder;
 use albireo_hub::presence::Fleet;
 use albireo_hub::store::Store;
-use albireo_hub::tuning::Desires;
+use albireo_hub::tuning::DesiredSettings;
 use albireo_hub::tuning::Tuner;
-use albireo_hub::tuning::change::NewChange;
-use albireo_hub::tuning::member::Outcome;
+use albireo_hub::tuning::change::NewRevision;
+use albireo_hub::tuning::outcome::Outcome;
 use albireo_hub::tuning::run::{Command, Kind, Phase, Run};
 use albireo_hub::tuning::selector::Selector;
 use albireo_service::clock::Now;
@@ -23,7 +23,7 @@ use tokio::runtime::{Builder, Runtime};
 struct Running {
     recorder: Recorder,
     fleet: Arc<Fleet>,
-    desires: Arc<Desires>,
+    desired: Arc<DesiredSettings>,
     tuner: Tuner,
     notices: Receiver<(String, u64)>,
 }
@@ -35,11 +35,11 @@ pub(super) struct Hub {
 }
 
 #[derive(Debug)]
-pub(super) struct Wanted {
+pub(super) struct Desired {
     pub(super) revision: u64,
     pub(super) setting: DesiredSetting,
     pub(super) at_ms: i64,
-    /// Who ordered it: `hand`, `rollout 3`, `trial 1`.
+    /// Where it comes from: `hand`, `rollout 3`, `trial 1`.
     origin: String,
 }
 
@@ -68,15 +68,15 @@ impl Hub {
         }
         let config = self.file.config();
         let fleet = Arc::new(Fleet::new(&PresenceConfig::default()));
-        let (desires, notices) = Desires::new();
-        let desires = Arc::new(desires);
+        let (desired, notices) = DesiredSettings::new();
+        let desired = Arc::new(desired);
         let opened = async {
             let store = Store::open(&config).await?;
             fleet.remember(store.nodes().await?, now.at);
             let tuner = Tuner::open(
                 store.clone(),
                 Arc::clone(&fleet),
-                Arc::clone(&desires),
+                Arc::clone(&desired),
                 TuningConfig::default(),
                 "hub".to_owned(),
             );
@@ -88,7 +88,7 @@ impl Hub {
         self.running = Some(Running {
             recorder: Recorder::new(&store, &HistoryConfig::default(), now),
             fleet,
-            desires,
+            desired,
             tuner,
             notices,
         });
@@ -114,7 +114,7 @@ impl Hub {
 
     pub(super) fn answer(&self, node: &str) -> Option<Vec<u8>> {
         let hub = self.running.as_ref()?;
-        let mut desired = hub.desires.of(node);
+        let mut desired = hub.desired.of(node);
         desired.send_full_status = hub.fleet.needs_full_status(node);
         Some(serde_json::to_vec(&desired).unwrap())
     }
@@ -129,7 +129,7 @@ impl Hub {
     }
 
     fn work<T, E: std::fmt::Debug>(&self, work: impl Future<Output = Result<T, E>>) {
-        // An order that cannot be carried out now is refused or carried out later.
+        // A setting that cannot be given now is refused or given later.
         if let Err(error) = self.runtime.block_on(work) {
             tracing::debug!(?error, "not done");
         }
@@ -145,20 +145,20 @@ impl Hub {
             hub.fleet.give_back(nodes);
         }
         let at_ms = now.unix_ms;
-        self.work(hub.tuner.look(at_ms));
+        self.work(hub.tuner.follow(at_ms));
         self.work(hub.tuner.drive(at_ms));
         self.work(hub.tuner.learn());
-        self.work(hub.tuner.look_for_drift(at_ms));
+        self.work(hub.tuner.find_drift(at_ms));
         self.running = Some(hub);
     }
 
-    pub(super) fn order(&self, nodes: &[String], setting: DesiredSetting, now: Now) {
+    pub(super) fn set(&self, nodes: &[String], setting: DesiredSetting, now: Now) {
         let Some(hub) = &self.running else { return };
-        let request = NewChange {
+        let request = NewRevision {
             select: Selector::new(nodes).unwrap(),
-            ..NewChange::default()
+            ..NewRevision::default()
         };
-        self.work(hub.tuner.change(setting, request, "ops", now.unix_ms));
+        self.work(hub.tuner.set(setting, request, "ops", now.unix_ms));
     }
 
     pub(super) fn begin(&self, kind: Kind, now: Now) {
@@ -209,11 +209,11 @@ impl Hub {
         Some((file, log))
     }
 
-    pub(super) fn desired(&self, node: &str) -> Option<Wanted> {
-        let text = "SELECT d.revision, d.setting, o.at_ms, o.origin FROM desired d \
-                    JOIN orders o ON o.revision = d.revision WHERE node = ?";
+    pub(super) fn desired(&self, node: &str) -> Option<Desired> {
+        let text = "SELECT d.revision, d.setting, r.at_ms, r.origin FROM desired d \
+                    JOIN revisions r ON r.revision = d.revision WHERE node = ?";
         let read = |row: &rusqlite::Row<'_>| {
-            Ok(Wanted {
+            Ok(Desired {
                 revision: row.get::<_, i64>(0)?.unsigned_abs(),
                 setting: serde_json::from_str(&row.get::<_, String>(1)?).unwrap(),
                 at_ms: row.get::<_, i64>(2)? - BEGIN,
@@ -223,13 +223,13 @@ impl Hub {
         self.file.other.query_row(text, [node], read).ok()
     }
 
-    /// Unanswered orders, running rollouts and trials, and nodes whose desired value is not that of the last run that asked them.
+    /// Unanswered settings, running rollouts and trials, and nodes whose desired value is not that of the last run that gave them one.
     pub(super) fn unfinished(&self) -> Vec<String> {
         let mut wrong = Vec::new();
-        let query = "SELECT count(*) FROM order_nodes WHERE outcome IN ('pending', 'waiting')";
+        let query = "SELECT count(*) FROM revision_nodes WHERE outcome IN ('pending', 'waiting')";
         let open = self.file.number(query);
         if open > 0 {
-            wrong.push(format!("{open} orders are open"));
+            wrong.push(format!("{open} settings are open"));
         }
         let text = "SELECT kind || ' ' || id, state, ended_ms IS NULL FROM runs";
         let mut select = self.file.other.prepare(text).unwrap();
@@ -244,20 +244,20 @@ impl Hub {
             for member in &run.members {
                 let value = match (&run.kind, run.phase) {
                     (Kind::Rollout { to, .. }, Phase::Done)
-                        if member.ask.outcome != Outcome::Missed =>
+                        if member.given.outcome != Outcome::Missed =>
                     {
                         *to
                     }
                     (_, Phase::Done | Phase::Returned) => member.before,
                     _ => continue,
                 };
-                let Some(wanted) = self.desired(&member.node) else {
+                let Some(desired) = self.desired(&member.node) else {
                     continue;
                 };
-                let is_last = member.ask.revision > 0 && wanted.origin == name;
-                if is_last && wanted.setting != DesiredSetting::Threshold(value) {
+                let is_last = member.given.revision > 0 && desired.origin == name;
+                if is_last && desired.setting != DesiredSetting::Threshold(value) {
                     let node = &member.node;
-                    wrong.push(format!("{it_is}, but for {node} {wanted:?} is desired"));
+                    wrong.push(format!("{it_is}, but for {node} {desired:?} is desired"));
                 }
             }
         }

@@ -78,7 +78,7 @@ impl Node {
     }
 
     /// What to send: the status if due, and whether to ask for the settings with request number `question`.
-    pub(super) fn look(&mut self, question: u64, now: Now) -> Option<(Option<Vec<u8>>, bool)> {
+    pub(super) fn poll(&mut self, question: u64, now: Now) -> Option<(Option<Vec<u8>>, bool)> {
         let node = self.started.as_mut()?;
         let PreparedNode {
             board,

@@ -1,13 +1,12 @@
-//! Serves changes of a threshold or a target on selected nodes, their history, and the nodes that drifted.
+//! Serves desired settings: gives them to selected nodes, and shows their revisions and the nodes that drifted.
 
-pub use crate::tuning::ChangeView;
-pub use crate::tuning::change::OrderAnswer;
+pub use crate::tuning::revision::Revision;
 
 use super::body;
 use crate::hub::Hub;
-use crate::tuning::change::NewChange;
-use crate::tuning::member::ChangeNode;
+use crate::tuning::desired::NodeSetting;
 use crate::tuning::plan::check_why;
+use crate::tuning::revision::NewRevision;
 use crate::tuning::tuner::Drift;
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::http::{Caller, Problem, within};
@@ -25,7 +24,7 @@ use std::time::Duration;
 use tokio::time::Instant;
 use utoipa::{IntoParams, ToSchema};
 
-/// Most changes per answer.
+/// Most revisions per answer.
 const MOST: i64 = 500;
 /// The media type of a stream of outcomes, one JSON object per line.
 const LINES: &str = "application/x-ndjson";
@@ -37,11 +36,11 @@ const LONGEST_STREAM_S: f64 = 3_600.0;
 /// A line of a stream.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(untagged)]
-pub enum OrderLine {
+pub enum OutcomeLine {
     /// The outcome at one node.
-    Outcome(ChangeNode),
+    Outcome(NodeSetting),
     /// The end of the stream.
-    Last(OrderAnswer),
+    Last(Revision),
 }
 
 /// Sets a value on selected nodes
@@ -51,8 +50,8 @@ pub enum OrderLine {
 /// returns. The value switches off a node's target.
 /// `curl -X PUT -d '{"u": 5e-4, "select": ["cam-*"]}' http://127.0.0.1:8090/api/v1/threshold`
 #[utoipa::path(
-    put, operation_id = "set_threshold", path = "/api/v1/threshold", tag = "tuning", request_body = NewChange,
-    responses((status = 200, body = OrderAnswer))
+    put, operation_id = "set_threshold", path = "/api/v1/threshold", tag = "tuning", request_body = NewRevision,
+    responses((status = 200, body = Revision))
 )]
 pub(super) async fn set_threshold(
     State(hub): State<Hub>,
@@ -60,9 +59,9 @@ pub(super) async fn set_threshold(
     headers: HeaderMap,
     bytes: Bytes,
 ) -> Result<Response, Problem> {
-    let (threshold, change) = body::with_threshold(body::object(&bytes)?)?;
+    let (threshold, request) = body::with_threshold(body::object(&bytes)?)?;
     let setting = DesiredSetting::Threshold(threshold);
-    carry_out(&hub, &caller, &headers, setting, change).await
+    give(&hub, &caller, &headers, setting, request).await
 }
 
 /// Sets a target on selected nodes instead of a threshold
@@ -72,8 +71,8 @@ pub(super) async fn set_threshold(
 /// this works like `/api/v1/threshold`.
 /// `curl -X PUT -d '{"target": {"skip_rate": 0.5}, "select": ["cam-*"]}' http://127.0.0.1:8090/api/v1/target`
 #[utoipa::path(
-    put, operation_id = "set_target", path = "/api/v1/target", tag = "tuning", request_body = NewChange,
-    responses((status = 200, body = OrderAnswer))
+    put, operation_id = "set_target", path = "/api/v1/target", tag = "tuning", request_body = NewRevision,
+    responses((status = 200, body = Revision))
 )]
 pub(super) async fn set_target(
     State(hub): State<Hub>,
@@ -92,19 +91,19 @@ pub(super) async fn set_target(
         .map(Target::check)
         .transpose()
         .map_err(|error| names(error.to_string()))?;
-    let change = body::rest(object)?;
+    let request = body::rest(object)?;
     let setting = DesiredSetting::Target(target);
-    carry_out(&hub, &caller, &headers, setting, change).await
+    give(&hub, &caller, &headers, setting, request).await
 }
 
-/// Orders a setting, and answers with the outcomes: as a stream of lines if the caller accepts one, else after `wait_s`
+/// Gives a setting, and answers with the outcomes: as a stream of lines if the caller accepts one, else after `wait_s`
 /// seconds at most.
-async fn carry_out(
+async fn give(
     hub: &Hub,
     caller: &Caller,
     headers: &HeaderMap,
     setting: DesiredSetting,
-    request: NewChange,
+    request: NewRevision,
 ) -> Result<Response, Problem> {
     check_why(&request.why).map_err(body::unusable)?;
     let accepted = headers.get(ACCEPT).and_then(|value| value.to_str().ok());
@@ -122,8 +121,8 @@ async fn carry_out(
     }
     let tuner = Arc::clone(hub.tuner()?);
     let now = unix_milliseconds();
-    let mut change = tuner.change(setting, request, &caller.name, now).await?;
-    if change.nodes.is_empty() {
+    let mut revision = tuner.set(setting, request, &caller.name, now).await?;
+    if revision.nodes.is_empty() {
         return Err(Problem::new(
             StatusCode::NOT_FOUND,
             "no node is selected; GET /api/v1/nodes lists all",
@@ -132,19 +131,19 @@ async fn carry_out(
     let until = Instant::now() + Duration::from_secs_f64(wait);
     if !streams {
         let mut nodes = Vec::new();
-        while !change.nodes.is_empty() {
-            nodes.extend(tuner.outcomes(&mut change, until).await);
+        while !revision.nodes.is_empty() {
+            nodes.extend(tuner.outcomes(&mut revision, until).await);
         }
         nodes.sort_by(|a, b| a.node.cmp(&b.node));
-        return Ok(Json(OrderAnswer { nodes, ..change }).into_response());
+        return Ok(Json(Revision { nodes, ..revision }).into_response());
     }
-    let texts = stream::unfold((tuner, Some(change)), move |(tuner, change)| async move {
-        let mut change = change?;
-        if change.nodes.is_empty() {
-            return Some((written(&[change]), (tuner, None)));
+    let texts = stream::unfold((tuner, Some(revision)), move |(tuner, rest)| async move {
+        let mut rest = rest?;
+        if rest.nodes.is_empty() {
+            return Some((written(&[rest]), (tuner, None)));
         }
-        let lines = tuner.outcomes(&mut change, until).await;
-        Some((written(&lines), (tuner, Some(change))))
+        let known = tuner.outcomes(&mut rest, until).await;
+        Some((written(&known), (tuner, Some(rest))))
     });
     Ok(([(CONTENT_TYPE, LINES)], Body::from_stream(texts)).into_response())
 }
@@ -155,68 +154,71 @@ fn written<T: Serialize>(lines: &[T]) -> Result<String, serde_json::Error> {
     texts.collect()
 }
 
-/// Changes, the newest first.
+/// Revisions, the newest first.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
-pub struct Changes {
-    /// One entry for each change.
-    pub changes: Vec<ChangeView>,
+pub struct Revisions {
+    /// One entry for each revision.
+    pub revisions: Vec<Revision>,
     /// The `before` of the next page; absent on the last page.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub next: Option<i64>,
 }
 
-/// Selects changes.
+/// Selects revisions.
 #[derive(Debug, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
-pub(super) struct WhichChanges {
-    /// Only changes of this node.
+pub(super) struct WhichRevisions {
+    /// Only those that gave this node a setting.
     node: Option<String>,
-    /// Only changes with a lower number.
+    /// Only those with a lower number.
     before: Option<i64>,
     /// Maximum number, up to 500; 50 by default.
     limit: Option<i64>,
 }
 
-/// The history of changes
+/// The history of desired settings
 ///
-/// Each change has its author, nodes, setting, reason and outcome.
+/// Each revision has its author, nodes, setting, reason and outcome.
 #[utoipa::path(
-    get, operation_id = "list_changes", path = "/api/v1/changes", tag = "tuning", params(WhichChanges),
-    responses((status = 200, body = Changes))
+    get, operation_id = "list_revisions", path = "/api/v1/revisions", tag = "tuning", params(WhichRevisions),
+    responses((status = 200, body = Revisions))
 )]
-pub(super) async fn changes(
+pub(super) async fn revisions(
     State(hub): State<Hub>,
-    Query(which): Query<WhichChanges>,
-) -> Result<Json<Changes>, Problem> {
+    Query(which): Query<WhichRevisions>,
+) -> Result<Json<Revisions>, Problem> {
     let limit = within("limit", which.limit.unwrap_or(50), 1..=MOST)?;
     let before = which.before.unwrap_or(i64::MAX);
     let node = which.node.as_deref();
-    let mut changes = hub.store()?.changes(before, node, limit + 1).await?;
-    let next = body::next(&mut changes, limit, |found| found.change.revision);
-    Ok(Json(Changes { changes, next }))
+    let mut revisions = hub.store()?.revisions(before, node, limit + 1).await?;
+    let next = body::next(&mut revisions, limit, |found| {
+        found.number.map_or(0, u64::cast_signed)
+    });
+    Ok(Json(Revisions { revisions, next }))
 }
 
-/// One change with every node
+/// One revision with every node
 #[utoipa::path(
-    get, operation_id = "change", path = "/api/v1/changes/{revision}", tag = "tuning",
-    params(("revision" = i64, Path, description = "Its number.")),
-    responses((status = 200, body = ChangeView))
+    get, operation_id = "revision", path = "/api/v1/revisions/{revision}", tag = "tuning",
+    params(("revision" = u64, Path, description = "Its number.")),
+    responses((status = 200, body = Revision))
 )]
-pub(super) async fn change(
+pub(super) async fn revision(
     State(hub): State<Hub>,
-    Path(number): Path<i64>,
-) -> Result<Json<ChangeView>, Problem> {
+    Path(number): Path<u64>,
+) -> Result<Json<Revision>, Problem> {
     let store = hub.store()?;
+    let before = number.saturating_add(1).try_into().unwrap_or(i64::MAX);
     let mut found = store
-        .changes(number.saturating_add(1), None, 1)
+        .revisions(before, None, 1)
         .await?
         .into_iter()
-        .find(|found| found.change.revision == number)
+        .find(|found| found.number == Some(number))
         .ok_or_else(|| {
-            let detail = format!("there is no change {number}");
+            let detail = format!("there is no revision {number}");
             Problem::new(StatusCode::NOT_FOUND, detail)
         })?;
-    found.nodes = store.change_nodes(number).await?;
+    found.nodes = store.revision_nodes(number).await?;
     Ok(Json(found))
 }
 

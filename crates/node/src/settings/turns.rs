@@ -2,7 +2,7 @@
 //! HTTP, and from the hub.
 
 use super::Settings;
-use super::change::Change;
+use super::transaction::Transaction;
 use crate::state::board::CameraBoard;
 use albireo_service::rate_limit::RateLimit;
 use albireo_wire::{ScreenMessage, SettingSource, TargetMessage, ThresholdMessage, check_version};
@@ -21,7 +21,7 @@ pub(crate) const MAX_MESSAGE_BYTES: usize = 4096;
 /// The time between two log lines about puts of one kind.
 const LOG_PERIOD: Duration = Duration::from_secs(10);
 
-/// The place of an order among all that arrived.
+/// The place of a setting among all that arrived.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Place(u64);
 
@@ -48,23 +48,23 @@ struct Put {
 
 #[derive(Debug, Default)]
 struct Arrived {
-    orders: u64,
+    count: u64,
     /// The newest put of each key.
     puts: BTreeMap<String, Put>,
 }
 
-/// The orders that arrived, and the turn of the one being applied.
+/// The settings that arrived, and the turn of the one being applied.
 #[derive(Debug)]
-pub(crate) struct Orders {
+pub(crate) struct Turns {
     arrived: Mutex<Arrived>,
-    /// Held while an order is applied and its file is written: no async worker locks it.
+    /// Held while a setting is applied and its file is written: no async worker locks it.
     turn: Mutex<()>,
     /// Notified for each put.
     pub(crate) changed: Notify,
     refused: RateLimit,
 }
 
-impl Default for Orders {
+impl Default for Turns {
     fn default() -> Self {
         Self {
             arrived: Mutex::default(),
@@ -75,19 +75,19 @@ impl Default for Orders {
     }
 }
 
-impl Orders {
-    /// Gives an order its place, when it arrives. Never waits for the disk.
+impl Turns {
+    /// Gives a setting its place, when it arrives. Never waits for the disk.
     pub(crate) fn place(&self) -> Place {
         let mut arrived = self.arrived.lock();
-        arrived.orders += 1;
-        Place(arrived.orders)
+        arrived.count += 1;
+        Place(arrived.count)
     }
 
     /// Keeps a put on `key` until its turn, in place of an earlier one on this key. Never waits for the disk.
     pub(crate) fn put(&self, key: &str, setting: &Setting, payload: Vec<u8>) {
         let mut arrived = self.arrived.lock();
-        arrived.orders += 1;
-        let place = Place(arrived.orders);
+        arrived.count += 1;
+        let place = Place(arrived.count);
         let before = arrived.puts.get(key).map(|put| put.replaced + 1);
         let put = Put {
             place,
@@ -111,21 +111,21 @@ impl Orders {
 }
 
 impl Settings {
-    /// Applies the puts that arrived before `place`, and then `order`, before any later one. May write a file.
-    pub(crate) fn in_turn<T>(&self, place: Place, order: impl FnOnce() -> T) -> T {
-        let _turn = self.orders.turn.lock();
-        while let Some((key, put)) = self.orders.next(place) {
+    /// Applies the puts that arrived before `place`, and then calls `set`, before any later one. May write a file.
+    pub(crate) fn in_turn<T>(&self, place: Place, set: impl FnOnce() -> T) -> T {
+        let _turn = self.turns.turn.lock();
+        while let Some((key, put)) = self.turns.next(place) {
             if put.replaced > 0 {
                 let replaced = put.replaced;
                 tracing::debug!(key, replaced, "the newest of several puts is applied");
             }
             if let Err(reason) = self.apply(&put.setting, &put.payload) {
-                self.orders.refused.log(|held_back| {
+                self.turns.refused.log(|held_back| {
                     tracing::warn!(key, held_back, "put rejected: {reason}");
                 });
             }
         }
-        order()
+        set()
     }
 
     /// Applies all puts that have arrived. May write a file.
@@ -133,13 +133,13 @@ impl Settings {
         self.in_turn(Place(u64::MAX), || {});
     }
 
-    /// Makes a change of the settings in its turn. Writes a small file.
-    pub(crate) fn change_in_turn<T>(
+    /// Sets settings in their turn. Writes a small file.
+    pub(crate) fn set_in_turn<T>(
         &self,
         place: Place,
-        change: impl FnOnce(&mut Change<'_>) -> T,
+        settings: impl FnOnce(&mut Transaction<'_>) -> T,
     ) -> T {
-        self.in_turn(place, || self.change(change))
+        self.in_turn(place, || self.set(settings))
     }
 
     /// Changes a setting to the value in `payload`. Writes a small file.
@@ -158,17 +158,17 @@ impl Settings {
                 let example = r#"{"threshold":{"name":"u","value":3e-4}}"#;
                 let ThresholdMessage { v, threshold } = read(payload, example)?;
                 check_version(v)?;
-                self.change(|change| change.thresholds(from_ref(camera), threshold, local))?;
+                self.set(|transaction| transaction.thresholds(from_ref(camera), threshold, local))?;
             }
             Setting::Target => {
                 let TargetMessage { v, target } = read(payload, r#"{"target":{"skip_rate":0.5}}"#)?;
                 check_version(v)?;
-                self.change(|change| change.target(target, local))?;
+                self.set(|transaction| transaction.target(target, local))?;
             }
             Setting::Screen => {
                 let ScreenMessage { v, screen } = read(payload, r#"{"screen":{"pause_s":0.2}}"#)?;
                 check_version(v)?;
-                self.change(|change| change.pauses(screen))?;
+                self.set(|transaction| transaction.pauses(screen))?;
             }
         }
         Ok(())
@@ -200,16 +200,17 @@ mod tests {
         let setting = Setting::Threshold(Arc::clone(camera));
         let payload = format!(r#"{{"threshold":{{"name":"u","value":{value}}}}}"#);
         node.settings
-            .orders
+            .turns
             .put(&camera.keys.threshold(), &setting, payload.into_bytes());
     }
 
     fn set_by_http(node: &PreparedNode, place: Place, value: f64) {
         let threshold = Threshold::new("u", value);
         let cameras = &node.board.cameras;
-        let set =
-            |change: &mut Change<'_>| change.thresholds(cameras, threshold, SettingSource::Local);
-        node.settings.change_in_turn(place, set).unwrap();
+        let set = |transaction: &mut Transaction<'_>| {
+            transaction.thresholds(cameras, threshold, SettingSource::Local)
+        };
+        node.settings.set_in_turn(place, set).unwrap();
     }
 
     #[test]
@@ -238,12 +239,12 @@ mod tests {
     }
 
     #[test]
-    fn no_put_overrides_a_later_order_and_no_order_a_later_put() {
+    fn no_put_overrides_a_later_request_and_no_request_a_later_put() {
         let node = prepared(&config(None, "albireo"));
         for number in 0..BURST {
             put(&node, 0, value(number));
         }
-        let place = node.settings.orders.place();
+        let place = node.settings.turns.place();
         put(&node, 1, 4e-4);
         set_by_http(&node, place, 7e-4);
         assert_eq!(thresholds(&node.board), [7e-4; 2]);

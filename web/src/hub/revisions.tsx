@@ -1,4 +1,4 @@
-// The history of changes, nodes that have drifted, and rejected reports.
+// The history of desired settings, nodes that have drifted, and rejected reports.
 
 import { useState } from "preact/hooks";
 import { json } from "../shared/api";
@@ -6,24 +6,24 @@ import { count, dateTime, plural } from "../shared/format";
 import { Section } from "../shared/parts";
 import { Fault, Setting, Outcomes, outcomeWords, settingText, useLoaded } from "./parts";
 import { href } from "./route";
-import type { ChangeDetail, ChangeView, Drift, SetAside } from "./types";
+import type { Drift, Revision, SetAside } from "./types";
 
-export function Changes() {
-  const found = useLoaded<{ changes: ChangeView[]; next?: number | null }>("/api/v1/changes?limit=50", 5000);
+export function Revisions() {
+  const found = useLoaded<{ revisions: Revision[]; next?: number | null }>("/api/v1/revisions?limit=50", 5000);
   const drift = useLoaded<Drift[]>("/api/v1/drift", 10_000);
-  const [older, setOlder] = useState<ChangeView[]>([]);
+  const [older, setOlder] = useState<Revision[]>([]);
   const [next, setNext] = useState<number | null | undefined>(undefined);
   const [fault, setFault] = useState("");
   const more = async () => {
     try {
-      const page = await json<{ changes: ChangeView[]; next?: number | null }>(`/api/v1/changes?limit=50&before=${next ?? found.value?.next}`);
-      setOlder([...older, ...page.changes]);
+      const page = await json<{ revisions: Revision[]; next?: number | null }>(`/api/v1/revisions?limit=50&before=${next ?? found.value?.next}`);
+      setOlder([...older, ...page.revisions]);
       setNext(page.next ?? null);
     } catch (error) {
       setFault(error instanceof Error ? error.message : String(error));
     }
   };
-  const changes = [...(found.value?.changes ?? []), ...older];
+  const revisions = [...(found.value?.revisions ?? []), ...older];
   const hasMore = next === undefined ? found.value?.next : next;
   return (
     <>
@@ -41,11 +41,11 @@ export function Changes() {
           </ul>
         </Section>
       )}
-      <Section id="changes" title="Changes" wide>
+      <Section id="revisions" title="Desired settings" wide>
         <Fault text={found.fault || fault} />
-        {found.value && changes.length === 0 && <p class="message quiet">No changes yet.</p>}
-        {changes.length > 0 && (
-          <div class="scroll" tabIndex={0} role="group" aria-label="table of changes">
+        {found.value && revisions.length === 0 && <p class="message quiet">No setting was given yet.</p>}
+        {revisions.length > 0 && (
+          <div class="scroll" tabIndex={0} role="group" aria-label="table of revisions">
             <table>
               <thead>
                 <tr>
@@ -55,43 +55,43 @@ export function Changes() {
                 </tr>
               </thead>
               <tbody>
-                {changes.map((change) => (
-                  <tr key={change.revision}>
-                    <td class="left"><a href={href(["changes", String(change.revision)])}>{change.revision}</a></td>
-                    <td class="left">{dateTime(change.at_ms)}</td>
-                    <td class="left">{change.who}</td>
-                    <td class="left"><Setting value={change.to} /></td>
-                    <td class="left clip-text" title={change.select}>{change.select}</td>
-                    <td class="left">{change.origin}</td>
-                    <td class="left clip-text" title={change.why}>{change.why}</td>
-                    <td class="left"><Outcomes counts={change.counts} /></td>
+                {revisions.map((revision) => (
+                  <tr key={revision.revision}>
+                    <td class="left"><a href={href(["revisions", String(revision.revision)])}>{revision.revision}</a></td>
+                    <td class="left">{dateTime(revision.at_ms)}</td>
+                    <td class="left">{revision.who}</td>
+                    <td class="left"><Setting value={revision.to} /></td>
+                    <td class="left clip-text" title={revision.select}>{revision.select}</td>
+                    <td class="left">{revision.origin}</td>
+                    <td class="left clip-text" title={revision.why}>{revision.why}</td>
+                    <td class="left"><Outcomes counts={revision.counts} /></td>
                   </tr>
                 ))}
               </tbody>
             </table>
           </div>
         )}
-        {hasMore && <button type="button" class="plain" onClick={more}>Show older changes</button>}
+        {hasMore && <button type="button" class="plain" onClick={more}>Show older revisions</button>}
       </Section>
     </>
   );
 }
 
-export function Change({ id }: { id: string }) {
-  const found = useLoaded<ChangeDetail>(`/api/v1/changes/${encodeURIComponent(id)}`, 3000);
-  const change = found.value;
-  const order = ["refused", "timed_out", "waiting", "pending", "superseded", "applied", "unchanged"];
-  const nodes = [...(change?.nodes ?? [])].sort((a, b) => order.indexOf(a.outcome) - order.indexOf(b.outcome) || a.node.localeCompare(b.node));
+export function OneRevision({ id }: { id: string }) {
+  const found = useLoaded<Revision>(`/api/v1/revisions/${encodeURIComponent(id)}`, 3000);
+  const revision = found.value;
+  const ranks = ["refused", "timed_out", "waiting", "pending", "superseded", "applied", "unchanged"];
+  const nodes = [...(revision?.nodes ?? [])].sort((a, b) => ranks.indexOf(a.outcome) - ranks.indexOf(b.outcome) || a.node.localeCompare(b.node));
   return (
-    <Section id="change" title={`Revision ${id}`} wide aside={<a href={href(["changes"])}>all changes</a>}>
+    <Section id="revision" title={`Revision ${id}`} wide aside={<a href={href(["revisions"])}>all revisions</a>}>
       <Fault text={found.fault} />
-      {change && (
+      {revision && (
         <>
           <p class="message">
-            <Setting value={change.to} /> for {change.select || change.origin} · {dateTime(change.at_ms)} by {change.who} ({change.origin})
-            {change.why ? `: ${change.why}` : ""}
+            <Setting value={revision.to} /> for {revision.select || revision.origin} · {dateTime(revision.at_ms)} by {revision.who} ({revision.origin})
+            {revision.why ? `: ${revision.why}` : ""}
           </p>
-          <p class="message"><Outcomes counts={change.counts} /></p>
+          <p class="message"><Outcomes counts={revision.counts} /></p>
           <ul class="events">
             {nodes.slice(0, 300).map((node) => (
               <li key={node.node}>

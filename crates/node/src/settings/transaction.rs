@@ -1,4 +1,4 @@
-//! A change of settings: put in force, and noted to be kept.
+//! Settings that are set together: put in force, and noted to be kept.
 
 use super::file::KeptValues;
 use crate::state::board::{Board, CameraBoard};
@@ -35,13 +35,13 @@ pub(crate) enum RefusedPause {
     NoPause(&'static str),
 }
 
-/// A change that is being made. What it sets is kept together, or not at all.
-pub(crate) struct Change<'a> {
+/// Settings that are being set: they are kept together, or not at all.
+pub(crate) struct Transaction<'a> {
     board: &'a Board,
     kept: &'a mut KeptValues,
 }
 
-impl<'a> Change<'a> {
+impl<'a> Transaction<'a> {
     pub(super) fn new(board: &'a Board, kept: &'a mut KeptValues) -> Self {
         Self { board, kept }
     }

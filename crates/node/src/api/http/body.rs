@@ -1,4 +1,4 @@
-//! Reads the body of a change request, and makes the change outside the async workers.
+//! Reads the body of a request that sets something, and sets it outside the async workers.
 
 use albireo_service::http::Problem;
 use axum::body::Bytes;
