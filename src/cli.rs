@@ -86,51 +86,51 @@ pub struct Arguments {
 enum Command {
     #[cfg(feature = "eval")]
     /// Run a camera, a node and a hub in one process, with nothing to configure.
-    Demo(demo::Arguments),
+    Demo(demo::DemoArguments),
     /// Check a configuration file and list all its mistakes.
-    Check(check::Arguments),
+    Check(check::CheckArguments),
     /// Describe a detector, and run it on pictures.
-    Detect(detect::Arguments),
+    Detect(detect::DetectArguments),
     /// List the power meters that work on this machine, with their rails and present watts.
-    Power(power::Arguments),
+    Power(power::PowerArguments),
     #[cfg(feature = "eval")]
     /// Play a clip to a live node under several policies, and measure what each costs and finds.
-    Compare(compare::Arguments),
+    Compare(compare::CompareArguments),
     /// Send a live camera's frames to a node on another machine.
-    Publish(publish::Arguments),
+    Publish(publish::PublishArguments),
     #[cfg(feature = "eval")]
     /// Publish a video, a folder of pictures or the recorded road as a camera.
     Replay(replay::ReplayArguments),
     /// Run a node: frames in, detections and clip reports out.
-    Node(node::Arguments),
+    Node(node::NodeArguments),
     #[cfg(feature = "hub")]
     /// Collect diagnostics from a node or a hub into one archive.
-    Diag(diag::Arguments),
+    Diag(diag::DiagArguments),
     #[cfg(feature = "hub")]
     /// Run a hub: it stores a fleet's reports, shows its state and changes its settings.
-    Hub(hub::Arguments),
+    Hub(hub::HubArguments),
     #[cfg(feature = "hub")]
     /// Show and tune a fleet through its hub, from the terminal.
-    Fleet(Box<fleet::Arguments>),
+    Fleet(Box<fleet::FleetArguments>),
     #[cfg(feature = "hub")]
     /// Run the router between the nodes of a fleet and its hubs.
-    Router(router::Arguments),
+    Router(router::RouterArguments),
     #[cfg(feature = "hub")]
     /// Make, renew and revoke the certificates of a fleet.
-    Cert(cert::Arguments),
+    Cert(cert::CertArguments),
     #[cfg(feature = "hub")]
     /// Generate the router's access rules from the certificates.
-    Acl(acl::Arguments),
+    Acl(acl::AclArguments),
     #[cfg(feature = "simulate")]
     /// Send a hub the load of a fleet without cameras.
-    Simulate(Box<simulate::Arguments>),
+    Simulate(Box<simulate::SimulateArguments>),
     #[cfg(feature = "eval")]
     /// Replay recordings through any policy, and compare accuracy and detector calls.
     Eval(Box<eval::EvalArguments>),
     /// Write the manual pages of all subcommands into a folder.
-    Man(man::Arguments),
+    Man(man::ManArguments),
     /// Print the completions of a shell.
-    Completions(completions::Arguments),
+    Completions(completions::CompletionsArguments),
 }
 
 impl Command {

@@ -132,9 +132,10 @@ fn check(asked: &str, profile: Profile, states: &[FrameState], late: bool) {
     };
     let mut policy: Box<dyn Policy> = Box::new(WithPause::new(config.build().unwrap(), pause));
     let mut outcome = Outcome::default();
-    let picture = match asked.contains("+flow") {
-        true => texture,
-        false => stripes,
+    let picture = if asked.contains("+flow") {
+        texture
+    } else {
+        stripes
     };
     let film: Vec<Frame> = (0..PERIOD).map(|frame| (detections(frame), picture(frame))).collect();
     let mut decider: Box<Decide<'_>> = if late {

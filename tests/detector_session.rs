@@ -66,9 +66,10 @@ async fn an_unusable_model_is_rejected_with_what_was_expected(
     let error = refusal(&changed(file, change)).await;
     assert_contains(&error, parts);
     // The error begins with the unusable setting, or else names the file.
-    match parts[0].starts_with("detector.") {
-        true => assert!(error.starts_with(parts[0]), "{error}"),
-        false => assert_contains(&error, &[file]),
+    if parts[0].starts_with("detector.") {
+        assert!(error.starts_with(parts[0]), "{error}")
+    } else {
+        assert_contains(&error, &[file])
     }
 }
 

@@ -55,7 +55,11 @@ fn fixture_screen() -> ScreenConfig {
     }
 }
 
-fn look(source: &mut dyn FrameSource, detector: &DetectorConfig, screen: &ScreenConfig) -> Clip {
+fn pass_over(
+    source: &mut dyn FrameSource,
+    detector: &DetectorConfig,
+    screen: &ScreenConfig,
+) -> Clip {
     let mut models = ModelRunner::start(detector, screen).unwrap();
     let keep = PassSettings {
         keep_grey: true,
@@ -115,7 +119,7 @@ fn pictures_stored_detections_and_the_node_give_the_same_frame_states() {
     write_pictures(folder.path(), 60);
     let mut source = Pictures::of_folder(folder.path(), 10.0).unwrap();
     let detector = fixture_detector();
-    let pictured = look(&mut source, &detector, &fixture_screen());
+    let pictured = pass_over(&mut source, &detector, &fixture_screen());
     assert_eq!(pictured.frames, 60);
     assert_eq!(pictured.pass.as_ref().unwrap().grey.len(), 60);
     let verdicts = pictured.screen.as_ref().unwrap();
@@ -316,7 +320,7 @@ fn shared_a_real_clip_is_decided_alike_live_replayed_and_from_stored_detections(
     // Every second frame: detector runs are slow.
     let rate = clip.rate() / 2.0;
     let mut video = Downsampled::new(&mut clip, rate);
-    let pictured = look(&mut video, &detector, &screen);
+    let pictured = pass_over(&mut video, &detector, &screen);
     assert_eq!(pictured.frames, 38);
     let results = assert_replays_alike(&pictured, 0.5);
     assert!(results[1].states.p > 0, "{:?}", results[1].states);

@@ -91,9 +91,12 @@ fn ros_image(
     [width, height, step]: [u32; 3],
     data: &[u8],
 ) -> Vec<u8> {
-    let word = |word: &u32| match little_endian {
-        true => word.to_le_bytes(),
-        false => word.to_be_bytes(),
+    let word = |word: &u32| {
+        if little_endian {
+            word.to_le_bytes()
+        } else {
+            word.to_be_bytes()
+        }
     };
     let words = |words: &[u32]| words.iter().flat_map(word).collect::<Vec<_>>();
     // With its zero and `is_bigendian`, padded to whole words.

@@ -46,9 +46,10 @@ pub(crate) async fn measure(arguments: &Arguments) -> anyhow::Result<Vec<Row>> {
         format!("{cores} cores, {}", std::env::consts::ARCH),
         load.split_whitespace().next().unwrap_or(NONE).to_owned(),
         name_of(&library()?.canonicalize()?),
-        match cfg!(debug_assertions) {
-            true => "development",
-            false => "optimised",
+        if cfg!(debug_assertions) {
+            "development"
+        } else {
+            "optimised"
         }
         .to_owned(),
     ];

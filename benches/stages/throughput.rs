@@ -96,9 +96,10 @@ impl Throughput {
             }
         }
         let rate = frames.len() as f64 / start.elapsed().as_secs_f64();
-        match ahead {
-            true => self.ahead.push(rate),
-            false => self.one_after_the_other.push(rate),
+        if ahead {
+            self.ahead.push(rate)
+        } else {
+            self.one_after_the_other.push(rate)
         }
         Ok(())
     }

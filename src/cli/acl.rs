@@ -6,7 +6,7 @@ use albireo_router::authority::{PUBLIC, write};
 use anyhow::Context;
 use std::path::PathBuf;
 
-/// Arguments of `albireo acl`.
+/// AclArguments of `albireo acl`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Zenoh's rules have no templates, so each node gets rules of its own, selected by
@@ -17,7 +17,7 @@ restart the router: its sessions reconnect by themselves.
 Examples:
   albireo acl --folder /etc/albireo/authority --output /etc/albireo/access.json
   zenohd --config router.json5 --cfg \"access_control:$(albireo acl)\"")]
-pub(super) struct Arguments {
+pub(super) struct AclArguments {
     #[command(flatten)]
     place: AuthorityPlace,
     /// First part of all keys of the fleet: hub.prefix and node.prefix.
@@ -31,7 +31,7 @@ pub(super) struct Arguments {
     output: Option<PathBuf>,
 }
 
-pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
+pub(super) fn run(arguments: &AclArguments) -> anyhow::Result<()> {
     let authority = arguments.place.open()?;
     let access = access_control(
         &arguments.place.folder,

@@ -6,7 +6,7 @@ use anyhow::{Context, bail};
 use clap::Subcommand;
 use std::path::PathBuf;
 
-/// Arguments of `albireo cert`.
+/// CertArguments of `albireo cert`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 The folder holds the authority's private key. Anyone who can read it can admit
@@ -21,11 +21,11 @@ Examples:
   albireo cert list
   albireo cert renew --within 30                  all that expire within 30 days
   albireo cert revoke node car-7 && albireo acl --output access.json")]
-pub(super) struct Arguments {
+pub(super) struct CertArguments {
     #[command(flatten)]
     place: AuthorityPlace,
     #[command(subcommand)]
-    command: Command,
+    command: CertCommand,
 }
 
 /// Where a fleet's authority is.
@@ -52,7 +52,7 @@ impl AuthorityPlace {
 }
 
 #[derive(Debug, Subcommand)]
-enum Command {
+enum CertCommand {
     /// Make the authority, once.
     Authority {
         /// The authority's name in its certificate.
@@ -111,22 +111,22 @@ struct Members {
     days: u32,
 }
 
-pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
+pub(super) fn run(arguments: &CertArguments) -> anyhow::Result<()> {
     let place = &arguments.place;
     match &arguments.command {
-        Command::Authority { name, days } => {
+        CertCommand::Authority { name, days } => {
             Authority::create(&place.folder, name, DAY * *days)?;
             println!("the authority `{name}` is in {}", place.folder.display());
         }
-        Command::Node(members) => issue(&mut place.open()?, Role::Node, members)?,
-        Command::Hub(members) => issue(&mut place.open()?, Role::Hub, members)?,
-        Command::Router(members) => {
+        CertCommand::Node(members) => issue(&mut place.open()?, Role::Node, members)?,
+        CertCommand::Hub(members) => issue(&mut place.open()?, Role::Hub, members)?,
+        CertCommand::Router(members) => {
             if members.hosts.is_empty() {
                 bail!("--host is missing: nodes check that the router's certificate names it");
             }
             issue(&mut place.open()?, Role::Router, members)?;
         }
-        Command::Renew {
+        CertCommand::Renew {
             role,
             name,
             within,
@@ -138,7 +138,9 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
                 _ => {
                     let within_s = i64::from(within.unwrap_or(0)) * 86_400;
                     let until_s = unix_milliseconds() / 1000 + within_s;
-                    (authority.entries().iter())
+                    authority
+                        .entries()
+                        .iter()
                         .filter(|entry| entry.revoked_s.is_none() && entry.ends_s <= until_s)
                         .map(|entry| (entry.role, entry.name.clone()))
                         .collect()
@@ -151,17 +153,17 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
                 print_issued(&authority.renew(role, &name, DAY * *days)?);
             }
         }
-        Command::Revoke { role, name } => {
+        CertCommand::Revoke { role, name } => {
             let revoked = place.open()?.revoke(*role, name)?;
             println!(
                 "`{}` is revoked; generate the router's rules again with `albireo acl`, and restart it",
                 revoked.common_name()
             );
         }
-        Command::List { json: true } => {
+        CertCommand::List { json: true } => {
             println!("{}", serde_json::to_string_pretty(place.open()?.entries())?);
         }
-        Command::List { json: false } => list(&place.open()?),
+        CertCommand::List { json: false } => list(&place.open()?),
     }
     Ok(())
 }

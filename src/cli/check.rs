@@ -10,7 +10,7 @@ use std::path::PathBuf;
 #[cfg(feature = "hub")]
 use {albireo_hub::config::HubConfig, albireo_service::config::load};
 
-/// Arguments of `albireo check`.
+/// CheckArguments of `albireo check`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 A file with the section [hub] or [database] configures a hub, any other a node.
@@ -29,7 +29,7 @@ Examples:
   albireo check --online /etc/albireo/node.toml
   albireo check --file-only config/node.toml
   ALBIREO_HTTP__LISTEN=0.0.0.0:8080 albireo check config/node.toml")]
-pub(super) struct Arguments {
+pub(super) struct CheckArguments {
     /// Configuration file of a node or a hub.
     file: PathBuf,
     /// Check keys and values only: for a file that is meant for another machine.
@@ -41,7 +41,7 @@ pub(super) struct Arguments {
     online: bool,
 }
 
-pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
+pub(super) fn run(arguments: &CheckArguments) -> anyhow::Result<()> {
     #[cfg(feature = "hub")]
     if is_for_a_hub(&arguments.file) {
         return check_hub(arguments);
@@ -50,7 +50,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let mut detector = Vec::new();
     if let Some(config) = config.as_ref().filter(|_| !arguments.file_only) {
         let known: Vec<_> = findings.iter().map(|finding| finding.key.clone()).collect();
-        let here = config.look_here();
+        let here = config.here();
         let missing = here.missing.into_iter();
         findings.extend(missing.filter(|finding| !known.contains(&finding.key)));
         detector = here.detector;
@@ -100,7 +100,7 @@ fn is_for_a_hub(file: &std::path::Path) -> bool {
 }
 
 #[cfg(feature = "hub")]
-fn check_hub(arguments: &Arguments) -> anyhow::Result<()> {
+fn check_hub(arguments: &CheckArguments) -> anyhow::Result<()> {
     if arguments.online {
         bail!("--online tries what a node's file names; this is a hub's file");
     }

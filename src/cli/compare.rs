@@ -30,7 +30,7 @@ const LOG_LEVEL: &str = "warn,albireo_node::input::receiver=error,albireo_node::
 const PLAYING: &str = "How it is played";
 const NODE: &str = "The node";
 
-/// Arguments of `albireo compare`.
+/// CompareArguments of `albireo compare`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Each run starts a node as `albireo node` does (same code, same configuration),
@@ -58,7 +58,7 @@ Examples:
       with this board's detector and meter; every run as JSON and CSV
   albireo compare --detector yolo26n.onnx --u 5e-4 --clip drive.mp4
       another model without a configuration file")]
-pub(super) struct Arguments {
+pub(super) struct CompareArguments {
     /// A policy, as NAME or NAME:SETTING; may be repeated. `,pause_s=SECONDS` behind it adds a pause on an empty road. The
     /// others are compared with the first
     #[arg(long, value_name = "NAME[:SETTING]", default_values = [BASELINE, "albireo", "expected-loss"])]
@@ -112,13 +112,14 @@ pub(super) struct Arguments {
 /// # Errors
 /// When an argument is invalid, the clip cannot be read, a node does not start, or the first round is stopped
 /// before it is complete.
-pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
+pub(super) async fn run(arguments: CompareArguments) -> anyhow::Result<()> {
     let (mut config, variants) = prepare(&arguments)?;
     logging::start(&config.log)?;
     let shutdown = signals::shutdown(None)?;
     let meter = choose_meter(&mut config.power).await?;
     eprintln!("Reading the clip …");
-    let source = (arguments.clip)
+    let source = arguments
+        .clip
         .open(arguments.rate, VideoEncoding::default())
         .context("--clip")?;
     let loading = tokio::task::spawn_blocking(move || clip::load(source, arguments.seconds));
@@ -163,7 +164,7 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
 }
 
 /// Returns the node's configuration and the variants, checked before anything starts.
-fn prepare(arguments: &Arguments) -> anyhow::Result<(NodeConfig, Vec<PolicySpec>)> {
+fn prepare(arguments: &CompareArguments) -> anyhow::Result<(NodeConfig, Vec<PolicySpec>)> {
     let detector = arguments.detector.as_deref();
     let mut config = node_configuration(arguments.config.as_deref(), detector, LOG_LEVEL)?;
     if detector.is_some() {
@@ -192,7 +193,8 @@ async fn play_all(
     let mut done = Vec::new();
     for (number, run) in scheduled.iter().enumerate() {
         let variant = &variants[run.variant];
-        let (of, label) = (scheduled.len(), &variant.label);
+        let of = scheduled.len();
+        let label = &variant.label;
         let name = format!("run {} of {of}, {label}", number + 1);
         let before = frames * number as u64;
         // Without a terminal for the bar, a line per run shows the progress.
@@ -280,7 +282,7 @@ fn judge(
     let mut classes = ClassNumbers::default();
     let first = player.warm_up_frames();
     let boxes: Vec<Boxes> =
-        (done.iter()).map(|(_, played)| played.boxes(first, &mut classes)).collect();
+        done.iter().map(|(_, played)| played.boxes(first, &mut classes)).collect();
     // A detector finds the same objects in the same picture, so another round supplies a frame that one round dropped.
     let mut reference = Boxes::new();
     for ((run, _), boxes) in done.iter().zip(&boxes) {
@@ -290,7 +292,7 @@ fn judge(
             }
         }
     }
-    let provider = (done.first()).map_or("", |(_, played)| played.report.provider.as_str());
+    let provider = done.first().map_or("", |(_, played)| played.report.provider.as_str());
     let model = player.config.detector.model.file_name().unwrap_or_default();
     let playing = Playback {
         clip: player.clip.name().to_owned(),

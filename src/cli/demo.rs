@@ -26,7 +26,7 @@ const CAMERA: &str = "dashcam";
 /// Longest wait of the camera for the node, whose model is loaded and warmed up first.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Arguments of `albireo demo`.
+/// DemoArguments of `albireo demo`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -39,7 +39,7 @@ Examples:
                                     0.5
 
 It prints the addresses of its pages, and commands to try in another terminal.")]
-pub(super) struct Arguments {
+pub(super) struct DemoArguments {
     /// Stop this many seconds after the camera starts [default: run until Ctrl-C]
     #[arg(long, value_name = "SECONDS")]
     seconds: Option<u64>,
@@ -70,7 +70,7 @@ pub(super) struct Arguments {
 ///
 /// # Errors
 /// When a part cannot start.
-pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
+pub(super) async fn run(arguments: DemoArguments) -> anyhow::Result<()> {
     logging::start(&LogConfig {
         // The summary counts dropped and failed frames; a warning, even from a library, would break the table.
         level: "error,tower_http=off,zenoh=off,zenoh_transport=off,zenoh_link=off,zenoh_ext=off,ort=off,hyper=off"
@@ -96,7 +96,8 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let hub = hub(hub_listener, endpoint.clone(), stop_hub.clone());
     let hub = tokio::spawn(ending(shutdown.clone(), hub));
     let node = tokio::spawn(ending(shutdown.clone(), {
-        let (config, shutdown) = (config.clone(), shutdown.clone());
+        let config = config.clone();
+        let shutdown = shutdown.clone();
         async move { albireo_node::run(&config, Some(prepared), listener, shutdown).await }
     }));
     let camera = tokio::spawn(ending(
@@ -132,7 +133,7 @@ async fn listen(port: u16) -> anyhow::Result<TcpListener> {
         .context("no port of the loopback interface can be listened on")
 }
 
-fn configuration(arguments: &Arguments, endpoint: &str) -> anyhow::Result<NodeConfig> {
+fn configuration(arguments: &DemoArguments, endpoint: &str) -> anyhow::Result<NodeConfig> {
     let mut config = NodeConfig::default();
     config.node.name = "demo".to_owned();
     config.zenoh.listen = vec![endpoint.to_owned()];
@@ -179,7 +180,7 @@ async fn hub(
 
 /// Plays the camera until `shutdown`.
 async fn camera(
-    arguments: Arguments,
+    arguments: DemoArguments,
     config: NodeConfig,
     endpoint: String,
     shutdown: CancellationToken,

@@ -19,7 +19,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// Arguments of `albireo detect`.
+/// DetectArguments of `albireo detect`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -35,7 +35,7 @@ The options --head, --class-names, --input-size, --range, --color-order and
 
 A picture that cannot be used is named and counted, and the others are looked
 at; the exit code is then 1.")]
-pub(super) struct Arguments {
+pub(super) struct DetectArguments {
     /// The ONNX file.
     model: PathBuf,
     /// Pictures, or folders of pictures.
@@ -89,7 +89,7 @@ pub(super) struct Arguments {
     write_input: Option<PathBuf>,
 }
 
-pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
+pub(super) fn run(arguments: &DetectArguments) -> anyhow::Result<()> {
     // Loading takes seconds for a large model, and minutes for TensorRT.
     let loading = spinner(format!("loading {}", arguments.model.display()));
     let network = DetectorNetwork::open(&configuration(arguments));
@@ -120,7 +120,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
             pictures += 1;
             let outcome =
                 read_picture_file(&file).map_err(anyhow::Error::from).and_then(|encoded| {
-                    look(arguments, &mut network, &file, &encoded, &names)
+                    detect(arguments, &mut network, &file, &encoded, &names)
                         .with_context(|| file.display().to_string())
                 });
             // One bad file does not hide what is in the others.
@@ -217,7 +217,7 @@ fn counted(count: usize, one: &str, several: &str) -> String {
     format!("{count} {}", if count == 1 { one } else { several })
 }
 
-fn configuration(arguments: &Arguments) -> DetectorConfig {
+fn configuration(arguments: &DetectArguments) -> DetectorConfig {
     DetectorConfig {
         model: arguments.model.clone(),
         head: arguments.head.clone(),
@@ -243,8 +243,8 @@ fn configuration(arguments: &Arguments) -> DetectorConfig {
 }
 
 /// Runs the detector on a picture, prints its detections, and writes the requested files.
-fn look(
-    arguments: &Arguments,
+fn detect(
+    arguments: &DetectArguments,
     network: &mut DetectorNetwork,
     file: &Path,
     encoded: &EncodedPicture,
@@ -294,7 +294,8 @@ fn look(
         )?;
         for found in &found.detections {
             let Corners { x1, y1, x2, y2 } = found.bounding_box.pixel_corners(size);
-            let (name, confidence) = (name(found), found.confidence);
+            let name = name(found);
+            let confidence = found.confidence;
             writeln!(
                 out,
                 "  {name:<14} {confidence:.3}  [{x1:.1}, {y1:.1}, {x2:.1}, {y2:.1}]"

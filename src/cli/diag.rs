@@ -8,7 +8,7 @@ use std::fs::File;
 use std::io::Write;
 use std::path::PathBuf;
 
-/// Arguments of `albireo diag`.
+/// DiagArguments of `albireo diag`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -17,7 +17,7 @@ Examples:
   ALBIREO_HTTP__TOKEN=… albireo diag http://car-7.example:8080 -o car-7.tar
   ALBIREO_HTTP__TOKEN=$ALBIREO_HUB_TOKEN albireo diag $ALBIREO_HUB
       the hub of `albireo fleet`")]
-pub(super) struct Arguments {
+pub(super) struct DiagArguments {
     /// HTTP interface of the node or the hub.
     #[arg(default_value = "http://127.0.0.1:8080", value_name = "URL")]
     url: String,
@@ -30,7 +30,7 @@ pub(super) struct Arguments {
     output: Option<PathBuf>,
 }
 
-pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
+pub(super) async fn run(arguments: DiagArguments) -> anyhow::Result<()> {
     let client = Client::new(&arguments.url, arguments.token)?;
     let response = client.plain(Method::GET, "/api/v1/diag").await?;
     let is_archive = response.headers().get(CONTENT_TYPE);
@@ -40,8 +40,10 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
             arguments.url
         );
     }
-    let file = arguments.output.or_else(|| named(&response));
-    let file = file.unwrap_or_else(|| "albireo-diag.tar".into());
+    let file = arguments
+        .output
+        .or_else(|| named(&response))
+        .unwrap_or_else(|| "albireo-diag.tar".into());
     let archive = response
         .bytes()
         .await

@@ -6,7 +6,7 @@ use albireo_hub::store::transfer;
 use albireo_service::{config, logging, signals};
 use std::path::PathBuf;
 
-/// Arguments of `albireo hub`.
+/// HubArguments of `albireo hub`.
 #[derive(Debug, clap::Args)]
 #[command(
     args_conflicts_with_subcommands = true,
@@ -22,16 +22,16 @@ Examples:
   ALBIREO_DATABASE__URL=postgres://hub@db.example/fleet albireo hub
   albireo hub move albireo-hub.db postgres://hub@db.example/fleet"
 )]
-pub(super) struct Arguments {
+pub(super) struct HubArguments {
     #[command(subcommand)]
-    command: Option<Command>,
+    command: Option<HubCommand>,
     /// The hub's configuration file.
     #[arg(long, short, env = "ALBIREO_CONFIG", value_name = "FILE")]
     config: Option<PathBuf>,
 }
 
 #[derive(Debug, clap::Subcommand)]
-enum Command {
+enum HubCommand {
     /// Copy a hub's SQLite file into an empty PostgreSQL database.
     #[command(after_help = "\
 Stop the hub first, and start it with the new database.url afterwards: anything
@@ -51,8 +51,8 @@ Example:
     },
 }
 
-pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    if let Some(Command::Move { from, to }) = &arguments.command {
+pub(super) fn run(arguments: &HubArguments) -> anyhow::Result<()> {
+    if let Some(HubCommand::Move { from, to }) = &arguments.command {
         return block_on(move_database(from, to));
     }
     let config: HubConfig = config::load(arguments.config.as_deref())?;

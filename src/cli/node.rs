@@ -5,7 +5,7 @@ use albireo_node::config::NodeConfig;
 use albireo_service::{logging, signals};
 use std::path::{Path, PathBuf};
 
-/// Arguments of `albireo node`.
+/// NodeArguments of `albireo node`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Without --config the built-in defaults apply; config/node.toml lists them all.
@@ -18,13 +18,13 @@ Examples:
   albireo node --config /etc/albireo/node.toml
   ALBIREO_POLICY__U=5e-4 ALBIREO_LOG__FORMAT=json albireo node \\
       --config node.toml")]
-pub(super) struct Arguments {
+pub(super) struct NodeArguments {
     /// The node's configuration file.
     #[arg(long, short, env = "ALBIREO_CONFIG", value_name = "FILE")]
     config: Option<PathBuf>,
 }
 
-pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
+pub(super) fn run(arguments: &NodeArguments) -> anyhow::Result<()> {
     let config = configuration(arguments.config.as_deref())?;
     logging::start(&config.log)?;
     let defaults = Path::new("built-in defaults");

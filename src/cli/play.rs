@@ -144,7 +144,8 @@ impl Played {
 
     /// Returns the boxes of the clip's frames, of which the first has the sequence number `first`.
     pub(super) fn boxes(&self, first: u64, classes: &mut ClassNumbers) -> Boxes {
-        (self.answers.iter())
+        self.answers
+            .iter()
             .filter_map(|answer| {
                 let frame = answer.seq.checked_sub(first)?;
                 Some((frame, classes.boxes(answer)))

@@ -5,7 +5,7 @@ use albireo_wire::EnergyQuality;
 use std::fmt::Write;
 use std::path::PathBuf;
 
-/// Arguments of `albireo power`.
+/// PowerArguments of `albireo power`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Opens every source in turn and reads it for a second. The source marked * is
@@ -18,7 +18,7 @@ Examples:
   albireo power
   albireo power --config /etc/albireo/node.toml
   albireo power --json | jq '.[] | select(.automatic)'")]
-pub(super) struct Arguments {
+pub(super) struct PowerArguments {
     /// The node's configuration file
     #[arg(long, short, env = "ALBIREO_CONFIG", value_name = "FILE")]
     config: Option<PathBuf>,
@@ -27,7 +27,7 @@ pub(super) struct Arguments {
     json: bool,
 }
 
-pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
+pub(super) fn run(arguments: &PowerArguments) -> anyhow::Result<()> {
     let config = super::node::configuration(arguments.config.as_deref())?;
     let found = survey(&config.power);
     if arguments.json {

@@ -20,7 +20,7 @@ use zenoh::session::Session;
 /// Pause between two attempts to reach the node for the first time; later Zenoh reconnects by itself.
 const RETRY: Duration = Duration::from_secs(2);
 
-/// Arguments of `albireo publish`.
+/// PublishArguments of `albireo publish`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -38,7 +38,7 @@ Examples:
 A camera on the node's own machine needs no publisher: [[camera]] source in its
 configuration. Runs until stopped, and reconnects to a camera or node that
 comes back.")]
-pub(super) struct Arguments {
+pub(super) struct PublishArguments {
     /// A camera (rtsp://, http://), a device, a video file, or a GStreamer pipeline; ${NAME} is an environment
     /// variable
     #[arg(value_parser = |text: &str| Ok::<_, Infallible>(SourceAddress::new(text)))]
@@ -64,7 +64,7 @@ pub(super) struct Arguments {
     source_timeout: u64,
 }
 
-pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
+pub(super) async fn run(arguments: PublishArguments) -> anyhow::Result<()> {
     logging::start(&LogConfig {
         // An unreachable node is reported here, once.
         level: "info,zenoh=error".to_owned(),
@@ -79,7 +79,7 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let shutdown = signals::shutdown(None)?;
     let key = arguments.target.frame_key()?;
     let options = SourceOptions(arguments.source_option);
-    (options.check()).map_err(|error| anyhow!("--source-option {error}"))?;
+    options.check().map_err(|error| anyhow!("--source-option {error}"))?;
     let settings = SourceSettings {
         address: arguments.source,
         max_rate: arguments.rate,
@@ -102,7 +102,8 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let receivers = sender.receivers();
     tokio::spawn(log_receivers(receivers.clone(), key.clone()));
     let sent = Arc::new(AtomicU64::new(0));
-    let (name, counted) = (source.name(), Arc::clone(&sent));
+    let name = source.name();
+    let counted = Arc::clone(&sent);
     let mut outlet = Outlet { sender, seq: 0 };
     let mut failed = false;
     let each = move |event| match event {

@@ -65,7 +65,7 @@ const LISTENERS: Duration = Duration::from_secs(2);
 pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> anyhow::Result<Sent> {
     let key = arguments.target.frame_key()?;
     let options = &arguments.options;
-    let source = (arguments.source).open(options.paced_rate(), arguments.encoding)?;
+    let source = arguments.source.open(options.paced_rate(), arguments.encoding)?;
     let connecting = connect(&arguments, &key);
     let Some(connected) = shutdown.run_until_cancelled(connecting).await else {
         return Ok(Sent::default());
@@ -99,9 +99,10 @@ async fn connect(arguments: &ReplayArguments, key: &str) -> anyhow::Result<(Sess
     let target = &arguments.target;
     let patience = Duration::from_secs(arguments.wait_for_subscriber.unwrap_or(0));
     let session = open_session(&target.connect, &target.listen, patience).await?;
-    let pacing = match arguments.every {
-        true => Pacing::WaitForNode,
-        false => Pacing::Drop,
+    let pacing = if arguments.every {
+        Pacing::WaitForNode
+    } else {
+        Pacing::Drop
     };
     let sender = FrameSender::declare(&session, key, pacing).await?;
     if arguments.wait_for_subscriber.is_some() {

@@ -6,7 +6,7 @@ use albireo_service::config::{Findings, LogConfig, LogFormat};
 use albireo_service::{logging, signals};
 use anyhow::bail;
 
-/// Arguments of `albireo router`.
+/// RouterArguments of `albireo router`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 A Zenoh router with health and metrics. Its configuration is Zenoh's own
@@ -17,7 +17,7 @@ Examples:
   albireo router --config /etc/albireo/router.json5 \\
       --access /etc/albireo/access.json
   curl http://127.0.0.1:8095/metrics")]
-pub(super) struct Arguments {
+pub(super) struct RouterArguments {
     #[command(flatten)]
     options: RouterOptions,
     /// Write the log as JSON, one object per line.
@@ -31,7 +31,7 @@ pub(super) struct Arguments {
     check: bool,
 }
 
-pub(super) fn run(arguments: Arguments) -> anyhow::Result<()> {
+pub(super) fn run(arguments: RouterArguments) -> anyhow::Result<()> {
     let options = arguments.options;
     let http = options.http();
     let log = LogConfig {

@@ -4,7 +4,7 @@ use albireo_service::signals;
 use albireo_simulate::Options;
 use anyhow::bail;
 
-/// Arguments of `albireo simulate`.
+/// SimulateArguments of `albireo simulate`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 To a hub the nodes are real: statuses, reports, pulls and notices go over real
@@ -24,7 +24,7 @@ Examples:
       after an hour's outage: every node has 90 reports to deliver
   albireo simulate --nodes 20 --backlog 90 --positions
       an hour of made-up drives, for /api/v1/positions.geojson")]
-pub(super) struct Arguments {
+pub(super) struct SimulateArguments {
     #[command(flatten)]
     options: Options,
     /// Print the result as JSON
@@ -32,7 +32,7 @@ pub(super) struct Arguments {
     json: bool,
 }
 
-pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
+pub(super) async fn run(arguments: SimulateArguments) -> anyhow::Result<()> {
     let shutdown = signals::shutdown(None)?;
     let progress = |line| eprintln!("{line}");
     let summary = albireo_simulate::run(arguments.options, shutdown, progress).await?;
@@ -41,7 +41,8 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     } else {
         print!("{summary}");
     }
-    let (made, acknowledged) = (summary.counts.made, summary.counts.acknowledged);
+    let made = summary.counts.made;
+    let acknowledged = summary.counts.acknowledged;
     if made != acknowledged {
         bail!(
             "{} of {made} reports were not acknowledged",

@@ -8,7 +8,7 @@
 //! | part | what | source |
 //! | --- | --- | --- |
 //! | [`Pyramid`] | a picture, repeatedly halved after a 5 x 5 Gaussian | Burt and Adelson, "The Laplacian Pyramid as a Compact Image Code" (1983) |
-//! | [`Tracker`] | one point, coarse to fine, by Gauss-Newton steps on a window | Lucas and Kanade (1981); Bouguet, "Pyramidal Implementation of the Lucas Kanade Feature Tracker" (2000), with the stopping rules of OpenCV's `calcOpticalFlowPyrLK`, which it is tested against |
+//! | [`PointTracker`] | one point, coarse to fine, by Gauss-Newton steps on a window | Lucas and Kanade (1981); Bouguet, "Pyramidal Implementation of the Lucas Kanade Feature PointTracker" (2000), with the stopping rules of OpenCV's `calcOpticalFlowPyrLK`, which it is tested against |
 //! | [`BoxFlow`] | a grid of points to a box's motion | Kalal, Mikolajczyk and Matas, "Forward-Backward Error: Automatic Detection of Tracking Failures" (ICPR 2010), the Median Flow tracker |
 //!
 //! Coordinates are pixels of the finest level; the centre of the first pixel is 0. Nothing allocates once the buffers
@@ -22,7 +22,7 @@ mod window;
 
 pub use box_flow::{BoxFlow, BoxMotion, Followed};
 pub use pyramid::{GreyPicture, Pyramid};
-pub use tracker::Tracker;
+pub use tracker::PointTracker;
 
 #[cfg(test)]
 mod tests;

@@ -235,95 +235,133 @@ pub fn summarise(results: &[ClipResult]) -> Vec<PolicySummary> {
     summaries
 }
 
+/// The results of one policy on the clips, and those of the baseline on the same clips.
+struct Means<'a> {
+    results: &'a [&'a ClipResult],
+    /// By clip; empty for the baseline itself.
+    baseline: &'a HashMap<&'a str, &'a ClipResult>,
+}
+
+impl Means<'_> {
+    /// The mean over the clips that have the figure.
+    fn over(&self, figure: impl Fn(&ClipResult) -> Option<f64>) -> Option<f64> {
+        mean(self.results.iter().filter_map(|result| figure(result)))
+    }
+
+    /// The mean of a figure that every clip has; 0 without clips.
+    fn all(&self, figure: impl Fn(&ClipResult) -> f64) -> f64 {
+        self.over(|result| Some(figure(result))).unwrap_or_default()
+    }
+
+    /// The mean, if every clip has the figure: a mean over only some of them would not be that of the others' frames.
+    fn if_all(&self, figure: impl Fn(&ClipResult) -> Option<f64>) -> Option<f64> {
+        let is_known = self.results.iter().all(|result| figure(result).is_some());
+        is_known.then(|| self.over(figure)).flatten()
+    }
+
+    /// The mean difference to the baseline on the same clips.
+    fn change(&self, figure: impl Fn(&ClipResult) -> Option<f64>) -> Option<Difference> {
+        let pairs = self.results.iter().filter_map(|result| {
+            let other = self.baseline.get(result.clip.as_str())?;
+            Some(figure(result)? - figure(other)?)
+        });
+        Difference::of(&pairs.collect::<Vec<f64>>())
+    }
+
+    /// How late objects are found.
+    fn newcomers(&self) -> Option<NewcomerSummary> {
+        let frames = self.over(|result| Some(result.newcomers?.delay_frames))?;
+        let never = |result: &ClipResult| {
+            let found = result.newcomers?;
+            Some(found.never_found as f64 / found.objects as f64)
+        };
+        Some(NewcomerSummary {
+            frames,
+            ms: self
+                .over(|result| result.newcomer_ms())
+                .filter(|_| self.results.iter().all(|result| result.frame_rate.is_some())),
+            never_found: self.over(never).unwrap_or_default(),
+        })
+    }
+
+    /// AP@50 of each class over the clips that have it.
+    fn ap50_by_class(&self) -> BTreeMap<String, f64> {
+        let mut classes: BTreeMap<String, Vec<f64>> = BTreeMap::new();
+        for result in self.results {
+            for (class, accuracy) in &result.classes {
+                classes.entry(class.clone()).or_default().push(accuracy.ap50);
+            }
+        }
+        classes
+            .into_iter()
+            .filter_map(|(class, values)| Some((class, mean(values)?)))
+            .collect()
+    }
+
+    /// The projected energy of a clip.
+    fn energy(&self) -> Option<Energy> {
+        self.results.first()?.energy?;
+        let mean = |figure: fn(Energy) -> f64| self.all(|result| result.energy.map_or(0.0, figure));
+        Some(Energy {
+            joules: mean(|energy| energy.joules),
+            duration_s: mean(|energy| energy.duration_s),
+            edp: mean(|energy| energy.edp),
+        })
+    }
+}
+
 fn summarise_policy(
     policy: &str,
     results: &[&ClipResult],
     clips_without_truth: usize,
     baseline: &HashMap<&str, &ClipResult>,
 ) -> PolicySummary {
-    let over = |figure: &dyn Fn(&ClipResult) -> Option<f64>| {
-        mean(results.iter().filter_map(|result| figure(result)))
-    };
-    let all = |figure: &dyn Fn(&ClipResult) -> f64| {
-        over(&|result| Some(figure(result))).unwrap_or_default()
-    };
-    let frames = results.iter().map(|result| result.frames).sum::<usize>();
-    let paired = |figure: &dyn Fn(&ClipResult) -> Option<f64>| {
-        let pairs = results.iter().filter_map(|result| {
-            let other = baseline.get(result.clip.as_str())?;
-            Some(figure(result)? - figure(other)?)
-        });
-        Difference::of(&pairs.filter(|_| policy != BASELINE).collect::<Vec<f64>>())
-    };
-    let change = |figure: fn(&Accuracy) -> f64| paired(&|result| Some(figure(&result.accuracy?)));
+    // The baseline does not differ from itself.
+    let none = HashMap::new();
+    let baseline = if policy == BASELINE { &none } else { baseline };
+    let means = Means { results, baseline };
+    let accuracy =
+        |figure: fn(&Accuracy) -> f64| means.over(|result| Some(figure(&result.accuracy?)));
+    let accuracy_all =
+        |figure: fn(&Accuracy) -> f64| means.over(|result| Some(figure(&result.accuracy_all?)));
+    let change =
+        |figure: fn(&Accuracy) -> f64| means.change(|result| Some(figure(&result.accuracy?)));
     let change_all =
-        |figure: fn(&Accuracy) -> f64| paired(&|result| Some(figure(&result.accuracy_all?)));
-    // A mean over only some of the clips would not be that of the others' frames.
-    let if_all = |figure: &dyn Fn(&ClipResult) -> Option<f64>| {
-        let is_known = results.iter().all(|result| figure(result).is_some());
-        is_known.then(|| over(figure)).flatten()
-    };
-    let mut classes: BTreeMap<String, Vec<f64>> = BTreeMap::new();
-    for result in results {
-        for (class, accuracy) in &result.classes {
-            classes.entry(class.clone()).or_default().push(accuracy.ap50);
-        }
-    }
+        |figure: fn(&Accuracy) -> f64| means.change(|result| Some(figure(&result.accuracy_all?)));
     PolicySummary {
         policy: policy.to_owned(),
         clips: results.len(),
         clips_without_truth,
-        frames,
-        skip_rate: all(&|result| result.skip_rate()),
-        states: std::array::from_fn(|state| all(&|result| result.state_shares()[state])),
-        detector_frames: all(&|result| result.detector_frames as f64),
-        calls: all(&|result| result.detector_frames as f64 / result.frames.max(1) as f64),
-        calls_a_second: if_all(&|result| result.calls_a_second()),
-        delay: all(&|result| result.delay),
-        newcomers: over(&|result| Some(result.newcomers?.delay_frames)).map(|frames| {
-            let never = |result: &ClipResult| {
-                let found = result.newcomers?;
-                Some(found.never_found as f64 / found.objects as f64)
-            };
-            NewcomerSummary {
-                frames,
-                ms: over(&|result| result.newcomer_ms())
-                    .filter(|_| results.iter().all(|result| result.frame_rate.is_some())),
-                never_found: over(&never).unwrap_or_default(),
-            }
-        }),
-        ap50: over(&|result| result.accuracy.map(|accuracy| accuracy.ap50)),
-        ap50_all: over(&|result| result.accuracy_all.map(|accuracy| accuracy.ap50)),
-        map: over(&|result| result.accuracy.map(|accuracy| accuracy.map)),
-        map_all: over(&|result| result.accuracy_all.map(|accuracy| accuracy.map)),
-        ap75: over(&|result| result.accuracy.map(|accuracy| accuracy.ap75)),
-        f1_50_shown: over(&|result| result.accuracy.map(|accuracy| accuracy.f1_50_shown)),
-        hota: over(&|result| result.tracking.map(|tracking| tracking.hota)),
-        idf1: over(&|result| result.tracking.map(|tracking| tracking.idf1)),
-        ap50_by_class: classes
-            .into_iter()
-            .filter_map(|(class, values)| Some((class, mean(values)?)))
-            .collect(),
-        decision_us: over(&|result| result.decision_us.map(|spread| spread.mean)),
+        frames: results.iter().map(|result| result.frames).sum(),
+        skip_rate: means.all(ClipResult::skip_rate),
+        states: std::array::from_fn(|state| means.all(|result| result.state_shares()[state])),
+        detector_frames: means.all(|result| result.detector_frames as f64),
+        calls: means.all(|result| result.detector_frames as f64 / result.frames.max(1) as f64),
+        calls_a_second: means.if_all(ClipResult::calls_a_second),
+        delay: means.all(|result| result.delay),
+        newcomers: means.newcomers(),
+        ap50: accuracy(|accuracy| accuracy.ap50),
+        ap50_all: accuracy_all(|accuracy| accuracy.ap50),
+        map: accuracy(|accuracy| accuracy.map),
+        map_all: accuracy_all(|accuracy| accuracy.map),
+        ap75: accuracy(|accuracy| accuracy.ap75),
+        f1_50_shown: accuracy(|accuracy| accuracy.f1_50_shown),
+        hota: means.over(|result| Some(result.tracking?.hota)),
+        idf1: means.over(|result| Some(result.tracking?.idf1)),
+        ap50_by_class: means.ap50_by_class(),
+        decision_us: means.over(|result| Some(result.decision_us?.mean)),
         frame_time_ms: results.first().and_then(|first| {
-            let mean = over(&|result| Some(result.frame_time?.milliseconds.mean))?;
+            let mean = means.over(|result| Some(result.frame_time?.milliseconds.mean))?;
             Some((mean, first.frame_time?.provenance))
         }),
-        energy: results.first().and_then(|first| first.energy).map(|_| {
-            let mean = |figure: fn(Energy) -> f64| all(&|result| result.energy.map_or(0.0, figure));
-            Energy {
-                joules: mean(|energy| energy.joules),
-                duration_s: mean(|energy| energy.duration_s),
-                edp: mean(|energy| energy.edp),
-            }
-        }),
+        energy: means.energy(),
         ap50_change: change(|accuracy| accuracy.ap50),
         ap75_change: change(|accuracy| accuracy.ap75),
         f1_50_shown_change: change(|accuracy| accuracy.f1_50_shown),
         map_change: change(|accuracy| accuracy.map),
         ap50_all_change: change_all(|accuracy| accuracy.ap50),
         map_all_change: change_all(|accuracy| accuracy.map),
-        newcomers_change: paired(&|result| Some(result.newcomers?.delay_frames)),
+        newcomers_change: means.change(|result| Some(result.newcomers?.delay_frames)),
         pooled: Pooled::of(results),
         on_skip_frontier: false,
     }

@@ -55,14 +55,14 @@ pub async fn try_all(config: &NodeConfig, mut each: impl FnMut(&str, Result<Stri
             let limits = config.frame;
             let mount = camera.mount();
             let network = network.clone();
-            let looked = tokio::task::spawn_blocking(move || {
-                look(
+            let tried = tokio::task::spawn_blocking(move || {
+                try_picture(
                     &arrived?.mounted(mount.as_ref()),
                     &limits,
                     network.as_deref(),
                 )
             });
-            report(&key, looked.await.unwrap_or_else(|error| Err(error.into())));
+            report(&key, tried.await.unwrap_or_else(|error| Err(error.into())));
         }
     }
     if config.uplink.is_set() {
@@ -84,7 +84,7 @@ async fn in_time(
 }
 
 /// Decodes the picture of a camera and, if there is a detector, runs it on the picture.
-fn look(
+fn try_picture(
     picture: &EncodedPicture,
     limits: &FrameLimits,
     network: Option<&Mutex<DetectorNetwork>>,

@@ -101,8 +101,8 @@ impl PreparedNode {
             shutdown.clone(),
         );
         models.watch(&mut tasks, &board);
-        readiness::look_at_cameras(&board);
-        readiness::look_at_power(&board, &power);
+        readiness::check_cameras(&board);
+        readiness::check_power(&board, &power);
         let watched = board.readiness.clone();
         tasks.until_shutdown("readiness", async move {
             watched.watch(POLL_INTERVAL).await;

@@ -137,10 +137,10 @@ impl Machine {
         let cooling = self.cooling.iter().filter_map(count);
         let events = self.events.iter().filter_map(count).reduce(|a, b| a + b);
         let last = std::mem::replace(&mut self.last_events, events);
-        let pi = sysfs::text(&self.pi).ok();
-        let pi = pi.and_then(|word| u64::from_str_radix(word.trim_start_matches("0x"), 16).ok());
-        let limited = cooling.map(|state| state > 0).max();
-        let limited = limited.max(pi.map(|word| word & PI_NOW != 0));
+        let pi = sysfs::text(&self.pi)
+            .ok()
+            .and_then(|word| u64::from_str_radix(word.trim_start_matches("0x"), 16).ok());
+        let limited = cooling.map(|state| state > 0).max().max(pi.map(|word| word & PI_NOW != 0));
         limited.max(events.map(|events| last.is_some_and(|last| events > last)))
     }
 }

@@ -26,7 +26,8 @@ impl Drop for Registered {
 impl PowerHandle {
     /// Adds a camera that shares the node's energy.
     pub fn camera(&self) -> CameraEnergy {
-        let (number, power) = (self.account().cameras.add(), self.clone());
+        let number = self.account().cameras.add();
+        let power = self.clone();
         CameraEnergy(Arc::new(Registered { number, power }))
     }
 }

@@ -67,7 +67,8 @@ pub fn survey(config: &PowerConfig) -> Vec<SourceSurvey> {
 
 impl SourceSurvey {
     fn watch(&mut self, meter: &mut dyn Meter, config: &PowerConfig) -> Result<(), MeterError> {
-        let (began, before) = (Instant::now(), thread_cpu());
+        let began = Instant::now();
+        let before = thread_cpu();
         let mut read: Vec<(Instant, Reading)> = Vec::new();
         while began.elapsed() < WATCH {
             let now = Instant::now();

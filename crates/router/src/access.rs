@@ -38,107 +38,173 @@ pub fn access_control(
     rules(&good, prefix, pictures)
 }
 
-fn rules(good: &[&Entry], prefix: &str, pictures: bool) -> Result<Value, RouterError> {
-    let all = NodeKeys::all(prefix)?;
-    let queried = [all.report(), all.pull()];
-    let published = [all.status(), format!("{prefix}/*/*/counters")];
-    let changed = [all.changed()];
-    let picture = [format!("{prefix}/*/*/picture")];
-    let answers = ["declare_queryable", "reply"];
-    let every = [
-        all.report(),
-        all.pull(),
-        all.status(),
-        all.changed(),
-        all.alive(),
-        format!("{prefix}/**"),
-    ];
-    let (mut rules, mut subjects, mut policies) = (Vec::new(), Vec::new(), Vec::new());
-    let mut named = HashSet::new();
-    let mut rule = |id: &str, flow: &str, messages: &[&str], keys: &[String]| {
-        rules.push(json!({
+/// All that Zenoh's rules know of messages.
+const EVERYTHING: [&str; 9] = [
+    "put",
+    "delete",
+    "query",
+    "reply",
+    "declare_subscriber",
+    "declare_queryable",
+    "liveliness_token",
+    "liveliness_query",
+    "declare_liveliness_subscriber",
+];
+
+/// What who answers queries declares and sends.
+const ANSWERS: [&str; 2] = ["declare_queryable", "reply"];
+
+/// The rules made so far, for keys under one prefix.
+struct Rules<'a> {
+    prefix: &'a str,
+    /// The keys of all nodes.
+    all: NodeKeys,
+    /// True if a hub may query nodes for camera pictures.
+    pictures: bool,
+    made: Vec<Value>,
+}
+
+impl Rules<'_> {
+    /// Makes a rule, and returns its id.
+    fn allow(&mut self, id: &str, flow: &str, messages: &[&str], keys: &[String]) -> String {
+        self.made.push(json!({
             "id": id, "permission": "allow", "flows": [flow], "messages": messages, "key_exprs": keys,
         }));
         id.to_owned()
-    };
-
-    let mut to_nodes = vec![
-        rule("to nodes", "egress", &["put"], &changed),
-        rule("answers to nodes", "egress", &["reply"], &queried),
-        // Nodes see only the hub's declarations, which show whether anybody receives their messages.
-        rule(
-            "declarations to nodes",
-            "egress",
-            &["declare_subscriber", "declare_queryable"],
-            &[&queried[..], &published].concat(),
-        ),
-    ];
-    let mut hubs = vec![
-        rule("hub notices", "ingress", &["put"], &changed),
-        rule("hub answers", "ingress", &answers, &queried),
-        rule("hub hears", "ingress", &["declare_subscriber"], &published),
-        rule(
-            "hub watches",
-            "ingress",
-            &["declare_liveliness_subscriber", "liveliness_query"],
-            &[all.alive()],
-        ),
-        rule("to hubs", "egress", &["put"], &published),
-        rule("questions to hubs", "egress", &["query"], &queried),
-        rule(
-            "declarations to hubs",
-            "egress",
-            &["declare_subscriber", "liveliness_token"],
-            &[all.changed(), all.alive()],
-        ),
-    ];
-    if pictures {
-        to_nodes.push(rule("picture queries", "egress", &["query"], &picture));
-        hubs.push(rule(
-            "hub asks for pictures",
-            "ingress",
-            &["query"],
-            &picture,
-        ));
-        hubs.push(rule("pictures to hubs", "egress", &answers, &picture));
     }
-    let everything = [
-        "put",
-        "delete",
-        "query",
-        "reply",
-        "declare_subscriber",
-        "declare_queryable",
-        "liveliness_token",
-        "liveliness_query",
-        "declare_liveliness_subscriber",
-    ];
-    let routers = vec![
-        rule("from routers", "ingress", &everything, &every),
-        rule("to routers", "egress", &everything, &every),
-    ];
+
+    /// The keys that nodes query.
+    fn queried(&self) -> [String; 2] {
+        [self.all.report(), self.all.pull()]
+    }
+
+    /// The keys on which nodes publish.
+    fn published(&self) -> [String; 2] {
+        let prefix = self.prefix;
+        [self.all.status(), format!("{prefix}/*/*/counters")]
+    }
+
+    /// The keys of camera pictures.
+    fn picture(&self) -> [String; 1] {
+        let prefix = self.prefix;
+        [format!("{prefix}/*/*/picture")]
+    }
+
+    /// What every node may receive.
+    fn to_nodes(&mut self) -> Vec<String> {
+        let queried = self.queried();
+        let published = self.published();
+        let changed = [self.all.changed()];
+        let mut rules = vec![
+            self.allow("to nodes", "egress", &["put"], &changed),
+            self.allow("answers to nodes", "egress", &["reply"], &queried),
+            // Nodes see only the hub's declarations, which show whether anybody receives their messages.
+            self.allow(
+                "declarations to nodes",
+                "egress",
+                &["declare_subscriber", "declare_queryable"],
+                &[queried, published].concat(),
+            ),
+        ];
+        if self.pictures {
+            let picture = self.picture();
+            rules.push(self.allow("picture queries", "egress", &["query"], &picture));
+        }
+        rules
+    }
+
+    /// What a hub may send and receive.
+    fn of_hubs(&mut self) -> Vec<String> {
+        let queried = self.queried();
+        let published = self.published();
+        let changed = self.all.changed();
+        let alive = self.all.alive();
+        let mut rules = vec![
+            self.allow("hub notices", "ingress", &["put"], &[changed.clone()]),
+            self.allow("hub answers", "ingress", &ANSWERS, &queried),
+            self.allow("hub hears", "ingress", &["declare_subscriber"], &published),
+            self.allow(
+                "hub watches",
+                "ingress",
+                &["declare_liveliness_subscriber", "liveliness_query"],
+                &[alive.clone()],
+            ),
+            self.allow("to hubs", "egress", &["put"], &published),
+            self.allow("questions to hubs", "egress", &["query"], &queried),
+            self.allow(
+                "declarations to hubs",
+                "egress",
+                &["declare_subscriber", "liveliness_token"],
+                &[changed, alive],
+            ),
+        ];
+        if self.pictures {
+            let picture = self.picture();
+            rules.push(self.allow("hub asks for pictures", "ingress", &["query"], &picture));
+            rules.push(self.allow("pictures to hubs", "egress", &ANSWERS, &picture));
+        }
+        rules
+    }
+
+    /// What a router may forward.
+    fn of_routers(&mut self) -> Vec<String> {
+        let every = [
+            self.all.report(),
+            self.all.pull(),
+            self.all.status(),
+            self.all.changed(),
+            self.all.alive(),
+            format!("{}/**", self.prefix),
+        ];
+        vec![
+            self.allow("from routers", "ingress", &EVERYTHING, &every),
+            self.allow("to routers", "egress", &EVERYTHING, &every),
+        ]
+    }
+
+    /// What one node may send, under its own name alone.
+    fn of_node(&mut self, name: &str) -> Result<Vec<String>, RouterError> {
+        let keys = NodeKeys::new(self.prefix, name)?;
+        let counters = format!("{}/{name}/*/counters", self.prefix);
+        let picture = [format!("{}/{name}/*/picture", self.prefix)];
+        let pictures = self.pictures;
+        let mut may = |what: &str, messages: &[&str], keys: &[String]| {
+            self.allow(&format!("{name} {what}"), "ingress", messages, keys)
+        };
+        let mut rules = vec![
+            may("publishes", &["put"], &[keys.status(), counters]),
+            may("asks", &["query"], &[keys.report(), keys.pull()]),
+            may("hears", &["declare_subscriber"], &[keys.changed()]),
+            may("lives", &["liveliness_token"], &[keys.alive()]),
+        ];
+        if pictures {
+            rules.push(may("shows pictures", &ANSWERS, &picture));
+        }
+        Ok(rules)
+    }
+}
+
+fn rules(good: &[&Entry], prefix: &str, pictures: bool) -> Result<Value, RouterError> {
+    let mut rules = Rules {
+        prefix,
+        all: NodeKeys::all(prefix)?,
+        pictures,
+        made: Vec::new(),
+    };
+    let to_nodes = rules.to_nodes();
+    let of_hubs = rules.of_hubs();
+    let of_routers = rules.of_routers();
+    let mut subjects = Vec::new();
+    let mut policies = Vec::new();
+    let mut named = HashSet::new();
     for entry in good {
-        let (name, subject) = (&entry.name, entry.common_name());
+        let subject = entry.common_name();
         let own = match entry.role {
-            Role::Hub => hubs.clone(),
-            Role::Router => routers.clone(),
+            Role::Hub => of_hubs.clone(),
+            Role::Router => of_routers.clone(),
             Role::Node => {
-                let keys = NodeKeys::new(prefix, name)?;
-                let counters = format!("{prefix}/{name}/*/counters");
-                let mut may = |what: &str, messages: &[&str], keys: &[String]| {
-                    rule(&format!("{name} {what}"), "ingress", messages, keys)
-                };
-                let mut own = vec![
-                    may("publishes", &["put"], &[keys.status(), counters]),
-                    may("asks", &["query"], &[keys.report(), keys.pull()]),
-                    may("hears", &["declare_subscriber"], &[keys.changed()]),
-                    may("lives", &["liveliness_token"], &[keys.alive()]),
-                ];
-                if pictures {
-                    let picture = [format!("{prefix}/{name}/*/picture")];
-                    own.push(may("shows pictures", &answers, &picture));
-                }
-                own.extend(to_nodes.iter().cloned());
+                let mut own = rules.of_node(&entry.name)?;
+                own.extend_from_slice(&to_nodes);
                 own
             }
         };
@@ -150,11 +216,13 @@ fn rules(good: &[&Entry], prefix: &str, pictures: bool) -> Result<Value, RouterE
         return other("there is no valid certificate: nobody would have access");
     }
     // Zenoh warns about rules that no policy names.
-    rules.retain(|rule: &Value| rule["id"].as_str().is_some_and(|id| named.contains(id)));
+    rules
+        .made
+        .retain(|rule| rule["id"].as_str().is_some_and(|id| named.contains(id)));
     Ok(json!({
         "enabled": true,
         "default_permission": "deny",
-        "rules": rules,
+        "rules": rules.made,
         "subjects": subjects,
         "policies": policies,
     }))
@@ -193,8 +261,8 @@ mod tests {
         let with_pictures = rules(&all, "fleet/north", true).unwrap();
         for (access, shows) in [(access, false), (with_pictures, true)] {
             let mut policies = access["policies"].as_array().unwrap().iter();
-            let own = policies.find(|one| one["subjects"][0] == "node/car-7/2");
-            let own = own.unwrap()["rules"].to_string();
+            let own = policies.find(|one| one["subjects"][0] == "node/car-7/2").unwrap()["rules"]
+                .to_string();
             assert!(!own.contains("hub "), "{own}");
             assert_eq!(own.contains("car-7 shows pictures"), shows, "{own}");
         }
@@ -234,8 +302,7 @@ mod tests {
     fn a_list_of_only_revoked_certificates_is_an_error() {
         let folder = Path::new("/nowhere");
         let revoked = [entry(Role::Node, "car-7", 1, Some(1))];
-        let refused = access_control(folder, &revoked, "albireo", false);
-        let refused = refused.unwrap_err().to_string();
+        let refused = access_control(folder, &revoked, "albireo", false).unwrap_err().to_string();
         assert!(refused.contains("no valid certificate"), "{refused}");
     }
 }

@@ -253,8 +253,10 @@ pub(crate) fn subject(file: &Path) -> Result<String, RouterError> {
 fn set_validity(params: &mut CertificateParams, lasts: Duration) -> Result<i64, RouterError> {
     let no_time = || RouterError::Other("a certificate cannot contain that time".to_owned());
     let now = unix_milliseconds() / 1000;
-    let ends = i64::try_from(lasts.as_secs()).ok();
-    let ends = ends.and_then(|lasts| now.checked_add(lasts)).ok_or_else(no_time)?;
+    let ends = i64::try_from(lasts.as_secs())
+        .ok()
+        .and_then(|lasts| now.checked_add(lasts))
+        .ok_or_else(no_time)?;
     let time = |at| ASN1Time::from_timestamp(at).map_err(|_| no_time());
     params.not_before = time(now - REACH_BACK)?.to_datetime();
     params.not_after = time(ends)?.to_datetime();

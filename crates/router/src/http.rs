@@ -68,7 +68,8 @@ async fn readyz(State(view): State<RouterView>) -> Response {
 }
 
 async fn metrics(State(view): State<RouterView>) -> MetricsPage {
-    let (mut page, seen) = (MetricsPage::default(), view.probes.seen());
+    let mut page = MetricsPage::default();
+    let seen = view.probes.seen();
     page.gauges(
         "albireo_router_build_info",
         "The running program, always 1",

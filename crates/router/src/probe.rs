@@ -77,7 +77,8 @@ impl Probes {
         ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
         loop {
             ticks.tick().await;
-            let (client, begun) = (client.clone(), Instant::now());
+            let client = client.clone();
+            let begun = Instant::now();
             let attempt = tokio::task::spawn_blocking(move || {
                 let session = zenoh::open(client).wait()?;
                 let took = begun.elapsed();

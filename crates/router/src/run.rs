@@ -105,7 +105,8 @@ pub async fn run(
     listener: TcpListener,
     shutdown: CancellationToken,
 ) -> Result<(), RouterError> {
-    let (config, http) = (options.zenoh()?, options.http());
+    let config = options.zenoh()?;
+    let http = options.http();
     let max_sessions = config
         .get_json("transport/unicast/max_sessions")
         .ok()
@@ -150,8 +151,8 @@ async fn route(
     let session = session::attempt(config)
         .await
         .map_err(|reason| RouterError::Other(format!("the router cannot be opened: {reason}")))?;
-    let endpoints = session.info().locators().await;
-    let endpoints: Vec<String> = endpoints.iter().map(ToString::to_string).collect();
+    let endpoints: Vec<String> =
+        session.info().locators().await.iter().map(ToString::to_string).collect();
     // Set only once.
     let _ = view.session.set(session.clone());
     tracing::info!(
@@ -160,7 +161,9 @@ async fn route(
         access_control = !options.no_access_control,
         "ready"
     );
-    let (readiness, probed, probes) = (Readiness::default(), view.clone(), view.probes.clone());
+    let readiness = Readiness::default();
+    let probed = view.clone();
+    let probes = view.probes.clone();
     readiness.probe("router", "", move || probed.reason().map(Fault::not_ready));
     let certificates = view.certificates.clone();
     readiness.probe(identity::PART, "", move || {

@@ -34,8 +34,9 @@ impl Uptime {
         static BOOT: OnceLock<u64> = OnceLock::new();
         let boot = BOOT.get_or_init(|| {
             // Where the system does not tell, each process counts as a start of its own.
-            let id = std::fs::read_to_string("/proc/sys/kernel/random/boot_id");
-            let id = id.map(|id| id.replace('-', "")).unwrap_or_default();
+            let id = std::fs::read_to_string("/proc/sys/kernel/random/boot_id")
+                .map(|id| id.replace('-', ""))
+                .unwrap_or_default();
             let first = id.get(..16).and_then(|id| u64::from_str_radix(id, 16).ok());
             first.unwrap_or_else(|| RandomState::new().hash_one("boot"))
         });

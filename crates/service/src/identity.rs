@@ -287,8 +287,11 @@ mod tests {
                 &(certificate(2036) + &certificate(2026)),
             ),
         ]);
-        let ends = certificates.status().into_iter();
-        let ends: Vec<_> = ends.map(|one| (one.name, date(one.until_s))).collect();
+        let ends: Vec<_> = certificates
+            .status()
+            .into_iter()
+            .map(|one| (one.name, date(one.until_s)))
+            .collect();
         let [leaf, authority] = ["2026-01-31", "2036-01-31"].map(str::to_owned);
         let named = |name: &str| format!("uplink.{name}");
         assert_eq!(

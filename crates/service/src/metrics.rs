@@ -65,7 +65,8 @@ impl MetricsPage {
         self.gauges(
             "albireo_certificate_until_timestamp_seconds",
             "End of a certificate that this program uses or trusts, seconds since the Unix epoch",
-            (ends.iter()).map(|one| ([("certificate", one.name.as_str())], one.until_s as f64)),
+            ends.iter()
+                .map(|one| ([("certificate", one.name.as_str())], one.until_s as f64)),
         );
     }
 
@@ -81,8 +82,7 @@ impl MetricsPage {
             let mut count = 0;
             for (at, within) in histogram.within.iter().enumerate() {
                 count += within;
-                let bound = BOUNDS_S.get(at);
-                let bound = bound.map_or_else(|| "+Inf".to_owned(), f64::to_string);
+                let bound = BOUNDS_S.get(at).map_or_else(|| "+Inf".to_owned(), f64::to_string);
                 let mut all = vec![("le", bound.as_str())];
                 all.extend(labels);
                 self.sample(&format!("{name}_bucket"), &all, count as f64);
@@ -121,9 +121,10 @@ impl MetricsPage {
             format!("{name}=\"{}\"", value.replace('\n', r"\n"))
         };
         let labels: Vec<_> = labels.iter().map(label).collect();
-        let _ = match labels.is_empty() {
-            true => writeln!(self.0, "{name} {value}"),
-            false => writeln!(self.0, "{name}{{{}}} {value}", labels.join(",")),
+        let _ = if labels.is_empty() {
+            writeln!(self.0, "{name} {value}")
+        } else {
+            writeln!(self.0, "{name}{{{}}} {value}", labels.join(","))
         };
     }
 }

@@ -136,7 +136,8 @@ mod tests {
         };
         let state = Arc::new(Mutex::new((waiting, None)));
         let sent = Arc::<Mutex<Vec<String>>>::default();
-        let (read, messages) = (Arc::clone(&state), Arc::clone(&sent));
+        let read = Arc::clone(&state);
+        let messages = Arc::clone(&sent);
         tokio::spawn(async move {
             let period = Some(Duration::from_secs(1));
             let send = |sent: &[NotifyState<'_>]| {

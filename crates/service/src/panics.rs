@@ -12,8 +12,8 @@ pub(crate) fn log_panics() {
 
 fn log(panic: &PanicHookInfo<'_>) {
     let place = panic.location().map(ToString::to_string);
-    let thread = std::thread::current();
-    let thread = thread.name().unwrap_or("unnamed");
+    let current = std::thread::current();
+    let thread = current.name().unwrap_or("unnamed");
     let backtrace = Backtrace::capture();
     let is_captured = backtrace.status() == BacktraceStatus::Captured;
     let backtrace = is_captured.then(|| display(backtrace));

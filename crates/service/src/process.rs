@@ -10,8 +10,10 @@ use procfs::{ProcResult, boot_time_secs, page_size, ticks_per_second};
 /// If it cannot be read (hidden procfs); then nothing is added.
 pub(crate) fn add(page: &mut MetricsPage) -> ProcResult<()> {
     let process = Process::myself()?;
-    let (stat, files) = (process.stat()?, process.fd_count()?);
-    let (ticks, boot_s) = (ticks_per_second() as f64, boot_time_secs()? as f64);
+    let stat = process.stat()?;
+    let files = process.fd_count()?;
+    let ticks = ticks_per_second() as f64;
+    let boot_s = boot_time_secs()? as f64;
     let most_files = match process.limits()?.max_open_files.soft_limit {
         LimitValue::Value(most) => most as f64,
         LimitValue::Unlimited => f64::INFINITY,

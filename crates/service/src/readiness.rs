@@ -137,18 +137,17 @@ impl Readiness {
         &self,
         part: &'static str,
         subject: impl Into<String>,
-        look: impl Fn() -> Option<Fault> + Send + Sync + 'static,
+        fault: impl Fn() -> Option<Fault> + Send + Sync + 'static,
     ) {
         let key = (part, subject.into());
-        self.0.probes.lock().push((key, Arc::new(look)));
+        self.0.probes.lock().push((key, Arc::new(fault)));
     }
 
     /// Returns the present faults.
     pub fn health(&self) -> Health {
         // Probes run without the lock: a probe may itself report a part.
         let probes = self.0.probes.lock().clone();
-        let probed = probes.into_iter().map(|(key, probe)| (key, probe()));
-        let probed: Vec<_> = probed.collect();
+        let probed: Vec<_> = probes.into_iter().map(|(key, probe)| (key, probe())).collect();
         let mut known = self.0.faults.lock();
         for (key, fault) in probed {
             put(&mut known, key, fault);
@@ -284,7 +283,9 @@ mod tests {
         let closed = Arc::new(AtomicBool::new(false));
         let faults = Arc::clone(&closed);
         readiness.probe("zenoh", "", move || {
-            (faults.load(Ordering::Relaxed)).then(|| Fault::not_ready("the session is closed"))
+            faults
+                .load(Ordering::Relaxed)
+                .then(|| Fault::not_ready("the session is closed"))
         });
         let mut changes = readiness.subscribe();
         let watching = tokio::spawn(readiness.clone().watch(Duration::from_secs(1)));

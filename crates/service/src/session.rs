@@ -80,8 +80,9 @@ pub async fn attempt(config: zenoh::Config) -> Result<Session, String> {
 /// # Errors
 /// [`ServiceError`] if no router can be reached or Zenoh rejects the configuration.
 pub async fn open_uplink(uplink: &UplinkConfig) -> Result<Session, ServiceError> {
-    let config = uplink.to_zenoh(jittered(Duration::from_millis(1000)));
-    let config = config.map_err(|reason| ServiceError(format!("[uplink] {reason}")))?;
+    let config = uplink
+        .to_zenoh(jittered(Duration::from_millis(1000)))
+        .map_err(|reason| ServiceError(format!("[uplink] {reason}")))?;
     attempt(config).await.map_err(|reason| {
         let place = uplink.connect.join(", ");
         ServiceError(format!(
@@ -99,7 +100,8 @@ pub fn jittered(pause: Duration) -> Duration {
 /// A text or an error from Zenoh without its source locations, which are paths on the machine that built it.
 pub fn plain(error: &impl Display) -> String {
     let text = error.to_string();
-    let (mut plain, mut rest) = (String::new(), text.as_str());
+    let mut plain = String::new();
+    let mut rest = text.as_str();
     while let Some((before, after)) = rest.split_once(".rs:") {
         plain.push_str(before.rsplit_once(" at ").map_or(before, |(said, _)| said));
         rest = after.trim_start_matches(|c: char| c.is_ascii_digit());

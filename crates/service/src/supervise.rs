@@ -92,7 +92,8 @@ impl Supervisor {
     {
         let name = name.into();
         let part = self.readiness.part_of(PART, name.clone());
-        let (failures, shutdown) = (self.failures.clone(), self.shutdown.clone());
+        let failures = self.failures.clone();
+        let shutdown = self.shutdown.clone();
         self.essential(name.clone(), async move {
             let mut pause = FIRST_PAUSE;
             loop {

@@ -77,7 +77,7 @@ impl PreparedFrame {
         pixels: &PixelWork,
     ) -> Result<(), FrameFault> {
         let start = Instant::now();
-        let State {
+        let SharedWork {
             limits,
             preparation,
             screen,
@@ -127,9 +127,9 @@ impl PreparedFrame {
 
 /// The pixel work of all cameras. Clones share buffers and places.
 #[derive(Clone)]
-pub struct PixelWork(Arc<State>);
+pub struct PixelWork(Arc<SharedWork>);
 
-struct State {
+struct SharedWork {
     limits: FrameLimits,
     preparation: Preparation,
     /// The screen's input, which pictures are decoded for too.
@@ -156,7 +156,7 @@ impl PixelWork {
     ) -> Self {
         let processors = available_parallelism().map_or(1, usize::from);
         let places = (2 * batch_size.max(1)).saturating_add(processors.div_ceil(2));
-        Self(Arc::new(State {
+        Self(Arc::new(SharedWork {
             limits,
             preparation,
             screen,
@@ -180,7 +180,7 @@ impl PixelWork {
     ///
     /// # Errors
     /// [`FrameFault`] if the picture cannot be decoded; a panic in the work counts as a fault of the picture.
-    pub async fn look(
+    pub async fn prepare(
         &self,
         mut frame: PreparedFrame,
         encoded: EncodedPicture,
@@ -201,7 +201,7 @@ impl PixelWork {
     /// Returns the detector's input of a picture; `None` if the picture is broken. Takes no place: call it only while no
     /// frame waits.
     pub async fn prepared(&self, encoded: EncodedPicture) -> Option<PreparedPicture> {
-        let made = self.look(PreparedFrame::default(), encoded, Stage::Prepared);
+        let made = self.prepare(PreparedFrame::default(), encoded, Stage::Prepared);
         made.await.ok()?.prepared
     }
 }

@@ -138,7 +138,7 @@ fn live_line(board: &Board, message: &DetectionsMessage) -> String {
     let objects: Vec<_> = classes.iter().map(|(class, count)| format!("{count} {class}")).collect();
     let skip_rate = board.cameras.first().map_or(0.0, |camera| camera.snapshot().skip_rate());
     let threshold =
-        (message.threshold).map_or_else(String::new, |threshold| format!("  {threshold}"));
+        message.threshold.map_or_else(String::new, |threshold| format!("  {threshold}"));
     let line = format!(
         "frame {:>5}  {:<3} {:>5.1} ms{threshold}  skip {:>4.1} %  {}",
         message.seq,
@@ -205,9 +205,10 @@ impl Summary {
         let joules: f64 = reports().filter_map(|report| report.energy.joules).sum();
         let last = self.reports.last();
         let source = last.map_or("", |last| last.energy.source.as_str());
-        let gaps = match reports().all(|report| report.energy.is_whole()) {
-            true => "",
-            false => ", without the time that no sample covers (+)",
+        let gaps = if reports().all(|report| report.energy.is_whole()) {
+            ""
+        } else {
+            ", without the time that no sample covers (+)"
         };
         // The sum has the quality of its worst part.
         match reports().map(|report| report.energy.quality).max() {

@@ -1,6 +1,6 @@
 //! `albireo eval advise`: finds the value of a policy's threshold that meets a target on a recording.
 
-use super::video::{PassArguments, look_at};
+use super::video::{PassArguments, detect_all};
 use super::{JUDGED, WRITTEN};
 use crate::cli::values::parse_rate;
 use albireo_eval::advise::{Target, advise, render};
@@ -109,7 +109,7 @@ fn read(arguments: &AdviseArguments) -> anyhow::Result<Vec<Clip>> {
         }
     }
     if !footage.is_empty() {
-        recordings.extend(look_at(&footage, arguments.rate, &arguments.pass)?);
+        recordings.extend(detect_all(&footage, arguments.rate, &arguments.pass)?);
     }
     Ok(recordings)
 }

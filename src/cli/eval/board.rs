@@ -107,7 +107,8 @@ pub(super) struct BoardArguments {
 /// When an argument is invalid, the ground truth does not fit the clips, a node does not start, or a run cannot be kept.
 pub(super) async fn run(arguments: &BoardArguments) -> anyhow::Result<()> {
     let names = clip_names(&arguments.clips)?;
-    let (file, detector) = (arguments.config.as_deref(), arguments.detector.as_deref());
+    let file = arguments.config.as_deref();
+    let detector = arguments.detector.as_deref();
     let mut config = node_configuration(file, detector, LOG_LEVEL)?;
     let policies = policies(arguments, &config.policy)?;
     let (paths, format) = truth_places(
@@ -367,8 +368,11 @@ impl Measuring<'_> {
         let arguments = self.arguments;
         let opened = of.source.open_clips(arguments.rate, VideoEncoding::default())?;
         let source = opened.into_iter().nth(of.number).context("the clip is gone")?;
-        let rate = self.truth.rate(&of.name, self.alone).filter(|_| arguments.rate.is_none());
-        let rate = rate.unwrap_or_else(|| source.rate());
+        let rate = self
+            .truth
+            .rate(&of.name, self.alone)
+            .filter(|_| arguments.rate.is_none())
+            .unwrap_or_else(|| source.rate());
         let loading = tokio::task::spawn_blocking(move || clip::load(source, LONGEST_S));
         let (pictures, size) = loading.await.context("reading the clip")??;
         let frames = pictures.frames().unwrap_or_default();

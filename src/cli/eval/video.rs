@@ -439,7 +439,7 @@ fn pass_over(
 }
 
 /// Runs the detector over videos and pictures. `rate` is the frames per second of pictures.
-pub(super) fn look_at(
+pub(super) fn detect_all(
     clips: &[SourceName],
     rate: Option<f64>,
     pass: &PassArguments,
@@ -453,12 +453,12 @@ pub(super) fn look_at(
     let mut pictured = Vec::new();
     for clip in clips {
         for mut source in clip.open_clips(rate, VideoEncoding::default())? {
-            let mut looked_at = pass_over(source.as_mut(), &mut models, &settings, &mut report)?;
+            let mut detected = pass_over(source.as_mut(), &mut models, &settings, &mut report)?;
             // Pictures have no rate of their own; what was assumed for playing is no fact to be saved.
             if !matches!(clip, SourceName::Video(_) | SourceName::Demo) {
-                looked_at.frame_rate = rate;
+                detected.frame_rate = rate;
             }
-            pictured.push(looked_at);
+            pictured.push(detected);
         }
     }
     end_pass(pass, &report, &pictured)?;

@@ -65,7 +65,8 @@ impl Client {
 
     async fn json<T: DeserializeOwned>(&self, request: RequestBuilder) -> anyhow::Result<T> {
         let response = self.send(request.timeout(ANSWER_WITHIN)).await?;
-        let (text, base) = (response.text().await?, &self.base);
+        let text = response.text().await?;
+        let base = &self.base;
         serde_json::from_str(&text)
             .with_context(|| format!("{base} does not answer as a hub of this version does"))
     }
@@ -112,7 +113,7 @@ impl Client {
             .json(body);
         let mut answer = self.send(request).await?;
         let mut unread = Vec::new();
-        while let Some(bytes) = (answer.chunk().await).context("the connection to the hub broke")? {
+        while let Some(bytes) = answer.chunk().await.context("the connection to the hub broke")? {
             unread.extend_from_slice(&bytes);
             while let Some(end) = unread.iter().position(|byte| *byte == b'\n') {
                 let text: Vec<u8> = unread.drain(..=end).collect();

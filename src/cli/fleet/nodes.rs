@@ -103,8 +103,7 @@ fn camera_value(camera: &CameraStatus) -> String {
 
 /// Formats the labels of a node in one line.
 fn labels(status: &NodeStatus) -> String {
-    let labels = status.labels.iter();
-    let labels = labels.map(|(key, value)| format!("{key}={value}"));
+    let labels = status.labels.iter().map(|(key, value)| format!("{key}={value}"));
     labels.collect::<Vec<_>>().join(" ")
 }
 
@@ -172,7 +171,9 @@ fn facts(node: &NodeView) -> String {
                 Some(_) => "moved by the target".to_owned(),
                 None => format!("from {}", name_of(&camera.threshold_source)),
             };
-            let (name, state, value) = (&camera.name, name_of(&camera.state), camera_value(camera));
+            let name = &camera.name;
+            let state = name_of(&camera.state);
+            let value = camera_value(camera);
             lines.push(("camera", format!("{name}: {state}, {value} ({source})")));
         }
     }
@@ -184,8 +185,8 @@ fn facts(node: &NodeView) -> String {
 
 /// Formats the target of a node with its last reported state.
 fn target_words(report: &NodeTarget) -> String {
-    let actual = (report.actual).map_or_else(String::new, |now| format!(", now {}", figure(now)));
-    let status = (report.status).map_or_else(|| "begins".to_owned(), |status| name_of(&status));
+    let actual = report.actual.map_or_else(String::new, |now| format!(", now {}", figure(now)));
+    let status = report.status.map_or_else(|| "begins".to_owned(), |status| name_of(&status));
     let source = name_of(&report.source);
     format!("{}{actual}, {status} (from {source})", report.target)
 }
@@ -193,9 +194,10 @@ fn target_words(report: &NodeTarget) -> String {
 pub(super) async fn energy(context: &Context, arguments: EnergyArguments) -> anyhow::Result<Ended> {
     let from = unix_milliseconds() - (arguments.since * 1e3) as i64;
     // The hub keeps sums of whole days, which are enough for a long time.
-    let from = match arguments.since >= WHOLE_DAYS_FROM {
-        true => from.div_euclid(DAY_MS) * DAY_MS,
-        false => from,
+    let from = if arguments.since >= WHOLE_DAYS_FROM {
+        from.div_euclid(DAY_MS) * DAY_MS
+    } else {
+        from
     };
     let mut query = vec![("since_ms", from.to_string()), ("sort", arguments.sort)];
     query.extend(arguments.by.map(|by| ("by", by)));
@@ -265,7 +267,7 @@ pub(super) async fn watch(context: &Context, most: Option<u64>) -> anyhow::Resul
 
 /// Formats the number of nodes in each state, then the nodes with problems, or else the first ones.
 fn overview(page: &NodeList) -> String {
-    let counts = (page.counts.iter()).map(|(state, nodes)| format!("{nodes} {state}"));
+    let counts = page.counts.iter().map(|(state, nodes)| format!("{nodes} {state}"));
     let line = format!(
         "{}: {}; {} reports wait",
         units::nodes(page.counts.values().sum()),

@@ -226,7 +226,8 @@ async fn number(context: &Context, kind: &str, id: Option<i64>) -> anyhow::Resul
     if let Some(id) = id {
         return Ok(id);
     }
-    let (path, newest) = (format!("/api/v1/{kind}"), [("limit", "1".to_owned())]);
+    let path = format!("/api/v1/{kind}");
+    let newest = [("limit", "1".to_owned())];
     let found: Runs = context.client.get(&path, &newest).await?;
     let newest = found.runs.first();
     let id = newest.map(|run| run.id);
@@ -301,20 +302,24 @@ fn values(kind: &Kind) -> String {
 }
 
 fn headline(run: &Run) -> String {
-    let (id, values, state) = (run.id, values(&run.kind), state(run));
+    let id = run.id;
+    let values = values(&run.kind);
+    let state = state(run);
     if let Kind::Trial { .. } = run.kind {
         let mut all = BTreeMap::<_, usize>::new();
         for (outcome, nodes) in run.stages.iter().flat_map(|group| &group.counts) {
             *all.entry(*outcome).or_default() += nodes;
         }
-        let (counts, seed) = (counts(&all), run.seed);
+        let counts = counts(&all);
+        let seed = run.seed;
         return format!("trial {id} of {values}: {state}; {counts}; seed {seed}");
     }
     let reason = match run.phase {
         Phase::Held | Phase::Returning => format!(" ({})", run.reason),
         _ => String::new(),
     };
-    let (stage, of) = (run.stage, run.stages.len());
+    let stage = run.stage;
+    let of = run.stages.len();
     format!("rollout {id} to {values}: {state}, stage {stage} of {of}{reason}")
 }
 
@@ -350,9 +355,10 @@ fn whole(run: &Run) -> String {
         name_of(&plan.on_failure)
     );
     for (number, stage) in (1..).zip(&run.stages) {
-        let counts = match stage.counts.is_empty() {
-            true => "not begun".to_owned(),
-            false => counts(&stage.counts),
+        let counts = if stage.counts.is_empty() {
+            "not begun".to_owned()
+        } else {
+            counts(&stage.counts)
         };
         let nodes = nodes(stage.nodes as u64);
         let _ = writeln!(text, "  stage {number}: {nodes}, {counts}");
@@ -384,8 +390,10 @@ fn entry_text(entry: &Entry, begun_ms: i64) -> String {
     let mean = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), figure);
     let rows = entry.gates.iter().map(|result| {
         let measured = result.figure.map(|figure| figure.to_string());
-        let change = result.change.as_ref();
-        let change = change.map(|change| interval(change, result.gate.scale == Scale::Relative));
+        let change = result
+            .change
+            .as_ref()
+            .map(|change| interval(change, result.gate.scale == Scale::Relative));
         [
             format!("   {}", result.gate),
             name_of(&result.verdict),
@@ -409,8 +417,7 @@ fn result(result: &TrialResult) -> String {
     let row = |shown: Figure, arm: &ArmResult| {
         let found = arm.figures.iter().find(|found| found.figure == shown)?;
         let relative = shown.scale() == Scale::Relative;
-        let difference = found.difference.as_ref();
-        let difference = difference.map(|difference| interval(difference, relative));
+        let difference = found.difference.as_ref().map(|difference| interval(difference, relative));
         Some([
             shown.to_string(),
             threshold(&arm.value),
@@ -421,8 +428,9 @@ fn result(result: &TrialResult) -> String {
             difference.unwrap_or("-".to_owned()),
         ])
     };
-    let rows = Figure::ALL.into_iter();
-    let rows = rows.flat_map(|shown| result.values.iter().filter_map(move |arm| row(shown, arm)));
+    let rows = Figure::ALL
+        .into_iter()
+        .flat_map(|shown| result.values.iter().filter_map(move |arm| row(shown, arm)));
     let headings = "figure|>value|>nodes|>clips|>before|>during|difference";
     let table = table(headings, rows);
     format!(

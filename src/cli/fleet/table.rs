@@ -14,7 +14,7 @@ pub(super) fn table<const N: usize>(
     let headings: Vec<&str> = headings.split('|').collect();
     let plain = |heading: &&str| heading.trim_start_matches('>').to_owned();
     let mut lines: Vec<Vec<String>> = vec![headings.iter().map(plain).collect()];
-    lines.extend((rows.into_iter()).map(|row| row.map(clean).into()));
+    lines.extend(rows.into_iter().map(|row| row.map(clean).into()));
     let width = |column: usize| {
         let widths = lines.iter().map(|line| line[column].chars().count());
         widths.max().unwrap_or(0)
@@ -23,9 +23,10 @@ pub(super) fn table<const N: usize>(
         let cells = line.iter().zip(&headings).enumerate();
         let cells = cells.map(|(column, (cell, heading))| {
             let wide = width(column);
-            match heading.starts_with('>') {
-                true => format!("{cell:>wide$}"),
-                false => format!("{cell:<wide$}"),
+            if heading.starts_with('>') {
+                format!("{cell:>wide$}")
+            } else {
+                format!("{cell:<wide$}")
             }
         });
         let cells: Vec<String> = cells.collect();

@@ -78,8 +78,8 @@ impl FrameSender {
                 Pacing::Drop => CongestionControl::Drop,
                 _ => CongestionControl::Block,
             };
-            let publisher = session.declare_publisher(key.to_owned());
-            let publisher = publisher.congestion_control(congestion).await;
+            let publisher =
+                session.declare_publisher(key.to_owned()).congestion_control(congestion).await;
             SendMode::Put(Arc::new(publisher.map_err(refused)?))
         };
         let listener = match &mode {

@@ -58,5 +58,8 @@ pub async fn open_session(
 /// # Errors
 /// When Zenoh cannot close it.
 pub(crate) async fn close(session: Session) -> anyhow::Result<()> {
-    (session.close().await).map_err(|error| anyhow!("closing the Zenoh session: {error}"))
+    session
+        .close()
+        .await
+        .map_err(|error| anyhow!("closing the Zenoh session: {error}"))
 }

@@ -61,7 +61,8 @@ fn parse_rate(text: &str) -> Result<f64, String> {
         return Ok(UNPACED);
     }
     values::parse_rate(text).map_err(|_| {
-        let (least, most) = (values::MIN_RATE, values::MAX_RATE);
+        let least = values::MIN_RATE;
+        let most = values::MAX_RATE;
         format!("must be `max` or a number from {least} to {most}")
     })
 }
@@ -131,7 +132,8 @@ struct Clips<'a> {
 impl Clips<'_> {
     /// Returns the clip of the next frame, which belongs to `part`, `seconds` after the first frame.
     fn next(&mut self, part: Part, seconds: f64) -> Option<String> {
-        let (options, of_source) = (self.options, part.1.as_ref());
+        let options = self.options;
+        let of_source = part.1.as_ref();
         if options.no_clip {
             return None;
         }
@@ -148,10 +150,65 @@ impl Clips<'_> {
             (self.last, self.since) = (part, seconds);
             self.begun += 1;
         }
-        Some(match numbered {
-            true => format!("{name}-{:04}", self.begun),
-            false => name,
+        Some(if numbered {
+            format!("{name}-{:04}", self.begun)
+        } else {
+            name
         })
+    }
+}
+
+/// Says when each frame is due.
+struct Pace {
+    /// The time between two frames; `None` if frames go out as fast as possible.
+    period: Option<Duration>,
+    due: Instant,
+    /// Frames that were more than one period late.
+    behind: u64,
+}
+
+impl Pace {
+    /// Waits until the next frame is due.
+    async fn wait(&mut self) {
+        let Some(period) = self.period else { return };
+        tokio::time::sleep_until(self.due).await;
+        if self.due.elapsed() > period {
+            // Missed frames are not sent in a burst.
+            self.behind += 1;
+            self.due = Instant::now();
+        }
+        self.due += period;
+    }
+}
+
+/// The time between two frames.
+///
+/// # Errors
+/// When it is no rate: one that the source reports itself is not checked yet.
+fn period(rate: f64) -> anyhow::Result<Duration> {
+    Duration::try_from_secs_f64(1.0 / rate)
+        .ok()
+        .filter(|period| *period <= MAX_PERIOD)
+        .with_context(|| format!("{rate} frames per second is not a rate: give one with --rate"))
+}
+
+/// What the node is told of the frame with the number `seq`, taken at `t_ns`.
+fn attachment(
+    seq: u64,
+    t_ns: u64,
+    clip: Option<String>,
+    picture: &EncodedPicture,
+) -> FrameAttachment {
+    // Other pictures contain their size.
+    let is_raw = !matches!(picture.format, PictureFormat::Jpeg | PictureFormat::Png);
+    FrameAttachment {
+        v: VERSION,
+        seq: Some(seq),
+        t_ns: Some(t_ns),
+        clip,
+        width: is_raw.then_some(picture.size.width),
+        height: is_raw.then_some(picture.size.height),
+        ..FrameAttachment::default()
     }
 }
 
@@ -168,10 +225,7 @@ pub async fn publish<F: Future<Output = anyhow::Result<Option<String>>>>(
     shutdown: &CancellationToken,
 ) -> anyhow::Result<Sent> {
     let rate = options.paced_rate().unwrap_or_else(|| source.rate());
-    // A rate that the source reports itself is not checked yet.
-    let period = (Duration::try_from_secs_f64(1.0 / rate).ok())
-        .filter(|period| *period <= MAX_PERIOD)
-        .with_context(|| format!("{rate} frames per second is not a rate: give one with --rate"))?;
+    let period = period(rate)?;
     // Dropped with the player for any reason, so that the source stops too.
     let _stopper = source.stopper();
     let mut clips = Clips {
@@ -191,7 +245,11 @@ pub async fn publish<F: Future<Output = anyhow::Result<Option<String>>>>(
     });
     let mut sent = Sent::default();
     let mut begun = None;
-    let mut due = Instant::now();
+    let mut pace = Pace {
+        period: (options.rate != Some(UNPACED)).then_some(period),
+        due: Instant::now(),
+        behind: 0,
+    };
     while options.frames.is_none_or(|most| sent.frames < most) {
         let next = tokio::select! {
             biased;
@@ -200,37 +258,22 @@ pub async fn publish<F: Future<Output = anyhow::Result<Option<String>>>>(
         };
         let Some(next) = next else { break };
         let (part, picture) = next?;
+        // Times count from the first picture: opening the source may take long.
         let (began, clock) = *begun.get_or_insert_with(|| {
-            due = Instant::now();
-            (due, unix_nanoseconds())
+            pace.due = Instant::now();
+            (pace.due, unix_nanoseconds())
         });
-        if options.rate != Some(UNPACED) {
-            tokio::select! {
-                biased;
-                () = shutdown.cancelled() => break,
-                () = tokio::time::sleep_until(due) => {}
-            }
-            if due.elapsed() > period {
-                // Missed frames are not sent in a burst.
-                sent.behind += 1;
-                due = Instant::now();
-            }
-            due += period;
+        tokio::select! {
+            biased;
+            () = shutdown.cancelled() => break,
+            () = pace.wait() => {}
         }
         let seconds = sent.frames as f64 / rate;
         let bytes = picture.bytes.len() as u64;
-        let is_raw = !matches!(picture.format, PictureFormat::Jpeg | PictureFormat::Png);
+        let seq = options.first_sequence + sent.frames;
+        let t_ns = clock.saturating_add((seconds * 1e9) as u64);
         let frame = OutgoingFrame {
-            attachment: FrameAttachment {
-                v: VERSION,
-                seq: Some(options.first_sequence + sent.frames),
-                t_ns: Some(clock.saturating_add((seconds * 1e9) as u64)),
-                clip: clips.next(part, seconds),
-                // Other pictures contain their size.
-                width: is_raw.then_some(picture.size.width),
-                height: is_raw.then_some(picture.size.height),
-                ..FrameAttachment::default()
-            },
+            attachment: attachment(seq, t_ns, clips.next(part, seconds), &picture),
             picture,
         };
         let refused = tokio::select! {
@@ -245,6 +288,7 @@ pub async fn publish<F: Future<Output = anyhow::Result<Option<String>>>>(
         sent.frames += 1;
         sent.bytes += bytes;
         sent.clips = clips.begun;
+        sent.behind = pace.behind;
         sent.elapsed = began.elapsed();
         progress(&sent);
     }

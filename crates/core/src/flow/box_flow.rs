@@ -15,7 +15,7 @@
 
 use super::median::median;
 use super::pyramid::Pyramid;
-use super::tracker::Tracker;
+use super::tracker::PointTracker;
 use crate::geometry::Corners;
 
 /// Share of the box's sides that the grid spans.
@@ -71,7 +71,7 @@ struct Pair {
 #[derive(Clone, Debug)]
 pub struct BoxFlow {
     grid: usize,
-    tracker: Tracker,
+    tracker: PointTracker,
     pairs: Vec<Pair>,
     values: Vec<f32>,
 }
@@ -82,7 +82,7 @@ impl BoxFlow {
         let points = grid * grid;
         Self {
             grid,
-            tracker: Tracker::default(),
+            tracker: PointTracker::default(),
             pairs: Vec::with_capacity(points),
             values: Vec::with_capacity(points * points / 2),
         }

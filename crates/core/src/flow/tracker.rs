@@ -19,11 +19,11 @@ const LEAST_TEXTURE: f32 = 0.1024;
 
 /// Follows points between pictures.
 #[derive(Clone, Debug, Default)]
-pub struct Tracker {
+pub struct PointTracker {
     template: Template,
 }
 
-impl Tracker {
+impl PointTracker {
     /// Returns the shift of `point` from the picture `before` to the picture `after`, searched for around the shift
     /// `guess`. `None` if the point lies outside the pictures or leaves them, has no texture, or the pictures differ in
     /// size.

@@ -118,7 +118,8 @@ impl ComponentSolver {
         }
         let (rows, columns) = (self.rows.len(), self.columns.len());
         if rows == 1 || columns == 1 {
-            let cheapest = (edges.iter())
+            let cheapest = edges
+                .iter()
                 .min_by(|(_, a), (_, b)| a.cost.total_cmp(&b.cost).then(a.column.cmp(&b.column)));
             pairs.extend(cheapest.map(|(_, edge)| (edge.row, edge.column)));
             return;

@@ -113,7 +113,7 @@ impl Matcher {
         }
         let (rows, columns) = (&self.rows, &self.columns);
         // Usable detections and live filters give finite costs; others would give no pairs.
-        for &(row, column) in (self.full).solve(rows.len(), columns.len(), &self.matrix) {
+        for &(row, column) in self.full.solve(rows.len(), columns.len(), &self.matrix) {
             if within(self.matrix[row * columns.len() + column]) {
                 self.pairing.pair(rows[row], columns[column]);
             }

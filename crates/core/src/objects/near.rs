@@ -20,8 +20,8 @@ const WORTH_WHILE: usize = 16;
 #[derive(Clone, Debug, Default)]
 pub(crate) struct NearBoxes {
     boxes: Vec<(Corners, u32)>,
-    horizontal: Axis,
-    vertical: Axis,
+    horizontal: AxisSets,
+    vertical: AxisSets,
 }
 
 impl NearBoxes {
@@ -59,7 +59,7 @@ impl NearBoxes {
 
 /// The sets of one axis.
 #[derive(Clone, Debug, Default)]
-struct Axis {
+struct AxisSets {
     origin: f64,
     bins_per_unit: f64,
     /// The words of a set.
@@ -70,7 +70,7 @@ struct Axis {
     not_ended: Vec<u64>,
 }
 
-impl Axis {
+impl AxisSets {
     fn fill(&mut self, intervals: impl ExactSizeIterator<Item = (f64, f64)> + Clone) {
         let low = intervals.clone().fold(f64::INFINITY, |low, (begin, _)| low.min(begin));
         let high = intervals.clone().fold(f64::NEG_INFINITY, |high, (_, end)| high.max(end));

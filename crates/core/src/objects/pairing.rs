@@ -69,7 +69,7 @@ impl Pairing {
         }
         self.pairs.clear();
         let (rows, columns) = (self.detection_of.len(), self.is_free.len());
-        (self.solver).solve(rows, columns, &self.edges, &mut self.pairs);
+        self.solver.solve(rows, columns, &self.edges, &mut self.pairs);
         for &(row, column) in &self.pairs {
             self.detection_of[row as usize] = Some(column);
             self.is_free[column as usize] = false;

@@ -205,7 +205,7 @@ impl Policy for Albireo {
     }
 
     fn save(&mut self) {
-        let mut saved = (self.saved.take()).unwrap_or_else(|| Box::new(self.clone()));
+        let mut saved = self.saved.take().unwrap_or_else(|| Box::new(self.clone()));
         saved.copy_from(self);
         self.saved = Some(saved);
     }

@@ -162,26 +162,28 @@ impl ExpectedLoss {
 
     /// Returns the reason for a detector call at this weight of the losses.
     fn call_at(&self, weight: f64) -> Option<CallCause> {
-        match self.started {
-            false => Some(CallCause::Start),
-            true => (self.pause).call(&self.trigger, self.settings.longest_pause, weight),
+        if self.started {
+            self.pause.call(&self.trigger, self.settings.longest_pause, weight)
+        } else {
+            Some(CallCause::Start)
         }
     }
 
     /// Follows the boxes into the picture and decides again. A call demanded by the screen is not revoked.
-    fn look(&mut self, picture: GreyPicture<'_>) -> Need {
+    fn follow_boxes(&mut self, picture: GreyPicture<'_>) -> Need {
         let aspect = self.objects.aspect();
         if let Some(follower) = &mut self.follower {
-            if !follower.has_looked() {
+            if !follower.has_followed() {
                 self.births.expect(FLOW_BIRTH_PRIOR);
             }
             let objects = self.objects.as_mut_slice();
-            follower.look(objects, aspect, picture);
+            follower.follow_all(objects, aspect, picture);
         }
         self.survey();
-        let cause = match self.progress.screened {
-            true => self.progress.cause,
-            false => self.call_at(self.weight),
+        let cause = if self.progress.screened {
+            self.progress.cause
+        } else {
+            self.call_at(self.weight)
         };
         self.progress.call(cause)
     }
@@ -281,7 +283,7 @@ impl Policy for ExpectedLoss {
                 let next = self.pictures().unwrap_or(Need::Detections);
                 self.progress.take_verdict(evidence, next)
             }
-            (PICTURE, Evidence::GreyPicture(picture)) => self.look(picture),
+            (PICTURE, Evidence::GreyPicture(picture)) => self.follow_boxes(picture),
             (PICTURE, _) => self.progress.call(self.progress.cause),
             (Need::Detections, Evidence::Detections(found)) => self.take_detections(found),
             // Unchanged, so that `finish` detects the missing detections.
@@ -292,7 +294,7 @@ impl Policy for ExpectedLoss {
     fn finish(&mut self, outcome: &mut Outcome) {
         self.progress.finish(outcome);
         let detected = !outcome.state.is_skipped();
-        let report = (self.objects).report(detected, &mut outcome.boxes);
+        let report = self.objects.report(detected, &mut outcome.boxes);
         if outcome.state == FrameState::I && report.rescued {
             outcome.state = FrameState::AI;
         }
@@ -310,7 +312,7 @@ impl Policy for ExpectedLoss {
     }
 
     fn save(&mut self) {
-        let mut saved = (self.saved.take()).unwrap_or_else(|| Box::new(self.clone()));
+        let mut saved = self.saved.take().unwrap_or_else(|| Box::new(self.clone()));
         saved.copy_from(self);
         self.saved = Some(saved);
     }

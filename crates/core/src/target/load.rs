@@ -117,10 +117,12 @@ impl LoadControl {
         };
         Verdict {
             actual: Some(actual),
-            status: match is_held {
-                true => TargetStatus::Held,
-                false if self.beyond_s > WINDOW_S => end,
-                false => TargetStatus::Moving,
+            status: if is_held {
+                TargetStatus::Held
+            } else if self.beyond_s > WINDOW_S {
+                end
+            } else {
+                TargetStatus::Moving
             },
             boxes: None,
         }
@@ -190,7 +192,7 @@ impl Window {
         let seconds: f64 = self.seconds.iter().map(|one| one.seconds).sum();
         let frames: u64 = self.seconds.iter().map(|one| one.frames).sum();
         let skipped: u64 = self.seconds.iter().map(|one| one.skipped).sum();
-        let known = (self.seconds.iter()).filter_map(|one| {
+        let known = self.seconds.iter().filter_map(|one| {
             let watts = one.watts.filter(|watts| watts.is_finite())?;
             Some((one.seconds, watts))
         });

@@ -8,7 +8,7 @@ use crate::footage::FrameSource;
 use crate::spec::PolicySpec;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_core::policy::Need;
-use albireo_vision::picture::EncodedPicture;
+use albireo_vision::picture::{EncodedPicture, Picture};
 
 /// Settings of the pass: what to keep, and how many frames to process.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -56,11 +56,7 @@ pub fn run_pass(
     let name = source.name().to_owned();
     settle_input(source, models)?;
     let mut size = None;
-    let mut detections = Vec::new();
-    let mut verdicts = Vec::new();
-    let mut grey = Vec::new();
-    let mut small = Vec::new();
-    let mut times = Vec::new();
+    let mut kept = Kept::default();
     let mut faults = Faults::default();
     for frame in 0.. {
         if settings.max_frames.is_some_and(|most| frame >= most) {
@@ -82,29 +78,13 @@ pub fn run_pass(
                 encoded.size
             )));
         }
-        let failed = |error: EvalError| error.context(format!("{name}, frame {frame}"));
-        let results = models.run().map_err(failed)?;
-        let mut step = StepTimes {
-            decode: decoding,
-            ..results.times
-        };
-        if settings.keep_grey {
-            let (picture, time) = models.grey(&encoded, Need::GreyPicture).map_err(failed)?;
-            grey.push(picture);
-            step.grey = time;
-        }
-        if let Some(width) = settings.keep_small {
-            let need = Need::SmallGreyPicture { width };
-            let (picture, time) = models.grey(&encoded, need).map_err(failed)?;
-            small.push(picture);
-            step.small = time;
-        }
-        verdicts.push(results.empty);
-        detections.push(stored(&results, first, &name, frame, report));
-        times.push(step);
+        let results = kept
+            .run(&encoded, decoding, models, settings)
+            .map_err(|error| error.context(format!("{name}, frame {frame}")))?;
+        kept.detections.push(stored(&results, first, &name, frame, report));
         progress();
     }
-    let frames = times.len();
+    let frames = kept.times.len();
     faults.report(&name, frames, report);
     let Some(picture) = size else {
         let what = match faults.named.first() {
@@ -114,7 +94,7 @@ pub fn run_pass(
         return Err(EvalError::new(format!("{name}: {what}")));
     };
     if models.has_screen() {
-        let missing = verdicts.iter().filter(|verdict| verdict.is_none()).count();
+        let missing = kept.verdicts.iter().filter(|verdict| verdict.is_none()).count();
         if missing > 0 {
             report.notes.push(format!(
                 "{name}: the screen gave no verdict on {missing} frames"
@@ -123,18 +103,59 @@ pub fn run_pass(
     }
     Ok(Clip {
         frame_rate: Some(source.rate()),
-        detections: Some(detections),
-        screen: models.has_screen().then_some(verdicts),
+        detections: Some(kept.detections),
+        screen: models.has_screen().then_some(kept.verdicts),
         pass: Some(Pass {
-            grey,
-            small,
+            grey: kept.grey,
+            small: kept.small,
             small_width: settings.keep_small,
-            times,
+            times: kept.times,
         }),
         classes: models.evaluated().clone(),
         unusable: faults.places,
         ..Clip::new(name, picture, frames)
     })
+}
+
+/// What a pass keeps of each frame.
+#[derive(Default)]
+struct Kept {
+    detections: Vec<Vec<ScoredBox>>,
+    verdicts: Vec<Option<bool>>,
+    grey: Vec<Picture>,
+    small: Vec<Picture>,
+    times: Vec<StepTimes>,
+}
+
+impl Kept {
+    /// Runs the models on a decoded picture, and keeps the verdict, the grey pictures and the times, with the milliseconds that
+    /// decoding took.
+    fn run(
+        &mut self,
+        encoded: &EncodedPicture,
+        decoding: f64,
+        models: &mut ModelRunner,
+        settings: &PassSettings,
+    ) -> Result<ModelResults, EvalError> {
+        let results = models.run()?;
+        let mut step = StepTimes {
+            decode: decoding,
+            ..results.times
+        };
+        if settings.keep_grey {
+            let (picture, time) = models.grey(encoded, Need::GreyPicture)?;
+            self.grey.push(picture);
+            step.grey = time;
+        }
+        if let Some(width) = settings.keep_small {
+            let (picture, time) = models.grey(encoded, Need::SmallGreyPicture { width })?;
+            self.small.push(picture);
+            step.small = time;
+        }
+        self.verdicts.push(results.empty);
+        self.times.push(step);
+        Ok(results)
+    }
 }
 
 /// The next picture, which `models` then have decoded, and the milliseconds that decoding took.

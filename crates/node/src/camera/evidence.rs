@@ -84,9 +84,9 @@ impl LiveEvidence {
         match need {
             Need::Nothing => {}
             Need::Screen => self.current.empty = self.screen(encoded).await?,
-            Need::GreyPicture => self.look(encoded, Stage::Grey).await?,
+            Need::GreyPicture => self.prepare(encoded, Stage::Grey).await?,
             Need::SmallGreyPicture { width } => {
-                self.look(encoded, Stage::SmallGrey(width)).await?;
+                self.prepare(encoded, Stage::SmallGrey(width)).await?;
             }
             Need::Detections => self.current.detected = self.detect(encoded).await?,
         }
@@ -122,7 +122,7 @@ impl LiveEvidence {
         if self.screen.is_none() {
             return Ok(None);
         }
-        self.look(encoded, Stage::Picture).await?;
+        self.prepare(encoded, Stage::Picture).await?;
         let (Some(screen), Some(picture)) = (&self.screen, &self.current.frame.picture) else {
             return Ok(None);
         };
@@ -151,7 +151,7 @@ impl LiveEvidence {
         if self.detector.accepts().is_err() {
             return Ok(None);
         }
-        self.look(encoded, Stage::Prepared).await?;
+        self.prepare(encoded, Stage::Prepared).await?;
         let Some(prepared) = self.current.frame.prepared.take() else {
             return Ok(None);
         };
@@ -184,7 +184,7 @@ impl LiveEvidence {
 
     /// Prepares the pixels for `stage`, unless that is done or `give_up` is cancelled. The screen and the detector
     /// share the pixels.
-    async fn look(&mut self, encoded: &EncodedPicture, stage: Stage) -> Result<(), FrameFault> {
+    async fn prepare(&mut self, encoded: &EncodedPicture, stage: Stage) -> Result<(), FrameFault> {
         if !self.current.frame.has(stage) {
             if stage.needs_place() && self.current.frame.place.is_none() {
                 let start = Instant::now();
@@ -196,8 +196,8 @@ impl LiveEvidence {
                 self.current.place += start.elapsed();
             }
             let frame = std::mem::take(&mut self.current.frame);
-            let looked = self.pixels.look(frame, encoded.clone(), stage);
-            self.current.frame = looked.await?;
+            let prepared = self.pixels.prepare(frame, encoded.clone(), stage);
+            self.current.frame = prepared.await?;
         }
         self.current.times.latency.decode = self.current.frame.decode.map(milliseconds);
         Ok(())

@@ -94,7 +94,7 @@ impl Bench {
             pixels: pixels.clone(),
             energy: energy.clone(),
         };
-        let examine = move |picture, shown| examiner.clone().look(picture, shown).boxed();
+        let examine = move |picture, shown| examiner.clone().examine(picture, shown).boxed();
         let audit = CameraAudit::new(config.audit, Arc::clone(&camera), examine);
         let session = crate::api::name::tests::session(&[("listen/endpoints", "[]")]).await;
         let sent = (CongestionControl::Drop, publishing::LIVE);

@@ -23,7 +23,7 @@ pub struct Here {
 impl NodeConfig {
     /// Finds everything missing on this machine without which a node would not start, and tells how the detector is read if
     /// it can be.
-    pub fn look_here(&self) -> Here {
+    pub fn here(&self) -> Here {
         let mut findings = Findings::default();
         let mut detector = Vec::new();
         for (key, path) in self.model_files() {
@@ -223,7 +223,7 @@ mod tests {
         config.uplink.root_ca_certificate = Some("/nowhere/ca.pem".into());
         let expected = "detector.model detector.class_names screen.model detector.onnxruntime http.token_file \
                         uplink.root_ca_certificate node.state_dir";
-        assert_eq!(keys(config.look_here().missing).join(" "), expected);
+        assert_eq!(keys(config.here().missing).join(" "), expected);
     }
 
     #[test]
@@ -235,7 +235,7 @@ mod tests {
         config.detector.onnxruntime = Some(library);
         config.detector.providers = vec![ExecutionProvider::Cuda];
         let fault = |config: &NodeConfig| {
-            let mut found = config.look_here().missing.into_iter();
+            let mut found = config.here().missing.into_iter();
             let fault = found.find(|finding| finding.key == "detector.providers");
             fault.map_or(String::new(), |finding| finding.reason)
         };

@@ -92,9 +92,12 @@ mod tests {
     use super::*;
 
     fn rmw(named: bool, length_byte: bool) -> Vec<u8> {
-        let name = |text: &str| match named {
-            true => [&[text.len() as u8][..], text.as_bytes()].concat(),
-            false => Vec::new(),
+        let name = |text: &str| {
+            if named {
+                [&[text.len() as u8][..], text.as_bytes()].concat()
+            } else {
+                Vec::new()
+            }
         };
         let parts = [
             name("sequence_number"),

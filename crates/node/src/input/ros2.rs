@@ -144,9 +144,10 @@ impl Cdr {
     fn u32(&mut self, what: &str) -> Result<u32, FrameFault> {
         self.take(self.read.next_multiple_of(4) - self.read, what)?;
         let mut field = self.take(4, what)?;
-        Ok(match self.little_endian {
-            true => field.get_u32_le(),
-            false => field.get_u32(),
+        Ok(if self.little_endian {
+            field.get_u32_le()
+        } else {
+            field.get_u32()
         })
     }
 

@@ -294,7 +294,7 @@ impl SharedParts {
             energy: parts.energy.clone(),
         };
         let board = Arc::clone(&parts.board);
-        let examine = move |picture, shown| examiner.clone().look(picture, shown).boxed();
+        let examine = move |picture, shown| examiner.clone().examine(picture, shown).boxed();
         let audit = CameraAudit::new(self.config.audit, board, examine);
         let settings = self.config.loop_settings();
         Ok(Camera::new(parts, settings, policy, evidence, audit))

@@ -179,7 +179,8 @@ impl Account {
         let from = open.from.unwrap_or_else(|| self.history.at(open.start));
         let seconds = end.saturating_duration_since(open.start).as_secs_f64();
         let mut energy = self.energy(&from, &to, seconds, &notes);
-        let (before, after) = (from.camera(open.camera), to.camera(open.camera));
+        let before = from.camera(open.camera);
+        let after = to.camera(open.camera);
         let detector_watts = self.detector.watts();
         energy.joules = (energy.coverage > 0.0).then_some(after.joules - before.joules);
         energy.saved_joules_estimated =

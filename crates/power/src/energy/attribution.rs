@@ -91,14 +91,16 @@ impl Attribution {
         self.idle_s = idle - saved;
         let weights: f64 = self.cameras.values().map(|camera| camera.weight).sum();
         let cameras = self.cameras.len() as f64;
-        let decay = match weights > LEAST_WEIGHT {
-            true => (-seconds / MEMORY_S).exp(),
-            false => 1.0,
+        let decay = if weights > LEAST_WEIGHT {
+            (-seconds / MEMORY_S).exp()
+        } else {
+            1.0
         };
         for camera in self.cameras.values_mut() {
-            let share = match weights > 0.0 {
-                true => camera.weight / weights,
-                false => 1.0 / cameras,
+            let share = if weights > 0.0 {
+                camera.weight / weights
+            } else {
+                1.0 / cameras
             };
             camera.totals.joules += joules * share;
             if saved > 0.0 {

@@ -99,7 +99,8 @@ struct Line {
 impl Line {
     fn add(&mut self, x: f64, y: f64, seconds: f64) {
         let (mean_x, mean_y) = self.means.unwrap_or((x, y));
-        let (dx, dy) = (x - mean_x, y - mean_y);
+        let dx = x - mean_x;
+        let dy = y - mean_y;
         let part = 1.0 - (-seconds / MEAN_S).exp();
         self.means = Some((mean_x + part * dx, mean_y + part * dy));
         let keep = (-seconds / MEMORY_S).exp();

@@ -201,7 +201,8 @@ fn between(before: &Sample, after: &Sample, moment: Instant) -> Totals {
         }
         _ => part,
     };
-    let (from, to) = (&before.totals, &after.totals);
+    let from = &before.totals;
+    let to = &after.totals;
     let of_total = energy_part(Domain::Total);
     let cameras = to.cameras.iter();
     Totals {

@@ -7,9 +7,10 @@ const MOST_MODES: usize = 8;
 
 /// Combines two sources of the same moment: the hotter sensor, throttling by either, and `one` first for the rest.
 pub(crate) fn combined(one: BoardState, other: BoardState) -> BoardState {
-    let (hottest_celsius, hottest_sensor) = match other.hottest_celsius > one.hottest_celsius {
-        true => (other.hottest_celsius, other.hottest_sensor),
-        false => (one.hottest_celsius, one.hottest_sensor),
+    let (hottest_celsius, hottest_sensor) = if other.hottest_celsius > one.hottest_celsius {
+        (other.hottest_celsius, other.hottest_sensor)
+    } else {
+        (one.hottest_celsius, one.hottest_sensor)
     };
     BoardState {
         power_mode: one.power_mode.or(other.power_mode),

@@ -23,14 +23,14 @@ pub(super) const PAUSE: Duration = Duration::from_secs(1);
 /// The time limit for a killed child to end. Another user's child (sudo) cannot be killed.
 const PARTING: Duration = Duration::from_secs(1);
 
-type Line = (Instant, String);
+type TimedLine = (Instant, String);
 
 /// A child process and the lines that a thread reads from it.
 #[derive(Debug)]
 pub(crate) struct LineChild {
     command: Command,
     child: Option<Child>,
-    lines: Receiver<Line>,
+    lines: Receiver<TimedLine>,
     /// The shortest time between a start or a line and the next start.
     pause: Duration,
     /// The time of the start or of the newest line.
@@ -72,7 +72,7 @@ impl LineChild {
 
     /// Returns the lines since the last call, each with its arrival time. Restarts a child that has ended or has
     /// printed nothing for `longest_silence`.
-    pub(crate) fn take(&mut self, longest_silence: Duration) -> Vec<Line> {
+    pub(crate) fn take(&mut self, longest_silence: Duration) -> Vec<TimedLine> {
         let mut lines = Vec::new();
         let ended = loop {
             match self.lines.try_recv() {
@@ -107,7 +107,7 @@ impl LineChild {
     }
 
     /// Waits up to `patience` for the first line.
-    pub(crate) fn first_line(&mut self, patience: Duration) -> Option<Line> {
+    pub(crate) fn first_line(&mut self, patience: Duration) -> Option<TimedLine> {
         let line = self.lines.recv_timeout(patience);
         if line.is_err() {
             self.end();
@@ -147,7 +147,7 @@ impl Drop for LineChild {
     }
 }
 
-fn spawn(command: &mut Command) -> std::io::Result<(Child, Receiver<Line>)> {
+fn spawn(command: &mut Command) -> std::io::Result<(Child, Receiver<TimedLine>)> {
     let mut child = command.spawn()?;
     let (sender, lines) = sync_channel(MOST_LINES);
     if let Some(output) = child.stdout.take() {
@@ -159,7 +159,7 @@ fn spawn(command: &mut Command) -> std::io::Result<(Child, Receiver<Line>)> {
 }
 
 /// Reads until the child closes its output or the receiver is dropped.
-fn read(output: ChildStdout, lines: &SyncSender<Line>) {
+fn read(output: ChildStdout, lines: &SyncSender<TimedLine>) {
     let mut output = BufReader::new(output);
     let mut line = Vec::new();
     loop {

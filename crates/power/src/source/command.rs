@@ -102,8 +102,11 @@ impl Command {
     }
 
     fn failed(&self, what: &str) -> MeterError {
-        let why = self.child.trouble.as_deref();
-        let why = why.unwrap_or("it must print lines such as `total 5.2`, each with its line end");
+        let why = self
+            .child
+            .trouble
+            .as_deref()
+            .unwrap_or("it must print lines such as `total 5.2`, each with its line end");
         MeterError::Failed(format!("power.command: {what}: {why}"))
     }
 }

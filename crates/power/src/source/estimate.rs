@@ -47,8 +47,10 @@ impl Estimate {
     fn ticks(&self) -> Result<(u64, u64), MeterError> {
         let text = sysfs::text(&self.stat)?;
         let numbers = text.strip_prefix("cpu ").unwrap_or_default();
-        let ticks = numbers.split_ascii_whitespace();
-        let ticks: Vec<u64> = ticks.map_while(|number| number.parse().ok()).collect();
+        let ticks: Vec<u64> = numbers
+            .split_ascii_whitespace()
+            .map_while(|number| number.parse().ok())
+            .collect();
         // Two more follow: guest times, which user and nice include.
         let [user, nice, system, idle, iowait, irq, softirq, steal, ..] = ticks[..] else {
             let reason = "its first line is not `cpu` with at least eight numbers";
@@ -76,7 +78,8 @@ impl Meter for Estimate {
             }
             self.joules += self.watts * now.saturating_duration_since(then).as_secs_f64();
         }
-        let (idle, busy) = (self.idle_watts, self.busy_watts);
+        let idle = self.idle_watts;
+        let busy = self.busy_watts;
         let formula = format!("estimated: {idle} W idle to {busy} W busy by CPU utilisation");
         Ok(vec![Reading {
             at: Some(now),

@@ -98,7 +98,7 @@ fn channels(chip: &Path) -> Vec<Channel> {
         Some("ina238") => {
             let mut labels = ["power1_label", "in1_label", "label"].into_iter();
             vec![Channel {
-                name: (labels.find_map(text)).map_or_else(|| INPUT.into(), Into::into),
+                name: labels.find_map(text).map_or_else(|| INPUT.into(), Into::into),
                 files: vec![chip.join("power1_input")],
             }]
         }

@@ -99,7 +99,9 @@ impl Meter for Tegrastats {
 
     /// CPU time of the program since its last start.
     fn other_cpu(&self) -> Duration {
-        let stat = (self.child.process())
+        let stat = self
+            .child
+            .process()
             .and_then(|id| Process::new(i32::try_from(id).ok()?).ok()?.stat().ok());
         stat.map_or(Duration::ZERO, |stat| {
             let ticks = (stat.utime + stat.stime) as f64;

@@ -132,7 +132,7 @@ impl List {
 
     /// The highest issue with this role and name; 0 if there is none.
     pub(super) fn last_issue(&self, role: Role, name: &str) -> u32 {
-        (self.of(role, name).map(|entry| entry.issue).max()).unwrap_or(0)
+        self.of(role, name).map(|entry| entry.issue).max().unwrap_or(0)
     }
 
     /// Adds an entry, replacing one with the same common name, and writes the list.

@@ -27,9 +27,10 @@ impl Variable {
     /// The first reading: text, unless it is written as a list, a table or a string of TOML.
     fn value(&self) -> Value {
         let parsed = || self.text.parse::<Value>().unwrap_or_else(|never| match never {});
-        match self.text.starts_with(TOML) {
-            true => parsed(),
-            false => Value::from(self.text.as_str()),
+        if self.text.starts_with(TOML) {
+            parsed()
+        } else {
+            Value::from(self.text.as_str())
         }
     }
 }

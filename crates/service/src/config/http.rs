@@ -117,8 +117,7 @@ impl HttpConfig {
             findings.add("http.listen", Self::unprotected(self.listen));
         }
         for origin in &self.cors_origins {
-            let host = origin.strip_prefix("https://");
-            let host = host.or_else(|| origin.strip_prefix("http://"));
+            let host = origin.strip_prefix("https://").or_else(|| origin.strip_prefix("http://"));
             if host.is_none_or(|host| host.is_empty() || host.contains('/')) {
                 findings.add(
                     "http.cors_origins",

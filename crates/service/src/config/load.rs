@@ -36,8 +36,7 @@ pub trait Configuration: DeserializeOwned {
 /// [`ConfigError`] with all unknown keys and invalid values.
 pub fn load<C: Configuration>(file: Option<&Path>) -> Result<C, ConfigError> {
     let (config, findings) = examine(file);
-    let file = file.unwrap_or(Path::new("built-in defaults"));
-    let file = file.display().to_string();
+    let file = file.unwrap_or(Path::new("built-in defaults")).display().to_string();
     match config {
         Some(config) if findings.is_empty() => Ok(config),
         _ => Err(ConfigError { file, findings }),
@@ -82,7 +81,7 @@ fn examine_with<C: Configuration>(
                 rest.is_some_and(|rest| rest.is_empty() || rest.starts_with(['.', '[']))
             })
         };
-        findings.extend((config.findings().into_iter()).filter(|finding| !reported(&finding.key)));
+        findings.extend(config.findings().into_iter().filter(|finding| !reported(&finding.key)));
     }
     for finding in &mut findings {
         // An element of a list is from where the list is from.
@@ -110,8 +109,8 @@ fn read<C: Configuration>(
     let mut values: Value = match figment.extract() {
         Ok(values) => values,
         Err(errors) => {
-            let of_form = errors.into_iter();
-            let of_form = of_form.map(|error| finding(&error.kind, &error.path, C::REMOVED));
+            let of_form =
+                errors.into_iter().map(|error| finding(&error.kind, &error.path, C::REMOVED));
             return (None, of_form.collect());
         }
     };
@@ -218,7 +217,8 @@ fn misspelt_variables(sections: &[&str], variables: &[(String, String)]) -> Vec<
 /// The error about the value at `path`. For removed keys and values it names the replacement, whichever camera it is:
 /// `camera[1].ring` is `camera.ring`.
 fn finding(error: &Kind, path: &[String], removed: &str) -> Finding {
-    let (mut key, mut of_any) = (String::new(), String::new());
+    let mut key = String::new();
+    let mut of_any = String::new();
     for part in path {
         if is_index(part) {
             key.push_str(&format!("[{part}]"));
@@ -341,9 +341,10 @@ mod tests {
         fn findings(&self) -> Vec<Finding> {
             let port = (self.http.port == 0).then(|| Finding::new("http.port", "must not be 0"));
             let cameras = self.camera.iter().enumerate();
-            let wrong = cameras.filter(|(_, camera)| matches!(&*camera.name, "" | "a b"));
-            let wrong = wrong.map(|(index, _)| format!("camera[{index}].name"));
-            let wrong = wrong.map(|key| Finding::new(key, "no such name"));
+            let wrong = cameras
+                .filter(|(_, camera)| matches!(&*camera.name, "" | "a b"))
+                .map(|(index, _)| format!("camera[{index}].name"))
+                .map(|key| Finding::new(key, "no such name"));
             port.into_iter().chain(wrong).collect()
         }
     }

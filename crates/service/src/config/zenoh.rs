@@ -83,8 +83,7 @@ impl ZenohConfig {
     /// The files of a kind, `certificate` or `private_key`, that the configuration file of Zenoh names. None if it cannot be
     /// read, which the session reports.
     pub fn tls_files(&self, kind: &str) -> Vec<(String, PathBuf)> {
-        let config = self.config_file.as_ref().map(::zenoh::Config::from_file);
-        let config = config.and_then(Result::ok);
+        let config = self.config_file.as_ref().map(::zenoh::Config::from_file).and_then(Result::ok);
         config.map_or_else(Vec::new, |config| identity::tls_files(&config, kind))
     }
 

@@ -57,7 +57,7 @@ pub struct Caller {
 pub(super) const ANONYMOUS: &str = "anonymous";
 
 /// The interval at which the token files are read again.
-const LOOK_EVERY: Duration = Duration::from_secs(1);
+const READ_EVERY: Duration = Duration::from_secs(1);
 
 static WRONG_TOKEN: RateLimit = RateLimit::new(Duration::from_secs(10));
 
@@ -104,7 +104,8 @@ impl Guard {
         named: &[NamedToken],
         listener: &TcpListener,
     ) -> Result<Self, ServiceError> {
-        let address = (listener.local_addr())
+        let address = listener
+            .local_addr()
             .map_err(|error| ServiceError(format!("the HTTP listener failed: {error}")))?;
         let tokens = read_tokens(config, named).map_err(ServiceError)?;
         let rule = if !tokens.is_empty() {
@@ -134,8 +135,9 @@ impl Guard {
         };
         let mut fault = None;
         loop {
-            tokio::time::sleep(LOOK_EVERY).await;
-            let (config, named) = (config.clone(), named.clone());
+            tokio::time::sleep(READ_EVERY).await;
+            let config = config.clone();
+            let named = named.clone();
             let read = tokio::task::spawn_blocking(move || read_tokens(&config, &named)).await;
             match read.unwrap_or_else(|error| Err(error.to_string())) {
                 Ok(found) => {
@@ -159,7 +161,8 @@ impl Guard {
 
     /// The caller, or the reason the request may not pass.
     fn admit(&self, request: &Request) -> Result<Caller, Problem> {
-        let (headers, method) = (request.headers(), request.method());
+        let headers = request.headers();
+        let method = request.method();
         let anonymous = |role| Caller {
             name: ANONYMOUS.into(),
             role,
@@ -235,7 +238,8 @@ impl Guard {
 }
 
 fn is_json(headers: &HeaderMap) -> bool {
-    let media_type = (headers.get(CONTENT_TYPE))
+    let media_type = headers
+        .get(CONTENT_TYPE)
         .and_then(|value| value.to_str().ok()?.split(';').next())
         .unwrap_or_default();
     media_type.trim().eq_ignore_ascii_case("application/json")
@@ -243,7 +247,7 @@ fn is_json(headers: &HeaderMap) -> bool {
 
 fn read_tokens(config: &HttpConfig, named: &[NamedToken]) -> Result<Vec<(Caller, Token)>, String> {
     let own = ("token", Role::Tune, &config.token, &config.token_file);
-    let named = (named.iter()).map(|one| (&*one.name, one.role, &one.token, &one.token_file));
+    let named = named.iter().map(|one| (&*one.name, one.role, &one.token, &one.token_file));
     let mut tokens = Vec::new();
     for (name, role, token, file) in std::iter::once(own).chain(named) {
         let token = match file {
@@ -273,7 +277,7 @@ pub fn read_token(file: &Path) -> Result<Token, String> {
 }
 
 fn carries(headers: &HeaderMap, token: &Token) -> bool {
-    let sent = (headers.get(AUTHORIZATION)).and_then(|sent| sent.as_bytes().split_at_checked(7));
+    let sent = headers.get(AUTHORIZATION).and_then(|sent| sent.as_bytes().split_at_checked(7));
     sent.is_some_and(|(scheme, sent)| {
         // In constant time, so that the delay does not reveal how many characters were right.
         let is_right = bool::from(sent.ct_eq(token.secret().as_bytes()));
@@ -299,7 +303,7 @@ fn is_address(host: &str) -> bool {
     let is_port = |port: &str| port.bytes().all(|byte| byte.is_ascii_digit());
     let with_port = host.rsplit_once(':').filter(|(_, port)| is_port(port));
     let name = with_port.map_or(host, |(name, _)| name);
-    let in_brackets = (name.strip_prefix('[')).and_then(|name| name.strip_suffix(']'));
+    let in_brackets = name.strip_prefix('[').and_then(|name| name.strip_suffix(']'));
     match in_brackets {
         Some(name) => name.parse::<Ipv6Addr>().is_ok(),
         None => name.eq_ignore_ascii_case("localhost") || name.parse::<Ipv4Addr>().is_ok(),

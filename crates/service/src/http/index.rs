@@ -17,7 +17,10 @@ pub struct Route {
 
 /// The routes in `document`, by path.
 pub fn routes(document: &OpenApi) -> Vec<Route> {
-    (document.paths.paths.iter())
+    document
+        .paths
+        .paths
+        .iter()
         .flat_map(|(path, item)| {
             let methods = [
                 ("GET", &item.get),

@@ -91,8 +91,7 @@ fn media_type(name: &str) -> Option<&'static str> {
 
 /// True if `Accept-Encoding` accepts gzip.
 fn takes_gzip(headers: &HeaderMap) -> bool {
-    let values = headers.get_all(ACCEPT_ENCODING).iter();
-    let values = values.filter_map(|value| value.to_str().ok());
+    let values = headers.get_all(ACCEPT_ENCODING).iter().filter_map(|value| value.to_str().ok());
     let codings = values.flat_map(|value| value.split(','));
     codings
         .map(|coding| coding.split_once(';').unwrap_or((coding, "")))

@@ -138,7 +138,10 @@ pub(super) async fn translate(
     }
     let (mut parts, body) = response.into_parts();
     let text = to_bytes(body, 4096).await.unwrap_or_default();
-    let allowed: Vec<_> = (parts.headers.get_all(ALLOW).iter())
+    let allowed: Vec<_> = parts
+        .headers
+        .get_all(ALLOW)
+        .iter()
         .filter_map(|methods| methods.to_str().ok())
         .flat_map(|methods| methods.split(','))
         .map(str::trim)

@@ -174,8 +174,10 @@ fn layered(config: &HttpConfig, methods: &[Method], router: Router, allowed: Gua
         .fallback_service(inner)
         .layer(from_fn_with_state(limit, problem::translate));
     if !config.cors_origins.is_empty() {
-        let origins = config.cors_origins.iter();
-        let origins = origins.filter_map(|origin| origin.parse::<HeaderValue>().ok());
+        let origins = config
+            .cors_origins
+            .iter()
+            .filter_map(|origin| origin.parse::<HeaderValue>().ok());
         // Outermost, because a preflight request carries no token.
         router = router.layer(
             CorsLayer::new()

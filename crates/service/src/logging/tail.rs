@@ -192,8 +192,7 @@ mod tests {
             tracing::info!(target: "tail_test", "{long}");
         });
         let kept = lines_after(0, KEPT);
-        let mine = kept.iter().filter(|line| line.target == "tail_test");
-        let mine: Vec<_> = mine.collect();
+        let mine: Vec<_> = kept.iter().filter(|line| line.target == "tail_test").collect();
         let [asked, refused, long] = mine[..] else {
             panic!("{mine:?}")
         };

@@ -14,7 +14,7 @@ const WAITING: usize = 4096;
 const PARTING: Duration = Duration::from_millis(1500);
 
 /// The time between two looks at the number of dropped lines.
-const LOOK_EVERY: Duration = Duration::from_secs(5);
+const COUNT_EVERY: Duration = Duration::from_secs(5);
 
 struct Writer {
     lines: NonBlocking,
@@ -32,8 +32,7 @@ pub(super) fn lines() -> NonBlocking {
 
 fn writer(to: impl io::Write + Send + 'static) -> &'static Writer {
     WRITER.get_or_init(|| {
-        let builder = NonBlockingBuilder::default();
-        let builder = builder.lossy(true).buffered_lines_limit(WAITING);
+        let builder = NonBlockingBuilder::default().lossy(true).buffered_lines_limit(WAITING);
         let (lines, thread) = builder.thread_name("log").finish(to);
         let dropped = lines.error_counter();
         // Without a thread for it the metric still tells.
@@ -52,7 +51,7 @@ fn writer(to: impl io::Write + Send + 'static) -> &'static Writer {
 fn tell_drops(counter: &ErrorCounter) {
     let mut told = 0;
     loop {
-        std::thread::sleep(LOOK_EVERY);
+        std::thread::sleep(COUNT_EVERY);
         let dropped = counter.dropped_lines();
         if dropped == told {
             continue;

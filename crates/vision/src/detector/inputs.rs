@@ -137,9 +137,9 @@ pub struct InputUse {
 
 /// The sizes of one model's input in use. Clones share them.
 #[derive(Clone)]
-pub(crate) struct Inputs(Arc<State>);
+pub(crate) struct Inputs(Arc<SharedInputs>);
 
-struct State {
+struct SharedInputs {
     model: ModelInput,
     /// By the smallest input, as rows and columns: as many as it has strides, whatever pictures come.
     uses: Mutex<BTreeMap<(u32, u32), InputUse>>,
@@ -148,7 +148,7 @@ struct State {
 impl Inputs {
     pub(crate) fn new(model: ModelInput) -> Self {
         let uses = Mutex::default();
-        Self(Arc::new(State { model, uses }))
+        Self(Arc::new(SharedInputs { model, uses }))
     }
 
     pub(crate) fn model(&self) -> ModelInput {

@@ -138,7 +138,7 @@ fn head_for(config: &DetectorConfig, session: &mut OnnxSession) -> Result<Heads,
             let found = head::recognise(&signature, input, names).map_err(&not_recognised)?;
             let name = match found.only() {
                 Some(name) => name,
-                None => look_at_black(session, input, |outputs| {
+                None => run_on_black(session, input, |outputs| {
                     found.by_values(&signature, outputs)
                 })
                 .map_err(|reason| StartError::first_run(&config.model, reason))?
@@ -155,7 +155,7 @@ fn head_for(config: &DetectorConfig, session: &mut OnnxSession) -> Result<Heads,
         config.overrides(),
     )
     .map_err(&does_not_fit)?;
-    let evidence = look_at_black(session, input, |outputs| {
+    let evidence = run_on_black(session, input, |outputs| {
         bound.largest().evidence(outputs, LEAST_SCORE)
     });
     match evidence.map_err(|reason| StartError::first_run(&config.model, reason))? {
@@ -172,12 +172,12 @@ fn head_for(config: &DetectorConfig, session: &mut OnnxSession) -> Result<Heads,
 const ANY_SIZE: PictureSize = PictureSize::new(640, 640);
 
 /// Runs the model on zeros, which are black in most ranges, and shows the outputs.
-fn look_at_black<R>(
+fn run_on_black<R>(
     session: &mut OnnxSession,
     input: PictureInput,
-    look: impl FnOnce(&[TensorView<'_>]) -> R,
+    read: impl FnOnce(&[TensorView<'_>]) -> R,
 ) -> Result<R, String> {
     let format = input.format(Fit::Stretch, ColorOrder::Rgb, ValueRange::To255);
     let pixels = 3 * usize::try_from(format.size.pixels()).unwrap_or_default();
-    session.run(format.shape(), format.size, &[&vec![0.0; pixels]], look)
+    session.run(format.shape(), format.size, &[&vec![0.0; pixels]], read)
 }

@@ -106,7 +106,7 @@ impl Reader {
     ///
     /// # Errors
     /// If the output does not have the shape that the model announced.
-    pub(super) fn look(
+    pub(super) fn detections(
         &mut self,
         head: &Head,
         outputs: &[TensorView<'_>],
@@ -282,8 +282,8 @@ mod tests {
         let boxes: Vec<f32> = (0..12).map(|value| value as f32).collect();
         let outputs = [view(&[2, 3, 2], &boxes), view(&[2, 1], &[0.5, 0.6])];
         let parts = Parts::of(&outputs, 2).unwrap();
-        let second = parts.get(&outputs, 1);
-        let second: Vec<_> = second.iter().map(|it| (it.shape, it.values)).collect();
+        let second: Vec<_> =
+            parts.get(&outputs, 1).iter().map(|it| (it.shape, it.values)).collect();
         let expected: [(&[i64], &[f32]); 2] = [(&[1, 3, 2], &boxes[6..]), (&[1, 1], &[0.6])];
         assert_eq!(second, expected);
         let error = Parts::of(&outputs, 3).err().unwrap().to_string();

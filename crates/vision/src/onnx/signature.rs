@@ -71,9 +71,10 @@ impl PictureInput {
             fit,
             color_order,
             // A model that takes bytes normalises them itself.
-            value_range: match self.takes_bytes {
-                true => ValueRange::To255,
-                false => value_range,
+            value_range: if self.takes_bytes {
+                ValueRange::To255
+            } else {
+                value_range
             },
             layout: self.layout,
         }

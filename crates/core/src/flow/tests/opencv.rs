@@ -35,7 +35,7 @@ fn points_move_as_in_opencv() {
     let text = std::fs::read_to_string(folder.join("points.json")).unwrap();
     let mut fixture: serde_json::Value = serde_json::from_str(&text).unwrap();
     let pairs: Vec<PicturePair> = serde_json::from_value(fixture["pairs"].take()).unwrap();
-    let mut tracker = Tracker::default();
+    let mut tracker = PointTracker::default();
     let (mut points, mut theirs, mut ours) = (0, 0, 0);
     let mut differences = Vec::new();
     for pair in &pairs {

@@ -24,7 +24,7 @@
 //! there as the object moves inwards belongs to it: such a side stays on the border, and its possible error is the
 //! distance over which it was held there since the last detection ([`Object::judge`]).
 
-use super::motion::{LOG_HEIGHT, LOG_WIDTH, Measured, X, Y};
+use super::motion::{AxisValues, LOG_HEIGHT, LOG_WIDTH, X, Y};
 use super::object::Object;
 use super::settings::{
     BORDER, CENTER_NOISE, DOUBT, FLOW_GRID, LONGEST_GAP, LOST_HEALTH, PIXEL_NOISE, SIZE_NOISE,
@@ -78,7 +78,7 @@ impl Follower {
     }
 
     /// True if it has received a picture since the start.
-    pub(crate) fn has_looked(&self) -> bool {
+    pub(crate) fn has_followed(&self) -> bool {
         self.examined
     }
 
@@ -98,7 +98,12 @@ impl Follower {
 
     /// Receives the picture of the current frame and follows the boxes into it. Ignores a picture whose number of
     /// pixels does not match its size.
-    pub(crate) fn look(&mut self, objects: &mut [Object], aspect: f64, picture: GreyPicture<'_>) {
+    pub(crate) fn follow_all(
+        &mut self,
+        objects: &mut [Object],
+        aspect: f64,
+        picture: GreyPicture<'_>,
+    ) {
         if !self.now.fill(picture) {
             return;
         }
@@ -151,7 +156,7 @@ impl Follower {
         let variance = variance(object, motion.spread, smaller, scale[1]);
         object.filter.follow(&moved, &variance);
         let filtered = object.filter.position();
-        let mut end: Measured = std::array::from_fn(|axis| then[axis] + moved[axis]);
+        let mut end: AxisValues = std::array::from_fn(|axis| then[axis] + moved[axis]);
         let margin = BORDER / scale[1];
         for (axis, (sides, length)) in
             [([X, LOG_WIDTH], aspect), ([Y, LOG_HEIGHT], 1.0)].into_iter().enumerate()
@@ -184,13 +189,13 @@ impl Follower {
 /// Along the axis `center` of a picture of this `length`, extends the box `end` to the sides of the box `then` that
 /// were within `margin` of the picture's border. Returns the increase in length.
 fn hold(
-    then: &Measured,
-    end: &mut Measured,
+    then: &AxisValues,
+    end: &mut AxisValues,
     [center, side]: [usize; 2],
     length: f64,
     margin: f64,
 ) -> f64 {
-    let span = |measured: &Measured| {
+    let span = |measured: &AxisValues| {
         let half = measured[side].exp() / 2.0;
         [measured[center] - half, measured[center] + half]
     };

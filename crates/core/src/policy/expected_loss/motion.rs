@@ -132,7 +132,7 @@ impl Earlier {
 }
 
 /// A box in the filter's measurement space: centre and logarithms of the sides.
-pub(super) type Measured = [f64; 4];
+pub(super) type AxisValues = [f64; 4];
 
 /// The filter of one object.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -146,7 +146,7 @@ pub(super) struct MotionFilter {
 
 impl MotionFilter {
     /// Creates a filter for an object at `measured`, moving at `velocity` in units of U.
-    pub(crate) fn new(measured: &Measured, velocity: &[f64; 3]) -> Self {
+    pub(crate) fn new(measured: &AxisValues, velocity: &[f64; 3]) -> Self {
         let sides = [LOG_WIDTH, LOG_HEIGHT].map(|axis| measured[axis].exp());
         let s = (sides[0] * sides[1]).sqrt();
         let r = measurement_variance(s);
@@ -177,7 +177,7 @@ impl MotionFilter {
     }
 
     /// Returns the object's position and log-sides.
-    pub(crate) fn position(&self) -> Measured {
+    pub(crate) fn position(&self) -> AxisValues {
         std::array::from_fn(|axis| self.axes[axis].x)
     }
 
@@ -222,7 +222,7 @@ impl MotionFilter {
     }
 
     /// Moves the box without changing its velocity or variance.
-    pub(crate) fn shift(&mut self, offset: &Measured) {
+    pub(crate) fn shift(&mut self, offset: &AxisValues) {
         for (axis, offset) in self.axes.iter_mut().zip(offset) {
             axis.x += offset;
         }
@@ -230,7 +230,7 @@ impl MotionFilter {
     }
 
     /// Applies a measurement; returns the four squared normalised innovations y²/S.
-    pub(crate) fn update(&mut self, measured: &Measured) -> [f64; 4] {
+    pub(crate) fn update(&mut self, measured: &AxisValues) -> [f64; 4] {
         let r = measurement_variance(self.size());
         if let Some(earlier) = &mut self.earlier {
             for (axis, earlier) in earlier.iter_mut().enumerate() {
@@ -257,13 +257,13 @@ impl MotionFilter {
     }
 
     /// Returns the remembered position.
-    pub(crate) fn remembered(&self) -> Option<Measured> {
+    pub(crate) fn remembered(&self) -> Option<AxisValues> {
         let earlier = self.earlier?;
         Some(std::array::from_fn(|axis| earlier[axis].a))
     }
 
     /// Applies the measured motion and growth since the remembered position, with their variances.
-    pub(crate) fn follow(&mut self, moved: &Measured, variance: &[f64; 4]) {
+    pub(crate) fn follow(&mut self, moved: &AxisValues, variance: &[f64; 4]) {
         let Some(earlier) = self.earlier.take() else {
             return;
         };

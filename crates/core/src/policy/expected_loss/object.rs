@@ -1,6 +1,6 @@
 //! The state of one object, its predicted miss probability and its confidence.
 
-use super::motion::{LARGEST_LOG, Measured, MotionFilter, X, Y};
+use super::motion::{AxisValues, LARGEST_LOG, MotionFilter, X, Y};
 use super::settings::{
     ALPHA_RATE, DETECTED_SHARE, HITS_TO_CONFIRM, LARGEST_INNOVATION, LAST_SCORE, LEAST_ALPHA,
     MISS_CONFIDENCE, MISS_WEIGHT, MISSES_TO_REMOVAL, MOST_ALPHA, NEWCOMER, NEWCOMER_FADING,
@@ -12,7 +12,7 @@ use crate::policy::{ObjectId, ObjectRecord};
 
 /// Converts a box to the filter's units: the unit of length is the picture's height, so that it is the same in both
 /// directions and independent of the resolution. `aspect` is the picture's width in that unit.
-pub(super) fn measure(bounding_box: BoundingBox, aspect: f64) -> Measured {
+pub(super) fn measure(bounding_box: BoundingBox, aspect: f64) -> AxisValues {
     [
         bounding_box.center_x * aspect,
         bounding_box.center_y,
@@ -54,7 +54,7 @@ pub(super) struct Object {
     /// Probability, 0 to 1, that the followed box still shows this object, given the flow since the last detection.
     pub health: f64,
     /// Offset of the followed box from the filter's, if boxes are followed: see [`Object::trail`].
-    pub offset: Option<Measured>,
+    pub offset: Option<AxisValues>,
     /// True if the object was followed since its last detection.
     pub trailing: bool,
     /// Distance over which sides on the picture's border were held there since the last detection, while the inside
@@ -135,7 +135,7 @@ impl Object {
     /// Returns the followed box, in the filter's units. It begins between the detector's box and the filter's and moves
     /// by the measured flow, not by the filter's estimate of it: a filter that is right about speed lags behind the
     /// detector's boxes.
-    pub(crate) fn trail(&self) -> Measured {
+    pub(crate) fn trail(&self) -> AxisValues {
         let own = self.filter.position();
         match self.offset {
             Some(offset) => std::array::from_fn(|axis| own[axis] + offset[axis]),

@@ -159,9 +159,10 @@ pub(in crate::policy) fn ride(asked: &str, hidden: usize) -> (Vec<(BoxSource, f6
     let (mut skipped, mut calls) = (Vec::new(), Vec::new());
     for index in 0..12 {
         let shift = 3.0 * index as f64;
-        let pixels = match index < hidden {
-            true => textured(GREY, shift),
-            false => vec![60; 320 * 180],
+        let pixels = if index < hidden {
+            textured(GREY, shift)
+        } else {
+            vec![60; 320 * 180]
         };
         let found = [Detection {
             bounding_box: BoundingBox::new((100.0 + shift) / 320.0, 0.5, 0.2, 0.25),

@@ -27,7 +27,7 @@ pub(crate) struct Examiner {
 impl Examiner {
     /// Compares the boxes published for a picture with the detector's; `None` if the detector has no time for it or the
     /// picture is broken.
-    pub(crate) async fn look(
+    pub(crate) async fn examine(
         self,
         picture: EncodedPicture,
         shown: Vec<OutputBox>,

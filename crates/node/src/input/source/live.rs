@@ -108,14 +108,16 @@ impl LiveSource {
             return Err(format!("{name}: no such file"));
         }
         let is_pipeline = resolved.kind == SourceKind::Pipeline;
-        let found = match is_pipeline {
-            true => None,
-            false => output_of(FFMPEG, "-version")?,
+        let found = if is_pipeline {
+            None
+        } else {
+            output_of(FFMPEG, "-version")?
         };
         if found.is_none() && output_of(GSTREAMER, "--version")?.is_none() {
-            let (programs, remedy) = match is_pipeline {
-                true => ("no `gst-launch-1.0`", INSTALL_GSTREAMER),
-                false => ("neither `ffmpeg` nor `gst-launch-1.0`", INSTALL_FFMPEG),
+            let (programs, remedy) = if is_pipeline {
+                ("no `gst-launch-1.0`", INSTALL_GSTREAMER)
+            } else {
+                ("neither `ffmpeg` nor `gst-launch-1.0`", INSTALL_FFMPEG)
             };
             return Err(format!("{name}: {programs} was found. {remedy}"));
         }
@@ -328,10 +330,11 @@ impl LiveSource {
         let mut last_slot = None;
         let mut bad_parts = 0;
         loop {
-            let read = match ppm {
-                true => read_ppm(output, &limits),
-                false => read_part(output, limits.max_payload_bytes as u64)
-                    .map(|part| part.map(|part| picture_of_file(Bytes::from(part), &limits))),
+            let read = if ppm {
+                read_ppm(output, &limits)
+            } else {
+                read_part(output, limits.max_payload_bytes as u64)
+                    .map(|part| part.map(|part| picture_of_file(Bytes::from(part), &limits)))
             };
             let picture = match read {
                 Ok(picture) => picture?,
@@ -389,9 +392,10 @@ impl LiveSource {
         if self.ffmpeg.is_none() || self.settings.address.kind() == SourceKind::File {
             return None;
         }
-        let is_jpeg = match self.not_jpeg {
-            true => false,
-            false => messages.codec()? == "mjpeg",
+        let is_jpeg = if self.not_jpeg {
+            false
+        } else {
+            messages.codec()? == "mjpeg"
         };
         let is_paced = self.is_http() && messages.is_paced();
         let way = match (is_paced, is_jpeg) {

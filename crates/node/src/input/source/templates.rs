@@ -111,6 +111,174 @@ pub(super) fn version(banner: &str) -> Version {
     major.map_or((u32::MAX, 0), |major| (major, minor))
 }
 
+/// A command line of ffmpeg that is being made.
+struct CommandLine<'a> {
+    settings: &'a SourceSettings,
+    way: Way,
+    version: Version,
+    arguments: Vec<String>,
+    /// The options with which the camera is opened: on the command line, or in a script.
+    camera: Vec<(&'a str, String)>,
+}
+
+impl<'a> CommandLine<'a> {
+    fn add(&mut self, words: &[&str]) {
+        self.arguments.extend(words.iter().map(ToString::to_string));
+    }
+
+    /// True if a script may have options of the camera.
+    fn takes_options(&self) -> bool {
+        self.version >= SCRIPT_OPTIONS
+    }
+
+    /// The largest block of memory that ffmpeg may take at once, bytes.
+    fn largest_block(&self) -> u64 {
+        let limits = &self.settings.limits;
+        let packets = limits.max_payload_bytes.saturating_mul(4);
+        if self.way.is_untouched() {
+            return packets as u64;
+        }
+        // Rows of decoded pictures are padded.
+        let rows = usize::try_from(limits.max_pixels.saturating_mul(5)).unwrap_or(usize::MAX);
+        packets.max(rows) as u64
+    }
+
+    /// How ffmpeg itself behaves, and how it decodes.
+    fn add_program(&mut self, largest_block: u64, live: bool) {
+        // Verbose: it says how far a connection has come.
+        self.add(&[
+            "-hide_banner",
+            "-nostats",
+            "-v",
+            "repeat+level+verbose",
+            "-max_alloc",
+        ]);
+        self.add(&[&largest_block.to_string()]);
+        let untouched = self.way.is_untouched();
+        match self.settings.hardware.as_deref().filter(|_| !untouched) {
+            Some(name) if is_among(ACCELERATIONS, name) => self.add(&["-hwaccel", name]),
+            Some(name) => self.add(&["-c:v", name]),
+            None => {}
+        }
+        if live {
+            // Decoding with several threads, each with its own frame, delays frames.
+            self.add(&["-flags", "low_delay"]);
+            self.camera.push(("analyzeduration", "2000000".to_owned()));
+        }
+    }
+
+    /// How a source of this kind is opened. Returns its address for ffmpeg.
+    fn add_source(&mut self, resolved: &Resolved, hidden_address: bool) -> String {
+        // In case this process is killed and cannot end ffmpeg.
+        let silence = (2 * self.settings.silence).as_micros().to_string();
+        let mut address = resolved.text().to_owned();
+        match &resolved.kind {
+            SourceKind::Network(scheme) if scheme.starts_with("rtsp") => {
+                let transport = self.settings.transport.as_str();
+                let takes_options = self.takes_options();
+                if takes_options || !hidden_address {
+                    let timeout = if takes_options { "timeout" } else { "stimeout" };
+                    self.camera.push(("rtsp_transport", transport.to_owned()));
+                    self.camera.push((timeout, silence));
+                } else {
+                    // Older versions accept it only at the end of the address.
+                    let sign = if address.contains('?') { '&' } else { '?' };
+                    address = format!("{address}{sign}{transport}");
+                }
+            }
+            SourceKind::Network(scheme) if scheme.starts_with("http") => {
+                self.camera.push(("rw_timeout", silence));
+            }
+            SourceKind::Device => {
+                self.add(&["-f", "v4l2"]);
+                if self.way.is_untouched() {
+                    self.camera.push(("input_format", "mjpeg".to_owned()));
+                }
+            }
+            SourceKind::File => self.add(&["-re", "-stream_loop", "-1"]),
+            SourceKind::Network(_) | SourceKind::Pipeline => {}
+        }
+        match self.way {
+            Way::Paced => self.add(&["-re"]),
+            Way::BareJpeg => self.add(&["-f", "mjpeg"]),
+            Way::Jpeg | Way::Decoded => {}
+        }
+        address
+    }
+
+    /// The user's own options: those of the camera go into the script, if there is one.
+    fn add_options(&mut self, scripted: bool) {
+        for (name, value) in self.settings.options.pairs() {
+            let of_program = is_among(PROGRAM_OPTIONS, name.split(':').next().unwrap_or(name));
+            match value {
+                Some(value) if scripted && !of_program => {
+                    self.camera.push((name, value.to_owned()));
+                }
+                _ => {
+                    self.add(&[&format!("-{name}")]);
+                    self.add(value.as_slice());
+                }
+            }
+        }
+    }
+
+    /// The input is a script on ffmpeg's own input, which is returned.
+    fn add_script(&mut self, address: &str) -> Result<String, String> {
+        let takes_options = self.takes_options();
+        if !takes_options && !self.settings.options.0.is_empty() {
+            return Err(format!(
+                "{}: ffmpeg before version 5 accepts no options for an address with a password: install a newer version, or \
+                 remove source_options",
+                self.settings.address
+            ));
+        }
+        self.add(&["-f", "concat", "-safe", "0"]);
+        self.add(&["-protocol_whitelist", PROTOCOLS, "-i", "pipe:0"]);
+        let address = address.replace('\\', "%5C").replace('\'', "%27");
+        let mut script = format!("ffconcat version 1.0\nfile '{address}'\n");
+        for (name, value) in self.camera.iter().filter(|_| takes_options) {
+            let value = value.replace('\'', "'\\''");
+            script.push_str(&format!("option {name} '{value}'\n"));
+        }
+        Ok(script)
+    }
+
+    /// The input is on the command line.
+    fn add_input(&mut self, address: &str) {
+        for (name, value) in std::mem::take(&mut self.camera) {
+            self.add(&[&format!("-{name}"), &value]);
+        }
+        // Otherwise a file name that begins with `-` would be an option.
+        let sign = if address.starts_with('-') { "./" } else { "" };
+        self.add(&["-nostdin", "-i", &format!("{sign}{address}")]);
+    }
+
+    /// What goes out: every picture, untouched or decoded.
+    fn add_output(&mut self) {
+        self.add(&["-map", "0:v:0"]);
+        // Whatever a camera's timestamps are, no picture is left out or repeated for them.
+        let fps_mode = if self.version >= FPS_MODE {
+            "-fps_mode"
+        } else {
+            "-vsync"
+        };
+        self.add(&[fps_mode, "passthrough"]);
+        if self.way.is_untouched() {
+            self.add(&["-c:v", "copy", "-f", "mpjpeg"]);
+        } else {
+            self.add(&["-vf", &filters(self.settings.max_rate)]);
+            self.add(&["-enc_time_base", "1/90000"]);
+            if self.settings.as_jpeg {
+                self.add(&["-c:v", "mjpeg", "-q:v", JPEG_QUALITY, "-f", "mpjpeg"]);
+            } else {
+                // Video of 10 or 16 bits would become files of 16 bits.
+                self.add(&["-pix_fmt", "rgb24", "-c:v", "ppm", "-f", "image2pipe"]);
+            }
+        }
+        self.add(&["-flush_packets", "1", "pipe:1"]);
+    }
+}
+
 /// The ffmpeg command that reads a source in that way. A secret address or option is passed in a script on its input, not
 /// on its command line, which every user of the machine can see.
 ///
@@ -121,147 +289,43 @@ pub(super) fn ffmpeg(
     way: Way,
     version: Version,
 ) -> Result<PictureProgram, String> {
+    let mut command = CommandLine {
+        settings,
+        way,
+        version,
+        arguments: Vec::new(),
+        camera: Vec::new(),
+    };
     let mut resolved = settings.address.resolved()?;
-    let untouched = way.is_untouched();
     let hidden_address = !resolved.secrets.is_empty();
-    let takes_options = version >= SCRIPT_OPTIONS;
-    let live = resolved.kind != SourceKind::File;
-    let limits = &settings.limits;
-    let packets = limits.max_payload_bytes.saturating_mul(4);
-    let max_block = if untouched {
-        packets
-    } else {
-        // Rows of decoded pictures are padded.
-        packets.max(usize::try_from(limits.max_pixels.saturating_mul(5)).unwrap_or(usize::MAX))
-    } as u64;
-
-    let mut arguments = Vec::new();
-    let mut add = |words: &[&str]| arguments.extend(words.iter().map(ToString::to_string));
-    // Verbose: it says how far a connection has come.
-    add(&[
-        "-hide_banner",
-        "-nostats",
-        "-v",
-        "repeat+level+verbose",
-        "-max_alloc",
-    ]);
-    add(&[&max_block.to_string()]);
-    match settings.hardware.as_deref().filter(|_| !untouched) {
-        Some(name) if is_among(ACCELERATIONS, name) => add(&["-hwaccel", name]),
-        Some(name) => add(&["-c:v", name]),
-        None => {}
-    }
-    // The options with which the camera is opened.
-    let mut camera = Vec::new();
-    if live {
-        // Decoding with several threads, each with its own frame, delays frames.
-        add(&["-flags", "low_delay"]);
-        camera.push(("analyzeduration", "2000000".to_owned()));
-    }
-    // In case this process is killed and cannot end ffmpeg.
-    let silence = (2 * settings.silence).as_micros().to_string();
-    let mut address = resolved.text().to_owned();
-    match &resolved.kind {
-        SourceKind::Network(scheme) if scheme.starts_with("rtsp") => {
-            let transport = settings.transport.as_str();
-            if takes_options || !hidden_address {
-                let timeout = if takes_options { "timeout" } else { "stimeout" };
-                camera.push(("rtsp_transport", transport.to_owned()));
-                camera.push((timeout, silence));
-            } else {
-                // Older versions accept it only at the end of the address.
-                let sign = if address.contains('?') { '&' } else { '?' };
-                address = format!("{address}{sign}{transport}");
-            }
-        }
-        SourceKind::Network(scheme) if scheme.starts_with("http") => {
-            camera.push(("rw_timeout", silence));
-        }
-        SourceKind::Device => {
-            add(&["-f", "v4l2"]);
-            if untouched {
-                camera.push(("input_format", "mjpeg".to_owned()));
-            }
-        }
-        SourceKind::File => add(&["-re", "-stream_loop", "-1"]),
-        SourceKind::Network(_) | SourceKind::Pipeline => {}
-    }
-    match way {
-        Way::Paced => add(&["-re"]),
-        Way::BareJpeg => add(&["-f", "mjpeg"]),
-        Way::Jpeg | Way::Decoded => {}
-    }
+    let largest_block = command.largest_block();
+    command.add_program(largest_block, resolved.kind != SourceKind::File);
+    let address = command.add_source(&resolved, hidden_address);
     let mut secrets = settings.options.secrets().peekable();
     let networked = matches!(resolved.kind, SourceKind::Network(_));
-    let scripted = hidden_address || (networked && takes_options && secrets.peek().is_some());
+    let has_secret = secrets.peek().is_some();
+    let scripted = hidden_address || (networked && command.takes_options() && has_secret);
     secrets.for_each(|secret| resolved.secrets.add(secret));
-    for (name, value) in settings.options.pairs() {
-        let of_program = is_among(PROGRAM_OPTIONS, name.split(':').next().unwrap_or(name));
-        match value {
-            Some(value) if scripted && !of_program => camera.push((name, value.to_owned())),
-            _ => {
-                add(&[&format!("-{name}")]);
-                add(value.as_slice());
-            }
-        }
-    }
+    command.add_options(scripted);
     let input = if scripted {
-        if !takes_options && !settings.options.0.is_empty() {
-            return Err(format!(
-                "{}: ffmpeg before version 5 accepts no options for an address with a password: install a newer version, or \
-                 remove source_options",
-                settings.address
-            ));
-        }
-        add(&["-f", "concat", "-safe", "0"]);
-        add(&["-protocol_whitelist", PROTOCOLS, "-i", "pipe:0"]);
-        let address = address.replace('\\', "%5C").replace('\'', "%27");
-        let mut script = format!("ffconcat version 1.0\nfile '{address}'\n");
-        for (name, value) in camera.iter().filter(|_| takes_options) {
-            let value = value.replace('\'', "'\\''");
-            script.push_str(&format!("option {name} '{value}'\n"));
-        }
-        Some(script)
+        Some(command.add_script(&address)?)
     } else {
-        for (name, value) in &camera {
-            add(&[&format!("-{name}"), value]);
-        }
-        // Otherwise a file name that begins with `-` would be an option.
-        let sign = if address.starts_with('-') { "./" } else { "" };
-        add(&["-nostdin", "-i", &format!("{sign}{address}")]);
+        command.add_input(&address);
         None
     };
-    add(&["-map", "0:v:0"]);
-    // Whatever a camera's timestamps are, no picture is left out or repeated for them.
-    let fps_mode = if version >= FPS_MODE {
-        "-fps_mode"
-    } else {
-        "-vsync"
-    };
-    add(&[fps_mode, "passthrough"]);
-    let ppm = !untouched && !settings.as_jpeg;
-    if untouched {
-        add(&["-c:v", "copy", "-f", "mpjpeg"]);
-    } else {
-        add(&["-vf", &filters(settings.max_rate)]);
-        add(&["-enc_time_base", "1/90000"]);
-        add(match settings.as_jpeg {
-            true => &["-c:v", "mjpeg", "-q:v", JPEG_QUALITY, "-f", "mpjpeg"],
-            // Video of 10 or 16 bits would become files of 16 bits.
-            false => &["-pix_fmt", "rgb24", "-c:v", "ppm", "-f", "image2pipe"],
-        });
-    }
-    add(&["-flush_packets", "1", "pipe:1"]);
+    command.add_output();
     Ok(PictureProgram {
         program: FFMPEG,
-        arguments,
+        arguments: command.arguments,
         input,
-        tells_broken: !untouched,
-        ppm,
+        tells_broken: !way.is_untouched(),
+        ppm: !way.is_untouched() && !settings.as_jpeg,
         secrets: resolved.secrets,
         // A graphics card's driver maps any amount of memory.
-        max_memory: (settings.hardware.is_none())
-            .then(|| WORKING_MEMORY.saturating_add(4 * max_block)),
+        max_memory: settings
+            .hardware
+            .is_none()
+            .then(|| WORKING_MEMORY.saturating_add(4 * largest_block)),
     })
 }
 

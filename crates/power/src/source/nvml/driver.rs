@@ -65,7 +65,7 @@ impl Cards for Nvml {
         BoardState {
             hottest_celsius: celsius,
             hottest_sensor: celsius.map(|_| "gpu".to_owned()),
-            throttled: (reasons.unwrap_or_default()).map(|r| r.intersects(held_back)),
+            throttled: reasons.unwrap_or_default().map(|r| r.intersects(held_back)),
             gpu_mhz: clock.unwrap_or_default().map(f64::from),
             ..BoardState::default()
         }

@@ -138,7 +138,7 @@ impl Column {
 }
 
 /// The place of a column: the index of its output, and its place in a row of it.
-type Place = (usize, usize);
+type ColumnPlace = (usize, usize);
 
 /// The parameters for reading the outputs.
 #[derive(Debug)]
@@ -146,12 +146,12 @@ struct Finished {
     size: PictureSize,
     /// For each output that is read: its index in the model, its shape, and the length of a row.
     outputs: Vec<(usize, Vec<i64>, usize)>,
-    batch: Option<Place>,
+    batch: Option<ColumnPlace>,
     /// Left or centre, and right or width: the columns and what they mean.
-    across: [(Column, Place); 2],
-    down: [(Column, Place); 2],
-    score: Place,
-    class: Option<Place>,
+    across: [(Column, ColumnPlace); 2],
+    down: [(Column, ColumnPlace); 2],
+    score: ColumnPlace,
+    class: Option<ColumnPlace>,
 }
 
 /// Binds the columns to a model.
@@ -254,7 +254,10 @@ impl Finished {
     }
 
     /// The left and the right side, or the upper and the lower one, of a row.
-    fn sides(columns: &[(Column, Place); 2], number: impl Fn(Place) -> f32) -> (f64, f64) {
+    fn sides(
+        columns: &[(Column, ColumnPlace); 2],
+        number: impl Fn(ColumnPlace) -> f32,
+    ) -> (f64, f64) {
         let [(first, start), (second, end)] = columns;
         let (start, end) = (f64::from(number(*start)), f64::from(number(*end)));
         let is_length = matches!(second, Column::Width | Column::Height);
@@ -275,7 +278,7 @@ impl Finished {
     ) -> Result<(), String> {
         let (numbers, rows) = self.numbers(outputs)?;
         for row in 0..rows {
-            let number = |(output, place): Place| {
+            let number = |(output, place): ColumnPlace| {
                 let (values, length) = numbers[output];
                 values[row * length + place]
             };

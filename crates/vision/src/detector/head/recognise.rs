@@ -164,8 +164,9 @@ fn refused(signature: &Signature, input: PictureInput, reason: impl std::fmt::Di
     let heads: Vec<_> = FAMILIES
         .iter()
         .map(|family| {
-            let found = looks_like(family, signature, input).err();
-            let found = found.unwrap_or_else(|| "it could be".to_owned());
+            let found = looks_like(family, signature, input)
+                .err()
+                .unwrap_or_else(|| "it could be".to_owned());
             format!(
                 "    {}: {} ({found})",
                 family.name.as_str(),

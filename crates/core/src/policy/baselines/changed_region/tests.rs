@@ -31,9 +31,10 @@ fn pictures() -> impl Strategy<Value = (usize, Vec<u8>, Vec<u8>)> {
     (1..24usize, 0..24usize, 0.0..1.0f64).prop_flat_map(|(width, height, density)| {
         let pixel = (any::<u8>(), prop::bool::weighted(density)).prop_map(|(before, changed)| {
             let distance = if changed { 30 } else { 29 };
-            let after = match before < 128 {
-                true => before + distance,
-                false => before - distance,
+            let after = if before < 128 {
+                before + distance
+            } else {
+                before - distance
             };
             (before, after)
         });

@@ -199,9 +199,12 @@ fn base64(bytes: &[u8]) -> String {
     let letters = bytes.chunks(3).flat_map(|chunk| {
         let bits = chunk.iter().fold(0_u32, |bits, byte| bits << 8 | u32::from(*byte));
         let bits = bits << (8 * (3 - chunk.len()));
-        (0..4).map(move |place| match place <= chunk.len() {
-            true => char::from(LETTERS[(bits >> (18 - 6 * place)) as usize & 63]),
-            false => '=',
+        (0..4).map(move |place| {
+            if place <= chunk.len() {
+                char::from(LETTERS[(bits >> (18 - 6 * place)) as usize & 63])
+            } else {
+                '='
+            }
         })
     });
     letters.collect()
