@@ -8,51 +8,44 @@ pub use energy::{EnergyBy, EnergyGroup, EnergyQuery, Resolution, Sort};
 pub use positions::{PositionQuery, PositionedClip};
 pub use rows::{ClipQuery, StoredClip, StoredEvent, StoredSetAside};
 
-use albireo_wire::{AuditFigures, AuditReport, AuditSquares, AuditSums};
-use serde::Deserialize;
+use crate::store::StoreError;
+use crate::store::row::{FromRow, Row};
+use albireo_wire::{AuditFigures, AuditReport, EnergyQuality};
 
 /// The audit's columns of a clip or of sums; null where no clip has an audit. The databases sum them as floating-point numbers.
-#[derive(Deserialize)]
-struct AuditColumns {
-    audit_frames: Option<f64>,
-    audit_missed: Option<f64>,
-    audit_missed_boxes: Option<f64>,
-    audit_calls: Option<f64>,
-    audit_us: Option<f64>,
-    audit_detected: Option<f64>,
-    audit_shown: Option<f64>,
-    audit_paired: Option<f64>,
-    audit_detected_sq: Option<f64>,
-    audit_shown_sq: Option<f64>,
-    audit_paired_sq: Option<f64>,
-    audit_detected_x: Option<f64>,
-    audit_shown_x: Option<f64>,
+struct AuditColumns(AuditReport);
+
+impl FromRow for AuditColumns {
+    fn from_row(row: &mut Row) -> Result<Self, StoreError> {
+        // Without an audit nothing was counted.
+        let mut count = || Ok::<_, StoreError>(row.take::<Option<f64>>()?.unwrap_or(0.0) as u64);
+        let mut audit = AuditReport::default();
+        audit.sums.frames = count()?;
+        audit.sums.missed = count()?;
+        audit.sums.missed_boxes = count()?;
+        audit.calls = count()?;
+        audit.detector_us = count()?;
+        audit.sums.detected = count()?;
+        audit.sums.shown = count()?;
+        audit.sums.paired = count()?;
+        let squares = &mut audit.sums.squares;
+        squares.detected = count()?;
+        squares.detected_paired = count()?;
+        squares.shown = count()?;
+        squares.paired = count()?;
+        squares.shown_paired = count()?;
+        Ok(Self(audit))
+    }
 }
 
-impl AuditColumns {
-    /// The counts; without an audit all are 0.
-    fn report(&self) -> AuditReport {
-        let count = |sum: Option<f64>| sum.unwrap_or(0.0) as u64;
-        AuditReport {
-            calls: count(self.audit_calls),
-            detector_us: count(self.audit_us),
-            sums: AuditSums {
-                missed: count(self.audit_missed),
-                missed_boxes: count(self.audit_missed_boxes),
-                frames: count(self.audit_frames),
-                detected: count(self.audit_detected),
-                shown: count(self.audit_shown),
-                paired: count(self.audit_paired),
-                squares: AuditSquares {
-                    detected: count(self.audit_detected_sq),
-                    shown: count(self.audit_shown_sq),
-                    paired: count(self.audit_paired_sq),
-                    detected_paired: count(self.audit_detected_x),
-                    shown_paired: count(self.audit_shown_x),
-                },
-            },
-            ..AuditReport::default()
-        }
+/// The quality of energy that the statements call by that name.
+fn quality(name: &str) -> Option<EnergyQuality> {
+    match name {
+        "measured" => Some(EnergyQuality::Measured),
+        "partial" => Some(EnergyQuality::Partial),
+        "estimated" => Some(EnergyQuality::Estimated),
+        "unavailable" => Some(EnergyQuality::Unavailable),
+        _ => None,
     }
 }
 

@@ -22,8 +22,7 @@ pub(crate) use partitions::{DAILY, keep_days};
 
 use crate::config::DatabaseConfig;
 use parking_lot::Mutex;
-use row::Row;
-use serde_json::Value;
+use row::{Param, Row};
 pub(crate) use sqlite::Access;
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -164,7 +163,7 @@ impl Store {
     pub(crate) async fn query(
         &self,
         text: impl Into<Cow<'static, str>>,
-        values: Vec<Value>,
+        values: Vec<Param>,
     ) -> Result<Vec<Row>, StoreError> {
         let text = text.into();
         let limit = Duration::from_millis(self.0.timeout_ms);

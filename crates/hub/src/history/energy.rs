@@ -1,11 +1,10 @@
 //! Reads sums over time and fleet. Measured, partial and estimated energy are never added.
 
-use super::{AuditColumns, audit_figures};
-use crate::store::row::{Row, read, whole};
+use super::{AuditColumns, audit_figures, quality};
+use crate::store::row::{FromRow, Row, read_all};
 use crate::store::{Store, StoreError};
 use albireo_wire::{AuditFigures, AuditReport, EnergyQuality};
 use serde::{Deserialize, Serialize};
-use serde_json::json;
 use std::ops::Range;
 use utoipa::{IntoParams, ToSchema};
 
@@ -81,18 +80,14 @@ pub struct EnergyGroup {
     /// Sums of different qualities are never added.
     pub quality: EnergyQuality,
     /// Clips.
-    #[serde(deserialize_with = "whole")]
     pub clips: i64,
     /// Seconds of clips.
     pub duration_s: f64,
     /// Frames.
-    #[serde(deserialize_with = "whole")]
     pub frames: i64,
     /// Avoided calls of the detector: frames answered without it, except degraded ones.
-    #[serde(deserialize_with = "whole")]
     pub avoided_calls: i64,
     /// Calls of the detector.
-    #[serde(deserialize_with = "whole")]
     pub detector_calls: i64,
     /// Share of frames with state E or P that are not degraded.
     pub skip_rate: f64,
@@ -108,7 +103,6 @@ pub struct EnergyGroup {
     /// Energy that the avoided calls would have cost, joules: always an estimate, summed over the nodes' reports.
     pub saved_joules_estimated: f64,
     /// Avoided calls that the estimate leaves out, because their node did not know the cost of a call.
-    #[serde(deserialize_with = "whole")]
     pub unpriced_calls: i64,
     /// Audit results of skipped frames; absent without an audit.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -118,6 +112,45 @@ pub struct EnergyGroup {
     /// The counts of the audit, for sums over groups.
     #[serde(skip)]
     pub audit_counts: AuditReport,
+}
+
+impl FromRow for EnergyGroup {
+    fn from_row(row: &mut Row) -> Result<Self, StoreError> {
+        let group = row.take()?;
+        let quality = row.take_named(quality)?;
+        // The databases sum whole numbers as floating-point numbers.
+        let clips = row.take::<f64>()? as i64;
+        let duration_s = row.take()?;
+        let frames = row.take::<f64>()? as i64;
+        let avoided_calls = row.take::<f64>()? as i64;
+        let unpriced_calls = row.take::<f64>()? as i64;
+        let detector_calls = row.take::<f64>()? as i64;
+        let skip_rate = row.take()?;
+        let joules = row.take()?;
+        let distance_km = row.take()?;
+        let joules_per_km = row.take()?;
+        let saved_joules_estimated = row.take()?;
+        let audit_joules = row.take()?;
+        let AuditColumns(audit_counts) = AuditColumns::from_row(row)?;
+        Ok(Self {
+            group,
+            quality,
+            clips,
+            duration_s,
+            frames,
+            avoided_calls,
+            detector_calls,
+            skip_rate,
+            joules,
+            distance_km,
+            joules_per_km,
+            saved_joules_estimated,
+            unpriced_calls,
+            audit: audit_figures(&audit_counts),
+            audit_joules,
+            audit_counts,
+        })
+    }
 }
 
 const HOURS: &str = "(SELECT h.*, '' AS clip FROM sums_hour h)";
@@ -132,6 +165,21 @@ const FLEET: &str = "(0) AND $6 = ''";
 const CAMERAS: &str = "(SELECT id FROM cameras) AND $6 = ''";
 const CAMERAS_OF_NODE: &str =
     "(SELECT c.id FROM cameras c JOIN nodes o ON o.id = c.node_id WHERE o.name = $6)";
+
+impl EnergyBy {
+    /// Its name in the statement.
+    const fn name(self) -> &'static str {
+        match self {
+            Self::All => "all",
+            Self::Node => "node",
+            Self::Camera => "camera",
+            Self::Day => "day",
+            Self::Policy => "policy",
+            Self::Threshold => "threshold",
+            Self::Clip => "clip",
+        }
+    }
+}
 
 impl Store {
     /// The sums of spans that begin within `seconds` since the Unix epoch. Sums over the whole fleet are read from
@@ -162,23 +210,13 @@ impl Store {
             include_str!("sql/energy_order.sql"),
         );
         let values = vec![
-            json!(wanted.by),
+            wanted.by.name().into(),
             seconds.start.into(),
             seconds.end.into(),
             i64::from(wanted.sort == Sort::Joules).into(),
             wanted.limit.unwrap_or(i64::MAX).into(),
             wanted.node.as_deref().unwrap_or_default().into(),
         ];
-        let rows = self.query(text, values).await?.into_iter();
-        let group = |row: Row| {
-            let audit: AuditColumns = read(row.clone())?;
-            let audit_counts = audit.report();
-            Ok(EnergyGroup {
-                audit: audit_figures(&audit_counts),
-                audit_counts,
-                ..read(row)?
-            })
-        };
-        rows.map(group).collect()
+        read_all(self.query(text, values).await?)
     }
 }

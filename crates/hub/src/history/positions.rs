@@ -1,6 +1,7 @@
 //! Reads and deletes where clips were made.
 
-use crate::store::row::{json_text, read_all};
+use super::quality;
+use crate::store::row::{FromRow, Row, read_all};
 use crate::store::{Store, StoreError};
 use albireo_wire::{ClipTravel, EnergyQuality};
 use serde::{Deserialize, Serialize};
@@ -55,9 +56,30 @@ pub struct PositionedClip {
     /// Energy of the whole node per kilometre, joules; null if it is not known in full or the camera did not move.
     pub joules_per_km: Option<f64>,
     /// Its way.
-    #[serde(skip_serializing, deserialize_with = "json_text::deserialize")]
+    #[serde(skip_serializing)]
     #[schema(ignore)]
     pub travel: ClipTravel,
+}
+
+impl FromRow for PositionedClip {
+    fn from_row(row: &mut Row) -> Result<Self, StoreError> {
+        Ok(Self {
+            id: row.take()?,
+            node: row.take()?,
+            camera: row.take()?,
+            clip: row.take()?,
+            part: row.take()?,
+            at_ms: row.take()?,
+            duration_s: row.take()?,
+            frames: row.take()?,
+            skip_rate: row.take()?,
+            distance_m: row.take()?,
+            quality: row.take_named(quality)?,
+            joules: row.take()?,
+            joules_per_km: row.take()?,
+            travel: row.take_json()?,
+        })
+    }
 }
 
 impl Store {

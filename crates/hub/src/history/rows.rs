@@ -1,8 +1,8 @@
 //! Reads clips, events, report counts and invalid reports.
 
-use super::{AuditColumns, audit_figures};
+use super::{AuditColumns, audit_figures, quality};
 use crate::ingest::ReportCounts;
-use crate::store::row::{Row, json_text, read, read_all};
+use crate::store::row::{FromRow, Param, Row, read_all};
 use crate::store::{Store, StoreError};
 use albireo_wire::{AuditFigures, EnergyQuality};
 use serde::{Deserialize, Serialize};
@@ -39,7 +39,6 @@ pub struct StoredClip {
     /// Camera.
     pub camera: String,
     /// Identity of the report.
-    #[serde(deserialize_with = "uuid::serde::compact::deserialize")]
     #[schema(value_type = String)]
     pub report_id: Uuid,
     /// Running count of the report at its node.
@@ -86,7 +85,6 @@ pub struct StoredClip {
     /// Name of its threshold, or of the target that moves it; empty without one.
     pub threshold: String,
     /// The value of the threshold at the end of the clip, or of the target.
-    #[serde(deserialize_with = "json_text::deserialize")]
     pub value: Option<f64>,
     /// Detector model.
     pub model: String,
@@ -128,7 +126,6 @@ pub struct StoredEvent {
     /// The node it is about.
     pub node: Option<String>,
     /// Details, by kind.
-    #[serde(deserialize_with = "json_text::deserialize")]
     pub detail: Value,
 }
 
@@ -149,6 +146,72 @@ pub struct StoredSetAside {
     pub body: String,
 }
 
+impl FromRow for StoredClip {
+    fn from_row(row: &mut Row) -> Result<Self, StoreError> {
+        Ok(Self {
+            id: row.take()?,
+            node: row.take()?,
+            camera: row.take()?,
+            report_id: row.take()?,
+            count: row.take()?,
+            at_ms: row.take()?,
+            received_ms: row.take()?,
+            clip: row.take()?,
+            part: row.take()?,
+            ended_by: row.take()?,
+            duration_s: row.take()?,
+            frames: row.take()?,
+            e: row.take()?,
+            p: row.take()?,
+            ei: row.take()?,
+            i: row.take()?,
+            ai: row.take()?,
+            degraded: row.take()?,
+            dropped: row.take()?,
+            latency_mean_ms: row.take()?,
+            latency_p99_ms: row.take()?,
+            detector_calls: row.take()?,
+            detector_mean_ms: row.take()?,
+            policy: row.take()?,
+            threshold: row.take()?,
+            value: row.take_json()?,
+            model: row.take()?,
+            provider: row.take()?,
+            power_source: row.take()?,
+            quality: row.take_named(quality)?,
+            joules: row.take()?,
+            edp: row.take()?,
+            distance_m: row.take()?,
+            audit: audit_figures(&AuditColumns::from_row(row)?.0),
+        })
+    }
+}
+
+impl FromRow for StoredEvent {
+    fn from_row(row: &mut Row) -> Result<Self, StoreError> {
+        Ok(Self {
+            id: row.take()?,
+            at_ms: row.take()?,
+            kind: row.take()?,
+            node: row.take()?,
+            detail: row.take_json()?,
+        })
+    }
+}
+
+impl FromRow for StoredSetAside {
+    fn from_row(row: &mut Row) -> Result<Self, StoreError> {
+        Ok(Self {
+            id: row.take()?,
+            node: row.take()?,
+            report_id: row.take()?,
+            received_ms: row.take()?,
+            cause: row.take()?,
+            body: row.take()?,
+        })
+    }
+}
+
 impl Store {
     /// At most `limit` clips, the last received first.
     ///
@@ -159,7 +222,7 @@ impl Store {
         wanted: &ClipQuery,
         limit: i64,
     ) -> Result<Vec<StoredClip>, StoreError> {
-        let mut values: Vec<Value> = vec![
+        let mut values: Vec<Param> = vec![
             wanted.cursor.unwrap_or(i64::MAX).into(),
             wanted.since_ms.unwrap_or(i64::MIN).into(),
             wanted.until_ms.unwrap_or(i64::MAX).into(),
@@ -173,15 +236,7 @@ impl Store {
             }
             None => CLIPS,
         };
-        let rows = self.query(text, values).await?.into_iter();
-        let clip = |row: Row| {
-            let audit: AuditColumns = read(row.clone())?;
-            Ok(StoredClip {
-                audit: audit_figures(&audit.report()),
-                ..read(row)?
-            })
-        };
-        rows.map(clip).collect()
+        read_all(self.query(text, values).await?)
     }
 
     /// The number of the last event; 0 if there is none.
@@ -189,13 +244,9 @@ impl Store {
     /// # Errors
     /// When the database cannot be read.
     pub(crate) async fn last_event(&self) -> Result<i64, StoreError> {
-        let text = "SELECT COALESCE(max(id), 0) AS id FROM events";
-        #[derive(Deserialize)]
-        struct Last {
-            id: i64,
-        }
-        let rows: Vec<Last> = read_all(self.query(text, Vec::new()).await?)?;
-        Ok(rows.first().map_or(0, |last| last.id))
+        let text = "SELECT COALESCE(max(id), 0) FROM events";
+        let first = self.query(text, Vec::new()).await?.into_iter().next();
+        first.map_or(Ok(0), |mut row| row.take())
     }
 
     /// Events with numbers above `id`, in order.
@@ -207,7 +258,8 @@ impl Store {
         id: i64,
         limit: i64,
     ) -> Result<Vec<StoredEvent>, StoreError> {
-        let text = "SELECT * FROM events WHERE id > $1 ORDER BY id LIMIT $2";
+        let text =
+            "SELECT id, at_ms, kind, node, detail FROM events WHERE id > $1 ORDER BY id LIMIT $2";
         read_all(self.query(text, vec![id.into(), limit.into()]).await?)
     }
 
@@ -221,7 +273,7 @@ impl Store {
         before_id: Option<i64>,
         limit: i64,
     ) -> Result<Vec<StoredSetAside>, StoreError> {
-        let text = "SELECT a.*, n.name AS node FROM set_aside a JOIN nodes n ON n.id = a.node_id \
+        let text = "SELECT a.id, n.name, a.report_id, a.received_ms, a.cause, a.body FROM set_aside a JOIN nodes n ON n.id = a.node_id \
                     WHERE a.id < $1 AND ($2 = '' OR n.name = $2) ORDER BY a.id DESC LIMIT $3";
         let values = vec![
             before_id.unwrap_or(i64::MAX).into(),
@@ -239,9 +291,9 @@ impl Store {
         &self,
         node: &str,
     ) -> Result<Option<ReportCounts>, StoreError> {
-        let text =
-            "SELECT r.* FROM report_counts r JOIN nodes n ON n.id = r.node_id WHERE n.name = $1";
-        let rows = self.query(text, vec![node.into()]).await?;
-        rows.into_iter().next().map(read).transpose()
+        let text = "SELECT r.first_ms, r.last_ms, r.stored, r.set_aside, r.refused, r.missing, r.resets \
+                    FROM report_counts r JOIN nodes n ON n.id = r.node_id WHERE n.name = $1";
+        let rows: Vec<ReportCounts> = read_all(self.query(text, vec![node.into()]).await?)?;
+        Ok(rows.into_iter().next())
     }
 }

@@ -4,11 +4,10 @@
 use super::counters::IngestCounts;
 use super::plan::Present;
 use super::travel::TravelRow;
-use crate::store::row::{Columns, text};
+use crate::store::StoreError;
+use crate::store::row::{Columns, FromRow, IntoRow, Row, text};
 use albireo_service::clock::DAY_MS;
 use albireo_wire::{AuditReport, ClipEnd, ClipReport};
-use serde::{Deserialize, Serialize};
-use serde_json::json;
 use uuid::Uuid;
 
 /// Largest energy of a clip, joules: about 3 kWh.
@@ -39,7 +38,7 @@ pub(crate) struct Clip {
 }
 
 /// The columns of a setup: what the clips of one configuration share. A missing text is empty.
-#[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct SetupRow {
     policy: String,
     /// The name of the threshold, or of the target that moves it with every clip.
@@ -50,6 +49,45 @@ pub(crate) struct SetupRow {
     provider: String,
     power_source: String,
     total_from: String,
+}
+
+impl FromRow for SetupRow {
+    fn from_row(row: &mut Row) -> Result<Self, StoreError> {
+        Ok(Self {
+            policy: row.take()?,
+            threshold: row.take()?,
+            value: row.take()?,
+            model: row.take()?,
+            provider: row.take()?,
+            power_source: row.take()?,
+            total_from: row.take()?,
+        })
+    }
+}
+
+impl IntoRow for &SetupRow {
+    const TABLE: &'static str = "setups";
+
+    fn columns(&self) -> Result<Columns<'static>, StoreError> {
+        Ok(vec![
+            ("policy", self.policy.as_str().into()),
+            ("threshold", self.threshold.as_str().into()),
+            ("value", self.value.as_str().into()),
+            ("model", self.model.as_str().into()),
+            ("provider", self.provider.as_str().into()),
+            ("power_source", self.power_source.as_str().into()),
+            ("total_from", self.total_from.as_str().into()),
+        ])
+    }
+}
+
+/// The row of a clip, with its day, camera and setup.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct StoredClipRow {
+    pub(crate) day: i64,
+    pub(crate) camera_id: i64,
+    pub(crate) setup_id: i64,
+    pub(crate) clip: ClipRow,
 }
 
 /// The columns of a clip, without its day, camera and setup. In `_us` they are microseconds, in `_uj` microjoules.
@@ -283,6 +321,18 @@ fn name(what: &str, given: &str) -> Result<String, String> {
     Ok(text(given))
 }
 
+/// The name of an end in the table, which is its name in a report.
+const fn ended_by(end: ClipEnd) -> &'static str {
+    match end {
+        ClipEnd::NextClip => "next_clip",
+        ClipEnd::Window => "window",
+        ClipEnd::Silence => "silence",
+        ClipEnd::Shutdown => "shutdown",
+        ClipEnd::Length => "length",
+        ClipEnd::Other => "other",
+    }
+}
+
 impl ClipRow {
     /// The additions to the counters.
     pub(super) fn counted(&self) -> IngestCounts {
@@ -303,72 +353,96 @@ impl ClipRow {
             ..IngestCounts::default()
         }
     }
+}
 
-    /// The row to insert.
-    pub(super) fn columns(&self, day: i64, camera_id: i64, setup_id: i64) -> Columns<'static> {
-        let audit = |value: fn(&AuditRow) -> i64| json!(self.audit.as_ref().map(value));
-        vec![
-            ("day", json!(day)),
-            ("camera_id", json!(camera_id)),
-            ("setup_id", json!(setup_id)),
-            ("report_id", json!(self.report_id.as_bytes())),
-            ("count", json!(self.count)),
-            ("at_ms", json!(self.at_ms)),
-            ("received_ms", json!(self.received_ms)),
-            ("clip", json!(self.clip)),
-            ("part", json!(self.part)),
-            ("ended_by", json!(self.ended_by)),
-            ("duration_us", json!(self.duration_us)),
-            ("frames", json!(self.frames)),
-            ("frames_e", json!(self.frames_e)),
-            ("frames_p", json!(self.frames_p)),
-            ("frames_ei", json!(self.frames_ei)),
-            ("frames_i", json!(self.frames_i)),
-            ("frames_ai", json!(self.frames_ai)),
-            ("degraded", json!(self.degraded)),
-            ("dropped", json!(self.dropped)),
-            ("latency_mean_us", json!(self.latency_mean_us)),
-            ("latency_p99_us", json!(self.latency_p99_us)),
-            ("latency_us", json!(self.latency_us)),
-            ("detector_calls", json!(self.detector_calls)),
-            ("detector_mean_us", json!(self.detector_mean_us)),
-            ("detector_us", json!(self.detector_us)),
-            ("avoided_calls", json!(self.avoided_calls)),
-            ("avoided_uj", json!(self.avoided_uj)),
-            ("quality", json!(self.quality)),
-            ("energy_uj", json!(self.energy_uj)),
-            ("node_uj", json!(self.node_uj)),
-            ("edp", json!(self.edp)),
-            ("coverage_ppm", json!(self.coverage_ppm)),
+impl IntoRow for StoredClipRow {
+    const TABLE: &'static str = "clips";
+
+    fn columns(&self) -> Result<Columns<'static>, StoreError> {
+        let clip = &self.clip;
+        let audit = clip.audit.as_ref();
+        let travel = clip.travel.as_ref();
+        Ok(vec![
+            ("day", self.day.into()),
+            ("camera_id", self.camera_id.into()),
+            ("setup_id", self.setup_id.into()),
+            ("report_id", clip.report_id.into()),
+            ("count", clip.count.into()),
+            ("at_ms", clip.at_ms.into()),
+            ("received_ms", clip.received_ms.into()),
+            ("clip", clip.clip.as_str().into()),
+            ("part", i64::from(clip.part).into()),
+            ("ended_by", ended_by(clip.ended_by).into()),
+            ("duration_us", clip.duration_us.into()),
+            ("frames", clip.frames.into()),
+            ("frames_e", clip.frames_e.into()),
+            ("frames_p", clip.frames_p.into()),
+            ("frames_ei", clip.frames_ei.into()),
+            ("frames_i", clip.frames_i.into()),
+            ("frames_ai", clip.frames_ai.into()),
+            ("degraded", clip.degraded.into()),
+            ("dropped", clip.dropped.into()),
+            ("latency_mean_us", clip.latency_mean_us.into()),
+            ("latency_p99_us", clip.latency_p99_us.into()),
+            ("latency_us", clip.latency_us.into()),
+            ("detector_calls", clip.detector_calls.into()),
+            ("detector_mean_us", clip.detector_mean_us.into()),
+            ("detector_us", clip.detector_us.into()),
+            ("avoided_calls", clip.avoided_calls.into()),
+            ("avoided_uj", clip.avoided_uj.into()),
+            ("quality", clip.quality.into()),
+            ("energy_uj", clip.energy_uj.into()),
+            ("node_uj", clip.node_uj.into()),
+            ("edp", clip.edp.into()),
+            ("coverage_ppm", clip.coverage_ppm.into()),
+            ("threshold_changed", clip.threshold_changed.into()),
+            ("audit_frames", audit.map(|audit| audit.frames).into()),
+            ("audit_missed", audit.map(|audit| audit.missed).into()),
             (
-                "threshold_changed",
-                json!(i64::from(self.threshold_changed)),
+                "audit_missed_boxes",
+                audit.map(|audit| audit.missed_boxes).into(),
             ),
-            ("audit_frames", audit(|audit| audit.frames)),
-            ("audit_missed", audit(|audit| audit.missed)),
-            ("audit_missed_boxes", audit(|audit| audit.missed_boxes)),
-            ("audit_calls", audit(|audit| audit.calls)),
-            ("audit_us", audit(|audit| audit.us)),
+            ("audit_calls", audit.map(|audit| audit.calls).into()),
+            ("audit_us", audit.map(|audit| audit.us).into()),
+            ("audit_uj", audit.and_then(|audit| audit.uj).into()),
+            ("audit_detected", audit.map(|audit| audit.detected).into()),
+            ("audit_shown", audit.map(|audit| audit.shown).into()),
+            ("audit_paired", audit.map(|audit| audit.paired).into()),
             (
-                "audit_uj",
-                json!(self.audit.as_ref().and_then(|audit| audit.uj)),
+                "audit_detected_sq",
+                audit.map(|audit| audit.detected_sq).into(),
             ),
-            ("audit_detected", audit(|audit| audit.detected)),
-            ("audit_shown", audit(|audit| audit.shown)),
-            ("audit_paired", audit(|audit| audit.paired)),
-            ("audit_detected_sq", audit(|audit| audit.detected_sq)),
-            ("audit_shown_sq", audit(|audit| audit.shown_sq)),
-            ("audit_paired_sq", audit(|audit| audit.paired_sq)),
-            ("audit_detected_x", audit(|audit| audit.detected_x)),
-            ("audit_shown_x", audit(|audit| audit.shown_x)),
+            ("audit_shown_sq", audit.map(|audit| audit.shown_sq).into()),
+            ("audit_paired_sq", audit.map(|audit| audit.paired_sq).into()),
+            (
+                "audit_detected_x",
+                audit.map(|audit| audit.detected_x).into(),
+            ),
+            ("audit_shown_x", audit.map(|audit| audit.shown_x).into()),
             (
                 "distance_mm",
-                json!(self.travel.as_ref().map(|travel| travel.distance_mm)),
+                travel.map(|travel| travel.distance_mm).into(),
             ),
-            (
-                "travel",
-                json!(self.travel.as_ref().map(|travel| &travel.json)),
-            ),
-        ]
+            ("travel", travel.map(|travel| travel.json.as_str()).into()),
+        ])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_end_of_a_clip_has_one_name_in_the_table_and_in_reports() {
+        for end in [
+            ClipEnd::NextClip,
+            ClipEnd::Window,
+            ClipEnd::Silence,
+            ClipEnd::Shutdown,
+            ClipEnd::Length,
+            ClipEnd::Other,
+        ] {
+            assert_eq!(serde_json::to_value(end).unwrap(), ended_by(end));
+        }
     }
 }

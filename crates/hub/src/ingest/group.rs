@@ -1,25 +1,37 @@
 //! A group of batches in one transaction: what the database knows of them, and what is written for them.
 
-use super::clip::{Clip, SetupRow};
+use super::clip::{Clip, SetupRow, StoredClipRow};
 use super::decode::{Batch, Received};
 use super::fate::{BatchResult, Fate, Identity};
 use super::limits::EntryLimit;
 use super::tables::{MOST_CAMERAS, ReportCountsRow, ReportKey};
-use crate::store::row::Columns;
+use crate::store::row::{Columns, IntoRow};
 use crate::store::{Database, StoreError};
 use albireo_service::clock::DAY_MS;
-use serde::Serialize;
 use std::collections::{BTreeSet, HashMap};
 use uuid::Uuid;
 
 /// The row of an invalid report.
-#[derive(Serialize)]
 struct SetAsideRow {
     node_id: i64,
     report_id: Option<String>,
     received_ms: i64,
     cause: String,
     body: String,
+}
+
+impl IntoRow for SetAsideRow {
+    const TABLE: &'static str = "set_aside";
+
+    fn columns(&self) -> Result<Columns<'static>, StoreError> {
+        Ok(vec![
+            ("node_id", self.node_id.into()),
+            ("report_id", self.report_id.as_deref().into()),
+            ("received_ms", self.received_ms.into()),
+            ("cause", self.cause.as_str().into()),
+            ("body", self.body.as_str().into()),
+        ])
+    }
 }
 
 /// The rows of a group.
@@ -34,7 +46,7 @@ pub(super) struct Group {
     /// New identities of reports that are refused.
     refused: BTreeSet<ReportKey>,
     setups: HashMap<SetupRow, i64>,
-    clips: Vec<Columns<'static>>,
+    clips: Vec<StoredClipRow>,
     aside: Vec<SetAsideRow>,
 }
 
@@ -140,7 +152,12 @@ impl Group {
         } else {
             self.now_ms.div_euclid(DAY_MS)
         };
-        self.clips.push(clip.row.columns(day, camera_id, setup_id));
+        self.clips.push(StoredClipRow {
+            day,
+            camera_id,
+            setup_id,
+            clip: clip.row.clone(),
+        });
         Ok(())
     }
 
@@ -157,9 +174,10 @@ impl Group {
     /// Writes the collected rows.
     pub(super) fn write(self, database: &mut dyn Database) -> Result<(), StoreError> {
         database.forget_reports(&self.refused)?;
-        database.write_report_counts(self.nodes.into_values().collect())?;
-        database.insert("set_aside", &self.aside, "")?;
-        database.insert_clips(self.clips)
+        let counts: Vec<_> = self.nodes.into_values().collect();
+        database.write_report_counts(&counts)?;
+        database.insert(&self.aside, "")?;
+        database.insert_clips(&self.clips)
     }
 }
 

@@ -2,10 +2,10 @@
 //! database.
 
 use super::tables::ReportKey;
-use crate::store::row::json_text;
+use crate::store::StoreError;
+use crate::store::row::{Cell, Row};
 use albireo_service::clock::DAY_MS;
 use albireo_wire::{IDENTITY_DAYS, ReportAge};
-use serde::{Deserialize, Serialize};
 use uuid::Uuid;
 
 /// The first day of 2026, milliseconds since the Unix epoch: no identity is older.
@@ -146,7 +146,7 @@ pub(crate) enum Seen {
 }
 
 /// The running counts of a node's reports.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Counts {
     /// The first count that was received; 0 before. The hub does not know whether reports with lower counts exist.
     base: u64,
@@ -154,11 +154,29 @@ pub(crate) struct Counts {
     highest: u64,
     /// Ranges of counts that were not received, also below `base`: a database that was restored from a backup made
     /// before the node's first report lacks those.
-    #[serde(with = "json_text")]
     ranges: Vec<(u64, u64)>,
 }
 
 impl Counts {
+    /// Reads `base`, `highest` and `ranges`.
+    pub(crate) fn from_row(row: &mut Row) -> Result<Self, StoreError> {
+        Ok(Self {
+            base: row.take()?,
+            highest: row.take()?,
+            ranges: row.take_json()?,
+        })
+    }
+
+    /// The cells of `base`, `highest` and `ranges`.
+    pub(crate) fn cells(&self) -> Result<[Cell; 3], StoreError> {
+        // Both are at most `LARGEST_COUNT`.
+        Ok([
+            self.base.cast_signed().into(),
+            self.highest.cast_signed().into(),
+            Cell::json(&self.ranges)?,
+        ])
+    }
+
     /// The number of missing counts since the first one that was received.
     pub(crate) fn missing(&self) -> u64 {
         let since = self.ranges.iter().filter(|(first, _)| *first >= self.base);

@@ -1,8 +1,8 @@
 //! The tables of ingest: identities of reports, clips and their sums, cameras, setups, and counts of reports.
 
-use super::clip::SetupRow;
+use super::clip::{SetupRow, StoredClipRow};
 use super::plan::Counts;
-use crate::store::row::{Columns, columns, read_all, row};
+use crate::store::row::{Columns, FromRow, IntoRow, Row, read_all};
 use crate::store::{Database, DatabaseKind, StoreError};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeSet, HashMap, HashSet};
@@ -25,29 +25,72 @@ const ADD_SUMS: [(&str, i64); 2] = [
 const LARGEST_SUM: i64 = 1 << 62;
 
 /// The unique key of a report.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct ReportKey {
     /// The day under which it is stored: the identity's own day, or the negative day of receipt if that is not
     /// believed.
     pub(crate) day: i64,
     /// Its identity.
-    #[serde(with = "uuid::serde::compact")]
     pub(crate) id: Uuid,
     /// The identity's own day, believed or not.
     pub(crate) own_day: i64,
 }
 
+impl ReportKey {
+    /// The columns that the statements about identities name.
+    fn columns(&self) -> Columns<'static> {
+        vec![
+            ("day", self.day.into()),
+            ("id", self.id.into()),
+            ("own_day", self.own_day.into()),
+        ]
+    }
+}
+
 /// Counts of a node's reports.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) struct ReportCountsRow {
-    /// The node's name, if the query returns it.
-    #[serde(default, skip_serializing)]
+    /// The node's name, which is in another table.
     pub(crate) name: String,
     pub(crate) node_id: i64,
-    #[serde(flatten)]
     pub(crate) totals: ReportCounts,
-    #[serde(flatten)]
     pub(crate) counts: Counts,
+}
+
+impl FromRow for ReportCountsRow {
+    fn from_row(row: &mut Row) -> Result<Self, StoreError> {
+        Ok(Self {
+            name: row.take()?,
+            node_id: row.take()?,
+            totals: ReportCounts::from_row(row)?,
+            counts: Counts::from_row(row)?,
+        })
+    }
+}
+
+impl IntoRow for ReportCountsRow {
+    const TABLE: &'static str = "report_counts";
+
+    fn columns(&self) -> Result<Columns<'static>, StoreError> {
+        let totals = &self.totals;
+        let [base, highest, ranges] = self.counts.cells()?;
+        Ok(vec![
+            ("node_id", self.node_id.into()),
+            ("first_ms", totals.first_ms.into()),
+            ("last_ms", totals.last_ms.into()),
+            ("stored", totals.stored.into()),
+            ("set_aside", totals.set_aside.into()),
+            ("refused", totals.refused.into()),
+            (
+                "missing",
+                i64::try_from(totals.missing).unwrap_or(i64::MAX).into(),
+            ),
+            ("resets", totals.resets.into()),
+            ("base", base),
+            ("highest", highest),
+            ("ranges", ranges),
+        ])
+    }
 }
 
 /// Most cameras of a node.
@@ -70,6 +113,52 @@ pub struct ReportCounts {
     pub missing: u64,
     /// How often the running count restarted: the node's state was new, older or a copy.
     pub resets: i64,
+}
+
+impl FromRow for ReportCounts {
+    fn from_row(row: &mut Row) -> Result<Self, StoreError> {
+        Ok(Self {
+            first_ms: row.take()?,
+            last_ms: row.take()?,
+            stored: row.take()?,
+            set_aside: row.take()?,
+            refused: row.take()?,
+            missing: row.take()?,
+            resets: row.take()?,
+        })
+    }
+}
+
+/// A camera of a node.
+struct CameraRow {
+    id: i64,
+    node_id: i64,
+    name: String,
+}
+
+impl FromRow for CameraRow {
+    fn from_row(row: &mut Row) -> Result<Self, StoreError> {
+        Ok(Self {
+            id: row.take()?,
+            node_id: row.take()?,
+            name: row.take()?,
+        })
+    }
+}
+
+/// A setup with its id.
+struct NumberedSetup {
+    id: i64,
+    setup: SetupRow,
+}
+
+impl FromRow for NumberedSetup {
+    fn from_row(row: &mut Row) -> Result<Self, StoreError> {
+        Ok(Self {
+            id: row.take()?,
+            setup: SetupRow::from_row(row)?,
+        })
+    }
 }
 
 impl dyn Database + '_ {
@@ -103,15 +192,9 @@ impl dyn Database + '_ {
         &mut self,
         nodes: &[&str],
     ) -> Result<HashMap<i64, HashMap<String, i64>>, StoreError> {
-        #[derive(Deserialize)]
-        struct Camera {
-            id: i64,
-            node_id: i64,
-            name: String,
-        }
         let mut cameras: HashMap<i64, HashMap<String, i64>> = HashMap::new();
         let text = "SELECT c.id, c.node_id, c.name FROM cameras c JOIN nodes n ON n.id = c.node_id WHERE n.name IN";
-        for camera in read_all::<Camera>(self.among(text, nodes)?)? {
+        for camera in read_all::<CameraRow>(self.among(text, nodes)?)? {
             let known = cameras.entry(camera.node_id).or_default();
             known.insert(camera.name, camera.id);
         }
@@ -130,17 +213,12 @@ impl dyn Database + '_ {
         &mut self,
         setups: HashSet<&SetupRow>,
     ) -> Result<HashMap<SetupRow, i64>, StoreError> {
-        #[derive(Deserialize)]
-        struct Numbered {
-            id: i64,
-            #[serde(flatten)]
-            setup: SetupRow,
-        }
         // The update changes nothing; it makes the statement return the row.
         let conflict = "ON CONFLICT (policy, threshold, value, model, provider, power_source, total_from) \
-                        DO UPDATE SET policy = excluded.policy RETURNING *";
+                        DO UPDATE SET policy = excluded.policy \
+                        RETURNING id, policy, threshold, value, model, provider, power_source, total_from";
         let setups: Vec<&SetupRow> = setups.into_iter().collect();
-        let numbered: Vec<Numbered> = read_all(self.insert("setups", &setups, conflict)?)?;
+        let numbered: Vec<NumberedSetup> = read_all(self.insert(&setups, conflict)?)?;
         Ok(numbered.into_iter().map(|one| (one.setup, one.id)).collect())
     }
 
@@ -149,11 +227,6 @@ impl dyn Database + '_ {
         &mut self,
         keys: &BTreeSet<ReportKey>,
     ) -> Result<BTreeSet<Uuid>, StoreError> {
-        #[derive(Deserialize)]
-        struct New {
-            #[serde(with = "uuid::serde::compact")]
-            id: Uuid,
-        }
         if keys.is_empty() {
             return Ok(BTreeSet::new());
         }
@@ -161,10 +234,9 @@ impl dyn Database + '_ {
             DatabaseKind::Sqlite => include_str!("sql/new_reports_sqlite.sql"),
             DatabaseKind::Postgres => include_str!("sql/new_reports_postgres.sql"),
         };
-        let rows = keys.iter().map(row).collect::<Result<Vec<_>, _>>()?;
-        let columns = rows.iter().map(columns).collect();
-        let new: Vec<New> = read_all(self.each(text, columns)?)?;
-        Ok(new.into_iter().map(|one| one.id).collect())
+        let rows = keys.iter().map(ReportKey::columns).collect();
+        let new = self.each(text, rows)?;
+        new.into_iter().map(|mut row| row.take()).collect()
     }
 
     /// Removes identities that [`new_reports`](Self::new_reports) stored, of reports that are refused.
@@ -179,26 +251,26 @@ impl dyn Database + '_ {
                  WHERE r.day = k.day AND r.id = k.id"
             }
         };
-        let rows = keys.iter().map(row).collect::<Result<Vec<_>, _>>()?;
-        self.each(text, rows.iter().map(columns).collect()).map(drop)
+        let rows = keys.iter().map(ReportKey::columns).collect();
+        self.each(text, rows).map(drop)
     }
 
     /// Writes the report counts of nodes.
     pub(crate) fn write_report_counts(
         &mut self,
-        rows: Vec<ReportCountsRow>,
+        rows: &[ReportCountsRow],
     ) -> Result<(), StoreError> {
         let conflict = "ON CONFLICT (node_id) DO UPDATE SET last_ms = excluded.last_ms, \
                         stored = excluded.stored, set_aside = excluded.set_aside, refused = excluded.refused, \
                         resets = excluded.resets, base = excluded.base, highest = excluded.highest, \
                         missing = excluded.missing, ranges = excluded.ranges";
-        self.insert("report_counts", &rows, conflict).map(drop)
+        self.insert(rows, conflict).map(drop)
     }
 
     /// Inserts clips, and adds them to the sums of their cameras and of the fleet.
-    pub(crate) fn insert_clips(&mut self, clips: Vec<Columns<'_>>) -> Result<(), StoreError> {
+    pub(crate) fn insert_clips(&mut self, clips: &[StoredClipRow]) -> Result<(), StoreError> {
         let first = self.number("SELECT COALESCE(max(id), 0) + 1 FROM clips", &[])?;
-        self.insert_rows("clips", clips, "")?;
+        self.insert(clips, "")?;
         for (text, seconds) in ADD_SUMS {
             self.query(text, &[first.into(), seconds.into(), LARGEST_SUM.into()])?;
         }

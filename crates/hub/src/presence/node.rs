@@ -2,7 +2,6 @@
 
 use super::today::TodaysEnergy;
 use crate::named::named;
-use crate::store::row::json_text;
 use albireo_wire::{DesiredSetting, NodeStatus, Target, Threshold, ThresholdName};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -51,7 +50,6 @@ pub struct NodeView {
     pub(crate) has_reported: bool,
     /// The last full status.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[serde(deserialize_with = "json_text::deserialize")]
     #[schema(value_type = Option<NodeStatus>)]
     pub status: Option<Arc<NodeStatus>>,
 }

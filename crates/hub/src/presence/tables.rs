@@ -1,15 +1,14 @@
 //! The table of nodes.
 
 use super::{NodeView, PresenceState, TodaysEnergy};
-use crate::store::row::{Row, read, read_all};
+use crate::store::row::{Cell, Columns, FromRow, IntoRow, Row, read_all};
 use crate::store::{Database, EventRow, Store, StoreError};
 use albireo_wire::NodeStatus;
-use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::collections::HashMap;
+use std::sync::Arc;
 
 /// The columns of a node that its messages change.
-#[derive(Serialize)]
 struct NodeRow<'a> {
     name: &'a str,
     state: PresenceState,
@@ -21,23 +20,88 @@ struct NodeRow<'a> {
     status: Option<&'a NodeStatus>,
 }
 
+impl IntoRow for NodeRow<'_> {
+    const TABLE: &'static str = "nodes";
+
+    fn columns(&self) -> Result<Columns<'static>, StoreError> {
+        Ok(vec![
+            ("name", self.name.into()),
+            ("state", self.state.name().into()),
+            ("since_ms", self.since_ms.into()),
+            ("why", self.why.into()),
+            ("heard_ms", self.heard_ms.into()),
+            ("revision", self.revision.into()),
+            ("status", self.status.map_or(Ok(Cell::Null), Cell::json)?),
+        ])
+    }
+}
+
+/// The state of a node that the table has.
+struct StateBefore {
+    name: String,
+    state: String,
+    since_ms: i64,
+}
+
+impl FromRow for StateBefore {
+    fn from_row(row: &mut Row) -> Result<Self, StoreError> {
+        Ok(Self {
+            name: row.take()?,
+            state: row.take()?,
+            since_ms: row.take()?,
+        })
+    }
+}
+
+impl FromRow for NodeView {
+    fn from_row(row: &mut Row) -> Result<Self, StoreError> {
+        Ok(Self {
+            node: row.take()?,
+            state: row.take_named(PresenceState::named)?,
+            since_ms: row.take()?,
+            why: row.take()?,
+            heard_ms: row.take()?,
+            waiting: 0,
+            revision: row.take()?,
+            today: TodaysEnergy::default(),
+            // The status may be of another version of the program; the node will send a new one.
+            status: row.take_json::<Option<NodeStatus>>().ok().flatten().map(Arc::new),
+            has_reported: row.take::<Option<i64>>()?.is_some(),
+        })
+    }
+}
+
+/// What the clips of a node used today.
+struct UsedToday {
+    node: String,
+    today: TodaysEnergy,
+}
+
+impl FromRow for UsedToday {
+    fn from_row(row: &mut Row) -> Result<Self, StoreError> {
+        Ok(Self {
+            node: row.take()?,
+            today: TodaysEnergy {
+                measured_joules: row.take()?,
+                estimated_joules: row.take()?,
+                skip_rate: row.take()?,
+                recall: row.take()?,
+            },
+        })
+    }
+}
+
 impl dyn Database + '_ {
     /// Writes nodes, and returns the events to write with them. If several hubs see the same change of a node, only one
     /// of them writes the event.
     pub(crate) fn write_nodes(&mut self, nodes: &[NodeView]) -> Result<Vec<EventRow>, StoreError> {
-        #[derive(Deserialize)]
-        struct Before {
-            name: String,
-            state: String,
-            since_ms: i64,
-        }
         if nodes.is_empty() {
             return Ok(Vec::new());
         }
         let names: Vec<&str> = nodes.iter().map(|node| node.node.as_str()).collect();
         let text = "SELECT name, state, since_ms FROM nodes WHERE name IN";
-        let before: Vec<Before> = read_all(self.among(text, &names)?)?;
-        let before: HashMap<&str, &Before> =
+        let before: Vec<StateBefore> = read_all(self.among(text, &names)?)?;
+        let before: HashMap<&str, &StateBefore> =
             before.iter().map(|node| (node.name.as_str(), node)).collect();
         let mut rows = Vec::new();
         let mut events = Vec::new();
@@ -63,7 +127,6 @@ impl dyn Database + '_ {
             }
         }
         self.insert(
-            "nodes",
             &rows,
             // Columns without a new value keep their old one.
             "ON CONFLICT (name) DO UPDATE SET state = excluded.state, \
@@ -113,20 +176,9 @@ impl Store {
     /// # Errors
     /// When the database cannot be read.
     pub async fn nodes(&self) -> Result<Vec<NodeView>, StoreError> {
-        let text = "SELECT name AS node, state, since_ms, why, heard_ms, revision, status, 0 AS waiting, \
-                    r.node_id FROM nodes LEFT JOIN report_counts r ON r.node_id = id WHERE state <> 'forgotten'";
-        let node = |mut row: Row| {
-            row.insert("today".to_owned(), json!(TodaysEnergy::default()));
-            let has_reported = row.remove("node_id").is_some_and(|id| !id.is_null());
-            row.insert("has_reported".to_owned(), has_reported.into());
-            // The status may be of another version of the program; the node will send a new one.
-            read(row.clone()).or_else(|_| {
-                row.remove("status");
-                read(row)
-            })
-        };
-        let rows = self.query(text, Vec::new()).await?;
-        rows.into_iter().map(node).collect()
+        let text = "SELECT name, state, since_ms, why, heard_ms, revision, status, r.node_id \
+                    FROM nodes LEFT JOIN report_counts r ON r.node_id = id WHERE state <> 'forgotten'";
+        read_all(self.query(text, Vec::new()).await?)
     }
 
     /// The energy and skip rate of the clips of the day that begins at `since_s`, by node.
@@ -134,14 +186,8 @@ impl Store {
         &self,
         since_s: i64,
     ) -> Result<HashMap<String, TodaysEnergy>, StoreError> {
-        #[derive(Deserialize)]
-        struct Used {
-            node: String,
-            #[serde(flatten)]
-            today: TodaysEnergy,
-        }
         let rows = self.query(include_str!("sql/today.sql"), vec![since_s.into()]);
-        let used: Vec<Used> = read_all(rows.await?)?;
+        let used: Vec<UsedToday> = read_all(rows.await?)?;
         Ok(used.into_iter().map(|one| (one.node, one.today)).collect())
     }
 }

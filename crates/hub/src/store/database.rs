@@ -1,9 +1,7 @@
 //! Defines a connection to a database, and the statements that all rooms share.
 
-use super::row::{Columns, Row, columns, row};
+use super::row::{Columns, IntoRow, Param, Row};
 use super::{DatabaseKind, StoreError};
-use serde::Serialize;
-use serde_json::{Value, json};
 
 /// A connection to a database. Dropping it rolls back an open transaction.
 pub(crate) trait Database: Send {
@@ -20,7 +18,7 @@ pub(crate) trait Database: Send {
     fn begin(&mut self) -> Result<(), StoreError>;
 
     /// Runs a statement and returns its rows. Its parameters are `$1`, `$2`, …
-    fn query(&mut self, text: &str, values: &[Value]) -> Result<Vec<Row>, StoreError>;
+    fn query(&mut self, text: &str, values: &[Param]) -> Result<Vec<Row>, StoreError>;
 
     /// Runs a statement for rows with the same columns, in order, and returns its rows. In SQLite the columns of a row
     /// are the parameters `?1`, `?2`, …; PostgreSQL gets all rows at once, as the JSON array `$1`.
@@ -44,36 +42,30 @@ pub(crate) trait Database: Send {
     /// Runs a query for one column of text, and returns it.
     fn texts(&mut self, text: &str) -> Result<Vec<String>, StoreError> {
         let rows = self.query(text, &[])?;
-        rows.into_iter()
-            .map(|row| match row.into_iter().next() {
-                Some((_, Value::String(text))) => Ok(text),
-                other => Err(StoreError::Statement(format!("{other:?} is no text"))),
-            })
-            .collect()
+        rows.into_iter().map(|mut row| row.take()).collect()
     }
 
     /// Runs a statement and returns the whole number in its first row, if any.
-    fn number(&mut self, text: &str, values: &[Value]) -> Result<Option<i64>, StoreError> {
-        let rows = self.query(text, values)?;
-        Ok(rows.first().and_then(|row| row.values().next()?.as_i64()))
+    fn number(&mut self, text: &str, values: &[Param]) -> Result<Option<i64>, StoreError> {
+        let first = self.query(text, values)?.into_iter().next();
+        first.map(|mut row| row.take()).transpose()
     }
 }
 
 impl dyn Database + '_ {
-    /// Inserts rows into a table, in order. `rest` ends the statement: an `ON CONFLICT` clause, a `RETURNING` clause, both, or
-    /// nothing.
-    pub(crate) fn insert<R: Serialize>(
+    /// Inserts rows into their table, in order. `rest` ends the statement: an `ON CONFLICT` clause, a `RETURNING` clause, both,
+    /// or nothing.
+    pub(crate) fn insert<R: IntoRow>(
         &mut self,
-        table: &str,
         rows: &[R],
         rest: &str,
     ) -> Result<Vec<Row>, StoreError> {
-        let rows = rows.iter().map(row).collect::<Result<Vec<_>, _>>()?;
-        self.insert_rows(table, rows.iter().map(columns).collect(), rest)
+        let rows = rows.iter().map(IntoRow::columns).collect::<Result<_, _>>()?;
+        self.insert_columns(R::TABLE, rows, rest)
     }
 
-    /// Does the same as [`insert`](Self::insert) for rows, which must all have the same columns.
-    pub(crate) fn insert_rows(
+    /// Does the same as [`insert`](Self::insert) for columns, the same ones for every row.
+    pub(crate) fn insert_columns(
         &mut self,
         table: &str,
         rows: Vec<Columns<'_>>,
@@ -82,7 +74,7 @@ impl dyn Database + '_ {
         let Some(first) = rows.first() else {
             return Ok(Vec::new());
         };
-        let columns = first
+        let names = first
             .iter()
             .map(|(column, _)| format!("\"{column}\""))
             .collect::<Vec<_>>()
@@ -90,13 +82,11 @@ impl dyn Database + '_ {
         let values = match self.kind() {
             DatabaseKind::Sqlite => format!("VALUES ({})", vec!["?"; first.len()].join(", ")),
             DatabaseKind::Postgres => {
-                format!("SELECT {columns} FROM jsonb_populate_recordset(NULL::{table}, $1::jsonb)")
+                format!("SELECT {names} FROM jsonb_populate_recordset(NULL::{table}, $1::jsonb)")
             }
         };
-        self.each(
-            &format!("INSERT INTO {table} ({columns}) {values} {rest}"),
-            rows,
-        )
+        let text = format!("INSERT INTO {table} ({names}) {values} {rest}");
+        self.each(&text, rows)
     }
 
     /// Runs a query that ends with a text column and `IN`, for the given texts.
@@ -107,7 +97,7 @@ impl dyn Database + '_ {
         };
         self.query(
             &format!("{query} {list}"),
-            &[json!(texts).to_string().into()],
+            &[serde_json::to_string(texts)?.into()],
         )
     }
 }

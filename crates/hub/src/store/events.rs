@@ -1,11 +1,11 @@
 //! The rows of events, which every room adds to its transactions.
 
+use super::row::{Columns, IntoRow};
 use super::{Database, StoreError};
-use serde::Serialize;
 use serde_json::Value;
 
 /// An event to insert.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) struct EventRow {
     /// When, milliseconds since the Unix epoch.
     pub(crate) at_ms: i64,
@@ -28,9 +28,22 @@ impl EventRow {
     }
 }
 
+impl IntoRow for EventRow {
+    const TABLE: &'static str = "events";
+
+    fn columns(&self) -> Result<Columns<'static>, StoreError> {
+        Ok(vec![
+            ("at_ms", self.at_ms.into()),
+            ("kind", self.kind.into()),
+            ("node", self.node.as_deref().into()),
+            ("detail", self.detail.to_string().into()),
+        ])
+    }
+}
+
 impl dyn Database + '_ {
     /// Inserts events, in order.
     pub(crate) fn insert_events(&mut self, events: &[EventRow]) -> Result<(), StoreError> {
-        self.insert("events", events, "").map(drop)
+        self.insert(events, "").map(drop)
     }
 }

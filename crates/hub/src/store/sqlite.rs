@@ -1,11 +1,10 @@
 //! Connects to SQLite.
 
 use super::file::{FileIdentity, gone, identity};
-use super::row::{Columns, Row};
+use super::row::{Cell, Columns, Param, Row};
 use super::{Database, DatabaseKind, StoreError};
 use rusqlite::types::{ToSqlOutput, ValueRef};
 use rusqlite::{Connection, MAIN_DB, OpenFlags, Statement, ToSql};
-use serde_json::Value;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
@@ -69,21 +68,23 @@ impl Sqlite {
         })
     }
 
-    /// Runs a query, and calls `take` for each row.
+    /// Runs a query, and calls `take` with the names of its columns for each row.
     pub(super) fn stream(
         &mut self,
         text: &str,
-        mut take: impl FnMut(Row) -> Result<(), StoreError>,
+        mut take: impl FnMut(&[String], Row) -> Result<(), StoreError>,
     ) -> Result<(), StoreError> {
         let mut statement = self.connection.prepare(text)?;
-        for_each_row(&mut statement, &mut take)
+        let columns: Vec<String> =
+            statement.column_names().into_iter().map(str::to_owned).collect();
+        for_each_row(&mut statement, &mut |row| take(&columns, row))
     }
 
     /// Runs a statement once for each list of values, and returns its rows.
-    fn run<'v>(
+    fn run<V: ToSql>(
         &mut self,
         text: &str,
-        lists: impl IntoIterator<Item = Vec<&'v Value>>,
+        lists: impl IntoIterator<Item = impl IntoIterator<Item = V>>,
     ) -> Result<Vec<Row>, StoreError> {
         let mut statement = self.connection.prepare_cached(text)?;
         // `$2` is the second parameter, wherever it is; a `?` is the next one.
@@ -93,7 +94,7 @@ impl Sqlite {
         let mut returned = Vec::new();
         for values in lists {
             for (value, place) in values.into_iter().zip(&places) {
-                statement.raw_bind_parameter(*place, Cell(value))?;
+                statement.raw_bind_parameter(*place, value)?;
             }
             for_each_row(&mut statement, &mut |row| {
                 returned.push(row);
@@ -128,18 +129,18 @@ impl Database for Sqlite {
         self.script("BEGIN IMMEDIATE")
     }
 
-    fn query(&mut self, text: &str, values: &[Value]) -> Result<Vec<Row>, StoreError> {
+    fn query(&mut self, text: &str, values: &[Param]) -> Result<Vec<Row>, StoreError> {
         if let Some(limit) = self.limit {
             let begun = Instant::now();
             let is_over = move || begun.elapsed() > limit;
             self.connection.progress_handler(10_000, Some(is_over))?;
         }
-        self.run(text, [values.iter().collect()])
+        self.run(text, [values])
     }
 
     fn each(&mut self, text: &str, rows: Vec<Columns<'_>>) -> Result<Vec<Row>, StoreError> {
-        let values = rows.iter().map(|row| row.iter().map(|(_, value)| value));
-        self.run(text, values.map(Iterator::collect))
+        let values = rows.iter().map(|row| row.iter().map(|(_, cell)| cell));
+        self.run(text, values)
     }
 
     fn script(&mut self, text: &'static str) -> Result<(), StoreError> {
@@ -152,44 +153,44 @@ fn for_each_row(
     statement: &mut Statement<'_>,
     take: &mut dyn FnMut(Row) -> Result<(), StoreError>,
 ) -> Result<(), StoreError> {
-    let columns: Vec<String> = statement.column_names().into_iter().map(str::to_owned).collect();
+    let columns = statement.column_count();
     let mut rows = statement.raw_query();
     while let Some(row) = rows.next()? {
-        let cell = |(at, name): (usize, &String)| Ok((name.clone(), read(row.get_ref(at)?)?));
-        let row: Result<Row, StoreError> = columns.iter().enumerate().map(cell).collect();
-        take(row?)?;
+        let cells = (0..columns).map(|at| read(row.get_ref(at)?));
+        take(Row::new(cells.collect::<Result<_, StoreError>>()?))?;
     }
     Ok(())
 }
 
-fn read(value: ValueRef<'_>) -> Result<Value, StoreError> {
+fn read(value: ValueRef<'_>) -> Result<Cell, StoreError> {
     Ok(match value {
-        ValueRef::Null => Value::Null,
-        ValueRef::Integer(number) => number.into(),
-        ValueRef::Real(number) => number.into(),
+        ValueRef::Null => Cell::Null,
+        ValueRef::Integer(number) => Cell::Whole(number),
+        ValueRef::Real(number) => Cell::Real(number),
         ValueRef::Text(text) => std::str::from_utf8(text)
             .map_err(|error| StoreError::Statement(error.to_string()))?
             .into(),
-        ValueRef::Blob(bytes) => bytes.into(),
+        ValueRef::Blob(bytes) => Cell::Bytes(bytes.to_vec()),
     })
 }
 
-/// The value of a parameter.
-struct Cell<'v>(&'v Value);
-
-impl ToSql for Cell<'_> {
+impl ToSql for Cell {
     fn to_sql(&self) -> rusqlite::Result<ToSqlOutput<'_>> {
-        use rusqlite::types::Value as Owned;
-        Ok(match self.0 {
-            Value::Null => ToSqlOutput::Owned(Owned::Null),
-            Value::Bool(yes) => i64::from(*yes).into(),
-            Value::Number(number) => match number.as_i64() {
-                Some(whole) => whole.into(),
-                None => number.as_f64().unwrap_or(f64::NAN).into(),
-            },
-            Value::String(text) => ToSqlOutput::Borrowed(ValueRef::Text(text.as_bytes())),
-            Value::Array(bytes) => ToSqlOutput::Owned(Owned::Blob(super::row::bytes(bytes))),
-            Value::Object(_) => self.0.to_string().into(),
-        })
+        Ok(ToSqlOutput::Borrowed(match self {
+            Self::Null => ValueRef::Null,
+            Self::Whole(number) => ValueRef::Integer(*number),
+            Self::Real(number) => ValueRef::Real(*number),
+            Self::Text(text) => ValueRef::Text(text.as_bytes()),
+            Self::Bytes(bytes) => ValueRef::Blob(bytes),
+        }))
+    }
+}
+
+impl ToSql for Param {
+    fn to_sql(&self) -> rusqlite::Result<ToSqlOutput<'_>> {
+        Ok(ToSqlOutput::Borrowed(match self {
+            Self::Whole(number) => ValueRef::Integer(*number),
+            Self::Text(text) => ValueRef::Text(text.as_bytes()),
+        }))
     }
 }

@@ -1,12 +1,11 @@
 //! Copies a hub's SQLite file into an empty PostgreSQL database.
 
 use super::migrate::{tables, upgrade};
-use super::row::columns;
+use super::row::{Cell, Columns, Param};
 use super::sqlite::Sqlite;
-use super::{Access, DAILY, Database, DatabaseKind, Row, Store, StoreError, keep_days};
+use super::{Access, DAILY, Database, DatabaseKind, Store, StoreError, keep_days};
 use crate::config::DatabaseConfig;
 use albireo_service::clock::{DAY_MS, unix_milliseconds};
-use serde_json::Value;
 
 /// Rows per statement.
 const BATCH: usize = 500;
@@ -100,27 +99,33 @@ fn copy(
     }
     let mut rows = 0;
     for table in &tables {
-        let mut batch: Vec<Row> = Vec::with_capacity(BATCH);
-        let mut send = |batch: &mut Vec<Row>| {
+        let mut batch: Vec<Vec<Cell>> = Vec::with_capacity(BATCH);
+        let mut names: Vec<String> = Vec::new();
+        let mut send = |names: &[String], batch: &mut Vec<Vec<Cell>>| {
             rows += batch.len() as u64;
-            target.insert_rows(table, batch.iter().map(columns).collect(), "")?;
-            batch.clear();
+            let named = |cells: Vec<Cell>| -> Columns<'_> {
+                names.iter().map(String::as_str).zip(cells).collect()
+            };
+            target.insert_columns(table, batch.drain(..).map(named).collect(), "")?;
             let table = table.clone();
             progress(Progress { table, rows, of });
             Ok(())
         };
-        source.stream(&format!("SELECT * FROM {table}"), |row| {
-            batch.push(row);
+        source.stream(&format!("SELECT * FROM {table}"), |columns, row| {
+            if names.is_empty() {
+                names = columns.to_vec();
+            }
+            batch.push(row.into_cells());
             match batch.len() {
-                BATCH => send(&mut batch),
+                BATCH => send(&names, &mut batch),
                 _ => Ok(()),
             }
         })?;
-        send(&mut batch)?;
+        send(&names, &mut batch)?;
         // No id is assigned twice, not even the id of a deleted row.
         let last = format!("SELECT seq FROM sqlite_sequence WHERE name = '{table}'");
         if let Some(last) = source.number(&last, &[])?.filter(|last| *last > 0) {
-            let values: [Value; 2] = [table.as_str().into(), last.into()];
+            let values: [Param; 2] = [table.as_str().into(), last.into()];
             target.query(
                 "SELECT setval(pg_get_serial_sequence($1, 'id'), $2)",
                 &values,

@@ -3,7 +3,6 @@
 
 use super::member::Millis;
 use super::outcome::{Given, Outcome};
-use crate::store::row::json_text;
 use albireo_wire::{Desired, DesiredSetting};
 use parking_lot::RwLock;
 use serde::{Deserialize, Serialize};
@@ -18,10 +17,9 @@ pub struct NodeSetting {
     /// The node.
     pub node: String,
     /// The setting: a threshold, or a target (null switches it off).
-    #[serde(rename = "to", deserialize_with = "json_text::deserialize")]
+    #[serde(rename = "to")]
     pub setting: DesiredSetting,
     /// The setting that the node had before, if known.
-    #[serde(deserialize_with = "json_text::deserialize")]
     pub from: Option<DesiredSetting>,
     /// Its revision, and what became of it.
     #[serde(flatten)]

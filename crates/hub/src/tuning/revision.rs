@@ -7,7 +7,6 @@ use super::selector::Selector;
 use super::tuner::Tuner;
 use crate::presence::NodeView;
 use crate::store::StoreError;
-use crate::store::row::json_text;
 use albireo_wire::DesiredSetting;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -55,10 +54,9 @@ pub struct Revision {
     #[serde(rename = "select")]
     pub selector: String,
     /// The setting: a threshold, or a target (null switches it off).
-    #[serde(rename = "to", deserialize_with = "json_text::deserialize")]
+    #[serde(rename = "to")]
     pub setting: DesiredSetting,
     /// The number of nodes by outcome.
-    #[serde(deserialize_with = "json_text::deserialize")]
     pub counts: BTreeMap<Outcome, usize>,
     /// The outcome at each node; absent in a list, and at the end of a stream, which had them before.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]

@@ -9,7 +9,6 @@ use crate::store::{EventRow, StoreError};
 use albireo_service::http::Problem;
 use albireo_wire::{DesiredSetting, Threshold};
 use axum::http::StatusCode;
-use serde::Deserialize;
 use serde_json::json;
 use std::collections::{BTreeMap, HashMap};
 
@@ -31,10 +30,10 @@ impl Run {
 }
 
 /// Identifies a rollout or trial.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct RunKey {
-    kind: String,
-    id: i64,
+    pub(crate) kind: String,
+    pub(crate) id: i64,
 }
 
 /// The rollouts and trials that this hub drives.

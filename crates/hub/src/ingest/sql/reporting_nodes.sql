@@ -6,10 +6,10 @@ SELECT n.name,
        COALESCE(r.stored, 0) AS stored,
        COALESCE(r.set_aside, 0) AS set_aside,
        COALESCE(r.refused, 0) AS refused,
+       COALESCE(r.missing, 0) AS missing,
        COALESCE(r.resets, 0) AS resets,
        COALESCE(r.base, 0) AS base,
        COALESCE(r.highest, 0) AS highest,
-       COALESCE(r.missing, 0) AS missing,
        COALESCE(r.ranges, '[]') AS ranges
 FROM nodes n
 LEFT JOIN report_counts r ON r.node_id = n.id
