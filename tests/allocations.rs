@@ -1,4 +1,5 @@
-//! The decision core allocates nothing per frame once its buffers have grown. dhat counts the whole process: one test.
+//! The decision core allocates nothing per frame once its buffers have grown. There is one test alone in this process: dhat
+//! counts the allocations of the whole process, and another test's would be counted, too.
 
 #![allow(clippy::unwrap_used)]
 

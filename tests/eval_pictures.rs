@@ -28,7 +28,8 @@ fn detector(name: &str) -> String {
     model(name).display().to_string()
 }
 
-/// Writes JPEG pictures on which the fixture models' confidences (colours) and the screen (red below a half) vary.
+/// Writes JPEG pictures. The fixture detector's confidences are the means of the three colours, and the fixture screen calls a
+/// picture empty while red is below one half: with these colours objects and verdicts come and go, in different rhythms.
 fn write_pictures(folder: &Path, frames: u32) {
     for frame in 0..frames {
         let red = if frame % 17 < 9 { 150 + frame % 50 } else { 30 };

@@ -87,7 +87,9 @@ fn no_seed_forgets_a_change_or_a_return() {
 
 #[test]
 fn seeds_that_once_found_a_fault_of_changes_and_rollouts_find_none() {
-    // Revisions reused after a restore; a stopped rollout that never ended; a value under the revision before it.
+    // 77: a hub that was put back from its backup gave a revision a second time, which a node had already. 2289: a hub was
+    // killed between stopping a rollout and noting its end, and the rollout stayed open for ever. 2256, 2343: a node kept a
+    // value under the revision before it, and a power cut between the two files made it refuse the right one.
     for seed in [77, 2289, 2256, 2343] {
         assert_eq!(wrong(Settings::run, seed, false), None);
     }

@@ -324,7 +324,7 @@ impl DetectorNetwork {
                 answered.impossible += usize::from(read.is_impossible);
                 answered.doubt = answered.doubt.take().or(read.doubt);
                 if size == format.size && picture.inputs().compared(picture.source()).is_some() {
-                    let boxes = reader.detections(head, outputs, picture.mapping(), least);
+                    let boxes = reader.uncounted(head, outputs, picture.mapping(), least);
                     answered.to_compare.push((number, boxes.map_err(RunError::Failed)?));
                 }
             }
@@ -344,7 +344,7 @@ impl DetectorNetwork {
         let reader = &mut self.reader;
         let boxes = self.heads.at(size).and_then(|head| {
             self.session.run(format.shape_of(size), size, &[&values], |outputs| {
-                reader.detections(head, outputs, mapping, least)
+                reader.uncounted(head, outputs, mapping, least)
             })?
         });
         let agreement = boxes.map(|boxes| Agreement::of(largest, &boxes, self.confidence));

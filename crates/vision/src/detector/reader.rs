@@ -106,7 +106,7 @@ impl Reader {
     ///
     /// # Errors
     /// If the output does not have the shape that the model announced.
-    pub(super) fn detections(
+    pub(super) fn uncounted(
         &mut self,
         head: &Head,
         outputs: &[TensorView<'_>],

@@ -34,7 +34,8 @@ pub(in crate::detector) fn bound(
 
 type Shapes = Vec<Vec<i64>>;
 
-/// The smallest head of each kind and its outputs' shapes, at 64x32, with two classes (the end-to-end head knows none).
+/// The smallest head of each kind that still has several boxes, with the shapes of its outputs: at an input of 64x32 and with two
+/// classes, so that a swapped axis has another length and does not pass. The end-to-end head has no axis of classes.
 fn heads() -> Vec<(Head, Shapes)> {
     let input = [1, 3, 32, 64];
     let detr: [(&str, &[i64]); 2] = [("labels", &[1, 4, 2]), ("dets", &[1, 4, 4])];

@@ -199,7 +199,9 @@ impl Hub {
         if file != now || begin < 32 || log.len() < begin {
             return None;
         }
-        // sqlite.org/fileformat2.html#walformat: 32 bytes, then frames of 24 bytes and a page; word 2 of a commit is the size.
+        // The write-ahead log (sqlite.org/fileformat2.html#walformat) begins with 32 bytes, in which the third word is the size of a
+        // page; frames of 24 bytes and a page follow. The second word of a frame is 0, but for the last frame of a commit, where it
+        // is the size of the database: behind such a frame the log may end as if the power was cut there.
         let word = |at: usize| u32::from_be_bytes(log[at..at + 4].try_into().unwrap());
         let frame = 24 + word(8) as usize;
         let commits = (32..log.len()).step_by(frame).filter(|at| *at >= begin && word(at + 4) != 0);
