@@ -126,6 +126,10 @@ struct Turn {
     missing: u64,
 }
 
+#[expect(
+    clippy::too_many_lines,
+    reason = "one measurement, from the session to its figures, in the order of time"
+)]
 async fn turn(port: u16, pid: u32, sharing: bool, picture: &EncodedPicture, first: u64) -> Turn {
     let mut config = zenoh::Config::default();
     for (key, value) in [

@@ -111,8 +111,9 @@ fn no_frame_allocates_once_the_buffers_have_grown() {
         ("fixed-skip:2 ctd:0.5 statues:75 kill-only:5e-4", &[P, I]),
         ("fixed-skip-in-tracker:2", &[P, I, AI]),
     ];
-    let cases = cases.into_iter();
-    let cases = cases.flat_map(|(all, states)| all.split(' ').map(move |one| (one, states)));
+    let cases = cases
+        .into_iter()
+        .flat_map(|(all, states)| all.split(' ').map(move |one| (one, states)));
     for (asked, states) in cases.chain(late.clone().map(|asked| (asked, &[P, I, AI][..]))) {
         for profile in [Profile::Paper, Profile::Reference] {
             check(asked, profile, states, false);

@@ -95,8 +95,9 @@ impl Publisher {
 fn children(parent: u32) -> Vec<u32> {
     let threads = std::fs::read_dir(format!("/proc/{parent}/task")).unwrap();
     let files = threads.map(|thread| thread.unwrap().path().join("children"));
-    let listed = files.map(|file| std::fs::read_to_string(file).unwrap_or_default());
-    let listed = listed.collect::<String>();
+    let listed = files
+        .map(|file| std::fs::read_to_string(file).unwrap_or_default())
+        .collect::<String>();
     let ids = listed.split_whitespace();
     ids.map(|id| id.parse().unwrap()).collect()
 }

@@ -57,8 +57,9 @@ impl Hub {
     async fn start(endpoint: &str) -> Self {
         let session = zenoh_client(endpoint).await;
         let (sender, queries) = unbounded_channel();
-        let queryable = session.declare_queryable("albireo/@report/*");
-        let queryable = queryable.callback(move |query| drop(sender.send(query)));
+        let queryable = session
+            .declare_queryable("albireo/@report/*")
+            .callback(move |query| drop(sender.send(query)));
         queryable.background().await.unwrap();
         Self { session, queries }
     }

@@ -20,8 +20,11 @@ async fn the_demo_has_a_hub_that_receives_its_clips_and_shows_its_node() {
         .unwrap();
     let mut lines = BufReader::new(demo.stdout.take().unwrap()).lines();
     let hub = loop {
-        let line = lines.next_line().await.unwrap();
-        let line = line.expect("the demonstration prints where its hub is");
+        let line = lines
+            .next_line()
+            .await
+            .unwrap()
+            .expect("the demonstration prints where its hub is");
         if let Some(rest) = line.split("hub      curl ").nth(1) {
             break rest.trim_end_matches("/api/v1/clips").to_owned();
         }

@@ -209,8 +209,8 @@ async fn a_node_whose_certificate_has_ended_says_so_and_one_that_ends_soon_is_to
     let mut own = Authority::open(&fleet.authority()).unwrap();
     own.renew(Role::Node, "car-7", Duration::ZERO).unwrap();
     own.renew(Role::Node, "car-8", DAY * 6).unwrap();
-    let ends = own.entries().iter().map(|entry| (entry.name.clone(), entry.ends_s));
-    let ends: BTreeMap<_, _> = ends.collect();
+    let ends: BTreeMap<_, _> =
+        own.entries().iter().map(|entry| (entry.name.clone(), entry.ends_s)).collect();
     drop(own);
     let start = async |name: &str| {
         let settings = format!(

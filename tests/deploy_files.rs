@@ -79,8 +79,9 @@ fn runs_in(package: &str, script: &str, argument: &str, folder: &Path) {
     let text = text(&format!("deploy/debian/{package}/{script}"));
     // The second is where the package gets the lines that enable, restart and stop its unit.
     assert_contains(&text, &["\nset -e\n", "\n#DEBHELPER#\n"]);
-    let text = text.replace("/etc/", &format!("{here}/etc/"));
-    let text = text.replace("/var/lib/", &format!("{here}/var/lib/"));
+    let text = text
+        .replace("/etc/", &format!("{here}/etc/"))
+        .replace("/var/lib/", &format!("{here}/var/lib/"));
     let file = folder.join(script);
     std::fs::write(&file, text).unwrap();
     let bin = folder.join("bin");
@@ -201,11 +202,12 @@ fn the_shipped_configurations_pass_check() {
 #[test]
 fn every_command_in_the_compose_file_parses() {
     let compose = text("deploy/docker/compose.yml");
-    let commands = (compose.lines()).filter_map(|line| line.trim().strip_prefix("command: "));
-    let commands = commands.map(|command| serde_json::from_str::<Vec<String>>(command).unwrap());
+    let commands = compose
+        .lines()
+        .filter_map(|line| line.trim().strip_prefix("command: "))
+        .map(|command| serde_json::from_str::<Vec<String>>(command).unwrap());
     // The bridge is a different program.
-    let commands = commands.filter(|words| !words[0].starts_with("--"));
-    let commands: Vec<_> = commands.collect();
+    let commands: Vec<_> = commands.filter(|words| !words[0].starts_with("--")).collect();
     assert!(commands.len() >= 6, "{commands:?}");
     for words in commands {
         let words = std::iter::once("albireo").chain(words.iter().map(String::as_str));

@@ -137,8 +137,7 @@ fn constant(input: &[i64]) -> Planted {
 
 /// A model of YOLOX's shape whose output has the cells of 416x416 at any size.
 fn of_one_size() -> Planted {
-    let numbers = [208.0, 208.0, 100.0, 60.0, 0.9, 1.0];
-    let numbers: Vec<_> = numbers.into_iter().enumerate().collect();
+    let numbers: Vec<_> = [208.0, 208.0, 100.0, 60.0, 0.9, 1.0].into_iter().enumerate().collect();
     with_metadata(Planted::default().input("images", &OPEN)).output(
         "output",
         &[1, 3549, 6],

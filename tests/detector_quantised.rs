@@ -26,7 +26,7 @@ fn agreement(sure: &[Detection], others: &[Detection]) -> Vec<Option<(f64, f64)>
         let same_class = others.iter().filter(|other| other.class == wanted.class);
         same_class
             .map(|other| {
-                let overlap = (wanted.bounding_box).intersection_over_union(other.bounding_box);
+                let overlap = wanted.bounding_box.intersection_over_union(other.bounding_box);
                 (overlap, (other.confidence - wanted.confidence).abs())
             })
             .max_by(|first, second| first.0.total_cmp(&second.0))

@@ -116,8 +116,10 @@ async fn the_screen_follows_its_class_and_colour_order_settings_and_takes_no_det
         (ColorOrder::Bgr, false, true),
         (ColorOrder::Bgr, true, false),
     ] {
-        let screen = start(Some(model("screen.onnx")), color_order, empty_is_second).await;
-        let screen = screen.unwrap().unwrap();
+        let screen = start(Some(model("screen.onnx")), color_order, empty_is_second)
+            .await
+            .unwrap()
+            .unwrap();
         let verdict = screen.ask(CAMERA, red.clone()).await.unwrap();
         assert_eq!(verdict.empty, empty, "{color_order:?} {empty_is_second}");
     }

@@ -79,8 +79,10 @@ fn commands_to_run(is_wanted: impl Fn(&str) -> bool) -> Vec<String> {
 
 /// The words of a command, without variables before it and a comment after it.
 fn words(line: &str) -> Vec<String> {
-    let words = shlex::split(line.trim_end_matches('&')).unwrap_or_default();
-    let words = words.into_iter().skip_while(|word| word.contains('='));
+    let words = shlex::split(line.trim_end_matches('&'))
+        .unwrap_or_default()
+        .into_iter()
+        .skip_while(|word| word.contains('='));
     words.collect()
 }
 
@@ -232,8 +234,8 @@ fn shell(folder: &Path, line: &str) -> Child {
     let programs = Path::new(env!("CARGO_BIN_EXE_albireo")).parent().unwrap();
     let path = std::env::var("PATH").unwrap_or_default();
     // As in the README, from a folder other than the checkout.
-    let library = std::env::var_os("ORT_DYLIB_PATH");
-    let library = library.unwrap_or_else(|| project(".cache/onnxruntime").into_os_string());
+    let library = std::env::var_os("ORT_DYLIB_PATH")
+        .unwrap_or_else(|| project(".cache/onnxruntime").into_os_string());
     // `env` sets the variables before the command, and `exec` replaces the shell with it.
     process("sh")
         .args(["-c", &format!("exec env {line}")])
@@ -272,10 +274,11 @@ async fn the_documented_commands_run_in_order() {
     let commands = commands_to_run(|page| page != "docs/cameras.md");
     assert!(commands.len() >= 9, "{commands:?}");
     // Independent commands run in parallel.
-    let (with_node, without): (Vec<_>, Vec<_>) = (commands.into_iter())
+    let (with_node, without): (Vec<_>, Vec<_>) = commands
+        .into_iter()
         .partition(|command| command.contains("curl ") || command.contains(" replay "));
     let (comparing, others): (Vec<_>, Vec<_>) =
-        (without.into_iter()).partition(|command| command.contains(" compare "));
+        without.into_iter().partition(|command| command.contains(" compare "));
     let run = async |commands: Vec<String>| {
         for command in commands {
             let mut line = command

@@ -28,8 +28,12 @@ async fn shared_every_frame_of_a_clip_is_answered_or_reported_as_dropped() {
         }
     };
 
-    let dropped = report["dropped"].as_object().unwrap().values();
-    let dropped: u64 = dropped.map(|number| number.as_u64().unwrap()).sum();
+    let dropped: u64 = report["dropped"]
+        .as_object()
+        .unwrap()
+        .values()
+        .map(|number| number.as_u64().unwrap())
+        .sum();
     assert_eq!(report["frames"], detections.len(), "{report}");
     assert_eq!(detections.len() as u64 + dropped, 251, "{report}");
     let numbers: BTreeSet<_> = detections.iter().map(|d| d["seq"].as_u64()).collect();
@@ -37,8 +41,7 @@ async fn shared_every_frame_of_a_clip_is_answered_or_reported_as_dropped() {
     assert_eq!(numbers.len(), answered, "every frame is answered once");
 
     for (state, count) in report["states"].as_object().expect("five counters") {
-        let found = detections.iter().filter(|one| one["state"] == **state);
-        let found = found.count();
+        let found = detections.iter().filter(|one| one["state"] == **state).count();
         assert_eq!(*count, found, "{state}");
         let may_lack = ["E", "E+I"].contains(&&**state);
         assert!(found > 0 || may_lack, "no {state} in {report}");

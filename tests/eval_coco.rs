@@ -38,8 +38,8 @@ fn frames(case: &Case) -> Value {
     let frames = case.predictions.iter().zip(&case.truth).enumerate().map(|(index, boxes)| {
         let predictions: Vec<Value> = boxes.0.iter().map(row).collect();
         let truth: Vec<Value> = boxes.1.iter().map(row).collect();
-        let ignored = case.ignored.get(index).into_iter().flatten();
-        let ignored: Vec<Value> = ignored.map(marked).collect();
+        let ignored: Vec<Value> =
+            case.ignored.get(index).into_iter().flatten().map(marked).collect();
         json!({"predictions": predictions, "truth": truth, "ignored": ignored})
     });
     frames.collect()
@@ -61,8 +61,8 @@ fn assert_agreement(cases: &[Case]) {
             ("pooled_101", Pooled, Coco101),
             ("separate_101", Separate, Coco101),
         ] {
-            let ours = accuracy(&case.predictions, truth, classes, interpolation);
-            let ours = ours.expect("there is ground truth");
+            let ours = accuracy(&case.predictions, truth, classes, interpolation)
+                .expect("there is ground truth");
             for (figure, value) in [("ap50", ours.ap50), ("map", ours.map)] {
                 let expected = theirs[name][figure].as_f64().expect("a number");
                 let off = (value - expected).abs();

@@ -70,8 +70,8 @@ fn one_command_compares_sweeps_traces_and_reports_with_names_escaped() {
     assert_eq!(frames.len(), 40);
     assert_eq!(frames[0].state, FrameState::EI);
     assert_eq!(frames[0].objects.len(), 1);
-    let empty = trace::read(&traces.join("albireo-u3e-4-erd-detections/<b>&.jsonl.gz"));
-    let empty = empty.expect("the trace is there");
+    let empty = trace::read(&traces.join("albireo-u3e-4-erd-detections/<b>&.jsonl.gz"))
+        .expect("the trace is there");
     assert!(empty.iter().all(|frame| frame.state == FrameState::E));
 
     let mut reader = csv::Reader::from_path(out.join("summary.csv")).expect("it is there");

@@ -122,16 +122,14 @@ async fn a_node_sends_counters_and_pictures_over_its_uplink_only_while_somebody_
     })
     .await;
     let listener = zenoh_client(&endpoint).await;
-    let counters = listener.declare_subscriber("albireo/car-1/*/counters");
-    let counters = counters.await.unwrap();
+    let counters = listener.declare_subscriber("albireo/car-1/*/counters").await.unwrap();
     // Nobody watches the node: it serves no picture, and three polls of the uplink's thread send no counters.
     let nothing = listener.get("albireo/car-1/front/picture").await.unwrap();
     assert!(nothing.recv_async().await.is_err());
     let silence = tokio::time::timeout(Duration::from_secs(3), counters.recv_async()).await;
     assert!(silence.is_err(), "{silence:?}");
 
-    let live = reqwest::get(format!("{}/api/v1/nodes/car-1/live", hub.http));
-    let mut live = live.await.unwrap();
+    let mut live = reqwest::get(format!("{}/api/v1/nodes/car-1/live", hub.http)).await.unwrap();
     let mut text = String::new();
     while !text.contains("\"camera\":\"front\"") {
         let chunk = live.chunk().await.unwrap().unwrap();

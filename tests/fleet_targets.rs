@@ -60,8 +60,7 @@ async fn a_target_set_at_the_hub_is_held_by_the_node_until_its_threshold_is_set_
     let turned = reqwest::Client::new().put(threshold);
     let turned = turned.body(r#"{"lambda": 0.3}"#);
     assert_eq!(turned.send().await.unwrap().status(), 200);
-    let drift = hub.until("/api/v1/drift", |drift| drift[0]["node"] == "car-1");
-    let drift = drift.await;
+    let drift = hub.until("/api/v1/drift", |drift| drift[0]["node"] == "car-1").await;
     let by_hand = json!({
         "desired": {"target": {"skip_rate": 0.5}},
         "in_force": {"threshold": {"name": "lambda", "value": 0.3}},

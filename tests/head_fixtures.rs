@@ -79,7 +79,10 @@ fn the_boxes_agree_with_the_vendors_code(
     let output_name = |place: usize| fixture.names.get(place).map_or("output0", String::as_str);
     let signature = Signature {
         inputs: vec![spec("images", &[1, 3, fixture.rows, fixture.columns])],
-        outputs: (fixture.outputs.iter().enumerate())
+        outputs: fixture
+            .outputs
+            .iter()
+            .enumerate()
             .map(|(place, output)| spec(output_name(place), &output.shape))
             .collect(),
         metadata: Metadata::default(),

@@ -240,8 +240,8 @@ impl Made {
         );
 
         let delivered = texts(&db, "SELECT hex(id) FROM report WHERE state = 2");
-        let stored = database(hub, "hub.db");
-        let stored = stored.map(|(_folder, db)| texts(&db, "SELECT hex(report_id) FROM clips"));
+        let stored = database(hub, "hub.db")
+            .map(|(_folder, db)| texts(&db, "SELECT hex(report_id) FROM clips"));
         let lost = delivered.difference(&stored.unwrap_or_default()).count();
         assert_eq!(lost, 0, "reports count as delivered that the hub has not");
         self.assert_threshold(node, moment);

@@ -186,8 +186,7 @@ async fn the_survey_lists_every_source_and_runs_tegrastats_through_a_configured_
             .output();
         let found: Value = serde_json::from_slice(&output.await.unwrap().stdout).unwrap();
         let sources = found.as_array().unwrap();
-        let names = sources.iter().map(|one| one["source"].as_str().unwrap());
-        let names: Vec<_> = names.collect();
+        let names: Vec<_> = sources.iter().map(|one| one["source"].as_str().unwrap()).collect();
         assert_eq!(
             names.join(" "),
             "command ina tegrastats rapl+nvml rapl nvml estimate"

@@ -25,7 +25,8 @@ fn check(name: &str, text: &str, expected: &BTreeMap<String, Expected>) {
     assert_eq!(rails, expected.rails_mw, "{name}");
     assert_eq!(rails.len(), read.len(), "{name}: a rail is there twice");
     let reading = RailMap::new(None).unwrap().reading(&read);
-    let total = (reading.value(Domain::Total))
+    let total = reading
+        .value(Domain::Total)
         .and_then(|total| total.mean_watts(None, 0.0))
         .map(|watts| (watts * 1e3).round());
     assert_eq!(total, expected.total_mw, "{name}");

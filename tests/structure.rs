@@ -78,10 +78,11 @@ fn table(page: &str) -> BTreeMap<String, BTreeSet<String>> {
 #[test]
 fn the_architecture_page_has_the_crates_and_dependencies_of_cargo() {
     let there = members().into_iter().map(|package| {
-        let used = dependencies(&package).iter();
-        let used = used.filter(|used| used["kind"] != "dev");
-        let ours = used.filter(|used| word(&used["name"]).starts_with("albireo"));
-        let ours: BTreeSet<String> = ours.map(short).collect();
+        let used = dependencies(&package).iter().filter(|used| used["kind"] != "dev");
+        let ours: BTreeSet<String> = used
+            .filter(|used| word(&used["name"]).starts_with("albireo"))
+            .map(short)
+            .collect();
         (short(&package), ours)
     });
     let page = table(&text("ARCHITECTURE.md"));
@@ -92,8 +93,7 @@ fn the_architecture_page_has_the_crates_and_dependencies_of_cargo() {
 fn the_method_depends_on_numbers_and_data_alone() {
     let tree = cargo("tree --package=albireo-core --edges=normal --prefix=none --offline");
     let method: BTreeSet<&str> = METHOD.split(' ').collect();
-    let used = tree.lines().filter_map(|line| line.split(' ').next());
-    let used: BTreeSet<&str> = used.collect();
+    let used: BTreeSet<&str> = tree.lines().filter_map(|line| line.split(' ').next()).collect();
     let more: Vec<_> = used.difference(&method).collect();
     assert!(more.is_empty(), "albireo-core depends on {more:?}");
     assert!(used.len() > 4, "{used:?}");
@@ -118,8 +118,7 @@ fn every_dependency_is_used_and_libraries_have_typed_errors() {
         let (code, tests) = (roots(&code), roots(&tests));
         assert!(!code.is_empty(), "{}: no sources", short(&package));
         for used in dependencies(&package) {
-            let name = used["rename"].as_str().unwrap_or(word(&used["name"]));
-            let name = name.replace('-', "_");
+            let name = used["rename"].as_str().unwrap_or(word(&used["name"])).replace('-', "_");
             let names = if used["kind"] == "dev" { &tests } else { &code };
             let untyped = name == "anyhow" && short(&package) != "the program";
             if untyped || !(names.contains(&*name) || FOR_THEIR_FEATURES.contains(&&*name)) {

@@ -93,8 +93,10 @@ pub(super) async fn run(arguments: DemoArguments) -> anyhow::Result<()> {
     // Each part is a task: opening a Zenoh session blocks its thread, and no part may wait for another.
     // The part that ends first ends the others.
     let stop_hub = CancellationToken::new();
-    let hub = hub(hub_listener, endpoint.clone(), stop_hub.clone());
-    let hub = tokio::spawn(ending(shutdown.clone(), hub));
+    let hub = tokio::spawn(ending(
+        shutdown.clone(),
+        hub(hub_listener, endpoint.clone(), stop_hub.clone()),
+    ));
     let node = tokio::spawn(ending(shutdown.clone(), {
         let config = config.clone();
         let shutdown = shutdown.clone();

@@ -128,8 +128,11 @@ pub(crate) fn assert_live_alike(
                 panic!("no detections of frame {frame}");
             };
             let live = node.evaluated(found);
-            let stored = stored.iter().filter(|found| found.confidence >= confidence);
-            let stored: Vec<_> = stored.map(|found| found.normalise(encoded.size)).collect();
+            let stored: Vec<_> = stored
+                .iter()
+                .filter(|found| found.confidence >= confidence)
+                .map(|found| found.normalise(encoded.size))
+                .collect();
             assert_eq!(live.len(), stored.len(), "frame {frame}");
             for (live, stored) in live.iter().zip(&stored) {
                 let [found, expected] = [live, stored].map(|found| (found.class, found.confidence));

@@ -88,8 +88,8 @@ pub(crate) fn compare(
             compare_object(&at, found, expected);
         }
         // The evaluation scores every object, on every frame kind.
-        let reported = outcome.boxes.iter().map(|shown| shown.object.unwrap());
-        let mut reported: Vec<_> = reported.collect();
+        let mut reported: Vec<_> =
+            outcome.boxes.iter().map(|shown| shown.object.unwrap()).collect();
         reported.sort_unstable();
         let all: Vec<_> = expected.objects.iter().map(|object| object.id).collect();
         assert_eq!(reported, all, "{at}: boxes reported");

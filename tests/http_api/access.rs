@@ -130,8 +130,7 @@ async fn a_node_open_to_others_needs_protection_or_permission_and_a_token_file_a
         let node = prepared("albireo", None);
         let router = node.router(&NodeConfig::default(), shutdown.clone());
         let served = http::run(&config, &[], &[], router, listener, shutdown).await;
-        let error = served.err().map(|error| error.to_string());
-        let error = error.unwrap_or_default();
+        let error = served.err().map(|error| error.to_string()).unwrap_or_default();
         assert_eq!(error.is_empty(), said.is_empty(), "{address}: {error}");
         assert_contains(&error, &[said]);
     }

@@ -155,7 +155,6 @@ async fn a_thousand_idle_connections_block_no_health_check_and_hold_few_descript
     }
     let answer = reqwest::get(format!("{}/healthz", node.http)).await;
     assert_eq!(answer.unwrap().status(), StatusCode::OK);
-    let descriptors = std::fs::read_dir(format!("/proc/{}/fd", node.id()));
-    let descriptors = descriptors.unwrap().count();
+    let descriptors = std::fs::read_dir(format!("/proc/{}/fd", node.id())).unwrap().count();
     assert!(descriptors < 500, "{descriptors} descriptors");
 }

@@ -24,8 +24,9 @@ impl Events {
         loop {
             while let Some((event, rest)) = self.text.split_once("\n\n") {
                 let field = |name: &str| event.lines().find_map(|line| line.strip_prefix(name));
-                let found = field("event: ").zip(field("data: "));
-                let found = found.map(|(name, data)| (name.to_owned(), data.to_owned()));
+                let found = field("event: ")
+                    .zip(field("data: "))
+                    .map(|(name, data)| (name.to_owned(), data.to_owned()));
                 self.text = rest.to_owned();
                 if let Some((name, data)) = found {
                     return Some((name, serde_json::from_str(&data).unwrap()));

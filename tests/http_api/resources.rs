@@ -107,7 +107,7 @@ async fn the_latest_picture_is_jpeg_whatever_the_camera_sends_and_decoded_once_f
 /// The next part of a stream of pictures: the sequence number of its frame, and the file.
 async fn next_part(stream: &mut Response, read: &mut Vec<u8>) -> Option<(u64, Vec<u8>)> {
     loop {
-        let ends = (read.windows(4)).position(|bytes| bytes == b"\r\n\r\n");
+        let ends = read.windows(4).position(|bytes| bytes == b"\r\n\r\n");
         if let Some(end) = ends {
             let head = String::from_utf8(read[..end].to_vec()).unwrap();
             let field = |name: &str| {

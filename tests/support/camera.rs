@@ -26,8 +26,7 @@ pub(crate) struct Camera {
 impl Camera {
     /// Connects the camera of `node` at `endpoint`, and waits until the node hears it.
     pub(crate) async fn at(endpoint: &str, node: &str) -> Self {
-        let session = open_session(&[endpoint.to_owned()], &[], PATIENCE).await;
-        let session = session.unwrap();
+        let session = open_session(&[endpoint.to_owned()], &[], PATIENCE).await.unwrap();
         let of = |what: &str| format!("albireo/{node}/front/{what}");
         let answers = subscribe(&session, &of("detections"), drop).await;
         let report = |sample: Sample| read(&sample.payload().to_bytes()).unwrap();

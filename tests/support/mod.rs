@@ -45,8 +45,8 @@ pub(crate) fn text(path: &str) -> String {
 
 /// A file of the shared recordings, clips and models.
 pub(crate) fn shared(path: &str) -> PathBuf {
-    let folder = std::env::var_os("ALBIREO_SHARED");
-    let folder = folder.map_or_else(|| project("../shared"), PathBuf::from);
+    let folder =
+        std::env::var_os("ALBIREO_SHARED").map_or_else(|| project("../shared"), PathBuf::from);
     let file = folder.join(path);
     let missing = "does not exist: set ALBIREO_SHARED, or skip the tests named shared_";
     assert!(file.exists(), "{} {missing}", file.display());
@@ -62,8 +62,9 @@ pub(crate) fn python() -> String {
 /// The answer of a script to `request`, both in JSON.
 pub(crate) fn ask_script(script: &mut std::process::Command, request: &Value) -> Value {
     script.stdin(Stdio::piped()).stdout(Stdio::piped());
-    let child = script.spawn();
-    let mut child = child.expect("Python starts: `make python` and `make wheel-tests` set it up");
+    let mut child = script
+        .spawn()
+        .expect("Python starts: `make python` and `make wheel-tests` set it up");
     let mut stdin = child.stdin.take().unwrap();
     serde_json::to_writer(&mut stdin, request).expect("it takes the request");
     drop(stdin);
@@ -116,8 +117,9 @@ pub(crate) async fn json_at(url: &str) -> Value {
 #[track_caller]
 pub(crate) fn value_of(metrics: &str, series: &str) -> f64 {
     let mut lines = metrics.lines();
-    let found = lines.find_map(|line| line.strip_prefix(series)?.strip_prefix(' '));
-    let found = found.and_then(|rest| rest.split(' ').next()?.parse().ok());
+    let found = lines
+        .find_map(|line| line.strip_prefix(series)?.strip_prefix(' '))
+        .and_then(|rest| rest.split(' ').next()?.parse().ok());
     found.unwrap_or_else(|| panic!("no {series} in {metrics}"))
 }
 
@@ -140,8 +142,9 @@ pub(crate) async fn subscribe<T: Send + 'static>(
     read: impl Fn(Sample) -> T + Send + Sync + 'static,
 ) -> UnboundedReceiver<T> {
     let (sender, messages) = unbounded_channel();
-    let subscriber = session.declare_subscriber(key.to_owned());
-    let subscriber = subscriber.callback(move |sample| drop(sender.send(read(sample))));
+    let subscriber = session
+        .declare_subscriber(key.to_owned())
+        .callback(move |sample| drop(sender.send(read(sample))));
     subscriber.background().await.unwrap();
     messages
 }
@@ -202,8 +205,10 @@ pub(crate) fn run_command(command: &mut std::process::Command) -> Ended {
     if command.get_current_dir().is_none() {
         command.current_dir(env!("CARGO_MANIFEST_DIR"));
     }
-    let output = command.stdin(Stdio::null()).output();
-    let output = output.unwrap_or_else(|error| panic!("{command:?}: {error}"));
+    let output = command
+        .stdin(Stdio::null())
+        .output()
+        .unwrap_or_else(|error| panic!("{command:?}: {error}"));
     output.into()
 }
 
@@ -427,8 +432,10 @@ pub(crate) async fn until_connected(session: &Session, node: &str, camera: &str)
 
 /// Waits until a node has read everything that `session` sent: links keep the order, so an answered query proves it.
 pub(crate) async fn until_read(session: &Session, node: &str, camera: &str) {
-    let replies = session.get(format!("albireo/{node}/{camera}/threshold"));
-    let replies = replies.await.expect("a query");
+    let replies = session
+        .get(format!("albireo/{node}/{camera}/threshold"))
+        .await
+        .expect("a query");
     while replies.recv_async().await.is_ok() {}
 }
 

@@ -298,8 +298,7 @@ fn a_power_cut_takes_what_was_not_synced_and_a_name_whose_folder_was_not() {
         format!("fdatasync(3<{file}> <unfinished ...>"),
         "<... fdatasync resumed>) = 0".to_owned(),
     ];
-    let lines = text.iter().enumerate();
-    let lines = lines.map(|(time, line)| format!("7  0.{time:06} {line}\n"));
+    let lines = text.iter().enumerate().map(|(time, line)| format!("7  0.{time:06} {line}\n"));
     let recording = Recording {
         start: Files::new(),
         trace: Trace::read(&lines.collect::<String>(), Path::new("/d")),

@@ -142,6 +142,10 @@ impl Element for u8 {
 /// A way to run a session. Returns the outputs and the time until they were in the processor's memory.
 type Run<'a, T> = Box<dyn FnMut(&[T]) -> ort::Result<(Vec<Vec<f32>>, f64)> + 'a>;
 
+#[expect(
+    clippy::too_many_lines,
+    reason = "all ways are opened before any is timed, so that they share one state of the card"
+)]
 fn measure<T: Element>(
     sessions: &Sessions<'_>,
     session: Session,

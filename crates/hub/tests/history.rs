@@ -1,7 +1,9 @@
 //! The history of a hub: sums of energy, pages of clips, events, database files.
 
 use crate::support::postgres::Postgres;
-use crate::support::{Hub, assert_contains, assert_has, batch, config, now_ns, on_both, sqlite};
+use crate::support::{
+    Hub, assert_contains, assert_has, batch, config, now_ns, on_both, script, sqlite,
+};
 use crate::tuning::{SimulatedFleet, fleet, put};
 use albireo_hub::store::{Store, StoreError, transfer};
 use albireo_wire::{Target, Threshold};
@@ -208,17 +210,6 @@ async fn the_diagnostic_archive_describes_the_hub() {
     ];
     assert_contains(&text, &lines);
     hub.stop().await;
-}
-
-/// Runs a script in a database that no hub has opened yet.
-async fn script(url: &str, statements: &'static str) {
-    if let Some(file) = url.strip_prefix("sqlite:") {
-        let database = rusqlite::Connection::open(file).unwrap();
-        return database.execute_batch(statements).unwrap();
-    }
-    use sqlx::{Connection as _, Executor as _};
-    let mut connection = sqlx::PgConnection::connect(url).await.unwrap();
-    connection.execute(sqlx::raw_sql(statements)).await.unwrap();
 }
 
 async fn tables_of_version_14_are_brought_to_this_version_with_what_is_in_them(database: &str) {

@@ -1,11 +1,10 @@
 //! Where clips were made: rows, GeoJSON, joules per kilometre, deletion, and tables from before.
 
-use crate::support::{Hub, PATIENCE, YESTERDAY, assert_has, batch, config, on_both};
+use crate::support::{Hub, PATIENCE, YESTERDAY, assert_has, batch, config, on_both, script};
 use albireo_hub::config::DatabaseConfig;
 use albireo_hub::store::Store;
 use albireo_wire::{ClipTravel, ReportBatch};
 use serde_json::{Value, json};
-use sqlx::{Connection, Executor};
 use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 
@@ -179,16 +178,14 @@ const BACK_TO_14: &str = "DROP INDEX clips_with_positions; \
     ALTER TABLE clips DROP COLUMN distance_mm; ALTER TABLE clips DROP COLUMN travel; \
     ALTER TABLE sums_5m DROP COLUMN travel_mm; ALTER TABLE sums_5m DROP COLUMN travel_uj; \
     ALTER TABLE sums_hour DROP COLUMN travel_mm; ALTER TABLE sums_hour DROP COLUMN travel_uj; \
+    ALTER TABLE revisions RENAME COLUMN selector TO \"select\"; ALTER TABLE revisions RENAME COLUMN setting TO \"to\"; \
+    ALTER TABLE revisions RENAME TO orders; \
+    ALTER TABLE revision_nodes RENAME COLUMN setting_before TO \"from\"; \
+    ALTER TABLE revision_nodes RENAME COLUMN given_ms TO asked_ms; ALTER TABLE revision_nodes RENAME TO order_nodes; \
+    DROP INDEX revision_nodes_by_node; DROP INDEX revision_nodes_open; \
+    CREATE INDEX order_nodes_by_node ON order_nodes (node, revision); \
+    CREATE INDEX order_nodes_open ON order_nodes (revision); \
     UPDATE hub_meta SET value = '14' WHERE key = 'version';";
-
-async fn script(database: &str, text: &'static str) {
-    if let Some(path) = database.strip_prefix("sqlite:") {
-        rusqlite::Connection::open(path).unwrap().execute_batch(text).unwrap();
-        return;
-    }
-    let mut connection = sqlx::PgConnection::connect(database).await.unwrap();
-    connection.execute(sqlx::raw_sql(text)).await.unwrap();
-}
 
 async fn tables_from_before_positions_are_upgraded_with_their_clips(database: &str) {
     let hub = Hub::start(config(database)).await;

@@ -92,7 +92,7 @@ impl Settings {
     /// Sets settings: they are in force at once and before any others, and kept as a whole or not at all. If they
     /// cannot be kept now, they are when the disk works again. Writes a small file.
     fn set<T>(&self, settings: impl FnOnce(&mut Transaction<'_>) -> T) -> T {
-        self.file.set(|kept| settings(&mut Transaction::new(&self.board, kept)))
+        self.file.edit(|kept| settings(&mut Transaction::new(&self.board, kept)))
     }
 
     /// Keeps the threshold's value while a target is held, so that a restart continues from there. Writes a small file.

@@ -55,32 +55,41 @@ pub(crate) fn open_source(
     Ok((source, meter))
 }
 
+/// The first source that can be used, and what the log should know of it and of those before it.
 fn automatic(config: &PowerConfig) -> (PowerSource, Box<dyn Meter>) {
     for source in BEST_FIRST {
         match open_source(source, config) {
-            Ok(opened) => {
-                if opened.1.quality() == EnergyQuality::Partial {
-                    tracing::warn!(
-                        source = source.as_str(),
-                        "the power meter does not read all that consumes much here (see `albireo power`)"
-                    );
-                }
-                if source == PowerSource::Estimate {
-                    tracing::info!(
-                        "no power meter: energy is estimated from utilisation (see `albireo power`)"
-                    );
-                }
-                return opened;
+            Ok((source, meter)) => {
+                log_chosen(source, meter.quality());
+                return (source, meter);
             }
-            Err(error) => match error.of(source.as_str()) {
-                // Warn only about a meter that exists but cannot be read.
-                why @ MeterError::Missing(_) => tracing::debug!(%why, "power source skipped"),
-                why @ MeterError::Failed(_) => tracing::warn!(%why, "power source skipped"),
-            },
+            Err(error) => log_skipped(&error.of(source.as_str())),
         }
     }
     tracing::warn!("no power meter and no estimate: no energy figures");
     (PowerSource::None, Box::new(NoMeter))
+}
+
+fn log_chosen(source: PowerSource, quality: EnergyQuality) {
+    if quality == EnergyQuality::Partial {
+        tracing::warn!(
+            source = source.as_str(),
+            "the power meter does not read all that consumes much here (see `albireo power`)"
+        );
+    }
+    if source == PowerSource::Estimate {
+        tracing::info!(
+            "no power meter: energy is estimated from utilisation (see `albireo power`)"
+        );
+    }
+}
+
+/// Warns only about a meter that exists but cannot be read.
+fn log_skipped(why: &MeterError) {
+    match why {
+        MeterError::Missing(_) => tracing::debug!(%why, "power source skipped"),
+        MeterError::Failed(_) => tracing::warn!(%why, "power source skipped"),
+    }
 }
 
 #[cfg(test)]

@@ -117,8 +117,7 @@ impl PowerHandle {
     ) -> (Self, watch::Sender<Option<Instant>>) {
         let interval = interval.max(Duration::from_millis(1));
         let (announce, newest) = watch::channel(None);
-        let account = Account::new(source, meter.quality(), interval);
-        let account = Arc::new(Mutex::new(account));
+        let account = Arc::new(Mutex::new(Account::new(source, meter.quality(), interval)));
         (Self { account, newest }, announce)
     }
 

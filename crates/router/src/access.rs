@@ -11,6 +11,7 @@ use albireo_wire::NodeKeys;
 use serde_json::{Value, json};
 use std::collections::HashSet;
 use std::path::Path;
+use std::slice::from_ref;
 
 /// Returns Zenoh's `access_control` section for the unrevoked certificates in `folder`, with keys under `prefix`. With
 /// `pictures`, a hub may query nodes for camera pictures.
@@ -91,7 +92,7 @@ impl Rules<'_> {
     }
 
     /// What every node may receive.
-    fn to_nodes(&mut self) -> Vec<String> {
+    fn for_nodes(&mut self) -> Vec<String> {
         let queried = self.queried();
         let published = self.published();
         let changed = [self.all.changed()];
@@ -114,20 +115,20 @@ impl Rules<'_> {
     }
 
     /// What a hub may send and receive.
-    fn of_hubs(&mut self) -> Vec<String> {
+    fn for_hubs(&mut self) -> Vec<String> {
         let queried = self.queried();
         let published = self.published();
         let changed = self.all.changed();
         let alive = self.all.alive();
         let mut rules = vec![
-            self.allow("hub notices", "ingress", &["put"], &[changed.clone()]),
+            self.allow("hub notices", "ingress", &["put"], from_ref(&changed)),
             self.allow("hub answers", "ingress", &ANSWERS, &queried),
             self.allow("hub hears", "ingress", &["declare_subscriber"], &published),
             self.allow(
                 "hub watches",
                 "ingress",
                 &["declare_liveliness_subscriber", "liveliness_query"],
-                &[alive.clone()],
+                from_ref(&alive),
             ),
             self.allow("to hubs", "egress", &["put"], &published),
             self.allow("questions to hubs", "egress", &["query"], &queried),
@@ -147,7 +148,7 @@ impl Rules<'_> {
     }
 
     /// What a router may forward.
-    fn of_routers(&mut self) -> Vec<String> {
+    fn for_routers(&mut self) -> Vec<String> {
         let every = [
             self.all.report(),
             self.all.pull(),
@@ -163,7 +164,7 @@ impl Rules<'_> {
     }
 
     /// What one node may send, under its own name alone.
-    fn of_node(&mut self, name: &str) -> Result<Vec<String>, RouterError> {
+    fn for_node(&mut self, name: &str) -> Result<Vec<String>, RouterError> {
         let keys = NodeKeys::new(self.prefix, name)?;
         let counters = format!("{}/{name}/*/counters", self.prefix);
         let picture = [format!("{}/{name}/*/picture", self.prefix)];
@@ -191,20 +192,20 @@ fn rules(good: &[&Entry], prefix: &str, pictures: bool) -> Result<Value, RouterE
         pictures,
         made: Vec::new(),
     };
-    let to_nodes = rules.to_nodes();
-    let of_hubs = rules.of_hubs();
-    let of_routers = rules.of_routers();
+    let for_nodes = rules.for_nodes();
+    let for_hubs = rules.for_hubs();
+    let for_routers = rules.for_routers();
     let mut subjects = Vec::new();
     let mut policies = Vec::new();
     let mut named = HashSet::new();
     for entry in good {
         let subject = entry.common_name();
         let own = match entry.role {
-            Role::Hub => of_hubs.clone(),
-            Role::Router => of_routers.clone(),
+            Role::Hub => for_hubs.clone(),
+            Role::Router => for_routers.clone(),
             Role::Node => {
-                let mut own = rules.of_node(&entry.name)?;
-                own.extend_from_slice(&to_nodes);
+                let mut own = rules.for_node(&entry.name)?;
+                own.extend_from_slice(&for_nodes);
                 own
             }
         };

@@ -11,8 +11,8 @@ use tar::{Builder, Header};
 /// have the time `at_s` (seconds since the Unix epoch).
 pub fn diagnostics(name: &str, files: &[(&str, Vec<u8>)], at_s: u64) -> Response {
     let lines = logging::lines_after(0, usize::MAX).into_iter();
-    let log: String = lines.map(|line| format!("{line}\n")).collect();
-    let log = ("log.txt", log.into_bytes());
+    let text: String = lines.map(|line| format!("{line}\n")).collect();
+    let log = ("log.txt", text.into_bytes());
     let mut archive = Builder::new(Vec::new());
     let packed = files.iter().chain([&log]).try_for_each(|(name, content)| {
         let mut header = Header::new_ustar();

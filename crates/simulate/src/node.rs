@@ -314,27 +314,33 @@ impl SimNode {
             total_latency_ms: latency(4.0, frames as u64),
             detector_latency_ms: latency(18.0, frames as u64 - skipped),
             detector_used_ms: 18.0 * (frames as u64 - skipped) as f64,
-            energy: ClipEnergy {
-                joules: Some(joules),
-                node_joules: Some(joules),
-                saved_joules_estimated: Some(DETECTOR_WATTS * skip * worse * self.options.clip_s),
-                edp: Some(joules * self.options.clip_s * 1e3 / frames),
-                quality: self.quality(),
-                source: "simulated".to_owned(),
-                total_from: "simulated".to_owned(),
-                samples: (self.options.clip_s * 10.0) as u64,
-                coverage: 1.0,
-                domains: vec![DomainEnergy {
-                    domain: "total".to_owned(),
-                    joules,
-                    mean_watts: joules / self.options.clip_s,
-                    peak_watts: Some(joules / self.options.clip_s * 1.3),
-                }],
-            },
+            energy: self.energy(joules, DETECTOR_WATTS * skip * worse, frames),
             board: None,
             audit: None,
             travel: (self.options.positions)
                 .then(|| travel(self.seed, number, self.options.clip_s)),
+        }
+    }
+
+    /// The energy of a clip of `frames` that used `joules` and saved so many watts.
+    fn energy(&self, joules: f64, saved_watts: f64, frames: f64) -> ClipEnergy {
+        let seconds = self.options.clip_s;
+        ClipEnergy {
+            joules: Some(joules),
+            node_joules: Some(joules),
+            saved_joules_estimated: Some(saved_watts * seconds),
+            edp: Some(joules * seconds * 1e3 / frames),
+            quality: self.quality(),
+            source: "simulated".to_owned(),
+            total_from: "simulated".to_owned(),
+            samples: (seconds * 10.0) as u64,
+            coverage: 1.0,
+            domains: vec![DomainEnergy {
+                domain: "total".to_owned(),
+                joules,
+                mean_watts: joules / seconds,
+                peak_watts: Some(joules / seconds * 1.3),
+            }],
         }
     }
 

@@ -71,8 +71,11 @@ pub struct Options {
 }
 
 fn seconds(text: &str) -> Result<Duration, &'static str> {
-    let seconds = text.parse::<f64>().ok().filter(|seconds| (0.0..=86_400.0).contains(seconds));
-    let seconds = seconds.ok_or("must be a number of seconds, at most a day")?;
+    let seconds = text
+        .parse::<f64>()
+        .ok()
+        .filter(|seconds| (0.0..=86_400.0).contains(seconds))
+        .ok_or("must be a number of seconds, at most a day")?;
     Ok(Duration::from_secs_f64(seconds))
 }
 

@@ -20,16 +20,19 @@ pub(super) fn table<const N: usize>(
         widths.max().unwrap_or(0)
     };
     let shown = |line: &Vec<String>| {
-        let cells = line.iter().zip(&headings).enumerate();
-        let cells = cells.map(|(column, (cell, heading))| {
-            let wide = width(column);
-            if heading.starts_with('>') {
-                format!("{cell:>wide$}")
-            } else {
-                format!("{cell:<wide$}")
-            }
-        });
-        let cells: Vec<String> = cells.collect();
+        let cells: Vec<String> = line
+            .iter()
+            .zip(&headings)
+            .enumerate()
+            .map(|(column, (cell, heading))| {
+                let wide = width(column);
+                if heading.starts_with('>') {
+                    format!("{cell:>wide$}")
+                } else {
+                    format!("{cell:<wide$}")
+                }
+            })
+            .collect();
         cut(cells.join("  ").trim_end(), WIDTH) + "\n"
     };
     lines.iter().map(shown).collect()

@@ -110,121 +110,6 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/changes": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        /**
-         * The history of changes
-         * @description Each change has its author, nodes, setting, reason and outcome.
-         */
-        get: {
-            parameters: {
-                query?: {
-                    /** @description Only changes of this node. */
-                    node?: string | null;
-                    /** @description Only changes with a lower number. */
-                    before?: number | null;
-                    /** @description Maximum number, up to 500; 50 by default. */
-                    limit?: number | null;
-                };
-                header?: never;
-                path?: never;
-                cookie?: never;
-            };
-            requestBody?: never;
-            responses: {
-                200: {
-                    headers: {
-                        [name: string]: unknown;
-                    };
-                    content: {
-                        "application/json": components["schemas"]["Changes"];
-                    };
-                };
-                "4XX": {
-                    headers: {
-                        [name: string]: unknown;
-                    };
-                    content: {
-                        "application/problem+json": components["schemas"]["Problem"];
-                    };
-                };
-                "5XX": {
-                    headers: {
-                        [name: string]: unknown;
-                    };
-                    content: {
-                        "application/problem+json": components["schemas"]["Problem"];
-                    };
-                };
-            };
-        };
-        put?: never;
-        post?: never;
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/changes/{revision}": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        /** One change with every node */
-        get: {
-            parameters: {
-                query?: never;
-                header?: never;
-                path: {
-                    /** @description Its number. */
-                    revision: number;
-                };
-                cookie?: never;
-            };
-            requestBody?: never;
-            responses: {
-                200: {
-                    headers: {
-                        [name: string]: unknown;
-                    };
-                    content: {
-                        "application/json": components["schemas"]["ChangeView"];
-                    };
-                };
-                "4XX": {
-                    headers: {
-                        [name: string]: unknown;
-                    };
-                    content: {
-                        "application/problem+json": components["schemas"]["Problem"];
-                    };
-                };
-                "5XX": {
-                    headers: {
-                        [name: string]: unknown;
-                    };
-                    content: {
-                        "application/problem+json": components["schemas"]["Problem"];
-                    };
-                };
-            };
-        };
-        put?: never;
-        post?: never;
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
     "/api/v1/clips": {
         parameters: {
             query?: never;
@@ -370,8 +255,8 @@ export interface paths {
         /**
          * Diagnostics as one tar archive
          * @description The archive contains versions, the configuration with its secrets masked, readiness, the nodes that are not online,
-         *     metrics, the last events and changes, and the last lines of the log. If the database cannot be read, the error is in
-         *     place of events and changes.
+         *     metrics, the last events and revisions, and the last lines of the log. If the database cannot be read, the error is in
+         *     place of events and revisions.
          *     `curl -O -J http://127.0.0.1:8090/api/v1/diag`
          */
         get: {
@@ -1020,6 +905,121 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/revisions": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * The history of desired settings
+         * @description Each revision has its author, nodes, setting, reason and outcome.
+         */
+        get: {
+            parameters: {
+                query?: {
+                    /** @description Only those that gave this node a setting. */
+                    node?: string | null;
+                    /** @description Only those with a lower number. */
+                    before?: number | null;
+                    /** @description Maximum number, up to 500; 50 by default. */
+                    limit?: number | null;
+                };
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["Revisions"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/revisions/{revision}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** One revision with every node */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path: {
+                    /** @description Its number. */
+                    revision: number;
+                };
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["Revision"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/rollouts": {
         parameters: {
             query?: never;
@@ -1315,7 +1315,7 @@ export interface paths {
             };
             requestBody: {
                 content: {
-                    "application/json": components["schemas"]["NewChange"];
+                    "application/json": components["schemas"]["NewRevision"];
                 };
             };
             responses: {
@@ -1324,7 +1324,7 @@ export interface paths {
                         [name: string]: unknown;
                     };
                     content: {
-                        "application/json": components["schemas"]["OrderAnswer"];
+                        "application/json": components["schemas"]["Revision"];
                     };
                 };
                 "4XX": {
@@ -1376,7 +1376,7 @@ export interface paths {
             };
             requestBody: {
                 content: {
-                    "application/json": components["schemas"]["NewChange"];
+                    "application/json": components["schemas"]["NewRevision"];
                 };
             };
             responses: {
@@ -1385,7 +1385,7 @@ export interface paths {
                         [name: string]: unknown;
                     };
                     content: {
-                        "application/json": components["schemas"]["OrderAnswer"];
+                        "application/json": components["schemas"]["Revision"];
                     };
                 };
                 "4XX": {
@@ -1841,22 +1841,6 @@ export interface components {
             next?: number | null;
             reports: components["schemas"]["StoredSetAside"][];
         };
-        /** @description An order to one node, and its outcome. */
-        Ask: {
-            /** @description When the node was asked; for a node that was out of reach, when it returned. */
-            asked_ms: components["schemas"]["i64"];
-            /** @description When the hub learned the outcome, milliseconds since the Unix epoch. */
-            at_ms: components["schemas"]["i64"];
-            /** @description The reason for the outcome; empty without one. */
-            detail: string;
-            /** @description The outcome. */
-            outcome: components["schemas"]["Outcome"];
-            /**
-             * Format: int64
-             * @description Its revision.
-             */
-            revision: number;
-        };
         /**
          * @description The results of an audit, with 95 % intervals that account for missed frames. The reference is the detector, not the
          *     truth: a policy that keeps showing an object that the detector misses loses precision here although it may be right.
@@ -1995,54 +1979,6 @@ export interface components {
              * @description Its end, seconds since the Unix epoch.
              */
             until_s: number;
-        };
-        /** @description The outcome of a change at one node. */
-        ChangeNode: components["schemas"]["Ask"] & {
-            from?: components["schemas"]["DesiredSetting"] | null;
-            /** @description The node. */
-            node: string;
-        };
-        /** @description A change: a setting that was ordered for some nodes. */
-        ChangeRow: {
-            /**
-             * Format: int64
-             * @description When, milliseconds since the Unix epoch.
-             */
-            at_ms: number;
-            /** @description Its origin: `hand`, `rollout 3`, `trial 4`, `drift`. */
-            origin: string;
-            /**
-             * Format: int64
-             * @description Its number, which nodes report as the revision of their setting.
-             */
-            revision: number;
-            /** @description The selector; empty for a rollout or trial. */
-            select: string;
-            /** @description The ordered setting: a threshold, or a target (null switches it off). */
-            to: components["schemas"]["DesiredSetting"];
-            /** @description The name of the caller's token. */
-            who: string;
-            /** @description The reason. */
-            why: string;
-        };
-        /** @description A change in the history. */
-        ChangeView: components["schemas"]["ChangeRow"] & {
-            /** @description The number of nodes by outcome. */
-            counts: {
-                [key: string]: number;
-            };
-            /** @description The outcome at each node; absent in a list. */
-            nodes?: components["schemas"]["ChangeNode"][];
-        };
-        /** @description Changes, the newest first. */
-        Changes: {
-            /** @description One entry for each change. */
-            changes: components["schemas"]["ChangeView"][];
-            /**
-             * Format: int64
-             * @description The `before` of the next page; absent on the last page.
-             */
-            next?: number | null;
         };
         /** @description The GeoJSON of a clip. */
         ClipFeature: {
@@ -2329,7 +2265,7 @@ export interface components {
             verdict?: components["schemas"]["Verdict"] | null;
             /** @description Its kind. */
             what: components["schemas"]["What"];
-            /** @description Who ordered it; absent if the hub did it by itself. */
+            /** @description Who commanded it; absent if the hub did it by itself. */
             who?: string | null;
         };
         /**
@@ -2397,6 +2333,22 @@ export interface components {
             coordinates: number[][];
             /** @enum {string} */
             type: "LineString";
+        };
+        /** @description A desired setting that was given to a node: its revision, and what became of it. */
+        Given: {
+            /** @description When the hub learned the outcome, milliseconds since the Unix epoch. */
+            at_ms: components["schemas"]["i64"];
+            /** @description The reason for the outcome; empty without one. */
+            detail: string;
+            /** @description When it was given; for a node that was out of reach, when that returned. */
+            given_ms: components["schemas"]["i64"];
+            /** @description The outcome. */
+            outcome: components["schemas"]["Outcome"];
+            /**
+             * Format: int64
+             * @description Its revision.
+             */
+            revision: number;
         };
         /** @description The process answers. */
         Health: {
@@ -2484,8 +2436,7 @@ export interface components {
             why: string;
         };
         /** @description One node of a rollout or trial. */
-        Member: components["schemas"]["Ask"] & {
-            asked?: components["schemas"]["Threshold"] | null;
+        Member: components["schemas"]["Given"] & {
             /** @description Its value at the beginning. */
             before: components["schemas"]["Threshold"];
             /** @description Its stage or group, from 0. */
@@ -2494,14 +2445,15 @@ export interface components {
             node: string;
             /** @description True if it was in reach when the run was stored. */
             reachable: boolean;
+            value?: components["schemas"]["Threshold"] | null;
             /** @description True if it was in reach when the present stage began. */
             was_reachable: boolean;
         };
         /**
-         * @description A change of selected nodes. The setting is a further field: the threshold under the policy's name for it, such as
-         *     `"u": 5e-4`, or `target`.
+         * @description Gives selected nodes a desired setting. The setting is a further field: the threshold under the policy's name for it,
+         *     such as `"u": 5e-4`, or `target`.
          */
-        NewChange: {
+        NewRevision: {
             /** @description True to report only which nodes would change. */
             dry_run?: boolean;
             /** @description Selects the nodes: names, globs, labels, `all`. */
@@ -2536,6 +2488,14 @@ export interface components {
              */
             waiting: number;
         };
+        /** @description The desired setting of a node, and what became of it. */
+        NodeSetting: components["schemas"]["Given"] & {
+            from?: components["schemas"]["DesiredSetting"] | null;
+            /** @description The node. */
+            node: string;
+            /** @description The setting: a threshold, or a target (null switches it off). */
+            to: components["schemas"]["DesiredSetting"];
+        };
         /** @description The full status that a hub shows of a node between reports. */
         NodeStatus: {
             /** @description Cameras. */
@@ -2560,7 +2520,7 @@ export interface components {
             power_source: string;
             /** @description Execution provider that actually runs the model; absent until the model is loaded. */
             provider?: string | null;
-            refused?: components["schemas"]["RefusedDesired"] | null;
+            refused?: components["schemas"]["RefusedRevision"] | null;
             target?: components["schemas"]["NodeTarget"] | null;
             /** @description Human-readable reason why a target that the node had since its start was switched off. */
             target_off?: string | null;
@@ -2617,20 +2577,6 @@ export interface components {
          * @enum {string}
          */
         OnFailure: "return" | "hold";
-        /** @description The result of a change, and the last line of a stream. */
-        OrderAnswer: {
-            /** @description The number of nodes by outcome. */
-            counts: {
-                [key: string]: number;
-            };
-            /** @description The outcome at each node; absent in a stream, which had them before. */
-            nodes: components["schemas"]["ChangeNode"][];
-            /**
-             * Format: int64
-             * @description Revision of the order: `/api/v1/changes/{revision}` shows its progress. Absent in a dry run, and if no node would change.
-             */
-            revision?: number | null;
-        };
         /** @description The outbox of a [`NodeStatus`]. */
         OutboxStatus: {
             /** @description True if reports survive a power loss; false without a state directory or if its disk fails. */
@@ -2652,7 +2598,7 @@ export interface components {
             waiting: number;
         };
         /**
-         * @description The outcome of an order at a node.
+         * @description The outcome of a desired setting at a node.
          * @enum {string}
          */
         Outcome: "untouched" | "pending" | "waiting" | "applied" | "refused" | "timed_out" | "missed" | "superseded" | "unchanged" | "would_change";
@@ -2755,7 +2701,7 @@ export interface components {
             fastest_m_s?: number | null;
         };
         /** @description A desired value that a node refused. */
-        RefusedDesired: {
+        RefusedRevision: {
             /** @description Human-readable reason: the policy has another threshold, or the value is out of range. */
             reason: string;
             /**
@@ -2807,6 +2753,43 @@ export interface components {
          * @enum {string}
          */
         Resolution: "five_minutes" | "hour";
+        /** @description A desired setting that was given to some nodes at once. */
+        Revision: {
+            /** @description When, milliseconds since the Unix epoch. */
+            at_ms: components["schemas"]["i64"];
+            /** @description The number of nodes by outcome. */
+            counts: {
+                [key: string]: number;
+            };
+            /** @description The outcome at each node; absent in a list, and at the end of a stream, which had them before. */
+            nodes: components["schemas"]["NodeSetting"][];
+            /** @description Its origin: `hand`, `rollout 3`, `trial 4`, `drift`. */
+            origin: string;
+            /**
+             * Format: int64
+             * @description Its number, which nodes report with their setting: `/api/v1/revisions/{revision}` shows its progress. Absent in a dry
+             *     run, and if no node would change.
+             */
+            revision?: number | null;
+            /** @description The selector; empty for a rollout or trial. */
+            select: string;
+            /** @description The setting: a threshold, or a target (null switches it off). */
+            to: components["schemas"]["DesiredSetting"];
+            /** @description The name of the caller's token. */
+            who: string;
+            /** @description The reason. */
+            why: string;
+        };
+        /** @description Revisions, the newest first. */
+        Revisions: {
+            /**
+             * Format: int64
+             * @description The `before` of the next page; absent on the last page.
+             */
+            next?: number | null;
+            /** @description One entry for each revision. */
+            revisions: components["schemas"]["Revision"][];
+        };
         /** @description A change in stages. */
         RolloutPlan: components["schemas"]["Basics"] & {
             /**
@@ -2833,7 +2816,7 @@ export interface components {
             held_for_s: number;
             /**
              * Format: double
-             * @description Time that a node may stay out of reach, seconds; then its order is withdrawn, and the record names it.
+             * @description Time that a node may stay out of reach, seconds; then its value is withdrawn, and the record names it.
              * @default 604800
              */
             offline_deadline_s: number;

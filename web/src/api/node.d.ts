@@ -2212,19 +2212,6 @@ export interface components {
              */
             next?: string | null;
         };
-        /** @description Notifies a node that its desired setting has changed. */
-        ConfigChanged: {
-            /**
-             * Format: int64
-             * @description Revision of the desired setting.
-             */
-            revision: number;
-            /**
-             * Format: int32
-             * @description Version.
-             */
-            v: number;
-        };
         /** @description The counters of a camera, sent once per second. */
         CountersMessage: {
             audit?: components["schemas"]["AuditFigures"] | null;
@@ -2821,7 +2808,7 @@ export interface components {
             power_source: string;
             /** @description Execution provider that actually runs the model; absent until the model is loaded. */
             provider?: string | null;
-            refused?: components["schemas"]["RefusedDesired"] | null;
+            refused?: components["schemas"]["RefusedRevision"] | null;
             target?: components["schemas"]["NodeTarget"] | null;
             /** @description Human-readable reason why a target that the node had since its start was switched off. */
             target_off?: string | null;
@@ -3069,19 +3056,6 @@ export interface components {
             /** @description Always `about:blank`: the title is the text of the status. */
             type: string;
         };
-        /** @description A node's request for its desired setting. */
-        PullRequest: {
-            /**
-             * Format: int64
-             * @description Revision that the node has; 0 for none.
-             */
-            revision: number;
-            /**
-             * Format: int32
-             * @description Version.
-             */
-            v: number;
-        };
         /** @description The readiness of the node, and what processes its frames. */
         Readiness: {
             /** @description File name of the detector's model. */
@@ -3101,16 +3075,6 @@ export interface components {
             /** @description True if every part works. */
             state: components["schemas"]["HealthState"];
         };
-        /** @description A desired value that a node refused. */
-        RefusedDesired: {
-            /** @description Human-readable reason: the policy has another threshold, or the value is out of range. */
-            reason: string;
-            /**
-             * Format: int64
-             * @description Revision of the value, greater than the one in force.
-             */
-            revision: number;
-        };
         /** @description A report that a hub will never store. */
         RefusedReport: {
             /**
@@ -3120,6 +3084,16 @@ export interface components {
             id: string;
             /** @description Human-readable reason. */
             reason: string;
+        };
+        /** @description A desired value that a node refused. */
+        RefusedRevision: {
+            /** @description Human-readable reason: the policy has another threshold, or the value is out of range. */
+            reason: string;
+            /**
+             * Format: int64
+             * @description Revision of the value, greater than the one in force.
+             */
+            revision: number;
         };
         /** @description What a node knows of a report's age without its wall clock. */
         ReportAge: {
@@ -3170,6 +3144,19 @@ export interface components {
              *     times in the reports are plausible.
              */
             t_ms: number;
+            /**
+             * Format: int32
+             * @description Version.
+             */
+            v: number;
+        };
+        /** @description The revision of a desired setting: in a notice the one that the node may pull, in a pull the one that it has. */
+        RevisionMessage: {
+            /**
+             * Format: int64
+             * @description The revision; 0 for none.
+             */
+            revision: number;
             /**
              * Format: int32
              * @description Version.

@@ -112,7 +112,8 @@ impl AuditSums {
         add(&mut self.detected, more.detected);
         add(&mut self.shown, more.shown);
         add(&mut self.paired, more.paired);
-        let (squares, more) = (&mut self.squares, &more.squares);
+        let squares = &mut self.squares;
+        let more = &more.squares;
         add(&mut squares.detected, more.detected);
         add(&mut squares.shown, more.shown);
         add(&mut squares.paired, more.paired);

@@ -84,8 +84,7 @@ fn the_drawn_share_is_as_configured_and_reproducible() {
         let other = AuditDraw::new(share, 8);
         assert!((0..1000).any(|frame| draw.draw(frame) != other.draw(frame)));
         // The draw does not align with a policy that calls on every second frame.
-        let even = (0..100_000).step_by(2).filter(|frame| draw.draw(*frame));
-        let even = even.count() * 2;
+        let even = (0..100_000).step_by(2).filter(|frame| draw.draw(*frame)).count() * 2;
         assert!((least * 9 / 10..=most * 11 / 10).contains(&even), "{even}");
     }
     assert!((0..1000).all(|frame| AuditDraw::new(1.0, 1).draw(frame)));
@@ -241,7 +240,7 @@ proptest! {
     fn the_design_effect_is_the_variance_of_frames_over_that_of_boxes(
         frames in prop::collection::vec((1u32..12, 0.0f64..=1.0), 1..40),
     ) {
-        let frames: Vec<(f64, f64)> = (frames.iter())
+        let frames: Vec<(f64, f64)> = frames.iter()
             .map(|&(boxes, share)| (f64::from(boxes), (f64::from(boxes) * share).round()))
             .collect();
         let sum = |of: &dyn Fn(f64, f64) -> f64| frames.iter().map(|&(m, k)| of(m, k)).sum::<f64>();

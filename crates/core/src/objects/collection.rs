@@ -77,7 +77,8 @@ impl ObjectStates {
             self.states.clear();
             return;
         }
-        let (model, [width, height]) = (&self.model, self.minimum_size);
+        let model = &self.model;
+        let [width, height] = self.minimum_size;
         self.states.retain_mut(|state| {
             (0..frames).all(|_| {
                 state.predict(model);
@@ -97,7 +98,8 @@ impl ObjectStates {
     ) {
         self.screen(detections);
         let hits_to_confirm = self.settings.life_cycle.hits_to_confirm;
-        let (model, [width, height]) = (&self.model, self.minimum_size);
+        let model = &self.model;
+        let [width, height] = self.minimum_size;
         let detection_of = self.matcher.associate(
             &self.settings.association,
             model,

@@ -233,8 +233,7 @@ fn a_frame_without_the_detector_is_predicted_and_the_next_one_asks_again() {
                 assert!(run.outcome.degraded, "{what}");
                 assert_eq!(run.outcome.boxes.len(), boxes, "{what}");
                 // No miss is counted.
-                let since = before.iter();
-                let since = since.map(|&(id, misses, since)| (id, misses, since + blind));
+                let since = before.iter().map(|&(id, misses, since)| (id, misses, since + blind));
                 let records = run.records();
                 assert!(records.iter().map(of).eq(since), "{what}: {records:?}");
             }

@@ -103,7 +103,7 @@ fn settles(controller: &mut TargetController, plant: &mut Plant, what: &str) {
     }
     let mean = states.iter().filter_map(|state| state.actual).sum::<f64>() / 240.0;
     assert!((mean / wanted - 1.0).abs() < 0.03, "{what}: mean {mean}");
-    let held = (states.iter()).filter(|state| state.status == TargetStatus::Held);
+    let held = states.iter().filter(|state| state.status == TargetStatus::Held);
     assert!(held.count() > 180, "{what}");
 }
 

@@ -269,7 +269,9 @@ impl dyn Database + '_ {
 
     /// Inserts clips, and adds them to the sums of their cameras and of the fleet.
     pub(crate) fn insert_clips(&mut self, clips: &[StoredClipRow]) -> Result<(), StoreError> {
-        let first = self.number("SELECT COALESCE(max(id), 0) + 1 FROM clips", &[])?;
+        let first = self
+            .number("SELECT COALESCE(max(id), 0) + 1 FROM clips", &[])?
+            .ok_or_else(|| StoreError::Statement("clips have no next id".to_owned()))?;
         self.insert(clips, "")?;
         for (text, seconds) in ADD_SUMS {
             self.query(text, &[first.into(), seconds.into(), LARGEST_SUM.into()])?;

@@ -8,7 +8,6 @@ use super::run::{Measured, Run, Window};
 use super::runs::RunKey;
 use crate::store::row::{Cell, Columns, FromRow, IntoRow, Param, Row, read_all};
 use crate::store::{Database, DatabaseKind, Store, StoreError};
-use albireo_wire::DesiredSetting;
 
 /// A rollout or trial is JSON in one column.
 impl FromRow for Run {

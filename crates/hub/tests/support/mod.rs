@@ -254,3 +254,14 @@ pub(crate) fn full_status(run: u32, seq: u64, reasons: &[(&str, &str)]) -> Statu
         ..status(run, seq)
     }
 }
+
+/// Runs statements in a database that no hub has open.
+pub(crate) async fn script(url: &str, statements: &'static str) {
+    if let Some(file) = url.strip_prefix("sqlite:") {
+        let database = rusqlite::Connection::open(file).unwrap();
+        return database.execute_batch(statements).unwrap();
+    }
+    use sqlx::{Connection as _, Executor as _};
+    let mut connection = sqlx::PgConnection::connect(url).await.unwrap();
+    connection.execute(sqlx::raw_sql(statements)).await.unwrap();
+}

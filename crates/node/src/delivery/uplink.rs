@@ -207,24 +207,10 @@ impl Worker {
                 }
             };
             let failed = match session {
-                Ok(session) => {
-                    let began = Instant::now();
-                    let served = self.serve(&session).await;
-                    if began.elapsed() > MIN_UPTIME {
-                        self.reconnect.reset();
-                    }
-                    if self.setup.local.is_none()
-                        && let Err(error) = session.close().await
-                    {
-                        tracing::debug!(%error, "uplink not closed cleanly");
-                    }
-                    let Err(error) = served else {
-                        return;
-                    };
-                    let error = session::plain(&error);
-                    tracing::error!(error, "cannot communicate with the hub");
-                    "cannot communicate with the hub"
-                }
+                Ok(session) => match self.serve_and_close(session).await {
+                    Some(failed) => failed,
+                    None => return,
+                },
                 Err(error) => {
                     tracing::warn!("{error:#}");
                     "the hub's router cannot be reached"
@@ -241,6 +227,23 @@ impl Worker {
                 return;
             }
         }
+    }
+
+    /// Serves the hub over a session, and closes it. Returns what failed; `None` if the node stops.
+    async fn serve_and_close(&mut self, session: Session) -> Option<&'static str> {
+        let began = Instant::now();
+        let served = self.serve(&session).await;
+        if began.elapsed() > MIN_UPTIME {
+            self.reconnect.reset();
+        }
+        if self.setup.local.is_none()
+            && let Err(error) = session.close().await
+        {
+            tracing::debug!(%error, "uplink not closed cleanly");
+        }
+        let error = session::plain(&served.err()?);
+        tracing::error!(error, "cannot communicate with the hub");
+        Some("cannot communicate with the hub")
     }
 
     /// Serves the hub over `session` until the node stops.

@@ -170,7 +170,7 @@ impl SettingsFile {
     /// Sets settings: `settings` puts them in force, at once and before any others, and sets what is to be kept of them.
     /// That is written to the file together, or not at all. If it cannot be written now, it is written when the disk works
     /// again. Writes a small file.
-    pub(crate) fn set<T>(&self, settings: impl FnOnce(&mut KeptValues) -> T) -> T {
+    pub(crate) fn edit<T>(&self, settings: impl FnOnce(&mut KeptValues) -> T) -> T {
         let set = settings(&mut self.values.lock());
         if let Err(error) = self.save() {
             tracing::error!(%error, "a setting is not kept: it will not survive a restart");
@@ -259,7 +259,7 @@ mod tests {
 
         /// Keeps a setting. Returns true if it survives a restart.
         fn set(&self, name: &str, setting: impl Serialize) -> bool {
-            self.set(|values| values.set(name, &setting));
+            self.edit(|values| values.set(name, &setting));
             self.save().is_ok()
         }
     }

@@ -8,8 +8,8 @@ struct Curve<F>(Instant, F);
 
 impl<F: FnMut(f64) -> Option<f64> + Send> Meter for Curve<F> {
     fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
-        let watts = self.1(now.duration_since(self.0).as_secs_f64());
-        let watts = watts.ok_or_else(|| MeterError::Failed("stalled".to_owned()))?;
+        let watts = self.1(now.duration_since(self.0).as_secs_f64())
+            .ok_or_else(|| MeterError::Failed("stalled".to_owned()))?;
         Ok(vec![reading(Value::Power(watts))])
     }
 }

@@ -94,8 +94,8 @@ impl Nvml {
                 continue;
             }
             all_count &= counts;
-            let name = driver.name(index).unwrap_or_else(|| "card".to_owned());
-            let name = format!("{index} {name}");
+            let model = driver.name(index).unwrap_or_else(|| "card".to_owned());
+            let name = format!("{index} {model}");
             cards.push(Card {
                 index,
                 energy: Counter::new(name.into(), UNIT, u64::MAX),

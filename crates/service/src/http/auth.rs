@@ -127,8 +127,8 @@ impl Guard {
     /// Applies changes in the token files, so a token is replaced without a restart. If a file becomes invalid, the
     /// last valid tokens stay.
     pub(crate) async fn follow_files(self, config: HttpConfig, named: Vec<NamedToken>) {
-        let has_file = |token: &NamedToken| token.token_file.is_some();
-        let has_file = config.token_file.is_some() || named.iter().any(has_file);
+        let has_file =
+            config.token_file.is_some() || named.iter().any(|token| token.token_file.is_some());
         let tokens = match &*self.rule {
             Rule::Tokens(tokens) if has_file => tokens,
             _ => return,

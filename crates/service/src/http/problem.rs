@@ -72,8 +72,8 @@ pub fn describe(openapi: &mut OpenApi) {
     let token = HttpBuilder::new().scheme(HttpAuthScheme::Bearer).build();
     let components = openapi.components.get_or_insert_default();
     components.add_security_scheme("token", SecurityScheme::Http(token));
-    let problem = ContentBuilder::new().schema(Some(Ref::from_schema_name("Problem")));
-    let problem = ResponseBuilder::new().content(MEDIA_TYPE, problem.build()).build();
+    let content = ContentBuilder::new().schema(Some(Ref::from_schema_name("Problem")));
+    let problem = ResponseBuilder::new().content(MEDIA_TYPE, content.build()).build();
     for path in openapi.paths.paths.values_mut() {
         let operations = [
             &mut path.get,

@@ -41,8 +41,8 @@ pub struct LogLine {
 
 impl fmt::Display for LogLine {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let at = UNIX_EPOCH + Duration::from_millis(self.at_ms.unsigned_abs());
-        let at = humantime::format_rfc3339_millis(at);
+        let since = Duration::from_millis(self.at_ms.unsigned_abs());
+        let at = humantime::format_rfc3339_millis(UNIX_EPOCH + since);
         write!(f, "{at} {:>5} {}: {}", self.level, self.target, self.text)
     }
 }

@@ -360,7 +360,8 @@ fn convert<const STEP: usize>(
     tensor: &mut [f32],
 ) {
     let columns = size.width as usize;
-    let (width, left) = (placement.width as usize, placement.left as usize);
+    let width = placement.width as usize;
+    let left = placement.left as usize;
     let from_color_to_color = match STEP {
         1 => columns * size.height as usize,
         _ => 1,
@@ -387,7 +388,8 @@ fn check(picture: &Picture) -> Result<(), FrameFault> {
     }
     let expected = picture.size.pixels().saturating_mul(3);
     if expected != picture.pixels.len() as u64 {
-        let (size, actual) = (picture.size, picture.pixels.len());
+        let size = picture.size;
+        let actual = picture.pixels.len();
         return Err(FrameFault::undecodable(format!(
             "an RGB picture of {size} needs {expected} bytes and has {actual}"
         )));

@@ -37,13 +37,13 @@ impl<'de> Deserialize<'de> for Mask {
             expecting = "must be a list of polygons, each a list of points from 0 to 1, such as \
                          [[[0.0, 0.9], [1.0, 0.9], [1.0, 1.0], [0.0, 1.0]]]"
         )]
-        enum Written {
+        enum WrittenPolygons {
             Several(Vec<Vec<[f64; 2]>>),
             One(Vec<[f64; 2]>),
         }
-        Ok(match Written::deserialize(deserializer)? {
-            Written::Several(polygons) => Self(polygons),
-            Written::One(polygon) => Self(vec![polygon]),
+        Ok(match WrittenPolygons::deserialize(deserializer)? {
+            WrittenPolygons::Several(polygons) => Self(polygons),
+            WrittenPolygons::One(polygon) => Self(vec![polygon]),
         })
     }
 }
@@ -267,7 +267,9 @@ fn fault_of_polygon(polygon: &[[f64; 2]]) -> Option<String> {
     let first = polygon[0];
     let from_first = |point: &[f64; 2]| [point[0] - first[0], point[1] - first[1]];
     let turns = |a: [f64; 2], b: [f64; 2]| (a[0] * b[1] - a[1] * b[0]).abs() > 1e-9;
-    let has_area = (polygon.iter().map(from_first))
+    let has_area = polygon
+        .iter()
+        .map(from_first)
         .any(|one| polygon.iter().map(from_first).any(|other| turns(one, other)));
     (!has_area).then(|| "has no area: its points lie on one line".to_owned())
 }

@@ -232,8 +232,7 @@ fn decisions_do_not_depend_on_the_picture_size() {
     ];
     for u in [3e-4, 5e-4, 7e-4, 1e-3] {
         let [expected, others @ ..] = sizes.map(|size| decided(size, AlbireoSettings::paper(), u));
-        let skipped = expected.iter().filter(|(state, _)| state.is_skipped());
-        let skipped = skipped.count();
+        let skipped = expected.iter().filter(|(state, _)| state.is_skipped()).count();
         assert!((60..480).contains(&skipped), "{skipped} of 600 at u = {u}");
         assert!(others.iter().all(|other| *other == expected), "u = {u}");
     }

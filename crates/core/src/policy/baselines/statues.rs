@@ -99,7 +99,8 @@ impl Statues {
         }
         let changed = self.size != Some(picture.size) || {
             let width = picture.size.width as usize;
-            let (difference, size) = (self.settings.pixel_difference, self.settings.component_size);
+            let difference = self.settings.pixel_difference;
+            let size = self.settings.component_size;
             self.region.exceeds(width, &self.pixels, pixels, difference, size as u64)
         };
         self.size = Some(picture.size);

@@ -124,7 +124,8 @@ impl Objects {
 
     /// Processes the detections: matches, updates, removes, creates. Returns the summed scores of the new objects.
     pub(crate) fn observe(&mut self, pixels: Pixels, detections: &[Detection]) -> f64 {
-        let (aspect, pairing) = (self.aspect, &mut self.pairing);
+        let aspect = self.aspect;
+        let pairing = &mut self.pairing;
         let rejected = &mut self.rejected;
         let usable = detections.iter().map(|detection| {
             let usable = is_usable(detection);
@@ -133,7 +134,8 @@ impl Objects {
         });
         associate(pairing, &self.objects, detections, usable, aspect);
         self.velocity.fade();
-        let (velocity, camera_alpha) = (&mut self.velocity, &mut self.camera_alpha);
+        let velocity = &mut self.velocity;
+        let camera_alpha = &mut self.camera_alpha;
         let mut detection_of = self.pairing.detection_of().iter();
         self.objects.retain_mut(|object| {
             // One entry per object, in the same order.
@@ -159,8 +161,7 @@ impl Objects {
             scores += detection.confidence;
             let b = detection.bounding_box;
             // The area of a thin box may round to 0.
-            let log_size = (b.width * self.aspect * b.height).ln() / 2.0;
-            let log_size = log_size.max(-LARGEST_LOG);
+            let log_size = ((b.width * self.aspect * b.height).ln() / 2.0).max(-LARGEST_LOG);
             let place = features(b.center_x, b.center_y, log_size);
             let velocity = self.velocity.expect(&place);
             let id = ObjectId(self.next_id);

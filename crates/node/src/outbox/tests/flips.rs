@@ -28,7 +28,7 @@ impl Killed {
         let outbox = bench.open();
         keep(&outbox, 0..REPORTS);
         let settings = SettingsFile::open(Some(&bench.state()));
-        settings.change(|kept| kept.set(SETTING, &9e-4));
+        settings.edit(|kept| kept.set(SETTING, &9e-4));
         let files = [FILE, "node.db-wal", WITNESS, "settings.json"];
         let files = files.map(|name| (name, std::fs::read(bench.state().join(name)).unwrap()));
         assert!(files.iter().all(|(_, bytes)| bytes.len() > 20));

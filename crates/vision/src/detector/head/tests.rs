@@ -54,9 +54,8 @@ fn heads() -> Vec<(Head, Shapes)> {
 }
 
 fn read(head: &Head, outputs: &[(&[i64], &[f32])]) -> (u64, Vec<Candidate>) {
-    let views = outputs.iter();
-    let views = views.map(|&(shape, values)| TensorView { shape, values });
-    let views: Vec<_> = views.collect();
+    let views: Vec<_> =
+        outputs.iter().map(|&(shape, values)| TensorView { shape, values }).collect();
     let mut candidates = Vec::new();
     (head.read(&views, 0.5, &mut candidates).unwrap(), candidates)
 }

@@ -3,7 +3,9 @@ use proptest::prelude::*;
 
 /// The largest region by flood fill, pixel by pixel.
 fn slow(width: usize, before: &[u8], after: &[u8], difference: u8) -> u64 {
-    let mut open: Vec<bool> = (before.iter().zip(after))
+    let mut open: Vec<bool> = before
+        .iter()
+        .zip(after)
         .map(|(&before, &after)| before.abs_diff(after) >= difference)
         .collect();
     let mut largest = 0;
