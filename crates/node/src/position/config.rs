@@ -72,9 +72,10 @@ impl TryFrom<String> for PositionSource {
         if let Some(place) = text.strip_prefix("gpsd://") {
             let place = place.trim_end_matches('/');
             let has_port = !place.ends_with(']') && place.contains(':');
-            let place = match has_port {
-                true => place.to_owned(),
-                false => format!("{place}:{GPSD_PORT}"),
+            let place = if has_port {
+                place.to_owned()
+            } else {
+                format!("{place}:{GPSD_PORT}")
             };
             return address(&text, place).map(Self::Gpsd);
         }
