@@ -54,7 +54,7 @@ impl Default for FixedSkipSettings {
 }
 
 #[derive(Clone, Debug)]
-enum Memory {
+enum LastBoxes {
     Boxes(DetectorBoxes),
     Objects(Box<Tracker>),
 }
@@ -63,7 +63,7 @@ enum Memory {
 #[derive(Clone, Debug)]
 pub struct FixedSkip {
     n: f64,
-    memory: Memory,
+    memory: LastBoxes,
     index: u64,
     progress: Progress,
     /// Index of the last frame for which the detector answered.
@@ -94,8 +94,8 @@ impl FixedSkip {
         Ok(Self {
             n: check_setting("fixed_skip", Self::THRESHOLD, settings.n)?,
             memory: match skipped {
-                SkippedBoxes::Reuse => Memory::Boxes(DetectorBoxes::default()),
-                SkippedBoxes::Predict => Memory::Objects(Box::new(Tracker::from_config(config))),
+                SkippedBoxes::Reuse => LastBoxes::Boxes(DetectorBoxes::default()),
+                SkippedBoxes::Predict => LastBoxes::Objects(Box::new(Tracker::from_config(config))),
             },
             index: 0,
             progress: Progress::default(),
@@ -135,8 +135,8 @@ impl Policy for FixedSkip {
     fn begin(&mut self, frame: FrameHead) -> Need {
         self.index = frame.index;
         self.progress = match &mut self.memory {
-            Memory::Boxes(_) => Progress::default(),
-            Memory::Objects(tracker) => tracker.begin(frame, |_, _| {}),
+            LastBoxes::Boxes(_) => Progress::default(),
+            LastBoxes::Objects(tracker) => tracker.begin(frame, |_, _| {}),
         };
         let is_due = self.is_due(frame.index);
         self.progress.call(is_due.then_some(CallCause::Schedule))
@@ -146,8 +146,8 @@ impl Policy for FixedSkip {
         if let (Need::Detections, Evidence::Detections(detections)) = (self.progress.need, evidence)
         {
             match &mut self.memory {
-                Memory::Boxes(boxes) => boxes.take(detections),
-                Memory::Objects(tracker) => tracker.observe(detections, |_| Missed::Removed),
+                LastBoxes::Boxes(boxes) => boxes.take(detections),
+                LastBoxes::Objects(tracker) => tracker.observe(detections, |_| Missed::Removed),
             }
             self.last_answered = Some(self.index);
             self.progress.detected(false);
@@ -157,30 +157,30 @@ impl Policy for FixedSkip {
 
     fn finish(&mut self, outcome: &mut Outcome) {
         match &self.memory {
-            Memory::Objects(tracker) => tracker.finish(&self.progress, outcome),
-            Memory::Boxes(boxes) => boxes.finish(&self.progress, outcome),
+            LastBoxes::Objects(tracker) => tracker.finish(&self.progress, outcome),
+            LastBoxes::Boxes(boxes) => boxes.finish(&self.progress, outcome),
         }
     }
 
     fn reset(&mut self) {
         match &mut self.memory {
-            Memory::Boxes(boxes) => boxes.clear(),
-            Memory::Objects(tracker) => tracker.objects.clear(),
+            LastBoxes::Boxes(boxes) => boxes.clear(),
+            LastBoxes::Objects(tracker) => tracker.objects.clear(),
         }
         self.progress = Progress::default();
         self.last_answered = None;
     }
 
     fn objects(&self, visit: &mut dyn FnMut(&ObjectRecord)) {
-        if let Memory::Objects(tracker) = &self.memory {
+        if let LastBoxes::Objects(tracker) = &self.memory {
             tracker.visit(visit);
         }
     }
 
     fn rejected_detections(&self) -> u64 {
         match &self.memory {
-            Memory::Boxes(boxes) => boxes.rejected(),
-            Memory::Objects(tracker) => tracker.objects.rejected_detections(),
+            LastBoxes::Boxes(boxes) => boxes.rejected(),
+            LastBoxes::Objects(tracker) => tracker.objects.rejected_detections(),
         }
     }
 }
