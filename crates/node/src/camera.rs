@@ -397,7 +397,7 @@ impl Camera {
         let rate = self.rate.rate();
         let frames = empty_road.frames(rate);
         let no_news = self.decider.policy.no_news();
-        let seconds = |frames| f64::from(frames) / rate.unwrap_or(1.0);
+        let seconds = |frames| (10.0 * f64::from(frames) / rate.unwrap_or(1.0)).round() / 10.0;
         let no_news = no_news.map(|(cause, frames)| NoNews {
             cause,
             for_s: seconds(frames),
