@@ -136,7 +136,7 @@ debian: ## install the Debian packages that the tests use, if missing and allowe
 	@bash tests/debian-packages.sh ffmpeg:ffmpeg promtool:prometheus curl:curl cmake:cmake nasm:nasm initdb:postgresql \
 		strace:strace gst-launch-1.0:gstreamer1.0-tools :gstreamer1.0-plugins-base :gstreamer1.0-plugins-good \
 		:gstreamer1.0-plugins-ugly :gir1.2-gst-rtsp-server-1.0 :python3-gi \
-		systemd-analyze:systemd caddy:caddy docker-compose:docker-compose shellcheck:shellcheck
+		systemd-analyze:systemd caddy:caddy mosquitto:mosquitto mosquitto_sub:mosquitto-clients docker-compose:docker-compose shellcheck:shellcheck
 
 clean: ## remove what was built and fetched
 	cargo clean

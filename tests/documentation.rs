@@ -12,7 +12,7 @@ use crate::support::{
 use albireo_node::state::board::ThresholdEvent;
 use albireo_wire::{
     ClipReport, ClipTravel, CountersMessage, Desired, DetectionsMessage, FrameAnswer,
-    FrameAttachment, SettledMessage, ThresholdMessage,
+    FrameAttachment, SettledMessage, Sighting, ThresholdMessage,
 };
 use clap::CommandFactory;
 use rstest::rstest;
@@ -198,6 +198,7 @@ fn the_messages_named_are_described_and_their_examples_are_valid() {
         let written = match name {
             "DetectionsMessage" => read_and_written::<DetectionsMessage>(example),
             "SettledMessage" => read_and_written::<SettledMessage>(example),
+            "Sighting" => read_and_written::<Sighting>(example),
             "ClipReport" => read_and_written::<ClipReport>(example),
             "CountersMessage" => read_and_written::<CountersMessage>(example),
             "ThresholdMessage" => read_and_written::<ThresholdMessage>(example),

@@ -36,6 +36,7 @@ mod eval_tracking;
 mod expected_loss;
 mod fleet;
 mod fleet_targets;
+mod forwarding;
 mod frame_decoding;
 mod frame_formats;
 mod golden_traces;

@@ -25,6 +25,7 @@ need "the wheel" .cache/wheel/bin/python -c "import albireo, cv2, supervision"
 need "ffmpeg" command -v ffmpeg
 need "RTSP server" bash -c "command -v gst-launch-1.0 && gst-inspect-1.0 x264enc && gst-inspect-1.0 rtspsrc &&
     /usr/bin/python3 -c 'import gi; gi.require_version(\"GstRtspServer\", \"1.0\"); from gi.repository import GstRtspServer'"
+need "Mosquitto" bash -c "command -v mosquitto && command -v mosquitto_sub && command -v mosquitto_passwd"
 need "promtool" command -v promtool
 need "curl" command -v curl
 need "unshare" unshare --user --map-root-user --mount true

@@ -1,6 +1,7 @@
-//! Reads configurations. Its parent has the service's configuration as `Config`, and the shipped file as `SHIPPED`.
+//! Reads configurations. Its parent has the service's configuration as `Config`, the shipped file as `SHIPPED`, and one of
+//! each section of which there are none by default as `LISTED`.
 
-use super::{Config, SHIPPED};
+use super::{Config, LISTED, SHIPPED};
 use albireo_service::config::ConfigError;
 
 pub(crate) fn load(text: &str) -> Result<Config, ConfigError> {
@@ -41,7 +42,7 @@ fn the_shipped_file_is_exactly_the_defaults() {
 fn the_shipped_file_has_exactly_the_accepted_keys_each_with_a_comment() {
     let (mut section, mut shown, mut commented) = ("", Vec::new(), false);
     for line in SHIPPED.lines() {
-        // There is no token by default: its section is a comment too.
+        // There is no token or hook by default: their sections are comments too.
         let bare = line.strip_prefix("# ").unwrap_or(line);
         if bare.starts_with('[') {
             section = bare.trim_matches(['[', ']']);
@@ -55,7 +56,7 @@ fn the_shipped_file_has_exactly_the_accepted_keys_each_with_a_comment() {
         }
     }
     // The tables of the policies for comparison are written only if they differ from their defaults.
-    let config = load("[[token]]\nname = \"a\"\ntoken = \"a-long-random-secret\"").unwrap();
+    let config = load(LISTED).unwrap();
     let mut wanted = Vec::new();
     for (section, keys) in serde_json::to_value(&config).unwrap().as_object().unwrap() {
         for (key, value) in keys.get(0).unwrap_or(keys).as_object().unwrap() {

@@ -2,7 +2,6 @@
 
 use crate::spec::{BASELINE, split_label};
 use albireo_core::policy::FrameState;
-use plotters::chart::SeriesAnno;
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
@@ -81,18 +80,46 @@ impl Axis<'_> {
     }
 }
 
-/// Draws a chart; `draw` adds the series.
+/// The height of a line of the legend, pixels.
+const LEGEND_LINE: i32 = 20;
+
+/// The places of a legend's markers, in lines above a chart, where no data are, and the height of these lines.
+fn legend(names: &[(usize, &str)]) -> (Vec<(i32, i32)>, i32) {
+    let (left, right) = (24, SIZE.0 as i32 - 12);
+    let mut at = (left, 12 + LEGEND_LINE / 2);
+    let mut places = Vec::new();
+    for (_, name) in names {
+        let width = 26 + 8 * name.chars().count() as i32;
+        if at.0 + width > right && at.0 > left {
+            at = (left, at.1 + LEGEND_LINE);
+        }
+        places.push(at);
+        at.0 += width;
+    }
+    let height = if names.is_empty() {
+        0
+    } else {
+        at.1 + LEGEND_LINE / 2
+    };
+    (places, height)
+}
+
+/// Draws a chart with a legend of the families at `names`, by index, above it; `draw` adds the series.
 pub(crate) fn chart(
     x: Axis<'_>,
     y: Axis<'_>,
+    names: &[(usize, &str)],
     draw: impl FnOnce(&mut Plane<'_>) -> Result<(), PlotError>,
 ) -> Result<String, PlotError> {
+    let (places, height) = legend(names);
+    let size = (SIZE.0, SIZE.1 + height as u32);
     let mut svg = String::new();
     {
-        let root = SVGBackend::with_string(&mut svg, SIZE).into_drawing_area();
+        let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
         root.fill(&WHITE)?;
         let mut plane = ChartBuilder::on(&root)
             .margin(12)
+            .margin_top(12 + height)
             .x_label_area_size(42)
             .y_label_area_size(56)
             .build_cartesian_2d(x.range, y.range)?;
@@ -109,13 +136,11 @@ pub(crate) fn chart(
             .y_label_formatter(y.label)
             .draw()?;
         draw(&mut plane)?;
-        plane
-            .configure_series_labels()
-            .position(SeriesLabelPosition::LowerLeft)
-            .label_font((FONT, 14).into_font().color(&INK))
-            .background_style(WHITE.mix(0.8))
-            .border_style(GRID)
-            .draw()?;
+        let text = (FONT, 14).into_font().color(&INK).pos(Pos::new(HPos::Left, VPos::Center));
+        for ((index, name), (x, y)) in names.iter().zip(places) {
+            root.draw(&marker((x, y), *index, color_of(*index, name).filled()))?;
+            root.draw(&Text::new((*name).to_owned(), (x + 10, y), text.clone()))?;
+        }
         root.present()?;
     }
     Ok(svg)
@@ -142,34 +167,35 @@ pub(crate) fn color_of(index: usize, family: &str) -> RGBColor {
     }
 }
 
-/// Draws the markers of the `index`th family. Families differ in shape and colour.
-pub(crate) fn mark<'p, 'a>(
-    plane: &'p mut Plane<'a>,
+/// The marker of the `index`th family. Families differ in shape and colour.
+fn marker<'a>(
+    at: (i32, i32),
+    index: usize,
+    style: ShapeStyle,
+) -> DynElement<'a, SVGBackend<'a>, (i32, i32)> {
+    match index % 3 {
+        0 => Circle::new(at, 4, style).into_dyn(),
+        1 => TriangleMarker::new(at, 5, style).into_dyn(),
+        _ => Rectangle::new([(at.0 - 4, at.1 - 4), (at.0 + 4, at.1 + 4)], style).into_dyn(),
+    }
+}
+
+/// Draws the markers of the `index`th family.
+pub(crate) fn mark(
+    plane: &mut Plane<'_>,
     points: &[(f64, f64)],
     index: usize,
     style: ShapeStyle,
-) -> Result<&'p mut SeriesAnno<'a, SVGBackend<'a>>, PlotError> {
+) -> Result<(), PlotError> {
     let points = points.iter().copied();
-    match index % 3 {
+    let drawn = match index % 3 {
         0 => plane.draw_series(points.map(|at| Circle::new(at, 4, style))),
         1 => plane.draw_series(points.map(|at| TriangleMarker::new(at, 5, style))),
         _ => plane.draw_series(
             points.map(|at| EmptyElement::at(at) + Rectangle::new([(-4, -4), (4, 4)], style)),
         ),
-    }
-}
-
-/// Names the `index`th family in the legend, with its marker.
-pub(crate) fn label<'a>(series: &mut SeriesAnno<'a, SVGBackend<'a>>, index: usize, family: &str) {
-    let style = color_of(index, family).filled();
-    series.label(family).legend(move |(x, y)| {
-        let at = (x + 10, y);
-        match index % 3 {
-            0 => Circle::new(at, 4, style).into_dyn(),
-            1 => TriangleMarker::new(at, 5, style).into_dyn(),
-            _ => Rectangle::new([(x + 6, y - 4), (x + 14, y + 4)], style).into_dyn(),
-        }
-    });
+    };
+    drawn.map(drop)
 }
 
 /// A part of stacked bars: its name, its fill, and the colour of text on it.
@@ -270,6 +296,27 @@ pub(crate) fn range(values: impl Iterator<Item = f64>, margin: f64) -> Range<f64
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_legend_lies_above_the_chart_and_in_the_picture_whatever_the_names() {
+        let long = "x".repeat(40);
+        let names: Vec<_> = (0..12).map(|index| (index, long.as_str())).collect();
+        let (places, height) = legend(&names);
+        assert_eq!(places.len(), 12);
+        for pair in places.windows(2) {
+            assert!(
+                pair[0].1 < pair[1].1 || pair[0].0 + 26 + 8 * 40 <= pair[1].0,
+                "{pair:?}"
+            );
+        }
+        for (x, y) in places {
+            assert!(
+                x + 10 + 8 * 40 < SIZE.0 as i32 && y + LEGEND_LINE / 2 <= height,
+                "{x} {y}"
+            );
+        }
+        assert_eq!(legend(&[]), (Vec::new(), 0));
+    }
 
     #[test]
     fn a_range_is_never_empty() {

@@ -7,11 +7,13 @@ mod validate;
 use crate::camera::audit::AuditConfig;
 use crate::camera::clip::ClipConfig;
 use crate::camera::{AnswerTime, LoopSettings, PublishConfig, ReportConfig, SettleConfig};
+use crate::forwarding::{HookConfig, MqttConfig};
 use crate::input::receiver::ReceiverSettings;
 use crate::input::source::{RtspTransport, SourceAddress, SourceOptions, SourceSettings};
 use crate::input::{Delivery, PayloadFormat, keys_of_topic};
 use crate::outbox::OutboxConfig;
 use crate::position::PositionConfig;
+use crate::state::board::SightingsConfig;
 use crate::state::target::TargetConfig;
 use albireo_core::policy::PolicyConfig;
 use albireo_power::PowerConfig;
@@ -60,6 +62,10 @@ pub struct NodeConfig {
     pub settle: SettleConfig,
     /// The share of skipped frames that is examined afterwards.
     pub audit: AuditConfig,
+    /// When a class counts as there, and as away.
+    pub sightings: SightingsConfig,
+    /// The MQTT broker.
+    pub mqtt: MqttConfig,
     /// The end of clips.
     pub clip: ClipConfig,
     /// Limits of incoming frames.
@@ -70,6 +76,9 @@ pub struct NodeConfig {
     pub position: PositionConfig,
     /// The log.
     pub log: LogConfig,
+    /// Addresses that are told when a class appears or leaves, one `[[hook]]` each.
+    #[serde(rename = "hook")]
+    pub hooks: Vec<HookConfig>,
     /// Further tokens of the HTTP interface besides `http.token`, one `[[token]]` each.
     #[serde(rename = "token")]
     pub tokens: Vec<NamedToken>,
@@ -94,11 +103,14 @@ impl Default for NodeConfig {
             publish: PublishConfig::default(),
             settle: SettleConfig::default(),
             audit: AuditConfig::default(),
+            sightings: SightingsConfig::default(),
+            mqtt: MqttConfig::default(),
             clip: ClipConfig::default(),
             frame: FrameLimits::default(),
             power: PowerConfig::default(),
             position: PositionConfig::default(),
             log: LogConfig::default(),
+            hooks: Vec::new(),
             tokens: Vec::new(),
             cameras: vec![CameraConfig::named("front")],
         }

@@ -2,10 +2,12 @@
 //! reports. [`run`] is the service with its HTTP interface.
 
 pub mod api;
+mod backoff;
 pub mod camera;
 pub mod config;
 pub mod delivery;
 mod error;
+pub mod forwarding;
 pub mod frame;
 pub mod input;
 pub mod online;

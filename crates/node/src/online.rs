@@ -2,6 +2,7 @@
 //! node opens, the router, the hub. For `albireo check --online`.
 
 use crate::config::NodeConfig;
+use crate::forwarding::{Hook, Mqtt};
 use crate::input::source::{FIRST_PICTURE, LiveSource, SourceEvent, SourceSettings};
 use albireo_core::geometry::PictureSize;
 use albireo_service::ServiceError;
@@ -64,6 +65,16 @@ pub async fn try_all(config: &NodeConfig, mut each: impl FnMut(&str, Result<Stri
             });
             report(&key, tried.await.unwrap_or_else(|error| Err(error.into())));
         }
+    }
+    if config.mqtt.broker.is_some() {
+        report(
+            "mqtt.broker",
+            Mqtt::connects(&config.mqtt).await.map_err(Into::into),
+        );
+    }
+    for (index, hook) in config.hooks.iter().enumerate() {
+        let tried = Hook::connects(hook).await;
+        report(&format!("hook[{index}]"), tried.map_err(Into::into));
     }
     if config.uplink.is_set() {
         report("uplink.connect", try_hub(config).await);

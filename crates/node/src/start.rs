@@ -11,9 +11,10 @@ use crate::api::name::NodeName;
 use crate::config::NodeConfig;
 use crate::delivery::uplink::{Uplink, UplinkSetup};
 use crate::error::NodeError;
+use crate::forwarding::{Hook, Mqtt, MqttSetup};
 use crate::outbox::Outbox;
 use crate::settings::Settings;
-use crate::state::board::provider;
+use crate::state::board::{Board, provider};
 use crate::state::readiness;
 use albireo_core::policy::{Policy, PolicyConfigError};
 use albireo_power::PowerHandle;
@@ -24,6 +25,7 @@ use albireo_service::session;
 use albireo_service::supervise::Supervisor;
 use camera::{SharedParts, Subscriptions};
 use models::Models;
+use std::hash::{BuildHasher as _, RandomState};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::task::spawn_blocking;
@@ -129,7 +131,8 @@ impl PreparedNode {
         });
         let subscriptions = shared.add_cameras(&mut tasks).await?;
 
-        let counters = api::counters::declare(&session, &board, &settings, power, shutdown).await?;
+        let counters =
+            api::counters::declare(&session, &board, &settings, power, shutdown.clone()).await?;
         tasks.essential("counters", counters);
 
         let requests = api::keys::declare(&session, &board, &settings, &keys).await?;
@@ -137,6 +140,8 @@ impl PreparedNode {
 
         let retrying = retry_disk(Arc::clone(&outbox), Arc::clone(&settings));
         tasks.until_shutdown("disk", retrying);
+
+        start_forwarding(config, &board, &mut tasks, &shutdown)?;
 
         let name = NodeName::default();
         let twin = board.readiness.part_of(readiness::ZENOH, "name");
@@ -240,6 +245,34 @@ impl Node {
         );
         ended.map_err(NodeError::new)
     }
+}
+
+/// Starts what tells others of sightings: hooks and MQTT. Their faults are theirs: the node works without them.
+fn start_forwarding(
+    config: &NodeConfig,
+    board: &Arc<Board>,
+    tasks: &mut Supervisor,
+    shutdown: &CancellationToken,
+) -> Result<(), NodeError> {
+    // The operating system provides random keys for each `RandomState`.
+    let random = RandomState::new();
+    let setup = MqttSetup {
+        config: config.mqtt.clone(),
+        board: Arc::clone(board),
+        prefix: config.node.prefix.clone(),
+        classes: board.reading.get().map(|reading| reading.classes.clone()).unwrap_or_default(),
+        page: config.node.labels.get("page").cloned(),
+        random: random.hash_one("mqtt"),
+    };
+    if let Some(mqtt) = Mqtt::new(setup).map_err(NodeError::of("[mqtt]"))? {
+        tasks.essential("mqtt", mqtt.run(shutdown.clone()));
+    }
+    for (index, hook) in config.hooks.iter().enumerate() {
+        let hook = Hook::new(hook.clone(), board, random.hash_one(index));
+        let hook = hook.map_err(NodeError::of(format!("hook[{index}]")))?;
+        tasks.essential(format!("hook {index}"), hook.run(shutdown.clone()));
+    }
+    Ok(())
 }
 
 /// Opens the node's session, and tells what keeps it from being open.

@@ -12,6 +12,7 @@ mod frames;
 mod keys;
 mod report;
 mod screen;
+mod sighting;
 mod states;
 mod status;
 mod target;
@@ -41,6 +42,7 @@ pub use report::{
     ReportRefusal, decompress_batch,
 };
 pub use screen::{Pauses, ScreenMessage};
+pub use sighting::{Sighting, SightingEvent};
 pub use states::{DetectorCalls, DropKind, DroppedFrames, FrameStates};
 pub use status::{
     CameraState, CameraStatus, CertificateStatus, HealthState, HealthStatus, Heartbeat, NodeStatus,

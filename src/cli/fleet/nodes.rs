@@ -1,6 +1,6 @@
 //! Runs the commands `ls`, `show`, `forget`, `energy` and `watch`.
 
-use super::table::{WIDTH, cut, table};
+use super::table::{cut, table, width};
 use super::units::{self, ago, figure, joined, name_of, seconds, threshold, when};
 use super::{Context, Ended};
 use albireo_hub::http::{Energy, NodeDetail, NodeList};
@@ -179,7 +179,7 @@ fn facts(node: &NodeView) -> String {
     }
     let shown = lines.iter().filter(|(_, value)| !value.is_empty());
     shown
-        .map(|(name, value)| cut(&format!("{name:<12} {value}"), WIDTH) + "\n")
+        .map(|(name, value)| cut(&format!("{name:<12} {value}"), width()) + "\n")
         .collect()
 }
 
@@ -274,7 +274,7 @@ fn overview(page: &NodeList) -> String {
         joined(counts),
         page.waiting
     );
-    let text = cut(&line, WIDTH) + "\n\n";
+    let text = cut(&line, width()) + "\n\n";
     let shown = &page.nodes;
     let unwell = shown.partition_point(|node| node.state != PresenceState::Online);
     text + &list_of(if unwell > 0 { &shown[..unwell] } else { shown })

@@ -1,6 +1,6 @@
 //! Runs the commands `rollout` and `trial`: changes in stages, and values compared on random groups of nodes.
 
-use super::table::{WIDTH, cut, table};
+use super::table::{cut, table, width};
 use super::units::{
     counts, figure, finite, interval, joined, name_of, nodes, seconds, span, threshold, when,
 };
@@ -245,7 +245,7 @@ async fn start(context: &Context, arguments: RolloutArguments) -> anyhow::Result
         let mut text = headline(rollout) + "\n";
         for left_out in &rollout.left_out {
             let line = format!("  without {}: {}", left_out.node, left_out.why);
-            text += &(cut(&line, WIDTH) + "\n");
+            text += &(cut(&line, width()) + "\n");
         }
         text + &format!("albireo fleet rollout show {id} --follow\n")
     })

@@ -1,6 +1,6 @@
 //! Runs the commands `set-u`, `set-target`, `revisions` and `drift`.
 
-use super::table::{WIDTH, cut, table};
+use super::table::{cut, table, width};
 use super::units::{counts, name_of, seconds, setting, when};
 use super::{Context, Ended};
 use albireo_hub::http::{OutcomeLine, Revision, Revisions};
@@ -74,7 +74,7 @@ fn outcome(line: &NodeSetting, to: Option<&DesiredSetting>) -> String {
         known(to),
         line.given.detail,
     );
-    cut(text.trim_end(), WIDTH)
+    cut(text.trim_end(), width())
 }
 
 /// Formats a setting that may be unknown.

@@ -1,7 +1,21 @@
-//! Formats tables for a terminal of 100 columns.
+//! Formats tables for a terminal.
 
-/// The longest line.
-pub(super) const WIDTH: usize = 100;
+/// The longest line, where the terminal is not narrower.
+const WIDTH: usize = 100;
+
+/// The narrowest terminal that lines are cut for.
+const LEAST_WIDTH: usize = 60;
+
+/// The longest line that fits the terminal: cut, a row is read; wrapped, the rows are not.
+pub(super) fn width() -> usize {
+    let terminal = rustix::termios::tcgetwinsize(std::io::stdout()).ok();
+    let columns = terminal.map_or(WIDTH, |size| usize::from(size.ws_col));
+    if columns == 0 {
+        WIDTH
+    } else {
+        columns.clamp(LEAST_WIDTH, WIDTH)
+    }
+}
 
 /// Formats a table with headings such as `"node|>waiting"`, where `>` aligns a column to the right. Each column is as wide
 /// as its widest cell; the last one is cut if the line is too long.
@@ -15,6 +29,7 @@ pub(super) fn table<const N: usize>(
     let plain = |heading: &&str| heading.trim_start_matches('>').to_owned();
     let mut lines: Vec<Vec<String>> = vec![headings.iter().map(plain).collect()];
     lines.extend(rows.into_iter().map(|row| row.map(clean).into()));
+    let longest = width();
     let width = |column: usize| {
         let widths = lines.iter().map(|line| line[column].chars().count());
         widths.max().unwrap_or(0)
@@ -33,7 +48,7 @@ pub(super) fn table<const N: usize>(
                 }
             })
             .collect();
-        cut(cells.join("  ").trim_end(), WIDTH) + "\n"
+        cut(cells.join("  ").trim_end(), longest) + "\n"
     };
     lines.iter().map(shown).collect()
 }

@@ -130,6 +130,10 @@ fn points(
         .collect()
 }
 
+fn names(series: &[Series]) -> Vec<(usize, &str)> {
+    series.iter().map(|(name, _)| name.as_str()).enumerate().collect()
+}
+
 /// Draws AP@50 against EDP, a series per setup.
 fn plane(series: &[Series]) -> Result<String, PlotError> {
     let all = || series.iter().flat_map(|(_, points)| points);
@@ -143,12 +147,11 @@ fn plane(series: &[Series]) -> Result<String, PlotError> {
         range: range(all().map(|at| at.1), 0.1),
         label: &|ap50| format!("{ap50:.3}"),
     };
-    chart(edp, ap50, |plane| {
+    chart(edp, ap50, &names(series), |plane| {
         for (index, (name, points)) in series.iter().enumerate() {
             let color = color_of(index, name);
             plane.draw_series(LineSeries::new(points.iter().copied(), color))?;
-            let drawn = mark(plane, points, index, color.filled())?;
-            label(drawn, index, name);
+            mark(plane, points, index, color.filled())?;
         }
         Ok(())
     })
@@ -235,14 +238,18 @@ fn clips(series: &[Series]) -> Result<String, PlotError> {
         range: range(all().map(|at| at.1).chain([0.0]), 0.06),
         label: &signed,
     };
-    chart(Axis::skip_rate(across.clone()), change, |plane| {
-        let ends = [(across.start, 0.0), (across.end, 0.0)];
-        plane.draw_series(LineSeries::new(ends, SOFT_INK))?;
-        for (index, (name, points)) in series.iter().enumerate() {
-            let color = color_of(index, name).mix(0.6);
-            let drawn = mark(plane, points, index, color.filled())?;
-            label(drawn, index, name);
-        }
-        Ok(())
-    })
+    chart(
+        Axis::skip_rate(across.clone()),
+        change,
+        &names(series),
+        |plane| {
+            let ends = [(across.start, 0.0), (across.end, 0.0)];
+            plane.draw_series(LineSeries::new(ends, SOFT_INK))?;
+            for (index, (name, points)) in series.iter().enumerate() {
+                let color = color_of(index, name).mix(0.6);
+                mark(plane, points, index, color.filled())?;
+            }
+            Ok(())
+        },
+    )
 }

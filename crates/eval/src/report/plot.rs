@@ -1,8 +1,8 @@
 //! Draws the figures of a report as SVG.
 
 use crate::chart::{
-    Axis, BAND, FONT, Plane, Plot, PlotError, SOFT_INK, chart, color_of, families, label, mark,
-    range, stacked, state_parts,
+    Axis, BAND, FONT, Plane, Plot, PlotError, SOFT_INK, chart, color_of, families, mark, range,
+    stacked, state_parts,
 };
 use crate::result::ClipResult;
 use crate::spec::{BASELINE, short_label, split_label};
@@ -67,7 +67,8 @@ fn tradeoff(summaries: &[PolicySummary], families: &[&str]) -> Result<String, Pl
         range: up,
         label: &|ap50| format!("{ap50:.3}"),
     };
-    chart(Axis::skip_rate(across.clone()), accuracy, |plane| {
+    let names: Vec<_> = families.iter().copied().enumerate().collect();
+    chart(Axis::skip_rate(across.clone()), accuracy, &names, |plane| {
         let frontier = places(&|summary| summary.on_skip_frontier);
         plane.draw_series(LineSeries::new(frontier, BAND.stroke_width(5)))?;
         if let Some((_, ap50)) = places(&|summary| summary.policy == BASELINE).first() {
@@ -85,8 +86,7 @@ fn tradeoff(summaries: &[PolicySummary], families: &[&str]) -> Result<String, Pl
             let own = |summary: &PolicySummary| split_label(&summary.policy).0 == *family;
             plane.draw_series(LineSeries::new(places(&own), color))?;
             mark(plane, &places(&own), index, WHITE.filled())?;
-            let series = mark(plane, &places(&own), index, color.stroke_width(2))?;
-            label(series, index, family);
+            mark(plane, &places(&own), index, color.stroke_width(2))?;
             let best = places(&|summary| own(summary) && summary.on_skip_frontier);
             mark(plane, &best, index, color.filled())?;
         }
@@ -194,14 +194,15 @@ fn clips(changes: &[Vec<(f64, f64)>], families: &[&str]) -> Result<String, PlotE
         range: up,
         label: &signed,
     };
-    chart(Axis::skip_rate(across.clone()), change, |plane| {
+    let of_families = families.iter().copied().zip(changes).enumerate();
+    let shown: Vec<_> = of_families.filter(|(_, (_, some))| !some.is_empty()).collect();
+    let names: Vec<_> = shown.iter().map(|(index, (family, _))| (*index, *family)).collect();
+    chart(Axis::skip_rate(across.clone()), change, &names, |plane| {
         let ends = [(across.start, 0.0), (across.end, 0.0)];
         plane.draw_series(LineSeries::new(ends, SOFT_INK))?;
-        let of_families = families.iter().zip(changes).enumerate();
-        for (index, (family, changes)) in of_families.filter(|(_, (_, some))| !some.is_empty()) {
+        for (index, (family, changes)) in shown {
             let color = color_of(index, family).mix(0.6);
-            let series = mark(plane, changes, index, color.filled())?;
-            label(series, index, family);
+            mark(plane, changes, index, color.filled())?;
         }
         Ok(())
     })

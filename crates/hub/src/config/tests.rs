@@ -6,6 +6,8 @@ use configuration::{load, problem};
 
 type Config = HubConfig;
 const SHIPPED: &str = include_str!("../../../../config/hub.toml");
+/// One of each section of which there are none by default.
+const LISTED: &str = "[[token]]\nname = \"a\"\ntoken = \"a-long-random-secret\"";
 
 #[test]
 fn a_missing_key_has_the_hubs_default_and_not_the_nodes() {

@@ -24,7 +24,8 @@ use albireo_service::http::{self, Problem};
 use albireo_vision::picture::FrameLimits;
 use albireo_wire::{
     CountersMessage, Desired, DetectionsMessage, FrameAnswer, FrameAttachment, ReportAnswer,
-    ReportBatch, RevisionMessage, ScreenMessage, SettledMessage, StatusMessage, ThresholdMessage,
+    ReportBatch, RevisionMessage, ScreenMessage, SettledMessage, Sighting, StatusMessage,
+    ThresholdMessage,
 };
 use axum::http::StatusCode;
 use axum::routing::get;
@@ -95,6 +96,7 @@ fn bad_request(detail: String) -> Problem {
         DetectionsMessage,
         ScreenMessage,
         SettledMessage,
+        Sighting,
         FrameAttachment,
         FrameAnswer,
         ReportBatch,

@@ -41,6 +41,21 @@ impl NodeConfig {
         for (key, path) in self.uplink.files() {
             file(key, Some(path), &mut findings);
         }
+        self.mqtt.look_here(&mut findings);
+        file(
+            "mqtt.root_ca_certificate",
+            self.mqtt.root_ca_certificate.as_deref(),
+            &mut findings,
+        );
+        for (index, hook) in self.hooks.iter().enumerate() {
+            hook.look_here(index, &mut findings);
+            let authority = hook.root_ca_certificate.as_deref();
+            file(
+                &format!("hook[{index}].root_ca_certificate"),
+                authority,
+                &mut findings,
+            );
+        }
         if let Some(folder) = &self.node.state_dir {
             state_dir(folder, &mut findings);
         }
@@ -103,6 +118,9 @@ impl NodeConfig {
         let mut found = exposed_files(file, &self.http, &self.tokens, &self.zenoh);
         let key = self.uplink.private_key.as_ref();
         found.extend(key.and_then(|file| exposed("uplink.private_key", file)));
+        found.extend(self.mqtt.exposed());
+        let hooks = self.hooks.iter().enumerate();
+        found.extend(hooks.filter_map(|(index, hook)| hook.exposed(index, file)));
         let has_password = |camera: &&CameraConfig| {
             camera.source.as_ref().is_some_and(SourceAddress::holds_password)
         };

@@ -7,17 +7,19 @@ use configuration::{key_of, load, problem, problems};
 
 type Config = NodeConfig;
 const SHIPPED: &str = include_str!("../../../../config/node.toml");
+/// One of each section of which there are none by default.
+const LISTED: &str = "[[token]]\nname = \"a\"\ntoken = \"a-long-random-secret\"\n[[hook]]\nurl = \"http://127.0.0.1\"\n";
 
 #[test]
 fn the_keys_in_comments_can_be_used_unchanged() {
     let text: String = SHIPPED
         .lines()
-        // A token and a token file exclude each other, and so do a key, a topic and a source.
-        .filter(|line| key_of(line) != Some("token_file"))
+        // A token and a token file exclude each other, and so do a key, a topic and a source, and a hook's address and its file.
+        .filter(|line| !["token_file", "url_file"].contains(&key_of(line).unwrap_or_default()))
         .filter(|line| !matches!(key_of(line), Some("key" | "topic")))
         .map(|line| match key_of(line) {
             Some(_) => format!("{}\n", line.trim_start_matches("# ")),
-            None if line == "# [[token]]" => "[[token]]\n".to_owned(),
+            None if line.starts_with("# [[") => format!("{}\n", line.trim_start_matches("# ")),
             None => format!("{line}\n"),
         })
         .collect();
@@ -91,6 +93,18 @@ screen.pause_s: policy.name = "expected-loss" & screen.pause_s = 0.2
 policy.name: policy.name = "albiro"
 policy.u: policy.u = 0
 policy.profile: policy.profile = "mine"
+sightings.leave_s: sightings.leave_s = -1
+sightings.appear_s: sightings.appear_s = 3601
+mqtt.broker: mqtt.broker = "broker.example:1883"
+mqtt.broker: mqtt.broker = "mqtt://ann:secret@broker.example"
+mqtt.broker: mqtt.user = "ann"
+mqtt.password_file: mqtt.broker = "mqtt://b" & mqtt.password_file = "p"
+mqtt.root_ca_certificate: mqtt.broker = "mqtt://b" & mqtt.root_ca_certificate = "a.pem"
+mqtt.discovery: mqtt.discovery = "home/#"
+hook[0].url: hook = [{ classes = ["car"] }]
+hook[0].url: hook = [{ url = "house.example/hook" }]
+hook[0].url_file: hook = [{ url = "http://a", url_file = "b" }]
+hook[0].cameras: hook = [{ url = "http://a", cameras = ["fornt"] }]
 camera: camera = []
 camera[0].name: camera = [{ key = "a" }]
 camera.a b.name: camera = [{ name = "a b" }]

@@ -4,6 +4,7 @@ use super::{CameraConfig, NodeConfig, ros_domain};
 use crate::camera::AnswerTime;
 use crate::input::source::{RtspTransport, SourceAddress, SourceKind};
 use crate::input::{Delivery, check_topic};
+use crate::state::board::SightingsConfig;
 use albireo_core::policy::{Albireo, ExpectedLoss, LatePolicy, Policy, ThresholdSpec, no_pause};
 use albireo_core::target::{Target, ThresholdRange};
 use albireo_service::config::{Configuration, DAY_S, Finding, Findings};
@@ -21,8 +22,27 @@ const NEVER_WAITS: &str =
 
 impl Configuration for NodeConfig {
     const SECTIONS: &'static [&'static str] = &[
-        "NODE", "ZENOH", "UPLINK", "OUTBOX", "HTTP", "DETECTOR", "SCREEN", "POLICY", "TARGET",
-        "REPORT", "PUBLISH", "SETTLE", "AUDIT", "CLIP", "FRAME", "POWER", "POSITION", "LOG",
+        "NODE",
+        "ZENOH",
+        "UPLINK",
+        "OUTBOX",
+        "HTTP",
+        "DETECTOR",
+        "SCREEN",
+        "POLICY",
+        "TARGET",
+        "REPORT",
+        "PUBLISH",
+        "SETTLE",
+        "AUDIT",
+        "SIGHTINGS",
+        "MQTT",
+        "CLIP",
+        "FRAME",
+        "POWER",
+        "POSITION",
+        "LOG",
+        "HOOK",
         "TOKEN",
     ];
 
@@ -97,6 +117,7 @@ power.gpu_busy_watts: the estimate is of the processor alone; a GPU needs a mete
             findings.check("publish.ros2", ros_domain());
         }
         self.check_figures(&mut findings);
+        self.check_forwarding(&mut findings);
         self.log.check(&mut findings);
         let policy = self.check_policy(&mut findings);
         self.check_pause(policy.as_deref(), &mut findings);
@@ -152,6 +173,23 @@ impl NodeConfig {
         findings.count("frame.max_payload_bytes", largest, 1, 1 << 30);
         for (key, reason) in self.power.problems() {
             findings.add(format!("power.{key}"), reason);
+        }
+    }
+
+    fn check_forwarding(&self, findings: &mut Findings) {
+        let SightingsConfig { appear_s, leave_s } = self.sightings;
+        for (key, limit_s) in [
+            ("sightings.appear_s", appear_s),
+            ("sightings.leave_s", leave_s),
+        ] {
+            if !(0.0..=3600.0).contains(&limit_s) {
+                findings.add(key, format!("must be from 0 to 3600, not {limit_s}"));
+            }
+        }
+        self.mqtt.check(findings);
+        let cameras: Vec<_> = self.cameras.iter().map(|camera| camera.name.as_str()).collect();
+        for (index, hook) in self.hooks.iter().enumerate() {
+            hook.check(index, &cameras, findings);
         }
     }
 

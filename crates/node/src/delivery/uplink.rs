@@ -3,7 +3,6 @@
 //! Reports are queries that the hub answers after its commit; only such an answer acknowledges them. After no reply, an
 //! error, a refusal or a timeout, the node keeps the reports and retries after a pause.
 
-mod backoff;
 mod desired;
 mod query;
 mod schedule;
@@ -12,6 +11,7 @@ mod watched;
 
 pub(super) use desired::{known, take};
 
+use crate::backoff::Backoff;
 use crate::outbox::{Outbox, OutboxConfig};
 use crate::settings::Settings;
 use crate::state::board::Board;
@@ -24,7 +24,6 @@ use albireo_vision::picture::FrameLimits;
 use albireo_wire::{
     BatchCompression, Desired, NodeKeys, ReportAnswer, ReportBatch, RevisionMessage, VERSION,
 };
-use backoff::Backoff;
 use futures_util::future::{BoxFuture, FutureExt, Shared};
 use futures_util::stream::{FuturesUnordered, StreamExt};
 use query::ask;
@@ -101,7 +100,7 @@ impl Uplink {
             status_sender: StatusSender::new(labels, run, Now::system()),
             watched: Watched::default(),
             schedule: Schedule::new(config, random, Instant::now()),
-            reconnect: Backoff::new(config, random),
+            reconnect: Backoff::new(config.retry_min_ms, config.retry_max_ms, random),
             health: Health {
                 part: setup.board.readiness.part(readiness::UPLINK),
                 said: None,

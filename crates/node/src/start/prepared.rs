@@ -90,6 +90,7 @@ fn board(config: &NodeConfig, policy: &dyn Policy) -> Result<Arc<Board>, KeyErro
         positions: Positions::new(&config.position),
         target: NodeTarget::new(&config.target, policy, first_threshold),
         empty_road: config.screen.empty_road(),
+        sightings: config.sightings,
     };
     Ok(Board::new(setup, policy))
 }

@@ -3,18 +3,22 @@
 mod camera;
 mod event;
 mod flow;
+mod forwarded;
 mod history;
 mod savings;
 mod screen;
+mod sightings;
 mod threshold;
 
 pub(crate) use camera::CameraSetup;
 pub use camera::{CameraBoard, CameraSnapshot};
 pub(crate) use event::provider;
 pub use event::{DetectorEvent, Event, FrameEvent, News, ThresholdEvent};
+pub(crate) use forwarded::{Forwarded, ForwardedCounts};
 pub(crate) use history::{CameraPiece, Clock, FRAMES, PastFrame, PowerPiece, SLOT_S, SkipEstimate};
 pub(crate) use savings::{Savings, Totals};
 pub(crate) use screen::NoNews;
+pub use sightings::SightingsConfig;
 
 use crate::position::Positions;
 use crate::state::readiness;
@@ -44,6 +48,9 @@ pub(crate) const RECENT_CLIPS: usize = 256;
 
 /// The number of events a slow reader may lag before it loses some (and learns how many).
 const EVENT_BACKLOG: usize = 1024;
+
+/// The number of sightings that a slow reader may lag before it loses some (and learns how many).
+const SIGHTING_BACKLOG: usize = 256;
 
 /// The least time between two log lines about changes of one setting: whoever may change it could otherwise fill the log.
 pub(super) const CHANGES_PERIOD: Duration = Duration::from_secs(1);
@@ -83,6 +90,8 @@ pub struct Board {
     /// How the detector's model is read, once it has started.
     pub(crate) reading: OnceLock<ModelReading>,
     power: Mutex<PowerPast>,
+    /// The places that messages are forwarded to.
+    forwarded: Mutex<Vec<Arc<Forwarded>>>,
     started_ms: i64,
     today: Mutex<Today>,
 }
@@ -121,17 +130,24 @@ pub(crate) struct BoardSetup {
     pub target: NodeTarget,
     /// The pause on an empty road.
     pub empty_road: EmptyRoad,
+    /// When a class counts as there, and as away.
+    pub sightings: SightingsConfig,
 }
 
 impl Board {
     /// Creates the board of a node under that policy, without frames, with the configured thresholds in force.
     pub(crate) fn new(setup: BoardSetup, policy: &dyn Policy) -> Arc<Self> {
         let shared = Shared {
+            node: setup.node.as_str().into(),
             started: Instant::now(),
             events: broadcast::channel(EVENT_BACKLOG).0,
+            sightings: broadcast::channel(SIGHTING_BACKLOG).0,
             empty_road: watch::Sender::new(setup.empty_road),
         };
-        let camera = |camera| Arc::new(CameraBoard::new(camera, policy, shared.clone()));
+        let camera = |camera| {
+            let shared = shared.clone();
+            Arc::new(CameraBoard::new(camera, policy, setup.sightings, shared))
+        };
         let cameras = setup.cameras.into_iter().map(camera).collect();
         let readiness = Readiness::default();
         let detector = Arc::new(Mutex::new(ModelStatus::Starting));
@@ -168,6 +184,7 @@ impl Board {
             meters: OnceLock::new(),
             reading: OnceLock::new(),
             power: Mutex::default(),
+            forwarded: Mutex::default(),
             started_ms,
             today: Mutex::new(Today {
                 since_ms: started_ms,
@@ -199,6 +216,24 @@ impl Board {
     /// the number of lost events.
     pub fn subscribe(&self) -> broadcast::Receiver<Arc<Event>> {
         self.shared.events.subscribe()
+    }
+
+    /// Adds a place that messages are forwarded to, with a name of its own.
+    pub(crate) fn forward_to(&self, place: String) -> Arc<Forwarded> {
+        let mut forwarded = self.forwarded.lock();
+        let same = forwarded.iter().filter(|other| other.to.starts_with(&place)).count();
+        let name = match same {
+            0 => place,
+            same => format!("{place} ({})", same + 1),
+        };
+        let counts = Arc::new(Forwarded::new(name));
+        forwarded.push(Arc::clone(&counts));
+        counts
+    }
+
+    /// What was forwarded since the start, by place.
+    pub(crate) fn forwarded(&self) -> Vec<ForwardedCounts> {
+        self.forwarded.lock().iter().map(|one| one.counts()).collect()
     }
 
     /// Keeps a clip's report, counts it for its camera and sends it to subscribers.

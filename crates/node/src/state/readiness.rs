@@ -10,6 +10,8 @@
 //! | `outbox` | | reports are lost, or do not survive a power loss although a state directory is set |
 //! | `zenoh` | the local session is not open, or closed | another node has the same name |
 //! | `uplink` | | the session to the hub is not open, or no hub acknowledges the reports that are due |
+//! | `hooks` | | a hook's address cannot be reached or refuses a post |
+//! | `mqtt` | | the broker cannot be reached or refuses the node |
 //! | `certificates` | | one ends within a week, has ended, is not valid yet, or cannot be read |
 //! | `disk` | | reports or settings in the state directory cannot be written, or were damaged |
 //! | `tasks` | a camera's loop has failed and does not run | a task failed and runs again, or a non-essential one does not run |
@@ -42,6 +44,10 @@ pub const ZENOH: &str = "zenoh";
 pub(crate) const ZENOH_SESSION: &str = "session";
 /// The Zenoh session to the hub.
 pub(crate) const UPLINK: &str = "uplink";
+/// The hooks; the subject is a hook's address, without secrets.
+pub(crate) const HOOKS: &str = "hooks";
+/// The MQTT broker.
+pub(crate) const MQTT: &str = "mqtt";
 /// The certificates of the sessions.
 pub(crate) const CERTIFICATES: &str = albireo_service::identity::PART;
 /// The state directory.
@@ -53,7 +59,7 @@ pub(crate) const TASKS: &str = albireo_service::supervise::PART;
 const FIRST_SAMPLE: Duration = Duration::from_secs(15);
 
 /// All parts, in the order of the metrics.
-pub(crate) const PARTS: [&str; 11] = [
+pub(crate) const PARTS: [&str; 13] = [
     DETECTOR,
     SCREEN,
     CAMERAS,
@@ -62,6 +68,8 @@ pub(crate) const PARTS: [&str; 11] = [
     OUTBOX,
     ZENOH,
     UPLINK,
+    HOOKS,
+    MQTT,
     CERTIFICATES,
     DISK,
     TASKS,

@@ -52,8 +52,8 @@ impl OpenStreams {
 pub(super) struct EventSelection {
     /// Only events of this camera, and of the detector.
     camera: Option<String>,
-    /// Only these kinds, separated by commas: `frame`, `late`, `clip`, `counters`, `threshold`, `detector`. All kinds by
-    /// default.
+    /// Only these kinds, separated by commas: `frame`, `late`, `sighting`, `clip`, `counters`, `threshold`,
+    /// `detector`. All kinds by default.
     types: Option<String>,
 }
 
@@ -93,7 +93,7 @@ impl EventSelection {
     get, operation_id = "stream_events", path = "/api/v1/events", tag = "events", params(EventSelection),
     responses(
         (status = 200, content_type = "text/event-stream", body = String,
-         description = "Events `frame`, `late`, `clip`, `counters`, `threshold`, `detector`, `lagged`."),
+         description = "Events `frame`, `late`, `sighting`, `clip`, `counters`, `threshold`, `detector`, `lagged`."),
     )
 )]
 pub(super) async fn stream(

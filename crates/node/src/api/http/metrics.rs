@@ -34,8 +34,28 @@ pub(super) async fn text(State(shared): State<RouteState>) -> MetricsPage {
     cameras::cameras(&mut page, board);
     target(&mut page, board);
     outbox(&mut page, &shared.outbox.counts());
+    forwarded(&mut page, board);
     power(&mut page, board);
     page
+}
+
+/// What was forwarded to hooks and an MQTT broker.
+fn forwarded(page: &mut MetricsPage, board: &Board) {
+    let places = board.forwarded();
+    page.counters(
+        "albireo_forwarded_total",
+        "Messages to hooks and the MQTT broker: sent (acknowledged), failed (attempts, repeated later), dropped",
+        places.iter().flat_map(|place| {
+            let counts = [
+                ("sent", place.sent),
+                ("failed", place.failed),
+                ("dropped", place.dropped),
+            ];
+            counts.map(|(outcome, count)| {
+                ([("to", place.to.as_str()), ("outcome", outcome)], count as f64)
+            })
+        }),
+    );
 }
 
 /// The build, and the state of the node's parts.

@@ -3,7 +3,7 @@
 use super::RouteState;
 use super::health::{Readiness, readiness};
 use crate::position::PositionStatus;
-use crate::state::board::{ModelReading, Savings};
+use crate::state::board::{ForwardedCounts, ModelReading, Savings};
 use albireo_service::clock::seconds;
 use albireo_service::http::{Route, routes};
 use albireo_vision::detector::{InputUse, PaddedInput};
@@ -66,6 +66,8 @@ pub(super) struct NodeOverview {
     detector: Option<DetectorReading>,
     /// Reports that wait for a hub.
     outbox: OutboxStatus,
+    /// What was forwarded to hooks and an MQTT broker.
+    forwarded: Vec<ForwardedCounts>,
     /// The certificates of its sessions, with their ends.
     certificates: Vec<CertificateStatus>,
     /// Where its positions come from; never the position itself.
@@ -117,6 +119,7 @@ pub(super) async fn overview(State(shared): State<RouteState>) -> Json<NodeOverv
             .and_then(|label| label.as_str().map(str::to_owned)),
         detector: board.reading.get().map(detector),
         outbox: shared.outbox.counts().status,
+        forwarded: board.forwarded(),
         certificates: board.certificates.status(),
         position: board.positions.status(),
         power_source: board.power().source,

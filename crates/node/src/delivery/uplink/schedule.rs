@@ -1,6 +1,6 @@
 //! Decides when the uplink sends what. Has no clock and no network: callers pass times and results.
 
-use super::backoff::Backoff;
+use crate::backoff::Backoff;
 use crate::outbox::{OutboxConfig, OutboxCounts};
 use std::time::{Duration, Instant};
 
@@ -37,7 +37,7 @@ impl Attempts {
         Self {
             under_way: false,
             not_before: None,
-            backoff: Backoff::new(config, random),
+            backoff: Backoff::new(config.retry_min_ms, config.retry_max_ms, random),
         }
     }
 

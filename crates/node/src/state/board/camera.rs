@@ -5,6 +5,7 @@ use super::event::{Event, FrameEvent, News};
 use super::flow::Flow;
 use super::history::{CameraPiece, Clock, History, PastFrame, SkipEstimate};
 use super::screen::NoNews;
+use super::sightings::{ClassWatch, SightingsConfig};
 use crate::frame::{AnsweredFrame, FrameRecord};
 use crate::input::{ArrivalCounts, InputCounter, Unusable};
 use crate::publishing::Unpublished;
@@ -17,7 +18,7 @@ use albireo_service::rate_limit::RateLimit;
 use albireo_vision::picture::EncodedPicture;
 use albireo_wire::{
     AuditReport, BoxMessage, CameraKeys, DetectionsMessage, DetectorCalls, DroppedFrames,
-    FrameStates, SettingSource,
+    FrameStates, SettingSource, Sighting,
 };
 use parking_lot::Mutex;
 use std::collections::BTreeMap;
@@ -158,9 +159,12 @@ struct Counts {
 /// State that all cameras of a board share.
 #[derive(Clone, Debug)]
 pub(super) struct Shared {
+    /// The node's name.
+    pub node: Arc<str>,
     /// The node's start, from which times of the past are counted.
     pub started: Instant,
     pub events: broadcast::Sender<Arc<Event>>,
+    pub sightings: broadcast::Sender<Arc<Sighting>>,
     /// The pause on an empty road.
     pub empty_road: watch::Sender<EmptyRoad>,
 }
@@ -226,11 +230,18 @@ pub struct CameraBoard {
     history: Mutex<History>,
     /// The newest answered frame, for viewers of pictures with boxes.
     answered: watch::Sender<Option<Arc<AnsweredFrame>>>,
+    /// Finds when a class appears and when it leaves.
+    pub(super) classes: Mutex<ClassWatch>,
 }
 
 impl CameraBoard {
     /// Creates the board of a camera without frames, with the configured threshold in force.
-    pub(super) fn new(setup: CameraSetup, policy: &dyn Policy, shared: Shared) -> Self {
+    pub(super) fn new(
+        setup: CameraSetup,
+        policy: &dyn Policy,
+        sightings: SightingsConfig,
+        shared: Shared,
+    ) -> Self {
         let spec = policy.threshold_spec();
         let configured = spec.and_then(|_| setup.threshold.or_else(|| policy.threshold()));
         let mut counts = Counts::default();
@@ -258,6 +269,7 @@ impl CameraBoard {
             counts: Mutex::new(counts),
             history: Mutex::default(),
             answered: watch::Sender::default(),
+            classes: Mutex::new(ClassWatch::new(sightings)),
         }
     }
 
@@ -326,7 +338,8 @@ impl CameraBoard {
                 "first frame"
             );
         }
-        self.send_event(News::Frame, detections);
+        self.send_event(News::Frame, Arc::clone(&detections));
+        self.tell_sightings(&detections);
     }
 
     /// Sends the final answer of a pending frame.

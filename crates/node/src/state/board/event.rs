@@ -1,7 +1,7 @@
 //! The events of a node.
 
 use albireo_vision::detector::{ExecutionProvider, ModelStatus};
-use albireo_wire::{ClipReport, CountersMessage, DetectionsMessage, Threshold};
+use albireo_wire::{ClipReport, CountersMessage, DetectionsMessage, Sighting, Threshold};
 use serde::Serialize;
 use std::sync::{Arc, OnceLock};
 
@@ -35,6 +35,8 @@ pub enum News {
     Frame(FrameEvent),
     /// A pending frame got its final answer.
     Late(FrameEvent),
+    /// A class appeared, or left.
+    Sighting(Arc<Sighting>),
     /// A clip ended.
     Clip(Arc<ClipReport>),
     /// The counters of a camera, once per second.
@@ -47,14 +49,22 @@ pub enum News {
 
 impl News {
     /// The names of all kinds, as returned by [`News::name`].
-    pub(crate) const NAMES: [&'static str; 6] =
-        ["frame", "late", "clip", "counters", "threshold", "detector"];
+    pub(crate) const NAMES: [&'static str; 7] = [
+        "frame",
+        "late",
+        "sighting",
+        "clip",
+        "counters",
+        "threshold",
+        "detector",
+    ];
 
     /// The kind, as in the `event:` line of a server-sent event.
     pub(crate) const fn name(&self) -> &'static str {
         match self {
             Self::Frame(_) => "frame",
             Self::Late(_) => "late",
+            Self::Sighting(_) => "sighting",
             Self::Clip(_) => "clip",
             Self::Counters(_) => "counters",
             Self::Threshold(_) => "threshold",
@@ -66,6 +76,7 @@ impl News {
     pub(crate) fn camera(&self) -> Option<&str> {
         match self {
             Self::Frame(event) | Self::Late(event) => Some(&event.camera),
+            Self::Sighting(sighting) => Some(&sighting.camera),
             Self::Clip(report) => Some(&report.camera),
             Self::Counters(message) => Some(&message.camera),
             Self::Threshold(event) => Some(&event.camera),

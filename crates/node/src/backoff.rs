@@ -1,11 +1,10 @@
 //! Paces failed attempts.
 
-use crate::outbox::OutboxConfig;
 use std::time::Duration;
 
 /// A pause that doubles with each failure, times 0.5 to 1.5, so that nodes spread out.
 #[derive(Debug)]
-pub(super) struct Backoff {
+pub(crate) struct Backoff {
     first_ms: u64,
     longest_ms: u64,
     /// The next pause, without jitter.
@@ -15,17 +14,17 @@ pub(super) struct Backoff {
 
 impl Backoff {
     /// `random` must differ between nodes.
-    pub(super) const fn new(config: &OutboxConfig, random: u64) -> Self {
+    pub(crate) const fn new(first_ms: u64, longest_ms: u64, random: u64) -> Self {
         Self {
-            first_ms: config.retry_min_ms,
-            longest_ms: config.retry_max_ms,
-            next_ms: config.retry_min_ms,
+            first_ms,
+            longest_ms,
+            next_ms: first_ms,
             random,
         }
     }
 
     /// Counts a failure and returns the pause after it.
-    pub(super) fn next(&mut self) -> Duration {
+    pub(crate) fn next(&mut self) -> Duration {
         // Knuth's linear congruential generator, whose high bits are good.
         self.random = self
             .random
@@ -37,7 +36,7 @@ impl Backoff {
     }
 
     /// Starts again with the first pause.
-    pub(super) const fn reset(&mut self) {
+    pub(crate) const fn reset(&mut self) {
         self.next_ms = self.first_ms;
     }
 }

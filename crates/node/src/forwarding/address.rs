@@ -1,0 +1,202 @@
+//! Addresses of hooks and brokers. A hook's may hold secrets, in its user, path or query: only scheme, host and port are shown.
+
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use hyper::Uri;
+use percent_encoding::percent_decode_str;
+use serde::{Deserialize, Serialize, Serializer};
+use std::fmt;
+
+/// A place in the network.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Place {
+    pub scheme: &'static str,
+    pub host: String,
+    pub port: u16,
+    pub is_secure: bool,
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (scheme, port) = (self.scheme, self.port);
+        match self.host.contains(':') {
+            true => write!(f, "{scheme}://[{}]:{port}", self.host),
+            false => write!(f, "{scheme}://{}:{port}", self.host),
+        }
+    }
+}
+
+/// The schemes: the name, the usual port, and whether TLS is used.
+type Schemes = [(&'static str, u16, bool); 2];
+
+const HTTP: Schemes = [("http", 80, false), ("https", 443, true)];
+const MQTT: Schemes = [("mqtt", 1883, false), ("mqtts", 8883, true)];
+
+/// Takes an address apart. The error does not show it.
+fn parse(text: &str, schemes: Schemes) -> Result<(Uri, Place), String> {
+    let [(plain, ..), (secure, ..)] = schemes;
+    let begin = text.split_once("://").map_or("", |(begin, _)| begin);
+    let known = schemes.into_iter().find(|(known, ..)| begin.eq_ignore_ascii_case(known));
+    let (scheme, usual_port, is_secure) =
+        known.ok_or_else(|| format!("must begin with {plain}:// or {secure}://"))?;
+    let uri: Uri = text.parse().map_err(|error| format!("is no address: {error}"))?;
+    let host = uri.host().unwrap_or_default().trim_matches(['[', ']']);
+    if host.is_empty() {
+        return Err(format!("names no host, as in {secure}://host.example"));
+    }
+    let place = Place {
+        scheme,
+        host: host.to_owned(),
+        port: uri.port_u16().unwrap_or(usual_port),
+        is_secure,
+    };
+    Ok((uri, place))
+}
+
+/// Reads a broker's address.
+///
+/// # Errors
+/// What is wrong with it.
+pub(crate) fn broker(text: &str) -> Result<Place, String> {
+    let (uri, place) = parse(text.trim_end_matches('/'), MQTT)?;
+    if uri.authority().is_some_and(|authority| authority.as_str().contains('@')) {
+        return Err("holds a user: set mqtt.user and mqtt.password_file instead".to_owned());
+    }
+    if uri.path().len() > 1 || uri.query().is_some() {
+        return Err("has a path, which a broker has not".to_owned());
+    }
+    Ok(place)
+}
+
+/// The address of a hook as configured. Shown (and serialised) without what may be secret.
+#[derive(Clone, PartialEq, Eq, Deserialize)]
+#[serde(transparent)]
+pub struct HookUrl(String);
+
+impl HookUrl {
+    /// Creates an address.
+    pub fn new(text: impl Into<String>) -> Self {
+        Self(text.into())
+    }
+
+    /// Reads the address.
+    ///
+    /// # Errors
+    /// What is wrong with it; does not show it.
+    pub(crate) fn target(&self) -> Result<Target, String> {
+        let (uri, place) = parse(&self.0, HTTP)?;
+        let authority = uri.authority().map_or("", |authority| authority.as_str());
+        let (login, host) = authority.rsplit_once('@').unwrap_or(("", authority));
+        let login = percent_decode_str(login).collect::<Vec<u8>>();
+        Ok(Target {
+            host: host.to_owned(),
+            login: (!login.is_empty()).then(|| format!("Basic {}", STANDARD.encode(&login))),
+            path: uri.path_and_query().map_or("/", |path| path.as_str()).to_owned(),
+            place,
+        })
+    }
+
+    /// True if more than scheme, host and port is in it.
+    pub(crate) fn may_hold_secret(&self) -> bool {
+        self.target().is_ok_and(|target| target.login.is_some() || target.path != "/")
+    }
+}
+
+impl fmt::Debug for HookUrl {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.target() {
+            Ok(target) => write!(f, "{target}"),
+            Err(_) => f.write_str("(no address)"),
+        }
+    }
+}
+
+impl Serialize for HookUrl {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(&format_args!("{self:?}"))
+    }
+}
+
+/// Where a hook posts to.
+#[derive(Clone, PartialEq, Eq)]
+pub(crate) struct Target {
+    pub place: Place,
+    /// The header `Host`.
+    pub host: String,
+    /// The header `Authorization`.
+    pub login: Option<String>,
+    /// Path and query.
+    pub path: String,
+}
+
+impl fmt::Display for Target {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let rest = if self.path == "/" { "" } else { "/…" };
+        write!(f, "{}{rest}", self.place)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_that_may_be_secret_is_shown() {
+        let url = HookUrl::new("https://ann:s3cret@[fd00::7]:8123/api/webhook/k3y?token=t0ken");
+        let shown = format!(
+            "{url:?} {} {}",
+            serde_json::to_string(&url).unwrap(),
+            url.target().unwrap()
+        );
+        for secret in ["ann", "s3cret", "k3y", "t0ken"] {
+            assert!(!shown.contains(secret), "{shown}");
+        }
+        assert!(shown.contains("https://[fd00::7]:8123/…"), "{shown}");
+    }
+
+    #[test]
+    fn an_address_is_taken_apart() {
+        let target = HookUrl::new("http://ann:p%40ss@house.example/a?b=c").target().unwrap();
+        let expected = Place {
+            scheme: "http",
+            host: "house.example".to_owned(),
+            port: 80,
+            is_secure: false,
+        };
+        assert_eq!(target.place, expected);
+        assert_eq!(target.host, "house.example");
+        assert_eq!(target.path, "/a?b=c");
+        let basic = format!("Basic {}", STANDARD.encode("ann:p@ss"));
+        assert_eq!(target.login, Some(basic));
+        assert_eq!(broker("mqtts://b.example").unwrap().port, 8883);
+        assert_eq!(
+            broker("mqtt://127.0.0.1:1999/").unwrap().to_string(),
+            "mqtt://127.0.0.1:1999"
+        );
+    }
+
+    #[test]
+    fn what_is_wrong_with_an_address_is_said_without_it() {
+        for (text, reason) in [
+            (
+                "house.example/s3cret",
+                "must begin with http:// or https://",
+            ),
+            ("ftp://s3cret@house.example", "must begin with"),
+            ("https://s3 cret", "is no address"),
+            ("", "must begin with"),
+            ("https://", "is no address"),
+        ] {
+            let found = HookUrl::new(text).target().err().unwrap();
+            assert!(found.contains(reason) && !found.contains("cret"), "{found}");
+        }
+        for (text, reason) in [
+            ("broker.example:1883", "must begin with mqtt:// or mqtts://"),
+            ("mqtt://ann:s3cret@b", "set mqtt.user"),
+            ("mqtt://b/topic", "has a path"),
+        ] {
+            let found = broker(text).unwrap_err();
+            assert!(found.contains(reason) && !found.contains("cret"), "{found}");
+        }
+    }
+}

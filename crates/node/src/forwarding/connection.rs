@@ -1,0 +1,126 @@
+//! Connects to a hook or a broker, with TLS where its address asks for it.
+
+use super::address::Place;
+use rustls::pki_types::pem::PemObject as _;
+use rustls::pki_types::{CertificateDer, ServerName};
+use rustls::{CertificateError, ClientConfig, RootCertStore};
+use std::io;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::io::{AsyncRead, AsyncWrite};
+use tokio::net::TcpStream;
+use tokio::time::timeout;
+use tokio_rustls::TlsConnector;
+
+/// The time within which a place must have accepted a connection.
+const CONNECTED_WITHIN: Duration = Duration::from_secs(5);
+
+/// A connection.
+pub(super) trait Stream: AsyncRead + AsyncWrite + Send + Sync + Unpin {}
+
+impl<T: AsyncRead + AsyncWrite + Send + Sync + Unpin> Stream for T {}
+
+/// Connects to one place.
+#[derive(Clone)]
+pub(super) struct Connector {
+    place: Place,
+    tls: Option<TlsConnector>,
+}
+
+impl Connector {
+    /// Reads the certificates of the authorities that may sign the place's: those of a file, or the system's.
+    pub(super) fn new(place: Place, authority: Option<&Path>) -> Result<Self, String> {
+        let tls = place.is_secure.then(|| tls(authority)).transpose()?;
+        Ok(Self { place, tls })
+    }
+
+    /// Opens a connection. The error says in words what to do.
+    pub(super) async fn open(&self) -> io::Result<Box<dyn Stream>> {
+        let opened = timeout(CONNECTED_WITHIN, self.open_slowly()).await;
+        opened.unwrap_or_else(|_| {
+            let seconds = CONNECTED_WITHIN.as_secs();
+            Err(io::Error::other(format!(
+                "did not answer within {seconds} s"
+            )))
+        })
+    }
+
+    async fn open_slowly(&self) -> io::Result<Box<dyn Stream>> {
+        let Place { host, port, .. } = &self.place;
+        let stream = TcpStream::connect((host.as_str(), *port)).await;
+        let stream = stream.map_err(|error| io::Error::other(unreachable(&error)))?;
+        stream.set_nodelay(true)?;
+        let Some(tls) = &self.tls else {
+            return Ok(Box::new(stream));
+        };
+        let name = ServerName::try_from(host.clone()).map_err(io::Error::other)?;
+        let secured = tls.connect(name, stream).await;
+        let secured = secured.map_err(|error| io::Error::other(refused_by_tls(&error)))?;
+        Ok(Box::new(secured))
+    }
+}
+
+fn tls(authority: Option<&Path>) -> Result<TlsConnector, String> {
+    let mut roots = RootCertStore::empty();
+    match authority {
+        Some(file) => {
+            let wrong = |what: &dyn std::fmt::Display| {
+                format!("root_ca_certificate {}: {what}", file.display())
+            };
+            let read = CertificateDer::pem_file_iter(file).and_then(Iterator::collect);
+            let certificates: Vec<_> = read.map_err(|error| wrong(&error))?;
+            let (added, _) = roots.add_parsable_certificates(certificates);
+            if added == 0 {
+                return Err(wrong(&"has no certificate"));
+            }
+        }
+        None => {
+            let found = rustls_native_certs::load_native_certs();
+            roots.add_parsable_certificates(found.certs);
+            if roots.is_empty() {
+                let reason = "this system has no certificates of authorities: install ca-certificates, or set root_ca_certificate";
+                return Err(reason.to_owned());
+            }
+        }
+    }
+    // Named here, because the process has no default as long as nobody chose one.
+    let provider = Arc::new(rustls::crypto::ring::default_provider());
+    let config =
+        ClientConfig::builder_with_provider(provider).with_safe_default_protocol_versions();
+    let config = config.map_err(|error| error.to_string())?;
+    let config = config.with_root_certificates(roots).with_no_client_auth();
+    Ok(TlsConnector::from(Arc::new(config)))
+}
+
+fn unreachable(error: &io::Error) -> String {
+    match error.kind() {
+        io::ErrorKind::ConnectionRefused => {
+            "refuses the connection: nothing listens there".to_owned()
+        }
+        io::ErrorKind::TimedOut => "did not answer".to_owned(),
+        _ => format!("cannot be reached: {error}"),
+    }
+}
+
+/// The words for a failed handshake.
+fn refused_by_tls(error: &io::Error) -> String {
+    let inner = error.get_ref().and_then(|inner| inner.downcast_ref::<rustls::Error>());
+    let reason = match inner {
+        Some(rustls::Error::InvalidCertificate(
+            CertificateError::UnknownIssuer | CertificateError::BadSignature,
+        )) => {
+            "its certificate is signed by an authority that is not known here: set root_ca_certificate".to_owned()
+        }
+        Some(rustls::Error::InvalidCertificate(
+            CertificateError::NotValidForName | CertificateError::NotValidForNameContext { .. },
+        )) => "its certificate is for another name".to_owned(),
+        Some(rustls::Error::InvalidCertificate(
+            CertificateError::Expired | CertificateError::ExpiredContext { .. },
+        )) => "its certificate has expired, or the clock here is wrong".to_owned(),
+        Some(rustls::Error::InvalidMessage(_)) => "it does not speak TLS on this port".to_owned(),
+        Some(other) => other.to_string(),
+        None => error.to_string(),
+    };
+    format!("TLS failed: {reason}")
+}

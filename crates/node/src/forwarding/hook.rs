@@ -1,0 +1,257 @@
+//! Posts sightings to an address, one after the other, until it has taken each.
+
+use super::address::Target;
+use super::config::HookConfig;
+use super::connection::Connector;
+use crate::backoff::Backoff;
+use crate::state::board::{Board, Forwarded};
+use crate::state::readiness;
+use albireo_service::readiness::Part;
+use albireo_wire::Sighting;
+use bytes::Bytes;
+use http_body_util::Full;
+use hyper::client::conn::http1;
+use hyper::header::{AUTHORIZATION, CONNECTION, CONTENT_TYPE, HOST, HeaderValue, USER_AGENT};
+use hyper::{Request, StatusCode};
+use hyper_util::rt::TokioIo;
+use std::collections::VecDeque;
+use std::fmt::Display;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::sync::broadcast;
+use tokio::sync::broadcast::error::RecvError;
+use tokio::time::{sleep, timeout};
+use tokio_util::sync::CancellationToken;
+use tokio_util::task::AbortOnDropHandle;
+
+/// The time within which an address must have answered.
+const ANSWERED_WITHIN: Duration = Duration::from_secs(10);
+
+/// The pauses between attempts, milliseconds.
+const PAUSES: (u64, u64) = (1000, 60_000);
+
+/// The most sightings that wait; then the oldest is given up.
+pub(super) const MOST_WAITING: usize = 64;
+
+/// One hook.
+pub(crate) struct Hook {
+    config: HookConfig,
+    target: Target,
+    connector: Connector,
+    sightings: broadcast::Receiver<Arc<Sighting>>,
+    waiting: VecDeque<Arc<Sighting>>,
+    counts: Arc<Forwarded>,
+    part: Part,
+    backoff: Backoff,
+}
+
+/// A post that was not taken.
+struct Refused {
+    reason: String,
+    /// True if it never will be.
+    is_final: bool,
+}
+
+impl Refused {
+    fn for_now(reason: impl Display) -> Self {
+        Self {
+            reason: reason.to_string(),
+            is_final: false,
+        }
+    }
+}
+
+impl Hook {
+    /// Prepares a hook, which hears of sightings from now on.
+    ///
+    /// # Errors
+    /// Why its address or its certificate cannot be used.
+    pub(crate) fn new(config: HookConfig, board: &Board, random: u64) -> Result<Self, String> {
+        let target = config.target()?;
+        let authority = config.root_ca_certificate.as_deref();
+        let connector = Connector::new(target.place.clone(), authority)?;
+        let counts = board.forward_to(target.to_string());
+        let part = board.readiness.part_of(readiness::HOOKS, &counts.to);
+        Ok(Self {
+            config,
+            target,
+            connector,
+            sightings: board.sightings(),
+            waiting: VecDeque::new(),
+            counts,
+            part,
+            backoff: Backoff::new(PAUSES.0, PAUSES.1, random),
+        })
+    }
+
+    /// Posts until `shutdown`; what waits then is lost, and counted.
+    pub(crate) async fn run(mut self, shutdown: CancellationToken) {
+        while let Some(next) = self.next(&shutdown).await {
+            let outcome = {
+                let posting = timeout(ANSWERED_WITHIN, self.post(&next));
+                shutdown.run_until_cancelled(posting).await
+            };
+            let Some(outcome) = outcome else { break };
+            let silent = |_| Err(Refused::for_now("did not answer within 10 s"));
+            match outcome.unwrap_or_else(silent) {
+                Ok(()) => {
+                    self.waiting.pop_front();
+                    self.counts.sent();
+                    self.backoff.reset();
+                    self.part.works();
+                }
+                Err(Refused { reason, is_final }) => {
+                    self.counts.failed();
+                    self.part.degraded(reason);
+                    if is_final {
+                        self.waiting.pop_front();
+                        self.counts.dropped(1);
+                    } else if !self.pause(&shutdown).await {
+                        break;
+                    }
+                }
+            }
+        }
+        let lost = self.waiting.len();
+        if lost > 0 {
+            self.counts.dropped(lost as u64);
+            tracing::warn!(
+                to = self.counts.to,
+                lost,
+                "sightings were not posted before the stop"
+            );
+        }
+    }
+
+    /// The oldest sighting that waits, or the next one; `None` at the shutdown.
+    async fn next(&mut self, shutdown: &CancellationToken) -> Option<Arc<Sighting>> {
+        loop {
+            self.take_all();
+            if let Some(next) = self.waiting.front() {
+                return Some(Arc::clone(next));
+            }
+            let heard = shutdown.run_until_cancelled(self.sightings.recv()).await?;
+            match heard {
+                Ok(sighting) => self.take(sighting),
+                Err(RecvError::Lagged(lost)) => self.counts.dropped(lost),
+                Err(RecvError::Closed) => return None,
+            }
+        }
+    }
+
+    /// Takes what was told meanwhile.
+    fn take_all(&mut self) {
+        loop {
+            match self.sightings.try_recv() {
+                Ok(sighting) => self.take(sighting),
+                Err(broadcast::error::TryRecvError::Lagged(lost)) => self.counts.dropped(lost),
+                Err(_) => return,
+            }
+        }
+    }
+
+    fn take(&mut self, sighting: Arc<Sighting>) {
+        let is_in =
+            |names: &[String], name: &str| names.is_empty() || names.iter().any(|one| one == name);
+        let HookConfig {
+            cameras, classes, ..
+        } = &self.config;
+        if is_in(cameras, &sighting.camera) && is_in(classes, &sighting.class) {
+            self.waiting.push_back(sighting);
+        }
+        if self.waiting.len() > MOST_WAITING {
+            self.waiting.pop_front();
+            self.counts.dropped(1);
+        }
+    }
+
+    /// Waits before the next attempt, and takes sightings meanwhile. Returns false at the shutdown.
+    async fn pause(&mut self, shutdown: &CancellationToken) -> bool {
+        let over = sleep(self.backoff.next());
+        tokio::pin!(over);
+        loop {
+            tokio::select! {
+                () = shutdown.cancelled() => return false,
+                () = &mut over => return true,
+                heard = self.sightings.recv() => match heard {
+                    Ok(sighting) => self.take(sighting),
+                    Err(RecvError::Lagged(lost)) => self.counts.dropped(lost),
+                    Err(RecvError::Closed) => return false,
+                },
+            }
+        }
+    }
+
+    /// Opens a connection, as long as it takes, for `check --online`.
+    pub(crate) async fn connects(config: &HookConfig) -> Result<String, String> {
+        let target = config.target()?;
+        let authority = config.root_ca_certificate.as_deref();
+        let connector = Connector::new(target.place.clone(), authority)?;
+        let opened = connector.open().await;
+        opened.map_err(|error| format!("{target} {error}"))?;
+        Ok(format!("{target} can be reached; nothing was posted"))
+    }
+
+    /// Posts one sighting. A connection for each: they are seldom, and a kept one would be closed in between.
+    async fn post(&self, sighting: &Sighting) -> Result<(), Refused> {
+        let stream = self.connector.open().await.map_err(Refused::for_now)?;
+        let opened = http1::handshake(TokioIo::new(stream)).await;
+        let (mut sender, connection) = opened.map_err(Refused::for_now)?;
+        let _connection = AbortOnDropHandle::new(tokio::spawn(connection));
+        let response = sender.send_request(self.request(sighting)?).await;
+        let response =
+            response.map_err(|error| Refused::for_now(format!("did not answer: {error}")))?;
+        let status = response.status();
+        if status.is_success() {
+            return Ok(());
+        }
+        Err(Refused {
+            reason: format!("answered {status}{}", advice(status)),
+            is_final: is_final(status),
+        })
+    }
+
+    fn request(&self, sighting: &Sighting) -> Result<Request<Full<Bytes>>, Refused> {
+        let body = serde_json::to_vec(sighting).map_err(Refused::for_now)?;
+        let mut request = Request::post(&self.target.path)
+            .header(HOST, &self.target.host)
+            .header(CONTENT_TYPE, "application/json")
+            .header(CONNECTION, "close")
+            .header(USER_AGENT, concat!("albireo/", env!("CARGO_PKG_VERSION")));
+        if let Some(login) = &self.target.login
+            && let Ok(mut login) = HeaderValue::from_str(login)
+        {
+            login.set_sensitive(true);
+            request = request.header(AUTHORIZATION, login);
+        }
+        request.body(Full::new(body.into())).map_err(Refused::for_now)
+    }
+}
+
+/// True if the same post will get the same answer: redirects and faults of the request, but not "too many" or "too early".
+fn is_final(status: StatusCode) -> bool {
+    let passing = [
+        StatusCode::REQUEST_TIMEOUT,
+        StatusCode::TOO_EARLY,
+        StatusCode::TOO_MANY_REQUESTS,
+    ];
+    (status.is_client_error() || status.is_redirection()) && !passing.contains(&status)
+}
+
+fn advice(status: StatusCode) -> &'static str {
+    match status {
+        StatusCode::UNAUTHORIZED | StatusCode::FORBIDDEN => {
+            ": are user and password in the address right?"
+        }
+        StatusCode::NOT_FOUND | StatusCode::METHOD_NOT_ALLOWED => {
+            ": is the path of the address right?"
+        }
+        status if status.is_redirection() => {
+            ": redirects are not followed; set the address that it leads to"
+        }
+        _ => "",
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests;
