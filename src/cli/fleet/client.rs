@@ -1,6 +1,6 @@
 //! Talks to a hub or a node over HTTP.
 
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, bail};
 use reqwest::header::ACCEPT;
 use reqwest::{Method, RequestBuilder, Response, Url};
 use serde::Serialize;
@@ -48,10 +48,15 @@ impl Client {
     }
 
     async fn send(&self, request: RequestBuilder) -> anyhow::Result<Response> {
-        let response = request
-            .send()
-            .await
-            .with_context(|| format!("{} cannot be reached", self.base))?;
+        let response = request.send().await.map_err(|error| {
+            let base = &self.base;
+            if error.is_connect() {
+                return anyhow!(
+                    "{base} cannot be reached: is the hub running? Name another by --hub or ALBIREO_HUB"
+                );
+            }
+            anyhow!("{base} gave no answer: {}", error.without_url())
+        })?;
         let status = response.status();
         if status.is_success() {
             return Ok(response);

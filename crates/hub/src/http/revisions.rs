@@ -125,7 +125,7 @@ async fn give(
     if revision.nodes.is_empty() {
         return Err(Problem::new(
             StatusCode::NOT_FOUND,
-            "no node is selected; GET /api/v1/nodes lists all",
+            "no node is selected; `albireo fleet ls` and GET /api/v1/nodes list all",
         ));
     }
     let until = Instant::now() + Duration::from_secs_f64(wait);

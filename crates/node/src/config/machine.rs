@@ -207,9 +207,9 @@ fn state_dir(folder: &Path, findings: &mut Findings) {
     let Some(there) = folder.ancestors().find(|folder| folder.exists()) else {
         return;
     };
-    // By writing, because permissions are not the only possible reason.
+    // By writing, because permissions are not the only possible reason: a full disk takes an empty file.
     let probe = there.join(format!(".albireo-check-{}", std::process::id()));
-    if let Err(error) = std::fs::write(&probe, []) {
+    if let Err(error) = std::fs::write(&probe, [0; 64 << 10]) {
         let fault = format!("{} cannot be used as a folder: {error}", there.display());
         findings.add("node.state_dir", fault);
     }

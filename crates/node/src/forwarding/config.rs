@@ -93,9 +93,8 @@ impl MqttConfig {
 
     /// Adds what is missing on this machine.
     pub(crate) fn look_here(&self, findings: &mut Findings) {
-        if self.broker.is_some() {
-            findings.check("mqtt.password_file", self.login());
-        }
+        let password = self.password_file.as_deref().map(secret);
+        findings.check("mqtt.password_file", password.transpose());
     }
 
     /// The file with its secret, if every user of this machine can read it.
