@@ -3,8 +3,7 @@
 use super::run::SetupRuns;
 use super::summary::{PolicyFigures, SetupSummary};
 use crate::chart::{
-    Axis, BarPart, Plot, PlotError, SOFT_INK, chart, color_of, label, mark, range, stacked,
-    state_parts,
+    Axis, BarPart, Plot, PlotError, SOFT_INK, chart, color_of, mark, range, stacked, state_parts,
 };
 use crate::spec::{BASELINE, short_label};
 use plotters::prelude::*;
