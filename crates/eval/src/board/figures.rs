@@ -102,11 +102,10 @@ fn powers((clip, series): &(String, Vec<Series>)) -> Result<String, PlotError> {
         range: range(all().map(|at| at.1).chain([0.0]), 0.06),
         label: &|watts| format!("{watts:.1}"),
     };
-    chart(seconds, watts, |plane| {
+    chart(seconds, watts, &names(series), |plane| {
         for (index, (policy, points)) in series.iter().enumerate() {
             let color = color_of(index, policy);
-            let drawn = plane.draw_series(LineSeries::new(points.iter().copied(), color))?;
-            label(drawn, index, policy);
+            plane.draw_series(LineSeries::new(points.iter().copied(), color))?;
         }
         Ok(())
     })
