@@ -831,8 +831,8 @@ export interface paths {
                     /** @description Only events of this camera, and of the detector. */
                     camera?: string;
                     /**
-                     * @description Only these kinds, separated by commas: `frame`, `late`, `clip`, `counters`, `threshold`, `detector`. All kinds by
-                     *     default.
+                     * @description Only these kinds, separated by commas: `frame`, `late`, `sighting`, `clip`, `counters`, `threshold`,
+                     *     `detector`. All kinds by default.
                      */
                     types?: string;
                 };
@@ -842,7 +842,7 @@ export interface paths {
             };
             requestBody?: never;
             responses: {
-                /** @description Events `frame`, `late`, `clip`, `counters`, `threshold`, `detector`, `lagged`. */
+                /** @description Events `frame`, `late`, `sighting`, `clip`, `counters`, `threshold`, `detector`, `lagged`. */
                 200: {
                     headers: {
                         [name: string]: unknown;
@@ -2516,6 +2516,26 @@ export interface components {
             /** @description The reason, human-readable. It must not contain a number that changes by itself: each new text counts as a change. */
             reason: string;
         };
+        /** @description What was forwarded to one place since the start. */
+        ForwardedCounts: {
+            /**
+             * Format: int64
+             * @description Messages that were given up: too many waited, or the place refused them for good.
+             */
+            dropped: number;
+            /**
+             * Format: int64
+             * @description Attempts that failed; each is repeated later.
+             */
+            failed: number;
+            /**
+             * Format: int64
+             * @description Messages that the place has acknowledged.
+             */
+            sent: number;
+            /** @description The place: `mqtts://broker.example:8883`, `https://house.example/…`. */
+            to: string;
+        };
         /**
          * @description The node's answer to a frame received as a query, sent when the frame's turn comes: the sender of a camera with
          *     `delivery = "every"` then sends its next frame. If a query ends without an answer, the frame was not accepted.
@@ -2752,6 +2772,8 @@ export interface components {
             /** @description The certificates of its sessions, with their ends. */
             certificates: components["schemas"]["CertificateStatus"][];
             detector?: components["schemas"]["DetectorReading"] | null;
+            /** @description What was forwarded to hooks and an MQTT broker. */
+            forwarded: components["schemas"]["ForwardedCounts"][];
             /** @description The address of the hub's page: the label `hub`; absent without it. */
             hub?: string | null;
             /** @description Reports that wait for a hub. */
@@ -3247,6 +3269,58 @@ export interface components {
              */
             width: number;
         };
+        /** @description A class appeared in a camera's picture, or left it: the body of a hook's POST, and of the MQTT topic `…/event`. */
+        Sighting: {
+            /** @description Camera. */
+            camera: string;
+            /** @description Class. */
+            class: string;
+            /**
+             * Format: float
+             * @description The highest confidence among them; absent if it left.
+             */
+            confidence?: number | null;
+            /**
+             * Format: int32
+             * @description Boxes of the class in the frame that decided it.
+             */
+            count: number;
+            /** @description What became of it. */
+            event: components["schemas"]["SightingEvent"];
+            /** @description Node. */
+            node: string;
+            /**
+             * Format: double
+             * @description If it left: seconds from its first to its last frame.
+             */
+            seconds?: number | null;
+            /**
+             * Format: int64
+             * @description The frame that decided it: its number.
+             */
+            seq: number;
+            /**
+             * Format: int64
+             * @description Time of the first frame with the class, if it appeared, or of the last, if it left: `t_ns` is later by the time for
+             *     which it had to be there, or away.
+             */
+            since_ns: number;
+            /**
+             * Format: int64
+             * @description The frame's time, nanoseconds since the Unix epoch, as in its detections message.
+             */
+            t_ns: number;
+            /**
+             * Format: int32
+             * @description Version of the message.
+             */
+            v?: number;
+        };
+        /**
+         * @description What became of a class.
+         * @enum {string}
+         */
+        SightingEvent: "appeared" | "left";
         /** @description Estimates of the frames that other thresholds would have skipped. */
         SkipEstimate: {
             /**

@@ -9,14 +9,14 @@ use std::fmt;
 
 /// A place in the network.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Place {
+pub(crate) struct Endpoint {
     pub scheme: &'static str,
     pub host: String,
     pub port: u16,
     pub is_secure: bool,
 }
 
-impl fmt::Display for Place {
+impl fmt::Display for Endpoint {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (scheme, port) = (self.scheme, self.port);
         match self.host.contains(':') {
@@ -33,7 +33,7 @@ const HTTP: Schemes = [("http", 80, false), ("https", 443, true)];
 const MQTT: Schemes = [("mqtt", 1883, false), ("mqtts", 8883, true)];
 
 /// Takes an address apart. The error does not show it.
-fn parse(text: &str, schemes: Schemes) -> Result<(Uri, Place), String> {
+fn parse(text: &str, schemes: Schemes) -> Result<(Uri, Endpoint), String> {
     let [(plain, ..), (secure, ..)] = schemes;
     let begin = text.split_once("://").map_or("", |(begin, _)| begin);
     let known = schemes.into_iter().find(|(known, ..)| begin.eq_ignore_ascii_case(known));
@@ -44,7 +44,7 @@ fn parse(text: &str, schemes: Schemes) -> Result<(Uri, Place), String> {
     if host.is_empty() {
         return Err(format!("names no host, as in {secure}://host.example"));
     }
-    let place = Place {
+    let place = Endpoint {
         scheme,
         host: host.to_owned(),
         port: uri.port_u16().unwrap_or(usual_port),
@@ -57,7 +57,7 @@ fn parse(text: &str, schemes: Schemes) -> Result<(Uri, Place), String> {
 ///
 /// # Errors
 /// What is wrong with it.
-pub(crate) fn broker(text: &str) -> Result<Place, String> {
+pub(crate) fn broker(text: &str) -> Result<Endpoint, String> {
     let (uri, place) = parse(text.trim_end_matches('/'), MQTT)?;
     if uri.authority().is_some_and(|authority| authority.as_str().contains('@')) {
         return Err("holds a user: set mqtt.user and mqtt.password_file instead".to_owned());
@@ -120,7 +120,7 @@ impl Serialize for HookUrl {
 /// Where a hook posts to.
 #[derive(Clone, PartialEq, Eq)]
 pub(crate) struct Target {
-    pub place: Place,
+    pub place: Endpoint,
     /// The header `Host`.
     pub host: String,
     /// The header `Authorization`.
@@ -157,7 +157,7 @@ mod tests {
     #[test]
     fn an_address_is_taken_apart() {
         let target = HookUrl::new("http://ann:p%40ss@house.example/a?b=c").target().unwrap();
-        let expected = Place {
+        let expected = Endpoint {
             scheme: "http",
             host: "house.example".to_owned(),
             port: 80,

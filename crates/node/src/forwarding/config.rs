@@ -1,6 +1,6 @@
 //! The sections `[mqtt]` and `[[hook]]`.
 
-use super::address::{self, HookUrl, Place, Target};
+use super::address::{self, Endpoint, HookUrl, Target};
 use albireo_service::config::{Finding, Findings};
 use albireo_service::identity::exposed;
 use serde::{Deserialize, Serialize};
@@ -54,7 +54,7 @@ fn secret(file: &Path) -> Result<String, String> {
 
 impl MqttConfig {
     /// The broker's place, if one is set.
-    pub(crate) fn place(&self) -> Option<Result<Place, String>> {
+    pub(crate) fn place(&self) -> Option<Result<Endpoint, String>> {
         self.broker.as_deref().map(address::broker)
     }
 

@@ -1,6 +1,6 @@
 //! Connects to a hook or a broker, with TLS where its address asks for it.
 
-use super::address::Place;
+use super::address::Endpoint;
 use rustls::pki_types::pem::PemObject as _;
 use rustls::pki_types::{CertificateDer, ServerName};
 use rustls::{CertificateError, ClientConfig, RootCertStore};
@@ -17,26 +17,26 @@ use tokio_rustls::TlsConnector;
 const CONNECTED_WITHIN: Duration = Duration::from_secs(5);
 
 /// A connection.
-pub(super) trait Stream: AsyncRead + AsyncWrite + Send + Sync + Unpin {}
+pub(super) trait Connection: AsyncRead + AsyncWrite + Send + Sync + Unpin {}
 
-impl<T: AsyncRead + AsyncWrite + Send + Sync + Unpin> Stream for T {}
+impl<T: AsyncRead + AsyncWrite + Send + Sync + Unpin> Connection for T {}
 
 /// Connects to one place.
 #[derive(Clone)]
 pub(super) struct Connector {
-    place: Place,
+    place: Endpoint,
     tls: Option<TlsConnector>,
 }
 
 impl Connector {
     /// Reads the certificates of the authorities that may sign the place's: those of a file, or the system's.
-    pub(super) fn new(place: Place, authority: Option<&Path>) -> Result<Self, String> {
+    pub(super) fn new(place: Endpoint, authority: Option<&Path>) -> Result<Self, String> {
         let tls = place.is_secure.then(|| tls(authority)).transpose()?;
         Ok(Self { place, tls })
     }
 
     /// Opens a connection. The error says in words what to do.
-    pub(super) async fn open(&self) -> io::Result<Box<dyn Stream>> {
+    pub(super) async fn open(&self) -> io::Result<Box<dyn Connection>> {
         let opened = timeout(CONNECTED_WITHIN, self.open_slowly()).await;
         opened.unwrap_or_else(|_| {
             let seconds = CONNECTED_WITHIN.as_secs();
@@ -46,8 +46,8 @@ impl Connector {
         })
     }
 
-    async fn open_slowly(&self) -> io::Result<Box<dyn Stream>> {
-        let Place { host, port, .. } = &self.place;
+    async fn open_slowly(&self) -> io::Result<Box<dyn Connection>> {
+        let Endpoint { host, port, .. } = &self.place;
         let stream = TcpStream::connect((host.as_str(), *port)).await;
         let stream = stream.map_err(|error| io::Error::other(unreachable(&error)))?;
         stream.set_nodelay(true)?;

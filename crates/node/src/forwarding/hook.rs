@@ -46,13 +46,13 @@ pub(crate) struct Hook {
 }
 
 /// A post that was not taken.
-struct Refused {
+struct RefusedPost {
     reason: String,
     /// True if it never will be.
     is_final: bool,
 }
 
-impl Refused {
+impl RefusedPost {
     fn for_now(reason: impl Display) -> Self {
         Self {
             reason: reason.to_string(),
@@ -92,7 +92,7 @@ impl Hook {
                 shutdown.run_until_cancelled(posting).await
             };
             let Some(outcome) = outcome else { break };
-            let silent = |_| Err(Refused::for_now("did not answer within 10 s"));
+            let silent = |_| Err(RefusedPost::for_now("did not answer within 10 s"));
             match outcome.unwrap_or_else(silent) {
                 Ok(()) => {
                     self.waiting.pop_front();
@@ -100,7 +100,7 @@ impl Hook {
                     self.backoff.reset();
                     self.part.works();
                 }
-                Err(Refused { reason, is_final }) => {
+                Err(RefusedPost { reason, is_final }) => {
                     self.counts.failed();
                     self.part.degraded(reason);
                     if is_final {
@@ -193,26 +193,26 @@ impl Hook {
     }
 
     /// Posts one sighting. A connection for each: they are seldom, and a kept one would be closed in between.
-    async fn post(&self, sighting: &Sighting) -> Result<(), Refused> {
-        let stream = self.connector.open().await.map_err(Refused::for_now)?;
+    async fn post(&self, sighting: &Sighting) -> Result<(), RefusedPost> {
+        let stream = self.connector.open().await.map_err(RefusedPost::for_now)?;
         let opened = http1::handshake(TokioIo::new(stream)).await;
-        let (mut sender, connection) = opened.map_err(Refused::for_now)?;
+        let (mut sender, connection) = opened.map_err(RefusedPost::for_now)?;
         let _connection = AbortOnDropHandle::new(tokio::spawn(connection));
         let response = sender.send_request(self.request(sighting)?).await;
         let response =
-            response.map_err(|error| Refused::for_now(format!("did not answer: {error}")))?;
+            response.map_err(|error| RefusedPost::for_now(format!("did not answer: {error}")))?;
         let status = response.status();
         if status.is_success() {
             return Ok(());
         }
-        Err(Refused {
+        Err(RefusedPost {
             reason: format!("answered {status}{}", advice(status)),
             is_final: is_final(status),
         })
     }
 
-    fn request(&self, sighting: &Sighting) -> Result<Request<Full<Bytes>>, Refused> {
-        let body = serde_json::to_vec(sighting).map_err(Refused::for_now)?;
+    fn request(&self, sighting: &Sighting) -> Result<Request<Full<Bytes>>, RefusedPost> {
+        let body = serde_json::to_vec(sighting).map_err(RefusedPost::for_now)?;
         let mut request = Request::post(&self.target.path)
             .header(HOST, &self.target.host)
             .header(CONTENT_TYPE, "application/json")
@@ -224,7 +224,7 @@ impl Hook {
             login.set_sensitive(true);
             request = request.header(AUTHORIZATION, login);
         }
-        request.body(Full::new(body.into())).map_err(Refused::for_now)
+        request.body(Full::new(body.into())).map_err(RefusedPost::for_now)
     }
 }
 

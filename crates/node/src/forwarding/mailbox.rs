@@ -1,4 +1,4 @@
-//! What waits for an MQTT broker. Pure. State is kept once per topic, only the newest; events wait in a queue of limited length.
+//! What waits for an MQTT broker. Pure. TopicState is kept once per topic, only the newest; events wait in a queue of limited length.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::mem::take;
@@ -19,7 +19,7 @@ pub(super) struct Message {
 }
 
 #[derive(Debug)]
-struct State {
+struct TopicState {
     payload: String,
     /// True if the broker may not have it.
     is_new: bool,
@@ -28,7 +28,7 @@ struct State {
 /// The messages that a broker has not acknowledged.
 #[derive(Debug, Default)]
 pub(super) struct Mailbox {
-    states: BTreeMap<String, State>,
+    states: BTreeMap<String, TopicState>,
     events: VecDeque<Message>,
     /// Given to the connection, which has not numbered them yet.
     given: VecDeque<Message>,
@@ -42,14 +42,14 @@ impl Mailbox {
         match self.states.get_mut(&topic) {
             Some(state) if state.payload == payload => {}
             Some(state) => {
-                *state = State {
+                *state = TopicState {
                     payload,
                     is_new: true,
                 }
             }
             None => drop(self.states.insert(
                 topic,
-                State {
+                TopicState {
                     payload,
                     is_new: true,
                 },

@@ -1,6 +1,6 @@
 //! Publishes what the cameras see to an MQTT broker: retained states, sightings as events, and what Home Assistant discovers.
 
-use super::address::Place;
+use super::address::Endpoint;
 use super::config::MqttConfig;
 use super::connection::Connector;
 use super::discovery::{Described, MOST_CLASSES, NamedClass, id_of, named};
@@ -72,7 +72,7 @@ pub(crate) struct MqttSetup {
 pub(crate) struct Mqtt {
     config: MqttConfig,
     connector: Connector,
-    place: Place,
+    place: Endpoint,
     board: Arc<Board>,
     described: Described,
     classes: Vec<NamedClass>,
@@ -345,7 +345,7 @@ type Heard = mpsc::Receiver<Result<Event, ConnectionError>>;
 fn options(
     config: &MqttConfig,
     connector: &Connector,
-    place: &Place,
+    place: &Endpoint,
     id: &str,
 ) -> Result<MqttOptions, String> {
     let mut options = MqttOptions::new(id, (place.host.as_str(), place.port));

@@ -38,7 +38,7 @@ struct Moment {
 
 /// A class that is there, or is about to be.
 #[derive(Debug)]
-struct Watched {
+struct WatchedClass {
     class: String,
     is_there: bool,
     /// The first of the last frames, all of which say otherwise than `is_there`.
@@ -66,7 +66,7 @@ pub(super) struct ClassWatch {
     appear: Duration,
     leave: Duration,
     /// The classes in the newest frames: few.
-    watched: Vec<Watched>,
+    watched: Vec<WatchedClass>,
 }
 
 impl ClassWatch {
@@ -94,7 +94,7 @@ impl ClassWatch {
         };
         for one in &answer.boxes {
             if !self.watched.iter().any(|watched| watched.class == one.class) {
-                self.watched.push(Watched {
+                self.watched.push(WatchedClass {
                     class: one.class.clone(),
                     is_there: false,
                     turning: None,
@@ -128,7 +128,7 @@ impl ClassWatch {
     }
 }
 
-impl Watched {
+impl WatchedClass {
     /// Takes a frame with the class, if it `is_seen`, or without it.
     fn frame(
         &mut self,
