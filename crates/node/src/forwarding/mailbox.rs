@@ -1,4 +1,4 @@
-//! What waits for an MQTT broker. Pure. TopicState is kept once per topic, only the newest; events wait in a queue of limited length.
+//! What waits for an MQTT broker. Pure. State is kept once per topic, only the newest; events wait in a queue of limited length.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::mem::take;
