@@ -19,9 +19,10 @@ pub(crate) struct Endpoint {
 impl fmt::Display for Endpoint {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (scheme, port) = (self.scheme, self.port);
-        match self.host.contains(':') {
-            true => write!(f, "{scheme}://[{}]:{port}", self.host),
-            false => write!(f, "{scheme}://{}:{port}", self.host),
+        if self.host.contains(':') {
+            write!(f, "{scheme}://[{}]:{port}", self.host)
+        } else {
+            write!(f, "{scheme}://{}:{port}", self.host)
         }
     }
 }

@@ -145,9 +145,10 @@ impl WatchedClass {
             return None;
         }
         let since = *self.turning.get_or_insert(frame);
-        let (limit, event) = match is_seen {
-            true => (appear, SightingEvent::Appeared),
-            false => (leave, SightingEvent::Left),
+        let (limit, event) = if is_seen {
+            (appear, SightingEvent::Appeared)
+        } else {
+            (leave, SightingEvent::Left)
         };
         if frame.at - since.at < limit {
             return None;
