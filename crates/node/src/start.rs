@@ -105,10 +105,8 @@ impl PreparedNode {
         models.watch(&mut tasks, &board);
         readiness::check_cameras(&board);
         readiness::check_power(&board, &power);
-        let watched = board.readiness.clone();
-        tasks.until_shutdown("readiness", async move {
-            watched.watch(POLL_INTERVAL).await;
-        });
+        let watched = board.readiness.clone().watch(POLL_INTERVAL);
+        tasks.until_shutdown("readiness", watched);
         tasks.until_shutdown("power sampler", sampler);
         if config.position.source.is_receiver() {
             let positions = Arc::clone(&board.positions);
