@@ -3,8 +3,8 @@
 use crate::node_frames::{attachment, put};
 use crate::support::live_camera::{MotionJpegCamera, RtspCamera};
 use crate::support::{
-    Node, albireo, assert_contains, collected, json_at, listening_peer, memory_mb, next, replay,
-    run, signal, subscribe, test_video, until, zenoh_client,
+    Node, albireo, assert_contains, collected, detectors, json_at, listening_peer, memory_mb, next,
+    replay, run, signal, subscribe, test_video, until, until_connected, zenoh_client,
 };
 use albireo_core::geometry::PictureSize;
 use albireo_scene::BoxScene;
@@ -385,4 +385,42 @@ async fn cameras_that_come_and_go_leak_no_memory() {
         memory.push(memory_mb(node.id(), "VmRSS:"));
     }
     assert!(memory[1] - memory[0] < 10.0, "{memory:?} MB");
+}
+
+#[rstest]
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs ONNX Runtime"]
+async fn a_camera_that_slows_down_is_a_reason_in_readyz_with_both_rates() {
+    let model = detectors::model("boxes.onnx");
+    let node = Node::start(&format!("detector.model = {model:?}\n")).await;
+    let session = zenoh_client(&node.zenoh).await;
+    until_connected(&session, "node", "front").await;
+    let picture = picture();
+    let mut seq = 0;
+    let mut send = async |pause: Duration| {
+        put(&session, "front", &picture, attachment(seq, None, None)).await;
+        seq += 1;
+        tokio::time::sleep(pause).await;
+    };
+    // The stream shows its rate for more than the ten seconds over which it is taken.
+    let begun = Instant::now();
+    while begun.elapsed() < Duration::from_secs(20) {
+        send(Duration::from_millis(40)).await;
+    }
+    assert!(!node.text("/readyz").await.contains("frames per second come"));
+    let said = loop {
+        send(Duration::from_secs(1)).await;
+        let said = node.text("/readyz").await;
+        if said.contains(" frames per second come; ") {
+            break said;
+        }
+    };
+    let (before, after) = said.split_once(" frames per second come; ").unwrap();
+    let now: f64 = before.rsplit('"').next().unwrap().parse().unwrap();
+    let usual: f64 = after.split_once(" came before").unwrap().0.parse().unwrap();
+    assert!(now < usual / 2.0, "{said}");
+    let fault = front(&node).await["fault"].to_string();
+    assert_contains(&fault, &["frames per second come; "]);
+    session.close().await.unwrap();
+    node.stop_well().await;
 }

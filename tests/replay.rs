@@ -234,3 +234,51 @@ async fn a_real_video_arrives_frame_by_frame() {
         }
     }
 }
+
+#[rstest]
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs ffmpeg"]
+async fn a_dashcams_folder_is_replayed_in_order_with_its_times_and_drives() {
+    let folder = tempfile::tempdir().unwrap();
+    for minute in ["080100", "080001", "080000"] {
+        let name = format!("2026_1120_{minute}_F.MP4");
+        test_video(folder.path(), &name, "rate=5:duration=1");
+    }
+    std::fs::write(folder.path().join("2026_1120_080002_F.MP4"), "").unwrap();
+    let (frames, sent) = replayed(folder.path(), "--rate max", Duration::ZERO).await;
+    assert_eq!((frames.len(), sent.clips, sent.left_out), (15, 2, 1));
+    for (number, frame) in (0..).zip(&frames) {
+        let (drive, begins) = if number < 10 {
+            ("080000", 0)
+        } else {
+            ("080100", 60_000)
+        };
+        assert_eq!(
+            frame.clip.as_deref(),
+            Some(&*format!("2026_1120_{drive}_F"))
+        );
+        let after = (frame.time_ns - frames[0].time_ns) / 1_000_000;
+        let expected = begins + number % 10 * 200;
+        assert_eq!((frame.sequence, after), (number, expected));
+    }
+    // Front and rear are two cameras.
+    test_video(folder.path(), "2026_1120_080000_R.MP4", "rate=5:duration=1");
+    let both = replay::run(
+        arguments(folder.path(), "--rate max"),
+        CancellationToken::new(),
+    );
+    let refused = both.await.unwrap_err().to_string();
+    assert_contains(&refused, &["4 front (", "1 rear (", "/*F.MP4"]);
+    let rear = folder.path().join("*_r.mp4");
+    let (frames, _) = replayed(&rear, "--rate max", Duration::ZERO).await;
+    assert_eq!(frames.len(), 5);
+}
+
+#[rstest]
+#[tokio::test(flavor = "multi_thread")]
+async fn a_picture_that_cannot_be_read_is_left_out_of_a_replay_and_counted() {
+    let folder = pictures(3);
+    std::fs::write(folder.path().join("1.jpg"), "no picture").unwrap();
+    let (frames, sent) = replayed(folder.path(), "--rate max", Duration::ZERO).await;
+    assert_eq!((frames.len(), sent.left_out), (2, 1));
+}

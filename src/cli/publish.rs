@@ -2,7 +2,7 @@
 
 use super::frames::{FrameSender, FrameTarget, NOBODY, OutgoingFrame, Pacing, close, open_session};
 use albireo_node::input::source::{
-    LiveSource, RtspTransport, SourceAddress, SourceEvent, SourceOptions, SourceSettings,
+    LiveSource, Recorded, RtspTransport, SourceAddress, SourceEvent, SourceOptions, SourceSettings,
 };
 use albireo_service::clock::unix_nanoseconds;
 use albireo_service::config::LogConfig;
@@ -39,8 +39,8 @@ A camera on the node's own machine needs no publisher: [[camera]] source in its
 configuration. Runs until stopped, and reconnects to a camera or node that
 comes back.")]
 pub(super) struct PublishArguments {
-    /// A camera (rtsp://, http://), a device, a video file, or a GStreamer pipeline; ${NAME} is an environment
-    /// variable
+    /// A camera (rtsp://, http://), a device, a video file, a folder or pattern of them, or a GStreamer pipeline; ${NAME} is an
+    /// environment variable
     #[arg(value_parser = |text: &str| Ok::<_, Infallible>(SourceAddress::new(text)))]
     source: SourceAddress,
     /// Where the frames go.
@@ -114,9 +114,15 @@ pub(super) async fn run(arguments: PublishArguments) -> anyhow::Result<()> {
                 "failed: {reason}; next attempt in {seconds} s"
             );
         }
+        SourceEvent::PassedOver(file) => {
+            tracing::warn!(source = name, "passed over {file}");
+        }
         SourceEvent::Picture {
-            picture, reopened, ..
-        } => match outlet.send(picture, reopened) {
+            picture,
+            reopened,
+            recorded,
+            ..
+        } => match outlet.send(picture, reopened, recorded) {
             Ok(()) => {
                 counted.fetch_add(1, Ordering::Relaxed);
                 failed = false;
@@ -177,11 +183,14 @@ impl Outlet {
         &mut self,
         picture: Result<EncodedPicture, FrameFault>,
         reopened: bool,
+        recorded: Option<Recorded>,
     ) -> anyhow::Result<()> {
         if reopened {
             self.seq = 0;
             self.sender.begin_stream()?;
         }
+        let recorded_ns = recorded.as_ref().and_then(|recorded| recorded.time_ns);
+        let clip = recorded.map(|recorded| recorded.drive.to_string());
         let seq = self.seq;
         self.seq += 1;
         let picture = picture.map_err(|fault| anyhow!("a picture cannot be sent: {fault}"))?;
@@ -190,7 +199,8 @@ impl Outlet {
             attachment: FrameAttachment {
                 v: VERSION,
                 seq: Some(seq),
-                t_ns: Some(unix_nanoseconds()),
+                t_ns: recorded_ns.or_else(|| Some(unix_nanoseconds())),
+                clip,
                 ..FrameAttachment::default()
             },
         })

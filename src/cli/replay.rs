@@ -18,12 +18,14 @@ use zenoh::Session;
 /// Arguments of `albireo replay`.
 #[derive(Args, Clone, Debug)]
 #[command(
-    about = "Publish a video, a folder of pictures or the demonstration's road as a camera",
+    about = "Publish videos, a folder of pictures or the demonstration's road as a camera",
     after_help = "Examples:
   albireo replay drive.mp4 --node car-7 --camera front
       a video at its own speed, to the node on this machine; needs ffmpeg
   albireo replay drive.mp4 --every --wait-for-subscriber
       every frame arrives: wait for the node, and wait when it is slow
+  albireo replay '/media/sd/Movie/*F.MP4'
+      a dashcam's minutes as one stream, front only, each drive a clip
   albireo replay pictures/ --rate 5 --loop --clip-seconds 40
       a folder, five pictures a second, for ever, in clips of 40 s
   albireo replay demo --connect tcp/192.168.0.20:7447
@@ -33,7 +35,7 @@ A live camera is not replayed: the node opens it ([[camera]] source), or
 `albireo publish` does."
 )]
 pub struct ReplayArguments {
-    /// A video file, a folder of JPEG and PNG files, a tar archive of such folders, or `demo`, which is demo/road.tar
+    /// A video file, a folder or a pattern of them, a folder of JPEG and PNG files, a tar archive of such folders, or `demo`, which is demo/road.tar
     pub source: SourceName,
 
     /// Where the frames go.
@@ -133,6 +135,9 @@ fn summary(sent: &Sent, key: &str) -> String {
     if sent.behind > 0 {
         line += &format!("; frames that went out late: {}", sent.behind);
     }
+    if sent.left_out > 0 {
+        line += &format!("; files that were left out: {}", sent.left_out);
+    }
     if sent.refused > 0 {
         let first = sent.first_refusal.as_deref().unwrap_or_default();
         line += &format!(
@@ -180,12 +185,13 @@ mod tests {
             bytes: 3 << 20,
             clips: 2,
             behind: 1,
+            left_out: 2,
             refused: 1,
             first_refusal: Some("cut off".to_owned()),
             elapsed: Duration::from_secs(10),
         };
         let expected = "sent 251 frames (3.00 MiB) on a/b in 10.0 s, 25.0 frames/s, clips: 2; \
-                        frames that went out late: 1; frames that the node refused: 1 (first: cut off)";
+                        frames that went out late: 1; files that were left out: 2; frames that the node refused: 1 (first: cut off)";
         assert_eq!(summary(&sent, "a/b"), expected);
     }
 }

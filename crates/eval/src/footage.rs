@@ -1,4 +1,4 @@
-//! Reads footage (a video, or a folder or an archive of pictures) as a sequence of encoded pictures, the
+//! Reads footage (a video, several as a dashcam writes them, or a folder or an archive of pictures) as a sequence of encoded pictures, the
 //! form in which a camera sends them.
 
 mod downsampled;
@@ -6,6 +6,7 @@ mod open;
 mod pictures;
 mod source;
 mod video;
+mod video_files;
 
 pub use downsampled::Downsampled;
 pub(crate) use downsampled::FrameSelection;
@@ -13,3 +14,4 @@ pub use open::SourceName;
 pub use pictures::Pictures;
 pub use source::{FrameSource, Stopper};
 pub use video::{Ffmpeg, Video, VideoEncoding};
+pub use video_files::VideoFiles;

@@ -202,8 +202,10 @@ async fn try_source(settings: SourceSettings) -> Result<EncodedPicture, TrialFai
     let (sender, mut found) = channel(1);
     let stop = CancellationToken::new();
     let each = move |event| {
-        // Only the first event is awaited.
-        let _ = sender.try_send(event);
+        // Only the first event is awaited; after a file that is passed over, another may be played.
+        if !matches!(event, SourceEvent::PassedOver(_)) {
+            let _ = sender.try_send(event);
+        }
     };
     let running = tokio::spawn(source.run(each, stop.clone()));
     let first = tokio::time::timeout(patience, found.recv()).await;
@@ -215,6 +217,7 @@ async fn try_source(settings: SourceSettings) -> Result<EncodedPicture, TrialFai
             Ok(picture.map_err(unusable)?)
         }
         Ok(Some(SourceEvent::Failed { reason, .. })) => Err(reason.into()),
+        Ok(Some(SourceEvent::PassedOver(file))) => Err(file.to_string().into()),
         Ok(None) => Err("the reader of the source ended".into()),
         Err(_) => Err(format!("no picture in {} s", patience.as_secs()).into()),
     }

@@ -4,5 +4,6 @@ pub mod detector;
 pub mod onnx;
 pub mod picture;
 pub mod pixel_work;
+pub mod recordings;
 pub mod screen;
 pub mod worker;

@@ -222,7 +222,9 @@ impl Evaluation<'_> {
     /// Pictures alone have none.
     fn rate(&self, name: &SourceName, source: &dyn FrameSource) -> Option<f64> {
         let own = || match name {
-            SourceName::Video(_) | SourceName::Demo => Some(source.rate()),
+            SourceName::Video(_) | SourceName::VideoFiles(_) | SourceName::Demo => {
+                Some(source.rate())
+            }
             SourceName::Pictures(_) | SourceName::Archive(_) => {
                 self.truth.as_ref()?.rate(source.name(), self.names.len() == 1)
             }
@@ -455,7 +457,7 @@ pub(super) fn detect_all(
         for mut source in clip.open_clips(rate, VideoEncoding::default())? {
             let mut detected = pass_over(source.as_mut(), &mut models, &settings, &mut report)?;
             // Pictures have no rate of their own; what was assumed for playing is no fact to be saved.
-            if !matches!(clip, SourceName::Video(_) | SourceName::Demo) {
+            if matches!(clip, SourceName::Pictures(_) | SourceName::Archive(_)) {
                 detected.frame_rate = rate;
             }
             pictured.push(detected);

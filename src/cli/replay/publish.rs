@@ -38,7 +38,7 @@ pub struct PublishOptions {
     /// Clip id; numbered when there is more than one clip [default: the source's name]
     #[arg(long = "clip-id", alias = "clip", help_heading = CLIPS, value_name = "ID")]
     pub clip: Option<String>,
-    /// Begin a new clip after this many seconds [default: one clip per pass, or one per folder of an archive]
+    /// Begin a new clip after this many seconds [default: one clip per pass, or one per folder of an archive or drive of a dashcam]
     #[arg(long, help_heading = CLIPS, value_name = "SECONDS", value_parser = values::above_zero)]
     pub clip_seconds: Option<f64>,
     /// Name no clips: the node uses its own time windows
@@ -82,12 +82,22 @@ pub struct Sent {
     pub refused: u64,
     /// The reason for the first of them.
     pub first_refusal: Option<String>,
+    /// The number of files that could not be used: pictures, or videos of several.
+    pub left_out: u64,
     /// The time from the first frame until now.
     pub elapsed: Duration,
 }
 
 /// The part of a source that a picture belongs to: the pass, and the source's clip.
 type Part = (u64, Option<String>);
+
+/// What was read of a source.
+enum ReadItem {
+    /// A picture, and when it was recorded, if that is known.
+    Picture(Part, EncodedPicture, Option<u64>),
+    /// One of several files that cannot be used, and why.
+    LeftOut(String),
+}
 
 /// The number of frames that are read ahead, so that a slow frame does not delay the next.
 const AHEAD: usize = 4;
@@ -96,14 +106,25 @@ const AHEAD: usize = 4;
 fn read_ahead(
     mut source: Box<dyn FrameSource>,
     repeat: bool,
-    sender: &mpsc::Sender<anyhow::Result<(Part, EncodedPicture)>>,
+    sender: &mpsc::Sender<anyhow::Result<ReadItem>>,
 ) -> anyhow::Result<()> {
     for pass in 0_u64.. {
         let mut is_empty = true;
-        while let Some(picture) = source.next()? {
-            is_empty = false;
-            let part = (pass, source.clip().map(str::to_owned));
-            if sender.blocking_send(Ok((part, picture))).is_err() {
+        loop {
+            let read = match source.next() {
+                Ok(None) => break,
+                Ok(Some(picture)) => {
+                    is_empty = false;
+                    let part = (pass, source.clip().map(str::to_owned));
+                    ReadItem::Picture(part, picture, source.time_ns())
+                }
+                // The other files follow.
+                Err(fault) if source.picture_name().is_some() => {
+                    ReadItem::LeftOut(fault.to_string())
+                }
+                Err(fault) => return Err(fault.into()),
+            };
+            if sender.blocking_send(Ok(read)).is_err() {
                 return Ok(());
             }
         }
@@ -257,7 +278,14 @@ pub async fn publish<F: Future<Output = anyhow::Result<Option<String>>>>(
             next = prepared.recv() => next,
         };
         let Some(next) = next else { break };
-        let (part, picture) = next?;
+        let (part, picture, recorded_ns) = match next? {
+            ReadItem::Picture(part, picture, recorded_ns) => (part, picture, recorded_ns),
+            ReadItem::LeftOut(fault) => {
+                eprintln!("albireo: left out: {fault}");
+                sent.left_out += 1;
+                continue;
+            }
+        };
         // Times count from the first picture: opening the source may take long.
         let (began, clock) = *begun.get_or_insert_with(|| {
             pace.due = Instant::now();
@@ -271,7 +299,7 @@ pub async fn publish<F: Future<Output = anyhow::Result<Option<String>>>>(
         let seconds = sent.frames as f64 / rate;
         let bytes = picture.bytes.len() as u64;
         let seq = options.first_sequence + sent.frames;
-        let t_ns = clock.saturating_add((seconds * 1e9) as u64);
+        let t_ns = recorded_ns.unwrap_or(clock.saturating_add((seconds * 1e9) as u64));
         let frame = OutgoingFrame {
             attachment: attachment(seq, t_ns, clips.next(part, seconds), &picture),
             picture,

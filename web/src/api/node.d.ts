@@ -1876,12 +1876,19 @@ export interface components {
             height?: number | null;
             /** @description Zenoh key of its frames; absent if it has a source. */
             key?: string | null;
+            /** @description The last of these files, and why. */
+            last_passed_over?: string | null;
             /**
              * Format: double
              * @description Frames per second that the node takes from its source at most; absent without a limit.
              */
             max_rate?: number | null;
             no_news?: components["schemas"]["NoNews"] | null;
+            /**
+             * Format: int64
+             * @description Video files of its source that could not be played and were passed over.
+             */
+            passed_over: number;
             /** @description The policy that decides its frames. */
             policy: string;
             /**

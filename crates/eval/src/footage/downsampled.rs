@@ -74,6 +74,10 @@ impl FrameSource for Downsampled<'_> {
         self.source.picture_name()
     }
 
+    fn time_ns(&self) -> Option<u64> {
+        self.source.time_ns()
+    }
+
     fn next(&mut self) -> Result<Option<EncodedPicture>, EvalError> {
         loop {
             let next = self.source.next();

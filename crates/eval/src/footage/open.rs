@@ -3,9 +3,11 @@
 use super::pictures::Pictures;
 use super::source::{FrameSource, clip_name};
 use super::video::{Ffmpeg, Video, VideoEncoding};
+use super::video_files::VideoFiles;
 use crate::error::EvalError;
 use crate::files::entries;
 use albireo_vision::picture::is_picture_file;
+use albireo_vision::recordings::{are_several, is_video_file};
 use std::fmt::{Display, Formatter};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -27,6 +29,8 @@ pub enum SourceName {
     Demo,
     /// A video file.
     Video(PathBuf),
+    /// A folder of video files, or a pattern for their names.
+    VideoFiles(PathBuf),
 }
 
 impl FromStr for SourceName {
@@ -40,11 +44,24 @@ impl FromStr for SourceName {
         if path.extension().is_some_and(|extension| extension == "tar") {
             return Ok(Self::Archive(path.to_path_buf()));
         }
+        if (holds(path, is_video_file) && !holds(path, is_picture_file))
+            || (are_several(text) && !path.is_dir())
+        {
+            return Ok(Self::VideoFiles(path.to_path_buf()));
+        }
         if path.is_dir() || is_picture_file(path) {
             return Ok(Self::Pictures(path.to_path_buf()));
         }
         Ok(Self::Video(path.to_path_buf()))
     }
+}
+
+const BOTH: &str = "it holds pictures and videos: name the videos by a pattern, such as FOLDER/*.mp4, or put the pictures into a \
+    folder of their own";
+
+/// True for a folder with such files.
+fn holds(folder: &Path, wanted: fn(&Path) -> bool) -> bool {
+    folder.is_dir() && entries(folder, wanted).is_ok_and(|files| !files.is_empty())
 }
 
 impl SourceName {
@@ -59,6 +76,13 @@ impl SourceName {
     ) -> Result<Box<dyn FrameSource>, EvalError> {
         let path = self.existing()?;
         Ok(match self {
+            Self::Pictures(_) if holds(path, is_video_file) => {
+                return Err(EvalError::content(path, BOTH));
+            }
+            Self::VideoFiles(_) => {
+                let text = path.to_string_lossy();
+                Box::new(VideoFiles::open(&text, rate, encoding, Ffmpeg::default())?)
+            }
             Self::Pictures(_) => Box::new(Pictures::of_folder(path, self.pictures_rate(rate))?),
             Self::Archive(_) | Self::Demo => {
                 Box::new(Pictures::of_archive(path, self.pictures_rate(rate))?)
@@ -85,7 +109,10 @@ impl SourceName {
 
     fn path(&self) -> &Path {
         match self {
-            Self::Pictures(path) | Self::Archive(path) | Self::Video(path) => path,
+            Self::Pictures(path)
+            | Self::Archive(path)
+            | Self::Video(path)
+            | Self::VideoFiles(path) => path,
             Self::Demo => Path::new(ROAD),
         }
     }
@@ -122,7 +149,9 @@ impl SourceName {
     /// Returns the path if it exists, or if it is an address, which [`Video::open`] refuses.
     fn existing(&self) -> Result<&Path, EvalError> {
         let path = self.path();
-        if path.exists() || path.to_string_lossy().contains("://") {
+        // A pattern that matches nothing says so itself.
+        let is_pattern = matches!(self, Self::VideoFiles(_));
+        if is_pattern || path.exists() || path.to_string_lossy().contains("://") {
             Ok(path)
         } else {
             Err(EvalError::content(path, "no such file or folder"))
@@ -163,7 +192,10 @@ impl SourceName {
             if let Self::Pictures(folder) = &clip {
                 drop(Pictures::of_folder(folder, Pictures::DEFAULT_RATE)?);
             }
-            names.push(clip_name(clip.path()));
+            names.push(match &clip {
+                Self::VideoFiles(path) => VideoFiles::name_of(path),
+                _ => clip_name(clip.path()),
+            });
         }
         Ok(names)
     }

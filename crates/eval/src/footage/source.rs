@@ -29,9 +29,14 @@ pub trait FrameSource: Send {
         None
     }
 
-    /// The name of the last picture, if each is a file of its own: [`next`](Self::next) then returns the pictures after one
-    /// that cannot be read.
+    /// The name of the last picture, or of the video file it is from, if there are several files: [`next`](Self::next) then
+    /// returns the pictures after one that cannot be read.
     fn picture_name(&self) -> Option<String> {
+        None
+    }
+
+    /// When the last picture was recorded, nanoseconds since the Unix epoch, if that is known.
+    fn time_ns(&self) -> Option<u64> {
         None
     }
 

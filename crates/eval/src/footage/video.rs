@@ -74,12 +74,16 @@ struct FfmpegOutput {
 
 /// The running ffmpeg, shared with the thread that may stop it.
 #[derive(Debug, Default)]
-struct Process {
+pub(super) struct Process {
     child: Option<Child>,
     stopped: bool,
 }
 
 impl Process {
+    pub(super) fn is_stopped(&self) -> bool {
+        self.stopped
+    }
+
     fn end(&mut self) {
         if let Some(mut child) = self.child.take() {
             // This fails only if the program has already ended.
@@ -137,6 +141,17 @@ impl Video {
         encoding: VideoEncoding,
         programs: Ffmpeg,
     ) -> Result<Self, EvalError> {
+        Self::open_in(Arc::default(), file, default_rate, encoding, programs)
+    }
+
+    /// Like [`open`](Self::open), with a process that others may stop.
+    pub(super) fn open_in(
+        process: Arc<Mutex<Process>>,
+        file: &str,
+        default_rate: Option<f64>,
+        encoding: VideoEncoding,
+        programs: Ffmpeg,
+    ) -> Result<Self, EvalError> {
         if file.contains("://") {
             // The address may contain a password, so it is not repeated.
             return Err(EvalError::new(
@@ -158,7 +173,7 @@ impl Video {
             rate,
             frames,
             output: None,
-            process: Arc::default(),
+            process,
         };
         video.rewind()?;
         Ok(video)
@@ -319,13 +334,18 @@ impl FrameSource for Video {
     }
 
     fn stopper(&self) -> Option<Stopper> {
-        let process = Arc::clone(&self.process);
-        Some(Stopper(Box::new(move || {
-            let mut process = process.lock();
-            process.stopped = true;
-            process.end();
-        })))
+        Some(stopper(&self.process))
     }
+}
+
+/// What stops a process.
+pub(super) fn stopper(process: &Arc<Mutex<Process>>) -> Stopper {
+    let process = Arc::clone(process);
+    Stopper(Box::new(move || {
+        let mut process = process.lock();
+        process.stopped = true;
+        process.end();
+    }))
 }
 
 impl Drop for Video {

@@ -312,7 +312,7 @@ async fn the_detector_does_not_see_broken_pictures_and_they_are_answered_by_pred
     let bench = Bench::new("vanilla", 0.0).await;
     for index in 0..9 {
         let broken = (3..6).contains(&index);
-        bench.receiver.take_picture(Ok(picture(index)), index == 0, broken);
+        bench.receiver.take_picture(Ok(picture(index)), index == 0, broken, None);
     }
     let (board, _) = bench.play().await;
     let shown = board.camera("front").unwrap().snapshot();

@@ -1,5 +1,6 @@
 //! Counts what a camera sends, before anything is left out: frames, broken ones, and complaints about them.
 
+use albireo_vision::recordings::PassedOver;
 use parking_lot::Mutex;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -12,6 +13,9 @@ pub(crate) struct Arrivals {
     complaints: AtomicU64,
     /// The last complaint.
     complaint: Mutex<Option<Arc<str>>>,
+    passed_over: AtomicU64,
+    /// The last file that was passed over, and why.
+    last_passed_over: Mutex<Option<Arc<str>>>,
 }
 
 /// The counts of [`Arrivals`] at one moment.
@@ -23,6 +27,8 @@ pub struct ArrivalCounts {
     pub broken: u64,
     /// Complaints of the decoder.
     pub complaints: u64,
+    /// Video files that could not be played, if its source is several.
+    pub passed_over: u64,
 }
 
 impl Arrivals {
@@ -38,12 +44,24 @@ impl Arrivals {
         *self.complaint.lock() = Some(text.into());
     }
 
+    /// Counts a video file that cannot be played.
+    pub(crate) fn passed_over(&self, file: &PassedOver) {
+        self.passed_over.fetch_add(1, Ordering::Relaxed);
+        *self.last_passed_over.lock() = Some(file.to_string().into());
+    }
+
+    /// The last video file that could not be played, and why.
+    pub(crate) fn last_passed_over(&self) -> Option<Arc<str>> {
+        self.last_passed_over.lock().clone()
+    }
+
     /// The present counts.
     pub(crate) fn now(&self) -> ArrivalCounts {
         ArrivalCounts {
             frames: self.frames.load(Ordering::Relaxed),
             broken: self.broken.load(Ordering::Relaxed),
             complaints: self.complaints.load(Ordering::Relaxed),
+            passed_over: self.passed_over.load(Ordering::Relaxed),
         }
     }
 

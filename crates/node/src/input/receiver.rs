@@ -3,6 +3,7 @@
 
 use super::read::{RawSample, read_frame};
 use super::sequence::{Arrival, SequenceTracker};
+use super::source::Recorded;
 use super::{Delivery, Frame, FrameNumber, InputCounter, PayloadFormat, Pushed, Ring};
 use crate::frame::LatestFrame;
 use albireo_core::geometry::BoundingBox;
@@ -171,21 +172,27 @@ impl FrameReceiver {
     }
 
     /// Receives a picture of a source that the node reads itself. `reopened` is true for the first picture after the
-    /// source was opened: what happened in between is unknown. A `broken` picture is not given to the detector.
+    /// source was opened: what happened in between is unknown. A `broken` picture is not given to the detector. A `recorded`
+    /// one has the time and the clip of its recording.
     pub(crate) fn take_picture(
         &self,
         picture: Result<EncodedPicture, FrameFault>,
         reopened: bool,
         broken: bool,
+        recorded: Option<Recorded>,
     ) {
+        let (time_ns, clip) = match recorded {
+            Some(recorded) => (recorded.time_ns, Some(recorded.drive)),
+            None => (None, None),
+        };
         if reopened {
             self.stream.lock().epoch += 1;
         }
         self.place(None, broken, |arrival| {
             let frame = picture.map(|picture| Frame {
                 sequence: arrival,
-                time_ns: unix_nanoseconds(),
-                clip: None,
+                time_ns: time_ns.unwrap_or_else(unix_nanoseconds),
+                clip,
                 position: None,
                 picture,
                 received: Instant::now(),

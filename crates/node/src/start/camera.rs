@@ -250,16 +250,21 @@ impl SharedParts {
         let name = board.name();
         let readiness = &self.board.readiness;
         let part = readiness.part_of(readiness::CAMERAS, name);
+        let named = name.to_owned();
         let each = move |event| match event {
             SourceEvent::Picture {
                 picture,
                 reopened,
                 broken,
+                recorded,
             } => {
                 if reopened && picture.is_ok() {
                     part.works();
                 }
-                receiver.take_picture(picture, reopened, broken);
+                receiver.take_picture(picture, reopened, broken, recorded);
+            }
+            SourceEvent::PassedOver(file) => {
+                tracing::warn!(camera = named, "passed over {file}");
             }
             SourceEvent::Failed { reason, pause } => {
                 let seconds = pause.as_secs_f64();

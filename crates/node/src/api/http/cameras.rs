@@ -40,6 +40,10 @@ pub(super) struct CameraEntry {
     broken: u64,
     /// Present while its picture has not changed (`screen.still_s`).
     no_news: Option<NoNews>,
+    /// Video files of its source that could not be played and were passed over.
+    passed_over: u64,
+    /// The last of these files, and why.
+    last_passed_over: Option<String>,
     /// Clips ended since the node started.
     clips: u64,
     /// Columns of its newest frame.
@@ -90,6 +94,8 @@ fn entry(board: &Board, camera: &CameraBoard) -> CameraEntry {
         arrived: snapshot.arrived.frames,
         broken: snapshot.arrived.broken,
         no_news: camera.no_news(),
+        passed_over: snapshot.arrived.passed_over,
+        last_passed_over: camera.input.arrivals.last_passed_over().as_deref().map(str::to_owned),
         clips: snapshot.clips,
         width: picture.map(|picture| picture.width),
         height: picture.map(|picture| picture.height),

@@ -1,12 +1,14 @@
 //! The address of a source, and its options. Both may contain a password, or the name of an environment variable with
 //! one: they are shown without it, and it is removed from the messages of programs.
 
+use albireo_vision::recordings::are_several;
 use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, percent_decode_str, utf8_percent_encode};
 use serde::{Deserialize, Serialize, Serializer};
 use serde_with::SerializeDisplay;
 use std::fmt;
 use std::fs;
 use std::os::unix::fs::FileTypeExt;
+use std::path::Path;
 use strsim::osa_distance;
 
 /// The characters encoded between `://` and `@`: all but the unreserved ones of RFC 3986, section 2.3.
@@ -48,6 +50,8 @@ pub enum SourceKind {
     Network(String),
     /// A video file.
     File,
+    /// A folder of video files, or a pattern for their names.
+    Files,
 }
 
 /// An address with its variables substituted.
@@ -60,6 +64,15 @@ pub(crate) struct Resolved {
 }
 
 impl Resolved {
+    /// A file, whatever its name looks like.
+    pub(super) fn file(path: &Path) -> Self {
+        Self {
+            kind: SourceKind::File,
+            words: vec![path.to_string_lossy().into_owned()],
+            secrets: Secrets::default(),
+        }
+    }
+
     /// The address, if it is one word.
     pub(super) fn text(&self) -> &str {
         self.words.first().map_or("", String::as_str)
@@ -132,7 +145,7 @@ impl SourceAddress {
             Some((scheme, _)) if !scheme.eq_ignore_ascii_case("file") => {
                 SourceKind::Network(scheme.to_ascii_lowercase())
             }
-            _ => SourceKind::File,
+            _ => file_or_files(&self.0),
         }
     }
 
@@ -180,7 +193,11 @@ impl SourceAddress {
                 if value.is_empty() {
                     unset.push(name.to_owned());
                 }
-                if kind != SourceKind::File && kind != SourceKind::Device {
+                let is_path = matches!(
+                    kind,
+                    SourceKind::File | SourceKind::Files | SourceKind::Device
+                );
+                if !is_path {
                     secrets.add(&value);
                 }
                 filled.push_str(before);
@@ -221,12 +238,30 @@ impl SourceAddress {
                 secrets.add(value);
             }
         }
+        let kind = match (kind, &words[..]) {
+            // Only now its variables are known.
+            (SourceKind::File, [path]) => file_or_files(path),
+            (kind, _) => kind,
+        };
         Ok(Resolved {
             kind,
             words,
             secrets,
         })
     }
+}
+
+fn file_or_files(path: &str) -> SourceKind {
+    if are_several(without_scheme(path)) {
+        SourceKind::Files
+    } else {
+        SourceKind::File
+    }
+}
+
+/// A file's path, also of an address that begins with `file://`.
+pub(super) fn without_scheme(path: &str) -> &str {
+    path.trim_start_matches("file://")
 }
 
 /// True for a device, also under another name: `/dev/v4l/by-id/…`, or a link to it from anywhere.
@@ -250,6 +285,12 @@ fn login_end(address: &str) -> usize {
 fn login(address: &str) -> Option<&str> {
     let begin = address.find("://")? + 3;
     address.get(begin..login_end(address).checked_sub(1)?)
+}
+
+/// What follows the scheme and the login of an address.
+pub(super) fn after_login(address: &str) -> &str {
+    let begin = address.find("://").map_or(0, |at| at + 3);
+    address.get(begin.max(login_end(address))..).unwrap_or_default()
 }
 
 fn query(address: &str) -> Option<&str> {
@@ -279,7 +320,7 @@ impl fmt::Display for SourceAddress {
                     None => write!(f, "{scheme}://{rest}"),
                 }
             }
-            SourceKind::Device | SourceKind::File => f.write_str(&self.0),
+            SourceKind::Device | SourceKind::File | SourceKind::Files => f.write_str(&self.0),
         }
     }
 }

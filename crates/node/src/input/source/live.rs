@@ -1,6 +1,8 @@
 //! A source that is reopened whenever it ends, fails or falls silent, with growing pauses, until it is stopped.
 
-use super::address::SourceKind;
+use super::address::{SourceKind, without_scheme};
+use super::files::{Playlist, Recorded};
+use super::login::unknown_digest;
 use super::messages::{Messages, Stage, is_refusal};
 use super::program::{PictureProgram, RunningProgram, output_of};
 use super::templates::{
@@ -8,6 +10,7 @@ use super::templates::{
 };
 use crate::input::arrivals::Arrivals;
 use albireo_vision::picture::{EncodedPicture, FrameFault, picture_of_file, read_part, read_ppm};
+use albireo_vision::recordings::{PassedOver, Recording};
 use bytes::Bytes;
 use std::io::BufReader;
 use std::path::Path;
@@ -50,7 +53,11 @@ pub enum SourceEvent {
         reopened: bool,
         /// True if the decoder has complained since the last whole key frame: what it shows is not to be trusted.
         broken: bool,
+        /// When it was recorded, if the source is several video files.
+        recorded: Option<Recorded>,
     },
+    /// One of several video files cannot be played and is left out.
+    PassedOver(PassedOver),
     /// The source ended.
     Failed {
         /// Why it ended.
@@ -72,6 +79,8 @@ pub struct LiveSource {
     not_jpeg: bool,
     /// Why it could not be read as motion JPEG with parts, while it is tried without them.
     fault_as_jpeg: String,
+    /// The files, if the source is several.
+    files: Option<Playlist>,
     /// The refused logins in a row.
     refusals: u32,
     /// Counts what the source sends.
@@ -91,6 +100,32 @@ enum Ending {
     },
 }
 
+/// How a source was opened.
+struct Opening<'a> {
+    /// True if its pictures are PPM files.
+    ppm: bool,
+    /// True if it goes on where it was.
+    continues: bool,
+    /// The file, if it is one of several.
+    recording: Option<&'a Recording>,
+}
+
+/// When a picture was recorded that came so long after the first of its file. A file is played at its own pace; a machine
+/// that is late moves no picture into the next file.
+fn recorded(recording: &Recording, since_first: Duration) -> Recorded {
+    let since_first = since_first.min(recording.length);
+    let since_first = u64::try_from(since_first.as_nanos()).unwrap_or(u64::MAX);
+    Recorded {
+        time_ns: recording.started_ns.map(|started| started.saturating_add(since_first)),
+        drive: Arc::clone(&recording.drive),
+    }
+}
+
+fn pass_over(arrivals: &Arrivals, each: &mut dyn FnMut(SourceEvent), passed_over: PassedOver) {
+    arrivals.passed_over(&passed_over);
+    each(SourceEvent::PassedOver(passed_over));
+}
+
 impl LiveSource {
     /// Creates a source and checks that its program exists and its address is complete.
     ///
@@ -103,10 +138,14 @@ impl LiveSource {
         settings.silence = settings.silence.max(frames).min(LONGEST_SILENCE);
         let name = settings.address.to_string();
         let resolved = settings.address.resolved()?;
-        let path = resolved.text().trim_start_matches("file://");
+        let path = without_scheme(resolved.text());
         if resolved.kind == SourceKind::File && !Path::new(path).exists() {
             return Err(format!("{name}: no such file"));
         }
+        let files = match resolved.kind {
+            SourceKind::Files => Some(Playlist::find(path)?),
+            _ => None,
+        };
         let is_pipeline = resolved.kind == SourceKind::Pipeline;
         let found = if is_pipeline {
             None
@@ -121,7 +160,13 @@ impl LiveSource {
             };
             return Err(format!("{name}: {programs} was found. {remedy}"));
         }
+        if files.is_some() && found.is_none() {
+            return Err(format!(
+                "{name}: several files need ffmpeg, and none was found. {INSTALL_FFMPEG}"
+            ));
+        }
         let way = match &resolved.kind {
+            SourceKind::Files => Way::Paced,
             SourceKind::Network(scheme) if scheme.starts_with("http") => Way::Jpeg,
             SourceKind::Device => Way::Jpeg,
             _ => Way::Decoded,
@@ -132,10 +177,11 @@ impl LiveSource {
             way,
             not_jpeg: false,
             fault_as_jpeg: String::new(),
+            files,
             refusals: 0,
             arrivals: Arc::default(),
         };
-        let program = source.program()?;
+        let program = source.program(None)?;
         if program.input.is_none() && !program.secrets.is_empty() {
             tracing::warn!(
                 source = name,
@@ -158,9 +204,10 @@ impl LiveSource {
         self
     }
 
-    fn program(&self) -> Result<PictureProgram, String> {
+    fn program(&self, recording: Option<&Recording>) -> Result<PictureProgram, String> {
+        let file = recording.map(|recording| &*recording.path);
         match self.ffmpeg {
-            Some(version) => ffmpeg(&self.settings, self.way, version),
+            Some(version) => ffmpeg(&self.settings, file, self.way, version),
             None => gstreamer(&self.settings),
         }
     }
@@ -225,10 +272,17 @@ impl LiveSource {
     fn after_failure(&mut self, reason: String, pause: Duration) -> (Option<String>, Duration) {
         let is_login = ["401 ", "403 "].iter().any(|status| reason.starts_with(status));
         self.refusals = if is_login { self.refusals + 1 } else { 0 };
+        let minutes = LOGIN_PAUSE.as_secs() / 60;
+        if is_login && let Some(algorithm) = self.unknown_digest() {
+            let reason = format!(
+                "{reason}: it asks for a digest login by {algorithm}, and ffmpeg knows only MD5: let the camera accept MD5 \
+                 digest or basic logins; it is tried again in {minutes} minutes"
+            );
+            return (Some(reason), LOGIN_PAUSE);
+        }
         if self.refusals < REFUSALS {
             return (Some(reason), pause);
         }
-        let minutes = LOGIN_PAUSE.as_secs() / 60;
         let reason = format!(
             "{reason}: refused {} times, so it is left alone for {minutes} minutes, because many cameras lock an address \
              after some wrong logins; check user and password, then restart",
@@ -237,26 +291,48 @@ impl LiveSource {
         (Some(reason), LOGIN_PAUSE)
     }
 
-    /// Opens the source once and reads to its end.
+    /// The algorithm of the camera's login, if the node has one for it and ffmpeg does not know the algorithm.
+    fn unknown_digest(&self) -> Option<String> {
+        let resolved = self.settings.address.resolved().ok()?;
+        self.ffmpeg?;
+        (!resolved.secrets.is_empty()).then(|| unknown_digest(resolved.text()))?
+    }
+
+    /// Opens the source, or the next of its files, once and reads to its end.
     fn read(
         &mut self,
         each: &mut dyn FnMut(SourceEvent),
         continues: bool,
         stop: CancellationToken,
     ) -> Ending {
-        let program = match self.program() {
+        let next = self
+            .files
+            .as_mut()
+            .map(|files| files.next(|passed_over| pass_over(&self.arrivals, each, passed_over)));
+        let recording = match next.transpose() {
+            Ok(recording) => recording,
+            Err(reason) => return Ending::Failed(reason),
+        };
+        let begins = recording.as_ref().is_some_and(|recording| recording.begins_drive);
+        let program = match self.program(recording.as_ref()) {
             Ok(program) => program,
             Err(reason) => return Ending::Failed(reason),
         };
-        let (name, ppm, scripted) = (program.program, program.ppm, program.input.is_some());
-        let started = program.start(self.settings.silence, Arc::clone(&self.arrivals), stop);
+        let (name, ppm) = (program.program, program.ppm);
+        let arrivals = Arc::clone(&self.arrivals);
+        let started = program.start(self.settings.silence, arrivals, stop.clone());
         let running = match started {
             Ok(running) => running,
             Err(error) => return Ending::Failed(format!("`{name}` cannot be started: {error}")),
         };
         let mut output = BufReader::with_capacity(BUFFER, running);
         let mut pictures = 0;
-        let cut = self.pictures(&mut output, ppm, continues, each, &mut pictures);
+        let opening = Opening {
+            ppm,
+            continues: continues && !begins,
+            recording: recording.as_ref(),
+        };
+        let cut = self.pictures(&mut output, opening, each, &mut pictures);
         let running = output.get_mut();
         let ended = match &cut {
             None => running.end(),
@@ -268,7 +344,22 @@ impl LiveSource {
         if pictures > 0 {
             self.refusals = 0;
         }
-        let messages = running.messages();
+        if let Some(recording) = recording {
+            if stop.is_cancelled() {
+                return Ending::Failed("it is stopped".to_owned());
+            }
+            return self.file_ended(recording, ended, pictures, each);
+        }
+        self.source_ended(ended, pictures, running.messages())
+    }
+
+    /// What follows once a source, of which so many pictures came, has ended.
+    fn source_ended(
+        &mut self,
+        ended: Result<(), String>,
+        pictures: u64,
+        messages: &Messages,
+    ) -> Ending {
         if pictures == 0
             && let Some(way) = self.other_way(messages)
         {
@@ -297,8 +388,7 @@ impl LiveSource {
             // A device without motion JPEG cannot be opened for it.
             Way::Jpeg if is_device => self.way = Way::Decoded,
             Way::Decoded if is_device => self.way = Way::Jpeg,
-            // ffmpeg accepts no format for an address that it gets in a script.
-            Way::Jpeg if self.is_http() && answered && !scripted && !is_refusal(&reason) => {
+            Way::Jpeg if self.is_http() && answered && !is_refusal(&reason) => {
                 self.way = Way::BareJpeg;
                 self.fault_as_jpeg = reason;
                 return Ending::OtherWay;
@@ -312,17 +402,50 @@ impl LiveSource {
         Ending::Failed(reason)
     }
 
+    /// What follows once one of several files, of which so many pictures came, has ended.
+    fn file_ended(
+        &mut self,
+        recording: Recording,
+        ended: Result<(), String>,
+        pictures: u64,
+        each: &mut dyn FnMut(SourceEvent),
+    ) -> Ending {
+        let fault = match (ended, pictures) {
+            (Ok(()), 0) => Some("it shows no picture".to_owned()),
+            (Ok(()), _) => None,
+            (Err(reason), 0) => Some(reason),
+            (Err(reason), _) => Some(format!("played only to where it breaks off: {reason}")),
+        };
+        if pictures > 0
+            && let Some(files) = &mut self.files
+        {
+            files.played();
+        }
+        if let Some(reason) = fault {
+            let path = recording.path;
+            pass_over(&self.arrivals, each, PassedOver { path, reason });
+        }
+        Ending::GoesOn {
+            period: Duration::ZERO,
+        }
+    }
+
     /// Passes pictures on until there are no more. Returns the reason the output is not read further, if it has not
     /// ended.
     fn pictures(
         &mut self,
         output: &mut BufReader<RunningProgram>,
-        ppm: bool,
-        continues: bool,
+        opening: Opening<'_>,
         each: &mut dyn FnMut(SourceEvent),
         pictures: &mut u64,
     ) -> Option<String> {
+        let Opening {
+            ppm,
+            continues,
+            recording,
+        } = opening;
         let begun = Instant::now();
+        let mut first_at = None;
         let limits = self.settings.limits;
         // ffmpeg counts and limits by itself what it decodes.
         let is_counted = !self.way.is_untouched() && self.ffmpeg.is_some();
@@ -358,6 +481,8 @@ impl LiveSource {
                 self.arrivals.frame(picture.is_err());
             }
             // The first picture of each time slot: on average exactly the limit, at any rate of the camera.
+            let now = Instant::now();
+            let since_first = now - *first_at.get_or_insert(now);
             let slot = limit.map(|rate| (begun.elapsed().as_secs_f64() * rate) as u64);
             if slot.is_none() || last_slot != slot {
                 last_slot = slot;
@@ -376,6 +501,7 @@ impl LiveSource {
                     picture,
                     reopened: first && !continues,
                     broken,
+                    recorded: recording.map(|recording| recorded(recording, since_first)),
                 });
             }
             output.get_mut().picture_taken();
@@ -389,7 +515,8 @@ impl LiveSource {
     /// The way in which the source must be read, if it is not the present one: something that was taken for motion JPEG
     /// is none, ffmpeg reports a codec for another way, or a recording that comes as fast as it is read.
     fn other_way(&self, messages: &Messages) -> Option<Way> {
-        if self.ffmpeg.is_none() || self.settings.address.kind() == SourceKind::File {
+        let is_file = self.settings.address.kind() == SourceKind::File;
+        if self.ffmpeg.is_none() || is_file || self.files.is_some() {
             return None;
         }
         let is_jpeg = if self.not_jpeg {

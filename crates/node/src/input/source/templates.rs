@@ -4,6 +4,7 @@ use super::address::{Resolved, SourceAddress, SourceKind, SourceOptions};
 use super::program::PictureProgram;
 use albireo_vision::picture::FrameLimits;
 use serde::{Deserialize, Serialize};
+use std::path::Path;
 use std::time::Duration;
 
 /// The programs.
@@ -45,8 +46,11 @@ const JPEG_QUALITY: &str = "3";
 const WORKING_MEMORY: u64 = 512 << 20;
 
 /// Protocols that a script may open.
-const PROTOCOLS: &str =
-    "file,pipe,fd,tcp,tls,udp,rtp,srtp,rtsp,rtsps,rtmp,rtmps,http,https,httpproxy,crypto,srt,data";
+const PROTOCOLS: &str = "async,subfile,file,pipe,fd,tcp,tls,udp,rtp,srtp,rtsp,rtsps,rtmp,rtmps,http,https,httpproxy,crypto,srt,data";
+
+/// Before an address in a script, which cannot name a format: takes away the first three bytes of the stream and its type, so
+/// that ffmpeg recognises it by its pictures. `subfile` skips by seeking, which `async` does for it by reading.
+const WITHOUT_FORMAT: &str = "subfile,,start,3,end,0,,:async:";
 
 /// Options for ffmpeg itself or a decoder, not for the camera: they stay on the command line.
 const PROGRAM_OPTIONS: &str = "an autorotate c codec discard ec err_detect f flags flags2 hwaccel hwaccel_device \
@@ -195,13 +199,15 @@ impl<'a> CommandLine<'a> {
                     self.camera.push(("input_format", "mjpeg".to_owned()));
                 }
             }
-            SourceKind::File => self.add(&["-re", "-stream_loop", "-1"]),
+            // One of several is played once.
+            SourceKind::File if self.way == Way::Decoded => {
+                self.add(&["-re", "-stream_loop", "-1"]);
+            }
+            SourceKind::File | SourceKind::Files => {}
             SourceKind::Network(_) | SourceKind::Pipeline => {}
         }
-        match self.way {
-            Way::Paced => self.add(&["-re"]),
-            Way::BareJpeg => self.add(&["-f", "mjpeg"]),
-            Way::Jpeg | Way::Decoded => {}
+        if self.way == Way::Paced {
+            self.add(&["-re"]);
         }
         address
     }
@@ -279,13 +285,14 @@ impl<'a> CommandLine<'a> {
     }
 }
 
-/// The ffmpeg command that reads a source in that way. A secret address or option is passed in a script on its input, not
+/// The ffmpeg command that reads a source, or one `file` of it, in that way. A secret address or option is passed in a script on its input, not
 /// on its command line, which every user of the machine can see.
 ///
 /// # Errors
 /// If the address is invalid.
 pub(super) fn ffmpeg(
     settings: &SourceSettings,
+    file: Option<&Path>,
     way: Way,
     version: Version,
 ) -> Result<PictureProgram, String> {
@@ -296,15 +303,23 @@ pub(super) fn ffmpeg(
         arguments: Vec::new(),
         camera: Vec::new(),
     };
-    let mut resolved = settings.address.resolved()?;
+    let mut resolved = match file {
+        Some(file) => Resolved::file(file),
+        None => settings.address.resolved()?,
+    };
     let hidden_address = !resolved.secrets.is_empty();
     let largest_block = command.largest_block();
     command.add_program(largest_block, resolved.kind != SourceKind::File);
-    let address = command.add_source(&resolved, hidden_address);
+    let mut address = command.add_source(&resolved, hidden_address);
     let mut secrets = settings.options.secrets().peekable();
     let networked = matches!(resolved.kind, SourceKind::Network(_));
     let has_secret = secrets.peek().is_some();
     let scripted = hidden_address || (networked && command.takes_options() && has_secret);
+    match (way, scripted) {
+        (Way::BareJpeg, true) => address.insert_str(0, WITHOUT_FORMAT),
+        (Way::BareJpeg, false) => command.add(&["-f", "mjpeg"]),
+        _ => {}
+    }
     secrets.for_each(|secret| resolved.secrets.add(secret));
     command.add_options(scripted);
     let input = if scripted {
@@ -369,7 +384,7 @@ pub(super) fn gstreamer(settings: &SourceSettings) -> Result<PictureProgram, Str
     match kind {
         SourceKind::Pipeline => words.iter().for_each(|word| add(&[word])),
         SourceKind::Device => add(&["v4l2src", &format!("device={text}")]),
-        SourceKind::File => add(&["filesrc", &format!("location={text}")]),
+        SourceKind::File | SourceKind::Files => add(&["filesrc", &format!("location={text}")]),
         SourceKind::Network(scheme) if scheme.starts_with("rtsp") => add(&[
             "rtspsrc",
             &format!("location={text}"),
@@ -420,7 +435,7 @@ mod tests {
 
     /// The command line and the script of ffmpeg for a source that is decoded.
     fn decoding(settings: &SourceSettings, version: Version) -> (String, Option<String>) {
-        let program = ffmpeg(settings, Way::Decoded, version).unwrap();
+        let program = ffmpeg(settings, None, Way::Decoded, version).unwrap();
         (program.arguments.join(" "), program.input)
     }
 
@@ -476,7 +491,7 @@ mod tests {
             assert_has(&script.unwrap(), &[file, "tcp"]);
         }
         let options = "-headers 'Authorization: Bearer abc'";
-        let program = ffmpeg(&settings("http://cam/v", options), Way::Jpeg, (5, 1)).unwrap();
+        let program = ffmpeg(&settings("http://cam/v", options), None, Way::Jpeg, (5, 1)).unwrap();
         assert_lacks(&program.arguments.join(" "), &["Bearer"]);
         let option = "option headers 'Authorization: Bearer abc'\n";
         assert_has(&program.input.unwrap(), &[option]);
@@ -500,7 +515,7 @@ mod tests {
         let (line, script) = decoding(&plain, (5, 1));
         assert_has(&line, &[options]);
         assert_eq!(script, None);
-        let old = ffmpeg(&hidden, Way::Decoded, (4, 4)).err().unwrap().to_string();
+        let old = ffmpeg(&hidden, None, Way::Decoded, (4, 4)).err().unwrap().to_string();
         assert_has(&old, &["version 5"]);
         assert_lacks(&old, &["hidden"]);
     }
@@ -508,12 +523,12 @@ mod tests {
     #[test]
     fn memory_is_limited_unless_a_driver_needs_it() {
         let mut settings = settings("http://cam/v.mjpg", "");
-        let program = ffmpeg(&settings, Way::Jpeg, (5, 1)).unwrap();
+        let program = ffmpeg(&settings, None, Way::Jpeg, (5, 1)).unwrap();
         assert_has(&program.arguments.join(" "), &["-max_alloc 67108864"]);
         assert_eq!(program.max_memory, Some((512 + 4 * 64) << 20));
         settings.hardware = Some("cuda".to_owned());
         assert_eq!(
-            ffmpeg(&settings, Way::Jpeg, (5, 1)).unwrap().max_memory,
+            ffmpeg(&settings, None, Way::Jpeg, (5, 1)).unwrap().max_memory,
             None
         );
     }

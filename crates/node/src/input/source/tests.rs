@@ -9,6 +9,7 @@ use crate::input::arrivals::{ArrivalCounts, Arrivals};
 use albireo_core::geometry::PictureSize;
 use albireo_vision::picture::{EncodedPicture, FrameLimits};
 use rtsp::{Camera, Faults, RATE, film};
+use std::path::Path;
 use std::process::Command;
 use std::sync::Arc;
 use std::time::Duration;
@@ -64,6 +65,7 @@ impl Open {
                 SourceEvent::Picture {
                     picture, broken, ..
                 } => pictures.push((picture.unwrap(), broken)),
+                SourceEvent::PassedOver(file) => panic!("passed over {file}"),
                 SourceEvent::Failed { reason, .. } => panic!("it failed: {reason}"),
             }
         }
@@ -90,6 +92,7 @@ impl Open {
         while let Ok(event) = timeout_at(begun + time, self.events.recv()).await {
             match event.unwrap().1 {
                 SourceEvent::Picture { .. } => taken += 1,
+                SourceEvent::PassedOver(file) => panic!("passed over {file}"),
                 SourceEvent::Failed { reason, .. } => panic!("it failed: {reason}"),
             }
         }
@@ -258,6 +261,28 @@ async fn a_refused_login_is_tried_twice_and_then_left_alone_for_minutes() {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ffmpeg"]
+async fn a_login_that_ffmpeg_does_not_know_has_its_own_words() {
+    let film = Arc::new(film(&BOXES, "30"));
+    let faults = Faults {
+        refuses: Some("Digest realm=\"cam\", nonce=\"abc\", algorithm=SHA-256, qop=\"auth\""),
+        ..Faults::default()
+    };
+    let camera = Camera::start(&film, faults);
+    let address = camera.address.replace("rtsp://", "rtsp://viewer:right@");
+    let mut source = Open::at(&address).await;
+    let (reason, pause) = source.failure().await;
+    let expected =
+        "401 Unauthorized: it asks for a digest login by SHA-256, and ffmpeg knows only MD5";
+    assert!(reason.starts_with(expected), "{reason}");
+    assert!(!reason.contains("check user"), "{reason}");
+    assert_eq!(pause, Duration::from_mins(10));
+    // No wrong login was sent.
+    assert_eq!(camera.logins.load(std::sync::atomic::Ordering::Relaxed), 0);
+    source.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs ffmpeg"]
 async fn video_of_more_than_eight_bits_is_a_source() {
     let folder = tempfile::tempdir().unwrap();
     for (name, encoder, pixels) in [
@@ -276,4 +301,96 @@ async fn video_of_more_than_eight_bits_is_a_source() {
         assert_eq!(picture.size, PictureSize::new(320, 180), "{name}");
         source.stop().await;
     }
+}
+
+/// Makes a video of a second, with ten pictures.
+fn second(file: &Path) {
+    let mut command = Command::new("ffmpeg");
+    command.args(["-v", "error", "-f", "lavfi", "-i"]);
+    command.args(["testsrc2=size=64x36:rate=10:duration=1", "-c:v", "libx264"]);
+    assert!(command.arg(file).status().unwrap().success());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs ffmpeg"]
+async fn a_dashcams_folder_is_one_stream_of_drives_and_begins_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    // Written in another order.
+    for name in ["080100", "080001", "080000"] {
+        second(&at(&format!("2026_1120_{name}_F.MP4")));
+    }
+    let cut = at("2026_1120_080002_F.MP4");
+    second(&cut);
+    let half = std::fs::read(&cut).unwrap();
+    std::fs::write(&cut, &half[..half.len() / 2]).unwrap();
+
+    let mut source = Open::at(folder.path().to_str().unwrap()).await;
+    let mut told = Vec::new();
+    let mut times = Vec::new();
+    while times.len() < 35 {
+        match source.next().await {
+            SourceEvent::Picture {
+                picture,
+                reopened,
+                recorded,
+                ..
+            } => {
+                assert_eq!(picture.unwrap().size, PictureSize::new(64, 36));
+                let recorded = recorded.unwrap();
+                if reopened {
+                    told.push(recorded.drive.to_string());
+                }
+                times.push(recorded.time_ns.unwrap());
+            }
+            SourceEvent::PassedOver(file) => told.push(file.to_string()),
+            SourceEvent::Failed { reason, .. } => panic!("it failed: {reason}"),
+        }
+    }
+    let (first, second) = ("2026_1120_080000_F", "2026_1120_080100_F");
+    let passed_over = format!(
+        "{}: it has no index (moov atom), as a power cut leaves a recording",
+        cut.display()
+    );
+    assert_eq!(told, [first, &passed_over, second, &format!("{first}-2")]);
+    // The two files of the first drive are one stream; the other begins a minute after it.
+    let whole = |at: usize| (times[at] - times[0]) / 1_000_000_000;
+    assert_eq!([whole(10), whole(20)], [1, 60]);
+    assert!(times[..30].is_sorted(), "{times:?}");
+    assert_eq!(times[30], times[0]);
+    let arrived = source.stop().await;
+    assert_eq!(arrived.passed_over, 1);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs ffmpeg"]
+async fn a_folder_that_cannot_be_played_says_why() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().to_str().unwrap();
+    let find = async |path: String| {
+        let settings = camera(&path).source_settings(FrameLimits::default()).unwrap();
+        tokio::task::spawn_blocking(move || LiveSource::find(settings))
+            .await
+            .unwrap()
+            .err()
+    };
+    let none = find(path.to_owned()).await.unwrap();
+    assert!(none.contains("no video files in it"), "{none}");
+    for name in ["2026_1120_080000_F.MP4", "2026_1120_080000_R.MP4"] {
+        std::fs::write(folder.path().join(name), "").unwrap();
+    }
+    let both = find(path.to_owned()).await.unwrap();
+    assert!(
+        both.contains("1 front (2026_1120_080000_F.MP4), 1 rear ("),
+        "{both}"
+    );
+    let mut source = Open::at(&format!("{path}/*_r.mp4")).await;
+    assert!(matches!(source.next().await, SourceEvent::PassedOver(_)));
+    let (reason, _) = source.failure().await;
+    let expected = "none of its files can be played: ";
+    assert!(
+        reason.starts_with(expected) && reason.contains("it is empty"),
+        "{reason}"
+    );
+    source.stop().await;
 }

@@ -25,7 +25,7 @@ type ShownCamera<'a> = ((&'a str, &'a str), &'a CameraBoard, CameraSnapshot);
 /// A counter of each camera: name, help and value.
 type CameraCounter = (&'static str, &'static str, fn(&CameraSnapshot) -> f64);
 
-const COUNTERS: [CameraCounter; 8] = [
+const COUNTERS: [CameraCounter; 9] = [
     (
         "albireo_frames_arrived_total",
         "Frames that a camera sent, also those that max_rate leaves out",
@@ -41,6 +41,11 @@ const COUNTERS: [CameraCounter; 8] = [
         "albireo_decoder_complaints_total",
         "Complaints of the decoder about a camera's pictures",
         |camera| camera.arrived.complaints as f64,
+    ),
+    (
+        "albireo_files_passed_over_total",
+        "Video files of a camera's source that could not be played, as after a power cut",
+        |camera| camera.arrived.passed_over as f64,
     ),
     (
         "albireo_frames_skipped_total",

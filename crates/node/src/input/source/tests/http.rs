@@ -51,18 +51,18 @@ fn motion_jpeg(path: &str, client: &mut TcpStream) -> io::Result<()> {
         b"HTTP/1.1 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=cut\r\n\r\n",
     )?;
     for frame in 0_u64.. {
-        let kind = match path {
+        let kind = match path.split('?').next().unwrap_or_default() {
             "/jpg" => "Content-Type: image/jpg\r\n",
             "/parameter" => "Content-Type: image/jpeg; charset=utf-8\r\n",
             "/no-type" => "",
             _ => "Content-Type: image/jpeg\r\n",
         };
-        let boundary = if path == "/no-boundary" && frame == 0 {
+        let boundary = if path.starts_with("/no-boundary") && frame == 0 {
             ""
         } else {
             "--cut\r\n"
         };
-        let length = if path == "/too-short" {
+        let length = if path.starts_with("/too-short") {
             length - 300
         } else {
             length
@@ -87,11 +87,14 @@ async fn motion_jpeg_is_read_in_every_form_that_servers_give_it() {
         "/no-boundary",
         "/too-short",
     ] {
-        let mut source = Open::at(&format!("{server}{path}")).await;
-        for (one, _) in source.pictures(20).await {
-            assert_eq!(one.size, PictureSize::new(320, 180), "{path}");
+        let login = "http://viewer:hidden@";
+        for server in [server.clone(), server.replace("http://", login)] {
+            let mut source = Open::at(&format!("{server}{path}?a=1,2")).await;
+            for (one, _) in source.pictures(20).await {
+                assert_eq!(one.size, PictureSize::new(320, 180), "{server}{path}");
+            }
+            source.stop().await;
         }
-        source.stop().await;
     }
 }
 

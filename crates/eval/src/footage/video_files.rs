@@ -1,0 +1,190 @@
+//! Reads several video files, as a dashcam writes them, as one source.
+
+use super::source::{FrameSource, Stopper, plain_name};
+use super::video::{Ffmpeg, Process, Video, VideoEncoding, stopper};
+use crate::error::EvalError;
+use albireo_vision::picture::EncodedPicture;
+use albireo_vision::recordings::{Drives, Recording, video_files};
+use parking_lot::Mutex;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// The video files of a folder or a pattern, in the order in which they were recorded. Each drive is a clip. Every file is a
+/// picture that cannot be read if it cannot be played: the next one follows.
+#[derive(Debug)]
+pub struct VideoFiles {
+    /// The folder or pattern.
+    text: String,
+    name: String,
+    default_rate: Option<f64>,
+    encoding: VideoEncoding,
+    programs: Ffmpeg,
+    rate: f64,
+    drives: Drives,
+    playing: Option<PlayedFile>,
+    /// The file of the last picture, or the one that cannot be played.
+    last: PathBuf,
+    drive: Arc<str>,
+    /// The ffmpeg of the file that is played.
+    process: Arc<Mutex<Process>>,
+}
+
+/// A file that is being played.
+#[derive(Debug)]
+struct PlayedFile {
+    video: Video,
+    recording: Recording,
+    frames: u64,
+}
+
+impl VideoFiles {
+    /// Lists the files and opens the first one that can be played.
+    ///
+    /// # Errors
+    /// When there is none, or they come from several cameras.
+    pub fn open(
+        text: &str,
+        default_rate: Option<f64>,
+        encoding: VideoEncoding,
+        programs: Ffmpeg,
+    ) -> Result<Self, EvalError> {
+        let mut source = Self {
+            drives: drives(text, &programs)?,
+            text: text.to_owned(),
+            name: Self::name_of(Path::new(text)),
+            default_rate,
+            encoding,
+            programs,
+            rate: 0.0,
+            playing: None,
+            last: PathBuf::new(),
+            drive: Arc::from(""),
+            process: Arc::default(),
+        };
+        let mut first_fault = None;
+        loop {
+            match source.open_next() {
+                Ok(true) => break,
+                Ok(false) => {
+                    let fault = first_fault.unwrap_or_else(|| EvalError::new("there is none"));
+                    return Err(fault.context(format!("{text}: none of its files can be played")));
+                }
+                Err(fault) => drop(first_fault.get_or_insert(fault)),
+            }
+        }
+        source.rate = source.playing.as_ref().map_or(0.0, |playing| playing.video.rate());
+        // Those that were passed over are told when it is their turn.
+        source.rewind()?;
+        Ok(source)
+    }
+
+    /// The name of the files of a folder or a pattern: the folder's.
+    pub(super) fn name_of(path: &Path) -> String {
+        let folder = if path.is_dir() {
+            Some(path)
+        } else {
+            path.parent()
+        };
+        let name = folder.and_then(Path::file_name).unwrap_or_default();
+        plain_name(&name.to_string_lossy())
+    }
+
+    /// Opens the next file; false if there is no more.
+    fn open_next(&mut self) -> Result<bool, EvalError> {
+        let recording = match self.drives.next() {
+            None => return Ok(false),
+            Some(Ok(recording)) => recording,
+            Some(Err(passed_over)) => {
+                self.last.clone_from(&passed_over.path);
+                return Err(EvalError::new(passed_over.to_string()));
+            }
+        };
+        self.last.clone_from(&recording.path);
+        let file = recording.path.to_string_lossy().into_owned();
+        let process = Arc::clone(&self.process);
+        let video = Video::open_in(
+            process,
+            &file,
+            self.default_rate,
+            self.encoding,
+            self.programs.clone(),
+        )?;
+        self.drive = plain_name(&recording.drive).into();
+        self.playing = Some(PlayedFile {
+            video,
+            recording,
+            frames: 0,
+        });
+        Ok(true)
+    }
+}
+
+fn drives(text: &str, programs: &Ffmpeg) -> Result<Drives, EvalError> {
+    let files = video_files(text).map_err(EvalError::new)?;
+    Ok(Drives::new(files, programs.ffprobe.clone()))
+}
+
+impl FrameSource for VideoFiles {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn rate(&self) -> f64 {
+        self.rate
+    }
+
+    fn frames(&self) -> Option<u64> {
+        None
+    }
+
+    fn clip(&self) -> Option<&str> {
+        Some(&self.drive)
+    }
+
+    fn picture_name(&self) -> Option<String> {
+        Some(self.last.display().to_string())
+    }
+
+    fn time_ns(&self) -> Option<u64> {
+        let playing = self.playing.as_ref()?;
+        let seconds = playing.frames.saturating_sub(1) as f64 / playing.video.rate();
+        Some(playing.recording.started_ns?.saturating_add((seconds * 1e9) as u64))
+    }
+
+    fn next(&mut self) -> Result<Option<EncodedPicture>, EvalError> {
+        loop {
+            let Some(playing) = &mut self.playing else {
+                if !self.open_next()? {
+                    return Ok(None);
+                }
+                continue;
+            };
+            match playing.video.next() {
+                Ok(None) => {
+                    self.playing = None;
+                    if self.process.lock().is_stopped() {
+                        return Ok(None);
+                    }
+                }
+                Ok(picture) => {
+                    playing.frames += 1;
+                    return Ok(picture);
+                }
+                Err(fault) => {
+                    self.playing = None;
+                    return Err(fault);
+                }
+            }
+        }
+    }
+
+    fn rewind(&mut self) -> Result<(), EvalError> {
+        self.playing = None;
+        self.drives = drives(&self.text, &self.programs)?;
+        Ok(())
+    }
+
+    fn stopper(&self) -> Option<Stopper> {
+        Some(stopper(&self.process))
+    }
+}

@@ -1,0 +1,113 @@
+//! Asks a camera that has refused a login which logins it takes: ffmpeg does not know all, and does not say so.
+
+use super::address::after_login;
+use std::io::{self, ErrorKind, Read, Write};
+use std::net::{TcpStream, ToSocketAddrs};
+use std::time::{Duration, Instant};
+
+/// The time for the whole question.
+const ANSWER: Duration = Duration::from_secs(3);
+/// The most bytes of an answer.
+const MAX_HEAD: usize = 16 << 10;
+/// What ffmpeg knows (`http_auth.c`); a digest without an algorithm is by MD5.
+const KNOWN: [&str; 2] = ["MD5", "MD5-sess"];
+
+/// The algorithm of the digest that the camera at `address` asks for, if ffmpeg does not know it. Asks without a login, which
+/// counts as no wrong one.
+pub(super) fn unknown_digest(address: &str) -> Option<String> {
+    unknown(&head(address).ok()?)
+}
+
+/// The head of the answer to a request without a login.
+fn head(address: &str) -> io::Result<String> {
+    let invalid = || io::Error::from(ErrorKind::InvalidInput);
+    let (scheme, _) = address.split_once("://").ok_or_else(invalid)?;
+    let place = after_login(address);
+    let (authority, path) = place.split_at(place.find(['/', '?']).unwrap_or(place.len()));
+    let (usual, request) = match scheme.to_ascii_lowercase().as_str() {
+        "rtsp" => (
+            554,
+            format!(
+                "DESCRIBE rtsp://{place} RTSP/1.0\r\nCSeq: 1\r\nAccept: application/sdp\r\n\r\n"
+            ),
+        ),
+        "http" => {
+            let root = if path.starts_with('/') { "" } else { "/" };
+            let host = format!("Host: {authority}\r\nConnection: close");
+            (80, format!("GET {root}{path} HTTP/1.1\r\n{host}\r\n\r\n"))
+        }
+        _ => return Err(invalid()),
+    };
+    let host_and_port = match authority.rsplit_once(':') {
+        Some((_, port)) if port.bytes().all(|byte| byte.is_ascii_digit()) => authority.to_owned(),
+        _ => format!("{authority}:{usual}"),
+    };
+    let until = Instant::now() + ANSWER;
+    let host = host_and_port.to_socket_addrs()?.next().ok_or_else(invalid)?;
+    let mut camera = TcpStream::connect_timeout(&host, ANSWER)?;
+    camera.set_write_timeout(Some(ANSWER))?;
+    camera.write_all(request.as_bytes())?;
+    let mut head = Vec::new();
+    let mut part = [0; 1024];
+    while head.len() < MAX_HEAD && !head.windows(4).any(|end| end == b"\r\n\r\n") {
+        let left = until.saturating_duration_since(Instant::now());
+        camera.set_read_timeout(Some(left.max(Duration::from_millis(1))))?;
+        match camera.read(&mut part)? {
+            0 => break,
+            length => head.extend_from_slice(&part[..length]),
+        }
+        if left.is_zero() {
+            break;
+        }
+    }
+    Ok(String::from_utf8_lossy(&head).into_owned())
+}
+
+/// The algorithm that ffmpeg does not know. Of several offers it takes the last digest, and a digest before a basic login.
+fn unknown(head: &str) -> Option<String> {
+    let offers = head.lines().filter_map(|line| {
+        let (name, offer) = line.split_once(':')?;
+        name.trim().eq_ignore_ascii_case("WWW-Authenticate").then_some(offer.trim())
+    });
+    let mut digest = offers.filter_map(|offer| {
+        let (kind, rest) = offer.split_once(' ')?;
+        kind.eq_ignore_ascii_case("Digest").then_some(rest)
+    });
+    let algorithm = digest.next_back()?.split(',').find_map(|parameter| {
+        let (name, value) = parameter.split_once('=')?;
+        name.trim()
+            .eq_ignore_ascii_case("algorithm")
+            .then(|| value.trim().trim_matches('"'))
+    })?;
+    let is_plain = |c: &char| c.is_ascii_alphanumeric() || *c == '-';
+    let algorithm: String = algorithm.chars().filter(is_plain).take(20).collect();
+    (!KNOWN.contains(&&*algorithm)).then_some(algorithm)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_last_digest_counts_because_ffmpeg_takes_it() {
+        let (md5, sha) = (
+            "WWW-Authenticate: Digest realm=\"c\", nonce=\"1\", algorithm=MD5\r\n",
+            "www-authenticate: Digest realm=\"c\", algorithm=\"SHA-256\", nonce=\"1\"\r\n",
+        );
+        let basic = "WWW-Authenticate: Basic realm=\"c\"\r\n";
+        let old = "WWW-Authenticate: Digest realm=\"c\", nonce=\"1\"\r\n";
+        for (offers, found) in [
+            (sha.to_owned(), Some("SHA-256")),
+            (format!("{md5}{sha}"), Some("SHA-256")),
+            (format!("{sha}{basic}"), Some("SHA-256")),
+            (format!("{sha}{md5}"), None),
+            (md5.to_owned(), None),
+            (old.to_owned(), None),
+            (basic.to_owned(), None),
+            (String::new(), None),
+        ] {
+            let head = format!("RTSP/1.0 401 Unauthorized\r\nCSeq: 1\r\n{offers}\r\n");
+            assert_eq!(unknown(&head).as_deref(), found, "{offers}");
+        }
+    }
+}

@@ -1,0 +1,253 @@
+//! Video files as dashcams and action cameras write them: minutes or chapters in one folder. They are put in order and
+//! joined to drives, with the time at which each began; what a power cut left unreadable is told.
+
+mod name;
+mod probe;
+
+use glob::MatchOptions;
+use name::FileName;
+use probe::{VideoFacts, probe};
+use std::collections::BTreeMap;
+use std::ffi::OsStr;
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+/// Endings of video files.
+const ENDINGS: [&str; 12] = [
+    "mp4", "mov", "avi", "mkv", "ts", "m4v", "mts", "m2ts", "mpg", "mpeg", "3gp", "webm",
+];
+
+/// Two files with more time between them belong to two drives: names have whole seconds, and cameras lose up to a few
+/// between files.
+const GAP: Duration = Duration::from_secs(5);
+
+/// Patterns match `.mp4` and `.MP4` alike, and neither hidden files nor, by a `*`, files in folders below.
+const MATCHING: MatchOptions = MatchOptions {
+    case_sensitive: false,
+    require_literal_separator: true,
+    require_literal_leading_dot: true,
+};
+
+/// True if `text` names several files: a folder, or a pattern with `*`, `?` or `[…]` that is no file itself.
+pub fn are_several(text: &str) -> bool {
+    let path = Path::new(text);
+    path.is_dir() || (text.contains(['*', '?', '[']) && !path.exists())
+}
+
+/// True for the name of a video file.
+pub fn is_video_file(path: &Path) -> bool {
+    let ending = path.extension().and_then(OsStr::to_str).unwrap_or_default();
+    let hidden = path.file_name().is_some_and(|name| name.as_encoded_bytes().starts_with(b"."));
+    !hidden && ENDINGS.iter().any(|known| ending.eq_ignore_ascii_case(known)) && !path.is_dir()
+}
+
+/// The video files that a folder or a pattern names, in the order in which they were recorded: by the times in their names,
+/// else by their names, of which numbers count as numbers, and GoPro's chapters follow each other.
+///
+/// # Errors
+/// In words, if there are none, or if they come from several cameras, such as front and rear.
+pub fn video_files(text: &str) -> Result<Vec<PathBuf>, String> {
+    let mut files = listed(text)?;
+    files.retain(|file| is_video_file(file));
+    if files.is_empty() {
+        return Err(nothing(text));
+    }
+    let mut named: Vec<(FileName, PathBuf)> =
+        files.into_iter().map(|file| (FileName::of(&file), file)).collect();
+    one_camera(text, &named)?;
+    let have_times = named.iter().all(|(name, _)| name.time.is_some());
+    named.sort_by(|(one, one_file), (other, other_file)| {
+        let times = if have_times {
+            one.time.cmp(&other.time)
+        } else {
+            std::cmp::Ordering::Equal
+        };
+        times
+            .then_with(|| one.order.cmp(&other.order))
+            .then_with(|| one_file.cmp(other_file))
+    });
+    Ok(named.into_iter().map(|(_, file)| file).collect())
+}
+
+/// The files in a folder, or those that a pattern matches.
+fn listed(text: &str) -> Result<Vec<PathBuf>, String> {
+    let path = Path::new(text);
+    if path.is_dir() {
+        let entries = std::fs::read_dir(path).map_err(|error| format!("{text}: {error}"))?;
+        return Ok(entries.flatten().map(|entry| entry.path()).collect());
+    }
+    let matched = glob::glob_with(text, MATCHING)
+        .map_err(|error| format!("{text}: the pattern cannot be read: {error}"))?;
+    Ok(matched.flatten().collect())
+}
+
+/// Says that there is no video, and where there are some.
+fn nothing(text: &str) -> String {
+    let path = Path::new(text);
+    if !path.is_dir() {
+        return format!("{text}: no video file has such a name");
+    }
+    let below = std::fs::read_dir(path)
+        .into_iter()
+        .flatten()
+        .flatten()
+        .map(|entry| entry.path());
+    let mut below: Vec<_> = below.filter(|folder| folder.is_dir()).collect();
+    below.sort();
+    let has_videos = |folder: &&PathBuf| {
+        let mut files = std::fs::read_dir(folder).into_iter().flatten().flatten();
+        files.any(|file| is_video_file(&file.path()))
+    };
+    match below.iter().find(has_videos) {
+        Some(folder) => format!(
+            "{text}: no video files in it; there are some in {}",
+            folder.display()
+        ),
+        None => format!("{text}: no video files in it"),
+    }
+}
+
+/// Checks that all files come from one camera.
+fn one_camera(text: &str, files: &[(FileName, PathBuf)]) -> Result<(), String> {
+    let mut views: BTreeMap<&str, (usize, &FileName, &Path)> = BTreeMap::new();
+    for (name, file) in files {
+        let view = views.entry(&name.view).or_insert((0, name, file));
+        view.0 += 1;
+    }
+    if views.len() < 2 {
+        return Ok(());
+    }
+    let shown = views.iter().map(|(view, (count, _, file))| {
+        let file = file.file_name().unwrap_or_default().display();
+        let view = if view.is_empty() { "other" } else { view };
+        format!("{count} {view} ({file})")
+    });
+    let shown = shown.collect::<Vec<_>>().join(", ");
+    let marked = views.iter().find(|(view, _)| !view.is_empty());
+    let pattern = marked.map_or_else(String::new, |(_, (_, name, file))| {
+        let folder = file.parent().unwrap_or_else(|| Path::new(""));
+        let ending = file.extension().unwrap_or_default().display();
+        let pattern = folder.join(format!("*{}.{ending}", name.mark));
+        format!(", such as {}", pattern.display())
+    });
+    Err(format!(
+        "{text}: these are files of several cameras: {shown}. Each is a camera of its own: choose one by a pattern{pattern}"
+    ))
+}
+
+/// A file that is left out.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PassedOver {
+    /// The file.
+    pub path: PathBuf,
+    /// Why it cannot be played.
+    pub reason: String,
+}
+
+impl fmt::Display for PassedOver {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.path.display(), self.reason)
+    }
+}
+
+/// A file that can be played.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Recording {
+    /// The file.
+    pub path: PathBuf,
+    /// When it begins, nanoseconds since the Unix epoch: by its name, in the time zone of this machine, else by its
+    /// `creation_time`.
+    pub started_ns: Option<u64>,
+    /// Its length.
+    pub length: Duration,
+    /// The name of its drive: the stem of the drive's first file.
+    pub drive: Arc<str>,
+    /// True if a drive begins with it.
+    pub begins_drive: bool,
+}
+
+/// Joins video files to drives: files without a gap between them. Looks at each file when it is its turn, with `ffprobe`.
+#[derive(Clone, Debug)]
+pub struct Drives {
+    files: std::vec::IntoIter<PathBuf>,
+    ffprobe: PathBuf,
+    before: Option<Before>,
+    /// True if a file between the last one and the next was passed over.
+    has_hole: bool,
+}
+
+/// The file before.
+#[derive(Clone, Debug)]
+struct Before {
+    name: FileName,
+    /// When it ends.
+    ended_ns: Option<u64>,
+    drive: Arc<str>,
+}
+
+impl Drives {
+    /// Creates the drives of files in their order; `ffprobe` is the program.
+    pub fn new(files: Vec<PathBuf>, ffprobe: PathBuf) -> Self {
+        Self {
+            files: files.into_iter(),
+            ffprobe,
+            before: None,
+            has_hole: false,
+        }
+    }
+
+    fn join(&mut self, path: PathBuf, probed: VideoFacts) -> Recording {
+        let name = FileName::of(&path);
+        let before = self.before.take();
+        let continues = before.as_ref().filter(|before| name.continues(&before.name));
+        let started_ns = (continues.and_then(|before| before.ended_ns))
+            .or_else(|| name.started_ns())
+            .or(probed.created_ns);
+        let is_next = match before.as_ref().map(|before| (before.ended_ns, started_ns)) {
+            None => false,
+            Some((Some(ended), Some(started))) => {
+                started <= ended.saturating_add(GAP.as_nanos() as u64)
+            }
+            // Without times nothing but a hole shows that something is missing.
+            Some(_) => !self.has_hole,
+        };
+        let drive = match &before {
+            Some(before) if is_next => Arc::clone(&before.drive),
+            _ => path.file_stem().unwrap_or_default().to_string_lossy().into(),
+        };
+        let length = probed.length.as_nanos() as u64;
+        self.has_hole = false;
+        self.before = Some(Before {
+            name,
+            ended_ns: started_ns.map(|started| started.saturating_add(length)),
+            drive: Arc::clone(&drive),
+        });
+        Recording {
+            path,
+            started_ns,
+            length: probed.length,
+            drive,
+            begins_drive: !is_next,
+        }
+    }
+}
+
+impl Iterator for Drives {
+    type Item = Result<Recording, PassedOver>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let path = self.files.next()?;
+        Some(match probe(&path, &self.ffprobe) {
+            Ok(probed) => Ok(self.join(path, probed)),
+            Err(reason) => {
+                self.has_hole = true;
+                Err(PassedOver { path, reason })
+            }
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,177 @@
+//! What the names of dashcams' and action cameras' files say: when a file begins, which camera it shows, and which chapter
+//! of a recording it is.
+
+use jiff::civil::DateTime;
+use jiff::tz::TimeZone;
+use std::path::Path;
+
+/// Words for the place of a camera, and what they mean.
+const WORDS: [(&str, &str); 13] = [
+    ("front", "front"),
+    ("rear", "rear"),
+    ("back", "rear"),
+    ("interior", "interior"),
+    ("inside", "interior"),
+    ("cabin", "interior"),
+    ("left_repeater", "left"),
+    ("right_repeater", "right"),
+    ("left_pillar", "left pillar"),
+    ("right_pillar", "right pillar"),
+    ("left", "left"),
+    ("right", "right"),
+    ("tele", "telephoto"),
+];
+
+/// What a file's name says.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct FileName {
+    /// When it begins, by the camera's clock.
+    pub time: Option<DateTime>,
+    /// The camera, such as `front`; empty if the name has no mark for it.
+    pub view: String,
+    /// The mark.
+    pub mark: String,
+    /// Sorts names.
+    pub order: Vec<Piece>,
+    /// The recording's number and the chapter, for GoPro.
+    chapter: Option<(u32, u32)>,
+}
+
+/// A piece of a name, for sorting: `clip2` comes before `clip10`.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Piece {
+    Number(u64),
+    Text(String),
+}
+
+impl FileName {
+    pub(super) fn of(path: &Path) -> Self {
+        let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+        let time = time(&stem);
+        let chapter = chapter(&stem);
+        let (view, mark) = view(&stem, time.is_some());
+        let order = match chapter {
+            // The recording comes before the chapter in time, and behind it in the name.
+            Some((recording, chapter)) => vec![
+                Piece::Text("g".to_owned()),
+                Piece::Number(recording.into()),
+                Piece::Number(chapter.into()),
+            ],
+            None => pieces(&stem),
+        };
+        Self {
+            time,
+            view: view.to_owned(),
+            mark: mark.to_owned(),
+            order,
+            chapter,
+        }
+    }
+
+    /// True if it is the next chapter of the recording of `before`.
+    pub(super) fn continues(&self, before: &Self) -> bool {
+        self.chapter
+            .zip(before.chapter)
+            .is_some_and(|(own, other)| own.0 == other.0 && own.1 == other.1 + 1)
+    }
+
+    /// When it begins, nanoseconds since the Unix epoch: cameras write local time.
+    pub(super) fn started_ns(&self) -> Option<u64> {
+        let zoned = self.time?.to_zoned(TimeZone::system()).ok()?;
+        u64::try_from(zoned.timestamp().as_nanosecond()).ok()
+    }
+}
+
+/// The time in a name: year to second as digits, with a separator or none between them. `2026_1120_080001_F`,
+/// `20261120_080001_NF`, `NO20261120-080001-000123F`, `2026-11-20_08-00-01-front`.
+fn time(stem: &str) -> Option<DateTime> {
+    let bytes = stem.as_bytes();
+    let starts = (0..bytes.len())
+        .filter(|at| bytes[*at].is_ascii_digit() && (*at == 0 || !bytes[at - 1].is_ascii_digit()));
+    starts.filter_map(|at| time_at(&bytes[at..])).next()
+}
+
+fn time_at(mut rest: &[u8]) -> Option<DateTime> {
+    let mut part = |digits: usize| -> Option<i16> {
+        if let [b'_' | b'-' | b'.' | b' ' | b'T' | b'h' | b'm', after @ ..] = rest {
+            rest = after;
+        }
+        let (read, after) = rest.split_at_checked(digits)?;
+        rest = after;
+        let read = std::str::from_utf8(read).ok()?;
+        (read.bytes().all(|byte| byte.is_ascii_digit())).then(|| read.parse().ok())?
+    };
+    let year = part(4).filter(|year| (2000..2100).contains(year))?;
+    let mut two = || i8::try_from(part(2)?).ok();
+    let (month, day) = (two()?, two()?);
+    let (hour, minute, second) = (two()?, two()?, two()?);
+    DateTime::new(year, month, day, hour, minute, second, 0).ok()
+}
+
+/// The recording and the chapter in a GoPro's name: `GX010123` is the first of recording 123, `GOPR0123` too, and `GP010123`
+/// is the second.
+fn chapter(stem: &str) -> Option<(u32, u32)> {
+    let stem = stem.to_ascii_uppercase();
+    let number = |text: &str, digits: usize| {
+        let is_number = text.len() == digits && text.bytes().all(|byte| byte.is_ascii_digit());
+        is_number.then(|| text.parse::<u32>().ok())?
+    };
+    if let Some(recording) = stem.strip_prefix("GOPR") {
+        return Some((number(recording, 4)?, 1));
+    }
+    let (kind, digits) = stem.split_at_checked(2)?;
+    let first = match kind {
+        "GH" | "GX" | "GL" => 0,
+        "GP" => 1,
+        _ => return None,
+    };
+    let (chapter, recording) = digits.split_at_checked(2)?;
+    Some((number(recording, 4)?, number(chapter, 2)? + first))
+}
+
+/// The camera that a file shows, and the mark in its name: a word at the end, or behind a time a letter, which another may
+/// precede for the mode of recording (`NF`, `PR`) or follow for the size (`FH`, `NFS`).
+fn view(stem: &str, has_time: bool) -> (&'static str, &str) {
+    let lower = stem.to_ascii_lowercase();
+    for (word, view) in WORDS {
+        if let Some(before) = lower.strip_suffix(word)
+            && !before.ends_with(|c: char| c.is_ascii_alphabetic())
+        {
+            return (view, &stem[before.len()..]);
+        }
+    }
+    let letters = lower.bytes().rev().take_while(u8::is_ascii_alphabetic).count();
+    let mark = &stem[stem.len() - letters..];
+    let view = match lower.as_bytes()[stem.len() - letters..] {
+        _ if !has_time => "",
+        [view] | [view, b'h' | b'l'] | [_, view] => of_letter(view),
+        [_, view, b's'] => match of_letter(view) {
+            "front" => "front (small copy)",
+            "rear" => "rear (small copy)",
+            "interior" => "interior (small copy)",
+            _ => "",
+        },
+        _ => "",
+    };
+    (view, if view.is_empty() { "" } else { mark })
+}
+
+fn of_letter(letter: u8) -> &'static str {
+    match letter {
+        b'f' => "front",
+        b'r' | b'b' => "rear",
+        b'i' => "interior",
+        b't' => "telephoto",
+        _ => "",
+    }
+}
+
+fn pieces(stem: &str) -> Vec<Piece> {
+    let is_digit = |c: &u8| c.is_ascii_digit();
+    let runs = stem.as_bytes().chunk_by(|one, next| is_digit(one) == is_digit(next));
+    runs.map(|run| {
+        let text = String::from_utf8_lossy(run).to_lowercase();
+        text.parse().map_or(Piece::Text(text), Piece::Number)
+    })
+    .collect()
+}

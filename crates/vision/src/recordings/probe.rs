@@ -1,0 +1,143 @@
+//! Looks into a video file: its length, when it was made, and whether it is whole.
+
+use jiff::Timestamp;
+use serde::Deserialize;
+use std::fs::File;
+use std::io::{self, ErrorKind, Read, Seek, SeekFrom};
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+/// Cameras without a clock write years before this one.
+const FIRST_YEAR: &str = "2000-01-01T00:00:00Z";
+/// The most boxes of an MP4 file that are looked at: a file of fragments has two a second.
+const MOST_BOXES: usize = 100_000;
+
+const NO_INDEX: &str = "it has no index (moov atom), as a power cut leaves a recording";
+
+/// What is known of a file.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct VideoFacts {
+    pub length: Duration,
+    /// Its `creation_time`, nanoseconds since the Unix epoch.
+    pub created_ns: Option<u64>,
+}
+
+#[derive(Deserialize)]
+struct FfprobeAnswer {
+    #[serde(default)]
+    streams: Vec<serde::de::IgnoredAny>,
+    #[serde(default)]
+    format: ProbedFormat,
+}
+
+#[derive(Default, Deserialize)]
+struct ProbedFormat {
+    duration: Option<String>,
+    #[serde(default)]
+    tags: ProbedTags,
+}
+
+#[derive(Default, Deserialize)]
+struct ProbedTags {
+    creation_time: Option<String>,
+}
+
+/// Looks into a file with the program `ffprobe`.
+///
+/// # Errors
+/// Why it cannot be played.
+pub(super) fn probe(path: &Path, ffprobe: &Path) -> Result<VideoFacts, String> {
+    check_is_whole(path)?;
+    let mut command = Command::new(ffprobe);
+    command.args(["-v", "error", "-select_streams", "v:0", "-of", "json"]);
+    command.args([
+        "-show_entries",
+        "format=duration:format_tags=creation_time:stream=index",
+    ]);
+    // A name that begins with a dash would be an option.
+    let output = command.arg("-i").arg(path).stdin(Stdio::null()).output();
+    let output = output.map_err(|error| match error.kind() {
+        ErrorKind::NotFound => "no `ffprobe` was found; it comes with ffmpeg".to_owned(),
+        _ => format!("`ffprobe` cannot be started: {error}"),
+    })?;
+    if !output.status.success() {
+        let said = String::from_utf8_lossy(&output.stderr);
+        if said.contains("moov atom not found") {
+            return Err(NO_INDEX.to_owned());
+        }
+        let said = said.lines().last().unwrap_or("it cannot be read");
+        let path = path.to_string_lossy();
+        return Err(said.replace(&format!("{path}: "), ""));
+    }
+    let answer: FfprobeAnswer = serde_json::from_slice(&output.stdout)
+        .map_err(|error| format!("ffprobe's answer cannot be read: {error}"))?;
+    if answer.streams.is_empty() {
+        return Err("it has no video".to_owned());
+    }
+    let length = answer.format.duration.and_then(|seconds| seconds.parse().ok());
+    let created = answer.format.tags.creation_time.and_then(|time| created_ns(&time));
+    Ok(VideoFacts {
+        length: Duration::try_from_secs_f64(length.unwrap_or(0.0)).unwrap_or_default(),
+        created_ns: created,
+    })
+}
+
+fn created_ns(time: &str) -> Option<u64> {
+    let time: Timestamp = time.parse().ok()?;
+    let first: Timestamp = FIRST_YEAR.parse().ok()?;
+    (time > first).then(|| u64::try_from(time.as_nanosecond()).ok())?
+}
+
+/// Checks that a file is not empty, and that an MP4 file is all there. One that is made of fragments plays to where it is
+/// cut; another is either without its index, or without pictures that the index promises.
+fn check_is_whole(path: &Path) -> Result<(), String> {
+    let mut file = File::open(path).map_err(|error| error.to_string())?;
+    let length = file.metadata().map_err(|error| error.to_string())?.len();
+    if length == 0 {
+        return Err("it is empty, as a power cut leaves a recording".to_owned());
+    }
+    let boxes = mp4_boxes(&mut file).map_err(|error| error.to_string())?;
+    let has = |wanted: &[u8; 4]| boxes.iter().any(|(kind, _)| kind == wanted);
+    if !has(b"ftyp") {
+        return Ok(());
+    }
+    if !has(b"moov") {
+        return Err(NO_INDEX.to_owned());
+    }
+    let end = boxes.last().map_or(0, |(_, end)| *end);
+    if end > length && !has(b"moof") {
+        return Err(format!(
+            "it is cut short: {length} of {end} bytes are there"
+        ));
+    }
+    Ok(())
+}
+
+/// The outermost boxes of an MP4 file (ISO 14496-12, 4.2), each with its end; nothing of another file.
+fn mp4_boxes(file: &mut File) -> io::Result<Vec<([u8; 4], u64)>> {
+    let mut boxes = Vec::new();
+    let mut at = 0;
+    while boxes.len() < MOST_BOXES {
+        file.seek(SeekFrom::Start(at))?;
+        let mut head = Vec::with_capacity(16);
+        file.by_ref().take(16).read_to_end(&mut head)?;
+        let (Some(size), Some(kind)) = (head.first_chunk::<4>(), head.get(4..8)) else {
+            break;
+        };
+        let kind = [kind[0], kind[1], kind[2], kind[3]];
+        let size = match (u32::from_be_bytes(*size), head.get(8..16)) {
+            (1, Some(long)) => u64::from_be_bytes(long.try_into().unwrap_or_default()),
+            // To the end of the file.
+            (0, _) => break,
+            (size, _) => u64::from(size),
+        };
+        let is_first = boxes.is_empty();
+        if size < 8 || (is_first && kind != *b"ftyp") {
+            break;
+        }
+        at = at.saturating_add(size);
+        boxes.push((kind, at));
+    }
+    Ok(boxes)
+}

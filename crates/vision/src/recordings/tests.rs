@@ -1,0 +1,260 @@
+use super::*;
+use std::fs;
+use std::process::Command;
+
+/// A folder with empty files of these names.
+fn folder(names: &[&str]) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    for name in names {
+        fs::write(folder.path().join(name), "").unwrap();
+    }
+    folder
+}
+
+fn listed_in(folder: &tempfile::TempDir) -> Result<Vec<String>, String> {
+    let files = video_files(folder.path().to_str().unwrap())?;
+    Ok(files
+        .iter()
+        .map(|file| file.file_name().unwrap().to_str().unwrap().to_owned())
+        .collect())
+}
+
+#[test]
+fn minutes_and_chapters_are_in_the_order_in_which_they_were_recorded() {
+    for names in [
+        // 70mai: the number of the file begins again, the time does not.
+        &[
+            "NO20261120-235959-000999F.MP4",
+            "NO20261121-000059-000001F.MP4",
+        ][..],
+        // Viofo, today and before.
+        &[
+            "2026_1120_080001_F.MP4",
+            "2026_1120_080101_F.MP4",
+            "2026_1121_070001_PF.MP4",
+        ],
+        &["20261120_080001_0009F.MP4", "20261120_080101_0010F.MP4"],
+        // BlackVue: an event lies between the minutes.
+        &[
+            "20261120_080001_NF.mp4",
+            "20261120_080101_EF.mp4",
+            "20261120_080201_NF.mp4",
+        ],
+        &[
+            "2026-11-20_08-00-01-front.mp4",
+            "2026-11-20_08-01-01-front.mp4",
+        ],
+        // GoPro: all chapters of a recording before the next recording.
+        &[
+            "GX010123.MP4",
+            "GX020123.MP4",
+            "GX030123.MP4",
+            "GX010124.MP4",
+            "GX020124.MP4",
+        ],
+        &[
+            "GOPR0123.MP4",
+            "GP010123.MP4",
+            "GP020123.MP4",
+            "GOPR0124.MP4",
+        ],
+        &["clip2.mp4", "clip10.mp4", "clip11.mov"],
+    ] {
+        let mut shuffled = names.to_vec();
+        shuffled.reverse();
+        shuffled.extend(["._clip.mp4", "GX010123.THM", "notes.txt"]);
+        assert_eq!(listed_in(&folder(&shuffled)).unwrap(), names);
+    }
+}
+
+#[test]
+fn files_of_several_cameras_are_not_mixed_and_a_pattern_chooses() {
+    for (names, said, mark) in [
+        (
+            ["2026_1120_080001_F.MP4", "2026_1120_080001_R.MP4"],
+            "1 front (2026_1120_080001_F.MP4), 1 rear (2026_1120_080001_R.MP4)",
+            "*F.MP4",
+        ),
+        (
+            ["20261120_080001_NF.mp4", "20261120_080001_NI.mp4"],
+            "1 front (",
+            "*NF.mp4",
+        ),
+        (
+            ["20261120_080001_NF.mp4", "20261120_080001_NFS.mp4"],
+            "front (small copy) (",
+            "*NF.mp4",
+        ),
+        (
+            [
+                "NO20261120-080001-000001F.MP4",
+                "NO20261120-080001-000001B.MP4",
+            ],
+            "1 rear (",
+            "*F.MP4",
+        ),
+        (
+            ["drive_front.mp4", "drive_rear.mp4"],
+            "1 front (drive_front.mp4)",
+            "*front.mp4",
+        ),
+        (
+            ["2026_1120_080001_R.MP4", "holiday.mp4"],
+            "1 other (holiday.mp4)",
+            "*R.MP4",
+        ),
+    ] {
+        let folder = folder(&names);
+        let refused = listed_in(&folder).unwrap_err();
+        let pattern = folder.path().join(mark);
+        let pattern = pattern.to_str().unwrap();
+        for part in [said, pattern, "several cameras"] {
+            assert!(refused.contains(part), "{part}: {refused}");
+        }
+        assert!(are_several(pattern));
+        let chosen = video_files(&pattern.to_lowercase().replace(
+            &folder.path().to_str().unwrap().to_lowercase(),
+            folder.path().to_str().unwrap(),
+        ));
+        assert_eq!(chosen.unwrap().len(), 1, "{pattern}");
+    }
+    // A letter is a mark only behind a time, and a word only if it is one.
+    let folder = folder(&["plan_b.mp4", "plan_f.mp4", "waterfront.mp4"]);
+    assert_eq!(listed_in(&folder).unwrap().len(), 3);
+}
+
+#[test]
+fn a_folder_without_videos_says_where_there_are_some() {
+    let folder = folder(&["notes.txt"]);
+    let below = folder.path().join("Movie");
+    fs::create_dir(&below).unwrap();
+    let none = listed_in(&folder).unwrap_err();
+    assert!(none.ends_with("no video files in it"), "{none}");
+    fs::write(below.join("a.MP4"), "").unwrap();
+    let some = listed_in(&folder).unwrap_err();
+    assert!(some.contains(below.to_str().unwrap()), "{some}");
+    let pattern = format!("{}/*/*.mp4", folder.path().display());
+    assert_eq!(video_files(&pattern).unwrap(), [below.join("a.MP4")]);
+    let nothing = format!("{}/*.avi", folder.path().display());
+    assert!(video_files(&nothing).unwrap_err().contains("no video file has such a name"));
+}
+
+/// Makes a video of so many seconds.
+fn film(path: &Path, seconds: u32, more: &[&str]) {
+    let input = format!("testsrc2=size=64x36:rate=10:duration={seconds}");
+    let made = Command::new("ffmpeg")
+        .args([
+            "-v", "error", "-f", "lavfi", "-i", &input, "-c:v", "libx264", "-g", "10",
+        ])
+        .args(more)
+        .arg(path)
+        .status();
+    assert!(made.unwrap().success(), "{path:?}");
+}
+
+fn cut(path: &Path, share: f64) {
+    let bytes = fs::read(path).unwrap();
+    fs::write(path, &bytes[..(bytes.len() as f64 * share) as usize]).unwrap();
+}
+
+/// The drive of a file, when it begins and whether its drive does, or why it is passed over.
+type ToldOfFile = Result<(String, Option<u64>, bool), String>;
+
+/// For each file its name, and what is told of it.
+fn played(folder: &Path) -> Vec<(String, ToldOfFile)> {
+    let files = video_files(folder.to_str().unwrap()).unwrap();
+    let name = |path: &Path| path.file_name().unwrap().to_str().unwrap().to_owned();
+    Drives::new(files, "ffprobe".into())
+        .map(|file| match file {
+            Ok(one) => {
+                let seconds = one.started_ns.map(|started| started / 1_000_000_000);
+                (
+                    name(&one.path),
+                    Ok((one.drive.to_string(), seconds, one.begins_drive)),
+                )
+            }
+            Err(file) => (name(&file.path), Err(file.reason)),
+        })
+        .collect()
+}
+
+#[test]
+#[ignore = "needs ffmpeg"]
+fn files_without_a_gap_are_a_drive_and_what_a_power_cut_left_is_passed_over() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    for name in [
+        "080000", "080003", "080005", "080100", "080103", "080106", "080109",
+    ] {
+        film(&at(&format!("2026_1120_{name}_F.MP4")), 3, &[]);
+    }
+    cut(&at("2026_1120_080103_F.MP4"), 0.6);
+    fs::write(at("2026_1120_080106_F.MP4"), "").unwrap();
+    film(
+        &at("2026_1120_080120_F.MP4"),
+        3,
+        &["-movflags", "faststart"],
+    );
+    cut(&at("2026_1120_080120_F.MP4"), 0.7);
+    let fragments = ["-movflags", "frag_keyframe+empty_moov"];
+    film(&at("2026_1120_080200_F.MP4"), 3, &fragments);
+    cut(&at("2026_1120_080200_F.MP4"), 0.7);
+    film(&at("2026_1120_080300_F.MP4"), 1, &[]);
+
+    let played = played(folder.path());
+    let drive = |at: usize| played[at].1.as_ref().unwrap().0.as_str();
+    let begins: Vec<_> = played
+        .iter()
+        .map(|(_, file)| file.as_ref().map_or('x', |file| if file.2 { 'D' } else { '.' }))
+        .collect();
+    assert_eq!(
+        begins.iter().collect::<String>(),
+        "D..DxxDxDD",
+        "{played:?}"
+    );
+    assert_eq!(drive(2), "2026_1120_080000_F");
+    assert_eq!(drive(3), "2026_1120_080100_F");
+    for (at, said) in [(4, "no index"), (5, "it is empty"), (7, "it is cut short")] {
+        let reason = played[at].1.as_ref().unwrap_err();
+        assert!(reason.contains(said), "{reason}");
+    }
+    // In the time zone of this machine: a minute between the two drives.
+    let time = |at: usize| played[at].1.as_ref().unwrap().1.unwrap();
+    assert_eq!(time(3) - time(0), 60);
+}
+
+#[test]
+#[ignore = "needs ffmpeg"]
+fn times_come_from_the_file_where_its_name_has_none_and_chapters_follow_each_other() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    // GoPro stamps all chapters with the time of the recording.
+    let first = ["-metadata", "creation_time=2026-11-20T08:00:00Z"];
+    let second = ["-metadata", "creation_time=2026-11-20T09:00:00Z"];
+    film(&at("GX010123.MP4"), 3, &first);
+    film(&at("GX020123.MP4"), 3, &first);
+    film(&at("GX010124.MP4"), 2, &second);
+    let eight = 1_795_161_600;
+    let expected = [
+        ("GX010123.MP4", ("GX010123", Some(eight), true)),
+        ("GX020123.MP4", ("GX010123", Some(eight + 3), false)),
+        ("GX010124.MP4", ("GX010124", Some(eight + 3600), true)),
+    ];
+    let expected = expected.map(|(name, (drive, time, begins))| {
+        (name.to_owned(), Ok((drive.to_owned(), time, begins)))
+    });
+    assert_eq!(played(folder.path()), expected);
+
+    // Without any time, only a hole ends a drive.
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["a1.mkv", "a2.mkv", "a3.mkv", "a4.mkv"] {
+        film(&folder.path().join(name), 1, &[]);
+    }
+    fs::write(folder.path().join("a3.mkv"), "no video").unwrap();
+    let drives = played(folder.path());
+    let drives: Vec<_> = drives
+        .iter()
+        .map(|(_, file)| file.as_ref().ok().map(|file| file.0.as_str()))
+        .collect();
+    assert_eq!(drives, [Some("a1"), Some("a1"), None, Some("a4")]);
+}
