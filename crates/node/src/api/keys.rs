@@ -72,7 +72,8 @@ pub(crate) async fn declare(
             .declare_subscriber(key.clone())
             .callback(move |sample| {
                 let Served { key, setting } = &*of_puts;
-                puts.turns.put(key, setting, beginning(sample.payload()));
+                let stamp = sample.timestamp().map(|stamp| stamp.get_time().to_system_time());
+                puts.turns.put(key, setting, stamp, beginning(sample.payload()));
             })
             .await
             .map_err(refused())?;

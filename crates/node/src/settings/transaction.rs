@@ -39,11 +39,17 @@ pub(crate) enum RefusedPause {
 pub(crate) struct Transaction<'a> {
     board: &'a Board,
     kept: &'a mut KeptValues,
+    /// The names of the settings that were set.
+    names: Vec<String>,
 }
 
 impl<'a> Transaction<'a> {
     pub(super) fn new(board: &'a Board, kept: &'a mut KeptValues) -> Self {
-        Self { board, kept }
+        Self {
+            board,
+            kept,
+            names: Vec::new(),
+        }
     }
 
     /// Sets the threshold of these cameras: it applies from each one's next frame. Somebody who sets it ends the target.
@@ -69,7 +75,7 @@ impl<'a> Transaction<'a> {
             camera.set_threshold(&spec, value, source);
             let name = of_threshold(camera.name());
             let threshold = Threshold::new(spec.name, value);
-            self.kept.keep(&name, threshold, source, camera.configured());
+            self.keep_value(&name, threshold, source, camera.configured());
         }
         Ok(())
     }
@@ -119,7 +125,7 @@ impl<'a> Transaction<'a> {
         }
         self.board.set_empty_road(empty_road);
         let configured = self.board.configured_road();
-        self.kept.keep(SCREEN, empty_road, SettingSource::Local, configured);
+        self.keep_value(SCREEN, empty_road, SettingSource::Local, configured);
         Ok(())
     }
 
@@ -127,7 +133,24 @@ impl<'a> Transaction<'a> {
     pub(super) fn keep_target(&mut self) {
         let target = &self.board.target;
         let (kept, source) = target.kept();
-        self.kept.keep(TARGET, kept, source, target.configured());
+        self.keep_value(TARGET, kept, source, target.configured());
+    }
+
+    /// The names of the settings that were set.
+    pub(super) fn names(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.names)
+    }
+
+    /// Keeps a value that was set instead of a configured one.
+    fn keep_value(
+        &mut self,
+        name: &str,
+        value: impl Serialize,
+        source: SettingSource,
+        configured: impl Serialize,
+    ) {
+        self.names.push(name.to_owned());
+        self.kept.keep(name, value, source, configured);
     }
 
     /// Keeps another setting, which is in force elsewhere.

@@ -2,7 +2,7 @@
 //! HTTP, and from the hub.
 
 use super::Settings;
-use super::transaction::Transaction;
+use super::transaction::{SCREEN, TARGET, Transaction, of_threshold};
 use crate::state::board::CameraBoard;
 use albireo_service::rate_limit::RateLimit;
 use albireo_wire::{ScreenMessage, SettingSource, TargetMessage, ThresholdMessage, check_version};
@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 use std::error::Error;
 use std::slice::from_ref;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 use tokio::sync::Notify;
 
 /// The largest message that is read; a valid one has a few dozen bytes.
@@ -21,9 +21,16 @@ pub(crate) const MAX_MESSAGE_BYTES: usize = 4096;
 /// The time between two log lines about puts of one kind.
 const LOG_PERIOD: Duration = Duration::from_secs(10);
 
-/// The place of a setting among all that arrived.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) struct Place(u64);
+/// How much older than a later setting a put can be that is still on its way. What seems older still was stamped by a wrong
+/// clock, and counts by its arrival.
+const LONGEST_WAY: Duration = Duration::from_secs(60);
+
+/// The place of a setting among all that arrived, and when it arrived.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Place {
+    number: u64,
+    at: SystemTime,
+}
 
 /// A setting with a key of its own.
 #[derive(Clone, Debug)]
@@ -36,10 +43,23 @@ pub(crate) enum Setting {
     Screen,
 }
 
+impl Setting {
+    /// Its name among the kept settings.
+    fn name(&self) -> String {
+        match self {
+            Self::Threshold(camera) => of_threshold(camera.name()),
+            Self::Target => TARGET.to_owned(),
+            Self::Screen => SCREEN.to_owned(),
+        }
+    }
+}
+
 /// A put that is not applied yet.
 #[derive(Debug)]
 struct Put {
     place: Place,
+    /// When its sender or the first router stamped it, if one did.
+    made: Option<SystemTime>,
     setting: Setting,
     payload: Vec<u8>,
     /// Earlier puts on the key that it replaced.
@@ -53,12 +73,24 @@ struct Arrived {
     puts: BTreeMap<String, Put>,
 }
 
+impl Arrived {
+    fn place(&mut self) -> Place {
+        self.count += 1;
+        Place {
+            number: self.count,
+            at: SystemTime::now(),
+        }
+    }
+}
+
 /// The settings that arrived, and the turn of the one being applied.
 #[derive(Debug)]
 pub(crate) struct Turns {
     arrived: Mutex<Arrived>,
     /// Held while a setting is applied and its file is written: no async worker locks it.
     turn: Mutex<()>,
+    /// When each setting last arrived by HTTP or from the hub, by its name.
+    set: Mutex<BTreeMap<String, SystemTime>>,
     /// Notified for each put.
     pub(crate) changed: Notify,
     refused: RateLimit,
@@ -69,6 +101,7 @@ impl Default for Turns {
         Self {
             arrived: Mutex::default(),
             turn: Mutex::default(),
+            set: Mutex::default(),
             changed: Notify::new(),
             refused: RateLimit::new(LOG_PERIOD),
         }
@@ -78,19 +111,24 @@ impl Default for Turns {
 impl Turns {
     /// Gives a setting its place, when it arrives. Never waits for the disk.
     pub(crate) fn place(&self) -> Place {
-        let mut arrived = self.arrived.lock();
-        arrived.count += 1;
-        Place(arrived.count)
+        self.arrived.lock().place()
     }
 
-    /// Keeps a put on `key` until its turn, in place of an earlier one on this key. Never waits for the disk.
-    pub(crate) fn put(&self, key: &str, setting: &Setting, payload: Vec<u8>) {
+    /// Keeps a put on `key` until its turn, in place of an earlier one on this key. `made` is its time stamp, if it has one.
+    /// Never waits for the disk.
+    pub(crate) fn put(
+        &self,
+        key: &str,
+        setting: &Setting,
+        made: Option<SystemTime>,
+        payload: Vec<u8>,
+    ) {
         let mut arrived = self.arrived.lock();
-        arrived.count += 1;
-        let place = Place(arrived.count);
+        let place = arrived.place();
         let before = arrived.puts.get(key).map(|put| put.replaced + 1);
         let put = Put {
             place,
+            made,
             setting: setting.clone(),
             payload,
             replaced: before.unwrap_or(0),
@@ -100,11 +138,20 @@ impl Turns {
         self.changed.notify_one();
     }
 
-    /// Takes the first put that arrived before `place`.
-    fn next(&self, place: Place) -> Option<(String, Put)> {
+    /// By how much a put is older than the same setting by HTTP or from the hub: it was still on its way when that arrived,
+    /// and must not take its place.
+    fn overtaken_by(&self, put: &Put) -> Option<Duration> {
+        let set = *self.set.lock().get(&put.setting.name())?;
+        let older = set.duration_since(put.made?).ok()?;
+        (older > Duration::ZERO && older <= LONGEST_WAY).then_some(older)
+    }
+
+    /// Takes the first put that arrived before `place`; without a place, the first of all.
+    fn next(&self, place: Option<Place>) -> Option<(String, Put)> {
         let mut arrived = self.arrived.lock();
-        let puts = arrived.puts.iter().filter(|(_, put)| put.place < place);
-        let (key, _) = puts.min_by_key(|(_, put)| put.place)?;
+        let is_before = |put: &Put| place.is_none_or(|place| put.place.number < place.number);
+        let puts = arrived.puts.iter().filter(|(_, put)| is_before(put));
+        let (key, _) = puts.min_by_key(|(_, put)| put.place.number)?;
         let key = key.clone();
         arrived.puts.remove_entry(&key)
     }
@@ -114,32 +161,54 @@ impl Settings {
     /// Applies the puts that arrived before `place`, and then calls `set`, before any later one. May write a file.
     pub(crate) fn in_turn<T>(&self, place: Place, set: impl FnOnce() -> T) -> T {
         let _turn = self.turns.turn.lock();
+        self.apply_before(Some(place));
+        set()
+    }
+
+    /// Applies the puts that arrived before `place`, or all. The caller holds the turn.
+    fn apply_before(&self, place: Option<Place>) {
         while let Some((key, put)) = self.turns.next(place) {
             if put.replaced > 0 {
                 let replaced = put.replaced;
                 tracing::debug!(key, replaced, "the newest of several puts is applied");
             }
-            if let Err(reason) = self.apply(&put.setting, &put.payload) {
+            let applied = match self.turns.overtaken_by(&put) {
+                Some(older) => Err(format!(
+                    "it was made {:.3} s before the setting in force, which came by HTTP or from the hub",
+                    older.as_secs_f64()
+                )
+                .into()),
+                None => self.apply(&put.setting, &put.payload),
+            };
+            if let Err(reason) = applied {
                 self.turns.refused.log(|held_back| {
                     tracing::warn!(key, held_back, "put rejected: {reason}");
                 });
             }
         }
-        set()
     }
 
     /// Applies all puts that have arrived. May write a file.
     pub(crate) fn apply_puts(&self) {
-        self.in_turn(Place(u64::MAX), || {});
+        let _turn = self.turns.turn.lock();
+        self.apply_before(None);
     }
 
-    /// Sets settings in their turn. Writes a small file.
+    /// Sets settings that came by HTTP or from the hub, in their turn. Writes a small file.
     pub(crate) fn set_in_turn<T>(
         &self,
         place: Place,
         settings: impl FnOnce(&mut Transaction<'_>) -> T,
     ) -> T {
-        self.in_turn(place, || self.set(settings))
+        self.in_turn(place, || {
+            let (set, names) = self.set(|transaction| {
+                let set = settings(transaction);
+                (set, transaction.names())
+            });
+            let times = names.into_iter().map(|name| (name, place.at));
+            self.turns.set.lock().extend(times);
+            set
+        })
     }
 
     /// Changes a setting to the value in `payload`. Writes a small file.
@@ -196,12 +265,19 @@ mod tests {
     }
 
     fn put(node: &PreparedNode, camera: usize, value: f64) {
+        put_made(node, camera, value, None);
+    }
+
+    fn put_made(node: &PreparedNode, camera: usize, value: f64, made: Option<SystemTime>) {
         let camera = &node.board.cameras[camera];
         let setting = Setting::Threshold(Arc::clone(camera));
         let payload = format!(r#"{{"threshold":{{"name":"u","value":{value}}}}}"#);
-        node.settings
-            .turns
-            .put(&camera.keys.threshold(), &setting, payload.into_bytes());
+        node.settings.turns.put(
+            &camera.keys.threshold(),
+            &setting,
+            made,
+            payload.into_bytes(),
+        );
     }
 
     fn set_by_http(node: &PreparedNode, place: Place, value: f64) {
@@ -270,5 +346,23 @@ mod tests {
             assert!(refused.contains(words), "{refused}");
         }
         assert_eq!(node.board.empty_road(), now);
+    }
+
+    #[test]
+    fn a_put_that_was_on_its_way_does_not_override_a_request_made_after_it() {
+        let node = prepared(&config(None, "albireo"));
+        let place = node.settings.turns.place();
+        let ago = |seconds: u64| Some(place.at - Duration::from_secs(seconds));
+        set_by_http(&node, place, 7e-4);
+        put_made(&node, 0, 4e-4, ago(1));
+        node.settings.apply_puts();
+        assert_eq!(thresholds(&node.board), [7e-4; 2]);
+        // Made later, stamped by nobody, and stamped by a clock that is an hour behind.
+        let later = Some(place.at + Duration::from_secs(1));
+        for (value, made) in [(3e-4, later), (5e-4, None), (6e-4, ago(3600))] {
+            put_made(&node, 0, value, made);
+            node.settings.apply_puts();
+            assert_eq!(thresholds(&node.board), [value, 7e-4]);
+        }
     }
 }
