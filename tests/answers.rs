@@ -121,8 +121,8 @@ impl Drive {
         let mut took: Vec<_> = self.live.iter().map(|live| live.latency_ms.total).collect();
         took.sort_by(f64::total_cmp);
         // A busy machine delays single answers, and the detector's as well.
-        let mut runs: Vec<_> =
-            self.finals.values().map(|message| message.latency_ms.total).collect();
+        let runs = self.finals.values().filter(|message| !message.degraded);
+        let mut runs: Vec<_> = runs.map(|message| message.latency_ms.total).collect();
         runs.sort_by(f64::total_cmp);
         let (answer, run) = (took[took.len() / 2], runs[runs.len() / 2]);
         assert!(
