@@ -8,8 +8,7 @@ use albireo_core::audit::{AuditDraw, AuditSums};
 use albireo_core::detection::Detection;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{
-    Evidence, FrameHead, LatePolicy, Need, Outcome, PauseFrames, PolicyConfig, Profile,
-    no_pause,
+    Evidence, FrameHead, LatePolicy, Need, Outcome, PauseFrames, PolicyConfig, Profile, no_pause,
 };
 use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
