@@ -16,6 +16,9 @@ use tokio::time::interval;
 /// The time between two frames, a thirteenth of a detector run.
 const PERIOD: Duration = Duration::from_millis(20);
 
+/// The most frames that are sent while a run lasts.
+const MOST_AHEAD: usize = 25;
+
 /// A node that answers at once. On an idle machine its detector takes 130 to 265 ms, and on a white picture twenty times that,
 /// which misses the deadline also on a fast one; a busy machine may take eight times as long.
 fn at_once(policy: &str) -> NodeConfig {
@@ -71,7 +74,12 @@ impl Drive {
             pace.tick().await;
             self.frame(picture, "drive").await;
             let mut came = false;
-            for message in taken(&mut self.late) {
+            let mut messages = taken(&mut self.late);
+            // However slow the machine is, a run lasts no longer than some frames: an object's box is not kept for ever.
+            if messages.is_empty() && self.ahead() > MOST_AHEAD {
+                messages.push(next(&mut self.late).await);
+            }
+            for message in messages {
                 came |= is_wanted(&message);
                 most_ahead = most_ahead.max(self.live.len() as u64 - 1 - message.seq);
                 assert!(self.finals.insert(message.seq, message).is_none());
@@ -81,6 +89,14 @@ impl Drive {
             }
         }
         panic!("no such answer in {} frames", self.live.len());
+    }
+
+    /// How many frames were sent since the oldest one that waits for its final answer.
+    fn ahead(&self) -> usize {
+        let is_waiting =
+            |live: &DetectionsMessage| live.pending && !self.finals.contains_key(&live.seq);
+        let oldest = self.live.iter().position(is_waiting);
+        oldest.map_or(0, |oldest| self.live.len() - oldest)
     }
 
     async fn frame(&mut self, picture: &[u8], clip: &str) {
@@ -155,7 +171,7 @@ async fn every_frame_is_answered_at_once_while_the_detector_is_slow_late_or_fail
         }
         // A run that misses its deadline, then a good one.
         let ahead = drive.until(&white, |late| late.degraded).await;
-        // On an idle machine the deadline is a hundred frames long.
+        // The deadline is a hundred frames long, of which at most twenty-five are sent.
         assert!(ahead >= 10, "only {ahead} frames were answered in between");
         drive.until(&scene, is_seen).await;
         // A run that fails, then a good one in a rebuilt session.
@@ -168,9 +184,9 @@ async fn every_frame_is_answered_at_once_while_the_detector_is_slow_late_or_fail
         let (drive, settled, _) = drive.stop().await;
         let is_predicted = |live: &&DetectionsMessage| !live.pending && !live.boxes.is_empty();
         let predicted = drive.live.iter().filter(is_predicted).count();
-        assert!(predicted > 20, "{policy}: {predicted} predicted");
+        assert!(predicted > 5, "{policy}: {predicted} predicted");
         let drawn = settled.iter().filter(|frame| frame.settled).count();
-        assert!(drawn > 20, "{policy}: {drawn} settled");
+        assert!(drawn > 5, "{policy}: {drawn} settled");
     }
 }
 
