@@ -1,6 +1,6 @@
 //! `albireo compare`: plays the same clip to a live node under several policies, and compares them.
 
-use super::play::{Played, Player, choose_meter, clip, node_configuration};
+use super::play::{Played, Player, choose_meter, clip, node_configuration, with_truth};
 use super::progress;
 use super::values::{above_zero, not_negative, parse_rate};
 use albireo_core::geometry::PictureSize;
@@ -9,7 +9,7 @@ use albireo_eval::compare::{
     Boxes, ClassNumbers, Comparison, Playback, Run, ScheduledRun, TruthSize, agreement,
     agreement_with_truth, render, schedule, summarise, variants, write,
 };
-use albireo_eval::data::{Clip, GroundTruth, LoadReport, Rules, TruthFormat};
+use albireo_eval::data::{GroundTruth, Rules, TruthFormat};
 use albireo_eval::footage::{FrameSource, SourceName, VideoEncoding};
 use albireo_eval::judge::{Ignored, Truth};
 use albireo_eval::spec::{BASELINE, PolicySpec};
@@ -248,11 +248,10 @@ fn own_truth(
         if objects.len() >= frames {
             break;
         }
-        let pictures = usize::try_from(part.frames().unwrap_or_default())?;
-        let mut clip = Clip::new(part.name().to_owned(), picture, pictures);
-        truth.attach_to(&mut clip, false, true, &mut LoadReport::default())?;
-        clip.ignored.resize(pictures, Vec::new());
-        objects.extend(clip.truth.unwrap_or_else(|| vec![Vec::new(); pictures]));
+        let pictures = part.frames().unwrap_or_default();
+        let mut clip = with_truth(&mut truth, part.name(), picture, pictures, false)?;
+        clip.ignored.resize(clip.frames, Vec::new());
+        objects.extend(clip.truth.unwrap_or_else(|| vec![Vec::new(); clip.frames]));
         ignored.extend(clip.ignored);
         clips += 1;
     }

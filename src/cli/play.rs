@@ -8,7 +8,7 @@ use albireo_core::geometry::{Corners, PictureSize};
 use albireo_core::policy::ThresholdSpec;
 use albireo_eval::boxes::ScoredBox;
 use albireo_eval::compare::{Boxes, ClassNumbers, Suggestion};
-use albireo_eval::data::classes;
+use albireo_eval::data::{Clip, GroundTruth, LoadReport, classes};
 use albireo_eval::footage::{FrameSource, Pictures};
 use albireo_eval::spec::PolicySpec;
 use albireo_node::PreparedNode;
@@ -20,6 +20,7 @@ use albireo_node::state::board::{Board, CameraBoard, Event, News};
 use albireo_node::state::target::TargetConfig;
 use albireo_power::{PowerConfig, PowerHandle};
 use albireo_service::config::{Configuration, LogConfig, UplinkConfig, ZenohConfig};
+use albireo_service::process;
 use albireo_wire::{ClipReport, DetectionsMessage, EnergyQuality};
 use anyhow::{Context, anyhow, bail, ensure};
 use std::collections::BTreeSet;
@@ -260,7 +261,7 @@ impl Player {
             ..PublishOptions::default()
         };
         let before = process_cpu();
-        let forgotten = forget_peak_memory();
+        let forgotten = process::forget_peak_memory();
         let ended = CancellationToken::new();
         let tracing = tokio::spawn(trace(power, ended.clone()));
         // The trace ends with this function, whatever its end.
@@ -276,7 +277,10 @@ impl Player {
         ended.cancel();
         let measured = Measured {
             cpu,
-            memory_mb: forgotten.then(peak_memory_mb).flatten(),
+            memory_mb: forgotten
+                .then(process::peak_memory_bytes)
+                .flatten()
+                .map(|bytes| bytes as f64 / 1e6),
             trace: tracing.await.context("the power trace")?,
         };
         close(session).await?;
@@ -382,6 +386,22 @@ pub(super) fn node_configuration(
     Ok(config)
 }
 
+/// A clip without detections, with its whole ground truth; `alone` as for [`GroundTruth::attach_to`].
+///
+/// # Errors
+/// When the ground truth is for other pictures.
+pub(super) fn with_truth(
+    truth: &mut GroundTruth,
+    name: &str,
+    size: PictureSize,
+    frames: u64,
+    alone: bool,
+) -> anyhow::Result<Clip> {
+    let mut clip = Clip::new(name.to_owned(), size, usize::try_from(frames)?);
+    truth.attach_to(&mut clip, alone, true, &mut LoadReport::default())?;
+    Ok(clip)
+}
+
 /// Selects the power meter, so that every run uses the same one and unusable meters are reported once. Returns its name.
 pub(super) async fn choose_meter(config: &mut PowerConfig) -> anyhow::Result<String> {
     let wanted = config.clone();
@@ -435,19 +455,6 @@ async fn trace(power: PowerHandle, ended: CancellationToken) -> Vec<[f64; 2]> {
         }
     }
     trace
-}
-
-/// Makes the system count the peak of this process's memory anew; false if it does not.
-fn forget_peak_memory() -> bool {
-    std::fs::write("/proc/self/clear_refs", "5").is_ok()
-}
-
-/// The most resident memory since [`forget_peak_memory`], MB.
-fn peak_memory_mb() -> Option<f64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
-    let kib: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
-    Some(kib * 1024.0 / 1e6)
 }
 
 /// The CPU time of all threads of this process so far.

@@ -10,7 +10,7 @@ pub mod logging;
 pub mod metrics;
 pub mod notify;
 mod panics;
-mod process;
+pub mod process;
 pub mod rate_limit;
 pub mod readiness;
 pub mod session;

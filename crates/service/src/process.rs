@@ -51,6 +51,18 @@ pub(crate) fn add(page: &mut MetricsPage) -> ProcResult<()> {
     Ok(())
 }
 
+/// Makes the system count the peak of the process's memory from now on; false if it cannot.
+pub fn forget_peak_memory() -> bool {
+    // proc_pid_clear_refs(5): 5 resets the peak.
+    std::fs::write("/proc/self/clear_refs", "5").is_ok()
+}
+
+/// The most memory of the process in RAM since [`forget_peak_memory`], or since its start; `None` if the system does not tell.
+pub fn peak_memory_bytes() -> Option<u64> {
+    let kibibytes = Process::myself().ok()?.status().ok()?.vmhwm?;
+    Some(kibibytes * 1024)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

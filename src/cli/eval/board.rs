@@ -2,12 +2,12 @@
 
 use super::JUDGED;
 use super::video::{clip_names, truth_places};
-use crate::cli::play::{Player, choose_meter, clip, node_configuration};
+use crate::cli::play::{Player, choose_meter, clip, node_configuration, with_truth};
 use crate::cli::progress;
 use crate::cli::values::{not_negative, parse_rate};
 use albireo_core::policy::PolicyConfig;
 use albireo_eval::board::{ClipRun, RunsFile, Setup, TRACED_CLIPS};
-use albireo_eval::data::{Clip, GroundTruth, LoadReport, Rules, TruthFormat};
+use albireo_eval::data::{Clip, GroundTruth, Rules, TruthFormat};
 use albireo_eval::footage::{FrameSource, SourceName, VideoEncoding};
 use albireo_eval::judge::{Classes, Interpolation, Truth, accuracy};
 use albireo_eval::settings::ScreenRule;
@@ -235,7 +235,7 @@ fn measured_clips(
             let frames = clip.frames();
             if let Some(frames) = frames {
                 let first = clip.next()?.with_context(|| format!("{name}: it has no pictures"))?;
-                attach(truth, &name, first.size, frames, alone)?;
+                with_truth(truth, &name, first.size, frames, alone)?;
             }
             clips.push(MeasuredClip {
                 name,
@@ -247,19 +247,6 @@ fn measured_clips(
         }
     }
     Ok(clips)
-}
-
-/// Returns the ground truth of a clip.
-fn attach(
-    truth: &mut GroundTruth,
-    name: &str,
-    size: albireo_core::geometry::PictureSize,
-    frames: u64,
-    alone: bool,
-) -> anyhow::Result<Clip> {
-    let mut clip = Clip::new(name.to_owned(), size, usize::try_from(frames)?);
-    truth.attach_to(&mut clip, alone, true, &mut LoadReport::default())?;
-    Ok(clip)
 }
 
 /// The runs that are missing, clip by clip; on every second clip the policies are in reverse order.
@@ -376,7 +363,7 @@ impl Measuring<'_> {
         let loading = tokio::task::spawn_blocking(move || clip::load(source, LONGEST_S));
         let (pictures, size) = loading.await.context("reading the clip")??;
         let frames = pictures.frames().unwrap_or_default();
-        let clip = attach(&mut self.truth, &of.name, size, frames, self.alone)?;
+        let clip = with_truth(&mut self.truth, &of.name, size, frames, self.alone)?;
         let player = Player {
             config: self.config.clone(),
             clip: pictures,
