@@ -19,7 +19,7 @@ use std::fmt::Display;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::broadcast;
-use tokio::sync::broadcast::error::RecvError;
+use tokio::sync::broadcast::error::{RecvError, TryRecvError};
 use tokio::time::{sleep, timeout};
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::AbortOnDropHandle;
@@ -131,10 +131,8 @@ impl Hook {
                 return Some(Arc::clone(next));
             }
             let heard = shutdown.run_until_cancelled(self.sightings.recv()).await?;
-            match heard {
-                Ok(sighting) => self.take(sighting),
-                Err(RecvError::Lagged(lost)) => self.counts.dropped(lost),
-                Err(RecvError::Closed) => return None,
+            if !self.hear(heard) {
+                return None;
             }
         }
     }
@@ -144,10 +142,20 @@ impl Hook {
         loop {
             match self.sightings.try_recv() {
                 Ok(sighting) => self.take(sighting),
-                Err(broadcast::error::TryRecvError::Lagged(lost)) => self.counts.dropped(lost),
-                Err(_) => return,
+                Err(TryRecvError::Lagged(lost)) => self.counts.dropped(lost),
+                Err(TryRecvError::Empty | TryRecvError::Closed) => return,
             }
         }
+    }
+
+    /// Takes a sighting, or counts those that came too fast. Returns false if no more will come.
+    fn hear(&mut self, heard: Result<Arc<Sighting>, RecvError>) -> bool {
+        match heard {
+            Ok(sighting) => self.take(sighting),
+            Err(RecvError::Lagged(lost)) => self.counts.dropped(lost),
+            Err(RecvError::Closed) => return false,
+        }
+        true
     }
 
     fn take(&mut self, sighting: Arc<Sighting>) {
@@ -173,10 +181,8 @@ impl Hook {
             tokio::select! {
                 () = shutdown.cancelled() => return false,
                 () = &mut over => return true,
-                heard = self.sightings.recv() => match heard {
-                    Ok(sighting) => self.take(sighting),
-                    Err(RecvError::Lagged(lost)) => self.counts.dropped(lost),
-                    Err(RecvError::Closed) => return false,
+                heard = self.sightings.recv() => if !self.hear(heard) {
+                    return false;
                 },
             }
         }
