@@ -10,6 +10,7 @@ use probe::{VideoFacts, probe};
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
 use std::fmt;
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -71,12 +72,17 @@ pub fn video_files(text: &str) -> Result<Vec<PathBuf>, String> {
     Ok(named.into_iter().map(|(_, file)| file).collect())
 }
 
+/// What is in a folder.
+fn inside(folder: &Path) -> io::Result<Vec<PathBuf>> {
+    let entries = std::fs::read_dir(folder)?;
+    Ok(entries.flatten().map(|entry| entry.path()).collect())
+}
+
 /// The files in a folder, or those that a pattern matches.
 fn listed(text: &str) -> Result<Vec<PathBuf>, String> {
     let path = Path::new(text);
     if path.is_dir() {
-        let entries = std::fs::read_dir(path).map_err(|error| format!("{text}: {error}"))?;
-        return Ok(entries.flatten().map(|entry| entry.path()).collect());
+        return inside(path).map_err(|error| format!("{text}: {error}"));
     }
     let matched = glob::glob_with(text, MATCHING)
         .map_err(|error| format!("{text}: the pattern cannot be read: {error}"))?;
@@ -89,16 +95,12 @@ fn nothing(text: &str) -> String {
     if !path.is_dir() {
         return format!("{text}: no video file has such a name");
     }
-    let below = std::fs::read_dir(path)
-        .into_iter()
-        .flatten()
-        .flatten()
-        .map(|entry| entry.path());
-    let mut below: Vec<_> = below.filter(|folder| folder.is_dir()).collect();
+    let mut below = inside(path).unwrap_or_default();
+    below.retain(|folder| folder.is_dir());
     below.sort();
     let has_videos = |folder: &&PathBuf| {
-        let mut files = std::fs::read_dir(folder).into_iter().flatten().flatten();
-        files.any(|file| is_video_file(&file.path()))
+        let files = inside(folder).unwrap_or_default();
+        files.iter().any(|file| is_video_file(file))
     };
     match below.iter().find(has_videos) {
         Some(folder) => format!(
