@@ -381,7 +381,7 @@ impl Camera {
             if let Some(ros2) = &parts.ros2 {
                 ros2.put(&message);
             }
-            (parts.board).show(Arc::clone(&message), incoming.frame.picture.clone());
+            parts.board.show(Arc::clone(&message), incoming.frame.picture.clone());
         }
         message
     }

@@ -80,8 +80,9 @@ impl Settings {
 
     /// Restores the pause on an empty road.
     fn restore_pause(&self) {
-        let kept =
-            (self.file).kept::<EmptyRoad, _>(transaction::SCREEN, &self.board.configured_road());
+        let kept = self
+            .file
+            .kept::<EmptyRoad, _>(transaction::SCREEN, &self.board.configured_road());
         if let Some((kept, _)) = kept
             && kept.problem().is_none()
         {

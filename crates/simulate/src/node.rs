@@ -317,8 +317,7 @@ impl SimNode {
             energy: self.energy(joules, DETECTOR_WATTS * skip * worse, frames),
             board: None,
             audit: None,
-            travel: (self.options.positions)
-                .then(|| travel(self.seed, number, self.options.clip_s)),
+            travel: self.options.positions.then(|| travel(self.seed, number, self.options.clip_s)),
         }
     }
 

@@ -204,7 +204,8 @@ impl Drives {
         let name = FileName::of(&path);
         let before = self.before.take();
         let continues = before.as_ref().filter(|before| name.continues(&before.name));
-        let started_ns = (continues.and_then(|before| before.ended_ns))
+        let started_ns = continues
+            .and_then(|before| before.ended_ns)
             .or_else(|| name.started_ns())
             .or(probed.created_ns);
         let is_next = match before.as_ref().map(|before| (before.ended_ns, started_ns)) {

@@ -90,7 +90,10 @@ pub(crate) fn service_state(
     };
     // The detector starts once the session is open: until then, the session is the cause.
     let waits_for_session = *detector == ModelStatus::Starting
-        && (health.faults.iter()).any(|fault| fault.part == ZENOH && fault.subject.is_empty());
+        && health
+            .faults
+            .iter()
+            .any(|fault| fault.part == ZENOH && fault.subject.is_empty());
     let stuck = health.faults.iter().find(|fault| {
         let own = match fault.part {
             DETECTOR => !waits_for_session,
@@ -108,7 +111,7 @@ pub(crate) fn service_state(
 pub(crate) fn of_detector(status: &ModelStatus) -> Option<Fault> {
     match status {
         ModelStatus::Starting => Some(Fault::not_ready("the session is being built")),
-        _ => (status.fault()).map(|reason| Fault::not_ready(format!("degraded: {reason}"))),
+        _ => status.fault().map(|reason| Fault::not_ready(format!("degraded: {reason}"))),
     }
 }
 

@@ -72,7 +72,8 @@ pub(super) struct Cameras {
 
 fn entry(board: &Board, camera: &CameraBoard) -> CameraEntry {
     let faults = board.readiness.health().faults;
-    let fault = (faults.into_iter())
+    let fault = faults
+        .into_iter()
         .filter(|fault| fault.part == CAMERAS)
         .find(|fault| {
             fault.subject.strip_suffix(PICTURES).unwrap_or(&fault.subject) == camera.name()
@@ -81,11 +82,13 @@ fn entry(board: &Board, camera: &CameraBoard) -> CameraEntry {
     let source = camera.source.as_deref().map(str::to_owned);
     let snapshot = camera.snapshot();
     let unusable = snapshot.unusable();
-    let picture =
-        (snapshot.latest.as_ref()).map(|latest| PictureSize::new(latest.width, latest.height));
+    let picture = snapshot
+        .latest
+        .as_ref()
+        .map(|latest| PictureSize::new(latest.width, latest.height));
     CameraEntry {
         states: states::of(camera, &snapshot),
-        key: (source.is_none()).then(|| camera.key.to_owned()),
+        key: source.is_none().then(|| camera.key.to_owned()),
         source,
         unusable: unusable.is_some(),
         fault: unusable.or(fault),

@@ -115,7 +115,9 @@ pub(super) async fn overview(State(shared): State<RouteState>) -> Json<NodeOverv
         version: env!("CARGO_PKG_VERSION"),
         uptime_s: seconds(board.uptime()),
         readiness: readiness(board),
-        hub: (shared.config.pointer("/node/labels/hub"))
+        hub: shared
+            .config
+            .pointer("/node/labels/hub")
             .and_then(|label| label.as_str().map(str::to_owned)),
         detector: board.reading.get().map(detector),
         outbox: shared.outbox.counts().status,

@@ -160,7 +160,9 @@ impl Travel {
         };
         // Five digits of a degree are about a metre.
         let rounded = |degrees: f64| (degrees * 1e5).round() / 1e5;
-        let mut track: Vec<_> = (self.track.iter())
+        let mut track: Vec<_> = self
+            .track
+            .iter()
             .map(|[longitude, latitude]| [wrapped(*longitude), *latitude].map(rounded))
             .collect();
         track.dedup();

@@ -221,7 +221,8 @@ impl Messages {
         let offers = text.split_once("Stream #").map_or(text, |(_, stream)| stream);
         self.offers[0] |= offers.starts_with("m=audio ") || offers.contains(": Audio: ");
         self.offers[1] |= offers.starts_with("m=video ") || offers.contains(": Video: ");
-        let has_end = (text.strip_prefix("[info]   Duration: "))
+        let has_end = text
+            .strip_prefix("[info]   Duration: ")
             .is_some_and(|length| length.starts_with(|c: char| c.is_ascii_digit()));
         self.is_paced |= has_end || PACED.iter().any(|format| text.starts_with(format));
         if self.codec.is_none() {

@@ -209,7 +209,7 @@ impl RunningProgram {
                 }
             })
         };
-        let _ = (self.runtime).block_on(async { timeout(END_LIMIT, ended).await });
+        let _ = self.runtime.block_on(async { timeout(END_LIMIT, ended).await });
         self.child.try_wait().ok().flatten()
     }
 

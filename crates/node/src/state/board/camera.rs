@@ -125,7 +125,9 @@ impl CameraSnapshot {
         for one in boxes {
             let source = source_name(one.source);
             // A class occurs thousands of times: copies its name only the first time.
-            let known = (self.boxes.iter_mut())
+            let known = self
+                .boxes
+                .iter_mut()
                 .find(|((class, known), _)| **class == *one.class && *known == source);
             match known {
                 Some((_, count)) => *count += 1,
@@ -359,7 +361,7 @@ impl CameraBoard {
 
     /// Suggests a value of the threshold if nothing is skipped although objects are tracked.
     pub fn advice(&self) -> Option<Advice> {
-        (self.counts.lock().watch).advice(self.threshold_spec.as_ref()?)
+        self.counts.lock().watch.advice(self.threshold_spec.as_ref()?)
     }
 
     /// Counts an ended clip, and its energy if known.

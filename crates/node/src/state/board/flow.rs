@@ -88,7 +88,7 @@ impl Flow {
         }
         self.slow().or_else(|| {
             let before = first.dropped.by_kind();
-            let dropped = (last.dropped.by_kind().into_iter().zip(before))
+            let dropped = last.dropped.by_kind().into_iter().zip(before)
                 .map(|((kind, now), (_, before))| (kind, now - before));
             let (kind, most) = dropped.clone().max_by_key(|(_, frames)| *frames)?;
             let all: u64 = dropped.map(|(_, frames)| frames).sum();

@@ -131,7 +131,9 @@ fn frames(page: &mut MetricsPage, cameras: &[ShownCamera<'_>]) {
     page.histograms(
         "albireo_detector_latency_seconds",
         "Time the detector took, over the frames where it ran",
-        (cameras.iter()).map(|(camera, _, snapshot)| ([*camera], snapshot.detector_latency)),
+        cameras
+            .iter()
+            .map(|(camera, _, snapshot)| ([*camera], snapshot.detector_latency)),
     );
 }
 
@@ -139,7 +141,7 @@ fn frames(page: &mut MetricsPage, cameras: &[ShownCamera<'_>]) {
 fn newest(page: &mut MetricsPage, board: &Board, cameras: &[ShownCamera<'_>]) {
     let health = board.readiness.health();
     let silent = |name: &str| {
-        (health.faults.iter()).any(|fault| fault.part == CAMERAS && fault.subject == name)
+        health.faults.iter().any(|fault| fault.part == CAMERAS && fault.subject == name)
     };
     page.gauges(
         "albireo_camera_state",
@@ -173,12 +175,16 @@ fn newest(page: &mut MetricsPage, board: &Board, cameras: &[ShownCamera<'_>]) {
     page.gauges(
         "albireo_camera_frame_rate",
         "Frames per second that a camera sends, over the last 10 s",
-        (cameras.iter()).filter_map(|(camera, _, snapshot)| Some(([*camera], snapshot.rate?))),
+        cameras
+            .iter()
+            .filter_map(|(camera, _, snapshot)| Some(([*camera], snapshot.rate?))),
     );
     page.gauges(
         "albireo_camera_max_rate",
         "Frames per second that the node takes at most, max_rate",
-        (cameras.iter()).filter_map(|(camera, board, _)| Some(([*camera], board.max_rate?))),
+        cameras
+            .iter()
+            .filter_map(|(camera, board, _)| Some(([*camera], board.max_rate?))),
     );
     page.counters(
         "albireo_boxes_total",
