@@ -25,7 +25,8 @@ fn sample(cameras: &[Camera], share: f64, seed: u64) -> AuditSums {
 
 fn cameras(asked: &str) -> (Vec<Camera>, AuditSums) {
     let mut policy = policy(asked, Profile::Paper);
-    let compared: Vec<_> = (sequences().iter())
+    let compared: Vec<_> = sequences()
+        .iter()
         .filter(|clip| clip.truth.iter().flatten().any(|truth| !truth.is_empty()))
         .map(|clip| against_detector(policy.as_mut(), clip, &Settings::default()).expect("it runs"))
         .collect();

@@ -6,7 +6,7 @@ use albireo_router::authority::{PUBLIC, write};
 use anyhow::Context;
 use std::path::PathBuf;
 
-/// AclArguments of `albireo acl`.
+/// Arguments of `albireo acl`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Zenoh's rules have no templates, so each node gets rules of its own, selected by

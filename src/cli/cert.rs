@@ -6,7 +6,7 @@ use anyhow::{Context, bail};
 use clap::Subcommand;
 use std::path::PathBuf;
 
-/// CertArguments of `albireo cert`.
+/// Arguments of `albireo cert`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 The folder holds the authority's private key. Anyone who can read it can admit

@@ -10,7 +10,7 @@ use std::path::PathBuf;
 #[cfg(feature = "hub")]
 use {albireo_hub::config::HubConfig, albireo_service::config::load};
 
-/// CheckArguments of `albireo check`.
+/// Arguments of `albireo check`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 A file with the section [hub] or [database] configures a hub, any other a node.

@@ -30,7 +30,7 @@ const LOG_LEVEL: &str = "warn,albireo_node::input::receiver=error,albireo_node::
 const PLAYING: &str = "How it is played";
 const NODE: &str = "The node";
 
-/// CompareArguments of `albireo compare`.
+/// Arguments of `albireo compare`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Each run starts a node as `albireo node` does (same code, same configuration),

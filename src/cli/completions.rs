@@ -5,7 +5,7 @@ use clap::CommandFactory;
 use clap_complete::Shell;
 use std::io::Write;
 
-/// CompletionsArguments of `albireo completions`.
+/// Arguments of `albireo completions`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:

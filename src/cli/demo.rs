@@ -26,7 +26,7 @@ const CAMERA: &str = "dashcam";
 /// Longest wait of the camera for the node, whose model is loaded and warmed up first.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// DemoArguments of `albireo demo`.
+/// Arguments of `albireo demo`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -131,7 +131,8 @@ async fn ending<T>(shutdown: CancellationToken, work: impl Future<Output = T>) -
 /// Opens a listener on this port of the loopback interface, or on any free one if it is taken.
 async fn listen(port: u16) -> anyhow::Result<TcpListener> {
     let either = [port, 0].map(|port| SocketAddr::from((Ipv4Addr::LOCALHOST, port)));
-    (TcpListener::bind(&either[..]).await)
+    TcpListener::bind(&either[..])
+        .await
         .context("no port of the loopback interface can be listened on")
 }
 

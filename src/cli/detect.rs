@@ -19,7 +19,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// DetectArguments of `albireo detect`.
+/// Arguments of `albireo detect`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:

@@ -8,7 +8,7 @@ use std::fs::File;
 use std::io::Write;
 use std::path::PathBuf;
 
-/// DiagArguments of `albireo diag`.
+/// Arguments of `albireo diag`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:

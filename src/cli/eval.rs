@@ -202,7 +202,8 @@ fn compare(data: DataSet, path: &Path, arguments: &RunArguments) -> anyhow::Resu
     let bar = progress::bar(Some(steps as u64), "clips x policies");
     let results = run_policies(&data.clips, &policies, &settings, &|| bar.inc(1))?;
     bar.finish_and_clear();
-    let streams = (streams_asked(arguments).into_iter())
+    let streams = streams_asked(arguments)
+        .into_iter()
         .map(|stream| streams::run(&data.clips, &policies, &settings, stream))
         .collect::<Result<Vec<_>, _>>()?;
     let report = Report {

@@ -11,7 +11,7 @@ use clap::Subcommand;
 use client::Client;
 use serde_json::{Value, json};
 
-/// FleetArguments of `albireo fleet`.
+/// Arguments of `albireo fleet`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Nodes are selected by name (cam-7), glob ('cam-*'), label (region=north) or

@@ -6,7 +6,7 @@ use albireo_hub::store::transfer;
 use albireo_service::{config, logging, signals};
 use std::path::PathBuf;
 
-/// HubArguments of `albireo hub`.
+/// Arguments of `albireo hub`.
 #[derive(Debug, clap::Args)]
 #[command(
     args_conflicts_with_subcommands = true,

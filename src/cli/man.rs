@@ -4,7 +4,7 @@ use anyhow::Context;
 use clap::CommandFactory;
 use std::path::PathBuf;
 
-/// ManArguments of `albireo man`.
+/// Arguments of `albireo man`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Writes albireo.1 and one page per subcommand, such as albireo-node.1. The

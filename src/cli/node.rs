@@ -5,7 +5,7 @@ use albireo_node::config::NodeConfig;
 use albireo_service::{logging, signals};
 use std::path::{Path, PathBuf};
 
-/// NodeArguments of `albireo node`.
+/// Arguments of `albireo node`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Without --config the built-in defaults apply; config/node.toml lists them all.

@@ -5,7 +5,7 @@ use albireo_wire::EnergyQuality;
 use std::fmt::Write;
 use std::path::PathBuf;
 
-/// PowerArguments of `albireo power`.
+/// Arguments of `albireo power`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Opens every source in turn and reads it for a second. The source marked * is

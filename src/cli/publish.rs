@@ -20,7 +20,7 @@ use zenoh::session::Session;
 /// Pause between two attempts to reach the node for the first time; later Zenoh reconnects by itself.
 const RETRY: Duration = Duration::from_secs(2);
 
-/// PublishArguments of `albireo publish`.
+/// Arguments of `albireo publish`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:

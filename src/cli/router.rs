@@ -6,7 +6,7 @@ use albireo_service::config::{Findings, LogConfig, LogFormat};
 use albireo_service::{logging, signals};
 use anyhow::bail;
 
-/// RouterArguments of `albireo router`.
+/// Arguments of `albireo router`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 A Zenoh router with health and metrics. Its configuration is Zenoh's own

@@ -4,7 +4,7 @@ use albireo_service::signals;
 use albireo_simulate::Options;
 use anyhow::bail;
 
-/// SimulateArguments of `albireo simulate`.
+/// Arguments of `albireo simulate`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 To a hub the nodes are real: statuses, reports, pulls and notices go over real

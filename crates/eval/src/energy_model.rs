@@ -100,7 +100,8 @@ impl EnergyModel {
             ]
         };
         let idle = ("idle_power_w".to_owned(), model.idle_power_w.unwrap_or(0.0));
-        let numbers = (costs("energy_j", model.energy_j).into_iter())
+        let numbers = costs("energy_j", model.energy_j)
+            .into_iter()
             .chain(costs("time_ms", model.time_ms))
             .chain([idle]);
         for (name, value) in numbers {

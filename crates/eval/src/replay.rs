@@ -5,7 +5,7 @@ mod scoring;
 pub mod trace;
 
 pub(crate) use evidence::StoredEvidence;
-pub(crate) use scoring::score_published;
+pub(crate) use scoring::score_node_boxes;
 
 use self::scoring::{decay_threshold, decayed_confidence, score_object, score_truncated};
 use self::trace::TraceFrame;
@@ -44,7 +44,7 @@ pub(crate) struct Replay {
     pub boxes: Vec<Vec<ScoredBox>>,
     /// All boxes of the policy, if only the published ones are judged.
     pub boxes_all: Option<Vec<Vec<ScoredBox>>>,
-    /// The same boxes with the confidence of their last detection, if the profile decays confidences.
+    /// The boxes of `boxes` with the confidence of their last detection, if the profile decays confidences.
     pub boxes_last_confidence: Option<Vec<Vec<ScoredBox>>>,
     /// The number of detections that the policy rejected because they are not valid boxes.
     pub rejected_detections: u64,
@@ -83,13 +83,13 @@ pub(crate) fn replay(
         match &mut result.boxes_last_confidence {
             None => {
                 let (published, all) =
-                    score_published(&decided.outcome.boxes, picture, min_confidence);
+                    score_node_boxes(&decided.outcome.boxes, picture, min_confidence);
                 result.boxes.push(published);
                 result.boxes_all.get_or_insert_default().push(all);
             }
             Some(last) => {
                 let (decayed, undecayed) =
-                    score_as_published(&objects, decided.outcome, picture, decay_u);
+                    score_by_published_evaluator(&objects, decided.outcome, picture, decay_u);
                 result.boxes.push(decayed);
                 last.push(undecayed);
             }
@@ -212,7 +212,7 @@ fn decide_frame(
 
 /// Returns the boxes that the published evaluator scores, with decayed and with last confidences: those of all objects,
 /// and those that belong to no object.
-fn score_as_published(
+fn score_by_published_evaluator(
     objects: &[ObjectRecord],
     outcome: &Outcome,
     picture: PictureSize,

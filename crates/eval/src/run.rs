@@ -57,7 +57,7 @@ fn in_parallel<'a>(
             ))
         },
     )?;
-    // A bridge keeps the order of the steps.
+    // The bridge hands the steps out in this order; their results come back in any.
     let mut results = pool.install(|| {
         steps
             .iter()

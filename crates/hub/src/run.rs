@@ -145,7 +145,7 @@ async fn open_database(config: &HubConfig, hub: &Hub) -> Result<Option<Arc<Tuner
             Ok(opened) => break opened,
             Err(error) => error,
         };
-        if !error.passes() {
+        if !error.is_temporary() {
             return Err(HubError::at(&format!("[database] {shown}"))(error));
         }
         tracing::warn!(%error, database = shown, "trying again");

@@ -291,13 +291,13 @@ impl Camera {
         let before = self.newest.replace((incoming.index, incoming.epoch));
         let restarted = before.is_some_and(|(_, epoch)| epoch != incoming.epoch);
         let new_clip = frame.clip.is_some() && frame.clip != self.clip;
-        let blind = incoming.broken && {
+        let blind = if incoming.broken {
             let since = *self.broken_since.get_or_insert(frame.received);
             frame.received.saturating_duration_since(since) > LONGEST_BLIND
-        };
-        if !incoming.broken {
+        } else {
             self.broken_since = None;
-        }
+            false
+        };
         if restarted || blind || (new_clip && self.parts.reset_at_clip && self.clip.is_some()) {
             if let Some(given_up) = self.decider.give_up(&mut self.outcome) {
                 self.conclude(&given_up);
@@ -308,6 +308,7 @@ impl Camera {
         self.clip.clone_from(&frame.clip);
         self.take_threshold();
 
+        // Without a first index the policy has just begun, and knows no frame before this one.
         let known = self.first_index.and(before);
         let step = known.map_or(1, |(last, _)| incoming.index - last);
         let head = FrameHead {
@@ -405,13 +406,16 @@ impl Camera {
         self.parts.board.set_no_news(no_news);
         self.decider.policy.set_pause(frames);
         self.parts.board.set_rate(rate);
-        if self.pause_is_told || empty_road.pause_s == 0.0 || !self.rate.is_settled() {
-            return;
+        if !self.pause_is_told && empty_road.pause_s > 0.0 && self.rate.is_settled() {
+            self.pause_is_told = true;
+            self.tell_pause(empty_road.pause_s, frames.every, rate.unwrap_or_default());
         }
-        self.pause_is_told = true;
-        let (camera, pause_s) = (self.parts.board.name(), empty_road.pause_s);
-        let rate = rate.unwrap_or_default();
-        match frames.every {
+    }
+
+    /// Says what the pause means at the camera's rate.
+    fn tell_pause(&self, pause_s: f64, every: u32, rate: f64) {
+        let camera = self.parts.board.name();
+        match every {
             0 | 1 => tracing::warn!(
                 camera,
                 pause_s,

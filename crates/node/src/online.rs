@@ -44,7 +44,7 @@ pub async fn try_all(config: &NodeConfig, mut each: impl FnMut(&str, Result<Stri
     };
     report("detector", outcome);
     let onnxruntime = config.detector.onnxruntime.as_deref();
-    if let Some(screen) = (ScreenHandle::start(&config.screen, onnxruntime).await).transpose() {
+    if let Some(screen) = ScreenHandle::start(&config.screen, onnxruntime).await.transpose() {
         let shape = screen.map(|screen| screen.input_format().shape());
         let shown = shape.map(|[_, _, rows, columns]| format!("input shape {rows} x {columns}"));
         report("screen", shown.map_err(Into::into));
@@ -88,10 +88,12 @@ async fn in_time(
     endpoints: &[String],
     opening: impl Future<Output = Result<Session, ServiceError>>,
 ) -> Result<Session, TrialFailure> {
-    let opened = tokio::time::timeout(ANSWER, opening).await;
-    let (endpoints, seconds) = (endpoints.join(", "), ANSWER.as_secs());
-    let silent = |_| format!("{endpoints} did not answer in {seconds} s");
-    Ok(opened.map_err(silent)??)
+    let silent = |_| {
+        let endpoints = endpoints.join(", ");
+        let seconds = ANSWER.as_secs();
+        format!("{endpoints} did not answer in {seconds} s")
+    };
+    Ok(tokio::time::timeout(ANSWER, opening).await.map_err(silent)??)
 }
 
 /// Decodes the picture of a camera and, if there is a detector, runs it on the picture.

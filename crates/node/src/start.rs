@@ -214,7 +214,7 @@ impl Node {
         // Zenoh's calls may block.
         let undeclared = spawn_blocking(move || drop(subscriptions));
         let ending = async { tokio::join!(undeclared, self.tasks.finish()) };
-        if (tokio::time::timeout_at(tasks_until, ending).await).is_err() {
+        if tokio::time::timeout_at(tasks_until, ending).await.is_err() {
             tracing::error!(
                 tasks = ?self.tasks.still_running(),
                 "abandoned tasks that did not end in time"
@@ -266,8 +266,8 @@ fn start_forwarding(
         tasks.essential("mqtt", mqtt.run(shutdown.clone()));
     }
     for (index, hook) in config.hooks.iter().enumerate() {
-        let hook = Hook::new(hook.clone(), board, random.hash_one(index));
-        let hook = hook.map_err(NodeError::of(format!("hook[{index}]")))?;
+        let hook = Hook::new(hook.clone(), board, random.hash_one(index))
+            .map_err(NodeError::of(format!("hook[{index}]")))?;
         tasks.essential(format!("hook {index}"), hook.run(shutdown.clone()));
     }
     Ok(())

@@ -33,9 +33,11 @@ pub(crate) struct Machine {
     pi: PathBuf,
     cpu_clocks: Vec<PathBuf>,
     gpu_clock: Option<PathBuf>,
-    /// The mode from `nvpmodel`, its later answers, and the ACPI platform profile for machines without it.
+    /// The mode that `nvpmodel` told last.
     mode: Option<String>,
+    /// Its later answers.
     modes: Receiver<String>,
+    /// The ACPI platform profile, for machines without `nvpmodel`.
     profile: PathBuf,
 }
 
@@ -140,8 +142,11 @@ impl Machine {
         let pi = sysfs::text(&self.pi)
             .ok()
             .and_then(|word| u64::from_str_radix(word.trim_start_matches("0x"), 16).ok());
-        let limited = cooling.map(|state| state > 0).max().max(pi.map(|word| word & PI_NOW != 0));
-        limited.max(events.map(|events| last.is_some_and(|last| events > last)))
+        // Each is silent on machines that lack it: one that reports a limit is enough, and one that reports none is an answer.
+        let by_cooling = cooling.map(|state| state > 0).reduce(|a, b| a || b);
+        let by_pi = pi.map(|word| word & PI_NOW != 0);
+        let by_events = events.map(|events| last.is_some_and(|last| events > last));
+        [by_cooling, by_pi, by_events].into_iter().flatten().reduce(|a, b| a || b)
     }
 }
 

@@ -74,6 +74,7 @@ impl PowerSnapshot {
             }
         }
         self.sampled_s -= before.sampled_s;
+        self.meter_cpu = self.meter_cpu.saturating_sub(before.meter_cpu);
         self.saved_detector_s -= before.saved_detector_s;
         self
     }
@@ -176,9 +177,9 @@ pub async fn start(
     config: &PowerConfig,
     shutdown: CancellationToken,
 ) -> Result<(PowerHandle, JoinHandle<()>), MeterError> {
-    let wanted = config.clone();
+    let of_meter = config.clone();
     let opened = tokio::task::spawn_blocking(move || {
-        choose::open(&wanted).map(|opened| (opened, Machine::new(&wanted)))
+        choose::open(&of_meter).map(|opened| (opened, Machine::new(&of_meter)))
     });
     let ((source, meter), machine) = opened
         .await

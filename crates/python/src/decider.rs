@@ -158,16 +158,9 @@ impl Decider {
             None => Evidence::Unavailable,
         };
         let pending = self.policy.pending();
-        self.policy.deliver(n, evidence, &mut self.late).map_err(|_| {
-            PyRuntimeError::new_err(match pending {
-                Some(pending) => {
-                    format!("frame {n} does not wait for detections, frame {pending} does")
-                }
-                None => {
-                    format!("frame {n} does not wait for detections: submit(n) was not True for it")
-                }
-            })
-        })?;
+        self.policy
+            .deliver(n, evidence, &mut self.late)
+            .map_err(|_| not_waiting(n, pending))?;
         if let Some(settling) = &mut self.settling {
             settling.late(n, &self.late);
         }
@@ -406,4 +399,17 @@ impl Decider {
 
 fn wrong(error: impl std::fmt::Display) -> PyErr {
     PyValueError::new_err(error.to_string())
+}
+
+/// The error for detections of frame `n`, which asked for none, while `pending` may.
+fn not_waiting(n: u64, pending: Option<u64>) -> PyErr {
+    let reason = match pending {
+        Some(pending) => format!("frame {pending} does"),
+        None => {
+            return PyRuntimeError::new_err(format!(
+                "frame {n} does not wait for detections: submit(n) was not True for it"
+            ));
+        }
+    };
+    PyRuntimeError::new_err(format!("frame {n} does not wait for detections, {reason}"))
 }

@@ -69,15 +69,15 @@ impl Grey {
         let Some(mut size) = self.size else {
             return Evidence::Unavailable;
         };
-        let least = width.map(|width| width.max(1));
-        while size.width >= 2
-            && size.height >= 2
-            && least.is_none_or(|least| size.width / 2 >= least)
-        {
-            size = halve(&mut self.pixels, size);
-            if least.is_none() {
-                break;
+        let can_be_halved = |size: PictureSize| size.width >= 2 && size.height >= 2;
+        match width.map(|width| width.max(1)) {
+            Some(least) => {
+                while can_be_halved(size) && size.width / 2 >= least {
+                    size = halve(&mut self.pixels, size);
+                }
             }
+            None if can_be_halved(size) => size = halve(&mut self.pixels, size),
+            None => {}
         }
         // The buffer has been made smaller, so it cannot be used a second time.
         self.size = None;

@@ -52,7 +52,7 @@ const EVERYTHING: [&str; 9] = [
     "declare_liveliness_subscriber",
 ];
 
-/// What who answers queries declares and sends.
+/// What a part that answers queries declares and sends.
 const ANSWERS: [&str; 2] = ["declare_queryable", "reply"];
 
 /// The rules made so far, for keys under one prefix.
@@ -81,14 +81,12 @@ impl Rules<'_> {
 
     /// The keys on which nodes publish.
     fn published(&self) -> [String; 2] {
-        let prefix = self.prefix;
-        [self.all.status(), format!("{prefix}/*/*/counters")]
+        [self.all.status(), self.all.all_counters()]
     }
 
     /// The keys of camera pictures.
     fn picture(&self) -> [String; 1] {
-        let prefix = self.prefix;
-        [format!("{prefix}/*/*/picture")]
+        [self.all.all_pictures()]
     }
 
     /// What every node may receive.
@@ -149,6 +147,7 @@ impl Rules<'_> {
 
     /// What a router may forward.
     fn for_routers(&mut self) -> Vec<String> {
+        // `**` does not match a part that begins with `@`.
         let every = [
             self.all.report(),
             self.all.pull(),
@@ -166,20 +165,18 @@ impl Rules<'_> {
     /// What one node may send, under its own name alone.
     fn for_node(&mut self, name: &str) -> Result<Vec<String>, RouterError> {
         let keys = NodeKeys::new(self.prefix, name)?;
-        let counters = format!("{}/{name}/*/counters", self.prefix);
-        let picture = [format!("{}/{name}/*/picture", self.prefix)];
         let pictures = self.pictures;
         let mut may = |what: &str, messages: &[&str], keys: &[String]| {
             self.allow(&format!("{name} {what}"), "ingress", messages, keys)
         };
         let mut rules = vec![
-            may("publishes", &["put"], &[keys.status(), counters]),
+            may("publishes", &["put"], &[keys.status(), keys.all_counters()]),
             may("asks", &["query"], &[keys.report(), keys.pull()]),
             may("hears", &["declare_subscriber"], &[keys.changed()]),
             may("lives", &["liveliness_token"], &[keys.alive()]),
         ];
         if pictures {
-            rules.push(may("shows pictures", &ANSWERS, &picture));
+            rules.push(may("shows pictures", &ANSWERS, &[keys.all_pictures()]));
         }
         Ok(rules)
     }

@@ -118,6 +118,8 @@ pub async fn run(
         session: Arc::new(OnceLock::new()),
         max_sessions,
     };
+    // Each ends the other: without its HTTP interface a router cannot be monitored, and without a router there is nothing to
+    // monitor.
     let serving = CancellationToken::new();
     let routes = http::routes(view.clone());
     let methods = [axum::http::Method::GET];
@@ -131,7 +133,6 @@ pub async fn run(
     let (served, routed) = tokio::join!(
         async {
             let ended = served.await;
-            // A router without its HTTP interface cannot be monitored, so it stops.
             shutdown.cancel();
             ended
         },
@@ -148,6 +149,8 @@ async fn route(
     shutdown: &CancellationToken,
 ) -> Result<(), RouterError> {
     let of_router = config.clone();
+    let access_control =
+        config.get_json("access_control/enabled").is_ok_and(|enabled| enabled == "true");
     let session = session::attempt(config)
         .await
         .map_err(|reason| RouterError::Other(format!("the router cannot be opened: {reason}")))?;
@@ -158,7 +161,7 @@ async fn route(
     tracing::info!(
         zenoh = ?endpoints,
         sessions = view.max_sessions,
-        access_control = !options.no_access_control,
+        access_control,
         "ready"
     );
     let readiness = Readiness::default();

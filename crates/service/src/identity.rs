@@ -199,8 +199,10 @@ impl Certificates {
                 known.iter().map(|one| (one.key.clone(), one.file.clone())).collect()
             };
             let read = tokio::task::spawn_blocking(move || {
-                let read = files.into_iter().map(|(key, file)| Certificate::read(key, file));
-                read.collect::<Vec<_>>()
+                files
+                    .into_iter()
+                    .map(|(key, file)| Certificate::read(key, file))
+                    .collect::<Vec<_>>()
             });
             if let Ok(read) = read.await {
                 *self.0.write() = read;

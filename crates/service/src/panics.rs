@@ -23,7 +23,9 @@ fn log(panic: &PanicHookInfo<'_>) {
 
 /// The message of a panic.
 pub(crate) fn message(payload: &(dyn Any + Send)) -> &str {
-    (payload.downcast_ref::<&str>().copied())
+    payload
+        .downcast_ref::<&str>()
+        .copied()
         .or_else(|| payload.downcast_ref::<String>().map(String::as_str))
         .unwrap_or("no message")
 }

@@ -152,13 +152,15 @@ impl Readiness {
         for (key, fault) in probed {
             put(&mut known, key, fault);
         }
-        let faults = known.iter().map(|(key, (fault, since))| PartFault {
-            part: key.0,
-            subject: key.1.clone(),
-            fault: fault.clone(),
-            since_s: seconds(since.elapsed()),
-        });
-        let faults = faults.collect();
+        let faults = known
+            .iter()
+            .map(|(key, (fault, since))| PartFault {
+                part: key.0,
+                subject: key.1.clone(),
+                fault: fault.clone(),
+                since_s: seconds(since.elapsed()),
+            })
+            .collect();
         let health = Health { faults };
         // Under the lock, so that the later of two concurrent reads is sent last.
         let status = health.status();

@@ -23,11 +23,18 @@ const FRAMES_PER_S: f64 = 30.0;
 /// The range of `u`, as in the policy.
 const RANGE: std::ops::RangeInclusive<f64> = 1e-9..=1.0;
 /// The range within which a target moves `u`.
-const HELD_WITHIN: (f64, f64) = (1.5e-4, 2e-3);
-/// The skip rate at [`FIRST_U`], and its increase per decade of `u`.
-const SKIP: (f64, f64) = (0.55, 0.2);
+const HELD_WITHIN: std::ops::RangeInclusive<f64> = 1.5e-4..=2e-3;
+/// The skip rate at [`FIRST_U`].
+const FIRST_SKIP: f64 = 0.55;
+/// The increase of the skip rate per decade of `u`.
+const SKIP_PER_DECADE: f64 = 0.2;
 /// The power that a detector on every frame adds, watts.
 const DETECTOR_WATTS: f64 = 9.0;
+
+/// The share of frames that a node skips at this `u`, before what is its own and its clip's.
+fn skip_rate(u: f64) -> f64 {
+    FIRST_SKIP + SKIP_PER_DECADE * (u / FIRST_U).log10()
+}
 
 /// One simulated node. Its reports are computed from their numbers, so a backlog of hours uses no memory.
 #[derive(Debug)]
@@ -148,16 +155,18 @@ impl SimNode {
     /// immediately, as if a controller had settled; there are no figures for power and recall.
     fn hold(&mut self, target: Target) -> NodeTarget {
         let (status, actual) = match target {
-            Target::SkipRate(wanted) => {
-                let u = FIRST_U * 10_f64.powf((wanted - SKIP.0) / SKIP.1);
-                let held = u.clamp(HELD_WITHIN.0, HELD_WITHIN.1);
+            Target::SkipRate(rate) => {
+                let u = FIRST_U * 10_f64.powf((rate - FIRST_SKIP) / SKIP_PER_DECADE);
+                let held = u.clamp(*HELD_WITHIN.start(), *HELD_WITHIN.end());
                 self.values.push((self.made, held));
-                let status = match u - held {
-                    0.0 => TargetStatus::Held,
-                    over if over > 0.0 => TargetStatus::CannotBeMet,
-                    _ => TargetStatus::MoreThanKept,
+                let status = if u > held {
+                    TargetStatus::CannotBeMet
+                } else if u < held {
+                    TargetStatus::MoreThanKept
+                } else {
+                    TargetStatus::Held
                 };
-                (status, Some(SKIP.0 + SKIP.1 * (held / FIRST_U).log10()))
+                (status, Some(skip_rate(held)))
             }
             Target::Recall(_) => (TargetStatus::NoAudit, None),
             _ => (TargetStatus::NoPower, None),
@@ -263,19 +272,19 @@ impl SimNode {
         let frames = (self.options.clip_s * FRAMES_PER_S).round().max(1.0);
         // A factor of ten in `u` changes a fifth of the frames; nodes and clips differ.
         let own = 0.08 * normal(&mut Pcg64Mcg::seed_from_u64(mix(self.seed, 5)));
-        let skip =
-            (SKIP.0 + SKIP.1 * (u / FIRST_U).log10() + own + 0.03 * noise()).clamp(0.0, 0.99);
+        let skip = (skip_rate(u) + own + 0.03 * noise()).clamp(0.0, 0.99);
         let is_worse = self.options.worse_above.is_some_and(|limit| u > limit);
         let worse = if is_worse { self.options.worse_by } else { 1.0 };
         let watts = 6.0 + DETECTOR_WATTS * (1.0 - skip) + 0.2 * noise();
         let joules = (watts * worse * self.options.clip_s).max(0.1);
         let p99 = (28.0 * worse + noise()).max(1.0);
         let skipped = (skip * frames).round() as u64;
+        let detected = frames as u64 - skipped;
         let states = FrameStates {
             e: skipped / 5,
             p: skipped - skipped / 5,
-            ei: (frames as u64 - skipped) / 20,
-            i: frames as u64 - skipped - (frames as u64 - skipped) / 20,
+            ei: detected / 20,
+            i: detected - detected / 20,
             ai: 0,
         };
         let latency = |middle: f64, count: u64| Percentiles {
@@ -312,8 +321,8 @@ impl SimNode {
             model: "simulated".to_owned(),
             provider: "simulated".to_owned(),
             total_latency_ms: latency(4.0, frames as u64),
-            detector_latency_ms: latency(18.0, frames as u64 - skipped),
-            detector_used_ms: 18.0 * (frames as u64 - skipped) as f64,
+            detector_latency_ms: latency(18.0, detected),
+            detector_used_ms: 18.0 * detected as f64,
             energy: self.energy(joules, DETECTOR_WATTS * skip * worse, frames),
             board: None,
             audit: None,

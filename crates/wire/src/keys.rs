@@ -105,6 +105,11 @@ impl NodeKeys {
         format!("{}/{}/*/counters", self.prefix, self.node)
     }
 
+    /// The pictures of all cameras of the node, for rules of access.
+    pub fn all_pictures(&self) -> String {
+        format!("{}/{}/*/picture", self.prefix, self.node)
+    }
+
     /// Returns the keys of the camera named `camera`.
     ///
     /// # Errors
@@ -212,6 +217,7 @@ mod tests {
         assert_eq!(token, "albireo/car-7/front/frame/@stream/7");
         assert_eq!(stream_of_token(&token), Some(7));
         assert_eq!(node.all_counters(), "albireo/car-7/*/counters");
+        assert_eq!(node.all_pictures(), "albireo/car-7/*/picture");
     }
 
     #[test]

@@ -94,16 +94,14 @@ impl Albireo {
     }
 
     fn periodic_cap_is_due(&self) -> bool {
-        let index = self.index;
         let cap = self.tracker.settings.periodic_cap;
         match self.tracker.settings.periodic_cap_counts {
             PeriodicCap::SinceDetector => self.since_detector >= cap,
             PeriodicCap::FrameIndex => {
                 let cap = u64::from(cap);
                 // True if a multiple of the cap fell into the gap since the last complete frame.
-                let last = self.last_complete;
-                let gap = last.is_some_and(|last| last / cap < index / cap);
-                index.is_multiple_of(cap) || gap
+                let in_gap = self.last_complete.is_some_and(|last| last / cap < self.index / cap);
+                self.index.is_multiple_of(cap) || in_gap
             }
         }
     }
@@ -153,11 +151,14 @@ impl Policy for Albireo {
         self.tracker.u = u;
         let mut cause = None;
         self.progress = self.tracker.begin(frame, |state, tau| {
-            let uncertain = !(tau < u || (skip_at_equality && tau == u));
-            cause = match (cause, uncertain, state.confirmed) {
-                (_, true, true) | (Some(CallCause::Uncertain), ..) => Some(CallCause::Uncertain),
-                (_, true, false) => Some(CallCause::NewObject),
-                (None, ..) if state.since_infer >= t_max => Some(CallCause::ObjectCap),
+            // A τ that is not a number is not certain.
+            let certain = tau < u || (skip_at_equality && tau == u);
+            // Of the causes of several objects the strongest is told: uncertain, then a new object, then the cap.
+            cause = match cause {
+                Some(CallCause::Uncertain) => cause,
+                _ if !certain && state.confirmed => Some(CallCause::Uncertain),
+                _ if !certain => Some(CallCause::NewObject),
+                None if state.since_infer >= t_max => Some(CallCause::ObjectCap),
                 _ => cause,
             };
         });
@@ -168,6 +169,7 @@ impl Policy for Albireo {
         }
         let need = self.progress.call(cause);
         if self.progress.active == 0 && asks_screen {
+            // The cause stays: it is told if the screen passes the frame on to the detector.
             return self.progress.ask(Need::Screen);
         }
         need
@@ -179,7 +181,7 @@ impl Policy for Albireo {
         match (self.progress.need, evidence) {
             (Need::Screen, evidence) => self.progress.take_verdict(evidence, Need::Detections),
             (Need::Detections, Evidence::Detections(found)) => self.take_detections(found),
-            // Unchanged, so that `finish` detects the missing detections.
+            // The need stays, so that `finish` sees that detections are missing.
             _ => Need::Nothing,
         }
     }

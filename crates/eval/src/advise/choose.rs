@@ -191,7 +191,8 @@ impl Search<'_> {
     }
 
     fn propose(&self) -> Result<Proposal, EvalError> {
-        let trials = (values(&self.config.name, &self.spec).into_par_iter())
+        let trials = values(&self.config.name, &self.spec)
+            .into_par_iter()
             .map(|value| try_out(self.clips, self.config, value, self.screen, self.settings))
             .collect::<Result<Vec<_>, _>>()?;
         let best = self.best_trial(&trials);

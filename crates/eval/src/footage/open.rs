@@ -265,7 +265,7 @@ mod tests {
         assert_eq!(name.clip_names().unwrap(), names);
         let clips = name.open_clips(Some(ROAD_RATE), VideoEncoding::Jpeg).unwrap();
         let seconds: f64 =
-            (clips.iter()).map(|clip| clip.frames().unwrap() as f64 / clip.rate()).sum();
+            clips.iter().map(|clip| clip.frames().unwrap() as f64 / clip.rate()).sum();
         assert!(seconds >= 40.0, "{seconds}");
         let demo = Path::new(road).parent().unwrap();
         let bytes = |file: &str| std::fs::metadata(demo.join(file)).unwrap().len();

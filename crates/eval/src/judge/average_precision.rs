@@ -31,7 +31,8 @@ pub(super) const IOU_THRESHOLDS: [f64; 10] =
 /// Figures that do not rank boxes by confidence ignore boxes below this one; see [`Accuracy::f1_50_shown`].
 pub const SHOWN_CONFIDENCE: f64 = 0.3;
 
-/// The index of 0.75 in [`IOU_THRESHOLDS`].
+/// The places of 0.50 and 0.75 in [`IOU_THRESHOLDS`].
+const AT_50: usize = 0;
 const AT_75: usize = 5;
 
 /// The method that computes the area under the precision-recall curve. Precision is first made monotone: at each recall
@@ -69,7 +70,7 @@ pub struct Accuracy {
     pub precision: f64,
     /// Share of the ground truth that is matched at IoU 0.50.
     pub recall: f64,
-    /// Number of predictions that are judged at IoU 0.50.
+    /// Number of predictions: with classes pooled of those judged at IoU 0.50, with separate classes of all.
     pub predictions: usize,
     /// Number of ground-truth boxes.
     pub truths: usize,
@@ -92,8 +93,11 @@ pub fn accuracy<'a>(
             let predictions = without_fixed(predictions, truth, classes);
             let by_class = of_each_class(&predictions, truth, interpolation);
             let count = by_class.len() as f64;
+            if by_class.is_empty() {
+                return None;
+            }
             let mean = |of: fn(&Accuracy) -> f64| by_class.values().map(of).sum::<f64>() / count;
-            (!by_class.is_empty()).then(|| Accuracy {
+            Some(Accuracy {
                 ap50: mean(|class| class.ap50),
                 ap75: mean(|class| class.ap75),
                 map: mean(|class| class.map),
@@ -207,7 +211,7 @@ pub(super) fn excused_at_50(
         frame.take(found, objects, ignored, class);
         frame.match_all();
         for (prediction, outcome) in frame.predictions.iter().zip(&frame.outcomes) {
-            excused[prediction.index] |= outcome.excused & 1 == 1;
+            excused[prediction.index] |= outcome.is_excused(AT_50);
         }
     }
     excused
@@ -293,7 +297,7 @@ impl Matching {
             let area = area(&points, self.truths, interpolation);
             sum += area;
             match threshold {
-                0 => ap50 = area,
+                AT_50 => ap50 = area,
                 AT_75 => ap75 = area,
                 _ => {}
             }
@@ -318,13 +322,13 @@ impl Matching {
 
     /// The number of predictions that match at IoU 0.50.
     fn hits(&self) -> usize {
-        self.outcomes.iter().filter(|outcome| outcome.is_matched(0)).count()
+        self.outcomes.iter().filter(|outcome| outcome.is_matched(AT_50)).count()
     }
 
     /// F1 at IoU 0.50 of the predictions that are shown.
     fn f1_shown(&self) -> f64 {
         let shown = &self.outcomes[..self.shown];
-        let hits = shown.iter().filter(|outcome| outcome.is_matched(0)).count();
+        let hits = shown.iter().filter(|outcome| outcome.is_matched(AT_50)).count();
         2.0 * hits as f64 / (judged_at_50(shown) + self.truths) as f64
     }
 
@@ -348,13 +352,13 @@ impl Matching {
 
 /// The number of predictions that are judged at IoU 0.50.
 fn judged_at_50(outcomes: &[Outcome]) -> usize {
-    outcomes.iter().filter(|outcome| !outcome.is_excused(0)).count()
+    outcomes.iter().filter(|outcome| !outcome.is_excused(AT_50)).count()
 }
 
 /// The area under monotone precisions at recalls `1/truths, 2/truths, …`.
 fn area(points: &[f64], truths: usize, interpolation: Interpolation) -> f64 {
     match interpolation {
-        // The sum of nothing is -0.
+        // `sum()` of nothing is -0, which would be printed.
         Interpolation::AllPoints => {
             points.iter().fold(0.0, |sum, point| sum + point) / truths as f64
         }

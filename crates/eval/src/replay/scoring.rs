@@ -81,7 +81,7 @@ fn score_reported(output: &OutputBox, picture: PictureSize) -> ScoredBox {
 }
 
 /// Returns the boxes of a frame that a node publishes, and all boxes of the policy.
-pub(crate) fn score_published(
+pub(crate) fn score_node_boxes(
     boxes: &[OutputBox],
     picture: PictureSize,
     min_confidence: MinConfidence,

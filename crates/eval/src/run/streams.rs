@@ -11,7 +11,7 @@ use crate::boxes::ScoredBox;
 use crate::data::Clip;
 use crate::error::EvalError;
 use crate::judge::{Truth, accuracy, newcomers};
-use crate::replay::{ClipFrame, StoredEvidence, drive, score_published};
+use crate::replay::{ClipFrame, StoredEvidence, drive, score_node_boxes};
 use crate::result::ClipResult;
 use crate::settings::Settings;
 use crate::spec::{BASELINE, PolicySpec, short_label};
@@ -89,7 +89,7 @@ pub fn run<'a>(
             let (boxes, all): (Vec<_>, Vec<_>) = published
                 .boxes
                 .iter()
-                .map(|boxes| score_published(boxes, clip.picture, min_confidence))
+                .map(|boxes| score_node_boxes(boxes, clip.picture, min_confidence))
                 .unzip();
             let truth = clip.truth.as_deref().map(|objects| Truth {
                 objects,

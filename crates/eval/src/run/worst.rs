@@ -45,23 +45,25 @@ pub fn attach_pictures(
     results: &mut [ClipResult],
     unusable: &[usize],
 ) -> Result<(), EvalError> {
-    let lost = results.iter().filter(|result| !result.worst.is_empty());
-    let shown = shown_policies(lost.map(|result| result.policy.as_str()));
-    let shown: Vec<String> = shown.into_iter().map(str::to_owned).collect();
-    let mut wanted: Vec<&mut WorstFrame> = results
+    let lost = results
+        .iter()
+        .filter(|result| !result.worst.is_empty())
+        .map(|result| result.policy.as_str());
+    let shown: Vec<String> = shown_policies(lost).into_iter().map(str::to_owned).collect();
+    let mut without_picture: Vec<&mut WorstFrame> = results
         .iter_mut()
         .filter(|result| shown.contains(&result.policy))
         .flat_map(|result| &mut result.worst)
         .collect();
-    wanted.sort_by_key(|worst| worst.frame);
-    if wanted.is_empty() {
+    without_picture.sort_by_key(|worst| worst.frame);
+    if without_picture.is_empty() {
         return Ok(());
     }
     source.rewind()?;
-    let mut wanted = wanted.into_iter().peekable();
+    let mut without_picture = without_picture.into_iter().peekable();
     let mut frame = 0;
     for place in 0.. {
-        if wanted.peek().is_none() {
+        if without_picture.peek().is_none() {
             break;
         }
         let next = source.next();
@@ -69,7 +71,7 @@ pub fn attach_pictures(
             continue;
         }
         let Some(picture) = next? else { break };
-        while let Some(worst) = wanted.next_if(|worst| worst.frame == frame) {
+        while let Some(worst) = without_picture.next_if(|worst| worst.frame == frame) {
             worst.picture = Some(FramePicture::Encoded(picture.clone()));
         }
         frame += 1;
@@ -115,7 +117,7 @@ pub(crate) fn worst_frames(clip: &Clip, replayed: &Replay, confidence: f64) -> V
             lost: missed,
             size: clip.picture,
             truth: truth[frame].iter().map(|truth| truth.corners).collect(),
-            found: (replayed.boxes[frame].iter()).map(|found| found.corners).collect(),
+            found: replayed.boxes[frame].iter().map(|found| found.corners).collect(),
             picture: clip.pictures.get(frame).cloned().map(FramePicture::File),
         });
     }

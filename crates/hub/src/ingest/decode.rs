@@ -82,15 +82,20 @@ pub fn decode(node: &str, payload: &[u8], hub_ms: i64) -> Result<Batch, String> 
         node_ms: i64::try_from(batch.t_ms).unwrap_or(i64::MAX),
     };
     // Ages that do not belong to these reports say nothing.
-    let ages = Some(batch.ages).filter(|ages| ages.len() == batch.reports.len());
-    let age = |index: usize| Some(*ages.as_ref()?.get(index)?);
-    let reports = batch.reports.iter().enumerate();
+    let ages = if batch.ages.len() == batch.reports.len() {
+        batch.ages
+    } else {
+        Vec::new()
+    };
     Ok(Batch {
         node: batch.node,
         bytes: json.len(),
         clocks_agree: present.clocks_agree(),
-        reports: reports
-            .map(|(index, raw)| parse(node, raw.get(), present, age(index)))
+        reports: batch
+            .reports
+            .iter()
+            .enumerate()
+            .map(|(index, raw)| parse(node, raw.get(), present, ages.get(index).copied()))
             .collect(),
     })
 }

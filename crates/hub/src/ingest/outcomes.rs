@@ -88,7 +88,7 @@ impl Outcomes {
             reason: error.to_string(),
             at: now,
             of_reports: of_reports || had_reports,
-            passes: error.passes(),
+            passes: error.is_temporary(),
         });
     }
 

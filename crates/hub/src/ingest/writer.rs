@@ -145,7 +145,7 @@ impl Writer {
             Err(error) => error,
         };
         let outcomes = &self.counters.outcomes;
-        if error.passes() || batches.len() < 2 {
+        if error.is_temporary() || batches.len() < 2 {
             outcomes.failed(&error, !batches.is_empty(), Instant::now());
             return self.unavailable(waiting, &error);
         }
@@ -196,32 +196,32 @@ impl Writer {
     }
 
     /// Refuses batches that were not stored, and pauses if the database is not available.
-    fn unavailable(&self, waiting: Vec<Waiting>, error: &StoreError) {
-        for waiting in waiting {
+    fn unavailable(&self, queries: Vec<Waiting>, error: &StoreError) {
+        for query in queries {
             let refusal = Refusal {
                 reason: RefusalReason::Unavailable,
                 why: error.to_string(),
                 wait: Some(UNAVAILABLE_RETRY),
             };
-            self.refuse(waiting, refusal);
+            self.refuse(query, refusal);
         }
-        if error.passes() {
+        if error.is_temporary() {
             std::thread::sleep(DATABASE_PAUSE);
         }
     }
 
-    fn acknowledge(&self, waiting: Vec<Waiting>, recorded: Recorded) {
+    fn acknowledge(&self, queries: Vec<Waiting>, recorded: Recorded) {
         self.counters.count(|counts| {
             *counts += recorded.counts;
             counts.commits += 1;
-            counts.batches += waiting.len() as u64;
+            counts.batches += queries.len() as u64;
         });
         let answers = recorded.answers.into_iter().zip(recorded.cameras);
-        for (waiting, (answer, cameras)) in waiting.into_iter().zip(answers) {
-            self.fleet.reported(&waiting.node, unix_milliseconds());
-            self.limits.has_cameras(&waiting.node, cameras);
-            self.counters.acknowledged_after.add(waiting.since.elapsed());
-            (waiting.reply)(Ok(answer));
+        for (query, (answer, cameras)) in queries.into_iter().zip(answers) {
+            self.fleet.reported(&query.node, unix_milliseconds());
+            self.limits.has_cameras(&query.node, cameras);
+            self.counters.acknowledged_after.add(query.since.elapsed());
+            (query.reply)(Ok(answer));
         }
     }
 }

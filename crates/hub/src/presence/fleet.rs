@@ -381,14 +381,17 @@ impl Fleet {
 
     /// The nodes for which `is_wanted` is true, in the order of their names.
     pub(crate) fn views(&self, is_wanted: impl Fn(&NodeView) -> bool) -> Vec<NodeView> {
-        let nodes = self.nodes.read();
-        let nodes = nodes.values().map(|entry| &entry.node);
-        nodes.filter(|node| is_wanted(node)).cloned().collect()
+        self.nodes
+            .read()
+            .values()
+            .map(|entry| &entry.node)
+            .filter(|node| is_wanted(node))
+            .cloned()
+            .collect()
     }
 
     /// Calls `each` for every node, in the order of their names.
     pub(crate) fn each(&self, each: impl FnMut(&NodeView)) {
-        let nodes = self.nodes.read();
-        nodes.values().map(|entry| &entry.node).for_each(each);
+        self.nodes.read().values().map(|entry| &entry.node).for_each(each);
     }
 }

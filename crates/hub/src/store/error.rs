@@ -19,7 +19,7 @@ pub enum StoreError {
 
 impl StoreError {
     /// True if the same statement may succeed later.
-    pub(crate) fn passes(&self) -> bool {
+    pub(crate) fn is_temporary(&self) -> bool {
         matches!(self, Self::Unavailable(_))
     }
 }
@@ -78,7 +78,7 @@ impl From<serde_json::Error> for StoreError {
 
 impl From<StoreError> for Problem {
     fn from(error: StoreError) -> Self {
-        let status = if error.passes() {
+        let status = if error.is_temporary() {
             StatusCode::SERVICE_UNAVAILABLE
         } else {
             StatusCode::INTERNAL_SERVER_ERROR

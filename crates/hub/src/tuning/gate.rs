@@ -91,8 +91,7 @@ impl FromStr for Gate {
             Some(percent) => (percent.trim_end(), Scale::Relative),
             None => (bound, Scale::Absolute),
         };
-        let number: Option<f64> = number.parse().ok();
-        let number = number.filter(|number| number.is_finite());
+        let number = number.parse().ok().filter(|number: &f64| number.is_finite());
         Ok(Self {
             metric,
             number: number.ok_or_else(|| fault(format!("`{bound}` is not a number")))?,

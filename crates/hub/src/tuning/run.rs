@@ -32,7 +32,7 @@ use utoipa::ToSchema;
 /// end of the patience.
 const LOOKS: u8 = 3;
 /// Failed measurements after which a rollout is held, and a trial ends without a result.
-const ATTEMPTS: u8 = 20;
+const MOST_FAILED_MEASUREMENTS: u8 = 20;
 /// Most entries of a record; older ones are dropped.
 const MOST_ENTRIES: usize = 500;
 
@@ -302,7 +302,7 @@ impl Run {
     }
 
     /// The value that is due for a member, if any.
-    fn next(&self, member: &Member) -> Option<Threshold> {
+    fn due_value(&self, member: &Member) -> Option<Threshold> {
         self.value_of(member)
             .filter(|_| self.paused_ms.is_none())
             .filter(|value| member.value != Some(*value))
@@ -313,7 +313,7 @@ impl Run {
     pub(crate) fn due(&self) -> Vec<DueValue> {
         let mut values: Vec<DueValue> = Vec::new();
         for member in &self.members {
-            let Some(threshold) = self.next(member) else {
+            let Some(threshold) = self.due_value(member) else {
                 continue;
             };
             let node = member.node.clone();
@@ -333,7 +333,7 @@ impl Run {
         self.unsaved = true;
         let mut members = std::mem::take(&mut self.members);
         for member in &mut members {
-            if self.next(member) == Some(due.threshold) {
+            if self.due_value(member) == Some(due.threshold) {
                 member.value = Some(due.threshold);
                 // A node that missed its value remains listed as missed.
                 let outcome = match member.given.outcome {
@@ -473,35 +473,38 @@ impl Run {
     pub(crate) fn windows(&self, now: Millis) -> Vec<[Window; 2]> {
         let baseline = milliseconds(self.kind.basics().baseline_s);
         let since = self.since_ms;
-        let given = self
+        let stage_given_ms = self
             .members
             .iter()
             .filter(|m| self.is_in_stage(m))
             .map(|m| m.given.given_ms)
             .min()
             .unwrap_or(since);
-        let windows = self.members.iter().filter_map(|member| {
-            // After a resumption only later clips count.
-            let (given, value, from) = match member.applied_ms() {
-                Some(applied) if self.is_in_stage(member) => {
-                    (member.given.given_ms, member.value?, applied.max(since))
-                }
-                _ if self.is_later(member) => (given, member.before, since),
-                _ => return None,
-            };
+        let windows = |member: &Member, given: Millis, value: Threshold, from: Millis| {
             Some([
                 Window::new(&member.node, member.before, given - baseline, given),
                 Window::new(&member.node, value, from, now),
             ])
-        });
-        windows.collect()
+        };
+        self.members
+            .iter()
+            .filter_map(|member| match member.applied_ms() {
+                // After a resumption only later clips count.
+                Some(applied) if self.is_in_stage(member) => {
+                    let given_ms = member.given.given_ms;
+                    windows(member, given_ms, member.value?, applied.max(since))
+                }
+                _ if self.is_later(member) => windows(member, stage_given_ms, member.before, since),
+                _ => None,
+            })
+            .collect()
     }
 
     /// Notes that a measurement failed; the next tick asks for it again. After many failures a rollout is held, and a trial
     /// ends without a result.
     pub(crate) fn not_measured(&mut self, now: Millis) {
         self.failed_attempts += 1;
-        if self.failed_attempts >= ATTEMPTS {
+        if self.failed_attempts >= MOST_FAILED_MEASUREMENTS {
             self.failed_attempts = 0;
             let reason = "the clips could not be read";
             match self.kind {
@@ -667,6 +670,7 @@ impl Run {
             [] => "every node reported its value".to_owned(),
             names => format!("without {}", list(names)),
         };
+        // The reason of the stage stays, which entering a phase replaces.
         self.enter(phase, &self.reason.clone(), now);
         self.noted(now, what, &text);
     }

@@ -68,7 +68,8 @@ impl Decider {
         let Some(mut evidence) = self.evidence.take() else {
             return;
         };
-        let (index, need) = (frame.incoming.index, frame.need);
+        let index = frame.incoming.index;
+        let need = frame.need;
         let picture = frame.incoming.frame.picture.clone();
         self.fetching = Some(Box::pin(async move {
             let fetched = evidence.fetch(need, &picture).await;

@@ -54,8 +54,8 @@ impl SettledStream {
             height: frame.picture.size.height,
             boxes: Vec::new(),
         });
-        let (index, time) = (incoming.index, self.start.elapsed());
-        self.settler.frame(index, time, outcome, pending, |frame| {
+        let time = self.start.elapsed();
+        self.settler.frame(incoming.index, time, outcome, pending, |frame| {
             release(&mut self.waiting, &self.parts, &frame);
         });
     }

@@ -363,8 +363,9 @@ fn check_source(camera: &CameraConfig, key: &dyn Fn(&str) -> String, findings: &
     let source = camera.source.as_ref().map(SourceAddress::resolved);
     findings.check(key("source"), source.transpose());
     findings.check(key("source_options"), camera.source_options.check());
-    let source = camera.source.as_ref().map(SourceAddress::kind);
-    let (none, is_pipeline) = (source.is_none(), source == Some(SourceKind::Pipeline));
+    let kind = camera.source.as_ref().map(SourceAddress::kind);
+    let none = kind.is_none();
+    let is_pipeline = kind == Some(SourceKind::Pipeline);
     let rate = camera.max_rate.is_some();
     let transport = camera.rtsp_transport != RtspTransport::default();
     let hardware = camera.hardware.is_some();

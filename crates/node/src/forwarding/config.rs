@@ -63,9 +63,11 @@ impl MqttConfig {
         let Some(user) = &self.user else {
             return Ok(None);
         };
-        let password = self.password_file.as_deref().map(secret).transpose();
-        let password = password.map_err(|error| format!("mqtt.password_file {error}"))?;
-        Ok(Some((user.clone(), password.unwrap_or_default())))
+        let password = match &self.password_file {
+            Some(file) => secret(file).map_err(|error| format!("mqtt.password_file {error}"))?,
+            None => String::new(),
+        };
+        Ok(Some((user.clone(), password)))
     }
 
     /// Adds the errors in the section.

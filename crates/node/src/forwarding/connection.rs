@@ -48,15 +48,18 @@ impl Connector {
 
     async fn open_slowly(&self) -> io::Result<Box<dyn Connection>> {
         let Endpoint { host, port, .. } = &self.place;
-        let stream = TcpStream::connect((host.as_str(), *port)).await;
-        let stream = stream.map_err(|error| io::Error::other(unreachable(&error)))?;
+        let stream = TcpStream::connect((host.as_str(), *port))
+            .await
+            .map_err(|error| io::Error::other(unreachable(&error)))?;
         stream.set_nodelay(true)?;
         let Some(tls) = &self.tls else {
             return Ok(Box::new(stream));
         };
         let name = ServerName::try_from(host.clone()).map_err(io::Error::other)?;
-        let secured = tls.connect(name, stream).await;
-        let secured = secured.map_err(|error| io::Error::other(refused_by_tls(&error)))?;
+        let secured = tls
+            .connect(name, stream)
+            .await
+            .map_err(|error| io::Error::other(refused_by_tls(&error)))?;
         Ok(Box::new(secured))
     }
 }
@@ -68,8 +71,9 @@ fn tls(authority: Option<&Path>) -> Result<TlsConnector, String> {
             let wrong = |what: &dyn std::fmt::Display| {
                 format!("root_ca_certificate {}: {what}", file.display())
             };
-            let read = CertificateDer::pem_file_iter(file).and_then(Iterator::collect);
-            let certificates: Vec<_> = read.map_err(|error| wrong(&error))?;
+            let certificates: Vec<_> = CertificateDer::pem_file_iter(file)
+                .and_then(Iterator::collect)
+                .map_err(|error| wrong(&error))?;
             let (added, _) = roots.add_parsable_certificates(certificates);
             if added == 0 {
                 return Err(wrong(&"has no certificate"));
@@ -86,10 +90,11 @@ fn tls(authority: Option<&Path>) -> Result<TlsConnector, String> {
     }
     // Named here, because the process has no default as long as nobody chose one.
     let provider = Arc::new(rustls::crypto::ring::default_provider());
-    let config =
-        ClientConfig::builder_with_provider(provider).with_safe_default_protocol_versions();
-    let config = config.map_err(|error| error.to_string())?;
-    let config = config.with_root_certificates(roots).with_no_client_auth();
+    let config = ClientConfig::builder_with_provider(provider)
+        .with_safe_default_protocol_versions()
+        .map_err(|error| error.to_string())?
+        .with_root_certificates(roots)
+        .with_no_client_auth();
     Ok(TlsConnector::from(Arc::new(config)))
 }
 

@@ -124,7 +124,8 @@ impl Described {
         let mut message = self.device(&id, &format!("{node} {camera}"), &topics);
         let mut components = Map::new();
         for one in classes {
-            let (class, class_id) = (&one.class, &one.id);
+            let class = &one.class;
+            let class_id = &one.id;
             let topic = format!("{base}/{camera}/class/{class_id}");
             let there = json!({
                 "platform": "binary_sensor", "unique_id": format!("{id}_{class_id}"), "name": class,

@@ -105,9 +105,11 @@ impl Mailbox {
     /// The connection is lost: what was not acknowledged is sent again, and all states, which a broker may have forgotten.
     pub(super) fn disconnected(&mut self) -> u64 {
         let given = take(&mut self.given);
-        let unacknowledged = take(&mut self.sent).into_values().chain(given);
-        let events = unacknowledged.filter(|message| !message.is_retained);
-        let mut events: VecDeque<_> = events.collect();
+        let mut events: VecDeque<_> = take(&mut self.sent)
+            .into_values()
+            .chain(given)
+            .filter(|message| !message.is_retained)
+            .collect();
         events.append(&mut self.events);
         let over = events.len().saturating_sub(MOST_EVENTS);
         events.drain(..over);

@@ -45,7 +45,7 @@ pub(crate) enum Arrival {
     New {
         /// Its place: 0 for the first frame, counting lost frames. Grows with every new frame, also across streams.
         index: u64,
-        /// The number of frames missing before it that were not told before.
+        /// The number of frames missing before it that were not losses_to_report before.
         lost: u64,
         /// True if it begins a new stream. False for the very first frame.
         restarted: bool,
@@ -172,8 +172,11 @@ impl Stream {
             None => since,
         });
         self.newest = now;
-        let missing = (frames as u64 - 1).saturating_sub(std::mem::take(&mut self.unusable));
-        (frames, self.told(step, missing))
+        // Frames that came, but could not be used, are counted already.
+        let unusable = std::mem::take(&mut self.unusable);
+        let missing = (frames as u64 - 1).saturating_sub(unusable);
+        let lost = self.losses_to_report(step, missing);
+        (frames, lost)
     }
 
     /// Classifies a number this far below the highest, or the highest itself.
@@ -221,7 +224,7 @@ impl Stream {
 
     /// The lost frames to tell now, `missing` of them new. In the opening they are kept until the numbering is known, so
     /// that a camera that numbers by fives does not begin with losses.
-    fn told(&mut self, step: i128, missing: u64) -> u64 {
+    fn losses_to_report(&mut self, step: i128, missing: u64) -> u64 {
         let Some(kept) = self.opening else {
             return missing;
         };

@@ -162,7 +162,8 @@ impl Account {
         if let Some(open) = self.open.get_mut(&number)
             && at > open.end
         {
-            (open.end, open.to) = (at, None);
+            open.end = at;
+            open.to = None;
         }
     }
 
@@ -199,7 +200,7 @@ impl Account {
             ..ClipEnergy::default()
         };
         let mut least = 1.0_f64;
-        for domain in (Domain::ALL.into_iter()).filter(|domain| self.history.has(*domain)) {
+        for domain in Domain::ALL.into_iter().filter(|domain| self.history.has(*domain)) {
             let from = from.sums[domain];
             let to = to.sums[domain];
             let joules = to.joules - from.joules;

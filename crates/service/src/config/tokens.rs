@@ -37,7 +37,7 @@ impl NamedToken {
             if token.name.is_empty() {
                 findings.add(key("name"), "is empty");
             }
-            if (tokens[..index].iter()).any(|other| other.name == token.name) {
+            if tokens[..index].iter().any(|other| other.name == token.name) {
                 findings.add(key("name"), format!("`{}` is used twice", token.name));
             }
             let checked = token.token.iter().try_for_each(Token::check);

@@ -236,7 +236,8 @@ impl fmt::Display for InputUse {
             percent(padding),
             self.picture
         )?;
-        let (smallest, least) = (self.smallest.size, percent(self.smallest.padding));
+        let smallest = self.smallest.size;
+        let least = percent(self.smallest.padding);
         match &self.choice {
             Choice::Fixed if self.is_wasteful() => {
                 let words = self.head.map(|head| head.export_for(smallest)).unwrap_or_default();

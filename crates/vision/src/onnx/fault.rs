@@ -70,8 +70,7 @@ pub(crate) fn in_words(message: &str) -> String {
     // Callers continue the sentence after it.
     let message = message.trim_end().trim_end_matches('.');
     let lower = message.to_lowercase();
-    let is_one_of =
-        |numbers: &[u32]| (cuda_failures(message).iter()).any(|it| numbers.contains(it));
+    let is_one_of = |numbers: &[u32]| cuda_failures(message).iter().any(|it| numbers.contains(it));
     if is_one_of(&CONTEXT_IS_LOST) {
         format!(
             "the GPU is lost to this process; if the device itself works (nvidia-smi), restarting the program \

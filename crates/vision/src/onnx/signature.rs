@@ -121,8 +121,8 @@ impl Signature {
             [batch, rows, columns, 3] => (batch, TensorLayout::Nhwc, rows, columns),
             [batch, -1, rows, columns] => (batch, TensorLayout::Nchw, rows, columns),
             _ => {
-                let both = "[1, 3, rows, columns] nor [1, rows, columns, 3]";
-                return Err(format!("its input is neither {both}"));
+                let reason = "its input is neither [1, 3, rows, columns] nor [1, rows, columns, 3]";
+                return Err(reason.to_owned());
             }
         };
         if batch != 1 && batch != -1 {
@@ -171,21 +171,22 @@ impl Signature {
     pub(crate) fn shapes(&self, size: PictureSize, batch: usize) -> String {
         let of_input = |input: &TensorSpec| {
             let is_picture = !input.is_beside_picture();
-            let sides = input.shape.iter().enumerate().map(|(place, &side)| {
-                let open = match (place, side, input.shape.as_slice()) {
-                    (_, 0.., _) => side,
-                    (0, _, _) => batch as i64,
-                    (1, _, [_, _, _, 3]) | (2, _, [_, 3 | -1, _, _]) if is_picture => {
-                        i64::from(size.height)
-                    }
-                    (2, _, [_, _, _, 3]) | (3, _, _) if is_picture => i64::from(size.width),
-                    // Open colours.
-                    _ if is_picture => 3,
-                    _ => 2,
-                };
-                open.to_string()
-            });
-            format!("{}:{}", input.name, sides.collect::<Vec<_>>().join("x"))
+            let height = i64::from(size.height);
+            let width = i64::from(size.width);
+            let batch = batch as i64;
+            // What each dimension is where the model leaves it open.
+            let when_open = match input.shape.as_slice() {
+                _ if !is_picture => [batch, 2, 2, 2],
+                [_, _, _, 3] => [batch, height, width, 3],
+                _ => [batch, 3, height, width],
+            };
+            let sides: Vec<String> = input
+                .shape
+                .iter()
+                .zip(when_open)
+                .map(|(&side, open)| if side >= 0 { side } else { open }.to_string())
+                .collect();
+            format!("{}:{}", input.name, sides.join("x"))
         };
         self.inputs.iter().map(of_input).collect::<Vec<_>>().join(",")
     }

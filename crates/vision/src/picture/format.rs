@@ -120,8 +120,9 @@ impl PictureFormat {
             Self::Nv24,
             Self::Gray16,
         ];
-        let filtered = BayerPattern::ALL.into_iter();
-        let filtered = filtered.flat_map(|pattern| [Self::Bayer(pattern), Self::Bayer16(pattern)]);
+        let filtered = BayerPattern::ALL
+            .into_iter()
+            .flat_map(|pattern| [Self::Bayer(pattern), Self::Bayer16(pattern)]);
         plain.into_iter().chain(filtered).find(|format| {
             let others: &[&str] = match format {
                 Self::Yuyv => &["yuyv422", "yuy2", "yuv422_yuy2"],

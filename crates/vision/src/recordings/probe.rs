@@ -56,8 +56,8 @@ pub(super) fn probe(path: &Path, ffprobe: &Path) -> Result<VideoFacts, String> {
         "format=duration:format_tags=creation_time:stream=index",
     ]);
     // A name that begins with a dash would be an option.
-    let output = command.arg("-i").arg(path).stdin(Stdio::null()).output();
-    let output = output.map_err(|error| match error.kind() {
+    command.arg("-i").arg(path).stdin(Stdio::null());
+    let output = command.output().map_err(|error| match error.kind() {
         ErrorKind::NotFound => "no `ffprobe` was found; it comes with ffmpeg".to_owned(),
         _ => format!("`ffprobe` cannot be started: {error}"),
     })?;

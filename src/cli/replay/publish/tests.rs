@@ -111,7 +111,7 @@ async fn clips_are_passes_lengths_of_time_or_those_of_the_source() {
         let sequence = frames.iter().map(|(_, frame)| frame.attachment.seq);
         assert!(sequence.eq((0..sent.frames).map(Some)), "{case}");
         let clips: Vec<_> =
-            (frames.iter()).map(|(_, frame)| frame.attachment.clip.as_deref()).collect();
+            frames.iter().map(|(_, frame)| frame.attachment.clip.as_deref()).collect();
         let found: Vec<_> = clips
             .chunk_by(|a, b| a == b)
             .map(|clip| format!("{} {}", clip.len(), clip[0].unwrap_or("none")))

@@ -152,8 +152,8 @@ pub(super) async fn detections(
 ) -> Result<Json<DetectionsMessage>, Problem> {
     let camera = shared.camera(&camera)?;
     let latest = camera.snapshot().latest.ok_or_else(|| {
-        let (name, from) = (camera.name(), camera.source.as_ref());
-        let from = from.unwrap_or(&camera.key);
+        let name = camera.name();
+        let from = camera.source.as_ref().unwrap_or(&camera.key);
         let detail = format!("no frame of camera `{name}` has arrived yet from {from}");
         Problem::new(StatusCode::NOT_FOUND, detail)
     })?;

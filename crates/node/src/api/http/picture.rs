@@ -107,7 +107,8 @@ pub(super) async fn jpeg(
 /// Draws a frame's boxes, one picture at a time of all cameras.
 async fn draw(shared: &RouteState, frame: &Arc<AnsweredFrame>) -> Result<Bytes, String> {
     let turn = Arc::clone(&shared.decoding).lock_owned().await;
-    let (frame, limits) = (Arc::clone(frame), shared.limits);
+    let frame = Arc::clone(frame);
+    let limits = shared.limits;
     let drawing = tokio::task::spawn_blocking(move || {
         let _turn = turn;
         frame.drawn(&limits)

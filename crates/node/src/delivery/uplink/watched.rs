@@ -71,14 +71,17 @@ impl Watched {
         for camera in &setup.board.cameras {
             let keys = &camera.keys;
             if declares {
-                let (places, runtime) = (Arc::clone(&places), Handle::current());
-                let (setup, camera) = (Arc::clone(setup), Arc::clone(camera));
+                let places = Arc::clone(&places);
+                let runtime = Handle::current();
+                let setup = Arc::clone(setup);
+                let camera = Arc::clone(camera);
                 let queryable = session
                     .declare_queryable(keys.picture())
                     .callback(move |query| {
                         // Zenoh's thread must not encode a picture; excess queries end unanswered.
                         if let Ok(place) = Arc::clone(&places).try_acquire_owned() {
-                            let (setup, camera) = (Arc::clone(&setup), Arc::clone(&camera));
+                            let setup = Arc::clone(&setup);
+                            let camera = Arc::clone(&camera);
                             runtime.spawn_blocking(move || {
                                 answer(&camera, &query, &setup);
                                 drop(place);

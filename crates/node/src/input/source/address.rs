@@ -180,36 +180,15 @@ impl SourceAddress {
                 "begins with `{scheme}://`; did you mean `{meant}://`?"
             ));
         }
-        let mut secrets = Secrets::default();
-        let mut unset = Vec::new();
-        let mut fill = |text: &str, encode: bool| {
-            let mut filled = String::new();
-            let mut rest = text;
-            while let Some((before, after)) = rest.split_once("${") {
-                let after = after.split_once('}');
-                let (name, after) =
-                    after.ok_or("has `${` without `}` behind the variable's name")?;
-                let value = variable(name).unwrap_or_default();
-                if value.is_empty() {
-                    unset.push(name.to_owned());
-                }
-                let is_path = matches!(
-                    kind,
-                    SourceKind::File | SourceKind::Files | SourceKind::Device
-                );
-                if !is_path {
-                    secrets.add(&value);
-                }
-                filled.push_str(before);
-                if encode {
-                    filled.extend(utf8_percent_encode(&value, LOGIN));
-                } else {
-                    filled.push_str(&value);
-                }
-                rest = after;
-            }
-            filled.push_str(rest);
-            Ok::<_, String>(filled)
+        let mut variables = Variables {
+            value: variable,
+            // A path with a variable in it is shown, as a login is not.
+            are_secret: !matches!(
+                kind,
+                SourceKind::File | SourceKind::Files | SourceKind::Device
+            ),
+            secrets: Secrets::default(),
+            unset: Vec::new(),
         };
         let written = match kind {
             SourceKind::Pipeline => shlex::split(&self.0),
@@ -221,8 +200,12 @@ impl SourceAddress {
                 return Err(LOGIN_AFTER_QUERY.to_owned());
             }
             let (before, after) = word.split_at(login_end(&word));
-            words.push(fill(before, kind != SourceKind::Pipeline)? + &fill(after, false)?);
+            let before = variables.filled(before, kind != SourceKind::Pipeline)?;
+            words.push(before + &variables.filled(after, false)?);
         }
+        let Variables {
+            mut secrets, unset, ..
+        } = variables;
         if !unset.is_empty() {
             let names = unset.join("`, `");
             return Err(format!(
@@ -248,6 +231,42 @@ impl SourceAddress {
             words,
             secrets,
         })
+    }
+}
+
+/// Fills environment variables into an address, and notes which are secret and which are not set.
+struct Variables<'a> {
+    value: &'a dyn Fn(&str) -> Option<String>,
+    are_secret: bool,
+    secrets: Secrets,
+    unset: Vec<String>,
+}
+
+impl Variables<'_> {
+    /// Returns `text` with the value of each `${NAME}`, encoded as part of a URL's login if `encode`.
+    fn filled(&mut self, text: &str, encode: bool) -> Result<String, String> {
+        let mut filled = String::new();
+        let mut rest = text;
+        while let Some((before, after)) = rest.split_once("${") {
+            let (name, after) =
+                after.split_once('}').ok_or("has `${` without `}` behind the variable's name")?;
+            let value = (self.value)(name).unwrap_or_default();
+            if value.is_empty() {
+                self.unset.push(name.to_owned());
+            }
+            if self.are_secret {
+                self.secrets.add(&value);
+            }
+            filled.push_str(before);
+            if encode {
+                filled.extend(utf8_percent_encode(&value, LOGIN));
+            } else {
+                filled.push_str(&value);
+            }
+            rest = after;
+        }
+        filled.push_str(rest);
+        Ok(filled)
     }
 }
 

@@ -114,9 +114,9 @@ struct Opening<'a> {
 /// that is late moves no picture into the next file.
 fn recorded(recording: &Recording, since_first: Duration) -> Recorded {
     let since_first = since_first.min(recording.length);
-    let since_first = u64::try_from(since_first.as_nanos()).unwrap_or(u64::MAX);
+    let since_first_ns = u64::try_from(since_first.as_nanos()).unwrap_or(u64::MAX);
     Recorded {
-        time_ns: recording.started_ns.map(|started| started.saturating_add(since_first)),
+        time_ns: recording.started_ns.map(|started| started.saturating_add(since_first_ns)),
         drive: Arc::clone(&recording.drive),
     }
 }
@@ -318,7 +318,8 @@ impl LiveSource {
             Ok(program) => program,
             Err(reason) => return Ending::Failed(reason),
         };
-        let (name, ppm) = (program.program, program.ppm);
+        let name = program.program;
+        let ppm = program.ppm;
         let arrivals = Arc::clone(&self.arrivals);
         let started = program.start(self.settings.silence, arrivals, stop.clone());
         let running = match started {

@@ -387,7 +387,8 @@ impl CameraBoard {
     /// Looks at how its frames flow. Call it once a second.
     pub(super) fn sample_flow(&self) {
         let arrivals = &self.input.arrivals;
-        let (arrived, complaint) = (arrivals.now(), arrivals.last_complaint());
+        let arrived = arrivals.now();
+        let complaint = arrivals.last_complaint();
         let (dropped, _) = self.input.counts();
         let Counts { shown, flow, .. } = &mut *self.counts.lock();
         flow.sample(Instant::now(), arrived, dropped);

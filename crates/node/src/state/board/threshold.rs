@@ -34,7 +34,8 @@ impl CameraBoard {
     pub(crate) fn set_threshold(&self, spec: &ThresholdSpec, value: f64, source: SettingSource) {
         *self.set_by.lock() = source;
         let before = self.turn(spec, value);
-        let (camera, name) = (self.name(), spec.name);
+        let camera = self.name();
+        let name = spec.name;
         self.changes.log(|held_back| {
             tracing::info!(
                 camera,

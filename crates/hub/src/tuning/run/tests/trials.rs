@@ -102,7 +102,7 @@ fn a_node_with_too_few_clips_is_in_no_figure_and_a_silent_one_is_counted() {
 #[test]
 fn a_trial_that_cannot_be_measured_ends_without_a_result_and_restores_the_old_value() {
     let (_, mut trial) = running(30);
-    for second in 101..101 + i64::from(ATTEMPTS) {
+    for second in 101..101 + i64::from(MOST_FAILED_MEASUREMENTS) {
         assert!(trial.tick(second * SECOND).is_some());
         trial.not_measured(second * SECOND);
     }
