@@ -2,12 +2,13 @@
 
 use super::support::assert_contains;
 use super::support::detectors::{
-    CAMERA, assert_the_box, changed, config, detected, one_colour, started,
+    CAMERA, assert_the_box, changed, config, detected, one_colour, refusal, started,
 };
 use albireo_core::geometry::PictureSize;
 use albireo_vision::detector::{
     ClassNames, DetectorHandle, DetectorNetwork, HeadName, ModelStatus, RunError,
 };
+use albireo_vision::picture::Picture;
 
 const NAMES: [&str; 2] = ["car", "traffic light"];
 
@@ -37,6 +38,40 @@ async fn a_dynamic_export_has_the_size_and_classes_of_its_metadata_reported_as_c
     let names = [("traffic light".to_owned(), "bus".to_owned())];
     let renamed = changed("yolo_open.onnx", |config| config.class_map = names.into());
     assert_eq!(class(&started(&renamed).await, [0, 204, 0]).await, "bus");
+}
+
+#[rstest::rstest]
+#[case::of_ultralytics("yolo_unsaid.onnx", HeadName::Yolo)]
+#[case::of_yolov5("yolov5_unsaid.onnx", HeadName::Yolov5)]
+#[tokio::test]
+#[ignore = "needs ONNX Runtime"]
+async fn an_export_that_says_nothing_of_its_output_is_recognised_by_a_run(
+    #[case] name: &str,
+    #[case] head: HeadName,
+) {
+    let with_size = changed(name, |config| {
+        config.input_size = Some([64, 32]);
+        config.report_classes = Some(Vec::new());
+    });
+    let mut network = DetectorNetwork::open(&with_size).unwrap();
+    assert!(network.signature().to_string().contains("[?, ?, ?]"));
+    assert_eq!(network.head(), head);
+    let detector = started(&with_size).await;
+    assert_the_box(&detected(&detector, [51, 204, 0]).await, 1, 0.8);
+    // At the smaller input of another picture there are fewer anchors. The box is at the same place of any input.
+    let square = Picture::black(PictureSize::new(64, 64));
+    let prepared = network.preparation().prepare(&square).unwrap();
+    network.detect(&prepared).unwrap();
+    let inputs = network.preparation().inputs();
+    assert_eq!(inputs[0].smallest.size, PictureSize::new(32, 32));
+    assert_eq!(inputs[0].choice.as_str(), "comparing", "{inputs:?}");
+}
+
+#[tokio::test]
+#[ignore = "needs ONNX Runtime"]
+async fn yolov5s_export_without_a_size_asks_for_it() {
+    let refusal = refusal(&config("yolov5_unsaid.onnx")).await;
+    assert_contains(&refusal, &["detector.input_size", "is open", "for example"]);
 }
 
 #[tokio::test]

@@ -99,7 +99,10 @@ fn the_boxes_agree_with_the_vendors_code(
     let fitting = head::recognise(&signature, input, None).expect("recognised");
     let found = match fitting.only() {
         Some(name) => name,
-        None => fitting.by_values(&signature, &views).expect("told by its values"),
+        None => {
+            let told = fitting.by_values(&signature, input, &views);
+            told.expect("told by its values")
+        }
     };
     assert_eq!(found, expected_head);
     let overrides = HeadOverrides::default();

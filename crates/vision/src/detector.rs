@@ -9,6 +9,7 @@ mod head_name;
 mod heads;
 mod inputs;
 mod network;
+mod open_outputs;
 mod opening;
 mod preparation;
 mod reader;

@@ -4,6 +4,7 @@ use super::class_names;
 use super::head::{self, Evidence, Head};
 use super::heads::Heads;
 use super::inputs::STRIDE;
+use super::open_outputs;
 use super::{DetectorConfig, HeadName, HeadSetting, ModelInput, OpenSides, USUAL_PICTURE};
 use crate::onnx::{ExecutionProvider, OnnxSession, PictureInput, SessionSettings, ShapeRange};
 use crate::onnx::{Signature, StartError, StartErrorKind, TensorSpec, TensorView};
@@ -41,7 +42,7 @@ pub(super) fn open(config: &DetectorConfig) -> Result<(OnnxSession, Heads), Star
 }
 
 /// Half of each side, in whole strides: the least input that an engine of TensorRT is built for.
-fn half(size: PictureSize, stride: u32) -> PictureSize {
+pub(super) fn half(size: PictureSize, stride: u32) -> PictureSize {
     let half = |side: u32| side.div_ceil(2).next_multiple_of(stride).min(side);
     PictureSize::new(half(size.width), half(size.height))
 }
@@ -93,7 +94,7 @@ fn check_batch(config: &DetectorConfig, signature: &Signature) -> Result<(), Sta
 
 /// The head for a model: the configured one, or the recognised one.
 fn head_for(config: &DetectorConfig, session: &mut OnnxSession) -> Result<Heads, StartError> {
-    let signature = session.signature().clone();
+    let signature = known_signature(config, session);
     let name = config.head.name();
     let not_recognised = |reason: String| {
         StartError::new(
@@ -139,7 +140,7 @@ fn head_for(config: &DetectorConfig, session: &mut OnnxSession) -> Result<Heads,
             let name = match found.only() {
                 Some(name) => name,
                 None => run_on_black(session, input, |outputs| {
-                    found.by_values(&signature, outputs)
+                    found.by_values(&signature, input, outputs)
                 })
                 .map_err(|reason| StartError::first_run(&config.model, reason))?
                 .map_err(&not_recognised)?,
@@ -168,11 +169,24 @@ fn head_for(config: &DetectorConfig, session: &mut OnnxSession) -> Result<Heads,
     }
 }
 
+/// What is known of the model, with what a run shows of outputs that it leaves open.
+fn known_signature(config: &DetectorConfig, session: &mut OnnxSession) -> Signature {
+    let declared = session.signature();
+    let stride = declared.metadata.stride().unwrap_or(STRIDE);
+    let input = declared
+        .picture_input(config.input_size())
+        .or_else(|_| declared.picture_input(Some(ANY_SIZE)));
+    match input {
+        Ok(input) => open_outputs::measured(session, input, stride),
+        Err(_) => declared.clone(),
+    }
+}
+
 /// A size to try heads with while that of the input is open.
 const ANY_SIZE: PictureSize = PictureSize::new(640, 640);
 
 /// Runs the model on zeros, which are black in most ranges, and shows the outputs.
-fn run_on_black<R>(
+pub(super) fn run_on_black<R>(
     session: &mut OnnxSession,
     input: PictureInput,
     read: impl FnOnce(&[TensorView<'_>]) -> R,

@@ -99,6 +99,27 @@ impl Recognised {
         }
     }
 
+    /// Those of the heads that fit the sizes of a run where the signature leaves them open: YOLOX has one row for each cell,
+    /// and YOLOv5 three.
+    fn with_sizes_of(
+        self,
+        signature: &Signature,
+        input: PictureInput,
+        outputs: &[TensorView<'_>],
+    ) -> Self {
+        let mut seen = signature.clone();
+        for (output, view) in seen.outputs.iter_mut().zip(outputs) {
+            for (side, &size) in output.shape.iter_mut().zip(view.shape) {
+                // A black picture may have no boxes at all.
+                if *side == -1 && size > 0 {
+                    *side = size;
+                }
+            }
+        }
+        let names: Vec<_> = self.0.iter().map(|head| head.name).collect();
+        fitting(&seen, input, &names).unwrap_or(self)
+    }
+
     /// The head that the outputs of a run on a black picture tell, or else the exporter's convention.
     ///
     /// # Errors
@@ -106,11 +127,12 @@ impl Recognised {
     pub fn by_values(
         self,
         signature: &Signature,
+        input: PictureInput,
         outputs: &[TensorView<'_>],
     ) -> Result<HeadName, String> {
         let mut left: Vec<(HeadName, bool)> = Vec::new();
         let mut against = Vec::new();
-        for head in &self.0 {
+        for head in &self.with_sizes_of(signature, input, outputs).0 {
             match head.evidence(outputs, LEAST_SCORE) {
                 Evidence::Against(reason) => {
                     against.push(format!("no `{}`: {reason}", head.name.as_str()))

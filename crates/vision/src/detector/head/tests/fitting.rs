@@ -171,6 +171,7 @@ fn formats_of_one_shape_are_told_apart_by_the_values_of_a_run() {
         let heads = found(&signature, Some(names))?;
         heads.by_values(
             &signature,
+            signature.picture_input(None).unwrap(),
             &[TensorView {
                 shape: &shape,
                 values: &values,
@@ -208,6 +209,28 @@ fn formats_of_one_shape_are_told_apart_by_the_values_of_a_run() {
     let refusal = told("any", [1, 84, 6], 1, &[centre]).unwrap_err();
     for part in ["detector.head", "\"yolov5\"", "\"yolox\""] {
         assert!(refusal.contains(part), "{refusal}");
+    }
+}
+
+#[test]
+fn an_open_number_of_rows_is_that_of_a_run() {
+    // One row with a box in the middle for each of the 84 cells, or three. Nothing else tells one from the other.
+    let either = "could be any of \"yolov5\", \"yolox\"";
+    // A black picture may give no row at all.
+    for (rows, expected) in [(3 * 84, "yolov5"), (84, either), (0, either)] {
+        let signature = plain(64, "output0", &[1, -1, 85]);
+        let input = signature.picture_input(None).unwrap();
+        let mut values = vec![0.0; rows * 85];
+        if rows > 0 {
+            values[..6].copy_from_slice(&[32.0, 32.0, 20.0, 10.0, 0.9, 0.8]);
+        }
+        let run = TensorView {
+            shape: &[1, rows as i64, 85],
+            values: &values,
+        };
+        let told = found(&signature, Some(80)).unwrap().by_values(&signature, input, &[run]);
+        let told = told.map_or_else(|refusal| refusal, |name| name.as_str().to_owned());
+        assert!(told.contains(expected), "{rows}: {told}");
     }
 }
 

@@ -1,0 +1,49 @@
+//! The sizes that outputs keep at every size of the input, where the model leaves them open. Exporters write an output of a
+//! model with open height and width as `[?, ?, ?]` unless something simplifies the graph, and no head could be told from that.
+
+use super::opening::{half, run_on_black};
+use crate::onnx::{OnnxSession, PictureInput, Signature, TensorSpec};
+
+/// The model's signature; an output of which nothing is known gets the size that is the same in runs at `input` and at half
+/// of it. Only the last such size counts: it is how many numbers a row has, and how many rows there are may depend on the
+/// picture.
+pub(super) fn measured(session: &mut OnnxSession, input: PictureInput, stride: u32) -> Signature {
+    let mut signature = session.signature().clone();
+    if !signature.has_open_sides() || !signature.outputs.iter().any(is_unknown) {
+        return signature;
+    }
+    let smaller = PictureInput {
+        size: half(input.size, stride),
+        ..input
+    };
+    // One stride cannot be halved, and nothing could be told from two runs at one size.
+    if smaller.size == input.size {
+        return signature;
+    }
+    let mut shapes_at = |input| {
+        run_on_black(session, input, |outputs| {
+            outputs.iter().map(|output| output.shape.to_vec()).collect::<Vec<_>>()
+        })
+    };
+    // Where it does not run the sizes stay open, and the refusal says what is known.
+    let (Ok(at_largest), Ok(at_smaller)) = (shapes_at(input), shapes_at(smaller)) else {
+        return signature;
+    };
+    for ((output, largest), smaller) in
+        signature.outputs.iter_mut().zip(&at_largest).zip(&at_smaller)
+    {
+        if is_unknown(output) && output.shape.len() == largest.len() {
+            let stays =
+                |&place: &usize| largest[place] > 0 && smaller.get(place) == Some(&largest[place]);
+            if let Some(place) = (1..largest.len()).rev().find(stays) {
+                output.shape[place] = largest[place];
+            }
+        }
+    }
+    signature
+}
+
+/// True if the model says nothing about the sizes of this output but that there are some for each picture.
+fn is_unknown(output: &TensorSpec) -> bool {
+    output.shape.len() > 2 && output.shape.iter().skip(1).all(|&side| side == -1)
+}
