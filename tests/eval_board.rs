@@ -140,7 +140,7 @@ async fn a_killed_measurement_goes_on_and_its_files_join_into_tables() {
     let rows = fs::read_to_string(out.join("clips.csv")).unwrap();
     assert_eq!(rows.lines().count(), 10);
     // Every second frame of the six was skipped.
-    assert_contains(&rows, &["fixedskip-2,6,0,0,3,"]);
+    assert_contains(&rows, &["fixedskip-2,6,0,0,0,3,"]);
 }
 
 #[test]

@@ -9,7 +9,8 @@ use albireo_eval::compare::{
     Boxes, ClassNumbers, Comparison, Playback, Run, ScheduledRun, TruthSize, agreement,
     agreement_with_truth, render, schedule, summarise, variants, write,
 };
-use albireo_eval::data::{GroundTruth, Rules, TruthFormat};
+use albireo_eval::data::classes::Evaluated;
+use albireo_eval::data::{GroundTruth, LoadReport, Rules, TruthFormat};
 use albireo_eval::footage::{FrameSource, SourceName, VideoEncoding};
 use albireo_eval::judge::{Ignored, Truth};
 use albireo_eval::spec::{BASELINE, PolicySpec};
@@ -18,7 +19,7 @@ use albireo_service::{logging, signals};
 use albireo_vision::detector::HeadSetting;
 use anyhow::{Context, bail};
 use indicatif::HumanDuration;
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Duration;
 use tokio_util::sync::CancellationToken;
@@ -249,7 +250,14 @@ fn own_truth(
             break;
         }
         let pictures = part.frames().unwrap_or_default();
-        let mut clip = with_truth(&mut truth, part.name(), picture, pictures, false)?;
+        let mut clip = with_truth(
+            &mut truth,
+            part.name(),
+            picture,
+            pictures,
+            false,
+            &mut LoadReport::default(),
+        )?;
         clip.ignored.resize(clip.frames, Vec::new());
         objects.extend(clip.truth.unwrap_or_else(|| vec![Vec::new(); clip.frames]));
         ignored.extend(clip.ignored);
@@ -305,12 +313,13 @@ fn judge(
         cores: std::thread::available_parallelism().map_or(1, usize::from),
         truth: truth.map(|truth| truth.size),
     };
-    let mut left_out = BTreeSet::new();
+    let mut left_out = BTreeMap::new();
     let mut runs = Vec::new();
     for ((scheduled, played), boxes) in done.into_iter().zip(&boxes) {
         let policy = &variants[scheduled.variant].config;
         let by_truth = truth.and_then(|truth| {
-            let found = played.judged_boxes(first, truth.size.frames, &mut left_out);
+            let found =
+                played.judged_boxes(first, truth.size.frames, &Evaluated::Road, &mut left_out);
             let (objects, ignored) = (truth.objects.as_slice(), truth.ignored.as_slice());
             agreement_with_truth(&found, Truth { objects, ignored })
         });
@@ -326,9 +335,9 @@ fn judge(
             by_truth,
         });
     }
-    for class in left_out {
+    for (class, boxes) in left_out {
         eprintln!(
-            "Boxes of the class `{class}` were not judged by ground truth, which does not have it."
+            "{boxes} boxes of the class `{class}` were not judged by ground truth, which does not have it."
         );
     }
     let labels = variants.iter().map(|variant| variant.label.clone());

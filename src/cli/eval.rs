@@ -208,7 +208,7 @@ fn compare(data: DataSet, path: &Path, arguments: &RunArguments) -> anyhow::Resu
         .collect::<Result<Vec<_>, _>>()?;
     let report = Report {
         title: format!("Stored detections of {}", path.display()),
-        settings: listed(arguments, &rates(&results))?,
+        settings: listed(arguments, &results)?,
         data: data.report,
         policies: summary::summarise(&results),
         clips: results,
@@ -227,9 +227,10 @@ fn conclude(
     for sentence in conclusion(&report.policies) {
         println!("{}", wrapped(&sentence, 100));
     }
-    // What the figures mean depends on these two, and neither can be seen in them.
+    // What the figures mean depends on these, and none can be seen in them.
     for (name, value) in &report.settings {
-        if name.starts_with("Boxes on crowds") || name == "Frame rate" {
+        let is_partial = name == "Frames judged" && value != ALL;
+        if name.starts_with("Boxes on crowds") || name == "Frame rate" || is_partial {
             println!("{}", wrapped(&format!("{name}: {value}."), 100));
         }
     }
@@ -299,8 +300,30 @@ fn rates(results: &[ClipResult]) -> String {
     }
 }
 
+/// How many frames are judged, usually.
+const ALL: &str = "all";
+
+/// Describes how many of all frames are judged.
+fn frames_judged(results: &[ClipResult]) -> String {
+    let of_first = || {
+        let first = results.first().map(|result| &result.policy);
+        results.iter().filter(move |result| Some(&result.policy) == first)
+    };
+    let all: usize = of_first().map(|result| result.frames).sum();
+    match of_first().map(|result| result.unlabelled_frames).sum() {
+        0_usize => ALL.to_owned(),
+        unlabelled => format!(
+            "{} of {all}; nobody labelled the others, which count for calls, time and energy",
+            all - unlabelled
+        ),
+    }
+}
+
 /// Lists the settings that decide what the figures mean.
-fn listed(arguments: &RunArguments, rates: &str) -> anyhow::Result<Vec<(String, String)>> {
+fn listed(
+    arguments: &RunArguments,
+    results: &[ClipResult],
+) -> anyhow::Result<Vec<(String, String)>> {
     let settings = &arguments.settings;
     let confidence = settings.confidence;
     let profile = match settings.profile {
@@ -335,7 +358,8 @@ fn listed(arguments: &RunArguments, rates: &str) -> anyhow::Result<Vec<(String, 
         ("Detector confidence", format!("at least {confidence}")),
         ("Boxes judged", judged),
         ("Boxes on crowds, distractors and ignored regions", rules),
-        ("Frame rate", rates.to_owned()),
+        ("Frame rate", rates(results)),
+        ("Frames judged", frames_judged(results)),
         ("Empty-scene screen", settings.screen.as_str().to_owned()),
         ("Classes", classes.to_owned()),
         ("Average precision", area.to_owned()),

@@ -8,7 +8,8 @@ use albireo_core::geometry::{Corners, PictureSize};
 use albireo_core::policy::ThresholdSpec;
 use albireo_eval::boxes::ScoredBox;
 use albireo_eval::compare::{Boxes, ClassNumbers, Suggestion};
-use albireo_eval::data::{Clip, GroundTruth, LoadReport, classes};
+use albireo_eval::data::classes::Evaluated;
+use albireo_eval::data::{Clip, GroundTruth, LoadReport};
 use albireo_eval::footage::{FrameSource, Pictures};
 use albireo_eval::spec::PolicySpec;
 use albireo_node::PreparedNode;
@@ -23,7 +24,7 @@ use albireo_service::config::{Configuration, LogConfig, UplinkConfig, ZenohConfi
 use albireo_service::process;
 use albireo_wire::{ClipReport, DetectionsMessage, EnergyQuality};
 use anyhow::{Context, anyhow, bail, ensure};
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
@@ -112,13 +113,14 @@ impl Played {
     }
 
     /// Returns the boxes of each frame that ground truth can judge, of a clip of `frames` frames of which the first has the
-    /// sequence number `first`; a frame without an answer has none. Classes that ground truth does not have are added to
+    /// sequence number `first`; a frame without an answer has none. Boxes of classes that are not `evaluated` are counted in
     /// `left_out`.
     pub(super) fn judged_boxes(
         &self,
         first: u64,
         frames: usize,
-        left_out: &mut BTreeSet<String>,
+        evaluated: &Evaluated,
+        left_out: &mut BTreeMap<String, u64>,
     ) -> Vec<Vec<ScoredBox>> {
         let mut boxes = vec![Vec::new(); frames];
         for answer in self.answers() {
@@ -127,8 +129,8 @@ impl Played {
                 continue;
             };
             for found in &answer.boxes {
-                let Ok(class) = classes::from_name(&found.class) else {
-                    left_out.insert(found.class.clone());
+                let Ok(class) = evaluated.find(&found.class) else {
+                    *left_out.entry(found.class.clone()).or_default() += 1;
                     continue;
                 };
                 let [x1, y1, x2, y2] = found.corners.map(f64::from);
@@ -386,7 +388,7 @@ pub(super) fn node_configuration(
     Ok(config)
 }
 
-/// A clip without detections, with its whole ground truth; `alone` as for [`GroundTruth::attach_to`].
+/// A clip without detections, with its whole ground truth; `alone` and `report` as for [`GroundTruth::attach_to`].
 ///
 /// # Errors
 /// When the ground truth is for other pictures.
@@ -396,9 +398,11 @@ pub(super) fn with_truth(
     size: PictureSize,
     frames: u64,
     alone: bool,
+    report: &mut LoadReport,
 ) -> anyhow::Result<Clip> {
-    let mut clip = Clip::new(name.to_owned(), size, usize::try_from(frames)?);
-    truth.attach_to(&mut clip, alone, true, &mut LoadReport::default())?;
+    let frames = usize::try_from(frames)?;
+    let mut clip = Clip::new(name.to_owned(), size, frames);
+    truth.attach_to(&mut clip, alone, Some(frames), report)?;
     Ok(clip)
 }
 

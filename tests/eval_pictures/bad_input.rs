@@ -198,7 +198,7 @@ fn ground_truth_is_found_by_name_and_rejected_for_other_frames_clips_or_sizes() 
     let mut clip = by_hand(3);
     let mut report = LoadReport::default();
     let mut truth = labels(folder.path(), "by-hand", 3);
-    truth.attach_to(&mut clip, false, true, &mut report).unwrap();
+    truth.attach_to(&mut clip, false, Some(3), &mut report).unwrap();
     assert!(clip.ignored.is_empty());
     let found = clip.truth.take().unwrap();
     assert!(found.iter().all(|frame| frame.len() == 1));
@@ -206,21 +206,21 @@ fn ground_truth_is_found_by_name_and_rejected_for_other_frames_clips_or_sizes() 
 
     for frames in [2, 4] {
         let mut other = labels(folder.path(), "by-hand", frames);
-        let error = other.attach_to(&mut clip, false, true, &mut report).unwrap_err();
+        let error = other.attach_to(&mut clip, false, Some(3), &mut report).unwrap_err();
         let expected = format!("is for {frames} frames, the clip has 3");
         assert_contains(&error.to_string(), &[&expected]);
     }
     // A clip that was cut to its first frames has the first of the ground truth.
     let mut longer = labels(folder.path(), "by-hand", 4);
-    longer.attach_to(&mut clip, false, false, &mut report).unwrap();
+    longer.attach_to(&mut clip, false, None, &mut report).unwrap();
     assert_eq!(clip.truth.take().unwrap().len(), 3);
     assert_eq!(longer.rate("by-hand", false), Some(5.0));
 
     let mut other = labels(folder.path(), "other", 3);
-    other.attach_to(&mut clip, false, true, &mut report).unwrap();
+    other.attach_to(&mut clip, false, Some(3), &mut report).unwrap();
     assert_eq!(clip.truth, None);
     // The only ground truth applies to the only clip, whatever its name.
-    other.attach_to(&mut clip, true, true, &mut report).unwrap();
+    other.attach_to(&mut clip, true, Some(3), &mut report).unwrap();
     assert!(clip.truth.is_some());
     let names = ["by-hand".to_owned(), "second".to_owned()];
     let error = other.check(&names).unwrap_err().to_string();
@@ -230,9 +230,9 @@ fn ground_truth_is_found_by_name_and_rejected_for_other_frames_clips_or_sizes() 
     albireo_eval::data::recorded::write(folder.path(), std::slice::from_ref(&clip)).unwrap();
     let paths = [folder.path().to_owned()];
     let mut truth = GroundTruth::read(&paths, TruthFormat::Recorded, Rules::Benchmark).unwrap();
-    truth.attach_to(&mut clip, false, true, &mut report).unwrap();
+    truth.attach_to(&mut clip, false, Some(3), &mut report).unwrap();
     assert!(clip.truth.is_some());
     clip.picture = PictureSize::new(640, 360);
-    let error = truth.attach_to(&mut clip, false, true, &mut report).unwrap_err();
+    let error = truth.attach_to(&mut clip, false, Some(3), &mut report).unwrap_err();
     assert_contains(&error.to_string(), &["1280x720", "640x360"]);
 }

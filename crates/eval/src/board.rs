@@ -5,9 +5,11 @@
 //! published rows of the paper ────────────────────────────┴─▶ Setup with its runs ─▶ tables, figures, page
 //! ```
 
+mod across;
 mod figures;
 mod page;
 mod published;
+mod rows;
 mod run;
 mod runs_file;
 mod summary;
@@ -37,10 +39,10 @@ pub fn write(folder: &Path, setups: &[SetupRuns], text: &str) -> Result<(), Eval
     let page = page::render(setups, &summaries, &figures);
     files::write(&folder.join("join.html"), page)?;
     files::write(&folder.join("join.txt"), text)?;
-    files::write_csv(&folder.join("clips.csv"), &table::rows_of_clips(setups))?;
+    files::write_csv(&folder.join("clips.csv"), &rows::rows_of_clips(setups))?;
     files::write_csv(
         &folder.join("policies.csv"),
-        &table::rows_of_policies(&summaries),
+        &rows::rows_of_policies(&summaries),
     )
 }
 

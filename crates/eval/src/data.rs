@@ -9,6 +9,7 @@
 pub mod bdd100k;
 pub mod classes;
 pub mod coco;
+pub mod imagenet_vid;
 pub mod kitti;
 pub mod mot_challenge;
 mod pass;
@@ -45,7 +46,7 @@ use crate::boxes::ScoredBox;
 use crate::data::classes::Evaluated;
 use crate::error::EvalError;
 use crate::footage::FrameSelection;
-use crate::judge::{Ignored, Mark};
+use crate::judge::{Ignored, Mark, only_unlabelled, unlabelled};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_vision::picture::picture_files;
@@ -84,6 +85,8 @@ pub struct Clip {
     pub classes: Evaluated,
     /// The pictures of its source that cannot be used, by their places in it; they are none of its frames.
     pub unusable: Vec<usize>,
+    /// The places of its frames in the video that they are taken from, if the data set says them.
+    pub places: Vec<usize>,
 }
 
 impl Clip {
@@ -103,6 +106,7 @@ impl Clip {
             pass: None,
             classes: Evaluated::Road,
             unusable: Vec::new(),
+            places: Vec::new(),
         }
     }
 
@@ -127,6 +131,11 @@ impl Clip {
         self.frames = taken.iter().filter(|taken| **taken).count();
         self.frame_rate = Some(rate);
         self
+    }
+
+    /// The number of frames that nobody labelled.
+    pub fn unlabelled(&self) -> usize {
+        unlabelled(&self.ignored)
     }
 
     /// Marks a place on a frame as not to be judged.
@@ -366,7 +375,7 @@ impl DataSet {
     pub fn judged_by(mut self, rules: Rules, rate: Option<f64>) -> Self {
         for clip in &mut self.clips {
             if rules == Rules::Paper {
-                clip.ignored.clear();
+                only_unlabelled(&mut clip.ignored);
             }
             clip.frame_rate = rate.or(clip.frame_rate);
         }

@@ -12,6 +12,7 @@ pub use downsampled::Downsampled;
 pub(crate) use downsampled::FrameSelection;
 pub use open::SourceName;
 pub use pictures::Pictures;
+pub(crate) use source::clip_name;
 pub use source::{FrameSource, Stopper};
 pub use video::{Ffmpeg, Video, VideoEncoding};
 pub use video_files::VideoFiles;

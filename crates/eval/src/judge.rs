@@ -12,4 +12,5 @@ pub use average_precision::{Accuracy, Classes, Interpolation, SHOWN_CONFIDENCE, 
 pub(crate) use average_precision::{Matches, accuracy_by_class, hits};
 pub use newcomers::{MIN_HEIGHT, Newcomers, newcomers};
 pub use tracking::{Tracking, tracking};
-pub use truth::{Ignored, Mark, Truth};
+pub(crate) use truth::only_unlabelled;
+pub use truth::{Ignored, Mark, Truth, unlabelled};

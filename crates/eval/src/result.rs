@@ -100,6 +100,8 @@ pub struct ClipResult {
     pub policy: String,
     /// Number of frames.
     pub frames: usize,
+    /// The number of frames that nobody labelled: they are not judged, and count for everything else.
+    pub unlabelled_frames: usize,
     /// Frames per second, if known.
     pub frame_rate: Option<f64>,
     /// The number of frames in each state.

@@ -11,13 +11,14 @@ pub(crate) use worst::shown_policies;
 
 use crate::data::Clip;
 use crate::error::EvalError;
-use crate::judge::Truth;
+use crate::judge::{Truth, only_unlabelled};
 use crate::replay::{StoredEvidence, replay, trace};
 use crate::result::ClipResult;
 use crate::settings::Settings;
 use crate::spec::PolicySpec;
 use albireo_core::policy::{ExpectedLoss, Profile};
 use rayon::iter::{ParallelBridge, ParallelIterator};
+use std::borrow::Cow;
 
 /// Runs `policies` over `clips`. The results are in order of policies, then clips. `done` is called after each
 /// policy on each clip, from any thread.
@@ -106,14 +107,13 @@ fn run_policy(
 
     let mut result = figures::of_replay(clip, &policy.label, &replayed);
     if let Some(objects) = &clip.truth {
-        // The published evaluator has no ignored regions.
-        let truth = Truth {
-            objects,
-            ignored: match profile {
-                Profile::Paper => &clip.ignored,
-                Profile::Reference => &[],
-            },
-        };
+        let mut ignored = Cow::Borrowed(&clip.ignored);
+        if profile == Profile::Reference {
+            // The published evaluator has no ignored regions.
+            only_unlabelled(ignored.to_mut());
+        }
+        let ignored = ignored.as_slice();
+        let truth = Truth { objects, ignored };
         figures::judge(&mut result, truth, &replayed, &clip.classes, settings);
     }
     if settings.keep_worst {

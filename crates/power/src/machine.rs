@@ -33,6 +33,8 @@ pub(crate) struct Machine {
     pi: PathBuf,
     cpu_clocks: Vec<PathBuf>,
     gpu_clock: Option<PathBuf>,
+    /// The busy share of a Jetson's GPU, in thousandths.
+    gpu_load: Option<PathBuf>,
     /// The mode that `nvpmodel` told last.
     mode: Option<String>,
     /// Its later answers.
@@ -70,6 +72,9 @@ impl Machine {
                     let name = sysfs::name(file);
                     name.starts_with("oc") && name.ends_with("_event_cnt")
                 });
+        let gpu = class("devfreq").into_iter().find(|device| has_one(sysfs::name(device), &GPUS));
+        let load = gpu.iter().map(|gpu| gpu.join("device/load"));
+        let other_loads = GPU_LOADS.map(|file| config.sysfs.join(file));
         let (mode, modes) = follow_mode(config.nvpmodel.clone(), MODE_EVERY);
         Self {
             zones: class("thermal")
@@ -94,10 +99,8 @@ impl Machine {
                 .filter_map(there)
                 .take(MOST_CORES)
                 .collect(),
-            gpu_clock: class("devfreq")
-                .into_iter()
-                .find(|device| has_one(sysfs::name(device), &GPUS))
-                .map(|device| device.join("cur_freq")),
+            gpu_load: load.chain(other_loads).find_map(there),
+            gpu_clock: gpu.map(|device| device.join("cur_freq")),
             mode,
             modes,
             profile: config.sysfs.join("firmware/acpi/platform_profile"),
@@ -129,6 +132,12 @@ impl Machine {
             hottest_sensor: hottest.map(|(sensor, _)| sensor.clone()),
             cpu_mhz: cpu_khz.value().map(|khz| khz * 1e-3),
             gpu_mhz: self.gpu_clock.as_ref().and_then(number).map(|hz| hz * 1e-6),
+            gpu_utilisation: self
+                .gpu_load
+                .as_ref()
+                .and_then(number)
+                .filter(|load| (0.0..=1000.0).contains(load))
+                .map(|load| load * 1e-3),
             throttled: self.throttled(),
         }
     }
@@ -152,6 +161,9 @@ impl Machine {
 
 /// Substrings of the names that Jetson boards and others give a GPU's devfreq device.
 const GPUS: [&str; 5] = ["gpu", "gp10b", "gv11b", "ga10b", "gb10b"];
+
+/// Where Jetson boards have the GPU's load without a devfreq device, by release (JetPack 4 and 5, 6).
+const GPU_LOADS: [&str; 2] = ["devices/gpu.0/load", "devices/platform/gpu.0/load"];
 
 /// Substrings of the types of cooling devices that lower clocks instead of running a fan.
 const CLOCKS: [&str; 4] = ["cpufreq", "devfreq", "Processor", "-balanced"];

@@ -219,6 +219,8 @@ pub struct BoardState {
     pub cpu_mhz: Option<f64>,
     /// Mean clock of the GPU, MHz.
     pub gpu_mhz: Option<f64>,
+    /// Mean share of the time in which the GPU was busy, 0 to 1; of several, the busiest.
+    pub gpu_utilisation: Option<f64>,
 }
 
 impl ClipReport {

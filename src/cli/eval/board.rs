@@ -7,18 +7,19 @@ use crate::cli::progress;
 use crate::cli::values::{not_negative, parse_rate};
 use albireo_core::policy::PolicyConfig;
 use albireo_eval::board::{ClipRun, RunsFile, Setup, TRACED_CLIPS};
-use albireo_eval::data::{Clip, GroundTruth, Rules, TruthFormat};
+use albireo_eval::data::classes::Evaluated;
+use albireo_eval::data::{Clip, GroundTruth, LoadReport, Rules, TruthFormat};
 use albireo_eval::footage::{FrameSource, SourceName, VideoEncoding};
 use albireo_eval::judge::{Classes, Interpolation, Truth, accuracy};
 use albireo_eval::settings::ScreenRule;
 use albireo_eval::spec::{PolicySpec, Sweep, resolve};
 use albireo_node::config::NodeConfig;
 use albireo_service::{logging, signals};
-use albireo_vision::detector::ExecutionProvider;
+use albireo_vision::detector::{DetectorConfig, DetectorNetwork, ExecutionProvider};
 use anyhow::Context;
 use clap::Args;
 use indicatif::HumanDuration;
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
@@ -111,15 +112,7 @@ pub(super) async fn run(arguments: &BoardArguments) -> anyhow::Result<()> {
     let detector = arguments.detector.as_deref();
     let mut config = node_configuration(file, detector, LOG_LEVEL)?;
     let policies = policies(arguments, &config.policy)?;
-    let (paths, format) = truth_places(
-        &arguments.clips,
-        &arguments.ground_truth,
-        arguments.truth_format,
-    )
-    .context(
-        "--ground-truth PATH --truth-format LAYOUT: the boxes have to be judged by something",
-    )?;
-    let mut truth = GroundTruth::read(&paths, format, arguments.rules)?;
+    let mut truth = ground_truth(arguments, &mut config.detector).await?;
     truth.check(&names)?;
     logging::start(&config.log)?;
     let shutdown = signals::shutdown(None)?;
@@ -140,7 +133,7 @@ pub(super) async fn run(arguments: &BoardArguments) -> anyhow::Result<()> {
         config,
         truth,
         alone: names.len() == 1,
-        left_out: BTreeSet::new(),
+        left_out: BTreeMap::new(),
         loaded: None,
     };
     let left: u64 = scheduled.iter().map(|run| run.0.frames.unwrap_or(1)).sum();
@@ -168,14 +161,52 @@ pub(super) async fn run(arguments: &BoardArguments) -> anyhow::Result<()> {
         done += of.frames.unwrap_or(1);
     }
     bar.finish_and_clear();
-    for class in &measuring.left_out {
-        eprintln!("Boxes of the class `{class}` were left out: the ground truth does not have it.");
+    for (class, boxes) in &measuring.left_out {
+        eprintln!(
+            "{boxes} boxes of the class `{class}` were not judged: the ground truth does not have it."
+        );
     }
     eprintln!(
         "All {all} runs are in {0}; next: albireo eval join {0} --out tables",
         file.path().display()
     );
     Ok(())
+}
+
+/// Reads the ground truth for the classes of the node's model, which is loaded for their names. If it is judged by others than
+/// BDD100K's and the configuration names none, the node reports those that both have.
+async fn ground_truth(
+    arguments: &BoardArguments,
+    detector: &mut DetectorConfig,
+) -> anyhow::Result<GroundTruth> {
+    let (paths, format) = truth_places(
+        &arguments.clips,
+        &arguments.ground_truth,
+        arguments.truth_format,
+    )
+    .context(
+        "--ground-truth PATH --truth-format LAYOUT: the boxes have to be judged by something",
+    )?;
+    let mut all_classes = detector.clone();
+    all_classes.report_classes.get_or_insert_default();
+    let opening = tokio::task::spawn_blocking(move || DetectorNetwork::open(&all_classes));
+    let network = opening.await.context("loading the detector")??;
+    let names = network.class_names();
+    let truth = GroundTruth::for_model(&paths, format, arguments.rules, names)?;
+    if let Evaluated::Own(evaluated) = truth.classes()
+        && detector.report_classes.is_none()
+    {
+        let is_judged = |name: &&String| truth.classes().find(name).is_ok();
+        let reported: Vec<String> = names.iter().filter(is_judged).cloned().collect();
+        eprintln!(
+            "The node reports the {} of its model's {} classes that the ground truth has: {}",
+            reported.len(),
+            evaluated.len(),
+            reported.join(", ")
+        );
+        detector.report_classes = Some(reported);
+    }
+    Ok(truth)
 }
 
 /// `, about 2 hours left`, from the frames that were played since the start.
@@ -223,6 +254,9 @@ fn measured_clips(
     alone: bool,
 ) -> anyhow::Result<Vec<MeasuredClip>> {
     let mut clips = Vec::new();
+    let mut report = truth.take_report();
+    let mut all = 0;
+    let mut unlabelled = 0;
     let split = arguments.clips.iter().map(SourceName::split);
     for source in split.collect::<Result<Vec<_>, _>>()?.into_iter().flatten() {
         let opened = source.open_clips(arguments.rate, VideoEncoding::default())?;
@@ -235,7 +269,9 @@ fn measured_clips(
             let frames = clip.frames();
             if let Some(frames) = frames {
                 let first = clip.next()?.with_context(|| format!("{name}: it has no pictures"))?;
-                with_truth(truth, &name, first.size, frames, alone)?;
+                let clip = with_truth(truth, &name, first.size, frames, alone, &mut report)?;
+                all += clip.frames;
+                unlabelled += clip.unlabelled();
             }
             clips.push(MeasuredClip {
                 name,
@@ -245,6 +281,16 @@ fn measured_clips(
                 is_traced: clips.len() < TRACED_CLIPS,
             });
         }
+    }
+    for line in report.lines() {
+        eprintln!("Ground truth: {line}");
+    }
+    if unlabelled > 0 {
+        eprintln!(
+            "Ground truth: {} of {all} frames are labelled. Accuracy is that of these; the others count for calls, time and \
+             energy.",
+            all - unlabelled
+        );
     }
     Ok(clips)
 }
@@ -285,6 +331,10 @@ fn setup(arguments: &BoardArguments, config: &NodeConfig) -> anyhow::Result<Setu
         (Some(format), Some(path)) => format!("{format:?} {}", path.display()),
         _ => "demo/truth.json".to_owned(),
     };
+    let rules = match arguments.rules {
+        Rules::Benchmark => "",
+        Rules::Paper => ", nothing excused",
+    };
     Ok(Setup {
         detector: stem.to_string_lossy().into_owned(),
         detector_checksum: format!("{:08x}-{}", crc32fast::hash(&bytes), bytes.len()),
@@ -299,7 +349,7 @@ fn setup(arguments: &BoardArguments, config: &NodeConfig) -> anyhow::Result<Setu
             .collect::<Vec<_>>()
             .join(", "),
         pace: if arguments.paced { "paced" } else { "unpaced" }.to_owned(),
-        truth,
+        truth: truth + rules,
     })
 }
 
@@ -309,8 +359,8 @@ struct Measuring<'a> {
     config: NodeConfig,
     truth: GroundTruth,
     alone: bool,
-    /// Classes of boxes that the ground truth does not have.
-    left_out: BTreeSet<String>,
+    /// The number of boxes of each class that the ground truth does not have.
+    left_out: BTreeMap<String, u64>,
     /// The clip that is in memory, and its ground truth: all its policies are played before the next.
     loaded: Option<(Player, Clip)>,
 }
@@ -339,7 +389,9 @@ impl Measuring<'_> {
             run.trace.clone_from(&played.trace);
         }
         let first = player.warm_up_frames();
-        let boxes = played.judged_boxes(first, clip.frames, &mut self.left_out);
+        run.unlabelled = clip.unlabelled() as u64;
+        let evaluated = self.truth.classes();
+        let boxes = played.judged_boxes(first, clip.frames, evaluated, &mut self.left_out);
         let truth = Truth {
             objects: clip.truth.as_deref().unwrap_or_default(),
             ignored: &clip.ignored,
@@ -363,7 +415,9 @@ impl Measuring<'_> {
         let loading = tokio::task::spawn_blocking(move || clip::load(source, LONGEST_S));
         let (pictures, size) = loading.await.context("reading the clip")??;
         let frames = pictures.frames().unwrap_or_default();
-        let clip = with_truth(&mut self.truth, &of.name, size, frames, self.alone)?;
+        // What is left out was reported before the first run.
+        let report = &mut LoadReport::default();
+        let clip = with_truth(&mut self.truth, &of.name, size, frames, self.alone, report)?;
         let player = Player {
             config: self.config.clone(),
             clip: pictures,

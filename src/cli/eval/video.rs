@@ -1,6 +1,6 @@
 //! `albireo eval video`: runs a real detector once over videos or pictures, then every policy on its detections.
 
-use super::{LOOKED, RunArguments, conclude, listed, policies, rates, settings, streams_asked};
+use super::{LOOKED, RunArguments, conclude, listed, policies, settings, streams_asked};
 use crate::cli::progress;
 use albireo_eval::data::{Clip, LoadReport, recorded};
 use albireo_eval::data::{GroundTruth, Rules, StepTimes, TruthFormat, vanilla_as_truth};
@@ -99,7 +99,7 @@ pub(super) fn run(video: &VideoArguments) -> anyhow::Result<()> {
     let truth = ground_truth(video, arguments.settings.rules()?, models.class_names())?;
     if let Some(truth) = &truth {
         truth.check(&names)?;
-        models.evaluate(truth.classes())?;
+        models.evaluate(truth.classes());
     }
     let mut evaluation = Evaluation {
         video,
@@ -245,9 +245,11 @@ impl Evaluation<'_> {
         self.times.extend(pass.iter().flat_map(|pass| &pass.times).copied());
         if let Some(truth) = &mut self.truth {
             // The frames behind a limit were not looked at.
-            let pictures = clip.frames + clip.unusable.len();
-            let is_whole = self.pass_settings.max_frames != Some(pictures);
-            truth.attach_to(&mut clip, self.names.len() == 1, is_whole, &mut self.report)?;
+            let looked_at = clip.frames + clip.unusable.len();
+            let is_whole = self.pass_settings.max_frames != Some(looked_at);
+            let all = || source.frames().and_then(|frames| usize::try_from(frames).ok());
+            let whole = if is_whole { Some(looked_at) } else { all() };
+            truth.attach_to(&mut clip, self.names.len() == 1, whole, &mut self.report)?;
         }
         if self.video.pass.save_detections.is_some() {
             self.kept.push(clip.clone());
@@ -304,7 +306,7 @@ impl Evaluation<'_> {
         let inputs = self.models.inputs().into_iter();
         notes.extend(inputs.map(|words| ("Input of the detector".to_owned(), words)));
         let mut settings = vec![("Judged".to_owned(), basis.clone())];
-        settings.extend(listed(&self.arguments, &rates(&self.results))?);
+        settings.extend(listed(&self.arguments, &self.results)?);
         settings.push((
             "Detector".to_owned(),
             format!(

@@ -1801,6 +1801,12 @@ export interface components {
             gpu_mhz: number | null;
             /**
              * Format: double
+             * @description Mean share of the time in which the GPU was busy, 0 to 1; of several, the busiest.
+             * @default null
+             */
+            gpu_utilisation: number | null;
+            /**
+             * Format: double
              * @description Highest temperature of any sensor, °C.
              * @default null
              */

@@ -6,6 +6,7 @@ use crate::chart::{
     Axis, BarPart, Plot, PlotError, SOFT_INK, chart, color_of, mark, range, stacked, state_parts,
 };
 use crate::spec::{BASELINE, short_label};
+use albireo_core::policy::FrameState;
 use plotters::prelude::*;
 use std::collections::HashMap;
 
@@ -46,15 +47,18 @@ pub(super) fn figures(
             svg: stacked(&rows, &parts, &|joules| format!("{joules:.0}"))?,
         });
     }
-    let changes = changes(setups);
-    if changes.iter().any(|(_, points)| !points.is_empty()) {
-        figures.push(Plot {
-            name: "clips-ap50-change",
-            title: "Change of accuracy clip by clip",
-            caption: "Each marker is one clip under one policy: how much AP@50 changed against vanilla, and how many frames \
-                      went without the detector (E and P).",
-            svg: clips(&changes)?,
-        });
+    for (name, [title, axis], states) in CHANGES {
+        let changes = changes(setups, states);
+        // Without a screen no frame is in E.
+        if changes.iter().flat_map(|(_, points)| points).any(|(share, _)| *share > 0.0) {
+            figures.push(Plot {
+                name,
+                title,
+                caption: "Each marker is one clip under one policy: how much AP@50 changed against vanilla, and how many frames \
+                          went without the detector: called empty (E), predicted (P), or either.",
+                svg: clips(&changes, axis)?,
+            });
+        }
     }
     for (name, trace) in ["power-trace-1", "power-trace-2"].into_iter().zip(traces(setups)) {
         figures.push(Plot {
@@ -199,8 +203,37 @@ fn domains(summaries: &[SetupSummary]) -> (Vec<String>, Vec<(String, Vec<f64>)>)
     (names, rows)
 }
 
-/// Skip rate (percent) and change of AP@50 (points) of every clip, by setup and policy.
-fn changes(setups: &[SetupRuns]) -> Vec<Series> {
+/// The frames without the detector against which changes are drawn: the figure's name, the words of title and axis, and the
+/// states.
+const CHANGES: [(&str, [&str; 2], &[FrameState]); 3] = [
+    (
+        "clips-ap50-change",
+        [
+            "Change of accuracy clip by clip, by frames in E or P",
+            "Frames in E or P, %",
+        ],
+        &[FrameState::E, FrameState::P],
+    ),
+    (
+        "clips-ap50-change-e",
+        [
+            "Change of accuracy clip by clip, by frames in E",
+            "Frames in E, %",
+        ],
+        &[FrameState::E],
+    ),
+    (
+        "clips-ap50-change-p",
+        [
+            "Change of accuracy clip by clip, by frames in P",
+            "Frames in P, %",
+        ],
+        &[FrameState::P],
+    ),
+];
+
+/// The share of frames (percent) and change of AP@50 (points) of every clip, by setup and policy.
+fn changes(setups: &[SetupRuns], states: &[FrameState]) -> Vec<Series> {
     let mut series: Vec<Series> = Vec::new();
     for of in setups {
         let baseline = of.runs.iter().filter(|run| run.policy == BASELINE);
@@ -216,7 +249,9 @@ fn changes(setups: &[SetupRuns]) -> Vec<Series> {
             } else {
                 format!("{}: {policy}", of.setup.title())
             };
-            let at = (run.skip_rate() * 100.0, (own - before) * 100.0);
+            let frames: u64 = states.iter().map(|state| run.states.get(*state)).sum();
+            let share = frames as f64 / run.states.frames().max(1) as f64;
+            let at = (share * 100.0, (own - before) * 100.0);
             match series.iter_mut().find(|(other, _)| *other == name) {
                 Some((_, points)) => points.push(at),
                 None => series.push((name, vec![at])),
@@ -226,8 +261,8 @@ fn changes(setups: &[SetupRuns]) -> Vec<Series> {
     series
 }
 
-/// Draws a marker per clip.
-fn clips(series: &[Series]) -> Result<String, PlotError> {
+/// Draws a marker per clip, across the share that `name` describes.
+fn clips(series: &[Series], name: &str) -> Result<String, PlotError> {
     let all = || series.iter().flat_map(|(_, points)| points);
     let across = range(all().map(|at| at.0), 0.05);
     let signed = |value: &f64| format!("{value:+.0}").replace('-', "−");
@@ -236,18 +271,18 @@ fn clips(series: &[Series]) -> Result<String, PlotError> {
         range: range(all().map(|at| at.1).chain([0.0]), 0.06),
         label: &signed,
     };
-    chart(
-        Axis::skip_rate(across.clone()),
-        change,
-        &names(series),
-        |plane| {
-            let ends = [(across.start, 0.0), (across.end, 0.0)];
-            plane.draw_series(LineSeries::new(ends, SOFT_INK))?;
-            for (index, (name, points)) in series.iter().enumerate() {
-                let color = color_of(index, name).mix(0.6);
-                mark(plane, points, index, color.filled())?;
-            }
-            Ok(())
-        },
-    )
+    let shares = Axis {
+        name,
+        range: across.clone(),
+        label: &|percent| format!("{percent:.0}"),
+    };
+    chart(shares, change, &names(series), |plane| {
+        let ends = [(across.start, 0.0), (across.end, 0.0)];
+        plane.draw_series(LineSeries::new(ends, SOFT_INK))?;
+        for (index, (name, points)) in series.iter().enumerate() {
+            let color = color_of(index, name).mix(0.6);
+            mark(plane, points, index, color.filled())?;
+        }
+        Ok(())
+    })
 }

@@ -33,7 +33,12 @@ pub(super) fn render(setups: &[SetupRuns], summaries: &[SetupSummary], plots: &[
 
 fn table(found: &JoinedTable) -> Markup {
     let Some((names, others)) = found.columns.split_first() else {
-        return Markup::default();
+        return html! {
+            section {
+                h2 { (found.title) }
+                ul.legend { @for note in &found.notes { li { (note) } } }
+            }
+        };
     };
     let head = |column: &Column| column.heads.join(" ").trim().to_owned();
     html! {

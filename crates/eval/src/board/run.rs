@@ -46,6 +46,28 @@ impl Setup {
         self.names().collect::<Vec<_>>().join(", ")
     }
 
+    /// Names the parts in which a setup of the same machine differs: `yolo26x: MAXN → 15W`.
+    pub(super) fn change_to(&self, other: &Self) -> String {
+        let parts = |setup: &Self| {
+            [
+                &setup.detector,
+                &setup.precision,
+                &setup.power_mode,
+                &setup.provider,
+                &setup.pace,
+                &setup.truth,
+            ]
+            .map(String::clone)
+        };
+        let pairs = parts(self).into_iter().zip(parts(other));
+        let differing = pairs.filter(|(own, others)| own != others);
+        let changes: Vec<String> =
+            differing.map(|(own, others)| format!("{own} → {others}")).collect();
+        let detector = Some(&self.detector).filter(|own| **own == other.detector);
+        let of = detector.map_or_else(String::new, |detector| format!("{detector}: "));
+        format!("{of}{}", changes.join(", "))
+    }
+
     /// Names the file of the setup's runs.
     pub fn file_name(&self) -> String {
         let kept = |c: char| c.is_ascii_alphanumeric() || matches!(c, '.' | '_' | '-');
@@ -85,6 +107,9 @@ pub struct ClipRun {
     /// Frames that the node did not take.
     #[serde(default)]
     pub dropped: u64,
+    /// Frames that nobody labelled: they are not judged, and count for everything else.
+    #[serde(default)]
+    pub unlabelled: u64,
     /// Frames in each state.
     pub states: FrameStates,
     /// Frames that needed the detector and did not get it.
@@ -115,6 +140,9 @@ pub struct ClipRun {
     /// Processor time of the program, seconds.
     #[serde(default)]
     pub cpu_s: Option<f64>,
+    /// Share of the time in which the GPU was busy, 0 to 1; absent where nothing reads it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gpu_utilisation: Option<f64>,
     /// The most memory that the program held, MB. It is that of all runs' program, which keeps what an earlier run took.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub memory_mb: Option<f64>,
@@ -140,6 +168,7 @@ impl ClipRun {
             policy: policy.to_owned(),
             frames: report.frames,
             dropped: report.dropped.total(),
+            unlabelled: 0,
             states: report.states,
             degraded: report.degraded_frames,
             detector_calls: report.detector_latency_ms.count,
@@ -152,6 +181,7 @@ impl ClipRun {
             estimated: energy.quality == EnergyQuality::Estimated,
             energy_of: energy.total_from.clone(),
             cpu_s: None,
+            gpu_utilisation: report.board.as_ref().and_then(|board| board.gpu_utilisation),
             memory_mb: None,
             trace: Vec::new(),
             throttled: report.board.as_ref().is_some_and(|board| board.throttled == Some(true)),

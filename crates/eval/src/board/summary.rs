@@ -23,6 +23,8 @@ pub(super) struct PolicyFigures {
     pub clips: usize,
     pub frames: u64,
     pub dropped: u64,
+    /// Frames that nobody labelled.
+    pub unlabelled: u64,
     pub ap50: Option<f64>,
     pub map: Option<f64>,
     pub joules: Option<f64>,
@@ -37,6 +39,8 @@ pub(super) struct PolicyFigures {
     pub detector_calls: f64,
     pub domains: BTreeMap<String, f64>,
     pub cores: Option<f64>,
+    /// Share of the time in which the GPU was busy.
+    pub gpu_utilisation: Option<f64>,
     pub memory_mb: Option<f64>,
     pub throttled: usize,
     /// `None` for the baseline, and if no clip was also played under it.
@@ -129,6 +133,7 @@ fn figures(policy: &str, runs: &[&ClipRun], change: Option<Changes>) -> PolicyFi
         clips: runs.len(),
         frames: runs.iter().map(|run| run.frames).sum(),
         dropped: runs.iter().map(|run| run.dropped).sum(),
+        unlabelled: runs.iter().map(|run| run.unlabelled).sum(),
         ap50: over(&|run| run.ap50),
         map: over(&|run| run.map),
         joules,
@@ -142,9 +147,25 @@ fn figures(policy: &str, runs: &[&ClipRun], change: Option<Changes>) -> PolicyFi
         detector_calls: all(&|run| run.detector_calls as f64),
         domains,
         cores: if_all(&|run| run.cores()),
+        gpu_utilisation: if_all(&|run| run.gpu_utilisation),
         memory_mb: if_all(&|run| run.memory_mb),
         throttled: runs.iter().filter(|run| run.throttled).count(),
         change,
+    }
+}
+
+impl SetupSummary {
+    /// True for each policy that no other beats in both AP@50 and EDP; for none without both figures.
+    pub(super) fn on_frontier(&self) -> Vec<bool> {
+        let figures = |of: &PolicyFigures| Some((of.ap50?, of.edp?));
+        let known: Vec<(f64, f64)> = self.policies.iter().filter_map(figures).collect();
+        let is_best = |(ap50, edp): (f64, f64)| {
+            !known.iter().any(|(other, less)| {
+                (*other >= ap50 && *less < edp) || (*other > ap50 && *less <= edp)
+            })
+        };
+        let policies = self.policies.iter();
+        policies.map(|of| figures(of).is_some_and(is_best)).collect()
     }
 }
 
@@ -211,9 +232,8 @@ fn clips_of(ap50: &[(f64, f64)]) -> Option<ClipsOfAp> {
 
 /// Whether the saving by skipping and the saving by another setup multiply.
 pub(super) struct Composition {
-    /// The setup without the other saving, the one with it, and the policy.
-    pub from: String,
-    pub to: String,
+    /// From which setup to which other one, in their parts that differ.
+    pub setups: String,
     pub policy: String,
     pub clips: usize,
     /// Savings of joules: skipping alone, the other setup alone, and both together as measured. Shares of the baseline.
@@ -281,8 +301,7 @@ fn compose(from: &SetupRuns, to: &SetupRuns, policy: &str) -> Option<Composition
     let log = Difference::of(&logs)?;
     let [skipping, alone, together] = [skipped, other, both].map(|joules| 1.0 - joules / base);
     Some(Composition {
-        from: from.setup.title(),
-        to: to.setup.title(),
+        setups: from.setup.change_to(&to.setup),
         policy: policy.to_owned(),
         clips: clips.len(),
         skipping,

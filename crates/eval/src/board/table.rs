@@ -1,11 +1,13 @@
-//! Formats the joined tables for a terminal, and their rows for CSV.
+//! Makes the tables of each setup, and formats all tables for a terminal.
 
+use super::across;
 use super::run::SetupRuns;
-use super::summary::{Changes, Composition, PolicyFigures, SetupSummary, compositions, summarise};
-use crate::spec::short_label;
+use super::summary::{Changes, PolicyFigures, SetupSummary, summarise};
+use crate::spec::{short_label, split_label};
 use crate::summary::Difference;
 use crate::text::{self, Column, one_decimal, or_dash, signed, three_decimals, wrapped};
 use albireo_core::policy::FrameState;
+use std::collections::BTreeMap;
 
 /// Maximum width of the text in characters.
 const WIDTH: usize = 100;
@@ -27,7 +29,10 @@ pub fn render(setups: &[SetupRuns]) -> String {
         }
         rendered.push_str(&wrapped(&table.title, WIDTH));
         rendered.push('\n');
-        rendered.push_str(&text::table(table.columns.iter(), "  "));
+        let between = table.columns.len().saturating_sub(1);
+        let width = table.columns.iter().map(Column::width).sum::<usize>() + 2 * between;
+        let gap = if width > WIDTH { " " } else { "  " };
+        rendered.push_str(&text::table(table.columns.iter(), gap));
         for note in &table.notes {
             rendered.push_str(&wrapped(note, WIDTH));
             rendered.push('\n');
@@ -36,23 +41,84 @@ pub fn render(setups: &[SetupRuns]) -> String {
     rendered
 }
 
-/// Makes all tables: two for each setup, then those across setups.
+/// Makes all tables: those of each setup, those across setups, and a list of those that have no rows.
 pub(super) fn tables(setups: &[SetupRuns], summaries: &[SetupSummary]) -> Vec<JoinedTable> {
     let mut tables = Vec::new();
     for (setup, summary) in setups.iter().zip(summaries) {
         tables.push(figures(setup, summary));
         tables.extend(differences(summary));
+        tables.extend(sweep(summary));
         tables.extend(domains(summary));
     }
-    if summaries.len() > 1 {
-        tables.extend(across(summaries));
-    }
-    tables.extend(composed(&compositions(setups)));
+    tables.extend(across::tables(setups, summaries));
+    tables.extend(without_rows(setups, summaries));
     tables
 }
 
+/// Names what the paper has and there are no runs for, and what it needs.
+fn without_rows(setups: &[SetupRuns], summaries: &[SetupSummary]) -> Option<JoinedTable> {
+    let runs = || setups.iter().flat_map(|of| &of.runs);
+    let policies = || summaries.iter().flat_map(|summary| &summary.policies);
+    let changes = || policies().filter_map(|of| of.change.as_ref());
+    let has_edp = policies().any(|of| of.edp.is_some() && of.ap50.is_some());
+    let is_tested = |of: Option<Difference>| of.is_some_and(|of| of.p.is_some());
+    let [detectors, modes, savings] = across::have_rows(setups, summaries);
+    let needs = [
+        (
+            summaries.iter().any(|summary| sweep(summary).is_some()),
+            "sweep: several settings of one policy, --sweep u=3e-4,5e-4,7e-4,1e-3,3e-3",
+        ),
+        (
+            has_edp,
+            "AP@50 against EDP: runs with a meter and ground truth",
+        ),
+        (
+            summaries.iter().any(|summary| domains(summary).is_some()),
+            "energy by domain: a meter that tells domains apart",
+        ),
+        (
+            changes().any(|change| change.ap50.is_some()),
+            "change of AP@50 clip by clip: another policy beside vanilla, and ground truth",
+        ),
+        (
+            policies().any(|of| of.change.is_some() && of.states[0] > 0.0),
+            "the same against frames in E: an empty-scene screen ([screen] model), or a pause",
+        ),
+        (
+            changes().any(|change| is_tested(change.ap50) || is_tested(change.joules)),
+            "paired tests: another policy beside vanilla, on two clips or more",
+        ),
+        (
+            runs().any(|run| !run.trace.is_empty()),
+            "power over a clip: runs of `albireo eval board` with a meter",
+        ),
+        (
+            detectors,
+            "detectors, machines, and their frame states side by side: a file of another detector or machine",
+        ),
+        (
+            modes,
+            "power modes side by side: a file of another power mode",
+        ),
+        (
+            savings,
+            "whether savings multiply: a file of another precision, power mode or detector on the same machine",
+        ),
+    ];
+    let missing = needs
+        .iter()
+        .filter(|(is_there, _)| !is_there)
+        .map(|(_, what)| format!("{what}."));
+    let notes: Vec<String> = missing.collect();
+    (!notes.is_empty()).then(|| JoinedTable {
+        title: "No rows, and what they need".to_owned(),
+        columns: Vec::new(),
+        notes,
+    })
+}
+
 /// Makes a column with a cell per row.
-fn column<R>(head: &str, unit: &str, rows: &[R], cell: impl Fn(&R) -> String) -> Column {
+pub(super) fn column<R>(head: &str, unit: &str, rows: &[R], cell: impl Fn(&R) -> String) -> Column {
     Column::new([head, unit], rows.iter().map(cell).collect())
 }
 
@@ -62,22 +128,31 @@ fn named(policies: &[PolicyFigures]) -> Column {
     })
 }
 
-fn percent(share: f64) -> String {
+pub(super) fn whole(value: Option<f64>) -> String {
+    or_dash(value.map(|value| format!("{value:.0}")))
+}
+
+pub(super) fn percent(share: f64) -> String {
     format!("{:.1}", share * 100.0)
 }
 
 /// The main table of a setup.
 fn figures(setup: &SetupRuns, summary: &SetupSummary) -> JoinedTable {
     let rows = &summary.policies;
+    let mut names = named(rows);
+    for (name, is_best) in names.cells.iter_mut().zip(summary.on_frontier()) {
+        if is_best && rows.len() > 1 {
+            name.push('*');
+        }
+    }
+    let is_marked = names.cells.iter().any(|name| name.ends_with('*'));
     let mut columns = vec![
-        named(rows),
+        names,
         column("AP@50", "", rows, |of| three_decimals(of.ap50)),
         column("mAP", "", rows, |of| three_decimals(of.map)),
         column("energy", "J", rows, |of| one_decimal(of.joules)),
         column("time", "ms", rows, |of| format!("{:.1}", of.frame_ms)),
-        column("EDP", "J·ms", rows, |of| {
-            or_dash(of.edp.map(|edp| format!("{edp:.0}")))
-        }),
+        column("EDP", "J·ms", rows, |of| whole(of.edp)),
         column("skip", "%", rows, |of| percent(of.skip_rate)),
     ];
     for (at, state) in FrameState::ALL.into_iter().enumerate() {
@@ -88,9 +163,15 @@ fn figures(setup: &SetupRuns, summary: &SetupSummary) -> JoinedTable {
     columns.push(column("CPU", "cores", rows, |of| {
         or_dash(of.cores.map(|cores| format!("{cores:.2}")))
     }));
-    columns.push(column("memory", "MB", rows, |of| {
-        or_dash(of.memory_mb.map(|megabytes| format!("{megabytes:.0}")))
+    columns.push(column("GPU", "%", rows, |of| {
+        whole(of.gpu_utilisation.map(|share| share * 100.0))
     }));
+    columns.push(column("memory", "MB", rows, |of| whole(of.memory_mb)));
+    let unread: Vec<String> = columns[columns.len() - 3..]
+        .iter()
+        .filter(|column| column.cells.iter().all(|cell| cell == "-"))
+        .map(|column| column.heads[0].clone())
+        .collect();
     columns.retain(|column| column.cells.iter().any(|cell| cell != "-"));
     let clips = rows.iter().map(|of| of.clips).max().unwrap_or_default();
     let mut notes = vec![
@@ -98,6 +179,15 @@ fn figures(setup: &SetupRuns, summary: &SetupSummary) -> JoinedTable {
          policies.csv also has the mean over clips of energy times duration over frames."
             .to_owned(),
     ];
+    if is_marked {
+        notes.push("* marks the Pareto frontier of AP@50 against EDP.".to_owned());
+    }
+    if !unread.is_empty() {
+        notes.push(format!(
+            "Not read: utilisation or use of {}.",
+            unread.join(", ")
+        ));
+    }
     if summary.energy_of.is_empty() {
         notes.push(
             "No energy: there was no meter, or its samples did not cover the runs.".to_owned(),
@@ -123,6 +213,14 @@ fn figures(setup: &SetupRuns, summary: &SetupSummary) -> JoinedTable {
 /// What a reader has to know before believing a row.
 fn cautions(rows: &[PolicyFigures], clips: usize) -> Vec<String> {
     let mut cautions = Vec::new();
+    let sparse = rows.iter().find(|of| of.unlabelled > 0);
+    cautions.extend(sparse.map(|of| {
+        let all = of.frames + of.dropped;
+        format!(
+            "Accuracy is that of {} of {all} frames: nobody labelled the others, which count for everything else.",
+            all.saturating_sub(of.unlabelled)
+        )
+    }));
     for of in rows {
         let name = short_label(&of.policy);
         if of.clips < clips {
@@ -156,17 +254,17 @@ fn differences(summary: &SetupSummary) -> Option<JoinedTable> {
         .collect();
     let figure = |found: Option<Difference>| or_dash(found.map(|found| found.text(1)));
     let p = |found: Option<Difference>| or_dash(found.map(Difference::p_text));
+    let mean = |found: Option<Difference>| or_dash(found.map(|found| signed(found.mean, 1)));
     let mut columns = vec![
         column("", "policy", &rows, |(of, _)| {
             short_label(&of.policy).to_owned()
         }),
         column("AP@50", "points", &rows, |(_, change)| figure(change.ap50)),
-        column("mAP", "points", &rows, |(_, change)| figure(change.map)),
+        column("", "p", &rows, |(_, change)| p(change.ap50)),
+        column("mAP", "points", &rows, |(_, change)| mean(change.map)),
         column("energy", "%", &rows, |(_, change)| figure(change.joules)),
         column("", "p", &rows, |(_, change)| p(change.joules)),
-        column("time", "%", &rows, |(_, change)| {
-            or_dash(change.frame_ms.map(|found| signed(found.mean, 1)))
-        }),
+        column("time", "%", &rows, |(_, change)| mean(change.frame_ms)),
         column("EDP", "%", &rows, |(_, change)| {
             or_dash(change.edp.map(|edp| signed(edp, 1)))
         }),
@@ -176,7 +274,7 @@ fn differences(summary: &SetupSummary) -> Option<JoinedTable> {
     let notes = rows.iter().flat_map(|(of, change)| sentences(of, change)).collect();
     (!rows.is_empty()).then(|| JoinedTable {
         title: format!(
-            "Differences to vanilla with 95 % intervals and p of the energy (paired t{})",
+            "Differences to vanilla with 95 % intervals and p (paired t{})",
             clips.map_or_else(String::new, |clips| format!(
                 ", {clips} clips with ground truth"
             ))
@@ -207,6 +305,56 @@ fn sentences(of: &PolicyFigures, change: &Changes) -> Option<String> {
     (!parts.is_empty()).then(|| format!("{}: {}.", short_label(&of.policy), parts.join("; ")))
 }
 
+/// The settings of each policy of which several were measured, in order; none if there is no such policy.
+fn sweep(summary: &SetupSummary) -> Option<JoinedTable> {
+    let mut families: BTreeMap<&str, Vec<(String, f64, &PolicyFigures)>> = BTreeMap::new();
+    for of in &summary.policies {
+        let (family, setting) = split_label(&of.policy);
+        let number = setting.trim_start_matches("u = ").parse();
+        if let Ok(number) = number {
+            families.entry(family).or_default().push((setting, number, of));
+        }
+    }
+    families.retain(|_, settings| settings.len() > 1);
+    for settings in families.values_mut() {
+        settings.sort_by(|a, b| a.1.total_cmp(&b.1));
+    }
+    let rows: Vec<(&str, &str, &PolicyFigures)> = families
+        .iter()
+        .flat_map(|(family, settings)| {
+            settings.iter().map(|(setting, _, of)| (*family, setting.as_str(), *of))
+        })
+        .collect();
+    let change = |of: &PolicyFigures, figure: fn(&Changes) -> Option<f64>| {
+        or_dash(of.change.as_ref().and_then(figure).map(|value| signed(value, 1)))
+    };
+    let mut columns = vec![
+        column("", "policy", &rows, |row| format!("{} {}", row.0, row.1)),
+        column("skip", "%", &rows, |row| percent(row.2.skip_rate)),
+        column("calls", "a clip", &rows, |row| {
+            one_decimal(Some(row.2.detector_calls))
+        }),
+        column("AP@50", "", &rows, |row| three_decimals(row.2.ap50)),
+        column("change", "points", &rows, |row| {
+            change(row.2, |change| Some(change.ap50?.mean))
+        }),
+        column("energy", "J", &rows, |row| one_decimal(row.2.joules)),
+        column("change", "%", &rows, |row| {
+            change(row.2, |change| Some(change.joules?.mean))
+        }),
+        column("EDP", "J·ms", &rows, |row| whole(row.2.edp)),
+        column("change", "%", &rows, |row| {
+            change(row.2, |change| change.edp)
+        }),
+    ];
+    columns.retain(|column| column.cells.iter().any(|cell| cell != "-"));
+    (!rows.is_empty()).then(|| JoinedTable {
+        title: format!("Sweep: {}", summary.title),
+        columns,
+        notes: Vec::new(),
+    })
+}
+
 /// Energy by domain; none if the machine has no domains.
 fn domains(summary: &SetupSummary) -> Option<JoinedTable> {
     let rows = &summary.policies;
@@ -224,170 +372,4 @@ fn domains(summary: &SetupSummary) -> Option<JoinedTable> {
         columns,
         notes: Vec::new(),
     })
-}
-
-/// One row for each setup and policy.
-fn across(summaries: &[SetupSummary]) -> Option<JoinedTable> {
-    let rows: Vec<(&str, &PolicyFigures, &Changes)> = summaries
-        .iter()
-        .flat_map(|summary| {
-            let policies = summary.policies.iter();
-            policies.filter_map(|of| Some((summary.title.as_str(), of, of.change.as_ref()?)))
-        })
-        .collect();
-    let mean = |found: Option<Difference>| or_dash(found.map(|found| signed(found.mean, 1)));
-    let mut columns = vec![
-        column("", "setup", &rows, |row| row.0.to_owned()),
-        column("", "policy", &rows, |row| {
-            short_label(&row.1.policy).to_owned()
-        }),
-        column("clips", "", &rows, |row| row.1.clips.to_string()),
-        column("skip", "%", &rows, |row| percent(row.1.skip_rate)),
-        column("AP@50", "points", &rows, |row| mean(row.2.ap50)),
-        column("energy", "%", &rows, |row| mean(row.2.joules)),
-        column("time", "%", &rows, |row| mean(row.2.frame_ms)),
-        column("EDP", "%", &rows, |row| {
-            or_dash(row.2.edp.map(|edp| signed(edp, 1)))
-        }),
-    ];
-    columns.retain(|column| column.cells.iter().any(|cell| cell != "-"));
-    (!rows.is_empty()).then(|| JoinedTable {
-        title: "Across setups: changes against vanilla of the same setup".to_owned(),
-        columns,
-        notes: Vec::new(),
-    })
-}
-
-/// Whether savings multiply; none without two setups of one machine.
-fn composed(rows: &[Composition]) -> Option<JoinedTable> {
-    let columns = vec![
-        column("", "from", rows, |row| row.from.clone()),
-        column("", "to", rows, |row| row.to.clone()),
-        column("", "policy", rows, |row| {
-            short_label(&row.policy).to_owned()
-        }),
-        column("skipping", "%", rows, |row| percent(row.skipping)),
-        column("setup", "%", rows, |row| percent(row.other)),
-        column("both", "%", rows, |row| percent(row.together)),
-        column("product", "%", rows, |row| percent(row.expected)),
-        column("factor", "", rows, |row| {
-            let interval = row.interval.map(|[from, to]| format!(" [{from:.3}, {to:.3}]"));
-            format!("{:.3}{}", row.factor, interval.unwrap_or_default())
-        }),
-        column("clips", "", rows, |row| row.clips.to_string()),
-    ];
-    (!rows.is_empty()).then(|| JoinedTable {
-        title: "Do savings multiply? Energy saved by skipping in the first setup, by the second setup without skipping, and \
-                by both"
-            .to_owned(),
-        columns,
-        notes: vec![
-            "product: 1 − (1 − skipping)(1 − setup). factor: energy of both over what the product says, geometric mean over \
-             the clips; they multiply if its interval contains 1."
-                .to_owned(),
-        ],
-    })
-}
-
-type Cells = Vec<(&'static str, String)>;
-
-fn number(value: Option<f64>) -> String {
-    value.map_or_else(String::new, |value| value.to_string())
-}
-
-/// Returns a row per run; a figure that does not exist is an empty cell, never a zero.
-pub(super) fn rows_of_clips(setups: &[SetupRuns]) -> Vec<Cells> {
-    let runs = setups.iter().flat_map(|of| of.runs.iter().map(move |run| (&of.setup, run)));
-    runs.map(|(setup, run)| {
-        let domain = |name: &str| number(run.domains.get(name).copied());
-        vec![
-            ("detector", setup.detector.clone()),
-            ("precision", setup.precision.clone()),
-            ("power_mode", setup.power_mode.clone()),
-            ("machine", setup.machine.clone()),
-            ("clip", run.clip.clone()),
-            ("policy", run.policy.clone()),
-            ("frames", run.frames.to_string()),
-            ("dropped", run.dropped.to_string()),
-            ("e", run.states.e.to_string()),
-            ("p", run.states.p.to_string()),
-            ("ei", run.states.ei.to_string()),
-            ("i", run.states.i.to_string()),
-            ("ai", run.states.ai.to_string()),
-            ("degraded", run.degraded.to_string()),
-            ("detector_calls", run.detector_calls.to_string()),
-            ("skip_rate", run.skip_rate().to_string()),
-            ("duration_s", run.duration_s.to_string()),
-            ("frame_ms", run.frame_ms.to_string()),
-            ("ap50", number(run.ap50)),
-            ("map", number(run.map)),
-            ("energy_j", number(run.joules)),
-            ("energy_estimated", run.estimated.to_string()),
-            ("energy_gpu_j", domain("gpu")),
-            ("energy_cpu_j", domain("cpu")),
-            ("energy_io_mem_j", domain("io_mem")),
-            ("edp_j_ms_per_frame", number(run.edp())),
-            ("cpu_s", number(run.cpu_s)),
-            ("memory_mb", number(run.memory_mb)),
-            ("throttled", run.throttled.to_string()),
-        ]
-    })
-    .collect()
-}
-
-/// Returns a row per setup and policy.
-pub(super) fn rows_of_policies(summaries: &[SetupSummary]) -> Vec<Cells> {
-    let policies = summaries
-        .iter()
-        .flat_map(|summary| summary.policies.iter().map(move |of| (&summary.title, of)));
-    policies
-        .map(|(title, of)| {
-            let change = of.change.as_ref();
-            let mean = |found: Option<Difference>| number(found.map(|found| found.mean));
-            let p = |found: Option<Difference>| number(found.and_then(|found| found.p));
-            vec![
-                ("setup", title.clone()),
-                ("policy", of.policy.clone()),
-                ("clips", of.clips.to_string()),
-                ("frames", of.frames.to_string()),
-                ("ap50", number(of.ap50)),
-                ("map", number(of.map)),
-                ("energy_j", number(of.joules)),
-                ("frame_ms", of.frame_ms.to_string()),
-                ("edp_of_means", number(of.edp)),
-                ("edp_mean_of_clips", number(of.edp_of_clips)),
-                ("skip_rate", of.skip_rate.to_string()),
-                ("detector_calls", of.detector_calls.to_string()),
-                (
-                    "ap50_change_points",
-                    mean(change.and_then(|change| change.ap50)),
-                ),
-                ("ap50_change_p", p(change.and_then(|change| change.ap50))),
-                (
-                    "map_change_points",
-                    mean(change.and_then(|change| change.map)),
-                ),
-                (
-                    "energy_change_percent",
-                    mean(change.and_then(|change| change.joules)),
-                ),
-                (
-                    "energy_change_p",
-                    p(change.and_then(|change| change.joules)),
-                ),
-                (
-                    "frame_ms_change_percent",
-                    mean(change.and_then(|change| change.frame_ms)),
-                ),
-                (
-                    "edp_change_percent",
-                    number(change.and_then(|change| change.edp)),
-                ),
-                (
-                    "clips_that_save",
-                    number(change.and_then(|change| change.clips_that_save)),
-                ),
-            ]
-        })
-        .collect()
 }

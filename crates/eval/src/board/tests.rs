@@ -1,6 +1,6 @@
 use super::*;
 use crate::spec::BASELINE;
-use albireo_wire::FrameStates;
+use albireo_wire::{BoardState, ClipReport, FrameStates};
 use std::fs;
 use std::path::PathBuf;
 
@@ -24,6 +24,7 @@ fn run(clip: &str, policy: &str, joules: f64, ap50: f64) -> ClipRun {
         policy: policy.to_owned(),
         frames: 100,
         dropped: 0,
+        unlabelled: 0,
         states: FrameStates {
             p: skipped,
             i: 100 - skipped,
@@ -44,6 +45,7 @@ fn run(clip: &str, policy: &str, joules: f64, ap50: f64) -> ClipRun {
         estimated: false,
         energy_of: "input_rail".to_owned(),
         cpu_s: Some(12.0),
+        gpu_utilisation: None,
         memory_mb: Some(310.0),
         trace: vec![[0.1, 5.0], [0.2, 6.0]],
         throttled: false,
@@ -192,6 +194,136 @@ fn savings_that_multiply_have_the_factor_one() {
     assert!((only.together - 0.6).abs() < 1e-12 && (only.expected - 0.6).abs() < 1e-12);
 }
 
+#[test]
+fn a_run_has_the_gpus_utilisation_of_its_report_and_none_where_nothing_read_it() {
+    let with = |board: Option<BoardState>| ClipReport {
+        board,
+        ..ClipReport::default()
+    };
+    let busy = BoardState {
+        gpu_utilisation: Some(0.437),
+        ..BoardState::default()
+    };
+    let of = |board| ClipRun::of(&with(board), "a", BASELINE).gpu_utilisation;
+    assert_eq!(of(Some(busy)), Some(0.437));
+    assert_eq!([of(Some(BoardState::default())), of(None)], [None, None]);
+}
+
+#[test]
+fn tables_without_rows_say_what_they_need() {
+    let alone = SetupRuns {
+        setup: setup(),
+        runs: vec![run("a", BASELINE, 10.0, 0.5)],
+    };
+    let text = render(std::slice::from_ref(&alone));
+    let missing = text.split_once("No rows").unwrap().1;
+    for what in [
+        "sweep:",
+        "change of AP@50 clip by clip:",
+        "against frames in E:",
+        "paired tests:",
+        "detectors, machines",
+        "power modes side by side:",
+        "whether savings multiply:",
+    ] {
+        assert!(missing.contains(what), "{what}: {text}");
+    }
+    let unread = "Not read: utilisation or use of GPU.";
+    assert!(text.contains(unread), "{text}");
+}
+
+/// Three clips under vanilla and two settings of a policy.
+fn measured(detector: &str, mode: &str) -> SetupRuns {
+    let share = if mode == "15W" { 0.5 } else { 1.0 };
+    let policies = [
+        (BASELINE, 1.0),
+        ("albireo-u3e-3", 0.7),
+        ("albireo-u3e-4", 0.8),
+    ];
+    let of_clip = |(clip, joules): (&'static str, f64)| {
+        policies.map(|(policy, part)| {
+            let skipped = if policy == BASELINE { 0 } else { 10 };
+            ClipRun {
+                gpu_utilisation: Some(0.437),
+                unlabelled: 60,
+                states: FrameStates {
+                    e: skipped,
+                    p: skipped,
+                    i: 100 - 2 * skipped,
+                    ..FrameStates::default()
+                },
+                ..run(clip, policy, joules * share * part, 0.5 * part)
+            }
+        })
+    };
+    let clips = [("a", 10.0), ("b", 20.0), ("c", 31.0)];
+    SetupRuns {
+        setup: Setup {
+            detector: detector.to_owned(),
+            power_mode: mode.to_owned(),
+            ..setup()
+        },
+        runs: clips.into_iter().flat_map(of_clip).collect(),
+    }
+}
+
+fn three_setups() -> [SetupRuns; 3] {
+    [
+        measured("yolo", "MAXN"),
+        measured("yolo", "15W"),
+        measured("detr", "MAXN"),
+    ]
+}
+
+#[test]
+fn each_table_of_the_paper_has_its_rows_in_order() {
+    let text = render(&three_setups());
+    for what in [
+        "Sweep: yolo, fp16, MAXN, board",
+        "Detectors and machines side by side",
+        "Do savings multiply?",
+        "yolo: MAXN → 15W",
+        "Accuracy is that of 120 of 300 frames",
+        " 44 ",
+    ] {
+        assert!(text.contains(what), "{what}: {text}");
+    }
+    assert!(
+        !text.contains("No rows") && !text.contains("Not read"),
+        "{text}"
+    );
+    let lines: Vec<&str> = text.lines().collect();
+    assert!(
+        lines.iter().all(|line| line.chars().count() <= 100),
+        "{text}"
+    );
+    let place = |start: &str| lines.iter().position(|line| line.starts_with(start)).unwrap();
+    let settings = [place("albireo u = 3e-4"), place("albireo u = 3e-3")];
+    assert_eq!(settings[0] + 1, settings[1], "{text}");
+    // The modes of a policy are beside each other.
+    let modes = &lines[place("Power modes") + 1..];
+    let of_vanilla = modes.iter().filter(|line| line.contains("vanilla"));
+    let of_vanilla: Vec<&str> = of_vanilla.take(2).copied().collect();
+    assert!(of_vanilla[0].contains("MAXN"), "{text}");
+    assert!(of_vanilla[1].contains("15W"), "{text}");
+}
+
+#[test]
+fn the_page_has_every_figure_and_loads_no_other_file() {
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), &three_setups(), "").unwrap();
+    for figure in [
+        "clips-ap50-change",
+        "clips-ap50-change-e",
+        "clips-ap50-change-p",
+    ] {
+        let file = folder.path().join(format!("{figure}.svg"));
+        assert!(file.is_file(), "{figure}");
+    }
+    let page = fs::read_to_string(folder.path().join("join.html")).unwrap();
+    assert!(!page.contains("src=\"") && !page.contains("href=\"http"));
+}
+
 /// The rows of the paper's repository for the Thor board; the project does not carry them.
 fn published() -> Option<PathBuf> {
     let shared = std::env::var_os("ALBIREO_SHARED")?;
@@ -232,6 +364,8 @@ fn the_published_rows_give_the_papers_main_table() {
         "89 %",
         "<.001",
         "-3.7",
+        "Not read: utilisation or use of CPU, GPU, memory.",
+        "No rows, and what they need",
     ] {
         assert!(text.contains(part), "{part}: {text}");
     }

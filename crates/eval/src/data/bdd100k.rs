@@ -4,6 +4,10 @@
 //! Both spellings of the keys are read: `videoName`/`frameIndex` and the older `video_name`/`index`. A file
 //! of predictions has the same form and a `score` in each label.
 //!
+//! A frame that the labels do not list, although they list one behind it, was not labelled: it is not judged. A frame that is
+//! listed without labels has no objects. Labels that name pictures and no video, as those of the paper's authors, need not list
+//! the last ones, either.
+//!
 //! Crowds, labels with the attribute `ignored`, and the categories "other person", "other vehicle" and "trailer" are regions
 //! in which boxes are not judged, as in BDD100K's own evaluation and TrackEval's. The paper's evaluator makes no exception:
 //! under [`Rules::Paper`] crowds are ground truth like any other box.
@@ -101,6 +105,8 @@ pub struct Source<'a> {
 struct Labelled {
     boxes: Vec<ScoredBox>,
     regions: Vec<Ignored>,
+    /// True if only the picture's name says which frame it is.
+    is_by_name: bool,
 }
 
 /// Labels of each video's frames, by index.
@@ -140,6 +146,13 @@ pub(super) fn read_as(source: &Source<'_>, classes: &Evaluated) -> Result<DataSe
             ..Clip::new(name, source.picture, frames)
         };
         if let Some(truth) = truth {
+            if truth.values().all(|labelled| labelled.is_by_name) {
+                clip.places = truth.keys().copied().collect();
+            }
+            if truth.len() < length(Some(&truth)) {
+                let unlisted = (0..frames).filter(|frame| !truth.contains_key(frame));
+                unlisted.for_each(|frame| clip.ignore(frame, Ignored::UNLABELLED));
+            }
             for (frame, labelled) in &truth {
                 labelled.regions.iter().for_each(|region| clip.ignore(*frame, *region));
             }
@@ -156,7 +169,7 @@ fn length<T>(frames: Option<&BTreeMap<usize, T>>) -> usize {
     frames.and_then(BTreeMap::last_key_value).map_or(0, |(index, _)| index + 1)
 }
 
-/// Returns one list of boxes per frame; frames that the file does not contain are empty.
+/// Returns one list of boxes per frame; those of frames that the file does not contain are empty.
 fn spread(by_index: BTreeMap<usize, Labelled>, frames: usize) -> Vec<Vec<ScoredBox>> {
     let mut spread = vec![Vec::new(); frames];
     for (index, labelled) in by_index {
@@ -194,7 +207,7 @@ impl Reading<'_> {
             })?;
             let stem = file.file_stem().unwrap_or("clip".as_ref()).to_string_lossy();
             for (position, frame) in frames.into_iter().enumerate() {
-                let (video, index) = frame.place(&stem, position);
+                let (video, index, is_by_name) = frame.place(&stem, position);
                 let place = videos.entry(video).or_default().entry(index);
                 let btree_map::Entry::Vacant(place) = place else {
                     let what = format!(
@@ -210,7 +223,10 @@ impl Reading<'_> {
                     );
                     return Err(EvalError::content(&file, what));
                 }
-                place.insert(self.boxes(&file, &frame, scored, report)?);
+                place.insert(Labelled {
+                    is_by_name,
+                    ..self.boxes(&file, &frame, scored, report)?
+                });
             }
         }
         Ok(videos)
@@ -260,18 +276,21 @@ impl Reading<'_> {
 }
 
 impl Frame {
-    /// The video and the index of the frame. A file that names neither, such as the label file of the paper's authors, has
+    /// The video and the index of the frame, and true if both are from its picture's name. A file that names neither, such as the label file of the paper's authors, has
     /// them in the names of its pictures: `<video>-<7 digits>.jpg`, counted from 1. Any other file is one video.
-    fn place(&self, file_stem: &str, position: usize) -> (String, usize) {
+    fn place(&self, file_stem: &str, position: usize) -> (String, usize, bool) {
         let of_picture = self.name.rsplit_once('.').map_or(self.name.as_str(), |(stem, _)| stem);
         let by_name = of_picture.rsplit_once('-').and_then(|(video, number)| {
             let number = Some(number).filter(|number| number.len() == 7)?.parse::<usize>().ok()?;
             Some((video, number.checked_sub(1)?))
         });
         match (&self.video, by_name) {
-            (Some(video), _) => (video.clone(), self.index.unwrap_or(position)),
-            (None, Some((video, number))) => (video.to_owned(), self.index.unwrap_or(number)),
-            (None, None) => (file_stem.to_owned(), self.index.unwrap_or(position)),
+            (Some(video), _) => (video.clone(), self.index.unwrap_or(position), false),
+            (None, Some((video, number))) => {
+                let index = self.index.unwrap_or(number);
+                (video.to_owned(), index, self.index.is_none())
+            }
+            (None, None) => (file_stem.to_owned(), self.index.unwrap_or(position), false),
         }
     }
 }

@@ -4,6 +4,7 @@
 //! classes, with COCO's numbers counted from 0. A model with other classes is evaluated with its own, under its numbers.
 
 use super::LeftOut;
+use crate::error::EvalError;
 use albireo_core::detection::ClassId;
 use albireo_vision::detector::are_of_coco;
 use std::sync::Arc;
@@ -42,7 +43,7 @@ pub enum Evaluated {
     /// The six of the paper, with COCO's numbers.
     #[default]
     Road,
-    /// All of a model, with its numbers.
+    /// Those of a model, with its numbers; the name is empty of one that is not evaluated.
     Own(Arc<[String]>),
 }
 
@@ -61,16 +62,40 @@ impl Evaluated {
 
     /// The number of the class that a data set or a model calls `name`. Of a model's own classes it is the one of that
     /// name, else the one that is the same of the six.
-    pub(crate) fn find(&self, name: &str) -> Result<ClassId, LeftOut> {
+    pub fn find(&self, name: &str) -> Result<ClassId, LeftOut> {
         let Self::Own(names) = self else {
             return from_name(name);
         };
+        if name.is_empty() {
+            return Err(LeftOut::UnmappedClass);
+        }
         let of_six = from_name(name);
         let place = |is_it: &dyn Fn(&String) -> bool| names.iter().position(is_it);
         place(&|own| own.eq_ignore_ascii_case(name))
             .or_else(|| place(&|own| of_six.is_ok() && from_name(own) == of_six))
             .and_then(|number| u16::try_from(number).ok())
             .map_or(Err(LeftOut::UnmappedClass), |number| Ok(ClassId(number)))
+    }
+
+    /// Makes sure that a model with the classes `names` has one of them.
+    ///
+    /// # Errors
+    /// [`EvalError`] when it has none.
+    pub(super) fn check(&self, names: &[String]) -> Result<(), EvalError> {
+        if names.iter().any(|name| self.find(name).is_ok()) {
+            return Ok(());
+        }
+        let judged: Vec<&str> = match self {
+            Self::Road => EVALUATED.iter().map(|(_, name)| *name).collect(),
+            Self::Own(own) => own.iter().map(String::as_str).take(8).collect(),
+        };
+        let first: Vec<&str> = names.iter().map(String::as_str).take(8).collect();
+        Err(EvalError::new(format!(
+            "the ground truth is judged by {}, and the model has none of these classes ({}): give the right names of its \
+             classes (--class-names or detector.class_names), or labels of these",
+            judged.join(", "),
+            first.join(", ")
+        )))
     }
 
     /// The name of a class; `class 7` if it has none.

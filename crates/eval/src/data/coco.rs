@@ -4,9 +4,13 @@
 //! `frame_id`, and otherwise of the file names. Boxes are `[x, y, width, height]`. Source: COCO data format,
 //! cocodataset.org, and its video extensions as in TAO and YouTube-VIS.
 //!
+//! If a clip has more pictures than its images, as with TAO's labels of one frame in thirty, `frame_id` (`frame_index`) is the
+//! picture's place in it: counted from 1 if the lowest of the whole file is 1, and otherwise from 0.
+//!
 //! An annotation with `iscrowd` is a crowd, one with `ignore` an object that is not judged; both as in pycocotools.
 
 use super::classes::Evaluated;
+use super::rows::MAX_FRAMES;
 use super::{Clip, DataSet, LabelledBox, LeftOut};
 use crate::error::EvalError;
 use crate::judge::Mark;
@@ -35,8 +39,17 @@ struct Image {
     height: u32,
     #[serde(default)]
     video_id: Option<u64>,
-    #[serde(default, alias = "frame_index")]
+    #[serde(default)]
     frame_id: Option<u64>,
+    #[serde(default)]
+    frame_index: Option<u64>,
+}
+
+impl Image {
+    /// The number of its frame; some files have both names for it.
+    fn number(&self) -> Option<u64> {
+        self.frame_id.or(self.frame_index)
+    }
 }
 
 #[derive(Deserialize)]
@@ -48,8 +61,10 @@ struct Annotation {
     iscrowd: bool,
     #[serde(default, deserialize_with = "flag")]
     ignore: bool,
-    #[serde(default, alias = "instance_id")]
+    #[serde(default)]
     track_id: Option<u64>,
+    #[serde(default)]
+    instance_id: Option<u64>,
     #[serde(default)]
     score: Option<f64>,
 }
@@ -74,8 +89,10 @@ struct ListedVideo {
     id: u64,
     #[serde(default)]
     name: Option<String>,
-    #[serde(default, alias = "frame_rate")]
+    #[serde(default)]
     fps: Option<f64>,
+    #[serde(default)]
+    frame_rate: Option<f64>,
 }
 
 /// Reads a data set and, if given, a list of results on its images.
@@ -113,7 +130,7 @@ pub(super) fn read_as(
                 Into::into,
             ),
             confidence,
-            object: annotation.track_id,
+            object: annotation.track_id.or(annotation.instance_id),
         }
     };
     for (number, annotation) in set.annotations.iter().flatten().enumerate() {
@@ -218,10 +235,12 @@ fn frames(
         };
         groups.entry(name).or_default().push(image);
     }
+    let lowest = set.images.iter().filter_map(|image| image.number()).min();
+    let first = u64::from(lowest == Some(1));
     let mut clips = Vec::new();
     let mut places = Places::new();
     for (name, mut images) in groups {
-        images.sort_by(|a, b| (a.frame_id, &a.file_name).cmp(&(b.frame_id, &b.file_name)));
+        images.sort_by(|a, b| (a.number(), &a.file_name).cmp(&(b.number(), &b.file_name)));
         let picture = PictureSize::new(images[0].width, images[0].height);
         for (frame, image) in images.iter().enumerate() {
             if PictureSize::new(image.width, image.height) != picture || picture.pixels() == 0 {
@@ -236,11 +255,18 @@ fn frames(
             }
             places.insert(image.id, (clips.len(), frame));
         }
+        let numbers = images.iter().map(|image| {
+            let number = image.number()?.checked_sub(first)?;
+            usize::try_from(number).ok().filter(|number| *number < MAX_FRAMES)
+        });
         let video = images[0].video_id.and_then(|id| videos.get(&id));
         clips.push(Clip {
-            frame_rate: video.and_then(|video| video.fps).filter(|rate| *rate > 0.0),
+            frame_rate: video
+                .and_then(|video| video.fps.or(video.frame_rate))
+                .filter(|rate| *rate > 0.0),
             detections: has_detections.then(|| vec![Vec::new(); images.len()]),
             truth: has_truth.then(|| vec![Vec::new(); images.len()]),
+            places: numbers.collect::<Option<_>>().unwrap_or_default(),
             ..Clip::new(name, picture, images.len())
         });
     }

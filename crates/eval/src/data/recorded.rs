@@ -6,7 +6,7 @@
 //! - `groundtruth/<name>.csv`: `frame,x1,y1,x2,y2,class,object_id`, optional,
 //! - `ignore/<name>.csv`: `frame,x1,y1,x2,y2`, optional: regions in which the ground truth labels no objects; or
 //!   `frame,x1,y1,x2,y2,class,mark` with the class of the boxes that are not judged there (-1 for any) and the rule: `region`,
-//!   `crowd`, `object`, `distractor` or `unjudged`,
+//!   `crowd`, `object`, `distractor` or `unjudged`; `unlabelled` for a whole frame that nobody labelled,
 //! - `screen/<name>.csv`: `frame,empty`, optional: the verdicts of an empty-scene screen (1: nothing is in view,
 //!   0: something is); a frame without a row has no verdict.
 //!
@@ -31,12 +31,13 @@ const REGION_HEADER: &str = "frame,x1,y1,x2,y2";
 const IGNORED_HEADER: &str = "frame,x1,y1,x2,y2,class,mark";
 
 /// The rules by their names in a table.
-const MARKS: [(Mark, &str); 5] = [
+const MARKS: [(Mark, &str); 6] = [
     (Mark::Region, "region"),
     (Mark::Crowd, "crowd"),
     (Mark::Object, "object"),
     (Mark::Distractor, "distractor"),
     (Mark::Unjudged, "unjudged"),
+    (Mark::Unlabelled, "unlabelled"),
 ];
 const SCREEN_HEADER: &str = "frame,empty";
 

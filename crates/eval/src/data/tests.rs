@@ -79,8 +79,8 @@ fn every_mark_of_a_recording_is_written_and_read_back() {
         mark,
     };
     let clip = Clip {
-        detections: Some(vec![Vec::new(); 2]),
-        truth: Some(vec![Vec::new(); 2]),
+        detections: Some(vec![Vec::new(); 3]),
+        truth: Some(vec![Vec::new(); 3]),
         ignored: vec![
             vec![
                 mark(Some(2), Mark::Crowd),
@@ -88,8 +88,9 @@ fn every_mark_of_a_recording_is_written_and_read_back() {
                 mark(None, Mark::Unjudged),
             ],
             vec![mark(Some(0), Mark::Object), mark(None, Mark::Region)],
+            vec![Ignored::UNLABELLED],
         ],
-        ..Clip::new("a".to_owned(), PictureSize::new(100, 50), 2)
+        ..Clip::new("a".to_owned(), PictureSize::new(100, 50), 3)
     };
     let folder = tempfile::tempdir().unwrap();
     recorded::write(folder.path(), std::slice::from_ref(&clip)).unwrap();
@@ -250,7 +251,7 @@ fn visdrone_marks_regions_others_and_objects_of_score_zero() {
     assert!(truth[1].is_empty());
     let regions: Vec<usize> = clip.ignored.iter().map(Vec::len).collect();
     assert_eq!(regions, [1, 2]);
-    assert_eq!(data.report.unmapped_classes["7"], 1);
+    assert_eq!(data.report.unmapped_classes["tricycle"], 1);
 }
 
 #[test]
@@ -301,10 +302,15 @@ fn bdd100k_reads_both_spellings_and_maps_seven_classes_to_six() {
     let judged = bdd100k::read(&judged).unwrap();
     assert!(judged.clips[0].truth.as_ref().unwrap()[0].is_empty());
     let regions: Vec<usize> = judged.clips[0].ignored.iter().map(Vec::len).collect();
-    assert_eq!(regions, [2, 0, 0]);
+    assert_eq!(
+        regions,
+        [2, 1, 0],
+        "the labels do not list the second frame"
+    );
+    assert_eq!(judged.clips[0].unlabelled(), 1);
     // The paper's evaluator takes a crowd for an object, and does not know trailers.
     let clips = bdd100k::read(&source(Some(&truth), Some(&found))).unwrap();
-    assert!(clips.clips[0].ignored.is_empty());
+    assert_eq!(clips.clips[0].ignored.iter().flatten().count(), 1);
     let clip = &clips.clips[0];
     assert_eq!((clip.name.as_str(), clip.frames), ("v", 3));
     let rider = clip.truth.as_ref().unwrap()[0][0];
@@ -410,4 +416,206 @@ fn clips_with_equal_names_get_different_file_names() {
     }
     let names: Vec<&str> = clips.clips.iter().map(|clip| clip.name.as_str()).collect();
     assert_eq!(names, ["a-b", "a-b-2", "-2", "a-b-3"]);
+}
+
+/// The truth of `files` in this layout for a model with these classes.
+fn for_model(
+    files: &TempDir,
+    path: &str,
+    format: TruthFormat,
+    names: &[&str],
+) -> Result<GroundTruth, EvalError> {
+    let names: Vec<String> = names.iter().map(|&name| name.to_owned()).collect();
+    GroundTruth::for_model(&[files.path().join(path)], format, Rules::Benchmark, &names)
+}
+
+/// A clip of so many pictures with its truth.
+fn attached(
+    truth: &mut GroundTruth,
+    name: &str,
+    size: [u32; 2],
+    pictures: usize,
+) -> Result<Clip, EvalError> {
+    let mut clip = Clip::new(
+        name.to_owned(),
+        PictureSize::new(size[0], size[1]),
+        pictures,
+    );
+    truth.attach_to(&mut clip, false, Some(pictures), &mut LoadReport::default())?;
+    Ok(clip)
+}
+
+fn labelled_frames(clip: &Clip) -> Vec<usize> {
+    let is_labelled = |frame: &usize| {
+        clip.ignored
+            .get(*frame)
+            .is_none_or(|marks| !marks.contains(&Ignored::UNLABELLED))
+    };
+    (0..clip.frames).filter(is_labelled).collect()
+}
+
+/// The labels of a frame of ImageNet-VID, with these objects: their class and left edge.
+fn vid(objects: &[(&str, u32)]) -> String {
+    let object = |(name, left): &(&str, u32)| {
+        format!(
+            "<object><trackid>3</trackid><name>{name}</name><bndbox><xmax>{}</xmax><xmin>{left}</xmin>\
+             <ymax>90</ymax><ymin>20</ymin></bndbox><occluded>0</occluded><generated>0</generated></object>",
+            left + 50
+        )
+    };
+    let objects: String = objects.iter().map(object).collect();
+    format!(
+        "<annotation><folder>a</folder><filename>000000</filename><source><database>ILSVRC_2015</database></source>\
+         <size><width>640</width><height>360</height></size>{objects}</annotation>"
+    )
+}
+
+#[test]
+fn imagenet_vid_tells_unlabelled_frames_from_empty_ones_and_knows_wordnets_numbers() {
+    let [cats, none, zebra] = [
+        vid(&[("n02121808", 10), ("n02419796", 200)]),
+        vid(&[]),
+        vid(&[("n02391049", 10)]),
+    ];
+    let files = folder(&[
+        ("val/a/000000.xml", &cats),
+        ("val/a/000002.xml", &none),
+        ("val/b/000000.xml", &zebra),
+    ]);
+    let names = ["zebra", "cat", "kite"];
+    let mut truth = for_model(&files, "val", TruthFormat::ImageNetVid, &names).unwrap();
+    assert_eq!(
+        truth.take_report().unmapped_classes,
+        [("antelope".to_owned(), 1)].into()
+    );
+    let kite = truth.classes().find("kite");
+    assert_eq!(
+        kite,
+        Err(LeftOut::UnmappedClass),
+        "no label is one, so none can be right"
+    );
+    let clip = attached(&mut truth, "a", [640, 360], 5).unwrap();
+    let objects = clip.truth.as_ref().unwrap();
+    assert_eq!((objects[0].len(), objects[0][0].class), (1, ClassId(1)));
+    assert_eq!(
+        (objects[0][0].object, objects[0][0].corners.x2),
+        (Some(3), 60.0)
+    );
+    // The second has no file, the third has one without objects, and nobody labelled the last two.
+    assert_eq!(labelled_frames(&clip), [0, 2]);
+    let refused = attached(&mut truth, "a", [640, 360], 2).unwrap_err().to_string();
+    assert!(refused.contains("3 frames, the clip has 2"), "{refused}");
+    let refused = attached(&mut truth, "a", [64, 36], 5).unwrap_err().to_string();
+    assert!(refused.contains("640x360"), "{refused}");
+    let refused = for_model(&files, "val", TruthFormat::ImageNetVid, &["helmet"]);
+    let refused = refused.unwrap_err().to_string();
+    assert!(
+        refused.contains("antelope") && refused.contains("helmet"),
+        "{refused}"
+    );
+    for (text, part) in [
+        ("<annotation>", "000000.xml"),
+        ("<annotation/>", "no <size>"),
+    ] {
+        let files = folder(&[("val/a/000000.xml", text)]);
+        assert_refused(imagenet_vid::read(&files.path().join("val")), &[part]);
+    }
+}
+
+#[test]
+fn labels_of_a_video_that_list_some_frames_leave_the_others_unjudged() {
+    let frame = |index: usize| {
+        format!(
+            r#"{{"name": "{index}", "videoName": "drive", "frameIndex": {index}, "labels": [
+            {{"category": "car", "box2d": {{"x1": 1, "y1": 2, "x2": 30, "y2": 40}}}}]}}"#
+        )
+    };
+    let list = |frames: &[usize]| {
+        let frames: Vec<String> = frames.iter().map(|index| frame(*index)).collect();
+        format!("[{}]", frames.join(","))
+    };
+    let read = |text: &str, pictures| {
+        let files = folder(&[("drive.json", text)]);
+        let mut truth = for_model(&files, "drive.json", TruthFormat::Bdd100k, &["car"]).unwrap();
+        attached(&mut truth, "drive", [640, 360], pictures)
+    };
+    let sparse = list(&[0, 30, 60]);
+    assert_eq!(labelled_frames(&read(&sparse, 90).unwrap()), [0, 30, 60]);
+    // The authors' labels name pictures, and leave out those without objects, the last ones, too.
+    let named = |place: usize| format!(r#"{{"name": "drive-{place:07}.jpg", "labels": []}}"#);
+    let named = format!("[{}, {}]", named(1), named(2));
+    assert_eq!(labelled_frames(&read(&named, 4).unwrap()), [0, 1]);
+    // Labels of all frames say how many there are.
+    let all = list(&[0, 1, 2]);
+    assert_eq!(labelled_frames(&read(&all, 3).unwrap()), [0, 1, 2]);
+    let refused = read(&all, 4).unwrap_err().to_string();
+    assert!(refused.contains("3 frames, the clip has 4"), "{refused}");
+}
+
+#[test]
+fn images_of_coco_are_frames_of_their_video_by_their_number_if_it_has_more() {
+    let set = |with_numbers: bool| {
+        let image = |id: usize, place: usize| {
+            let number = if with_numbers {
+                format!(r#""frame_index": {place},"#)
+            } else {
+                String::new()
+            };
+            let file = format!("train/YFCC/v_1/frame{:04}.jpg", place + 1);
+            format!(
+                r#"{{"id": {id}, "video_id": 7, {number} "file_name": "{file}", "width": 100, "height": 50}}"#
+            )
+        };
+        format!(
+            r#"{{"images": [{}, {}], "videos": [{{"id": 7, "name": "train/YFCC/v_1"}}],
+            "categories": [{{"id": 3, "name": "car"}}, {{"id": 4, "name": "bus"}}],
+            "annotations": [{{"image_id": 2, "category_id": 3, "track_id": 5, "instance_id": 5,
+                "bbox": [1, 2, 10, 20]}}]}}"#,
+            image(1, 0),
+            image(2, 30)
+        )
+    };
+    let files = folder(&[("set.json", &set(true)), ("unnumbered.json", &set(false))]);
+    let truth = |file| for_model(&files, file, TruthFormat::Coco, &["car", "bus"]).unwrap();
+    let clip = attached(&mut truth("set.json"), "v_1", [100, 50], 40).unwrap();
+    assert_eq!(labelled_frames(&clip), [0, 30]);
+    assert_eq!(clip.truth.as_ref().unwrap()[30].len(), 1);
+    // A folder with the labelled pictures alone has them in their order.
+    let clip = attached(&mut truth("set.json"), "v_1", [100, 50], 2).unwrap();
+    assert_eq!((labelled_frames(&clip), clip.unlabelled()), (vec![0, 1], 0));
+    let refused = attached(&mut truth("set.json"), "v_1", [100, 50], 20).unwrap_err();
+    assert!(
+        refused.to_string().contains("31 frames, the clip has 20"),
+        "{refused}"
+    );
+    let refused = attached(&mut truth("unnumbered.json"), "v_1", [100, 50], 40).unwrap_err();
+    assert!(refused.to_string().contains("no frame_id"), "{refused}");
+}
+
+#[test]
+fn a_model_without_any_class_of_the_ground_truth_is_refused_in_every_layout() {
+    let files = folder(&[
+        ("annotations/uav.txt", "1,1,10,20,30,40,1,5,0,0\n"),
+        (
+            "label_02/0007.txt",
+            "0 1 Van 0 0 -1.5 10 20 60 80 1 1 1 1 1 1 0\n",
+        ),
+        (
+            "l.json",
+            r#"[{"name": "a", "labels": [{"category": "car", "box2d": {"x1": 1, "y1": 2, "x2": 30, "y2": 40}}]}]"#,
+        ),
+    ]);
+    for (path, format) in [
+        ("", TruthFormat::VisDrone),
+        ("", TruthFormat::Kitti),
+        ("l.json", TruthFormat::Bdd100k),
+    ] {
+        let refused = for_model(&files, path, format, &["helmet", "vest"]);
+        let refused = refused.unwrap_err().to_string();
+        assert!(
+            refused.contains("person, bicycle") && refused.contains("helmet"),
+            "{refused}"
+        );
+        for_model(&files, path, format, &["helmet", "car"]).unwrap();
+    }
 }

@@ -2,12 +2,14 @@
 
 use super::classes::{self, Evaluated};
 use super::{
-    Clip, DataSet, LoadReport, Rules, bdd100k, coco, kitti, mot_challenge, recorded, visdrone,
+    Clip, DataSet, LoadReport, Rules, bdd100k, coco, imagenet_vid, kitti, mot_challenge, recorded,
+    visdrone,
 };
 use crate::boxes::ScoredBox;
 use crate::error::EvalError;
+use crate::judge::{Ignored, unlabelled};
 use albireo_core::geometry::PictureSize;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// The layout of ground truth.
@@ -26,6 +28,9 @@ pub enum TruthFormat {
     /// VisDrone: a folder with annotations/.
     #[cfg_attr(feature = "cli", value(name = "visdrone"))]
     VisDrone,
+    /// ImageNet-VID: a folder such as Annotations/VID/val, with a folder of XML files for each clip.
+    #[cfg_attr(feature = "cli", value(name = "imagenet-vid"))]
+    ImageNetVid,
     /// The layout of `--save-detections`: a folder with sequences.json and groundtruth/.
     Recorded,
 }
@@ -60,8 +65,8 @@ impl GroundTruth {
         Self::read_as(paths, format, rules, &Evaluated::Road)
     }
 
-    /// [`read`](Self::read) for a model with the classes `names`: of BDD100K's and the other benchmarks' ground truth the six
-    /// of the paper, of COCO's and of labels of one's own all that the model has.
+    /// [`read`](Self::read) for a model with the classes `names`: of BDD100K's and the other driving benchmarks' ground truth the
+    /// six of the paper, of COCO's, ImageNet-VID's and of labels of one's own all that both have.
     ///
     /// # Errors
     /// Like [`read`](Self::read), and when the model has none of its classes.
@@ -72,14 +77,15 @@ impl GroundTruth {
         names: &[String],
     ) -> Result<Self, EvalError> {
         let own = Evaluated::Own(names.into());
-        if format == TruthFormat::Coco {
-            return Self::read_as(paths, format, rules, &own)?.with_boxes(names);
+        if matches!(format, TruthFormat::Coco | TruthFormat::ImageNetVid) {
+            return Self::read_as(paths, format, rules, &own)?.of_both(names);
         }
         let truth = Self::read_as(paths, format, rules, &Evaluated::Road)?;
         let is_foreign = truth.unmapped().any(|(name, _)| classes::is_foreign_to_bdd100k(name));
         if format == TruthFormat::Bdd100k && is_foreign {
-            return Self::read_as(paths, format, rules, &own)?.with_boxes(names);
+            return Self::read_as(paths, format, rules, &own)?.of_both(names);
         }
+        truth.classes.check(names)?;
         Ok(truth)
     }
 
@@ -91,21 +97,32 @@ impl GroundTruth {
             .flat_map(|report| &report.unmapped_classes)
     }
 
-    /// Refuses ground truth of which no box has a class of the model.
-    fn with_boxes(self, names: &[String]) -> Result<Self, EvalError> {
-        let has_boxes =
-            |(_, clip): &(usize, Clip)| clip.truth.iter().flatten().any(|of| !of.is_empty());
-        let others: Vec<&str> = self.unmapped().map(|(name, _)| name.as_str()).take(8).collect();
-        if others.is_empty() || self.clips.values().any(has_boxes) {
-            return Ok(self);
+    /// Evaluates those of the model's classes `names` that it has labels of: a box of another class can be neither right nor
+    /// wrong. Refuses ground truth of which no box has a class of the model.
+    fn of_both(mut self, names: &[String]) -> Result<Self, EvalError> {
+        let mut labelled: BTreeSet<usize> = BTreeSet::new();
+        for (_, clip) in self.clips.values() {
+            let objects = clip.truth.iter().flatten().flatten().map(|object| object.class);
+            let marks = clip.ignored.iter().flatten().filter_map(|ignored| ignored.class);
+            labelled.extend(objects.chain(marks).map(|class| usize::from(class.0)));
         }
-        let own: Vec<&str> = names.iter().map(String::as_str).take(8).collect();
-        Err(EvalError::new(format!(
-            "the model has none of the classes of the ground truth: {}; its own are {}. Are these the right labels, or the \
-             right names (--class-names)?",
-            others.join(", "),
-            own.join(", ")
-        )))
+        if labelled.is_empty() && self.unmapped().next().is_some() {
+            let others = self.unmapped().map(|(name, _)| name.as_str());
+            let others: Vec<&str> = others.take(8).collect();
+            let own: Vec<&str> = names.iter().map(String::as_str).take(8).collect();
+            return Err(EvalError::new(format!(
+                "the model has none of the classes of the ground truth: {}; its own are {}. Are these the right labels, or                  the right names (--class-names)?",
+                others.join(", "),
+                own.join(", ")
+            )));
+        }
+        let numbered = names.iter().enumerate();
+        let kept = numbered.map(|(number, name)| {
+            let of_both = Some(name).filter(|_| labelled.contains(&number));
+            of_both.cloned().unwrap_or_default()
+        });
+        self.classes = Evaluated::Own(kept.collect());
+        Ok(self)
     }
 
     /// The classes of its boxes.
@@ -148,7 +165,7 @@ impl GroundTruth {
     /// [`EvalError`] when it is for none of them.
     pub fn check(&self, names: &[String]) -> Result<(), EvalError> {
         let alone = self.clips.len() == 1 && names.len() == 1;
-        if alone || names.iter().any(|name| self.clips.contains_key(name)) {
+        if alone || names.iter().any(|name| self.has(name, false)) {
             return Ok(());
         }
         let truths: Vec<&str> = self.clips.keys().map(String::as_str).take(8).collect();
@@ -171,17 +188,34 @@ impl GroundTruth {
         clip.frame_rate
     }
 
-    /// The name under which the ground truth of the clip `name` is stored.
+    /// The name under which the ground truth of the clip `name` is stored: COCO's files name a clip by its folder and the
+    /// folders before it, `val/drive` or `train/YFCC100M/v_1`.
     fn name_of<'a>(&'a self, name: &'a str, alone: bool) -> Option<&'a str> {
         if self.clips.contains_key(name) {
             return Some(name);
         }
         let only = self.clips.keys().next().filter(|_| alone && self.clips.len() == 1);
-        only.map(String::as_str)
+        let in_folders = || {
+            let ending = format!("-{name}");
+            let mut ending_so = self.clips.keys().filter(|key| key.ends_with(&ending));
+            let first = ending_so.next().filter(|_| self.format == TruthFormat::Coco);
+            first.filter(|_| ending_so.next().is_none())
+        };
+        only.or_else(in_folders).map(String::as_str)
+    }
+
+    /// Takes what was left out of all files, for a report before any clip has it.
+    pub fn take_report(&mut self) -> LoadReport {
+        let mut all = LoadReport::default();
+        for report in self.files.iter_mut().filter_map(|file| file.report.take()) {
+            merge(&mut all, report);
+        }
+        all
     }
 
     /// Gives `clip` the ground truth of its name, if there is any, or the only one there is if it is the only clip
-    /// (`alone`). `is_whole` is false if the clip was cut to its first frames. `report` counts what is left out.
+    /// (`alone`). `whole` is the number of all its pictures, `None` if the clip was cut to its first frames and nobody knows
+    /// it. `report` counts what is left out.
     ///
     /// # Errors
     /// [`EvalError`] when it is for other pictures.
@@ -189,7 +223,7 @@ impl GroundTruth {
         &mut self,
         clip: &mut Clip,
         alone: bool,
-        is_whole: bool,
+        whole: Option<usize>,
         report: &mut LoadReport,
     ) -> Result<(), EvalError> {
         let Some(name) = self.name_of(&clip.name, alone).map(str::to_owned) else {
@@ -197,9 +231,6 @@ impl GroundTruth {
         };
         let (file, found) = &self.clips[&name];
         let file = &mut self.files[*file];
-        let Some(mut truth) = found.truth.clone() else {
-            return Ok(());
-        };
         let wrong = |what: String| {
             let path = file.path.display();
             EvalError::new(format!(
@@ -207,17 +238,30 @@ impl GroundTruth {
                 clip.name
             ))
         };
-        // Only these layouts say how many frames they are for; the others end with the last object.
-        let counted = matches!(
-            self.format,
-            TruthFormat::MotChallenge | TruthFormat::Bdd100k | TruthFormat::Recorded
-        );
         let pictures = clip.frames + clip.unusable.len();
-        let is_longer = is_whole && truth.len() > pictures;
-        if is_longer || (counted && truth.len() < pictures) {
+        let Some(Labels {
+            mut objects,
+            mut marks,
+        }) = labels_of(found, self.format, whole).map_err(wrong)?
+        else {
+            return Ok(());
+        };
+        // Only these layouts say how many frames they are for; the others end with the last object, or with the last
+        // labelled frame.
+        let is_sparse = unlabelled(&marks) > 0
+            || !found.places.is_empty()
+            || self.format == TruthFormat::ImageNetVid;
+        let counted = !is_sparse
+            && matches!(
+                self.format,
+                TruthFormat::MotChallenge | TruthFormat::Bdd100k | TruthFormat::Recorded
+            );
+        let is_longer = whole.is_some_and(|whole| objects.len() > whole);
+        if is_longer || (counted && objects.len() < pictures) {
             return Err(wrong(format!(
-                "{} frames, the clip has {pictures}: are they the same recording, at the same frame rate?",
-                truth.len(),
+                "{} frames, the clip has {}: are they the same recording, at the same frame rate?",
+                objects.len(),
+                whole.unwrap_or(pictures)
             )));
         }
         if found.picture != clip.picture && knows_its_pictures(self.format) {
@@ -230,8 +274,14 @@ impl GroundTruth {
         if let Some(left_out) = file.report.take() {
             merge(report, left_out);
         }
-        truth.resize(pictures, Vec::new());
-        truth = usable(truth, &clip.unusable);
+        if is_sparse {
+            // Nobody labelled what is behind the last label, either.
+            let behind = objects.len()..pictures;
+            marks.resize(objects.len(), Vec::new());
+            marks.extend(behind.map(|_| vec![Ignored::UNLABELLED]));
+        }
+        objects.resize(pictures, Vec::new());
+        let mut truth = usable(objects, &clip.unusable);
         if !knows_its_pictures(self.format) {
             for (frame, known) in truth.iter_mut().enumerate() {
                 known.retain(|known| {
@@ -244,10 +294,59 @@ impl GroundTruth {
             }
         }
         clip.truth = Some(truth);
-        clip.ignored = usable(found.ignored.clone(), &clip.unusable);
+        clip.ignored = usable(marks, &clip.unusable);
         clip.ignored.truncate(clip.frames);
         Ok(())
     }
+}
+
+/// The labels of a clip's pictures.
+struct Labels {
+    objects: Vec<Vec<ScoredBox>>,
+    marks: Vec<Vec<Ignored>>,
+}
+
+/// The labels of `found`, each at the place of its picture among the `whole` clip's; `None` if there are none. In words, what
+/// they are for, if that cannot be this clip.
+fn labels_of(
+    found: &Clip,
+    format: TruthFormat,
+    whole: Option<usize>,
+) -> Result<Option<Labels>, String> {
+    let Some(objects) = found.truth.clone() else {
+        return Ok(None);
+    };
+    let mut listed = Labels {
+        objects,
+        marks: found.ignored.clone(),
+    };
+    // A file of COCO lists pictures, and not always all.
+    let lists_all = whole.is_some_and(|whole| whole <= found.frames);
+    if format != TruthFormat::Coco || lists_all {
+        return Ok(Some(listed));
+    }
+    let Some(last) = found.places.iter().max() else {
+        let which = "and its images have no frame_id to say which of them they are";
+        return match whole {
+            Some(whole) => Err(format!(
+                "{} frames, the clip has {whole}, {which}",
+                found.frames
+            )),
+            None => Ok(Some(listed)),
+        };
+    };
+    let frames = whole.unwrap_or_default().max(last + 1);
+    listed.marks.resize(found.frames, Vec::new());
+    let mut placed = Labels {
+        objects: vec![Vec::new(); frames],
+        marks: vec![vec![Ignored::UNLABELLED]; frames],
+    };
+    let labels = listed.objects.into_iter().zip(listed.marks);
+    for (place, (objects, marks)) in found.places.iter().zip(labels) {
+        placed.objects[*place] = objects;
+        placed.marks[*place] = marks;
+    }
+    Ok(Some(placed))
 }
 
 /// The entries of `frames` whose pictures can be used.
@@ -262,7 +361,10 @@ fn usable<T>(frames: Vec<T>, unusable: &[usize]) -> Vec<T> {
 /// True if the layout says how large its pictures are.
 fn knows_its_pictures(format: TruthFormat) -> bool {
     match format {
-        TruthFormat::MotChallenge | TruthFormat::Coco | TruthFormat::Recorded => true,
+        TruthFormat::MotChallenge
+        | TruthFormat::Coco
+        | TruthFormat::ImageNetVid
+        | TruthFormat::Recorded => true,
         TruthFormat::Bdd100k | TruthFormat::Kitti | TruthFormat::VisDrone => false,
     }
 }
@@ -287,6 +389,7 @@ fn read(
         TruthFormat::MotChallenge => mot_challenge::read(path),
         TruthFormat::Kitti => kitti::read(path),
         TruthFormat::Coco => coco::read_as(path, None, classes),
+        TruthFormat::ImageNetVid => imagenet_vid::read_as(path, classes),
         TruthFormat::VisDrone => visdrone::read(path, UNKNOWN_SIZE),
         TruthFormat::Recorded => recorded::read(path),
     }

@@ -13,6 +13,7 @@ use crate::files::entries;
 use crate::judge::Mark;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_vision::picture::read_picture_file;
+use std::borrow::Cow;
 use std::path::Path;
 
 /// Reads all sequences of the folder that contains `annotations`. `picture` is the size of sequences whose pictures are not
@@ -65,7 +66,7 @@ fn read_sequence(
             let labelled = LabelledBox {
                 corners: corners(row)?,
                 class: from_visdrone(category),
-                class_name: category.to_string().into(),
+                class_name: named(category),
                 confidence: 1.0,
                 object: row.object(1, "id")?,
             };
@@ -87,6 +88,27 @@ fn read_sequence(
         ignored,
         ..Clip::new(name, picture, frames)
     })
+}
+
+/// The data set's names of its categories, from 0.
+const CATEGORIES: [&str; 12] = [
+    "ignored region",
+    "pedestrian",
+    "people",
+    "bicycle",
+    "car",
+    "van",
+    "truck",
+    "tricycle",
+    "awning-tricycle",
+    "bus",
+    "motor",
+    "others",
+];
+
+fn named(category: i64) -> Cow<'static, str> {
+    let known = usize::try_from(category).ok().and_then(|category| CATEGORIES.get(category));
+    known.map_or_else(|| category.to_string().into(), |name| (*name).into())
 }
 
 fn corners(row: &Row<'_>) -> Result<Corners, EvalError> {

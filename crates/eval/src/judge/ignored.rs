@@ -69,6 +69,9 @@ fn excused(
     ignored: &[Ignored],
     classes: Classes,
 ) -> Vec<bool> {
+    if ignored.contains(&Ignored::UNLABELLED) {
+        return vec![true; found.len()];
+    }
     let mut excused = vec![false; found.len()];
     let regions = || ignored.iter().filter(|ignored| ignored.mark == Mark::Region);
     for (found, excused) in found.iter().zip(&mut excused) {
@@ -186,6 +189,26 @@ mod tests {
         };
         let later = without_ignored(&[Vec::new(), found], truth, Classes::Pooled);
         assert_eq!(later[1].len(), 5);
+    }
+
+    #[test]
+    fn a_frame_that_nobody_labelled_is_not_judged_and_one_without_objects_is() {
+        let object = at(0.0, 1.0);
+        let found = vec![vec![at(0.0, 0.5)], vec![at(0.0, 0.9)], vec![at(0.0, 0.8)]];
+        let objects = [vec![object], vec![], vec![]];
+        let judged = |ignored: &[Vec<Ignored>]| {
+            let truth = Truth {
+                objects: &objects,
+                ignored,
+            };
+            let area = Interpolation::AllPoints;
+            accuracy(&found, truth, Classes::Pooled, area).unwrap()
+        };
+        let [all, sparse] = [judged(&[]), judged(&[vec![], vec![Ignored::UNLABELLED]])];
+        // Two boxes of higher confidence on frames without objects, or one.
+        assert!((all.ap50 - 1.0 / 3.0).abs() < 1e-12, "{all:?}");
+        assert!((sparse.ap50 - 0.5).abs() < 1e-12, "{sparse:?}");
+        assert_eq!([all.predictions, sparse.predictions], [3, 2]);
     }
 
     #[test]

@@ -36,14 +36,19 @@ struct InView {
 /// Measures the delay of each object of `truth` in `published`, both with one list per frame. A box shows every object
 /// that it overlaps by IoU 0.5; of its own class only, if classes are judged separately.
 ///
-/// `None` if no object comes into view, or if one has no number.
+/// `None` if no object comes into view, if one has no number, or if there are frames without labels: nobody knows then when
+/// an object came.
 pub fn newcomers<'a>(
     published: &[Vec<ScoredBox>],
     truth: impl Into<Truth<'a>>,
     classes: Classes,
 ) -> Option<Newcomers> {
+    let truth = truth.into();
+    if truth.is_sparse() {
+        return None;
+    }
     let mut objects: BTreeMap<u64, InView> = BTreeMap::new();
-    for (frame, known) in truth.into().objects.iter().enumerate() {
+    for (frame, known) in truth.objects.iter().enumerate() {
         for object in known {
             let number = object.object?;
             let is_high = object.corners.y2 - object.corners.y1 >= MIN_HEIGHT;

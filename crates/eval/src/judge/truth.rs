@@ -21,6 +21,8 @@ pub enum Mark {
     /// An object that MOTChallenge labels and does not judge: it takes part in that assignment, and a box that falls to it
     /// counts as wrong.
     Unjudged,
+    /// A frame that nobody labelled, as most are in sparsely labelled data: nothing on it is judged, wherever it lies.
+    Unlabelled,
 }
 
 /// A place that the ground truth marks as not to be judged.
@@ -35,6 +37,18 @@ pub struct Ignored {
 }
 
 impl Ignored {
+    /// The mark of a frame that nobody labelled.
+    pub const UNLABELLED: Self = Self {
+        corners: Corners {
+            x1: 0.0,
+            y1: 0.0,
+            x2: 0.0,
+            y2: 0.0,
+        },
+        class: None,
+        mark: Mark::Unlabelled,
+    };
+
     /// True if boxes of `class` can be left out here.
     pub(super) fn concerns(&self, class: ClassId) -> bool {
         self.class.is_none_or(|own| own == class)
@@ -56,9 +70,30 @@ impl<'a> Truth<'a> {
         self.objects.get(frame).map_or(&[], Vec::as_slice)
     }
 
+    /// True if there are frames that nobody labelled.
+    pub(super) fn is_sparse(self) -> bool {
+        unlabelled(self.ignored) > 0
+    }
+
     /// The marked places of a frame.
     pub(super) fn ignored(self, frame: usize) -> &'a [Ignored] {
         self.ignored.get(frame).map_or(&[], Vec::as_slice)
+    }
+}
+
+/// The number of frames that nobody labelled, by the marks of each frame.
+pub fn unlabelled(ignored: &[Vec<Ignored>]) -> usize {
+    let is_unlabelled = |marks: &&Vec<Ignored>| marks.contains(&Ignored::UNLABELLED);
+    ignored.iter().filter(is_unlabelled).count()
+}
+
+/// Keeps only the marks of frames that nobody labelled: those are for evaluators that make no other exception.
+pub(crate) fn only_unlabelled(ignored: &mut Vec<Vec<Ignored>>) {
+    for marks in ignored.iter_mut() {
+        marks.retain(|ignored| ignored.mark == Mark::Unlabelled);
+    }
+    if ignored.iter().all(Vec::is_empty) {
+        ignored.clear();
     }
 }
 

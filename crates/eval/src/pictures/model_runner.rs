@@ -90,23 +90,9 @@ impl ModelRunner {
     }
 
     /// Evaluates these classes: those of the ground truth.
-    ///
-    /// # Errors
-    /// [`EvalError`] when the detector has none of them.
-    pub fn evaluate(&mut self, evaluated: &Evaluated) -> Result<(), EvalError> {
-        let names = self.detector.class_names();
-        let classes = numbers(evaluated, names);
-        if classes.iter().all(Option::is_none) {
-            let first: Vec<_> = names.iter().take(8).map(String::as_str).collect();
-            return Err(EvalError::new(format!(
-                "the ground truth is judged by person, bicycle, car, motorcycle, bus and truck, and the model has none of them \
-                 ({}): give the right names with --class-names, or labels of these classes",
-                first.join(", ")
-            )));
-        }
+    pub fn evaluate(&mut self, evaluated: &Evaluated) {
+        self.classes = numbers(evaluated, self.detector.class_names());
         self.evaluated = evaluated.clone();
-        self.classes = classes;
-        Ok(())
     }
 
     /// True if there is a screen.

@@ -22,6 +22,7 @@ pub(super) fn of_replay(clip: &Clip, policy: &str, replayed: &Replay) -> ClipRes
         camera: clip.camera.clone(),
         policy: policy.to_owned(),
         frames: frames.len(),
+        unlabelled_frames: clip.unlabelled(),
         frame_rate: clip.frame_rate,
         states,
         detector_frames: count(|frame| frame.detector),

@@ -5,7 +5,8 @@ use albireo_wire::BoardState;
 /// The most power modes that one sum lists.
 const MOST_MODES: usize = 8;
 
-/// Combines two sources of the same moment: the hotter sensor, throttling by either, and `one` first for the rest.
+/// Combines two sources of the same moment: the hotter sensor, throttling by either, the busier GPU, and `one` first for the
+/// rest.
 pub(crate) fn combined(one: BoardState, other: BoardState) -> BoardState {
     let (hottest_celsius, hottest_sensor) = if other.hottest_celsius > one.hottest_celsius {
         (other.hottest_celsius, other.hottest_sensor)
@@ -19,6 +20,11 @@ pub(crate) fn combined(one: BoardState, other: BoardState) -> BoardState {
         throttled: one.throttled.max(other.throttled),
         cpu_mhz: one.cpu_mhz.or(other.cpu_mhz),
         gpu_mhz: one.gpu_mhz.or(other.gpu_mhz),
+        gpu_utilisation: one
+            .gpu_utilisation
+            .into_iter()
+            .chain(other.gpu_utilisation)
+            .reduce(f64::max),
     }
 }
 
@@ -30,6 +36,7 @@ pub(crate) struct ConditionSum {
     modes: Vec<String>,
     cpu_mhz: Mean,
     gpu_mhz: Mean,
+    gpu_utilisation: Mean,
 }
 
 impl ConditionSum {
@@ -44,6 +51,7 @@ impl ConditionSum {
         }
         self.cpu_mhz.add(condition.cpu_mhz);
         self.gpu_mhz.add(condition.gpu_mhz);
+        self.gpu_utilisation.add(condition.gpu_utilisation);
     }
 
     /// The board's state over the whole period; `None` if nothing is known.
@@ -52,6 +60,7 @@ impl ConditionSum {
             power_mode: (!self.modes.is_empty()).then(|| self.modes.join(", then ")),
             cpu_mhz: self.cpu_mhz.value(),
             gpu_mhz: self.gpu_mhz.value(),
+            gpu_utilisation: self.gpu_utilisation.value(),
             ..self.worst.clone()
         };
         (state != BoardState::default()).then_some(state)
@@ -88,6 +97,7 @@ mod tests {
             throttled: Some(throttled),
             cpu_mhz: Some(mhz),
             gpu_mhz: None,
+            gpu_utilisation: None,
         }
     }
 
@@ -101,6 +111,25 @@ mod tests {
         sum.add(&condition("cpu", 60.0, false, 3000.0, "MAXN"));
         let expected = condition("gpu", 70.0, true, 2000.0, "15W, then MAXN");
         assert_eq!(sum.state(), Some(expected));
+    }
+
+    #[test]
+    fn the_gpu_was_as_busy_as_its_busiest_card_on_average_and_unknown_moments_count_for_nothing() {
+        let busy = |share| BoardState {
+            gpu_utilisation: share,
+            ..BoardState::default()
+        };
+        let mut sum = ConditionSum::default();
+        for (one, other) in [
+            (Some(0.2), Some(0.6)),
+            (None, None),
+            (Some(0.0), None),
+            (None, Some(0.3)),
+        ] {
+            sum.add(&combined(busy(one), busy(other)));
+        }
+        let mean = sum.state().unwrap().gpu_utilisation.unwrap();
+        assert!((mean - 0.3).abs() < 1e-12, "{mean}");
     }
 
     #[test]

@@ -42,6 +42,23 @@ fn the_hottest_usable_sensor_and_the_mean_clocks_are_reported_if_there_are_any()
 }
 
 #[test]
+fn a_jetsons_gpu_load_is_read_where_each_release_has_it_and_nonsense_is_not_a_figure() {
+    for (file, text, share) in [
+        ("class/devfreq/17000000.gpu/device/load", "437", Some(0.437)),
+        ("class/devfreq/57000000.gpu/device/load", "0", Some(0.0)),
+        ("devices/gpu.0/load", "1000", Some(1.0)),
+        ("devices/platform/gpu.0/load", "5\n", Some(0.005)),
+        ("devices/gpu.0/load", "4294967295", None),
+        ("devices/gpu.0/load", "busy", None),
+        ("class/devfreq/17000000.ethernet/device/load", "437", None),
+    ] {
+        let tree = Tree::default();
+        tree.write(format!("sys/{file}"), text);
+        assert_eq!(read(&tree).gpu_utilisation, share, "{file}: {text}");
+    }
+}
+
+#[test]
 fn throttling_is_an_active_cooling_device_but_no_fan_and_an_event_counter_that_rises() {
     let tree = Tree::default();
     let cool = |device: &str, kind: &str, state: u8| {

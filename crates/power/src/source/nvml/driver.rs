@@ -61,12 +61,14 @@ impl Cards for Nvml {
         });
         let reasons = ask(self, card, |device| device.current_throttle_reasons());
         let clock = ask(self, card, |device| device.clock_info(Clock::SM));
+        let used = ask(self, card, |device| device.utilization_rates());
         let celsius = celsius.unwrap_or_default().map(f64::from);
         BoardState {
             hottest_celsius: celsius,
             hottest_sensor: celsius.map(|_| "gpu".to_owned()),
             throttled: reasons.unwrap_or_default().map(|r| r.intersects(held_back)),
             gpu_mhz: clock.unwrap_or_default().map(f64::from),
+            gpu_utilisation: used.unwrap_or_default().map(|used| f64::from(used.gpu) / 100.0),
             ..BoardState::default()
         }
     }

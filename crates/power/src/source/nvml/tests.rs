@@ -44,6 +44,7 @@ impl Cards for FakeMachine {
         BoardState {
             hottest_celsius: Some(40.0 + f64::from(card)),
             throttled: Some(card == 1),
+            gpu_utilisation: Some(0.25 * f64::from(card)),
             ..BoardState::default()
         }
     }
@@ -104,6 +105,7 @@ fn the_condition_has_the_hottest_card_and_any_throttling_and_a_lost_card_is_an_e
     let found = meter.condition();
     assert_eq!(found.hottest_celsius, Some(41.0));
     assert_eq!(found.throttled, Some(true));
+    assert_eq!(found.gpu_utilisation, Some(0.25));
     meter.poll(Instant::now()).unwrap();
     machine.0.lock().unwrap()[1] = Err("GPU is lost".to_owned());
     let error = meter.poll(Instant::now()).unwrap_err();
