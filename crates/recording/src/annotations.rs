@@ -1,0 +1,59 @@
+//! Boxes as a viewer draws them over a picture.
+
+use crate::foxglove::{
+    Color, ImageAnnotations, LINE_LOOP, Point2, PointsAnnotation, TextAnnotation, timestamp,
+};
+use albireo_core::policy::BoxSource;
+use albireo_wire::BoxMessage;
+
+/// Thickness of lines and size of letters, as parts of the picture's height.
+const THICKNESS: f64 = 1.0 / 360.0;
+const LETTERS: f64 = 1.0 / 45.0;
+
+/// The boxes of a frame of this time and height, in pixels.
+pub(crate) fn annotations(boxes: &[BoxMessage], t_ns: u64, height: u32) -> ImageAnnotations {
+    let timestamp = timestamp(t_ns);
+    let height = f64::from(height);
+    let line = |found: &BoxMessage| {
+        let [left, top, right, bottom] = found.corners.map(f64::from);
+        let corners = [(left, top), (right, top), (right, bottom), (left, bottom)];
+        PointsAnnotation {
+            timestamp,
+            r#type: LINE_LOOP,
+            points: corners.map(|(x, y)| Point2 { x, y }).to_vec(),
+            outline_color: Some(color(found.source)),
+            thickness: (height * THICKNESS).max(1.0),
+        }
+    };
+    let text = |found: &BoxMessage| {
+        let [x, y, ..] = found.corners.map(f64::from);
+        let class = &found.class;
+        TextAnnotation {
+            timestamp,
+            position: Some(Point2 { x, y }),
+            text: match found.object {
+                Some(object) => format!("{class} {}", object.0),
+                None => class.clone(),
+            },
+            font_size: (height * LETTERS).max(8.0),
+            text_color: Some(color(found.source)),
+        }
+    };
+    ImageAnnotations {
+        points: boxes.iter().map(line).collect(),
+        texts: boxes.iter().map(text).collect(),
+        timestamp,
+    }
+}
+
+/// The colour of a box, the same as on the node's page.
+fn color(source: BoxSource) -> Color {
+    let [r, g, b] = match source {
+        BoxSource::Detected => [79, 179, 255],
+        BoxSource::Predicted => [107, 226, 143],
+        BoxSource::Followed => [214, 226, 107],
+        BoxSource::Rescued => [255, 180, 84],
+    }
+    .map(|part| f64::from(part) / 255.0);
+    Color { r, g, b, a: 1.0 }
+}

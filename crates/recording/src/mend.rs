@@ -1,0 +1,96 @@
+//! Gives a recording that was cut by a power failure its end.
+
+use crate::RecordingError;
+use crate::file::create_writer;
+use crate::read::Messages;
+use mcap::records::MessageHeader;
+use std::collections::BTreeMap;
+use std::ffi::OsString;
+use std::fs::{File, remove_file, rename};
+use std::io::{Read, Seek, SeekFrom};
+use std::path::Path;
+
+/// What became of a recording.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mended {
+    /// It was whole.
+    Whole,
+    /// It ended without an index, and has one now.
+    Mended {
+        /// The messages that it holds.
+        messages: u64,
+    },
+    /// It held no message, and was removed.
+    Removed,
+}
+
+/// Writes a recording that has no end anew, with what is whole in it. The new file takes the place of the old one once it is
+/// on the disk; until then both need room.
+///
+/// # Errors
+/// If the disk refuses: the file is as it was.
+pub fn mend(path: &Path) -> Result<Mended, RecordingError> {
+    if has_end(path)? {
+        return Ok(Mended::Whole);
+    }
+    let mut name = OsString::from(path);
+    name.push(".part");
+    let part = Path::new(&name);
+    // Left by a mending that was cut itself.
+    let _ = remove_file(part);
+    match copy_whole(path, part) {
+        Ok(0) => {
+            remove_file(part)?;
+            remove_file(path)?;
+            Ok(Mended::Removed)
+        }
+        Ok(messages) => {
+            rename(part, path)?;
+            Ok(Mended::Mended { messages })
+        }
+        Err(error) => {
+            let _ = remove_file(part);
+            Err(error)
+        }
+    }
+}
+
+/// True if the file ends as a finished one does.
+fn has_end(path: &Path) -> Result<bool, RecordingError> {
+    let mut file = File::open(path)?;
+    let mut end = [0; mcap::MAGIC.len()];
+    let length = file.metadata()?.len();
+    // Beginning and end have the same signature.
+    if length < 2 * end.len() as u64 {
+        return Ok(false);
+    }
+    file.seek(SeekFrom::End(-(end.len() as i64)))?;
+    file.read_exact(&mut end)?;
+    Ok(end == mcap::MAGIC)
+}
+
+fn copy_whole(from: &Path, to: &Path) -> Result<u64, RecordingError> {
+    let (mut writer, file) = create_writer(to)?;
+    let none = BTreeMap::new();
+    let mut copied = 0;
+    for message in Messages::open(from)? {
+        let channel = &message.channel;
+        let (encoding, definition) = &channel.definition;
+        let schema = match channel.schema.as_str() {
+            "" => 0,
+            name => writer.add_schema(name, encoding, definition)?,
+        };
+        let channel_id = writer.add_channel(schema, &channel.topic, &channel.encoding, &none)?;
+        let header = MessageHeader {
+            channel_id,
+            sequence: copied as u32,
+            log_time: message.time_ns,
+            publish_time: message.time_ns,
+        };
+        writer.write_to_known_channel(&header, &message.data)?;
+        copied += 1;
+    }
+    writer.finish()?;
+    file.sync_all()?;
+    Ok(copied)
+}

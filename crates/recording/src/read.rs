@@ -1,0 +1,241 @@
+//! Reads recordings of any writer, message by message, as far as they are whole.
+
+use crate::RecordingError;
+use bytes::Bytes;
+use mcap::records::Record;
+use mcap::sans_io::{
+    LinearReadEvent, LinearReader, LinearReaderOptions, SummaryReadEvent, SummaryReader,
+    SummaryReaderOptions,
+};
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{Read, Seek};
+use std::path::Path;
+use std::sync::Arc;
+
+/// Longest record that is read: a larger one is a broken length, or no picture.
+const LONGEST_RECORD: usize = 1 << 30;
+
+/// A channel: a topic with its schema.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Channel {
+    /// The topic's name.
+    pub topic: String,
+    /// The encoding of its messages: `json`, `protobuf`, `cdr` …
+    pub encoding: String,
+    /// The name of its messages' type; empty if there is no schema.
+    pub schema: String,
+    /// The encoding of the schema, and the schema.
+    pub(crate) definition: (String, Vec<u8>),
+}
+
+/// A message.
+#[derive(Clone, Debug)]
+pub struct Message {
+    /// Its channel.
+    pub channel: Arc<Channel>,
+    /// The time at which it was recorded, nanoseconds since the Unix epoch or since the start of a clock.
+    pub time_ns: u64,
+    /// The message.
+    pub data: Bytes,
+}
+
+/// The messages of a file, in the file's order. After a damaged place there are none: [`end`](Self::end) says so.
+pub struct Messages {
+    file: File,
+    reader: LinearReader,
+    schemas: BTreeMap<u16, (String, String, Vec<u8>)>,
+    channels: BTreeMap<u16, Arc<Channel>>,
+    /// Why there are no more.
+    damage: Option<String>,
+}
+
+impl Messages {
+    /// Opens a file.
+    ///
+    /// # Errors
+    /// If it cannot be opened.
+    pub fn open(path: &Path) -> Result<Self, RecordingError> {
+        let options = LinearReaderOptions::default()
+            .with_prevalidate_chunk_crcs(true)
+            .with_record_length_limit(LONGEST_RECORD);
+        let reader = LinearReader::new_with_options(options);
+        #[cfg(feature = "compressed")]
+        let reader = with_zstandard(reader)?;
+        Ok(Self {
+            file: File::open(path)?,
+            reader,
+            schemas: BTreeMap::new(),
+            channels: BTreeMap::new(),
+            damage: None,
+        })
+    }
+
+    /// The place at which reading stopped before the file's end, in words: a file that was being written when the power
+    /// went, or a damaged one. Known after the last message.
+    pub fn damage(&self) -> Option<&str> {
+        self.damage.as_deref()
+    }
+
+    /// The next message, or `None` at the end.
+    fn advance(&mut self) -> Result<Option<Message>, RecordingError> {
+        while let Some(event) = self.reader.next_event() {
+            let (opcode, data) = match event? {
+                LinearReadEvent::ReadRequest(wanted) => {
+                    let buffer = self.reader.insert(wanted);
+                    let read = self.file.read(buffer)?;
+                    self.reader.notify_read(read);
+                    continue;
+                }
+                LinearReadEvent::Record { data, opcode } => (opcode, data),
+            };
+            match mcap::parse_record(opcode, data)? {
+                Record::Schema { header, data } => {
+                    let schema = (header.name, header.encoding, data.into_owned());
+                    self.schemas.insert(header.id, schema);
+                }
+                Record::Channel(channel) => {
+                    let schema = self.schemas.get(&channel.schema_id).cloned();
+                    let (name, encoding, definition) = schema.unwrap_or_default();
+                    let known = Channel {
+                        topic: channel.topic,
+                        encoding: channel.message_encoding,
+                        schema: name,
+                        definition: (encoding, definition),
+                    };
+                    self.channels.entry(channel.id).or_insert_with(|| Arc::new(known));
+                }
+                Record::Message { header, data } => {
+                    if let Some(channel) = self.channels.get(&header.channel_id) {
+                        return Ok(Some(Message {
+                            channel: Arc::clone(channel),
+                            time_ns: header.log_time,
+                            data: Bytes::from(data.into_owned()),
+                        }));
+                    }
+                }
+                Record::Footer(_) => return Ok(None),
+                _ => {}
+            }
+        }
+        Ok(None)
+    }
+}
+
+#[cfg(feature = "compressed")]
+fn with_zstandard(mut reader: LinearReader) -> Result<LinearReader, RecordingError> {
+    reader.add_decompressor(crate::zstandard::Zstandard::new()?)?;
+    Ok(reader)
+}
+
+impl Iterator for Messages {
+    type Item = Message;
+
+    fn next(&mut self) -> Option<Message> {
+        if self.damage.is_some() {
+            return None;
+        }
+        match self.advance() {
+            Ok(message) => message,
+            Err(error) => {
+                self.damage = Some(error.to_string());
+                None
+            }
+        }
+    }
+}
+
+/// What a file holds, without its messages.
+#[derive(Clone, Debug, Default)]
+pub struct Overview {
+    /// The channels in the order of their topics, and the number of messages of each.
+    pub channels: Vec<(Arc<Channel>, u64)>,
+    /// The times of the first and the last message, nanoseconds.
+    pub times_ns: Option<(u64, u64)>,
+    /// Why the file has no end, if it has none.
+    pub damage: Option<String>,
+}
+
+impl Overview {
+    /// Reads the index at the end of a file, or all its messages if it has none.
+    ///
+    /// # Errors
+    /// If it cannot be read, or is no MCAP file.
+    pub fn read(path: &Path) -> Result<Self, RecordingError> {
+        let mut overview = match indexed(path) {
+            Ok(Some(overview)) => overview,
+            // Without an index, or cut.
+            Ok(None) | Err(RecordingError::Mcap(_)) => counted(path)?,
+            Err(error) => return Err(error),
+        };
+        overview.channels.sort_by(|(one, _), (other, _)| one.topic.cmp(&other.topic));
+        Ok(overview)
+    }
+
+    fn count(&mut self, message: &Message) {
+        let known =
+            (self.channels.iter_mut()).find(|(channel, _)| Arc::ptr_eq(channel, &message.channel));
+        match known {
+            Some((_, count)) => *count += 1,
+            None => self.channels.push((Arc::clone(&message.channel), 1)),
+        }
+        let (first, last) = self.times_ns.unwrap_or((message.time_ns, message.time_ns));
+        self.times_ns = Some((first.min(message.time_ns), last.max(message.time_ns)));
+    }
+}
+
+fn counted(path: &Path) -> Result<Overview, RecordingError> {
+    let mut overview = Overview::default();
+    let mut messages = Messages::open(path)?;
+    for message in messages.by_ref() {
+        overview.count(&message);
+    }
+    overview.damage = messages.damage;
+    match overview.damage {
+        Some(damage) if overview.channels.is_empty() => Err(RecordingError::Message(damage)),
+        damage => Ok(Overview { damage, ..overview }),
+    }
+}
+
+/// The index; `None` if the file has none, or one without counts.
+fn indexed(path: &Path) -> Result<Option<Overview>, RecordingError> {
+    let mut file = File::open(path)?;
+    let size = file.metadata()?.len();
+    let options = SummaryReaderOptions::default()
+        .with_file_size(size)
+        .with_record_length_limit(LONGEST_RECORD);
+    let mut reader = SummaryReader::new_with_options(options);
+    while let Some(event) = reader.next_event() {
+        match event? {
+            SummaryReadEvent::SeekRequest(to) => reader.notify_seeked(file.seek(to)?),
+            SummaryReadEvent::ReadRequest(wanted) => {
+                let read = file.read(reader.insert(wanted))?;
+                reader.notify_read(read);
+            }
+        }
+    }
+    let Some(summary) = reader.finish() else {
+        return Ok(None);
+    };
+    let Some(counts) = summary.stats else {
+        return Ok(None);
+    };
+    let channels = summary.channels.values().map(|channel| {
+        let schema = channel.schema.as_ref();
+        let known = Channel {
+            topic: channel.topic.clone(),
+            encoding: channel.message_encoding.clone(),
+            schema: schema.map(|schema| schema.name.clone()).unwrap_or_default(),
+            definition: (schema.map(|schema| (schema.encoding.clone(), schema.data.to_vec())))
+                .unwrap_or_default(),
+        };
+        let count = counts.channel_message_counts.get(&channel.id).copied();
+        (Arc::new(known), count.unwrap_or(0))
+    });
+    let times = (counts.message_start_time, counts.message_end_time);
+    Ok(Some(Overview {
+        channels: channels.collect(),
+        times_ns: (counts.message_count > 0).then_some(times),
+        damage: None,
+    }))
+}
