@@ -99,7 +99,7 @@ enum Command {
     /// Send a live camera's frames to a node on another machine.
     Publish(publish::PublishArguments),
     #[cfg(feature = "eval")]
-    /// Publish a video, a folder of pictures or the recorded road as a camera.
+    /// Publish a video, a folder of pictures, a recording or the recorded road as a camera.
     Replay(replay::ReplayArguments),
     /// Run a node: frames in, detections and clip reports out.
     Node(node::NodeArguments),

@@ -18,7 +18,7 @@ use zenoh::Session;
 /// Arguments of `albireo replay`.
 #[derive(Args, Clone, Debug)]
 #[command(
-    about = "Publish videos, a folder of pictures or the demonstration's road as a camera",
+    about = "Publish videos, a folder of pictures, a recording or the demonstration's road as a camera",
     after_help = "Examples:
   albireo replay drive.mp4 --node car-7 --camera front
       a video at its own speed, to the node on this machine; needs ffmpeg
@@ -28,6 +28,8 @@ use zenoh::Session;
       a dashcam's minutes as one stream, front only, each drive a clip
   albireo replay pictures/ --rate 5 --loop --clip-seconds 40
       a folder, five pictures a second, for ever, in clips of 40 s
+  albireo replay bag.mcap:/front/image_raw/compressed
+      the pictures on one topic of an MCAP file, of a node or of ROS 2
   albireo replay demo --connect tcp/192.168.0.20:7447
       the demonstration's road, to another machine
 
@@ -35,7 +37,8 @@ A live camera is not replayed: the node opens it ([[camera]] source), or
 `albireo publish` does."
 )]
 pub struct ReplayArguments {
-    /// A video file, a folder or a pattern of them, a folder of JPEG and PNG files, a tar archive of such folders, or `demo`, which is demo/road.tar
+    /// A video file, a folder or a pattern of them, a folder of JPEG and PNG files, a tar archive of such folders, an MCAP file
+    /// with pictures of Foxglove or ROS 2 (FILE.mcap:/TOPIC if several topics have pictures), or `demo`, which is demo/road.tar
     pub source: SourceName,
 
     /// Where the frames go.

@@ -1,9 +1,10 @@
-//! Reads footage (a video, several as a dashcam writes them, or a folder or an archive of pictures) as a sequence of encoded pictures, the
-//! form in which a camera sends them.
+//! Reads footage (a video, several as a dashcam writes them, a recording, or a folder or an archive of pictures) as a sequence of
+//! encoded pictures, the form in which a camera sends them.
 
 mod downsampled;
 mod open;
 mod pictures;
+mod recording;
 mod source;
 mod video;
 mod video_files;

@@ -6,16 +6,16 @@ mod counter;
 mod read;
 pub(crate) mod receiver;
 mod ring;
-mod ros2;
 mod sequence;
 pub mod source;
+mod topic;
 
 pub use arrivals::ArrivalCounts;
 pub use counter::{InputCounter, Unusable};
 pub use read::{Frame, RawSample, read_frame};
 pub(crate) use ring::{Pushed, Ring};
-pub(crate) use ros2::{check_topic, keys_of_topic};
 pub use sequence::FrameNumber;
+pub(crate) use topic::{check_topic, keys_of_topic};
 
 use serde::{Deserialize, Serialize};
 

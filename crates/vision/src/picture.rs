@@ -17,6 +17,7 @@ mod mount;
 mod orientation;
 mod outline;
 mod raw;
+pub mod ros2;
 mod stream;
 
 pub use decode::{decode, decode_grey_half, decode_small_grey, to_jpeg};

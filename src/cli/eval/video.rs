@@ -29,7 +29,8 @@ const TIMEOUT_MS: u64 = 60_000;
 /// Arguments of `albireo eval video`.
 #[derive(Debug, Args)]
 pub(super) struct VideoArguments {
-    /// Video files (these need ffmpeg), folders of JPEG and PNG files, or tar archives of such folders; `demo` is
+    /// Video files (these need ffmpeg), folders of JPEG and PNG files, tar archives of such folders, or MCAP files with
+    /// pictures of Foxglove or ROS 2 (each of their topics is a clip); `demo` is
     /// demo/road.tar at 25 frames/s with its ground truth. Each is a clip named after its file; each folder of an archive
     /// is one
     #[arg(required = true, value_name = "CLIP")]
@@ -222,9 +223,10 @@ impl Evaluation<'_> {
     /// Pictures alone have none.
     fn rate(&self, name: &SourceName, source: &dyn FrameSource) -> Option<f64> {
         let own = || match name {
-            SourceName::Video(_) | SourceName::VideoFiles(_) | SourceName::Demo => {
-                Some(source.rate())
-            }
+            SourceName::Video(_)
+            | SourceName::VideoFiles(_)
+            | SourceName::Recording(..)
+            | SourceName::Demo => Some(source.rate()),
             SourceName::Pictures(_) | SourceName::Archive(_) => {
                 self.truth.as_ref()?.rate(source.name(), self.names.len() == 1)
             }

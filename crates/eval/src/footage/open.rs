@@ -1,11 +1,13 @@
 //! Opens footage by its name on the command line.
 
 use super::pictures::Pictures;
+use super::recording::Recording;
 use super::source::{FrameSource, clip_name};
 use super::video::{Ffmpeg, Video, VideoEncoding};
 use super::video_files::VideoFiles;
 use crate::error::EvalError;
 use crate::files::entries;
+use albireo_recording::EXTENSION;
 use albireo_vision::picture::is_picture_file;
 use albireo_vision::recordings::{are_several, is_video_file};
 use std::fmt::{Display, Formatter};
@@ -27,6 +29,8 @@ pub enum SourceName {
     Archive(PathBuf),
     /// `demo`: the demonstration's road, which is such an archive.
     Demo,
+    /// An MCAP file, and the topic of its pictures if it is named.
+    Recording(PathBuf, Option<String>),
     /// A video file.
     Video(PathBuf),
     /// A folder of video files, or a pattern for their names.
@@ -40,7 +44,15 @@ impl FromStr for SourceName {
         if text == "demo" {
             return Ok(Self::Demo);
         }
+        // A topic begins with a slash.
+        if let Some((file, topic)) = text.split_once(".mcap:/") {
+            let topic = Some(format!("/{topic}"));
+            return Ok(Self::Recording(format!("{file}.mcap").into(), topic));
+        }
         let path = Path::new(text);
+        if path.extension().is_some_and(|extension| extension == EXTENSION) {
+            return Ok(Self::Recording(path.to_path_buf(), None));
+        }
         if path.extension().is_some_and(|extension| extension == "tar") {
             return Ok(Self::Archive(path.to_path_buf()));
         }
@@ -87,6 +99,7 @@ impl SourceName {
             Self::Archive(_) | Self::Demo => {
                 Box::new(Pictures::of_archive(path, self.pictures_rate(rate))?)
             }
+            Self::Recording(_, topic) => Box::new(Recording::open(path, topic.as_deref())?),
             Self::Video(_) => {
                 let file = path.to_string_lossy();
                 Box::new(Video::open(&file, rate, encoding, Ffmpeg::default())?)
@@ -111,6 +124,7 @@ impl SourceName {
         match self {
             Self::Pictures(path)
             | Self::Archive(path)
+            | Self::Recording(path, _)
             | Self::Video(path)
             | Self::VideoFiles(path) => path,
             Self::Demo => Path::new(ROAD),
@@ -118,7 +132,7 @@ impl SourceName {
     }
 
     /// Returns each folder of pictures in a folder that has no picture itself, such as that of a whole data set; any other
-    /// source is returned as it is. A MOTChallenge sequence has its pictures in `img1`.
+    /// source is returned as it is. So is each topic of pictures in a recording that has several. A MOTChallenge sequence has its pictures in `img1`.
     ///
     /// # Errors
     /// When the folder cannot be read.
@@ -127,6 +141,10 @@ impl SourceName {
             entries(folder, wanted)
                 .map_err(|error| EvalError::read(folder, error, "name a folder of pictures"))
         };
+        if let Self::Recording(path, None) = self {
+            let topics = Recording::topics(path)?.into_iter();
+            return Ok(topics.map(|topic| Self::Recording(path.clone(), Some(topic))).collect());
+        }
         let mut folders = Vec::new();
         if let Self::Pictures(path) = self
             && path.is_dir()
@@ -194,6 +212,9 @@ impl SourceName {
             }
             names.push(match &clip {
                 Self::VideoFiles(path) => VideoFiles::name_of(path),
+                Self::Recording(path, topic) => {
+                    Recording::open(path, topic.as_deref())?.name().to_owned()
+                }
                 _ => clip_name(clip.path()),
             });
         }
@@ -219,6 +240,11 @@ mod tests {
             ("one.PNG", SourceName::Pictures("one.PNG".into())),
             ("demo", SourceName::Demo),
             ("other.tar", SourceName::Archive("other.tar".into())),
+            ("a/b.mcap", SourceName::Recording("a/b.mcap".into(), None)),
+            (
+                "b.mcap:/front/image",
+                SourceName::Recording("b.mcap".into(), Some("/front/image".to_owned())),
+            ),
             (folder, SourceName::Pictures(folder.into())),
         ] {
             assert_eq!(text.parse(), Ok(expected));
@@ -227,7 +253,12 @@ mod tests {
 
     #[test]
     fn a_missing_file_is_named() {
-        for missing in ["no/such/drive.mp4", "no/such.tar", "no/such.jpg"] {
+        for missing in [
+            "no/such/drive.mp4",
+            "no/such.tar",
+            "no/such.jpg",
+            "no/such.mcap",
+        ] {
             let name: SourceName = missing.parse().unwrap();
             let error = name.open(None, VideoEncoding::Jpeg).err().unwrap();
             assert!(error.to_string().contains(missing), "{error}");

@@ -1,10 +1,10 @@
 //! Reads a Zenoh sample or query as a frame with a still encoded picture.
 
 use super::attachment::read_attachment;
-use super::ros2::{self, StampedPicture};
 use super::{FrameNumber, PayloadFormat};
 use albireo_core::geometry::PictureSize;
 use albireo_service::clock::unix_nanoseconds;
+use albireo_vision::picture::ros2::{self, StampedPicture};
 use albireo_vision::picture::{
     EncodedPicture, FrameFault, FrameLimits, PictureFormat, check_payload, format_of,
     picture_of_kind, raw_picture,

@@ -1,52 +1,25 @@
 //! ROS 2 `sensor_msgs/msg/CompressedImage` and `Image` in CDR (OMG CDR, plain encoding of XTypes
 //! version 1), both byte orders. Nothing is copied, except the rows of an image with padding and samples in the other byte order.
 
-use albireo_core::geometry::PictureSize;
-use albireo_vision::picture::{
+use super::{
     EncodedPicture, FrameFault, FrameLimits, PictureFormat, format_of, picture_of_kind,
     raw_picture_of_rows,
 };
+use albireo_core::geometry::PictureSize;
 use bytes::{Buf, Bytes};
 
 /// A message's picture, and its header stamp in nanoseconds since the Unix epoch, if that is set.
-pub(super) type StampedPicture = (EncodedPicture, Option<u64>);
+pub type StampedPicture = (EncodedPicture, Option<u64>);
 
 /// The longest text of a CompressedImage's format; `bgr8; jpeg compressed bgr8` is usual.
 const LONGEST_FORMAT: usize = 64;
 
-/// Returns the Zenoh keys on which a topic's messages arrive: those of rmw_zenoh (`<domain>/<topic>/<type>/<type hash>`, of
-/// which only newer distributions know the hash), and of the bridge zenoh-bridge-ros2dds (`<topic>`).
-pub(crate) fn keys_of_topic(domain: u32, topic: &str) -> [String; 2] {
-    let topic = topic.trim_matches('/');
-    [format!("{domain}/{topic}/*/*"), topic.to_owned()]
-}
-
-/// Checks that `topic` is a name that ROS 2 allows.
-///
-/// # Errors
-/// The reason.
-pub(crate) fn check_topic(topic: &str) -> Result<(), String> {
-    let is_word = |part: &str| {
-        let starts = part.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_');
-        starts && part.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'_')
-    };
-    match topic.strip_prefix('/') {
-        Some(parts) if parts.split('/').all(is_word) => Ok(()),
-        Some(_) => Err(format!(
-            "`{topic}` is not the name of a ROS 2 topic: its parts are letters, digits and `_`, and begin with no digit"
-        )),
-        None => Err(format!(
-            "`{topic}` must begin with `/`, as `ros2 topic list` shows it"
-        )),
-    }
-}
-
 /// Reads a CompressedImage or an Image. Both begin with a header; a short text follows in the one, a number of rows in the
 /// other.
-pub(super) fn read_message(
-    payload: &Bytes,
-    limits: &FrameLimits,
-) -> Result<StampedPicture, FrameFault> {
+///
+/// # Errors
+/// If it is cut, its pixels have an unknown encoding, or its picture is above a limit.
+pub fn read_message(payload: &Bytes, limits: &FrameLimits) -> Result<StampedPicture, FrameFault> {
     let mut cdr = Cdr::new(payload)?;
     let time_ns = cdr.header()?;
     let picture = if cdr.begins_with_text() {

@@ -1,0 +1,220 @@
+//! Reads the pictures of an MCAP file: a recording of a node, of Foxglove, or of ROS 2.
+
+use super::pictures::Pictures;
+use super::source::{FrameSource, clip_name, plain_name};
+use crate::error::EvalError;
+use albireo_recording::{
+    Channel, Messages, Overview, PictureKind, RecordingError, Topic, picture_in_json,
+    picture_in_protobuf,
+};
+use albireo_vision::picture::{EncodedPicture, FrameLimits, picture_of_file, ros2};
+use bytes::Bytes;
+use std::path::{Path, PathBuf};
+
+/// The kinds of pictures that are read, for errors.
+const READABLE: &str = "foxglove.CompressedImage in protobuf or JSON, and ROS 2 sensor_msgs/msg/CompressedImage and Image in \
+                        CDR are read";
+
+/// The pictures on one topic of a file.
+pub(super) struct Recording {
+    path: PathBuf,
+    topic: String,
+    name: String,
+    rate: f64,
+    frames: u64,
+    messages: Messages,
+    /// The number of pictures read.
+    at: u64,
+    /// True if the file ends early, which was told when it was opened.
+    is_cut: bool,
+    /// True once the end was reached.
+    is_over: bool,
+}
+
+/// The channels of pictures in a file, each with its number of pictures.
+struct Found {
+    overview: Overview,
+    pictures: Vec<(String, u64)>,
+}
+
+impl Found {
+    fn read(path: &Path) -> Result<Self, EvalError> {
+        let overview = Overview::read(path).map_err(|error| {
+            EvalError::content(path, format!("it cannot be read as an MCAP file: {error}"))
+        })?;
+        let is_audit = |topic: &str| matches!(Topic::parse(topic), Some((_, Topic::AuditImage)));
+        let found = overview
+            .channels
+            .iter()
+            .filter(|(channel, count)| *count > 0 && PictureKind::of(channel).is_some());
+        let named = found.map(|(channel, count)| (channel.topic.clone(), *count));
+        let (audit, mut pictures): (Vec<_>, Vec<_>) = named.partition(|(topic, _)| is_audit(topic));
+        // Pictures of the audit are no sequence: they are read if there is nothing else.
+        if pictures.is_empty() {
+            pictures = audit;
+        }
+        if pictures.is_empty() {
+            let what = format!(
+                "it has no pictures: {READABLE}; it has {}",
+                listed(&overview)
+            );
+            return Err(EvalError::content(path, what));
+        }
+        Ok(Self { overview, pictures })
+    }
+}
+
+/// The topics of a file with their types, for an error.
+fn listed(overview: &Overview) -> String {
+    let one = |(channel, count): &(std::sync::Arc<Channel>, u64)| {
+        let Channel {
+            topic,
+            schema,
+            encoding,
+            ..
+        } = &**channel;
+        format!("{topic} ({schema} in {encoding}, {count} messages)")
+    };
+    match overview.channels.as_slice() {
+        [] => "no messages".to_owned(),
+        some => some.iter().map(one).collect::<Vec<_>>().join(", "),
+    }
+}
+
+impl Recording {
+    /// The topics with pictures, in their order.
+    ///
+    /// # Errors
+    /// When the file cannot be read or has no pictures.
+    pub(super) fn topics(path: &Path) -> Result<Vec<String>, EvalError> {
+        let found = Found::read(path)?.pictures.into_iter();
+        Ok(found.map(|(topic, _)| topic).collect())
+    }
+
+    /// Opens the pictures on `topic`, or on the only topic that has some.
+    ///
+    /// # Errors
+    /// When the file cannot be read, has no pictures, or has several topics with pictures and none is named.
+    pub(super) fn open(path: &Path, topic: Option<&str>) -> Result<Self, EvalError> {
+        let Found { overview, pictures } = Found::read(path)?;
+        let found = match (topic, pictures.as_slice()) {
+            (None, [only]) => Some(only),
+            (None, several) => {
+                let topics: Vec<_> = several.iter().map(|(topic, _)| topic.as_str()).collect();
+                let what = format!(
+                    "it has pictures on several topics: name one, {}:{}; the others are {}",
+                    path.display(),
+                    topics[0],
+                    topics[1..].join(", ")
+                );
+                return Err(EvalError::content(path, what));
+            }
+            (Some(topic), _) => pictures.iter().find(|(known, _)| known == topic),
+        };
+        let Some((topic, frames)) = found.cloned() else {
+            let what = format!(
+                "it has no pictures on this topic; it has {}",
+                listed(&overview)
+            );
+            return Err(EvalError::content(path, what));
+        };
+        if let Some(damage) = &overview.damage {
+            let file = path.display();
+            eprintln!(
+                "albireo: {file} ends early ({damage}); its {frames} whole pictures are used"
+            );
+        }
+        let seconds = overview.times_ns.map_or(0.0, |(first, last)| (last - first) as f64 / 1e9);
+        let rate = (frames.saturating_sub(1)) as f64 / seconds;
+        let mut name = clip_name(path);
+        if pictures.len() > 1 {
+            name = plain_name(&format!("{name}{}", topic.replace('/', "_")));
+        }
+        Ok(Self {
+            messages: opened(path)?,
+            path: path.to_owned(),
+            name,
+            rate: if (0.01..=1000.0).contains(&rate) {
+                rate
+            } else {
+                Pictures::DEFAULT_RATE
+            },
+            frames,
+            topic,
+            at: 0,
+            is_cut: overview.damage.is_some(),
+            is_over: false,
+        })
+    }
+
+    fn read(&self, channel: &Channel, message: &Bytes) -> Result<EncodedPicture, EvalError> {
+        let limits = FrameLimits::default();
+        let named = |fault: &dyn std::fmt::Display| {
+            EvalError::content(
+                &self.path,
+                format!("{}, picture {}: {fault}", self.topic, self.at),
+            )
+        };
+        let file = |read: Result<Bytes, RecordingError>| {
+            let file = read.map_err(|error| named(&error))?;
+            picture_of_file(file, &limits).map_err(|fault| named(&fault))
+        };
+        match PictureKind::of(channel) {
+            Some(PictureKind::FoxgloveProtobuf) => file(picture_in_protobuf(message)),
+            Some(PictureKind::FoxgloveJson) => file(picture_in_json(message)),
+            Some(PictureKind::Ros2) => ros2::read_message(message, &limits)
+                .map(|(picture, _)| picture)
+                .map_err(|fault| named(&fault)),
+            None => Err(named(&READABLE)),
+        }
+    }
+}
+
+fn opened(path: &Path) -> Result<Messages, EvalError> {
+    Messages::open(path).map_err(|error| EvalError::content(path, error))
+}
+
+impl FrameSource for Recording {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn picture_name(&self) -> Option<String> {
+        Some(format!("{}, picture {}", self.path.display(), self.at))
+    }
+
+    fn rate(&self) -> f64 {
+        self.rate
+    }
+
+    fn frames(&self) -> Option<u64> {
+        Some(self.frames)
+    }
+
+    fn next(&mut self) -> Result<Option<EncodedPicture>, EvalError> {
+        if self.is_over {
+            return Ok(None);
+        }
+        while let Some(message) = self.messages.next() {
+            if message.channel.topic == self.topic {
+                self.at += 1;
+                return self.read(&message.channel, &message.data).map(Some);
+            }
+        }
+        self.is_over = true;
+        match self.messages.damage() {
+            Some(damage) if !self.is_cut => {
+                let what = format!("the file is damaged, and nothing is read after this: {damage}");
+                Err(EvalError::content(&self.path, what))
+            }
+            _ => Ok(None),
+        }
+    }
+
+    fn rewind(&mut self) -> Result<(), EvalError> {
+        self.messages = opened(&self.path)?;
+        self.at = 0;
+        self.is_over = false;
+        Ok(())
+    }
+}
