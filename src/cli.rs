@@ -17,6 +17,8 @@ mod development;
 mod diag;
 #[cfg(feature = "eval")]
 pub mod eval;
+#[cfg(feature = "eval")]
+mod export;
 #[cfg(feature = "hub")]
 mod fleet;
 pub mod frames;
@@ -125,6 +127,9 @@ enum Command {
     /// Send a hub the load of a fleet without cameras.
     Simulate(Box<simulate::SimulateArguments>),
     #[cfg(feature = "eval")]
+    /// Export recorded frames as COCO or MOTChallenge, for training and labelling.
+    Export(export::ExportArguments),
+    #[cfg(feature = "eval")]
     /// Replay recordings through any policy, and compare accuracy and detector calls.
     Eval(Box<eval::EvalArguments>),
     /// Write the manual pages of all subcommands into a folder.
@@ -172,6 +177,8 @@ impl Command {
                 let shutdown = albireo_service::signals::shutdown(None)?;
                 replay::run(arguments, shutdown).await.map(drop)
             })?,
+            #[cfg(feature = "eval")]
+            Self::Export(arguments) => export::run(&arguments)?,
             #[cfg(feature = "eval")]
             Self::Eval(arguments) => eval::run(&arguments)?,
             #[cfg(feature = "simulate")]

@@ -18,6 +18,7 @@ pub mod compare;
 pub mod data;
 pub mod energy_model;
 pub mod error;
+pub mod export;
 pub mod files;
 pub mod footage;
 pub mod judge;

@@ -1,0 +1,125 @@
+//! Writes recorded frames as pictures with labels, as COCO or in the layout of MOTChallenge, for training and labelling tools.
+
+mod coco;
+mod frames;
+mod mot;
+
+use crate::error::EvalError;
+use albireo_recording::EXTENSION;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// The layout of an export.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+pub enum ExportFormat {
+    /// Pictures in `images`, boxes in `annotations.json`.
+    Coco,
+    /// MOTChallenge: a folder for each recording, with `img1`, `seqinfo.ini`, and `gt/gt.txt` or `det/det.txt`.
+    Mot,
+}
+
+/// The frames of an export.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+pub enum ExportedFrames {
+    /// Frames on which the audit found a difference, with the boxes of the detector.
+    #[default]
+    Audit,
+    /// All recorded frames, with the boxes that were published, and their track ids.
+    Shown,
+}
+
+/// What was exported.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Exported {
+    /// Recordings with such frames.
+    pub recordings: u64,
+    /// Pictures.
+    pub pictures: u64,
+    /// Boxes.
+    pub boxes: u64,
+    /// What was left out, a sentence each.
+    pub left_out: Vec<String>,
+}
+
+/// The recordings in a folder in the order of their names, or the one file.
+///
+/// # Errors
+/// When there is none.
+pub fn recordings(path: &Path) -> Result<Vec<PathBuf>, EvalError> {
+    let is_recording = |path: &Path| path.extension().is_some_and(|ending| ending == EXTENSION);
+    if path.is_file() {
+        return Ok(vec![path.to_owned()]);
+    }
+    let help = "name a folder of recordings ([record] folder) or an MCAP file";
+    let found = crate::files::entries(path, is_recording)
+        .map_err(|error| EvalError::read(path, error, help))?;
+    if found.is_empty() {
+        return Err(EvalError::content(
+            path,
+            format!("it has no MCAP file: {help}"),
+        ));
+    }
+    Ok(found)
+}
+
+/// Exports the frames of `recordings` into `out`, a new or empty folder. `done` is told after each recording.
+///
+/// # Errors
+/// When `out` is not empty or cannot be written, or there is no such frame.
+pub fn export(
+    recordings: &[PathBuf],
+    out: &Path,
+    format: ExportFormat,
+    frames: ExportedFrames,
+    mut done: impl FnMut(&Exported),
+) -> Result<Exported, EvalError> {
+    if crate::files::entries(out, |_| true).is_ok_and(|found| !found.is_empty()) {
+        let what = "the folder is not empty: name a new one with --out";
+        return Err(EvalError::content(out, what));
+    }
+    let mut exported = Exported::default();
+    let mut coco = coco::Coco::default();
+    for path in recordings {
+        let before = exported.pictures;
+        let mut sequences = BTreeMap::<String, mot::Sequence>::new();
+        let read = frames::read(path, frames, |frame| {
+            exported.pictures += 1;
+            exported.boxes += frame.boxes.len() as u64;
+            match format {
+                ExportFormat::Coco => coco.add(path, &frame, out),
+                ExportFormat::Mot => {
+                    let sequence = sequences.entry(frame.camera.clone());
+                    let sequence =
+                        sequence.or_insert_with(|| mot::Sequence::new(path, &frame, frames, out));
+                    sequence.add(&frame)
+                }
+            }
+        });
+        exported.left_out.extend(read?);
+        sequences.into_values().try_for_each(mot::Sequence::finish)?;
+        exported.recordings += u64::from(exported.pictures > before);
+        done(&exported);
+    }
+    if exported.pictures == 0 {
+        let number = recordings.len();
+        let reasons = exported.left_out.join("; ");
+        let help = match frames {
+            ExportedFrames::Audit => {
+                "no frame of the audit: record them with when = [\"audit\"] in [record], or export the frames as shown with \
+                 --frames shown"
+            }
+            ExportedFrames::Shown => "no frame with its boxes",
+        };
+        let text = format!("{number} recordings were read, and there is {help}. {reasons}");
+        return Err(EvalError::new(text.trim_end()));
+    }
+    if format == ExportFormat::Coco {
+        coco.finish(out)?;
+    }
+    Ok(exported)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,74 @@
+//! Writes COCO: pictures in `images`, one file of annotations.
+
+use super::frames::LabelledFrame;
+use crate::error::EvalError;
+use crate::files::{write, write_json};
+use crate::footage::clip_name;
+use serde_json::{Value, json};
+use std::path::Path;
+
+/// The annotations so far.
+#[derive(Debug, Default)]
+pub(super) struct Coco {
+    images: Vec<Value>,
+    annotations: Vec<Value>,
+    /// The names of the classes; the first has the number 1.
+    classes: Vec<String>,
+}
+
+impl Coco {
+    /// Adds a frame, and writes its picture.
+    pub(super) fn add(
+        &mut self,
+        recording: &Path,
+        frame: &LabelledFrame,
+        out: &Path,
+    ) -> Result<(), EvalError> {
+        let id = self.images.len() + 1;
+        let LabelledFrame { seq, camera, .. } = frame;
+        let name = format!("{}_{camera}_{id:06}.jpg", clip_name(recording));
+        write(&out.join("images").join(&name), &frame.picture)?;
+        let [width, height] = frame.size;
+        self.images.push(json!({
+            "id": id, "file_name": name, "width": width, "height": height,
+            "camera": camera, "seq": seq, "t_ns": frame.t_ns,
+        }));
+        for found in &frame.boxes {
+            let [left, top, right, bottom] = found.corners.map(f64::from);
+            let (width, height) = (right - left, bottom - top);
+            let category = self.category(&found.class);
+            let mut annotation = json!({
+                "id": self.annotations.len() + 1, "image_id": id, "category_id": category,
+                "bbox": [left, top, width, height], "area": width * height, "iscrowd": 0,
+                "score": found.confidence,
+            });
+            if let Some(object) = found.object {
+                annotation["track_id"] = object.0.into();
+            }
+            self.annotations.push(annotation);
+        }
+        Ok(())
+    }
+
+    /// The number of a class.
+    fn category(&mut self, class: &str) -> usize {
+        let known = self.classes.iter().position(|known| known == class);
+        let place = known.unwrap_or_else(|| {
+            self.classes.push(class.to_owned());
+            self.classes.len() - 1
+        });
+        place + 1
+    }
+
+    /// Writes `annotations.json`.
+    pub(super) fn finish(self, out: &Path) -> Result<(), EvalError> {
+        let category = |(id, name): (usize, &String)| json!({"id": id, "name": name});
+        let dataset = json!({
+            "info": {"description": "Frames recorded by albireo; boxes and scores are those of its detector"},
+            "images": self.images,
+            "annotations": self.annotations,
+            "categories": (1..).zip(&self.classes).map(category).collect::<Vec<_>>(),
+        });
+        write_json(&out.join("annotations.json"), &dataset)
+    }
+}

@@ -1,0 +1,127 @@
+//! Writes the layout of MOTChallenge: a folder for each sequence of pictures.
+
+use super::ExportedFrames;
+use super::frames::LabelledFrame;
+use crate::error::EvalError;
+use crate::files::write;
+use crate::footage::clip_name;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+/// MOTChallenge's numbers of the classes that it has.
+const CLASSES: [(&str, usize); 5] = [
+    ("pedestrian", 1),
+    ("person", 1),
+    ("car", 3),
+    ("bicycle", 4),
+    ("motorcycle", 5),
+];
+/// The number of the first class that it does not have; `classes.txt` names them.
+const FIRST_OTHER: usize = 14;
+
+/// A sequence that is being written.
+#[derive(Debug)]
+pub(super) struct Sequence {
+    folder: PathBuf,
+    name: String,
+    size: [u32; 2],
+    frames: ExportedFrames,
+    times_ns: Vec<u64>,
+    /// The lines of its boxes.
+    rows: String,
+    /// The names of classes that MOTChallenge does not have.
+    others: Vec<String>,
+}
+
+impl Sequence {
+    /// Begins the sequence of a camera of a recording; `first` is its first frame.
+    pub(super) fn new(
+        recording: &Path,
+        first: &LabelledFrame,
+        frames: ExportedFrames,
+        out: &Path,
+    ) -> Self {
+        let name = format!("{}_{}", clip_name(recording), first.camera);
+        Self {
+            folder: out.join(&name),
+            name,
+            size: first.size,
+            frames,
+            times_ns: Vec::new(),
+            rows: String::new(),
+            others: Vec::new(),
+        }
+    }
+
+    /// Adds a frame, and writes its picture.
+    pub(super) fn add(&mut self, frame: &LabelledFrame) -> Result<(), EvalError> {
+        self.times_ns.push(frame.t_ns);
+        let number = self.times_ns.len();
+        let file = self.folder.join("img1").join(format!("{number:06}.jpg"));
+        write(&file, &frame.picture)?;
+        for found in &frame.boxes {
+            let [left, top, right, bottom] = found.corners.map(f64::from);
+            let (width, height) = (right - left, bottom - top);
+            // Pixels count from 1.
+            let (left, top) = (left + 1.0, top + 1.0);
+            let place = format!("{left:.2},{top:.2},{width:.2},{height:.2}");
+            // Writing into text cannot fail.
+            let _ = match (self.frames, found.object) {
+                // The columns of gt.txt; track ids count from 1.
+                (ExportedFrames::Shown, Some(object)) => {
+                    let class = self.class(&found.class);
+                    writeln!(self.rows, "{number},{},{place},1,{class},1", object.0 + 1)
+                }
+                // The columns of det.txt: no track, a confidence.
+                _ => writeln!(
+                    self.rows,
+                    "{number},-1,{place},{:.4},-1,-1,-1",
+                    found.confidence
+                ),
+            };
+        }
+        Ok(())
+    }
+
+    fn class(&mut self, name: &str) -> usize {
+        if let Some((_, number)) = CLASSES.iter().find(|(known, _)| *known == name) {
+            return *number;
+        }
+        let known = self.others.iter().position(|known| known == name);
+        let place = known.unwrap_or_else(|| {
+            self.others.push(name.to_owned());
+            self.others.len() - 1
+        });
+        FIRST_OTHER + place
+    }
+
+    /// Writes the boxes and `seqinfo.ini`.
+    pub(super) fn finish(self) -> Result<(), EvalError> {
+        let boxes = match self.frames {
+            ExportedFrames::Shown => "gt/gt.txt",
+            ExportedFrames::Audit => "det/det.txt",
+        };
+        write(&self.folder.join(boxes), self.rows)?;
+        if !self.others.is_empty() {
+            let line = |(number, name): (usize, &String)| format!("{number} {name}\n");
+            let lines: String = (FIRST_OTHER..).zip(&self.others).map(line).collect();
+            write(&self.folder.join("classes.txt"), lines)?;
+        }
+        let seconds = match (self.times_ns.first(), self.times_ns.last()) {
+            (Some(first), Some(last)) => last.saturating_sub(*first) as f64 / 1e9,
+            _ => 0.0,
+        };
+        let frames = self.times_ns.len();
+        let rate = match self.frames {
+            ExportedFrames::Shown if seconds > 0.0 => (frames - 1) as f64 / seconds,
+            // Single frames have no rate.
+            _ => 1.0,
+        };
+        let [width, height] = self.size;
+        let info = format!(
+            "[Sequence]\nname={}\nimDir=img1\nframeRate={rate:.2}\nseqLength={frames}\nimWidth={width}\nimHeight={height}\nimExt=.jpg\n",
+            self.name
+        );
+        write(&self.folder.join("seqinfo.ini"), info)
+    }
+}

@@ -1,0 +1,138 @@
+use super::*;
+use crate::data;
+use albireo_core::detection::ObjectId;
+use albireo_core::policy::{BoxSource, FrameState};
+use albireo_recording::{AuditMessage, RecordingFile};
+use albireo_wire::{BoxMessage, DetectionsMessage, Latency, VERSION};
+use bytes::Bytes;
+use serde_json::Value;
+
+fn one(class: &str, object: Option<u64>) -> BoxMessage {
+    BoxMessage {
+        corners: [1.0, 2.0, 31.0, 42.0],
+        class: class.to_owned(),
+        confidence: 0.75,
+        source: BoxSource::Detected,
+        object: object.map(ObjectId),
+        confirmed: true,
+    }
+}
+
+fn picture() -> Bytes {
+    let mut file = Vec::new();
+    let encoder = jpeg_encoder::Encoder::new(&mut file, 90);
+    encoder.encode(&[90; 64 * 48], 64, 48, jpeg_encoder::ColorType::Luma).unwrap();
+    file.into()
+}
+
+/// A recording of four frames, two of which the audit keeps.
+fn recorded(path: &Path) {
+    let mut file = RecordingFile::create(path).unwrap();
+    for seq in 0..4 {
+        let t_ns = 1_700_000_000_000_000_000 + seq * 100_000_000;
+        let shown = DetectionsMessage {
+            v: VERSION,
+            seq,
+            t_ns,
+            clip: "drive".to_owned(),
+            state: FrameState::P,
+            pending: false,
+            degraded: false,
+            cause: None,
+            passed: None,
+            tau_max: None,
+            threshold: None,
+            width: 64,
+            height: 48,
+            boxes: vec![one("car", Some(6)), one("truck", Some(seq))],
+            latency_ms: Latency::default(),
+        };
+        file.frame("front", picture(), &shown, None).unwrap();
+        if seq % 2 == 1 {
+            let audit = AuditMessage {
+                v: VERSION,
+                seq,
+                t_ns,
+                width: 64,
+                height: 48,
+                shown: shown.boxes,
+                detected: vec![one("car", None)],
+            };
+            file.audited("front", picture(), &audit).unwrap();
+        }
+    }
+    file.finish().unwrap();
+}
+
+#[test]
+fn what_the_audit_kept_is_exported_as_coco_and_read_by_ours() {
+    let folder = tempfile::tempdir().unwrap();
+    recorded(&folder.path().join("a.mcap"));
+    recorded(&folder.path().join("b.mcap"));
+    let files = recordings(folder.path()).unwrap();
+    let out = folder.path().join("out");
+    let audit = ExportedFrames::Audit;
+    let mut told = Vec::new();
+    let done = export(&files, &out, ExportFormat::Coco, audit, |so_far| {
+        told.push(so_far.pictures);
+    });
+    let done = done.unwrap();
+    assert_eq!((done.recordings, done.pictures, done.boxes), (2, 4, 4));
+    assert_eq!((told, done.left_out), (vec![2, 4], vec![]));
+    let text = std::fs::read(out.join("annotations.json")).unwrap();
+    let coco: Value = serde_json::from_slice(&text).unwrap();
+    assert_eq!(
+        coco["annotations"][0]["bbox"],
+        serde_json::json!([1.0, 2.0, 30.0, 40.0])
+    );
+    assert_eq!(
+        coco["categories"],
+        serde_json::json!([{"id": 1, "name": "car"}])
+    );
+    for image in coco["images"].as_array().unwrap() {
+        let file = out.join("images").join(image["file_name"].as_str().unwrap());
+        assert_eq!(std::fs::read(file).unwrap(), picture());
+    }
+    let error = export(&files, &out, ExportFormat::Coco, audit, |_| {}).unwrap_err();
+    assert!(error.to_string().contains("not empty"), "{error}");
+}
+
+#[test]
+fn frames_as_shown_are_exported_as_motchallenge_and_read_by_ours() {
+    let folder = tempfile::tempdir().unwrap();
+    recorded(&folder.path().join("a.mcap"));
+    let files = recordings(folder.path()).unwrap();
+    let out = folder.path().join("out");
+    let shown = ExportedFrames::Shown;
+    let done = export(&files, &out, ExportFormat::Mot, shown, |_| {}).unwrap();
+    assert_eq!((done.pictures, done.boxes), (4, 8));
+    let read = data::mot_challenge::read(&out).unwrap();
+    assert_eq!(read.clips.len(), 1);
+    let rows = std::fs::read_to_string(out.join("a_front/gt/gt.txt")).unwrap();
+    assert_eq!(rows.lines().next(), Some("1,7,2.00,3.00,30.00,40.00,1,3,1"));
+    let info = std::fs::read_to_string(out.join("a_front/seqinfo.ini")).unwrap();
+    assert!(
+        info.contains("frameRate=10.00\nseqLength=4\nimWidth=64\n"),
+        "{info}"
+    );
+    let names = std::fs::read_to_string(out.join("a_front/classes.txt")).unwrap();
+    assert_eq!(names, "14 truck\n");
+    assert_eq!(
+        std::fs::read(out.join("a_front/img1/000004.jpg")).unwrap(),
+        picture()
+    );
+}
+
+#[test]
+fn a_folder_without_such_frames_says_how_to_get_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let error = recordings(folder.path()).unwrap_err().to_string();
+    assert!(error.contains("no MCAP file"), "{error}");
+    let path = folder.path().join("a.mcap");
+    RecordingFile::create(&path).unwrap().finish().unwrap();
+    let files = recordings(&path).unwrap();
+    let out = folder.path().join("out");
+    let audit = ExportedFrames::Audit;
+    let error = export(&files, &out, ExportFormat::Mot, audit, |_| {}).unwrap_err();
+    assert!(error.to_string().contains("when = [\"audit\"]"), "{error}");
+}
