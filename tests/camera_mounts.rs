@@ -4,10 +4,12 @@
 use crate::node_frames::{attachment, put};
 use crate::support::live_camera::MotionJpegCamera;
 use crate::support::{Node, jpeg, json_at, until, until_connected, zenoh_client};
+use albireo_recording::{Messages, Topic, picture_in_protobuf};
 use albireo_vision::picture::{FrameLimits, Picture, PixelLayout, decode, picture_of_file};
 use bytes::Bytes;
 use rstest::rstest;
 use serde_json::Value;
+use std::path::Path;
 
 const SENT: [f64; 2] = [320.0, 180.0];
 /// Left, top, right, bottom in the picture as it is sent: the red thing, and the blue one that is masked.
@@ -52,8 +54,29 @@ async fn shown(node: &Node, path: &str) -> Picture {
         .bytes()
         .await
         .unwrap();
+    decoded(Bytes::from(bytes.to_vec()))
+}
+
+/// The pictures in the recordings of a camera.
+fn recorded(folder: &Path, camera: &str) -> Vec<Picture> {
+    let files = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let messages = files.flat_map(|path| Messages::open(&path).unwrap());
+    let images = messages.filter(|one| one.channel.topic == Topic::Image.of(camera));
+    images.map(|one| decoded(picture_in_protobuf(&one.data).unwrap())).collect()
+}
+
+fn assert_masked(picture: &Picture, name: &str) {
+    assert_eq!([picture.size.width, picture.size.height], [180, 256]);
+    let is_blue = |pixel: &[u8]| pixel[2] > 150 && pixel[0] < 80;
+    let is_grey = |pixel: &[u8]| pixel.iter().all(|value| value.abs_diff(114) < 6);
+    assert_eq!(count(picture, is_blue), 0, "{name}");
+    let share = count(picture, is_grey) as f64 / (180.0 * 256.0);
+    assert!((share - 0.35 * 0.4).abs() < 0.01, "{name}: {share} is grey");
+}
+
+fn decoded(file: Bytes) -> Picture {
     let limits = FrameLimits::default();
-    let file = picture_of_file(Bytes::from(bytes.to_vec()), &limits).unwrap();
+    let file = picture_of_file(file, &limits).unwrap();
     let mut picture = Picture::default();
     decode(&file, &limits, PixelLayout::Rgb8, None, &mut picture).unwrap();
     picture
@@ -67,15 +90,17 @@ fn count(picture: &Picture, is_colour: fn(&[u8]) -> bool) -> usize {
 #[rstest]
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs ONNX Runtime and ffmpeg"]
-async fn a_camera_is_turned_cropped_and_masked_for_detector_messages_and_page_alike() {
+async fn a_camera_is_turned_cropped_and_masked_for_detector_messages_page_and_recordings_alike() {
     let camera = MotionJpegCamera::start(vec![picture()]).await;
+    let folder = tempfile::tempdir().unwrap();
+    let recordings = folder.path().join("recordings");
     let settings = format!(
-        "detector.model = {:?}\npolicy.name = \"vanilla\"\n[[camera]]\nname = \"front\"\nsource = \"{}\"\nmax_rate = 5\n\
+        "detector.model = {:?}\npolicy.name = \"vanilla\"\nrecord = {{ folder = {recordings:?}, when = [\"always\"] }}\n[[camera]]\nname = \"front\"\nsource = \"{}\"\nmax_rate = 5\n\
          {MOUNT}[[camera]]\nname = \"rear\"\n{MOUNT}[[camera]]\nname = \"plain\"\n",
         crate::support::detectors::model("boxes.onnx"),
         camera.address
     );
-    let node = Node::start(&settings).await;
+    let node = Node::start_in(folder, &settings).await;
     let session = zenoh_client(&node.zenoh).await;
     for name in ["rear", "plain"] {
         until_connected(&session, "node", name).await;
@@ -114,12 +139,7 @@ async fn a_camera_is_turned_cropped_and_masked_for_detector_messages_and_page_al
         }
 
         let picture = shown(&node, &format!("/api/v1/cameras/{name}/frame.jpg")).await;
-        assert_eq!([picture.size.width, picture.size.height], [180, 256]);
-        let is_blue = |pixel: &[u8]| pixel[2] > 150 && pixel[0] < 80;
-        let is_grey = |pixel: &[u8]| pixel.iter().all(|value| value.abs_diff(114) < 6);
-        assert_eq!(count(&picture, is_blue), 0, "{name}");
-        let share = count(&picture, is_grey) as f64 / (180.0 * 256.0);
-        assert!((share - 0.35 * 0.4).abs() < 0.01, "{name}: {share} is grey");
+        assert_masked(&picture, name);
         let drawn = shown(
             &node,
             &format!("/api/v1/cameras/{name}/frame.jpg?boxes=true"),
@@ -128,5 +148,10 @@ async fn a_camera_is_turned_cropped_and_masked_for_detector_messages_and_page_al
         assert_eq!(drawn.size, picture.size);
     }
     session.close().await.unwrap();
-    node.stop_well().await;
+    let (.., folder) = node.stop().await;
+    for name in ["front", "rear"] {
+        let pictures = recorded(&folder.path().join("recordings"), name);
+        assert!(!pictures.is_empty());
+        pictures.iter().for_each(|picture| assert_masked(picture, name));
+    }
 }

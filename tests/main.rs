@@ -51,6 +51,7 @@ mod power_cuts;
 mod power_live;
 mod power_tegrastats;
 mod power_telemetry;
+mod recordings;
 mod replay;
 mod ros2;
 mod stopping;

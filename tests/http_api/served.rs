@@ -38,6 +38,8 @@ pub(crate) fn prepared(policy: &str, state_dir: Option<&Path>) -> PreparedNode {
     config.cameras = ["front", "rear"].map(CameraConfig::named).to_vec();
     config.node.name = "car-7".to_owned();
     config.node.state_dir = state_dir.map(Path::to_owned);
+    // Nothing is written there: only a node that starts has a writer.
+    config.record.folder = Some("recordings".into());
     config.detector.providers = vec![ExecutionProvider::Cuda, ExecutionProvider::Cpu];
     PreparedNode::new(&config).unwrap()
 }

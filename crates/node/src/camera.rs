@@ -26,13 +26,14 @@ use crate::input::receiver::{FrameReceiver, SequencedFrame, kind_of};
 use crate::position::Positions;
 use crate::publishing::Outlet;
 use crate::publishing::ros2::Ros2Outlet;
+use crate::recorder::CameraRecorder;
 use crate::state::board::{CameraBoard, NoNews};
 use albireo_core::policy::{
     CallCause, EmptyRoad, FrameHead, LatePolicy, MinConfidence, Need, Outcome,
 };
 use albireo_power::CameraEnergy;
 use albireo_service::clock::milliseconds;
-use albireo_wire::{DetectionsMessage, DropKind, Latency, Threshold};
+use albireo_wire::{DetectionsMessage, DropKind, Latency, Position, Threshold};
 use futures_util::future::OptionFuture;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -69,6 +70,8 @@ pub(crate) struct CameraParts {
     pub energy: CameraEnergy,
     /// Where its frames are taken.
     pub positions: Arc<Positions>,
+    /// Records its frames.
+    pub recorder: CameraRecorder,
     /// True if the policy forgets its objects at a new clip id of the camera.
     pub reset_at_clip: bool,
 }
@@ -127,6 +130,8 @@ struct BegunFrame {
     head: FrameHead,
     clip: Arc<str>,
     threshold: Option<Threshold>,
+    /// Where it was taken.
+    position: Option<Position>,
     /// What the policy needs to know of it.
     need: Need,
     /// The time at which it was taken from the ring.
@@ -278,9 +283,11 @@ impl Camera {
             None => self.tracker.count(&record),
         }
         parts.board.record_frame(&record);
+        let received = incoming.frame.received.into_std();
+        let picture = &incoming.frame.picture;
+        parts.recorder.frame(picture, &record.detections, frame.position, received);
         if outcome.state.is_skipped() && !outcome.degraded {
-            let picture = &incoming.frame.picture;
-            self.audit.offer(incoming.index, picture, &outcome.boxes);
+            self.audit.offer(incoming.index, picture, &outcome.boxes, &record.detections);
         }
     }
 
@@ -333,6 +340,7 @@ impl Camera {
             head,
             clip,
             threshold: spec.map(|(spec, value)| Threshold::new(spec.name, value)),
+            position,
             need: Need::Nothing,
             taken,
             incoming,

@@ -13,6 +13,7 @@ use crate::input::source::{RtspTransport, SourceAddress, SourceOptions, SourceSe
 use crate::input::{Delivery, PayloadFormat, keys_of_topic};
 use crate::outbox::OutboxConfig;
 use crate::position::PositionConfig;
+use crate::recorder::RecordConfig;
 use crate::state::board::SightingsConfig;
 use crate::state::target::TargetConfig;
 use albireo_core::policy::PolicyConfig;
@@ -66,6 +67,8 @@ pub struct NodeConfig {
     pub sightings: SightingsConfig,
     /// The MQTT broker.
     pub mqtt: MqttConfig,
+    /// Recordings with pictures.
+    pub record: RecordConfig,
     /// The end of clips.
     pub clip: ClipConfig,
     /// Limits of incoming frames.
@@ -105,6 +108,7 @@ impl Default for NodeConfig {
             audit: AuditConfig::default(),
             sightings: SightingsConfig::default(),
             mqtt: MqttConfig::default(),
+            record: RecordConfig::default(),
             clip: ClipConfig::default(),
             frame: FrameLimits::default(),
             power: PowerConfig::default(),

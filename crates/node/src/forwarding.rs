@@ -1,4 +1,4 @@
-//! Tells others what the cameras see: HTTP hooks when a class appears or leaves, and an MQTT broker.
+//! Tells others what the cameras see: hooks, which post or record when a class appears or leaves, and an MQTT broker.
 
 mod address;
 mod config;
@@ -7,7 +7,9 @@ mod discovery;
 mod hook;
 mod mailbox;
 mod mqtt;
+mod record;
 
 pub use config::{HookConfig, MqttConfig};
 pub(crate) use hook::Hook;
 pub(crate) use mqtt::{Mqtt, MqttSetup};
+pub(crate) use record::record_sightings;

@@ -15,6 +15,7 @@ pub mod outbox;
 mod percentiles;
 pub mod position;
 mod publishing;
+pub mod recorder;
 mod run;
 mod settings;
 mod start;

@@ -72,7 +72,8 @@ pub async fn try_all(config: &NodeConfig, mut each: impl FnMut(&str, Result<Stri
             Mqtt::connects(&config.mqtt).await.map_err(Into::into),
         );
     }
-    for (index, hook) in config.hooks.iter().enumerate() {
+    let hooks = config.hooks.iter().enumerate();
+    for (index, hook) in hooks.filter(|(_, hook)| hook.posts()) {
         let tried = Hook::connects(hook).await;
         report(&format!("hook[{index}]"), tried.map_err(Into::into));
     }

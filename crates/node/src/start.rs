@@ -11,15 +11,15 @@ use crate::api::name::NodeName;
 use crate::config::NodeConfig;
 use crate::delivery::uplink::{Uplink, UplinkSetup};
 use crate::error::NodeError;
-use crate::forwarding::{Hook, Mqtt, MqttSetup};
+use crate::forwarding::{Hook, Mqtt, MqttSetup, record_sightings};
 use crate::outbox::Outbox;
+use crate::recorder::Recorder;
 use crate::settings::Settings;
 use crate::state::board::{Board, provider};
 use crate::state::readiness;
 use albireo_core::policy::{Policy, PolicyConfigError};
 use albireo_power::PowerHandle;
 use albireo_service::clock::Now;
-use albireo_service::config::ZenohConfig;
 use albireo_service::readiness::{Fault, Readiness};
 use albireo_service::session;
 use albireo_service::supervise::Supervisor;
@@ -79,6 +79,7 @@ impl PreparedNode {
             board,
             settings,
             outbox,
+            recorder,
             policies,
         } = self;
         let keys = config.keys().map_err(NodeError::new)?;
@@ -86,8 +87,7 @@ impl PreparedNode {
         subscribed.not_ready("the cameras are not subscribed to yet");
 
         // The session comes first: without a router, a node need not load a model.
-        let limit = config.frame.max_payload_bytes;
-        let session = open_session(&config.zenoh, limit, &board.readiness).await?;
+        let session = open_session(config, &board.readiness).await?;
 
         let stop = CancellationToken::new();
         let sampling = stop.clone().drop_guard();
@@ -120,6 +120,7 @@ impl PreparedNode {
             session: session.clone(),
             board: Arc::clone(&board),
             outbox: Arc::clone(&outbox),
+            recorder,
             power: power.clone(),
             pixels: models.pixels(config.frame, config.detector.batch_size),
             models,
@@ -139,13 +140,9 @@ impl PreparedNode {
         let retrying = retry_disk(Arc::clone(&outbox), Arc::clone(&settings));
         tasks.until_shutdown("disk", retrying);
 
-        start_forwarding(config, &board, &mut tasks, &shutdown)?;
+        start_forwarding(config, &board, &shared.recorder, &mut tasks, &shutdown)?;
 
-        let name = NodeName::default();
-        let twin = board.readiness.part_of(readiness::ZENOH, "name");
-        let holding = name.clone().hold(session.clone(), keys.alive(), twin);
-        tasks.until_shutdown("name", holding);
-
+        let name = hold_name(&session, keys.alive(), &board.readiness, &mut tasks);
         let uplink = Uplink::start(UplinkSetup {
             board: Arc::clone(&board),
             settings,
@@ -227,14 +224,16 @@ impl Node {
             shared.session.close().await
         };
         let closing = async {
-            let (closed, ()) = tokio::join!(closed, shared.models.stop());
+            // After the cameras, whose last frames belong to the recordings.
+            let recorded = shared.recorder.stop();
+            let (closed, (), ()) = tokio::join!(closed, shared.models.stop(), recorded);
             if let Err(error) = closed {
                 tracing::warn!(%error, "Zenoh session not closed cleanly");
             }
         };
         if tokio::time::timeout_at(until, closing).await.is_err() {
             tracing::error!(
-                "abandoned the detector or the Zenoh session, which did not end in time"
+                "abandoned the detector, the Zenoh session or recordings, which did not end in time"
             );
         }
         tracing::info!(
@@ -249,6 +248,7 @@ impl Node {
 fn start_forwarding(
     config: &NodeConfig,
     board: &Arc<Board>,
+    recorder: &Arc<Recorder>,
     tasks: &mut Supervisor,
     shutdown: &CancellationToken,
 ) -> Result<(), NodeError> {
@@ -265,28 +265,45 @@ fn start_forwarding(
     if let Some(mqtt) = Mqtt::new(setup).map_err(NodeError::of("[mqtt]"))? {
         tasks.essential("mqtt", mqtt.run(shutdown.clone()));
     }
-    for (index, hook) in config.hooks.iter().enumerate() {
+    let hooks = config.hooks.iter().enumerate();
+    for (index, hook) in hooks.filter(|(_, hook)| hook.posts()) {
         let hook = Hook::new(hook.clone(), board, random.hash_one(index))
             .map_err(NodeError::of(format!("hook[{index}]")))?;
         tasks.essential(format!("hook {index}"), hook.run(shutdown.clone()));
     }
+    if config.hooks.iter().any(|hook| hook.record) {
+        let hooks = config.hooks.clone();
+        let recording = record_sightings(hooks, Arc::clone(board), Arc::clone(recorder));
+        tasks.until_shutdown("recordings of hooks", recording);
+    }
     Ok(())
 }
 
-/// Opens the node's session, and tells what keeps it from being open.
-async fn open_session(
-    config: &ZenohConfig,
-    largest_frame: usize,
+/// Announces the node's name for as long as it runs.
+fn hold_name(
+    session: &Session,
+    alive: String,
     parts: &Readiness,
-) -> Result<Session, NodeError> {
+    tasks: &mut Supervisor,
+) -> NodeName {
+    let name = NodeName::default();
+    let twin = parts.part_of(readiness::ZENOH, "name");
+    let holding = name.clone().hold(session.clone(), alive, twin);
+    tasks.until_shutdown("name", holding);
+    name
+}
+
+/// Opens the node's session, and tells what keeps it from being open.
+async fn open_session(config: &NodeConfig, parts: &Readiness) -> Result<Session, NodeError> {
     let zenoh = parts.part(readiness::ZENOH);
     zenoh.not_ready("the session is not open yet");
     // The file of Zenoh has its own settings.
-    let settings = match config.config_file {
+    let settings = match config.zenoh.config_file {
         None => &ACCEPTING[..],
         Some(_) => &[],
     };
-    let session = session::open(config, largest_frame, settings, false, |error| {
+    let largest_frame = config.frame.max_payload_bytes;
+    let session = session::open(&config.zenoh, largest_frame, settings, false, |error| {
         zenoh.not_ready(format!("the router cannot be reached: {error}"));
     })
     .await

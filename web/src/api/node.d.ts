@@ -1100,6 +1100,104 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/recordings": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * The recordings
+         * @description `curl http://127.0.0.1:8080/api/v1/recordings`
+         */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["RecordingStatus"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        /**
+         * Records what happens now
+         * @description Keeps the last `record.before_s` seconds and the next `record.after_s` of one camera or of all; a request while a
+         *     recording runs prolongs it. Answers 409 if the node has no `record.folder`.
+         *     `curl -X PUT -d '{"reason": "braking"}' http://127.0.0.1:8080/api/v1/recordings`
+         */
+        put: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody: {
+                content: {
+                    "application/json": components["schemas"]["NewRecording"];
+                };
+            };
+            responses: {
+                202: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["RecordingStatus"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/screen": {
         parameters: {
             query?: never;
@@ -2762,6 +2860,13 @@ export interface components {
             /** @description Spans, message and fields. */
             text: string;
         };
+        /** @description A request for a recording: `{"reason": "braking"}`. */
+        NewRecording: {
+            /** @description The camera; all cameras by default. */
+            camera?: string | null;
+            /** @description Why, in a few words, which the recording keeps. */
+            reason?: string | null;
+        };
         /** @description A new threshold: `{"u": 3e-4}`, or `{"lambda": 0.3}` under expected-loss. */
         NewThreshold: {
             /**
@@ -3109,6 +3214,74 @@ export interface components {
             requested_providers: string[];
             /** @description True if every part works. */
             state: components["schemas"]["HealthState"];
+        };
+        /** @description What is recorded, and what is not. */
+        RecordingStatus: {
+            /**
+             * Format: double
+             * @description See `before_s`.
+             */
+            after_s: number;
+            /**
+             * Format: int64
+             * @description Frames since the start on which the audit found a difference, and that are in a recording.
+             */
+            audited_frames: number;
+            /**
+             * Format: double
+             * @description Seconds that are kept before and after an event.
+             */
+            before_s: number;
+            /**
+             * Format: int64
+             * @description Their bytes.
+             */
+            bytes: number;
+            /**
+             * Format: int64
+             * @description Frames since the start that are missing in a recording because the disk is too slow.
+             */
+            dropped_frames: number;
+            /**
+             * Format: int64
+             * @description Events since the start.
+             */
+            events: number;
+            /**
+             * Format: int64
+             * @description Frames since the start that are missing because the disk or the picture is at fault.
+             */
+            failed_frames: number;
+            /** @description Why nothing can be written. */
+            fault?: string | null;
+            /**
+             * Format: int64
+             * @description Recordings in the folder.
+             */
+            files: number;
+            /** @description The folder; absent if nothing is recorded. */
+            folder?: string | null;
+            /**
+             * Format: double
+             * @description Days after which a recording is deleted.
+             */
+            keep_days: number;
+            /**
+             * Format: int64
+             * @description The most bytes: the oldest recordings are deleted first.
+             */
+            max_bytes: number;
+            /** @description The cameras that are being recorded now. */
+            recording: string[];
+            /** @description Why the last such event has fewer seconds before it than `before_s`. */
+            shortened?: string | null;
+            /** @description What begins a recording besides a request: `always`, `audit`. */
+            when: string[];
+            /**
+             * Format: int64
+             * @description Frames since the start that are in a recording.
+             */
+            written_frames: number;
         };
         /** @description A report that a hub will never store. */
         RefusedReport: {

@@ -10,6 +10,7 @@ mod history;
 mod metrics;
 mod node;
 mod picture;
+mod recordings;
 mod screen;
 mod states;
 mod target;
@@ -18,6 +19,7 @@ mod threshold;
 pub(crate) use health::alive;
 
 use crate::outbox::Outbox;
+use crate::recorder::Recorder;
 use crate::settings::Settings;
 use crate::state::board::{Board, CameraBoard, DetectorEvent, FrameEvent, ThresholdEvent};
 use albireo_service::http::{self, Problem};
@@ -46,6 +48,7 @@ struct RouteState {
     board: Arc<Board>,
     settings: Arc<Settings>,
     outbox: Arc<Outbox>,
+    recorder: Arc<Recorder>,
     /// Limits for decoding the latest picture of a camera that does not send JPEG.
     limits: FrameLimits,
     /// The configuration without its secrets.
@@ -67,7 +70,13 @@ impl RouteState {
     }
 
     fn camera(&self, name: &str) -> Result<&Arc<CameraBoard>, Problem> {
-        self.board.camera(name).ok_or_else(|| {
+        Ok(&self.board.cameras[self.camera_place(name)?])
+    }
+
+    /// The place of a camera in the configuration.
+    fn camera_place(&self, name: &str) -> Result<usize, Problem> {
+        let place = self.board.cameras.iter().position(|camera| camera.name() == name);
+        place.ok_or_else(|| {
             let names = self.camera_names();
             let detail = format!(
                 "there is no camera `{name}`; there is: {}",
@@ -119,10 +128,7 @@ fn described() -> (Router<RouteState>, OpenApi) {
         .routes(routes!(health::readyz))
         .routes(routes!(http::caller))
         .routes(routes!(node::overview))
-        .routes(routes!(threshold::get_all, threshold::put_all))
-        .routes(routes!(threshold::get_one, threshold::put_one))
-        .routes(routes!(target::get, target::put))
-        .routes(routes!(screen::get, screen::put))
+        .merge(changing())
         .routes(routes!(states::all))
         .routes(routes!(states::one))
         .routes(routes!(node::index))
@@ -144,6 +150,16 @@ fn described() -> (Router<RouteState>, OpenApi) {
     (router, openapi)
 }
 
+/// The routes by which the node is changed.
+fn changing() -> OpenApiRouter<RouteState> {
+    OpenApiRouter::new()
+        .routes(routes!(threshold::get_all, threshold::put_all))
+        .routes(routes!(threshold::get_one, threshold::put_one))
+        .routes(routes!(target::get, target::put))
+        .routes(routes!(screen::get, screen::put))
+        .routes(routes!(recordings::get, recordings::put))
+}
+
 /// The node's OpenAPI document, as served at `/openapi.json`.
 pub fn openapi() -> OpenApi {
     described().1
@@ -157,6 +173,8 @@ pub(crate) struct RouterSetup {
     pub settings: Arc<Settings>,
     /// Its counts are shown.
     pub outbox: Arc<Outbox>,
+    /// Records cameras at requests.
+    pub recorder: Arc<Recorder>,
     /// Limits for decoding the latest picture of a camera that does not send JPEG.
     pub limits: FrameLimits,
     /// The configuration without its secrets.
@@ -178,6 +196,7 @@ pub(crate) fn router(setup: RouterSetup, shutdown: CancellationToken) -> Router 
             board: setup.board,
             settings: setup.settings,
             outbox: setup.outbox,
+            recorder: setup.recorder,
             limits: setup.limits,
             config: Arc::new(setup.config),
             decoding: Arc::default(),

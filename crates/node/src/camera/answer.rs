@@ -1,8 +1,9 @@
 //! Converts a policy's outcome to its message.
 
 use crate::input::Frame;
+use albireo_core::detection::Detection;
 use albireo_core::geometry::{BoundingBox, PictureSize};
-use albireo_core::policy::{Outcome, OutputBox};
+use albireo_core::policy::{BoxSource, Outcome, OutputBox};
 use albireo_wire::{BoxMessage, DetectionsMessage, Latency, VERSION, significant};
 
 /// The message for a frame of `clip` with its final answer, without threshold and latency. Its figures are rounded to
@@ -52,6 +53,24 @@ pub(super) fn box_messages(
         })
     };
     boxes.iter().filter_map(message).collect()
+}
+
+/// The detector's own boxes for a picture of that size.
+pub(super) fn detected_messages(
+    detections: &[Detection],
+    size: PictureSize,
+    names: &[String],
+) -> Vec<BoxMessage> {
+    let output = |found: &Detection| OutputBox {
+        bounding_box: found.bounding_box,
+        class: found.class,
+        confidence: found.confidence,
+        source: BoxSource::Detected,
+        object: None,
+        confirmed: false,
+    };
+    let boxes: Vec<_> = detections.iter().map(output).collect();
+    box_messages(&boxes, size, names)
 }
 
 /// Left, top, right and bottom in pixels, to a hundredth of a pixel; `None` if the box is entirely outside

@@ -14,7 +14,7 @@ use crate::state::board::CameraBoard;
 use albireo_core::audit::AuditDraw;
 use albireo_core::policy::OutputBox;
 use albireo_vision::picture::EncodedPicture;
-use albireo_wire::AuditReport;
+use albireo_wire::{AuditReport, DetectionsMessage};
 use futures_util::future::BoxFuture;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -60,12 +60,14 @@ impl AuditConfig {
 /// The result of a drawn frame; `None` if the detector has no time for it or its picture is broken.
 pub(crate) type Examination = BoxFuture<'static, Option<AuditReport>>;
 
+type Examine = dyn Fn(EncodedPicture, Vec<OutputBox>, Arc<DetectionsMessage>) -> Examination + Send;
+
 /// One camera's audit: part of the camera's loop. Every drawn frame is counted once, as compared or as missed.
 pub(crate) struct CameraAudit {
     draw: AuditDraw,
     board: Arc<CameraBoard>,
-    /// Examines a picture, for which these boxes were published.
-    examine: Box<dyn Fn(EncodedPicture, Vec<OutputBox>) -> Examination + Send>,
+    /// Examines a picture, for which these boxes were published in this message.
+    examine: Box<Examine>,
     /// The number of published boxes and the result of each drawn frame. The first is being examined.
     drawn: VecDeque<(usize, Examination)>,
 }
@@ -75,7 +77,9 @@ impl CameraAudit {
     pub(crate) fn new(
         config: AuditConfig,
         board: Arc<CameraBoard>,
-        examine: impl Fn(EncodedPicture, Vec<OutputBox>) -> Examination + Send + 'static,
+        examine: impl Fn(EncodedPicture, Vec<OutputBox>, Arc<DetectionsMessage>) -> Examination
+        + Send
+        + 'static,
     ) -> Self {
         Self {
             draw: config.draw(),
@@ -85,16 +89,22 @@ impl CameraAudit {
         }
     }
 
-    /// Adds the frame with this number, for which the boxes `shown` were published, if it is drawn. If too many are
-    /// waiting, it counts as missed.
-    pub(crate) fn offer(&mut self, frame: u64, picture: &EncodedPicture, shown: &[OutputBox]) {
+    /// Adds the frame with this number, for which the boxes `shown` were published in `answer`, if it is drawn. If too many
+    /// are waiting, it counts as missed.
+    pub(crate) fn offer(
+        &mut self,
+        frame: u64,
+        picture: &EncodedPicture,
+        shown: &[OutputBox],
+        answer: &Arc<DetectionsMessage>,
+    ) {
         if !self.draw.draw(frame) {
             return;
         }
         if self.drawn.len() == MOST_DRAWN {
             return self.miss(shown.len());
         }
-        let examination = (self.examine)(picture.clone(), shown.to_vec());
+        let examination = (self.examine)(picture.clone(), shown.to_vec(), Arc::clone(answer));
         self.drawn.push_back((shown.len(), examination));
     }
 

@@ -8,6 +8,7 @@ use crate::camera::clip::tests::report;
 use crate::config::NodeConfig;
 use crate::input::{Frame, Pushed};
 use crate::publishing;
+use crate::recorder::Recorder;
 use crate::state::board::{Board, News};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::FrameState;
@@ -89,12 +90,15 @@ impl Bench {
         let pixels = pixels(&detector);
         let energy = PowerHandle::none().camera();
         let (closed, clips) = tokio::sync::mpsc::unbounded_channel();
+        let recorder = Recorder::new(&config.record, Vec::new()).of_camera(0);
         let examiner = Examiner {
             detector: detector.clone(),
             pixels: pixels.clone(),
             energy: energy.clone(),
+            recorder: recorder.clone(),
         };
-        let examine = move |picture, shown| examiner.clone().examine(picture, shown).boxed();
+        let examine =
+            move |picture, shown, answer| examiner.clone().examine(picture, shown, answer).boxed();
         let audit = CameraAudit::new(config.audit, Arc::clone(&camera), examine);
         let session = crate::api::name::tests::session(&[("listen/endpoints", "[]")]).await;
         let sent = (CongestionControl::Drop, publishing::LIVE);
@@ -118,6 +122,7 @@ impl Bench {
             class_names: detector.class_names().to_vec(),
             closed,
             energy,
+            recorder,
             reset_at_clip: false,
         };
         Self {

@@ -57,7 +57,10 @@ impl NodeConfig {
             );
         }
         if let Some(folder) = &self.node.state_dir {
-            state_dir(folder, &mut findings);
+            writable("node.state_dir", folder, &mut findings);
+        }
+        if let Some(folder) = &self.record.folder {
+            writable("record.folder", folder, &mut findings);
         }
         for camera in &self.cameras {
             let settings = camera.source_settings(self.frame);
@@ -202,7 +205,7 @@ fn file(key: &str, path: Option<&Path>, findings: &mut Findings) {
 }
 
 /// Adds an error if a folder cannot be written to or created.
-fn state_dir(folder: &Path, findings: &mut Findings) {
+fn writable(key: &str, folder: &Path, findings: &mut Findings) {
     // The nearest existing folder: the node creates the rest when it starts.
     let Some(there) = folder.ancestors().find(|folder| folder.exists()) else {
         return;
@@ -211,7 +214,7 @@ fn state_dir(folder: &Path, findings: &mut Findings) {
     let probe = there.join(format!(".albireo-check-{}", std::process::id()));
     if let Err(error) = std::fs::write(&probe, [0; 64 << 10]) {
         let fault = format!("{} cannot be used as a folder: {error}", there.display());
-        findings.add("node.state_dir", fault);
+        findings.add(key, fault);
     }
     let _ = std::fs::remove_file(&probe);
 }

@@ -80,6 +80,15 @@ detector.providers: detector.providers = ["cpu", "cpu"]
 detector.providers[0]: detector.providers = ["npu"]
 detector.timeout_ms: detector.timeout_ms = 0
 detector.batch_size: detector.batch_size = 0
+record.folder: record.folder = ""
+record.before_s: record.before_s = -1
+record.after_s: record.after_s = nan
+record.max_gb: record.max_gb = 0
+record.keep_days: record.keep_days = 0
+record.when: record.when = ["audit"]
+hook[0].record: hook = [{ record = true }]
+hook[0].url: hook = [{ record = false }]
+record.when: record.folder = "a" & record.when = ["audit"] & audit.share = 0
 clip.window_s: clip.window_s = 0
 clip.window_s: clip.window_s = inf
 clip.silence_s: clip.silence_s = -1.0

@@ -4,6 +4,7 @@ use super::{CameraConfig, NodeConfig, ros_domain};
 use crate::camera::AnswerTime;
 use crate::input::source::{RtspTransport, SourceAddress, SourceKind};
 use crate::input::{Delivery, check_topic};
+use crate::recorder::Occasion;
 use crate::state::board::SightingsConfig;
 use albireo_core::policy::{Albireo, ExpectedLoss, LatePolicy, Policy, ThresholdSpec, no_pause};
 use albireo_core::target::{Target, ThresholdRange};
@@ -35,6 +36,7 @@ impl Configuration for NodeConfig {
         "PUBLISH",
         "SETTLE",
         "AUDIT",
+        "RECORD",
         "SIGHTINGS",
         "MQTT",
         "CLIP",
@@ -171,6 +173,13 @@ impl NodeConfig {
         }
         let largest = self.frame.max_payload_bytes as u64;
         findings.count("frame.max_payload_bytes", largest, 1, 1 << 30);
+        findings.path("record.folder", self.record.folder.as_deref());
+        for (key, reason) in self.record.problems() {
+            findings.add(format!("record.{key}"), reason);
+        }
+        if self.record.when.contains(&Occasion::Audit) && self.audit.share == 0.0 {
+            findings.add("record.when", "`audit` needs an audit: audit.share is 0");
+        }
         for (key, reason) in self.power.problems() {
             findings.add(format!("power.{key}"), reason);
         }
@@ -190,6 +199,10 @@ impl NodeConfig {
         let cameras: Vec<_> = self.cameras.iter().map(|camera| camera.name.as_str()).collect();
         for (index, hook) in self.hooks.iter().enumerate() {
             hook.check(index, &cameras, findings);
+            if hook.record && self.record.folder.is_none() {
+                let reason = "is set, but nothing is recorded without record.folder";
+                findings.add(format!("hook[{index}].record"), reason);
+            }
         }
     }
 

@@ -3,6 +3,7 @@
 use super::address::{self, Endpoint, HookUrl, Target};
 use albireo_service::config::{Finding, Findings};
 use albireo_service::identity::exposed;
+use albireo_wire::Sighting;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -105,7 +106,7 @@ impl MqttConfig {
     }
 }
 
-/// An address that gets a POST when a class appears or leaves: a `[[hook]]` section.
+/// What is done when a class appears or leaves, a POST or a recording: a `[[hook]]` section.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct HookConfig {
@@ -119,9 +120,23 @@ pub struct HookConfig {
     pub cameras: Vec<String>,
     /// Classes that it is told of; empty for all.
     pub classes: Vec<String>,
+    /// True if what it is told of is recorded, too.
+    pub record: bool,
 }
 
 impl HookConfig {
+    /// True if it is told of this sighting.
+    pub(super) fn hears(&self, sighting: &Sighting) -> bool {
+        let is_in =
+            |names: &[String], name: &str| names.is_empty() || names.iter().any(|one| one == name);
+        is_in(&self.cameras, &sighting.camera) && is_in(&self.classes, &sighting.class)
+    }
+
+    /// True if it posts: without an address it only records.
+    pub(crate) fn posts(&self) -> bool {
+        self.url.is_some() || self.url_file.is_some()
+    }
+
     /// Where it posts to.
     pub(crate) fn target(&self) -> Result<Target, String> {
         let from_file = self.url_file.as_deref().map(secret).transpose()?;
@@ -136,6 +151,7 @@ impl HookConfig {
             (Some(_), Some(_)) => {
                 findings.add(key("url_file"), "is set together with url; keep one")
             }
+            (None, None) if self.record => {}
             (None, None) => findings.add(key("url"), "is missing: the address that gets the POST"),
             (Some(url), None) => drop(findings.check(key("url"), url.target())),
             (None, Some(file)) => findings.path(&key("url_file"), Some(file)),

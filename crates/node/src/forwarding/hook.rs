@@ -159,12 +159,7 @@ impl Hook {
     }
 
     fn take(&mut self, sighting: Arc<Sighting>) {
-        let is_in =
-            |names: &[String], name: &str| names.is_empty() || names.iter().any(|one| one == name);
-        let HookConfig {
-            cameras, classes, ..
-        } = &self.config;
-        if is_in(cameras, &sighting.camera) && is_in(classes, &sighting.class) {
+        if self.config.hears(&sighting) {
             self.waiting.push_back(sighting);
         }
         if self.waiting.len() > MOST_WAITING {

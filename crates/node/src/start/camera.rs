@@ -15,6 +15,7 @@ use crate::input::source::{LiveSource, SourceEvent, SourceSettings};
 use crate::outbox::Outbox;
 use crate::publishing::ros2::{Ros2Outlet, Ros2Place};
 use crate::publishing::{self, Outlet};
+use crate::recorder::Recorder;
 use crate::state::board::{Board, CameraBoard};
 use crate::state::readiness;
 use albireo_core::policy::{LatePolicy, MinConfidence};
@@ -46,6 +47,7 @@ pub(super) struct SharedParts {
     pub(super) session: Session,
     pub(super) board: Arc<Board>,
     pub(super) outbox: Arc<Outbox>,
+    pub(super) recorder: Arc<Recorder>,
     pub(super) power: PowerHandle,
     pub(super) pixels: PixelWork,
     pub(super) models: Models,
@@ -56,11 +58,15 @@ pub(super) struct SharedParts {
 }
 
 impl SharedParts {
-    /// Adds all cameras. Returns what receives their frames.
+    /// Starts the recorder and adds all cameras. Returns what receives their frames.
     pub(super) async fn add_cameras(
         self: &Arc<Self>,
         tasks: &mut Supervisor,
     ) -> Result<Subscriptions, NodeError> {
+        // Before the cameras, whose frames it records. A sender wants pictures in shared memory back.
+        let copies = self.config.zenoh.shared_memory;
+        let started = self.recorder.start(self.config.frame, copies);
+        started.map_err(NodeError::of("[record]"))?;
         let mut subscriptions = Subscriptions::new();
         for (slot, (camera, board)) in
             self.config.cameras.iter().zip(&self.board.cameras).enumerate()
@@ -87,7 +93,7 @@ impl SharedParts {
         ));
         let (closed, clips) = mpsc::unbounded_channel();
 
-        let parts = Arc::new(self.camera_parts(config, board, &receiver, closed).await?);
+        let parts = Arc::new(self.camera_parts(slot, config, board, &receiver, closed).await?);
         let shared = Arc::clone(self);
         tasks.restarting(format!("camera {name}"), HealthState::NotReady, move || {
             let camera = shared.camera(slot, Arc::clone(&parts));
@@ -121,6 +127,7 @@ impl SharedParts {
     /// Declares the keys of a camera's answers, and collects what survives a restart of its loop.
     async fn camera_parts(
         &self,
+        slot: CameraSlot,
         config: &CameraConfig,
         board: &Arc<CameraBoard>,
         receiver: &Arc<FrameReceiver>,
@@ -161,6 +168,7 @@ impl SharedParts {
             closed,
             energy: self.power.camera(),
             positions: Arc::clone(&self.board.positions),
+            recorder: Arc::clone(&self.recorder).of_camera(slot.0),
             reset_at_clip: config.reset_at_clip,
         })
     }
@@ -297,9 +305,11 @@ impl SharedParts {
             detector: self.models.detector.clone(),
             pixels: self.pixels.clone(),
             energy: parts.energy.clone(),
+            recorder: parts.recorder.clone(),
         };
         let board = Arc::clone(&parts.board);
-        let examine = move |picture, shown| examiner.clone().examine(picture, shown).boxed();
+        let examine =
+            move |picture, shown, answer| examiner.clone().examine(picture, shown, answer).boxed();
         let audit = CameraAudit::new(self.config.audit, board, examine);
         let settings = self.config.loop_settings();
         Ok(Camera::new(parts, settings, policy, evidence, audit))

@@ -6,6 +6,7 @@ use crate::config::{CameraConfig, NodeConfig};
 use crate::error::NodeError;
 use crate::outbox::Outbox;
 use crate::position::Positions;
+use crate::recorder::Recorder;
 use crate::settings::Settings;
 use crate::state::board::{Board, BoardSetup, CameraSetup};
 use crate::state::readiness;
@@ -24,6 +25,7 @@ pub struct PreparedNode {
     pub(crate) board: Arc<Board>,
     pub(crate) settings: Arc<Settings>,
     pub(crate) outbox: Arc<Outbox>,
+    pub(super) recorder: Arc<Recorder>,
     pub(super) policies: PolicyMaker,
 }
 
@@ -40,11 +42,16 @@ impl PreparedNode {
         let board = board(config, &*policy).map_err(NodeError::new)?;
         let settings = Arc::new(Settings::open(&board, directory));
         watch_outbox(&board.readiness, &outbox);
+        let cameras = config.cameras.iter().map(|camera| camera.name.clone());
+        let recorder = Recorder::new(&config.record, cameras.collect());
+        let watched = Arc::clone(&recorder);
+        board.readiness.probe(readiness::RECORDER, "", move || watched.fault());
         let policy = config.policy.clone();
         Ok(Self {
             board,
             settings,
             outbox,
+            recorder,
             policies: Arc::new(move |_| policy.build()),
         })
     }
@@ -68,6 +75,7 @@ impl PreparedNode {
             board: Arc::clone(&self.board),
             settings: Arc::clone(&self.settings),
             outbox: Arc::clone(&self.outbox),
+            recorder: Arc::clone(&self.recorder),
             limits: config.frame,
             config: without_secrets(config),
         };

@@ -13,6 +13,7 @@
 //! | `hooks` | | a hook's address cannot be reached or refuses a post |
 //! | `mqtt` | | the broker cannot be reached or refuses the node |
 //! | `certificates` | | one ends within a week, has ended, is not valid yet, or cannot be read |
+//! | `record` | | recordings cannot be written, or frames are missing in them |
 //! | `disk` | | reports or settings in the state directory cannot be written, or were damaged |
 //! | `tasks` | a camera's loop has failed and does not run | a task failed and runs again, or a non-essential one does not run |
 
@@ -50,6 +51,8 @@ pub(crate) const HOOKS: &str = "hooks";
 pub(crate) const MQTT: &str = "mqtt";
 /// The certificates of the sessions.
 pub(crate) const CERTIFICATES: &str = albireo_service::identity::PART;
+/// The recordings.
+pub(crate) const RECORDER: &str = "record";
 /// The state directory.
 pub(crate) const DISK: &str = "disk";
 /// The tasks; the subject is a task's name.
@@ -59,7 +62,7 @@ pub(crate) const TASKS: &str = albireo_service::supervise::PART;
 const FIRST_SAMPLE: Duration = Duration::from_secs(15);
 
 /// All parts, in the order of the metrics.
-pub(crate) const PARTS: [&str; 13] = [
+pub(crate) const PARTS: [&str; 14] = [
     DETECTOR,
     SCREEN,
     CAMERAS,
@@ -71,6 +74,7 @@ pub(crate) const PARTS: [&str; 13] = [
     HOOKS,
     MQTT,
     CERTIFICATES,
+    RECORDER,
     DISK,
     TASKS,
 ];

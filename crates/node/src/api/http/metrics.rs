@@ -4,6 +4,7 @@ mod cameras;
 
 use super::RouteState;
 use crate::outbox::OutboxCounts;
+use crate::recorder::RecordingStatus;
 use crate::state::board::{Board, provider};
 use crate::state::readiness::PARTS;
 use albireo_service::metrics::MetricsPage;
@@ -34,6 +35,7 @@ pub(super) async fn text(State(shared): State<RouteState>) -> MetricsPage {
     cameras::cameras(&mut page, board);
     target(&mut page, board);
     outbox(&mut page, &shared.outbox.counts());
+    recordings(&mut page, &shared.recorder.status());
     forwarded(&mut page, board);
     power(&mut page, board);
     page
@@ -234,6 +236,40 @@ fn outbox(page: &mut MetricsPage, counts: &OutboxCounts) {
         "albireo_outbox_disk_failures_total",
         "Times the state directory failed",
         counts.disk_failures as f64,
+    );
+}
+
+/// Recordings; nothing without a folder for them.
+fn recordings(page: &mut MetricsPage, status: &RecordingStatus) {
+    if status.folder.is_none() {
+        return;
+    }
+    page.gauge(
+        "albireo_recordings",
+        "Recordings in the folder record.folder",
+        status.files as f64,
+    );
+    page.gauge(
+        "albireo_recordings_bytes",
+        "Bytes of these recordings",
+        status.bytes as f64,
+    );
+    page.counter(
+        "albireo_recording_events_total",
+        "Events since the start that began or prolonged a recording",
+        status.events as f64,
+    );
+    let frames = [
+        ("written", status.written_frames),
+        ("audited", status.audited_frames),
+        ("dropped", status.dropped_frames),
+        ("failed", status.failed_frames),
+    ];
+    page.counters(
+        "albireo_recording_frames_total",
+        "Frames for recordings: written, audited (with what the detector found), dropped (the disk is too slow), failed \
+         (the disk or the picture is at fault)",
+        frames.map(|(outcome, count)| ([("outcome", outcome)], count as f64)),
     );
 }
 

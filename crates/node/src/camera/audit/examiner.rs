@@ -1,11 +1,16 @@
 //! Runs the detector on a drawn frame.
 
+use crate::camera::answer::detected_messages;
+use crate::recorder::CameraRecorder;
+use albireo_core::detection::Detection;
 use albireo_core::policy::OutputBox;
 use albireo_power::CameraEnergy;
+use albireo_recording::AuditMessage;
 use albireo_vision::detector::DetectorHandle;
 use albireo_vision::picture::EncodedPicture;
 use albireo_vision::pixel_work::PixelWork;
-use albireo_wire::AuditReport;
+use albireo_wire::{AuditReport, DetectionsMessage, VERSION};
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::{Instant, timeout_at};
 
@@ -22,15 +27,18 @@ pub(crate) struct Examiner {
     pub pixels: PixelWork,
     /// The energy of the audited camera.
     pub energy: CameraEnergy,
+    /// Records frames on which there is a difference.
+    pub recorder: CameraRecorder,
 }
 
 impl Examiner {
-    /// Compares the boxes published for a picture with the detector's; `None` if the detector has no time for it or the
-    /// picture is broken.
+    /// Compares the boxes of a picture, which `published` holds, with the detector's; `None` if the detector has no time for
+    /// it or the picture is broken. If there is a difference, the frame is worth recording.
     pub(crate) async fn examine(
         self,
         picture: EncodedPicture,
         shown: Vec<OutputBox>,
+        published: Arc<DetectionsMessage>,
     ) -> Option<AuditReport> {
         let until = Instant::now() + LONGEST_WAIT;
         let turn = timeout_at(until, self.detector.spare_turn()).await.ok()??;
@@ -48,6 +56,30 @@ impl Examiner {
             ..AuditReport::default()
         };
         found.sums.add(&shown, &detected.output.detections);
+        let sums = &found.sums;
+        let differs = sums.paired != sums.detected || sums.paired != sums.shown;
+        if differs && self.recorder.wants_audited() {
+            let audit = self.message(&published, &picture, &detected.output.detections);
+            self.recorder.audited(picture, audit);
+        }
         Some(found)
+    }
+
+    /// The frame's boxes beside those that the detector found.
+    fn message(
+        &self,
+        published: &DetectionsMessage,
+        picture: &EncodedPicture,
+        detected: &[Detection],
+    ) -> AuditMessage {
+        AuditMessage {
+            v: VERSION,
+            seq: published.seq,
+            t_ns: published.t_ns,
+            width: published.width,
+            height: published.height,
+            shown: published.boxes.clone(),
+            detected: detected_messages(detected, picture.size, self.detector.class_names()),
+        }
     }
 }

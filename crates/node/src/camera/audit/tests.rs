@@ -1,7 +1,8 @@
 use super::*;
 use crate::PreparedNode;
-use crate::camera::tests::picture;
+use crate::camera::tests::{answer, picture};
 use crate::config::NodeConfig;
+use albireo_core::policy::FrameState;
 use futures_util::FutureExt;
 use parking_lot::Mutex;
 use tokio::sync::oneshot;
@@ -23,7 +24,7 @@ fn every_drawn_frame_is_compared_or_missed_and_counted_once() {
     let camera = Arc::clone(&board.cameras[0]);
     let examined = Arc::new(Mutex::new(VecDeque::new()));
     let started = Arc::clone(&examined);
-    let mut audit = CameraAudit::new(config.audit, camera, move |_, _| {
+    let mut audit = CameraAudit::new(config.audit, camera, move |_, _, _| {
         let (result, examination) = oneshot::channel();
         started.lock().push_back(result);
         async { examination.await.unwrap() }.boxed()
@@ -31,7 +32,8 @@ fn every_drawn_frame_is_compared_or_missed_and_counted_once() {
     let done = |found| examined.lock().pop_front().unwrap().send(found).is_ok();
     let counts = |audit: &AuditReport| (audit.sums.drawn(), audit.sums.missed, audit.calls);
     let taken = || counts(&board.cameras[0].take_unreported().1);
-    let offer = |audit: &mut CameraAudit| audit.offer(0, &picture(0), &[]);
+    let answer = answer(0, FrameState::P, false, None);
+    let offer = |audit: &mut CameraAudit| audit.offer(0, &picture(0), &[], &answer);
     (0..5).for_each(|_| offer(&mut audit));
     // One frame is examined and two wait; there is no room for the others.
     assert_eq!(taken(), (2, 2, 0));

@@ -1,0 +1,365 @@
+//! The writer's thread: takes frames and events from the queue, and writes them into files.
+
+use super::folder::Folder;
+use super::window::{MOST_HELD_BYTES, Window};
+use super::{LOG_PERIOD, Occasion, Order, RecordConfig, RecordedFrame, RecorderCounts};
+use albireo_recording::{AuditMessage, EventMessage, RecordingError, RecordingFile};
+use albireo_service::rate_limit::RateLimit;
+use albireo_vision::picture::{EncodedPicture, FrameLimits, to_jpeg};
+use albireo_wire::VERSION;
+use bytes::Bytes;
+use parking_lot::Mutex;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::time::{Duration, Instant, SystemTime};
+
+/// A file ends when it is as large or as old as this, and the next one begins.
+const LARGEST: u64 = 256 << 20;
+const OLDEST: Duration = Duration::from_secs(600);
+/// No file takes more than this part of what all cameras may take, so that there is always an old one to delete.
+const PART_OF_ALL: u64 = 4;
+
+/// What was recorded since is lost in a power cut.
+const KEEP_EVERY: Duration = Duration::from_secs(2);
+/// How often old recordings are deleted, and a disk that has failed is tried again.
+const TIDY_EVERY: Duration = Duration::from_secs(5);
+
+/// Writes the recordings of all cameras.
+pub(super) struct Writer {
+    cameras: Vec<CameraWriter>,
+    folder: Folder,
+    limits: FrameLimits,
+    /// True if pictures are in memory that their senders want back.
+    copies: bool,
+    largest: u64,
+    counts: Arc<Mutex<RecorderCounts>>,
+    /// The time from which a disk that has failed is tried again.
+    retry_at: Option<Instant>,
+    /// Log lines about pictures that cannot be written.
+    faults: RateLimit,
+}
+
+/// One camera's recording.
+struct CameraWriter {
+    name: String,
+    window: Window,
+    file: Option<OpenFile>,
+    /// Why the next file begins.
+    reasons: Vec<EventMessage>,
+}
+
+struct OpenFile {
+    file: RecordingFile,
+    path: PathBuf,
+    begun: Instant,
+    /// True if something was written since the disk was last waited for.
+    is_changed: bool,
+}
+
+impl Writer {
+    pub(super) fn new(
+        config: &RecordConfig,
+        folder: &Path,
+        cameras: &[String],
+        limits: FrameLimits,
+        copies: bool,
+        counts: Arc<Mutex<RecorderCounts>>,
+    ) -> Self {
+        let before = Duration::from_secs_f64(config.before_s);
+        let after = Duration::from_secs_f64(config.after_s);
+        let always = config.when.contains(&Occasion::Always);
+        let camera = |name: &String| CameraWriter {
+            name: name.clone(),
+            window: Window::new(before, after, always),
+            file: None,
+            reasons: Vec::new(),
+        };
+        let keep = Duration::from_secs_f64(config.keep_days * 86_400.0);
+        let max_bytes = config.max_bytes();
+        let share = max_bytes / PART_OF_ALL / cameras.len().max(1) as u64;
+        Self {
+            cameras: cameras.iter().map(camera).collect(),
+            folder: Folder::new(folder, max_bytes, keep),
+            limits,
+            copies,
+            largest: LARGEST.min(share),
+            counts,
+            retry_at: None,
+            faults: RateLimit::new(LOG_PERIOD),
+        }
+    }
+
+    /// Writes until nobody gives orders any more, then ends the files.
+    pub(super) fn run(&mut self, orders: &Receiver<Order>, waiting: &AtomicUsize) {
+        let prepared = self.folder.create().map_err(RecordingError::from);
+        let prepared = prepared.and_then(|()| self.folder.mend());
+        self.judge(prepared);
+        self.tidy();
+        let (mut kept, mut tidied) = (Instant::now(), Instant::now());
+        loop {
+            match orders.recv_timeout(KEEP_EVERY) {
+                Ok(order) => {
+                    let bytes = order.bytes();
+                    self.take(order);
+                    waiting.fetch_sub(bytes, Ordering::Relaxed);
+                }
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => break,
+            }
+            if kept.elapsed() >= KEEP_EVERY {
+                self.keep();
+                kept = Instant::now();
+            }
+            if tidied.elapsed() >= TIDY_EVERY {
+                self.tidy();
+                tidied = Instant::now();
+            }
+        }
+        for camera in 0..self.cameras.len() {
+            self.end_file(camera);
+        }
+        self.tidy();
+    }
+
+    fn take(&mut self, order: Order) {
+        match order {
+            Order::Frame(mut frame) => {
+                if self.copies {
+                    frame.picture.bytes = Bytes::copy_from_slice(&frame.picture.bytes);
+                }
+                let camera = frame.camera;
+                if let Some(frame) = self.cameras[camera].window.frame(frame) {
+                    self.write(&frame);
+                }
+            }
+            Order::Audited {
+                camera,
+                picture,
+                audit,
+            } => {
+                if self.put(camera, |file, name, limits| {
+                    audited(file, name, &picture, &audit, limits)
+                }) {
+                    self.counts.lock().shown.audited_frames += 1;
+                }
+            }
+            Order::Event {
+                camera,
+                at,
+                t_ns,
+                reason,
+            } => {
+                self.counts.lock().shown.events += 1;
+                let event = EventMessage {
+                    v: VERSION,
+                    t_ns,
+                    reason: reason.to_string(),
+                };
+                let cameras = 0..self.cameras.len();
+                for camera in cameras.filter(|one| camera.is_none_or(|only| only == *one)) {
+                    self.begin(camera, at, event.clone());
+                }
+            }
+        }
+    }
+
+    /// Begins or prolongs a recording, with the frames before it.
+    fn begin(&mut self, camera: usize, at: Instant, event: EventMessage) {
+        let (before, short) = self.cameras[camera].window.event(at);
+        if let Some(held) = short {
+            self.say_short(camera, held);
+        }
+        for frame in &before {
+            self.write(frame);
+        }
+        let of = &mut self.cameras[camera];
+        if of.file.is_none() {
+            // Written with the next frame: a camera without frames has no recording.
+            of.reasons.push(event);
+        } else {
+            self.put(camera, |file, name, _| file.event(name, &event));
+        }
+    }
+
+    fn say_short(&mut self, camera: usize, held: Duration) {
+        let camera = &self.cameras[camera].name;
+        let said = format!(
+            "of record.before_s only {:.1} s of camera {camera} fit into memory ({} MiB of pictures): send JPEG, or smaller or \
+             fewer pictures",
+            held.as_secs_f64(),
+            MOST_HELD_BYTES >> 20,
+        );
+        tracing::warn!("{said}");
+        self.counts.lock().shown.shortened = Some(said);
+    }
+
+    fn write(&mut self, frame: &RecordedFrame) {
+        let written = self.put(frame.camera, |file, name, limits| {
+            let picture = jpeg(&frame.picture, limits)?;
+            file.frame(name, picture, &frame.detections, frame.position.as_ref())
+        });
+        if written {
+            self.counts.lock().shown.written_frames += 1;
+        }
+    }
+
+    /// Writes into the camera's file, which is opened if there is none. False if that failed; that is counted.
+    fn put(
+        &mut self,
+        camera: usize,
+        write: impl FnOnce(&mut RecordingFile, &str, &FrameLimits) -> Result<(), RecordingError>,
+    ) -> bool {
+        if self.retry_at.is_some_and(|at| Instant::now() < at) {
+            self.counts.lock().shown.failed_frames += 1;
+            return false;
+        }
+        let limits = self.limits;
+        let is_new = self.cameras[camera].file.is_none();
+        let done = self.open(camera).and_then(|(file, name)| {
+            file.is_changed = true;
+            write(&mut file.file, name, &limits)
+        });
+        let is_done = done.is_ok();
+        if let Err(RecordingError::Message(fault)) = &done {
+            // The picture is at fault, not the disk.
+            let camera = &self.cameras[camera].name;
+            self.faults.log(|held_back| {
+                tracing::warn!(camera, fault, held_back, "a frame is not recorded");
+            });
+            self.counts.lock().shown.failed_frames += 1;
+            return false;
+        }
+        if !is_done {
+            self.counts.lock().shown.failed_frames += 1;
+            self.cameras[camera].file = None;
+        }
+        self.judge(done);
+        if is_new && is_done {
+            self.tidy();
+        }
+        self.rotate(camera);
+        is_done
+    }
+
+    /// The camera's file and its name.
+    fn open(&mut self, camera: usize) -> Result<(&mut OpenFile, &str), RecordingError> {
+        let of = &mut self.cameras[camera];
+        if of.file.is_none() {
+            self.folder.create()?;
+            let path = self.folder.new_path(&of.name, SystemTime::now());
+            let mut file = RecordingFile::create(&path)?;
+            for reason in of.reasons.drain(..) {
+                file.event(&of.name, &reason)?;
+            }
+            of.file = Some(OpenFile {
+                file,
+                path,
+                begun: Instant::now(),
+                is_changed: true,
+            });
+            self.counts.lock().shown.recording.push(of.name.clone());
+        }
+        match &mut of.file {
+            Some(file) => Ok((file, &of.name)),
+            None => Err(RecordingError::Message("no file is open".to_owned())),
+        }
+    }
+
+    /// Ends a file that is large or old enough.
+    fn rotate(&mut self, camera: usize) {
+        let largest = self.largest;
+        let is_full = self.cameras[camera]
+            .file
+            .as_ref()
+            .is_some_and(|open| open.file.bytes() >= largest || open.begun.elapsed() >= OLDEST);
+        if is_full {
+            self.end_file(camera);
+            self.tidy();
+        }
+    }
+
+    /// Waits until the disk has what was written, and ends the files whose recording is over.
+    fn keep(&mut self) {
+        let now = Instant::now();
+        for camera in 0..self.cameras.len() {
+            let of = &mut self.cameras[camera];
+            let is_over = of.window.has_length() && !of.window.is_recording(now);
+            let Some(open) = &mut of.file else { continue };
+            if is_over {
+                self.end_file(camera);
+            } else if std::mem::take(&mut open.is_changed) {
+                let kept = open.file.keep();
+                if kept.is_err() {
+                    of.file = None;
+                }
+                self.judge(kept);
+            }
+            self.rotate(camera);
+        }
+        let open = self.cameras.iter().filter(|camera| camera.file.is_some());
+        let names = open.map(|camera| camera.name.clone()).collect();
+        self.counts.lock().shown.recording = names;
+    }
+
+    fn end_file(&mut self, camera: usize) {
+        if let Some(open) = self.cameras[camera].file.take() {
+            let ended = open.file.finish();
+            self.judge(ended);
+        }
+    }
+
+    /// Deletes old recordings, and looks at what is left.
+    fn tidy(&mut self) {
+        let open: Vec<_> = self
+            .cameras
+            .iter()
+            .filter_map(|camera| Some(&*camera.file.as_ref()?.path))
+            .collect();
+        match self.folder.tidy(&open, self.largest, SystemTime::now()) {
+            Ok((files, bytes)) => {
+                let shown = &mut self.counts.lock().shown;
+                shown.files = files;
+                shown.bytes = bytes;
+            }
+            Err(error) => self.judge(Err(error.into())),
+        }
+    }
+
+    /// Remembers whether the disk works.
+    fn judge(&mut self, done: Result<(), RecordingError>) {
+        let mut counts = self.counts.lock();
+        match done {
+            Ok(()) => {
+                if counts.shown.fault.take().is_some() {
+                    tracing::info!("recordings are written again");
+                }
+                self.retry_at = None;
+            }
+            Err(error) => {
+                if counts.shown.fault.is_none() {
+                    tracing::error!(%error, "recordings cannot be written");
+                }
+                let reason = format!("recordings cannot be written (record.folder): {error}");
+                counts.shown.fault = Some(reason);
+                self.retry_at = Some(Instant::now() + TIDY_EVERY);
+            }
+        }
+    }
+}
+
+fn audited(
+    file: &mut RecordingFile,
+    camera: &str,
+    picture: &EncodedPicture,
+    audit: &AuditMessage,
+    limits: &FrameLimits,
+) -> Result<(), RecordingError> {
+    file.audited(camera, jpeg(picture, limits)?, audit)
+}
+
+/// The picture as a viewer opens it, and as the detector saw it.
+fn jpeg(picture: &EncodedPicture, limits: &FrameLimits) -> Result<Bytes, RecordingError> {
+    to_jpeg(picture, limits).map_err(|fault| RecordingError::Message(fault.to_string()))
+}
