@@ -17,7 +17,7 @@ mod table;
 
 pub use run::{ClipRun, Setup, SetupRuns, TRACED_CLIPS};
 pub use runs_file::{RunsFile, read};
-pub use table::render;
+pub use table::{counted_clips, render};
 
 use crate::error::EvalError;
 use crate::files;

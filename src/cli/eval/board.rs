@@ -6,7 +6,7 @@ use crate::cli::play::{Player, choose_meter, clip, node_configuration, with_trut
 use crate::cli::progress;
 use crate::cli::values::{not_negative, parse_rate};
 use albireo_core::policy::PolicyConfig;
-use albireo_eval::board::{ClipRun, RunsFile, Setup, TRACED_CLIPS};
+use albireo_eval::board::{ClipRun, RunsFile, Setup, TRACED_CLIPS, counted_clips};
 use albireo_eval::data::classes::Evaluated;
 use albireo_eval::data::{Clip, GroundTruth, LoadReport, Rules, TruthFormat};
 use albireo_eval::footage::{FrameSource, SourceName, VideoEncoding};
@@ -122,8 +122,8 @@ pub(super) async fn run(arguments: &BoardArguments) -> anyhow::Result<()> {
     let scheduled = scheduled(&clips, &policies, &file);
     let all = clips.len() * policies.len();
     eprintln!(
-        "{} clips, {} policies: {} of {all} runs are done; power: {meter}; {}",
-        clips.len(),
+        "{}, {} policies: {} of {all} runs are done; power: {meter}; {}",
+        counted_clips(clips.len()),
         policies.len(),
         all - scheduled.len(),
         file.path().display()
@@ -199,9 +199,9 @@ async fn ground_truth(
         let is_judged = |name: &&String| truth.classes().find(name).is_ok();
         let reported: Vec<String> = names.iter().filter(is_judged).cloned().collect();
         eprintln!(
-            "The node reports the {} of its model's {} classes that the ground truth has: {}",
-            reported.len(),
+            "Of its model's {} classes the node reports those that the ground truth has ({}): {}",
             evaluated.len(),
+            reported.len(),
             reported.join(", ")
         );
         detector.report_classes = Some(reported);

@@ -128,6 +128,12 @@ fn named(policies: &[PolicyFigures]) -> Column {
     })
 }
 
+/// `1 clip`, `200 clips`.
+pub fn counted_clips(clips: usize) -> String {
+    let clip = if clips == 1 { "clip" } else { "clips" };
+    format!("{clips} {clip}")
+}
+
 pub(super) fn whole(value: Option<f64>) -> String {
     or_dash(value.map(|value| format!("{value:.0}")))
 }
@@ -204,7 +210,7 @@ fn figures(setup: &SetupRuns, summary: &SetupSummary) -> JoinedTable {
         .map(|(name, what)| format!("; {name} {what}"))
         .collect::<String>();
     JoinedTable {
-        title: format!("{}: {clips} clips{how}", summary.title),
+        title: format!("{}: {}{how}", summary.title, counted_clips(clips)),
         columns,
         notes,
     }
@@ -276,7 +282,8 @@ fn differences(summary: &SetupSummary) -> Option<JoinedTable> {
         title: format!(
             "Differences to vanilla with 95 % intervals and p (paired t{})",
             clips.map_or_else(String::new, |clips| format!(
-                ", {clips} clips with ground truth"
+                ", {} with ground truth",
+                counted_clips(clips)
             ))
         ),
         columns,
