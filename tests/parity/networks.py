@@ -274,15 +274,13 @@ def inside(rows, height, width):
     return rows
 
 
-class UltralyticsRtDetr:
+class UltralyticsRtDetr(Ultralytics):
     """RT-DETR-L of Ultralytics."""
 
-    side = 640
-    exported = None
-    faithful = True
     # With random weights many queries are nearly equal, and rounding decides which of them are kept.
     share = 0.85
     name = "rtdetr-l"
+    end_to_end = None
 
     def __init__(self):
         torch.manual_seed(SEED)
@@ -297,45 +295,27 @@ class UltralyticsRtDetr:
         last = head.dec_score_head[-1]
         spread(last, features(lambda: network(tensor), [last])[last], -5.0, 7.0)
 
-    def export(self, folder):
-        file = self.model.export(format="onnx", imgsz=self.side, opset=17, simplify=False, device="cpu")
-        target = pathlib.Path(folder) / f"{self.name}.onnx"
-        pathlib.Path(file).replace(target)
-        self.exported = session(target)
-        return target
-
-    def boxes(self, output, picture):
+    def boxes(self, output, picture, confidence):
         """Returns the boxes that the vendor's last step makes of the network's output."""
         predictor = self.model.predictor
+        predictor.args.conf = confidence
         predictor.batch = [["picture"]]
         [result] = predictor.postprocess(output, torch.zeros(1, 3, self.side, self.side), [picture])
         return inside(result.boxes.data.numpy(), *picture.shape[:2])
 
     def boxes_of(self, tensor, confidence, overlap):
         del overlap
-        self.model.predictor.args.conf = confidence
         [output] = self.raw(tensor)
-        return self.boxes(torch.from_numpy(output), numpy.zeros((self.side, self.side, 3), numpy.uint8))
+        square = numpy.zeros((self.side, self.side, 3), numpy.uint8)
+        return self.boxes(torch.from_numpy(output), square, confidence)
 
     def predict_exported(self, picture, tensor, confidence, overlap):
         del overlap
-        self.model.predictor.args.conf = confidence
         [output] = self.exported.run(None, {"images": tensor[None]})
-        return self.boxes(torch.from_numpy(output), picture)
+        return self.boxes(torch.from_numpy(output), picture, confidence)
 
     def predict(self, picture, confidence, overlap):
-        del overlap
-        [result] = self.model.predict(picture, imgsz=self.side, conf=confidence, max_det=300, device="cpu", verbose=False)
-        return inside(result.boxes.data.numpy(), *picture.shape[:2])
-
-    def tensor(self, picture):
-        if self.model.predictor is None:
-            self.predict(picture, 0.5, 0.5)
-        return self.model.predictor.preprocess([picture])[0].numpy()
-
-    def raw(self, tensor):
-        with torch.no_grad():
-            return [self.model.predictor.model(torch.from_numpy(tensor)[None])[0].numpy()]
+        return inside(super().predict(picture, confidence, overlap), *picture.shape[:2])
 
 
 class Transformers:
