@@ -6,26 +6,33 @@
 //! ([`Run::command`]), and gets the values that are due ([`Run::due`]). The whole state is serialised; a run that is
 //! read from the database continues.
 
+mod command;
+mod kind;
 mod measured;
+mod phase;
 mod record;
 #[cfg(test)]
 mod tests;
+mod values;
+mod window;
 
+pub use command::Command;
+use command::is_awaited;
+pub use kind::Kind;
 pub use measured::{ArmFigure, ArmResult, TrialResult};
+pub use phase::Phase;
 pub use record::{Entry, LeftOut, StageView, What};
+pub(crate) use window::{Measured, Window};
 
 use super::effect::FEWEST_NODES;
 use super::gate::Verdict;
 use super::member::{Member, Millis, shuffle};
-use super::metric::BeforeAfter;
-use super::outcome::{Given, Outcome};
-use super::plan::{Basics, OnFailure, RolloutPlan, TrialPlan};
-use crate::named::named;
+use super::outcome::Outcome;
+use super::plan::OnFailure;
 use crate::presence::NodeView;
-use albireo_wire::{DesiredSetting, Threshold};
+use albireo_wire::DesiredSetting;
 use serde::{Deserialize, Serialize};
 use serde_with::skip_serializing_none;
-use std::collections::HashMap;
 use utoipa::ToSchema;
 
 /// Most times that a stage's gates are judged: half-way (when they can only fail), at the end of the soak, and at the
@@ -35,125 +42,6 @@ const LOOKS: u8 = 3;
 const MOST_FAILED_MEASUREMENTS: u8 = 20;
 /// Most entries of a record; older ones are dropped.
 const MOST_ENTRIES: usize = 500;
-
-named! {
-    /// The phase of a rollout or a trial.
-    pub enum Phase {
-        /// Its nodes, or those of the stage, were given the new value; it waits for their reports.
-        Applying = "applying",
-        /// The stage's nodes have the new value, and are measured.
-        Soaking = "soaking",
-        /// Every node of a trial has its value, and is measured.
-        Running = "running",
-        /// It waits for a person to decide; after the plan's `held_for_s` the old value returns.
-        Held = "held",
-        /// All stages have passed; it waits for nodes out of reach until their deadline.
-        Finishing = "finishing",
-        /// All nodes get their old values back.
-        Returning = "returning",
-        /// Every stage has passed, or the trial is over.
-        Done = "done",
-        /// Every node in reach has its old value back; the others get it when they return.
-        Returned = "returned",
-        /// A person ended it; every node kept its value.
-        Stopped = "stopped",
-    }
-}
-
-impl Phase {
-    /// True if it is over: only a return is still possible.
-    pub(crate) const fn has_ended(self) -> bool {
-        matches!(self, Self::Done | Self::Returned | Self::Stopped)
-    }
-}
-
-named! {
-    /// A command to a rollout.
-    pub enum Command {
-        /// Stops its clock.
-        Pause = "pause",
-        /// Resumes the clock; a held stage soaks again.
-        Resume = "resume",
-        /// Begins the next stage now, regardless of the gates.
-        Next = "next",
-        /// Gives all nodes their old values back.
-        Return = "return",
-        /// Ends it; every node keeps its value.
-        Stop = "stop",
-    }
-}
-
-/// Clips to measure: those of a node with this value in force that were received in this time.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub(crate) struct Window {
-    pub(crate) node: String,
-    /// Name of the threshold.
-    pub(crate) threshold: String,
-    /// Its value, in the shortest text that reads back as the same.
-    pub(crate) value: String,
-    pub(crate) from_ms: Millis,
-    pub(crate) until_ms: Millis,
-}
-
-impl Window {
-    fn new(node: &str, value: Threshold, from_ms: Millis, until_ms: Millis) -> Self {
-        Self {
-            node: node.to_owned(),
-            threshold: value.name.to_string(),
-            value: value.value.to_string(),
-            from_ms,
-            until_ms,
-        }
-    }
-}
-
-/// A value that is due for some nodes.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct DueValue {
-    /// The value.
-    pub(crate) threshold: Threshold,
-    /// The nodes.
-    pub(crate) nodes: Vec<String>,
-}
-
-/// Measurements, by node.
-pub(crate) type Measured = HashMap<String, BeforeAfter>;
-
-/// A rollout or a trial, with its plan.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
-#[serde(tag = "kind", rename_all = "snake_case")]
-pub enum Kind {
-    /// A change in stages, each gated on measurements.
-    Rollout {
-        /// The new value.
-        to: Threshold,
-        /// The plan.
-        plan: RolloutPlan,
-    },
-    /// A comparison of values on random groups.
-    Trial {
-        /// The plan.
-        plan: TrialPlan,
-    },
-}
-
-impl Kind {
-    /// Its name.
-    pub(crate) const fn name(&self) -> &'static str {
-        match self {
-            Self::Rollout { .. } => "rollout",
-            Self::Trial { .. } => "trial",
-        }
-    }
-
-    /// The fields that both plans have.
-    pub const fn basics(&self) -> &Basics {
-        match self {
-            Self::Rollout { plan, .. } => &plan.basics,
-            Self::Trial { plan } => &plan.basics,
-        }
-    }
-}
 
 /// A rollout or a trial: its plan, nodes, phase and record.
 #[skip_serializing_none]
@@ -285,67 +173,6 @@ impl Run {
         Ok(run)
     }
 
-    /// The value that a member should have now; `None` if it keeps the one that it has.
-    fn value_of(&self, member: &Member) -> Option<Threshold> {
-        match (&self.kind, self.phase) {
-            (_, Phase::Stopped) => None,
-            // A node that was given no value has nothing to return from.
-            (_, Phase::Returning | Phase::Returned) | (Kind::Trial { .. }, Phase::Done) => {
-                member.value.map(|_| member.before)
-            }
-            (Kind::Trial { plan }, _) => plan.values.get(member.group).copied(),
-            (Kind::Rollout { .. }, _) if member.group >= self.stage => None,
-            // It would not be judged if it got its value after its deadline.
-            _ if member.given.outcome == Outcome::Missed => Some(member.before),
-            (Kind::Rollout { to, .. }, _) => Some(*to),
-        }
-    }
-
-    /// The value that is due for a member, if any.
-    fn due_value(&self, member: &Member) -> Option<Threshold> {
-        self.value_of(member)
-            .filter(|_| self.paused_ms.is_none())
-            .filter(|value| member.value != Some(*value))
-    }
-
-    /// The values that are due, even after its end: nodes that missed their deadline get the old value. The caller calls
-    /// [`Run::given`] once a revision with the value is in the database.
-    pub(crate) fn due(&self) -> Vec<DueValue> {
-        let mut values: Vec<DueValue> = Vec::new();
-        for member in &self.members {
-            let Some(threshold) = self.due_value(member) else {
-                continue;
-            };
-            let node = member.node.clone();
-            match values.iter_mut().find(|due| due.threshold == threshold) {
-                Some(due) => due.nodes.push(node),
-                None => values.push(DueValue {
-                    threshold,
-                    nodes: vec![node],
-                }),
-            }
-        }
-        values
-    }
-
-    /// Notes that the value was given, with that revision.
-    pub(crate) fn given(&mut self, due: &DueValue, revision: u64, now: Millis) {
-        self.unsaved = true;
-        let mut members = std::mem::take(&mut self.members);
-        for member in &mut members {
-            if self.due_value(member) == Some(due.threshold) {
-                member.value = Some(due.threshold);
-                // A node that missed its value remains listed as missed.
-                let outcome = match member.given.outcome {
-                    Outcome::Missed => Outcome::Missed,
-                    _ => Outcome::Pending,
-                };
-                member.given = Given::new(revision, now, outcome);
-            }
-        }
-        self.members = members;
-    }
-
     /// Counts the nodes of its stages or groups by outcome, without those that were given no value.
     pub(crate) fn count_stages(&mut self) {
         let mut stages = vec![StageView::default(); self.stage_count()];
@@ -468,38 +295,6 @@ impl Run {
         }
     }
 
-    /// The windows to measure: of the nodes with their new value, before they were given it and since; of the nodes that were not
-    /// given it yet, over the same hours.
-    pub(crate) fn windows(&self, now: Millis) -> Vec<[Window; 2]> {
-        let baseline = milliseconds(self.kind.basics().baseline_s);
-        let since = self.since_ms;
-        let stage_given_ms = self
-            .members
-            .iter()
-            .filter(|m| self.is_in_stage(m))
-            .map(|m| m.given.given_ms)
-            .min()
-            .unwrap_or(since);
-        let windows = |member: &Member, given: Millis, value: Threshold, from: Millis| {
-            Some([
-                Window::new(&member.node, member.before, given - baseline, given),
-                Window::new(&member.node, value, from, now),
-            ])
-        };
-        self.members
-            .iter()
-            .filter_map(|member| match member.applied_ms() {
-                // After a resumption only later clips count.
-                Some(applied) if self.is_in_stage(member) => {
-                    let given_ms = member.given.given_ms;
-                    windows(member, given_ms, member.value?, applied.max(since))
-                }
-                _ if self.is_later(member) => windows(member, stage_given_ms, member.before, since),
-                _ => None,
-            })
-            .collect()
-    }
-
     /// Notes that a measurement failed; the next tick asks for it again. After many failures a rollout is held, and a trial
     /// ends without a result.
     pub(crate) fn not_measured(&mut self, now: Millis) {
@@ -544,64 +339,6 @@ impl Run {
             self.ended_by = who.map(str::to_owned);
             let by = who.map(|who| format!("by hand: {who}"));
             self.go_back(by.as_deref().unwrap_or("the time is over"), now);
-        }
-    }
-
-    /// Executes a command on a rollout.
-    ///
-    /// # Errors
-    /// The reason that it is not possible in this phase.
-    pub(crate) fn command(
-        &mut self,
-        command: Command,
-        who: &str,
-        now: Millis,
-    ) -> Result<(), String> {
-        use Phase::{Finishing, Held, Returned, Returning};
-        let returning = matches!(self.phase, Returning | Returned);
-        let ended = self.phase.has_ended();
-        let is_held = self.phase == Held;
-        let is_paused = self.paused_ms.is_some();
-        let (what, possible) = match command {
-            Command::Pause => (What::Paused, !ended && !returning && !is_paused),
-            Command::Resume => (What::Resumed, is_paused || is_held),
-            Command::Next => (What::Next, !ended && !returning && self.phase != Finishing),
-            Command::Return => (What::Return, !returning),
-            Command::Stop => (What::Stopped, !ended),
-        };
-        if !possible {
-            let phase = if is_paused {
-                "paused"
-            } else {
-                self.phase.name()
-            };
-            return Err(format!(
-                "a rollout that is {phase} does not accept `{command}`"
-            ));
-        }
-        self.noted(now, what, "").who = Some(who.to_owned());
-        if command != Command::Pause {
-            self.wake(now);
-        }
-        match command {
-            Command::Pause => self.paused_ms = Some(now),
-            Command::Resume if is_held => self.soak(now),
-            Command::Resume => {}
-            Command::Next => self.advance(now),
-            Command::Return => self.go_back(&format!("by hand: {who}"), now),
-            Command::Stop => self.enter(Phase::Stopped, "", now),
-        }
-        Ok(())
-    }
-
-    /// Ends a pause: moves all times before it by its length.
-    fn wake(&mut self, now: Millis) {
-        let Some(paused) = self.paused_ms.take() else {
-            return;
-        };
-        self.since_ms += now - paused;
-        for member in self.members.iter_mut().filter(|member| is_awaited(member)) {
-            member.given.given_ms += now - paused;
         }
     }
 
@@ -716,11 +453,6 @@ impl Run {
         matches!(self.kind, Kind::Trial { .. }) || member.group + 1 == self.stage
     }
 
-    /// True if the member was not given its value yet.
-    fn is_later(&self, member: &Member) -> bool {
-        matches!(self.kind, Kind::Rollout { .. }) && member.group >= self.stage
-    }
-
     fn patience(&self) -> Millis {
         milliseconds(self.kind.basics().apply_within_s)
     }
@@ -741,11 +473,6 @@ impl Run {
             gates: Vec::new(),
         })
     }
-}
-
-/// True if a rollout waits for the node's answer.
-const fn is_awaited(member: &Member) -> bool {
-    matches!(member.given.outcome, Outcome::Pending | Outcome::Waiting)
 }
 
 pub(crate) fn milliseconds(seconds: f64) -> Millis {

@@ -1,10 +1,11 @@
 mod fleets;
 mod trials;
 
-use super::super::metric::{Figure, Figures, Mean};
-use super::super::plan::stage_size;
+use super::super::metric::{BeforeAfter, Figure, Figures, Mean};
+use super::super::plan::{RolloutPlan, stage_size};
 use super::*;
 use crate::presence::reported;
+use albireo_wire::Threshold;
 use proptest::prelude::*;
 use std::collections::BTreeMap;
 

@@ -4,8 +4,10 @@
 //! docs/fleet.md; the default number of rollouts is just enough to detect a broken promise.
 
 use super::super::super::metric::{Figure, Figures};
+use super::super::super::plan::{Basics, RolloutPlan};
 use super::super::*;
 use super::{in_windows, new, old, reported};
+use albireo_wire::Threshold;
 
 const HOUR: Millis = 3_600_000;
 /// Time between two steps of the simulation.

@@ -1,6 +1,8 @@
 use super::super::super::metric::{Figure, Mean};
+use super::super::super::plan::TrialPlan;
 use super::super::*;
 use super::{SECOND, World, in_windows, new, old};
+use albireo_wire::Threshold;
 use proptest::prelude::*;
 use std::collections::BTreeSet;
 
