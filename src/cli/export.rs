@@ -15,13 +15,13 @@ the frames from which a model or a threshold learns most.
 
 Examples:
   albireo export /var/lib/albireo/recordings --to coco --out hard
-      their pictures in hard/images, the detector's boxes in hard/annotations.json
+      their pictures and the detector's boxes, in hard/annotations.json
   albireo export recordings --to mot --frames shown --out drives
-      every recorded frame with the boxes shown and their track ids, a folder in
-      MOTChallenge's layout for each recording; `albireo eval mot drives` reads it
+      every recorded frame with the boxes shown and their track ids, a folder
+      in MOTChallenge's layout for each recording, as `albireo eval mot` reads
 
-The boxes are a detector's, not the truth: correct them in a labelling tool before
-training on them. Each has its confidence (`score`)."
+The boxes are a detector's, not the truth: correct them in a labelling tool
+before training on them. Each has its confidence (`score`)."
 )]
 pub(super) struct ExportArguments {
     /// A folder of recordings, or one MCAP file of a node

@@ -5,6 +5,7 @@ mod frames;
 mod mot;
 
 use crate::error::EvalError;
+use crate::footage::clip_name;
 use albireo_recording::EXTENSION;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -119,6 +120,17 @@ pub fn export(
         coco.finish(out)?;
     }
     Ok(exported)
+}
+
+/// The name of a camera's frames: a node has named its recordings for time and camera.
+fn sequence_name(recording: &Path, camera: &str) -> String {
+    let name = clip_name(recording);
+    let ending = format!("_{camera}");
+    if name.ends_with(&ending) {
+        name
+    } else {
+        name + &ending
+    }
 }
 
 #[cfg(test)]

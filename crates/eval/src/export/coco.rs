@@ -1,9 +1,9 @@
 //! Writes COCO: pictures in `images`, one file of annotations.
 
 use super::frames::LabelledFrame;
+use super::sequence_name;
 use crate::error::EvalError;
 use crate::files::{write, write_json};
-use crate::footage::clip_name;
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -26,7 +26,7 @@ impl Coco {
     ) -> Result<(), EvalError> {
         let id = self.images.len() + 1;
         let LabelledFrame { seq, camera, .. } = frame;
-        let name = format!("{}_{camera}_{id:06}.jpg", clip_name(recording));
+        let name = format!("{}_{id:06}.jpg", sequence_name(recording, camera));
         write(&out.join("images").join(&name), &frame.picture)?;
         let [width, height] = frame.size;
         self.images.push(json!({

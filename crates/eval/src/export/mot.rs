@@ -1,10 +1,9 @@
 //! Writes the layout of MOTChallenge: a folder for each sequence of pictures.
 
-use super::ExportedFrames;
 use super::frames::LabelledFrame;
+use super::{ExportedFrames, sequence_name};
 use crate::error::EvalError;
 use crate::files::write;
-use crate::footage::clip_name;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -41,7 +40,7 @@ impl Sequence {
         frames: ExportedFrames,
         out: &Path,
     ) -> Self {
-        let name = format!("{}_{}", clip_name(recording), first.camera);
+        let name = sequence_name(recording, &first.camera);
         Self {
             folder: out.join(&name),
             name,
