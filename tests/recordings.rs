@@ -344,7 +344,7 @@ async fn an_export_is_opened_by_supervision_and_its_tracks_are_those_that_were_s
     let tracks = mot_challenge::read(&export("mot")).unwrap();
     assert_eq!(tracks.clips.len(), 1);
     let rows = recordings(&folder.path().join("mot/.."));
-    let name = rows[0].file_stem().unwrap().to_str().unwrap().to_owned() + "_front/gt/gt.txt";
+    let name = rows[0].file_stem().unwrap().to_str().unwrap().to_owned() + "/gt/gt.txt";
     let rows = std::fs::read_to_string(folder.path().join("mot").join(name)).unwrap();
     assert_eq!(rows.lines().count() as u64, read[1].as_u64().unwrap());
 }

@@ -15,6 +15,8 @@ use albireo_service::readiness::Fault;
 use albireo_vision::picture::{EncodedPicture, FrameLimits};
 use albireo_wire::{DetectionsMessage, Position};
 use parking_lot::Mutex;
+use rustix::process::setpriority_process;
+use rustix::thread::gettid;
 use serde::Serialize;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -32,6 +34,9 @@ const MOST_WAITING_BYTES: usize = 64 << 20;
 
 /// Missing frames are a fault for this long.
 const RECENT: Duration = Duration::from_secs(60);
+
+/// The writer's place behind the other threads, from 0 to 19.
+const NICENESS: i32 = 10;
 
 const LOG_PERIOD: Duration = Duration::from_secs(10);
 
@@ -63,7 +68,7 @@ pub(crate) struct RecordingStatus {
     pub events: u64,
     /// Frames since the start that are in a recording.
     pub written_frames: u64,
-    /// Frames since the start that are missing in a recording because the disk is too slow.
+    /// Frames since the start that are missing in a recording because the disk or the processor is too slow.
     pub dropped_frames: u64,
     /// Frames since the start that are missing because the disk or the picture is at fault.
     pub failed_frames: u64,
@@ -119,6 +124,15 @@ impl Order {
             Self::Frame(frame) => frame.picture.bytes.len(),
             Self::Audited { picture, .. } => picture.bytes.len(),
             Self::Event { .. } => 0,
+        }
+    }
+
+    /// The time of what it is about, if it has one.
+    fn at(&self) -> Option<Instant> {
+        match self {
+            Self::Frame(frame) => Some(frame.at),
+            Self::Event { at, .. } => Some(*at),
+            Self::Audited { .. } => None,
         }
     }
 }
@@ -182,6 +196,8 @@ impl Recorder {
         let mut writer = Writer::new(&self.config, folder, &self.cameras, limits, copies, counts);
         let waiting = Arc::clone(&self.waiting);
         std::thread::Builder::new().name("recorder".to_owned()).spawn(move || {
+            // Whatever answers frames goes first. Refused, the thread is one like the others.
+            let _ = setpriority_process(Some(gettid()), NICENESS);
             writer.run(&orders, &waiting);
             drop(end);
         })?;
@@ -230,7 +246,7 @@ impl Recorder {
             let dropped = counts.shown.dropped_frames;
             (at.elapsed() < RECENT).then(|| {
                 format!(
-                    "{dropped} frames are missing in recordings: the disk of record.folder is too slow"
+                    "{dropped} frames are missing in recordings: the disk of record.folder or the processor is too slow"
                 )
             })
         };
@@ -261,7 +277,7 @@ impl Recorder {
         self.drops.log(|held_back| {
             tracing::warn!(
                 held_back,
-                "a frame is missing in the recordings: the disk of record.folder is too slow"
+                "a frame is missing in the recordings: the disk of record.folder or the processor is too slow"
             );
         });
     }

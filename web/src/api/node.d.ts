@@ -3239,7 +3239,7 @@ export interface components {
             bytes: number;
             /**
              * Format: int64
-             * @description Frames since the start that are missing in a recording because the disk is too slow.
+             * @description Frames since the start that are missing in a recording because the disk or the processor is too slow.
              */
             dropped_frames: number;
             /**

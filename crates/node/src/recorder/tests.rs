@@ -196,6 +196,32 @@ async fn the_audit_keeps_what_surrounds_its_frame_if_that_is_wanted() {
     assert_eq!(recorded(folder.path(), "front", Topic::AuditImage), [1]);
 }
 
+#[test]
+fn a_writer_that_is_behind_writes_one_file_for_one_event() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = config(folder.path());
+    let recordings = config.folder.clone().unwrap();
+    let names = ["front".to_owned()];
+    let counts = Arc::default();
+    let limits = FrameLimits::default();
+    let mut writer = Writer::new(&config, &recordings, &names, limits, false, counts);
+    let begun = Instant::now() - Duration::from_secs(60);
+    writer.take(Order::Event {
+        camera: None,
+        at: begun,
+        t_ns: 1,
+        reason: "braking".into(),
+    });
+    for second in 0..3 {
+        let frame = held(1000, begun, second);
+        let reached = frame.at;
+        writer.take(Order::Frame(frame));
+        writer.keep(reached);
+    }
+    writer.keep(begun + Duration::from_secs(4));
+    assert_eq!(recorded(folder.path(), "front", Topic::Image), [3]);
+}
+
 fn held(bytes: usize, start: Instant, second: u64) -> RecordedFrame {
     RecordedFrame {
         camera: 0,

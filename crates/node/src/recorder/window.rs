@@ -33,6 +33,11 @@ impl Window {
         }
     }
 
+    /// True if a frame of this time is recorded, or held in case that something happens.
+    pub(super) fn takes(&self, at: Instant) -> bool {
+        !self.before.is_zero() || self.is_recording(at)
+    }
+
     /// Takes a frame. Returns it if it is to be recorded now.
     pub(super) fn frame(&mut self, frame: RecordedFrame) -> Option<RecordedFrame> {
         if self.is_recording(frame.at) {

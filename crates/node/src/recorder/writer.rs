@@ -3,9 +3,9 @@
 use super::folder::Folder;
 use super::window::{MOST_HELD_BYTES, Window};
 use super::{LOG_PERIOD, Occasion, Order, RecordConfig, RecordedFrame, RecorderCounts};
-use albireo_recording::{AuditMessage, EventMessage, RecordingError, RecordingFile};
+use albireo_recording::{EventMessage, RecordingError, RecordingFile};
 use albireo_service::rate_limit::RateLimit;
-use albireo_vision::picture::{EncodedPicture, FrameLimits, to_jpeg};
+use albireo_vision::picture::{EncodedPicture, FrameFault, FrameLimits, PictureFormat, to_jpeg};
 use albireo_wire::VERSION;
 use bytes::Bytes;
 use parking_lot::Mutex;
@@ -98,18 +98,21 @@ impl Writer {
         self.judge(prepared);
         self.tidy();
         let (mut kept, mut tidied) = (Instant::now(), Instant::now());
+        // The time up to which everything was taken from the queue, which may be behind.
+        let mut reached = Instant::now();
         loop {
             match orders.recv_timeout(KEEP_EVERY) {
                 Ok(order) => {
                     let bytes = order.bytes();
+                    reached = order.at().map_or(reached, |at| at.max(reached));
                     self.take(order);
                     waiting.fetch_sub(bytes, Ordering::Relaxed);
                 }
-                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Timeout) => reached = Instant::now(),
                 Err(RecvTimeoutError::Disconnected) => break,
             }
             if kept.elapsed() >= KEEP_EVERY {
-                self.keep();
+                self.keep(reached);
                 kept = Instant::now();
             }
             if tidied.elapsed() >= TIDY_EVERY {
@@ -123,13 +126,18 @@ impl Writer {
         self.tidy();
     }
 
-    fn take(&mut self, order: Order) {
+    pub(super) fn take(&mut self, order: Order) {
         match order {
             Order::Frame(mut frame) => {
-                if self.copies {
-                    frame.picture.bytes = Bytes::copy_from_slice(&frame.picture.bytes);
-                }
                 let camera = frame.camera;
+                if !self.cameras[camera].window.takes(frame.at) {
+                    return;
+                }
+                // At once: raw pictures of some seconds would not fit into memory.
+                match self.jpeg(&frame.picture) {
+                    Ok(picture) => frame.picture = picture,
+                    Err(fault) => return self.fail(camera, &fault),
+                }
                 if let Some(frame) = self.cameras[camera].window.frame(frame) {
                     self.write(&frame);
                 }
@@ -139,9 +147,11 @@ impl Writer {
                 picture,
                 audit,
             } => {
-                if self.put(camera, |file, name, limits| {
-                    audited(file, name, &picture, &audit, limits)
-                }) {
+                let picture = match self.jpeg(&picture) {
+                    Ok(picture) => picture.bytes,
+                    Err(fault) => return self.fail(camera, &fault),
+                };
+                if self.put(camera, |file, name| file.audited(name, picture, &audit)) {
                     self.counts.lock().shown.audited_frames += 1;
                 }
             }
@@ -179,15 +189,15 @@ impl Writer {
             // Written with the next frame: a camera without frames has no recording.
             of.reasons.push(event);
         } else {
-            self.put(camera, |file, name, _| file.event(name, &event));
+            self.put(camera, |file, name| file.event(name, &event));
         }
     }
 
     fn say_short(&mut self, camera: usize, held: Duration) {
         let camera = &self.cameras[camera].name;
         let said = format!(
-            "of record.before_s only {:.1} s of camera {camera} fit into memory ({} MiB of pictures): send JPEG, or smaller or \
-             fewer pictures",
+            "of record.before_s only {:.1} s of camera {camera} fit into memory ({} MiB of pictures): send smaller or fewer \
+             pictures, or want fewer seconds",
             held.as_secs_f64(),
             MOST_HELD_BYTES >> 20,
         );
@@ -195,9 +205,33 @@ impl Writer {
         self.counts.lock().shown.shortened = Some(said);
     }
 
+    /// The picture as a viewer opens it and as the detector saw it: a JPEG file.
+    fn jpeg(&self, picture: &EncodedPicture) -> Result<EncodedPicture, FrameFault> {
+        let mut bytes = to_jpeg(picture, &self.limits)?;
+        let is_same = bytes.as_ptr() == picture.bytes.as_ptr();
+        if self.copies && is_same {
+            bytes = Bytes::copy_from_slice(&bytes);
+        }
+        Ok(EncodedPicture {
+            bytes,
+            format: PictureFormat::Jpeg,
+            size: picture.size,
+            mount: None,
+        })
+    }
+
+    /// Counts a frame whose picture is at fault.
+    fn fail(&mut self, camera: usize, fault: &FrameFault) {
+        self.counts.lock().shown.failed_frames += 1;
+        let camera = &self.cameras[camera].name;
+        self.faults.log(|held_back| {
+            tracing::warn!(camera, %fault, held_back, "a frame is not recorded");
+        });
+    }
+
     fn write(&mut self, frame: &RecordedFrame) {
-        let written = self.put(frame.camera, |file, name, limits| {
-            let picture = jpeg(&frame.picture, limits)?;
+        let written = self.put(frame.camera, |file, name| {
+            let picture = frame.picture.bytes.clone();
             file.frame(name, picture, &frame.detections, frame.position.as_ref())
         });
         if written {
@@ -209,28 +243,18 @@ impl Writer {
     fn put(
         &mut self,
         camera: usize,
-        write: impl FnOnce(&mut RecordingFile, &str, &FrameLimits) -> Result<(), RecordingError>,
+        write: impl FnOnce(&mut RecordingFile, &str) -> Result<(), RecordingError>,
     ) -> bool {
         if self.retry_at.is_some_and(|at| Instant::now() < at) {
             self.counts.lock().shown.failed_frames += 1;
             return false;
         }
-        let limits = self.limits;
         let is_new = self.cameras[camera].file.is_none();
         let done = self.open(camera).and_then(|(file, name)| {
             file.is_changed = true;
-            write(&mut file.file, name, &limits)
+            write(&mut file.file, name)
         });
         let is_done = done.is_ok();
-        if let Err(RecordingError::Message(fault)) = &done {
-            // The picture is at fault, not the disk.
-            let camera = &self.cameras[camera].name;
-            self.faults.log(|held_back| {
-                tracing::warn!(camera, fault, held_back, "a frame is not recorded");
-            });
-            self.counts.lock().shown.failed_frames += 1;
-            return false;
-        }
         if !is_done {
             self.counts.lock().shown.failed_frames += 1;
             self.cameras[camera].file = None;
@@ -280,12 +304,11 @@ impl Writer {
         }
     }
 
-    /// Waits until the disk has what was written, and ends the files whose recording is over.
-    fn keep(&mut self) {
-        let now = Instant::now();
+    /// Waits until the disk has what was written, and ends the files whose recording was over at the time that is `reached`.
+    pub(super) fn keep(&mut self, reached: Instant) {
         for camera in 0..self.cameras.len() {
             let of = &mut self.cameras[camera];
-            let is_over = of.window.has_length() && !of.window.is_recording(now);
+            let is_over = of.window.has_length() && !of.window.is_recording(reached);
             let Some(open) = &mut of.file else { continue };
             if is_over {
                 self.end_file(camera);
@@ -347,19 +370,4 @@ impl Writer {
             }
         }
     }
-}
-
-fn audited(
-    file: &mut RecordingFile,
-    camera: &str,
-    picture: &EncodedPicture,
-    audit: &AuditMessage,
-    limits: &FrameLimits,
-) -> Result<(), RecordingError> {
-    file.audited(camera, jpeg(picture, limits)?, audit)
-}
-
-/// The picture as a viewer opens it, and as the detector saw it.
-fn jpeg(picture: &EncodedPicture, limits: &FrameLimits) -> Result<Bytes, RecordingError> {
-    to_jpeg(picture, limits).map_err(|fault| RecordingError::Message(fault.to_string()))
 }

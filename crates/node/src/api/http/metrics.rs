@@ -267,7 +267,7 @@ fn recordings(page: &mut MetricsPage, status: &RecordingStatus) {
     ];
     page.counters(
         "albireo_recording_frames_total",
-        "Frames for recordings: written, audited (with what the detector found), dropped (the disk is too slow), failed \
+        "Frames for recordings: written, audited (with what the detector found), dropped (the disk or the processor is too slow), failed \
          (the disk or the picture is at fault)",
         frames.map(|(outcome, count)| ([("outcome", outcome)], count as f64)),
     );
