@@ -31,7 +31,8 @@ pub(super) struct DiagArguments {
 }
 
 pub(super) async fn run(arguments: DiagArguments) -> anyhow::Result<()> {
-    let client = Client::new(&arguments.url, arguments.token)?;
+    let remedy = "is the node or hub running, and is this its address?";
+    let client = Client::new(&arguments.url, arguments.token, remedy)?;
     let response = client.plain(Method::GET, "/api/v1/diag").await?;
     let is_archive = response.headers().get(CONTENT_TYPE);
     if is_archive.is_none_or(|kind| kind != "application/x-tar") {

@@ -11,6 +11,9 @@ use clap::Subcommand;
 use client::Client;
 use serde_json::{Value, json};
 
+/// What to do if nothing answers at the hub's address.
+const REMEDY: &str = "is the hub running? Name another by --hub or ALBIREO_HUB";
+
 /// Arguments of `albireo fleet`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
@@ -150,7 +153,7 @@ impl Context {
 
 pub(super) async fn run(arguments: FleetArguments) -> anyhow::Result<i32> {
     let context = Context {
-        client: Client::new(&arguments.hub, arguments.token)?,
+        client: Client::new(&arguments.hub, arguments.token, REMEDY)?,
         json: arguments.json,
     };
     let ended = match arguments.command {

@@ -6,6 +6,7 @@ use albireo_node::input::source::{
 };
 use albireo_service::clock::unix_nanoseconds;
 use albireo_service::config::LogConfig;
+use albireo_service::rate_limit::RateLimit;
 use albireo_service::{logging, signals};
 use albireo_vision::picture::{EncodedPicture, FrameFault, FrameLimits};
 use albireo_wire::{FrameAttachment, VERSION};
@@ -19,6 +20,9 @@ use zenoh::session::Session;
 
 /// Pause between two attempts to reach the node for the first time; later Zenoh reconnects by itself.
 const RETRY: Duration = Duration::from_secs(2);
+
+/// The time after which it is said again what keeps the node away.
+const REMINDER: Duration = Duration::from_secs(300);
 
 /// Arguments of `albireo publish`.
 #[derive(Debug, clap::Args)]
@@ -144,12 +148,21 @@ pub(super) async fn run(arguments: PublishArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Waits for a session with the node.
+/// Waits for a session with the node. What keeps it away is said when it begins or changes, and then rarely.
 async fn connected(target: &FrameTarget) -> Session {
+    let mut said = String::new();
+    let mut again = RateLimit::new(REMINDER);
     loop {
         match open_session(&target.connect, &target.listen, Duration::ZERO).await {
             Ok(session) => return session,
-            Err(error) => tracing::warn!("{error:#}; next attempt in {RETRY:?}"),
+            Err(error) => {
+                let error = format!("{error:#}");
+                if error != said {
+                    again = RateLimit::new(REMINDER);
+                    said.clone_from(&error);
+                }
+                again.log(|_| tracing::warn!("{error}; next attempts every {RETRY:?}"));
+            }
         }
         tokio::time::sleep(RETRY).await;
     }

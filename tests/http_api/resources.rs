@@ -311,3 +311,23 @@ async fn cameras_show_in_configuration_order_policy_threshold_detections_and_adv
     let detections = node.json("/api/v1/cameras/front/detections").await;
     assert_has(&detections, &json!({"seq": 1, "state": "I"}));
 }
+
+#[tokio::test]
+async fn a_json_answer_ends_its_line_also_when_it_refuses() {
+    let node = Served::start().await;
+    for path in ["/api/v1/node", "/openapi.json", "/healthz", "/nothing"] {
+        let answer = node.get(path).await;
+        let length = answer.content_length();
+        let text = answer.text().await.unwrap();
+        assert!(
+            text.ends_with("}\n") && !text.ends_with("\n\n"),
+            "{path}: {text}"
+        );
+        assert_eq!(length, Some(text.len() as u64), "{path}");
+    }
+    let refused = node.put("/api/v1/threshold", "{}").await.text().await.unwrap();
+    assert!(refused.ends_with("}\n"), "{refused}");
+    // Only JSON: a page, or metrics, are as they are.
+    let metrics = node.get("/metrics").await.text().await.unwrap();
+    assert!(metrics.ends_with('\n') && !metrics.ends_with("\n\n"));
+}

@@ -75,7 +75,7 @@ fn filter(level: &str) -> EnvFilter {
 
 #[cfg(test)]
 mod tests {
-    use super::{filter, subscriber, tail_level};
+    use super::{filter, lines_after, subscriber, tail_level};
     use crate::config::LogFormat;
     use parking_lot::Mutex;
     use tracing::{Level, subscriber::with_default};
@@ -98,6 +98,22 @@ mod tests {
                 assert!(!unread);
             }
         });
+    }
+
+    #[test]
+    fn a_kept_line_of_zenoh_names_no_place_in_its_source_and_one_of_a_panic_does() {
+        let _alone = ONE_SUBSCRIBER.lock();
+        let before = lines_after(0, usize::MAX).last().map_or(0, |line| line.number);
+        with_default(subscriber("warn", LogFormat::Human), || {
+            tracing::warn!(target: "zenoh::net", "it cannot listen [in use at /b/.cargo/a-1/tcp.rs:61.]");
+            tracing::warn!("panicked at src/a.rs:5");
+        });
+        let lines = lines_after(before, usize::MAX);
+        let kept = |text: &str| lines.iter().any(|line| line.text.contains(text));
+        assert!(
+            kept("it cannot listen [in use.]") && kept("panicked at src/a.rs:5"),
+            "{lines:?}"
+        );
     }
 
     #[test]

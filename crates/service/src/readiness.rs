@@ -57,6 +57,29 @@ pub struct PartFault {
     pub since_s: f64,
 }
 
+impl PartFault {
+    /// The part and the subject.
+    fn name(&self) -> String {
+        format!("{} {}", self.part, self.subject).trim_end().to_owned()
+    }
+}
+
+/// A change of the health, in words.
+#[derive(Debug, PartialEq, Eq)]
+enum Change {
+    Better(String),
+    Worse(String),
+}
+
+impl Change {
+    fn log(self) {
+        match self {
+            Self::Better(words) => tracing::info!("{words}"),
+            Self::Worse(words) => tracing::warn!("{words}"),
+        }
+    }
+}
+
 /// All faults at one moment.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Health {
@@ -74,6 +97,43 @@ impl Health {
     /// True if the service does its work, possibly with a part missing.
     pub fn is_ready(&self) -> bool {
         self.state() != HealthState::NotReady
+    }
+
+    /// What has changed since `before`, in words; `None` if nothing has.
+    fn since(&self, before: &Self) -> Option<Change> {
+        let differs = |one: &&PartFault, others: &[PartFault]| {
+            let same = others
+                .iter()
+                .find(|other| (other.part, &other.subject) == (one.part, &one.subject));
+            same.is_none_or(|other| other.fault != one.fault)
+        };
+        let is_gone = |one: &&PartFault| {
+            let mut present = self.faults.iter();
+            !present.any(|other| (other.part, &other.subject) == (one.part, &one.subject))
+        };
+        let news: Vec<_> = self.faults.iter().filter(|one| differs(one, &before.faults)).collect();
+        let gone: Vec<_> = before.faults.iter().filter(is_gone).map(PartFault::name).collect();
+        if news.is_empty() && gone.is_empty() {
+            return None;
+        }
+        let mut words: Vec<_> =
+            news.iter().map(|one| format!("{}: {}", one.name(), one.fault.reason)).collect();
+        if !gone.is_empty() {
+            words.push(format!("works again: {}", gone.join(", ")));
+        }
+        let rest = self.faults.len() - news.len();
+        if rest > 0 {
+            words.push(format!("as before: {rest} more, see /readyz"));
+        }
+        let words = words.join("; ");
+        Some(match self.state() {
+            HealthState::Ready => Change::Better("every part works".to_owned()),
+            HealthState::Degraded if news.is_empty() => {
+                Change::Better(format!("degraded; {words}"))
+            }
+            HealthState::Degraded => Change::Worse(format!("degraded: {words}")),
+            HealthState::NotReady => Change::Worse(format!("not ready: {words}")),
+        })
     }
 
     /// The status for the wire: one reason per part.
@@ -178,19 +238,21 @@ impl Readiness {
         self.0.changes.subscribe()
     }
 
-    /// Checks the health every `period` and logs each change, for as long as it is polled.
+    /// Checks the health every `period` and logs what has changed, for as long as it is polled.
     pub async fn watch(self, period: Duration) {
         let mut changes = self.subscribe();
         let mut ticks = tokio::time::interval(period);
+        let mut known = Health::default();
         loop {
             tokio::select! {
                 _ = ticks.tick() => drop(self.health()),
                 Ok(()) = changes.changed() => {
-                    let status = changes.borrow_and_update();
-                    match status.state {
-                        HealthState::Ready => tracing::info!("{}", sentence(&status)),
-                        _ => tracing::warn!("{}", sentence(&status)),
+                    let now = self.health();
+                    changes.mark_unchanged();
+                    if let Some(change) = now.since(&known) {
+                        change.log();
                     }
+                    known = now;
                 }
             }
         }
@@ -277,6 +339,43 @@ mod tests {
         assert_eq!(health.status().reasons["cameras"], expected);
         front.works();
         assert_eq!(readiness.health().state(), HealthState::Degraded);
+    }
+
+    #[test]
+    fn a_change_is_said_without_what_is_as_it_was() {
+        let readiness = Readiness::default();
+        let [front, rear] = ["front", "rear"].map(|name| readiness.part_of("cameras", name));
+        let mut known = Health::default();
+        let mut said = || {
+            let now = readiness.health();
+            let change = now.since(&known);
+            known = now;
+            change
+        };
+        assert_eq!(said(), None);
+        let worse = |words: &str| Some(Change::Worse(words.to_owned()));
+        let better = |words: &str| Some(Change::Better(words.to_owned()));
+        front.degraded("silent");
+        rear.degraded("next attempt in 1 s");
+        assert_eq!(
+            said(),
+            worse("degraded: cameras front: silent; cameras rear: next attempt in 1 s")
+        );
+        rear.degraded("next attempt in 2 s");
+        assert_eq!(
+            said(),
+            worse("degraded: cameras rear: next attempt in 2 s; as before: 1 more, see /readyz")
+        );
+        assert_eq!(said(), None);
+        front.works();
+        assert_eq!(
+            said(),
+            better("degraded; works again: cameras front; as before: 1 more, see /readyz")
+        );
+        rear.not_ready("its loop failed");
+        assert_eq!(said(), worse("not ready: cameras rear: its loop failed"));
+        rear.works();
+        assert_eq!(said(), better("every part works"));
     }
 
     #[tokio::test(start_paused = true)]

@@ -14,12 +14,19 @@ const ANSWER_WITHIN: Duration = Duration::from_secs(30);
 /// A hub, or a node.
 pub(in crate::cli) struct Client {
     base: Url,
+    /// What to do if it cannot be reached.
+    remedy: &'static str,
     token: Option<String>,
     http: reqwest::Client,
 }
 
 impl Client {
-    pub(in crate::cli) fn new(hub: &str, token: Option<String>) -> anyhow::Result<Self> {
+    /// Talks to the service at `hub`; `remedy` is what to do if nothing answers there.
+    pub(in crate::cli) fn new(
+        hub: &str,
+        token: Option<String>,
+        remedy: &'static str,
+    ) -> anyhow::Result<Self> {
         let base = Url::parse(hub)
             .with_context(|| format!("`{hub}` is not an address such as http://127.0.0.1:8090"))?;
         let http = reqwest::Client::builder()
@@ -27,7 +34,12 @@ impl Client {
             // An answer must come from the hub itself, so redirects are not followed.
             .redirect(reqwest::redirect::Policy::none())
             .build()?;
-        Ok(Self { base, token, http })
+        Ok(Self {
+            base,
+            remedy,
+            token,
+            http,
+        })
     }
 
     fn request(
@@ -51,9 +63,7 @@ impl Client {
         let response = request.send().await.map_err(|error| {
             let base = &self.base;
             if error.is_connect() {
-                return anyhow!(
-                    "{base} cannot be reached: is the hub running? Name another by --hub or ALBIREO_HUB"
-                );
+                return anyhow!("{base} cannot be reached: {}", self.remedy);
             }
             anyhow!("{base} gave no answer: {}", error.without_url())
         })?;

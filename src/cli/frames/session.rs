@@ -49,7 +49,10 @@ pub async fn open_session(
     zenoh::open(config).await.map_err(|error| {
         let endpoints = [&connect, listen].concat().join(", ");
         let error = session::plain(&error);
-        anyhow!("no Zenoh session with {endpoints}: {error}; is the node running, and does it listen there?")
+        // It repeats the endpoints, and has no reason.
+        let reason = Some(error).filter(|said| !said.starts_with("Unable to connect to any of"));
+        let reason = reason.map(|said| format!(": {said}")).unwrap_or_default();
+        anyhow!("no Zenoh session with {endpoints}{reason}; is the node running, and does it listen there?")
     })
 }
 

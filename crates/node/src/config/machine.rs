@@ -200,7 +200,15 @@ fn file(key: &str, path: Option<&Path>, findings: &mut Findings) {
     if path.is_dir() {
         findings.add(key, format!("{shown} is a folder, not a file"));
     } else if let Err(error) = std::fs::File::open(path) {
-        findings.add(key, format!("{shown} cannot be read: {error}"));
+        let relative = if path.is_relative() {
+            format!(
+                " (`{}` begins in the folder where the program runs)",
+                path.display()
+            )
+        } else {
+            String::new()
+        };
+        findings.add(key, format!("{shown} cannot be read: {error}{relative}"));
     }
 }
 

@@ -15,7 +15,8 @@ use crate::source::Meter;
 use crate::source::child::{LineChild, PAUSE};
 use crate::source::sysfs;
 use procfs::process::Process;
-use std::path::PathBuf;
+use std::io;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tokio::time::Instant;
 
@@ -35,6 +36,19 @@ pub(crate) struct Tegrastats {
     newest: Instant,
 }
 
+/// Why the program was not started. The search for a name without a folder fails like a program that may not be run if one folder of
+/// `PATH` may not be read.
+fn not_started(program: &Path, error: &io::Error) -> MeterError {
+    let is_searched = program.components().count() == 1;
+    if is_searched && error.kind() == io::ErrorKind::PermissionDenied {
+        return MeterError::missing(format!(
+            "there is no {}, as far as this user may search the folders of PATH",
+            program.display()
+        ));
+    }
+    sysfs::failure(program, error)
+}
+
 impl Tegrastats {
     /// Starts it and waits for its first line.
     ///
@@ -45,7 +59,7 @@ impl Tegrastats {
         let program = config.tegrastats.clone();
         let arguments = ["--interval".to_owned(), config.interval_ms.to_string()];
         let child = LineChild::start(&program, &arguments, PAUSE)
-            .map_err(|error| sysfs::failure(&program, &error))?;
+            .map_err(|error| not_started(&program, &error))?;
         let mut meter = Self {
             child,
             map: RailMap::new(config.rails.as_ref())?,
@@ -107,5 +121,21 @@ impl Meter for Tegrastats {
             let ticks = (stat.utime + stat.stime) as f64;
             Duration::from_secs_f64(ticks / procfs::ticks_per_second() as f64)
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tests::assert_contains;
+
+    #[test]
+    fn a_folder_that_may_not_be_searched_is_no_tegrastats_that_may_not_be_run() {
+        let denied = io::ErrorKind::PermissionDenied.into();
+        let searched = not_started(Path::new("tegrastats"), &denied);
+        assert!(matches!(searched, MeterError::Missing(_)), "{searched}");
+        assert_contains(searched, &["there is no tegrastats", "folders of PATH"]);
+        let named = not_started(Path::new("/usr/bin/tegrastats"), &denied);
+        assert_contains(named, &["may not read /usr/bin/tegrastats", "sudo chmod"]);
     }
 }

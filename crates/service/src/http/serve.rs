@@ -5,9 +5,9 @@ use super::problem;
 use crate::ServiceError;
 use crate::config::{HttpConfig, NamedToken};
 use axum::Router;
-use axum::body::Body;
+use axum::body::{Body, HttpBody as _, to_bytes};
 use axum::extract::{DefaultBodyLimit, Request};
-use axum::http::header::{AUTHORIZATION, CONTENT_TYPE, X_CONTENT_TYPE_OPTIONS};
+use axum::http::header::{AUTHORIZATION, CONTENT_LENGTH, CONTENT_TYPE, X_CONTENT_TYPE_OPTIONS};
 use axum::http::{HeaderValue, Method, StatusCode};
 use axum::middleware::{from_fn_with_state, map_response};
 use axum::response::Response;
@@ -194,7 +194,30 @@ fn layered(config: &HttpConfig, methods: &[Method], router: Router, allowed: Gua
             tracing::info_span!("http", %method, path)
         })
         .on_failure(log_failure);
-    router.layer(trace).layer(map_response(believe_the_type))
+    router
+        .layer(trace)
+        .layer(map_response(believe_the_type))
+        .layer(map_response(end_the_line))
+}
+
+/// Ends a JSON answer with a new line, so that a terminal's prompt does not stick to it.
+async fn end_the_line(response: Response) -> Response {
+    let media_type = response.headers().get(CONTENT_TYPE);
+    let media_type = media_type.and_then(|value| value.to_str().ok()).unwrap_or_default();
+    // A stream has no exact size, and lines of its own.
+    let is_whole = response.body().size_hint().exact().is_some();
+    if !media_type.ends_with("json") || !is_whole {
+        return response;
+    }
+    let (mut parts, body) = response.into_parts();
+    // It is the length without the new line, and not needed in the answer to a HEAD.
+    parts.headers.remove(CONTENT_LENGTH);
+    // It is in memory already: nothing can fail.
+    let whole = to_bytes(body, usize::MAX).await.unwrap_or_default();
+    if whole.is_empty() {
+        return Response::from_parts(parts, Body::empty());
+    }
+    Response::from_parts(parts, Body::from([&whole[..], b"\n"].concat()))
 }
 
 /// Tells browsers to take an answer for what its content type says, whatever its bytes look like.

@@ -1,6 +1,8 @@
 //! Keeps the last log lines in memory, for the page and for diagnostics, without the secrets given to [`conceal`].
 
+use super::writer::is_zenohs;
 use crate::config::MASK;
+use crate::session::plain;
 use parking_lot::{Mutex, RwLock};
 use serde::Serialize;
 use std::collections::{BTreeSet, VecDeque};
@@ -126,6 +128,9 @@ impl io::Write for Line {
     /// Takes a whole event, which is written at once.
     fn write(&mut self, event: &[u8]) -> io::Result<usize> {
         let mut text = String::from_utf8_lossy(event).trim_end().to_owned();
+        if is_zenohs(&self.1) {
+            text = plain(&text);
+        }
         // Before truncation: the first half of a secret is also secret.
         mask(&mut text);
         if text.len() > LONGEST {

@@ -1,11 +1,14 @@
 //! Writes the log on a thread of its own, so that a reader of standard error that does not read holds up nothing else.
 
+use crate::session::plain;
 use parking_lot::Mutex;
 use std::io::{self, Write as _};
 use std::sync::OnceLock;
 use std::sync::mpsc::sync_channel;
 use std::time::Duration;
+use tracing::Metadata;
 use tracing_appender::non_blocking::{ErrorCounter, NonBlocking, NonBlockingBuilder, WorkerGuard};
+use tracing_subscriber::fmt::MakeWriter;
 
 /// The number of lines that may wait to be written; further ones are dropped and counted.
 const WAITING: usize = 4096;
@@ -26,8 +29,55 @@ struct Writer {
 static WRITER: OnceLock<Writer> = OnceLock::new();
 
 /// The writer of the log's lines: it never waits. The first call starts its thread.
-pub(super) fn lines() -> NonBlocking {
-    writer(io::stderr()).lines.clone()
+pub(super) fn lines() -> Lines {
+    Lines(writer(io::stderr()).lines.clone())
+}
+
+/// Makes the writer of each line.
+pub(super) struct Lines(NonBlocking);
+
+/// Writes one line.
+pub(super) struct WrittenLine {
+    to: NonBlocking,
+    is_zenohs: bool,
+}
+
+impl MakeWriter<'_> for Lines {
+    type Writer = WrittenLine;
+
+    fn make_writer(&self) -> WrittenLine {
+        WrittenLine {
+            to: self.0.clone(),
+            is_zenohs: false,
+        }
+    }
+
+    fn make_writer_for(&self, about: &Metadata<'_>) -> WrittenLine {
+        WrittenLine {
+            is_zenohs: is_zenohs(about.target()),
+            ..self.make_writer()
+        }
+    }
+}
+
+impl io::Write for WrittenLine {
+    fn write(&mut self, event: &[u8]) -> io::Result<usize> {
+        if !self.is_zenohs {
+            return self.to.write(event);
+        }
+        let line = plain(&String::from_utf8_lossy(event)) + "\n";
+        self.to.write_all(line.as_bytes())?;
+        Ok(event.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.to.flush()
+    }
+}
+
+/// True for a target of Zenoh, whose messages name places in its source.
+pub(super) fn is_zenohs(target: &str) -> bool {
+    target.starts_with("zenoh")
 }
 
 fn writer(to: impl io::Write + Send + 'static) -> &'static Writer {
@@ -96,5 +146,45 @@ pub fn last_words(text: &str) {
             let _ = writer.lines.clone().write_all(format!("{text}\n").as_bytes());
         }
         None => eprintln!("{text}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::Arc;
+
+    /// What was written.
+    #[derive(Clone, Default)]
+    struct Written(Arc<Mutex<Vec<u8>>>);
+
+    impl io::Write for Written {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            self.0.lock().extend_from_slice(bytes);
+            Ok(bytes.len())
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn a_written_line_of_zenoh_names_no_place_in_its_source() {
+        let written = Written::default();
+        let (to, thread) = NonBlockingBuilder::default().finish(written.clone());
+        for is_zenohs in [true, false] {
+            let mut line = WrittenLine {
+                to: to.clone(),
+                is_zenohs,
+            };
+            line.write_all(b"  WARN in use at /b/.cargo/a-1/tcp.rs:61.\n").unwrap();
+        }
+        drop(thread);
+        let text = String::from_utf8(written.0.lock().clone()).unwrap();
+        assert_eq!(
+            text,
+            "WARN in use.\n  WARN in use at /b/.cargo/a-1/tcp.rs:61.\n"
+        );
     }
 }

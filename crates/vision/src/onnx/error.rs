@@ -52,10 +52,19 @@ impl StartError {
 
     /// The ONNX file is missing, damaged or not supported by this ONNX Runtime.
     pub(crate) fn unreadable(model: &Path, reason: impl Display) -> Self {
+        let place = if model.is_relative() && !model.exists() {
+            let here = std::env::current_dir().unwrap_or_default();
+            format!(
+                " (a relative path begins in the folder where the program runs, {})",
+                here.display()
+            )
+        } else {
+            String::new()
+        };
         let model = model.display();
         Self::new(
             StartErrorKind::Unreadable,
-            format_args!("the model {model} cannot be loaded: {reason}"),
+            format_args!("the model {model} cannot be loaded: {reason}{place}"),
         )
     }
 
