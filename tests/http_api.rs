@@ -5,6 +5,7 @@ mod connections;
 mod documented;
 pub(crate) mod events;
 mod history;
+mod policy;
 mod resources;
 mod screen;
 pub(crate) mod served;

@@ -47,6 +47,7 @@ mod hub_kills;
 mod no_news;
 mod node_frames;
 mod pages;
+mod policy;
 mod power_cuts;
 mod power_live;
 mod power_tegrastats;

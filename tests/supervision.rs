@@ -70,9 +70,8 @@ fn settings(detector: &str, more: &str) -> String {
 #[ignore = "needs ONNX Runtime"]
 async fn a_panicking_camera_loop_is_counted_reported_and_restarted_and_no_frame_vanishes() {
     let config = configuration();
-    let policy: PolicyConfig = config.policy.clone();
     // Each policy panics after two frames.
-    let policies = move |_: &str| {
+    let policies = move |_: &str, policy: &PolicyConfig| {
         let (inner, mut good) = (policy.build()?, 2_u32);
         let before = move || good = good.checked_sub(1).expect("a bug in a policy");
         Ok(Box::new(Before { inner, before }) as Box<dyn Policy>)
@@ -126,7 +125,6 @@ const TAPES: [&str; 2] = ["tape-a", "tape-b"];
 #[ignore = "needs ONNX Runtime"]
 async fn cameras_that_slow_down_their_senders_slow_down_nobody_else() {
     let mut config = configuration();
-    let policy: PolicyConfig = config.policy.clone();
     config.cameras = vec![CameraConfig::named(CAMERA)];
     config.cameras.extend(TAPES.map(|tape| CameraConfig {
         delivery: Delivery::Every,
@@ -136,17 +134,20 @@ async fn cameras_that_slow_down_their_senders_slow_down_nobody_else() {
     // The policies of the tapes wait until `shut` is dropped, however the test ends.
     let (shut, gate) = channel::<()>();
     let gate = Arc::new(Mutex::new(gate));
-    let prepared = PreparedNode::new(&config).unwrap().with_policies(Arc::new(move |camera| {
-        let inner = policy.build()?;
-        if !TAPES.contains(&camera) {
-            return Ok(inner);
-        }
-        let gate = Arc::clone(&gate);
-        // `block_in_place` lets the other tasks of this worker thread continue.
-        let pass = move || assert!(gate.lock().unwrap().recv().is_err());
-        let before = move || tokio::task::block_in_place(&pass);
-        Ok(Box::new(Before { inner, before }) as Box<dyn Policy>)
-    }));
+    let prepared =
+        PreparedNode::new(&config)
+            .unwrap()
+            .with_policies(Arc::new(move |camera, policy| {
+                let inner = policy.build()?;
+                if !TAPES.contains(&camera) {
+                    return Ok(inner);
+                }
+                let gate = Arc::clone(&gate);
+                // `block_in_place` lets the other tasks of this worker thread continue.
+                let pass = move || assert!(gate.lock().unwrap().recv().is_err());
+                let before = move || tokio::task::block_in_place(&pass);
+                Ok(Box::new(Before { inner, before }) as Box<dyn Policy>)
+            }));
     let mut bench = Bench::start_prepared(&config, prepared).await;
     let picture = pictures(1).remove(0);
     // More frames than the loop and the ring hold: puts wait, and queries stay unanswered.

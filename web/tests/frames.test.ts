@@ -36,7 +36,7 @@ group("why the detector ran", () => {
 
 group("the past", () => {
   const history = {
-    camera: "front", now_ms: 0, slot_s: 10, slots: [],
+    camera: "front", now_ms: 0, slot_s: 10, slots: [], of_policy: 3,
     frames: {
       seq: [7, 8, 9], age_ms: [3000, 2000, 1000], state: ["I", "P", "P"], cause: ["uncertain", null, "uncertain"],
       degraded: [false, false, true], boxes: [2, 1, 0], tau_max: [5e-4, null, 4e-4], threshold: [3e-4, 3e-4, 3e-4],
@@ -51,6 +51,11 @@ group("the past", () => {
     expect(second!.tau_max).toBeUndefined();
     expect(second!.latency_ms.detector).toBeUndefined();
     expect(skipped(third!)).toBe(false);
+  });
+
+  test("has the threshold of the policy in force only on the frames that it decided", () => {
+    const frames = past({ ...history, of_policy: 1 }, "u", 100);
+    expect(frames.map((frame) => frame.threshold?.name)).toEqual([undefined, undefined, "u"]);
   });
 
   test("comes before what was heard meanwhile, and no frame twice", () => {

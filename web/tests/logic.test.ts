@@ -18,8 +18,9 @@ const { frameAt, placeOf } = await import("../src/node/ribbon");
 const { shownStates } = await import("../src/node/frames");
 const { estimated, fromSlider, outside, toSlider, usefulRange } = await import("../src/node/threshold");
 const { meaning } = await import("../src/node/screen");
+const { offered } = await import("../src/node/policy");
 const { graver } = await import("../src/node/log");
-const { cameraState, shortFault } = await import("../src/node/cameras");
+const { cameraState, shortFault, snippet } = await import("../src/node/cameras");
 const { afterReturn } = await import("../src/hub/rollouts");
 const { withGaps } = await import("../src/node/charts");
 const { headline } = await import("../src/node/header");
@@ -327,4 +328,18 @@ test("a chart's line ends where no frame came for long", () => {
 test("after a return no node is said to have the new value", () => {
   expect(afterReturn({ applied: 2, refused: 1 })).toEqual({ returned: 2, refused: 1 });
   expect(afterReturn({ untouched: 3 })).toEqual({ untouched: 3 });
+});
+
+test("the command to copy reaches the node where it listens", () => {
+  const key = "albireo/node/front/frame";
+  const plain = `albireo replay VIDEO.mp4 --loop --key ${key}`;
+  expect(snippet(key, "tcp/127.0.0.1:7447", "car-7")).toBe(plain);
+  expect(snippet(key, undefined, "car-7")).toBe(plain);
+  expect(snippet(key, "tcp/127.0.0.1:7500", "car-7")).toBe(`${plain} --connect tcp/127.0.0.1:7500`);
+  expect(snippet(key, "tcp/0.0.0.0:7447", "car-7")).toBe(`${plain} --connect tcp/car-7:7447`);
+  expect(snippet(key, "tcp/[::]:7447", "car-7")).toBe(`${plain} --connect tcp/car-7:7447`);
+});
+
+test("one click offers the other of the two policies that are chosen between", () => {
+  expect(["albireo", "vanilla", "expected-loss"].map(offered)).toEqual(["expected-loss", "expected-loss", "albireo"]);
 });

@@ -66,7 +66,7 @@ pub use albireo_settings::{
 pub(crate) use baselines::{Ablation, ErdOnly};
 pub use baselines::{Ctd, CtdSettings, Statues, StatuesSettings};
 pub use cause::CallCause;
-pub use config::{PolicyConfig, PolicyConfigError};
+pub use config::{PolicyConfig, PolicyConfigError, known_policies};
 pub use decide::{EvidenceAtHand, FrameEvidence, decide};
 pub use empty_road::{EmptyRoad, PauseFrames, WithPause, no_pause};
 pub use expected_loss::{ExpectedLoss, ExpectedLossSettings, InTracker, Pixels, Trigger};

@@ -21,15 +21,17 @@ use crate::camera::decider::{Decider, Fetched};
 use crate::camera::evidence::LiveEvidence;
 use crate::camera::rate::FrameRate;
 use crate::camera::settled::SettledStream;
+use crate::error::NodeError;
 use crate::frame::{FrameRecord, Times};
 use crate::input::receiver::{FrameReceiver, SequencedFrame, kind_of};
 use crate::position::Positions;
 use crate::publishing::Outlet;
 use crate::publishing::ros2::Ros2Outlet;
 use crate::recorder::CameraRecorder;
-use crate::state::board::{CameraBoard, NoNews};
+use crate::state::board::{CameraBoard, InForce, NoNews, NodePolicy};
 use albireo_core::policy::{
-    CallCause, EmptyRoad, FrameHead, LatePolicy, MinConfidence, Need, Outcome,
+    CallCause, EmptyRoad, FrameHead, LatePolicy, MinConfidence, Need, Outcome, Policy,
+    PolicyConfig, PolicyConfigError,
 };
 use albireo_power::CameraEnergy;
 use albireo_service::clock::milliseconds;
@@ -45,12 +47,19 @@ use tokio_util::sync::CancellationToken;
 /// After broken pictures for this long, where objects are is not known any more: nothing is reported until a whole one.
 const LONGEST_BLIND: Duration = Duration::from_secs(2);
 
+/// Creates a camera's policy from the configuration of the policy in force: at the start of its loop, whenever that has failed, and
+/// when the policy is switched: `|camera, config| policy`.
+pub type PolicyMaker =
+    Arc<dyn Fn(&str, &PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError> + Send + Sync>;
+
 /// The parts of a camera that survive a restart of its loop.
 pub(crate) struct CameraParts {
     /// Shows the camera in HTTP and metrics.
     pub board: Arc<CameraBoard>,
     /// The source of its frames.
     pub receiver: Arc<FrameReceiver>,
+    /// Creates its policy.
+    pub policies: PolicyMaker,
     /// Publishes the answers.
     pub detections: Outlet,
     /// Publishes the final answers of pending frames, if frames are answered at once.
@@ -88,6 +97,16 @@ pub(crate) struct LoopSettings {
 }
 
 impl CameraParts {
+    /// Creates the policy of this configuration, at the start of a stream.
+    fn policy(&self, config: &PolicyConfig) -> Result<LatePolicy, NodeError> {
+        let policy = (self.policies)(self.board.name(), config).map_err(NodeError::new)?;
+        if self.late.is_some() {
+            LatePolicy::new(policy).map_err(NodeError::new)
+        } else {
+            Ok(LatePolicy::waiting(policy))
+        }
+    }
+
     fn hand_over(&self, closed: Option<Clip>) {
         if let Some(closed) = closed
             && self.closed.send(closed).is_err()
@@ -100,6 +119,8 @@ impl CameraParts {
 /// One camera's loop.
 pub(crate) struct Camera {
     parts: Arc<CameraParts>,
+    /// The policy that it was last told to follow.
+    policy: Arc<NodePolicy>,
     /// Decides frames.
     decider: Decider,
     /// The frames held back until their boxes are settled.
@@ -108,7 +129,7 @@ pub(crate) struct Camera {
     tracker: ClipTracker,
     /// The frames that the detector examines afterwards.
     audit: CameraAudit,
-    threshold: watch::Receiver<Option<f64>>,
+    in_force: watch::Receiver<InForce>,
     empty_road: watch::Receiver<EmptyRoad>,
     rate: FrameRate,
     /// True once it was said what the pause on an empty road means at the camera's rate.
@@ -143,29 +164,35 @@ struct BegunFrame {
 }
 
 impl Camera {
-    /// Creates a loop that has seen no frame. It begins a new clip, and applies the threshold in force at its first
-    /// frame.
+    /// Creates a loop that has seen no frame, under the policy in force. It begins a new clip, and applies the threshold in
+    /// force at its first frame.
+    ///
+    /// # Errors
+    /// [`NodeError`] if the policy cannot be created.
     pub(crate) fn new(
         parts: Arc<CameraParts>,
         settings: LoopSettings,
-        policy: LatePolicy,
         evidence: LiveEvidence,
         audit: CameraAudit,
-    ) -> Self {
-        let mut threshold = parts.board.watch_threshold();
-        threshold.mark_changed();
+    ) -> Result<Self, NodeError> {
+        let mut in_force = parts.board.watch_in_force();
+        let config = Arc::clone(&in_force.borrow_and_update().policy);
+        in_force.mark_changed();
+        let policy = parts.policy(&config.config)?;
         parts.receiver.ring.open();
         let settled = parts
             .settled
             .is_some()
             .then(|| SettledStream::new(settings.longest_hold, &parts));
         let energy = parts.energy.clone();
-        Self {
+        let name = policy.policy().name();
+        Ok(Self {
+            policy: config,
             decider: Decider::new(policy, evidence),
             settled,
-            tracker: ClipTracker::new(settings.clip, energy, settings.audit.report()),
+            tracker: ClipTracker::new(settings.clip, energy, settings.audit.report(), name),
             audit,
-            threshold,
+            in_force,
             empty_road: parts.board.watch_empty_road(),
             rate: FrameRate::default(),
             pause_is_told: false,
@@ -175,7 +202,7 @@ impl Camera {
             clip: None,
             outcome: Outcome::default(),
             parts,
-        }
+        })
     }
 
     /// Runs until `shutdown`, then finishes the current or pending frame and closes the open clip.
@@ -306,14 +333,12 @@ impl Camera {
             false
         };
         if restarted || blind || (new_clip && self.parts.reset_at_clip && self.clip.is_some()) {
-            if let Some(given_up) = self.decider.give_up(&mut self.outcome) {
-                self.conclude(&given_up);
-            }
+            self.conclude_pending();
             self.decider.policy.reset();
             self.first_index = None;
         }
         self.clip.clone_from(&frame.clip);
-        self.take_threshold();
+        self.take_in_force(frame.received);
 
         // Without a first index the policy has just begun, and knows no frame before this one.
         let known = self.first_index.and(before);
@@ -335,7 +360,7 @@ impl Camera {
             self.tracker.locate(position, frame.time_ns, frame.received);
         }
         let clip = self.tracker.clip().map_or_else(|| "".into(), Arc::clone);
-        let spec = parts.board.threshold_spec.zip(self.decider.policy.policy().threshold());
+        let spec = self.policy.spec.zip(self.decider.policy.policy().threshold());
         BegunFrame {
             head,
             clip,
@@ -440,16 +465,57 @@ impl Camera {
         }
     }
 
-    /// Applies a changed threshold from this frame on.
-    fn take_threshold(&mut self) {
-        if !self.threshold.has_changed().unwrap_or(false) {
+    /// Makes the prediction of a pending frame its final answer.
+    fn conclude_pending(&mut self) {
+        if let Some(given_up) = self.decider.give_up(&mut self.outcome) {
+            self.conclude(&given_up);
+        }
+    }
+
+    /// Applies a switched policy and a changed threshold from this frame on, which arrived at `arrival`.
+    fn take_in_force(&mut self, arrival: Instant) {
+        if !self.in_force.has_changed().unwrap_or(false) {
             return;
         }
-        if let Some(value) = *self.threshold.borrow_and_update()
+        let in_force = self.in_force.borrow_and_update().clone();
+        if !Arc::ptr_eq(&in_force.policy, &self.policy) {
+            self.switch(in_force.policy, arrival);
+        }
+        if let Some(value) = in_force.threshold
             && let Err(error) = self.decider.policy.set_threshold(value)
         {
             tracing::error!(camera = self.parts.board.name(), %error, "the policy rejected a threshold");
         }
+    }
+
+    /// Follows another policy, which begins as at the start of a stream: what was seen and counted under the one before stays
+    /// with that one's clip.
+    fn switch(&mut self, policy: Arc<NodePolicy>, arrival: Instant) {
+        self.conclude_pending();
+        let camera = self.parts.board.name();
+        match self.parts.policy(&policy.config) {
+            Ok(made) => self.decider.policy = made,
+            // The node's own policies were built before they came into force; only a program's own ones can fail here.
+            Err(error) => {
+                tracing::error!(camera, policy = policy.name, %error, "the camera keeps its policy");
+                return;
+            }
+        }
+        self.policy = policy;
+        self.first_index = None;
+        if let Some(settled) = &mut self.settled {
+            settled.flush();
+        }
+        self.audit.give_up();
+        self.count_others();
+        let name = self.decider.policy.policy().name();
+        self.parts.hand_over(self.tracker.switch(name, arrival));
+        self.parts.board.policy_begins();
+        tracing::info!(
+            camera = self.parts.board.name(),
+            policy = name,
+            "follows another policy"
+        );
     }
 }
 

@@ -21,8 +21,9 @@ mod settings;
 mod start;
 pub mod state;
 
+pub use camera::PolicyMaker;
 pub use camera::evidence::LiveEvidence;
 pub use error::NodeError;
 pub use frame::FrameRecord;
 pub use run::run;
-pub use start::{Node, PolicyMaker, PreparedNode};
+pub use start::{Node, PreparedNode};

@@ -170,7 +170,7 @@ fn log_start(config: &NodeConfig, board: &Board, node: &Node, http: SocketAddr, 
     tracing::info!(
         version = env!("CARGO_PKG_VERSION"),
         node = config.node.name,
-        policy = board.policy,
+        policy = board.policy().name,
         threshold = names.into_iter().collect::<Vec<_>>().join(", "),
         model = %config.detector.model.display(),
         provider = node.provider(),

@@ -1,4 +1,4 @@
-//! Settings that are changed at run time, thresholds and the target: put in force on the board, in the order in which the
+//! Settings that are changed at run time, the policy, thresholds and the target: put in force on the board, in the order in which the
 //! settings arrive, and kept over a restart.
 
 mod file;
@@ -8,7 +8,7 @@ mod transaction;
 mod turns;
 
 pub(crate) use file::SettingsFile;
-pub(crate) use transaction::{RefusedPause, Transaction};
+pub(crate) use transaction::{RefusedPause, RefusedPolicy, Transaction};
 pub(crate) use turns::{MAX_MESSAGE_BYTES, Place, Setting};
 
 use crate::state::board::{Board, CameraBoard};
@@ -33,7 +33,7 @@ pub(crate) struct Settings {
 }
 
 impl Settings {
-    /// Opens the settings in `directory`, or in memory without one, and puts on the board what was kept there: a
+    /// Opens the settings in `directory`, or in memory without one, and puts on the board what was kept there: the policy, a
     /// threshold if the policy's still has that name and range, and a setting if its configured value was not edited
     /// since. An unreadable file is logged and tried again later.
     pub(crate) fn open(board: &Arc<Board>, directory: Option<&Path>) -> Self {
@@ -42,11 +42,13 @@ impl Settings {
             file: Arc::new(SettingsFile::open(directory)),
             turns: Turns::default(),
         };
+        settings.restore_policy();
         board.cameras.iter().for_each(|camera| settings.restore(camera));
         settings.restore_pause();
         let target = &board.target;
         let kept = settings.file.kept(transaction::TARGET, &target.configured());
-        target.begin(kept);
+        let first = board.cameras.first().and_then(|camera| camera.configured());
+        target.begin(kept, first);
         // The probe belongs to the board, which the settings hold: with the settings in it, neither would ever end.
         let file = Arc::clone(&settings.file);
         board.readiness.probe(readiness::DISK, "settings", move || {
@@ -55,9 +57,35 @@ impl Settings {
         settings
     }
 
+    /// Restores the policy that was switched to.
+    fn restore_policy(&self) {
+        let configured = self.board.configured_policy();
+        let name = configured.name.to_owned();
+        let Some((kept, _)) = self.file.kept::<String, _>(transaction::POLICY, &name) else {
+            return;
+        };
+        if kept == name {
+            return;
+        }
+        let restored = configured.named(&kept).map_err(RefusedPolicy::from);
+        match restored.and_then(|policy| transaction::fits(&self.board, policy)) {
+            Ok(policy) => {
+                self.board.set_policy(policy);
+                tracing::info!(
+                    policy = kept,
+                    configured = name,
+                    "policy restored from the last run"
+                );
+            }
+            Err(error) => {
+                tracing::error!(policy = kept, %error, "the policy of the last run is not restored");
+            }
+        }
+    }
+
     /// Restores the threshold kept for a camera, if it still fits the policy and the configuration.
     fn restore(&self, camera: &CameraBoard) {
-        let Some(spec) = camera.threshold_spec else {
+        let Some(spec) = camera.threshold_spec() else {
             return;
         };
         let setting = transaction::of_threshold(camera.name());

@@ -17,7 +17,6 @@ use crate::recorder::Recorder;
 use crate::settings::Settings;
 use crate::state::board::{Board, provider};
 use crate::state::readiness;
-use albireo_core::policy::{Policy, PolicyConfigError};
 use albireo_power::PowerHandle;
 use albireo_service::clock::Now;
 use albireo_service::readiness::{Fault, Readiness};
@@ -46,10 +45,6 @@ const ACCEPTING: [(&str, &str); 2] = [
     ("transport/unicast/accept_pending", "400"),
     ("transport/unicast/accept_timeout", "3000"),
 ];
-
-/// Creates a camera's policy, at its start and whenever its loop has failed: `|camera| policy`.
-pub type PolicyMaker =
-    Arc<dyn Fn(&str) -> Result<Box<dyn Policy>, PolicyConfigError> + Send + Sync>;
 
 /// A running node.
 pub struct Node {

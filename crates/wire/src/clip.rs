@@ -122,6 +122,8 @@ pub enum ClipEnd {
     Shutdown,
     /// It reached the maximum length of one report (`clip.longest_s`); the next part follows.
     Length,
+    /// The policy was switched; the next part, or the next window, has the frames of the other policy.
+    Policy,
     /// A reason that only a later version knows.
     #[default]
     #[serde(other)]
@@ -143,7 +145,7 @@ pub struct ClipReport {
     pub camera: String,
     /// Clip id: the camera's own, or `window-N`.
     pub clip: String,
-    /// Part number, from 0: a long clip is reported in parts.
+    /// Part number, from 0: a long clip is reported in parts, and so is one in which the policy was switched.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub part: u32,
     /// Running number of the node's reports: gaps show how many are missing. Absent if the node could not read the last

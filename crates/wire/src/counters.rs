@@ -39,7 +39,7 @@ pub struct CountersMessage {
     pub power_quality: EnergyQuality,
     /// The target of the node; absent without a target.
     pub target: Option<TargetReport>,
-    /// The results of the audit since the node started; absent without an audit.
+    /// The results of the audit since the node started, or since the policy was switched; absent without an audit.
     pub audit: Option<AuditFigures>,
 }
 

@@ -95,6 +95,11 @@ impl NodeKeys {
         format!("{}/{}/target", self.prefix, self.node)
     }
 
+    /// [`PolicyMessage`](super::PolicyMessage)s in by put, in and out by query.
+    pub fn policy(&self) -> String {
+        format!("{}/{}/policy", self.prefix, self.node)
+    }
+
     /// [`ScreenMessage`](super::ScreenMessage)s in by put, in and out by query.
     pub fn screen(&self) -> String {
         format!("{}/{}/screen", self.prefix, self.node)
@@ -199,6 +204,7 @@ mod tests {
         let node = NodeKeys::new("albireo", "car-7").unwrap();
         let camera = node.camera("front").unwrap();
         assert_eq!(node.target(), "albireo/car-7/target");
+        assert_eq!(node.policy(), "albireo/car-7/policy");
         assert_eq!(node.screen(), "albireo/car-7/screen");
         assert_eq!(node.alive(), "albireo/@alive/car-7");
         assert_eq!(node.report(), "albireo/@report/car-7");

@@ -10,6 +10,7 @@ mod counters;
 mod desired;
 mod frames;
 mod keys;
+mod policy;
 mod report;
 mod screen;
 mod sighting;
@@ -36,6 +37,7 @@ pub use frames::{
     BoxMessage, DetectionsMessage, FrameAnswer, FrameAttachment, Latency, SettledMessage,
 };
 pub use keys::{CameraKeys, KeyError, NodeKeys, check_segment, stream_of_token, stream_token};
+pub use policy::{PolicyChoice, PolicyMessage};
 pub use report::{
     BatchCompression, IDENTITY_DAYS, LARGEST_BATCH_BYTES, LARGEST_REPORT_BYTES, MOST_REPORTS,
     REPORT_DICTIONARY, RefusalReason, RefusedReport, ReportAge, ReportAnswer, ReportBatch,

@@ -53,7 +53,7 @@ impl Show {
         println!("  page     http://{node}/");
         println!("  counters curl http://{node}/api/v1/frame-states");
         let camera = self.board.cameras.first();
-        if let Some(spec) = camera.and_then(|camera| camera.threshold_spec) {
+        if let Some(spec) = camera.and_then(|camera| camera.threshold_spec()) {
             // Twice the default, so that the difference is visible.
             let value = (2.0 * spec.default).min(spec.maximum);
             let value = serde_json::json!({ spec.name: value });
@@ -67,6 +67,9 @@ impl Show {
                  on the empty road every fifth frame is looked at: 564 calls a round, not 827"
             );
         }
+        println!(
+            "  policy   curl -X PUT http://{node}/api/v1/policy -d '{{\"name\": \"expected-loss\"}}'"
+        );
         println!("  fleet's page  http://{hub}/");
         println!("  hub      curl http://{hub}/api/v1/clips");
         println!("  fleet    albireo fleet --hub http://{hub} ls");

@@ -1046,6 +1046,105 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/policy": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * The policy in force
+         * @description `curl http://127.0.0.1:8080/api/v1/policy`
+         */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["PolicyInForce"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        /**
+         * Switches the policy of all cameras
+         * @description Applies from each camera's next frame, which begins as at the start of a stream: the objects of the policy before are
+         *     forgotten, and its clip ends there and is reported under its name. The threshold is the one that is configured for the new
+         *     policy. A target is held from there, if the new policy has a threshold for it.
+         *     `curl -X PUT -d '{"name": "expected-loss"}' http://127.0.0.1:8080/api/v1/policy`
+         */
+        put: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody: {
+                content: {
+                    "application/json": components["schemas"]["PolicyChoice"];
+                };
+            };
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["PolicyInForce"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "5XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/power": {
         parameters: {
             query?: never;
@@ -2030,6 +2129,11 @@ export interface components {
              */
             now_ms: number;
             /**
+             * @description How many of the last of these the policy in force decided: the uncertainties and thresholds of others are those of another
+             *     policy.
+             */
+            of_policy: number;
+            /**
              * Format: int64
              * @description Length of a piece of the hour, seconds.
              */
@@ -2150,7 +2254,7 @@ export interface components {
          * @description The reason why a clip ended.
          * @enum {string}
          */
-        ClipEnd: "next_clip" | "window" | "silence" | "shutdown" | "length" | "other";
+        ClipEnd: "next_clip" | "window" | "silence" | "shutdown" | "length" | "policy" | "other";
         /**
          * @description Energy of one clip.
          *
@@ -2260,7 +2364,7 @@ export interface components {
             node: string;
             /**
              * Format: int32
-             * @description Part number, from 0: a long clip is reported in parts.
+             * @description Part number, from 0: a long clip is reported in parts, and so is one in which the policy was switched.
              */
             part?: number;
             /** @description Policy. */
@@ -2892,6 +2996,8 @@ export interface components {
             detector?: components["schemas"]["DetectorReading"] | null;
             /** @description What was forwarded to hooks and an MQTT broker. */
             forwarded: components["schemas"]["ForwardedCounts"][];
+            /** @description The first Zenoh endpoint at which the node, or its router, takes frames: of `zenoh.listen`, or of `zenoh.connect`. */
+            frames_at?: string | null;
             /** @description The address of the hub's page: the label `hub`; absent without it. */
             hub?: string | null;
             /** @description Reports that wait for a hub. */
@@ -2902,6 +3008,7 @@ export interface components {
             power_source: string;
             /** @description Savings since the start. */
             since_start: components["schemas"]["Savings"];
+            since_switch?: components["schemas"]["Savings"] | null;
             /** @description Savings of today: since midnight UTC, or since the start if that is later. */
             today: components["schemas"]["Savings"];
             /**
@@ -3105,6 +3212,36 @@ export interface components {
              * @description 99th percentile.
              */
             p99: number;
+        };
+        /** @description A policy by its name, of all cameras: `{"name": "expected-loss"}`. */
+        PolicyChoice: {
+            /** @description Its name, as in `policy.name` of the configuration. */
+            name: string;
+        };
+        /** @description The policy in force. */
+        PolicyInForce: {
+            /** @description The policy of the configuration, `policy.name`. */
+            configured: string;
+            /** @description Its name. */
+            name: string;
+            /** @description What does nothing under it although it is set, in words. */
+            notes: string[];
+            /** @description The names of all policies. */
+            policies: string[];
+            /** @description True if a switch survives a restart. */
+            survives_restart: boolean;
+            /** @description The name of its threshold; absent if it has none. */
+            threshold?: string | null;
+        };
+        /** @description The policy in a put, in a query's payload and in the answer to a query: `{"policy": {"name": "expected-loss"}}`. */
+        PolicyMessage: {
+            /** @description The policy. */
+            policy: components["schemas"]["PolicyChoice"];
+            /**
+             * Format: int32
+             * @description Version; optional on input.
+             */
+            v?: number;
         };
         /** @description A place on the Earth (WGS 84), and the speed there. */
         Position: {

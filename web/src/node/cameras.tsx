@@ -4,7 +4,7 @@ import type { ComponentChildren } from "preact";
 import { useEffect, useState } from "preact/hooks";
 import { ago, percent } from "../shared/format";
 import { CopyButton, Pill, Section, type Mood } from "../shared/parts";
-import { cameras, lost, open, opened, picture, rates, samples, tick, usualGap } from "./store";
+import { cameras, lost, open, opened, overview, picture, rates, samples, tick, usualGap } from "./store";
 import type { CameraEntry } from "./types";
 
 /** A camera is stale after this many seconds without a frame, or after three times its usual gap between frames if that is longer. */
@@ -55,8 +55,12 @@ export function shortFault(fault: string, source: string | null | undefined): st
   return `${known ?? plain}${seconds ? `, next try within ${seconds} s` : ""}`;
 }
 
-function snippet(key: string): string {
-  return `albireo replay VIDEO.mp4 --loop --key ${key}`;
+/** The command that sends a video to a key. `endpoint` is where the node takes frames, and `host` where this page is from. */
+export function snippet(key: string, endpoint: string | null | undefined, host: string): string {
+  // An address of all interfaces is none to connect to.
+  const place = endpoint?.replace(/\/(0\.0\.0\.0|\[::\])(?=:)/, () => `/${host}`);
+  const connect = place && place !== "tcp/127.0.0.1:7447" ? ` --connect ${place}` : "";
+  return `albireo replay VIDEO.mp4 --loop --key ${key}${connect}`;
 }
 
 /** Renders again every second, because ages grow. */
@@ -184,12 +188,12 @@ export function Help({ camera }: { camera: CameraEntry }) {
   if (seen) return null;
   if (camera.source) return <p class="fault quiet">Opening {camera.source} …</p>;
   if (!camera.key) return null;
-  const command = snippet(camera.key);
+  const command = snippet(camera.key, overview.value?.frames_at, location.hostname);
   return (
     <div class="snippet">
       <p>
         Set <code>source = "rtsp://…"</code> for this camera in the node's configuration, or publish JPEG, PNG or raw pictures on the Zenoh
-        key <code>{camera.key}</code>. For example (with <code>--connect</code> if <code>zenoh.listen</code> is not the default):
+        key <code>{camera.key}</code>. For example:
       </p>
       <pre tabIndex={0}>{command}</pre>
       <CopyButton text={command} />

@@ -34,16 +34,18 @@ function seqOf(frame: Seen | { at: number } | undefined): number | undefined {
 /** τ_max of the last frames against the threshold they were decided with. */
 export function Uncertainty() {
   const now = tick.value;
-  const name = thresholdSpec.value?.name ?? "u";
+  const name = thresholdSpec.value?.name;
   const frames = useMemo(() => log.last(FRAMES), [now, opened.value]);
   const shownFrames = useMemo(() => withGaps(frames), [frames]);
   const data = useMemo((): uPlot.AlignedData => {
-    const taus: Column = shownFrames.map((frame) => ("seq" in frame && frame.tau_max && frame.tau_max > 0 ? frame.tau_max : null));
-    const limits: Column = shownFrames.map((frame) => ("seq" in frame && frame.threshold?.value) || null);
+    // The uncertainties of another policy, before a switch, are on another scale.
+    const ours = shownFrames.map((frame) => ("seq" in frame && frame.threshold?.name === name ? frame : undefined));
+    const taus: Column = ours.map((frame) => (frame?.tau_max && frame.tau_max > 0 ? frame.tau_max : null));
+    const limits: Column = ours.map((frame) => frame?.threshold?.value || null);
     return [shownFrames.map((frame) => frame.at), taus, limits];
-  }, [shownFrames]);
+  }, [shownFrames, name]);
   // Another policy's threshold is not a limit on uncertainty.
-  const comparable = name === "u";
+  const comparable = name === undefined || name === "u";
   const shown = comparable ? data : ([data[0], data[1]] as uPlot.AlignedData);
   return (
     <Section id="uncertainty" title="Uncertainty against the threshold" aside={<span class="quiet">logarithmic, no unit</span>}>

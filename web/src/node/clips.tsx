@@ -4,7 +4,7 @@ import { useState } from "preact/hooks";
 import { count, dateTime, duration, edp, joules, milliseconds, percent, small } from "../shared/format";
 import { Quality, Section } from "../shared/parts";
 import { csv, type Column, sorted } from "../shared/table";
-import { cameras, clips, thresholdSpec, overview } from "./store";
+import { cameras, clips, overview } from "./store";
 import type { ClipReport } from "./types";
 
 const SHOWN = 50;
@@ -16,11 +16,17 @@ export function paired(clip: ClipReport, side: "detected" | "shown"): number | u
   return all > 0 ? (sums?.paired ?? 0) / all : undefined;
 }
 
-function columns(thresholdName: string, several: boolean): Column<ClipReport>[] {
+function columns(several: boolean): Column<ClipReport>[] {
   return [
     { id: "started", head: "began", key: (clip) => clip.started_ns, cell: (clip) => dateTime(clip.started_ns / 1e6), unit: "ns since 1970" },
     { id: "clip", head: "clip", key: (clip) => clip.clip, cell: (clip) => clip.clip, left: true },
     ...(several ? [{ id: "camera", head: "camera", key: (clip: ClipReport) => clip.camera, cell: (clip: ClipReport) => clip.camera, left: true }] : []),
+    // Each clip has its own: the policy may have been switched since.
+    { id: "policy", head: "policy", key: (clip) => clip.policy, cell: (clip) => clip.policy, left: true },
+    {
+      id: "threshold", head: "threshold", key: (clip) => clip.threshold?.value,
+      cell: (clip) => (clip.threshold ? `${clip.threshold.name} ${small(clip.threshold.value)}` : "–"),
+    },
     { id: "frames", head: "frames", key: (clip) => clip.frames, cell: (clip) => count(clip.frames) },
     { id: "skip_rate", head: "skipped", key: (clip) => clip.skip_rate, cell: (clip) => percent(clip.skip_rate) },
     { id: "degraded_frames", head: "degraded", key: (clip) => clip.degraded_frames, cell: (clip) => count(clip.degraded_frames) },
@@ -46,7 +52,6 @@ function columns(thresholdName: string, several: boolean): Column<ClipReport>[] 
     { id: "latency_p99", head: "p99", key: (clip) => clip.total_latency_ms.p99, cell: (clip) => milliseconds(clip.total_latency_ms.p99), unit: "ms" },
     { id: "detector_p50", head: "detector p50", key: (clip) => clip.detector_latency_ms.p50, cell: (clip) => milliseconds(clip.detector_latency_ms.p50), unit: "ms" },
     { id: "detector_p99", head: "p99", key: (clip) => clip.detector_latency_ms.p99, cell: (clip) => milliseconds(clip.detector_latency_ms.p99), unit: "ms" },
-    { id: thresholdName, head: thresholdName, key: (clip) => clip.threshold?.value, cell: (clip) => small(clip.threshold?.value) },
     { id: "provider", head: "provider", key: (clip) => clip.provider, cell: (clip) => clip.provider, left: true },
     { id: "celsius", head: "hottest", key: (clip) => clip.board?.hottest_celsius ?? undefined, cell: (clip) => (clip.board?.hottest_celsius ? `${clip.board.hottest_celsius.toFixed(0)} °C` : "–"), unit: "°C" },
     {
@@ -59,7 +64,7 @@ function columns(thresholdName: string, several: boolean): Column<ClipReport>[] 
 
 export function Clips() {
   const [order, setOrder] = useState<{ id: string; down: boolean }>({ id: "started", down: true });
-  const all = columns(thresholdSpec.value?.name ?? "u", cameras.value.length > 1);
+  const all = columns(cameras.value.length > 1);
   // A column is hidden if no clip has a value for it.
   const shown = all.filter((column) => !["celsius", "throttled", "power_mode", "audit_recall", "audit_precision", "audit_boxes"].includes(column.id) || clips.value.some((clip) => column.key(clip) !== undefined));
   const rows = sorted(clips.value, all.find((column) => column.id === order.id) ?? all[0]!, order.down);

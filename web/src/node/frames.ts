@@ -85,9 +85,10 @@ export function why(frame: Detections): string {
     : cause;
 }
 
-/** The past of a camera as frames, oldest first. */
+/** The past of a camera as frames, oldest first. `name` is that of the threshold of the policy in force. */
 export function past(history: CameraHistory, name: string | undefined, now: number): Seen[] {
   const columns = history.frames;
+  const first = columns.seq.length - history.of_policy;
   return columns.seq.map((seq, index) => {
     const detector = columns.detector_ms[index];
     const frame: Record<string, unknown> = {
@@ -101,7 +102,7 @@ export function past(history: CameraHistory, name: string | undefined, now: numb
       latency_ms: { total: columns.total_ms[index] ?? 0, waiting: 0, policy: 0, ...(typeof detector === "number" ? { detector } : {}) },
     };
     const value = columns.threshold[index];
-    if (name !== undefined && typeof value === "number") frame.threshold = { name, value };
+    if (name !== undefined && index >= first && typeof value === "number") frame.threshold = { name, value };
     return frame as unknown as Seen;
   });
 }

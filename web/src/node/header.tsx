@@ -1,7 +1,7 @@
 // The head of the page: the node's name and health, the detector's provider, and the energy saved.
 
 import { useComputed } from "@preact/signals";
-import { count, duration, percent, plural, small, watts } from "../shared/format";
+import { count, dateTime, duration, percent, plural, small, watts } from "../shared/format";
 import { Figure, isPage, Pill, Quality, Section, type Mood } from "../shared/parts";
 import type { AuditFigures, AuditRate, Savings } from "./types";
 import { cameras, counters, detector, thresholdSpec, thresholdInForce, lost, missed, opened, overview } from "./store";
@@ -143,7 +143,7 @@ export function Headline() {
   const recall = counters.value.get(opened.value ?? "")?.audit?.recall;
   return (
     <p class="wide sentence" id="headline">
-      {headline(overview.value?.since_start, cameras.value.length > 1 ? opened.value : undefined, recall)}
+      {headline(overview.value?.since_switch ?? overview.value?.since_start, cameras.value.length > 1 ? opened.value : undefined, recall)}
     </p>
   );
 }
@@ -167,15 +167,15 @@ export function whatIsMeasured(source: string | undefined): string {
 export function Saving() {
   const now = overview.value;
   const all = [...counters.value.values()];
-  const whole = now?.since_start;
+  const whole = now?.since_switch ?? now?.since_start;
   const power = all[0]?.watts.find((entry) => entry.domain === "total") ?? all[0]?.watts[0];
   const audit = counters.value.get(opened.value ?? "")?.audit;
-  // A node that started today has no other day to show.
-  const today = now && whole && now.today.since_ms > whole.since_ms ? now.today : undefined;
+  // A node that started today has no other day to show, and a day may have seen several policies.
+  const today = now && whole && !now.since_switch && now.today.since_ms > whole.since_ms ? now.today : undefined;
   // Before the first frame it is the power of a machine that does something else.
   const energy = whole?.frames ? whole.energy : undefined;
   return (
-    <Section id="saving" title="Saving" aside={<span class="quiet">since the start</span>}>
+    <Section id="saving" title="Saving" aside={<span class="quiet">{now?.since_switch ? `under ${now.policy}, since ${dateTime(now.since_switch.since_ms)}` : "since the start"}</span>}>
       <dl class="figures">
         <Figure
           label="detector calls avoided"
@@ -193,7 +193,7 @@ export function Saving() {
             label={`power of ${whatIsMeasured(now?.power_source)}`}
             note={
               <>
-                mean since the start{power && `; now ${watts(power.watts)}`}
+                mean since {now?.since_switch ? "then" : "the start"}{power && `; now ${watts(power.watts)}`}
                 {today?.energy && `; today (UTC) ${watts(today.energy.joules / today.energy.covered_s)}`}
                 {energy.saved_joules_estimated != null && <Saved energy={energy} saved={energy.saved_joules_estimated} />}
               </>

@@ -14,6 +14,7 @@ import { Health } from "./health";
 import { ThresholdPanel } from "./threshold";
 import { Log } from "./log";
 import { Picture } from "./picture";
+import { PolicyPanel } from "./policy";
 import { Ribbon } from "./ribbon";
 import { ScreenPanel } from "./screen";
 import { States } from "./states";
@@ -54,6 +55,7 @@ function Page() {
           <div class="stack">
             <Saving />
             <ThresholdPanel />
+            <PolicyPanel />
             <ScreenPanel />
           </div>
           <Ribbon />

@@ -183,7 +183,10 @@ async function lookAtNode(): Promise<void> {
     power.length = 0;
     hour.value = [];
   }
+  const switched = overview.value !== undefined && overview.value.policy !== now.policy;
   overview.value = now;
+  // Another policy has another threshold.
+  if (switched) thresholds.value = await json<Thresholds>("/api/v1/threshold");
 }
 
 function takeCameras(known: CameraEntry[]): void {

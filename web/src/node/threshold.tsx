@@ -3,7 +3,7 @@
 import { useEffect, useState } from "preact/hooks";
 import { every, json, Refused, send } from "../shared/api";
 import { duration, parsed, percent, small, typed } from "../shared/format";
-import { CopyButton, Quality, Section, whyNot } from "../shared/parts";
+import { Quality, Section, whyNot } from "../shared/parts";
 import { cameras, counters, thresholdSpec, thresholdInForce, lost, opened, overview, thresholds } from "./store";
 import type { ThresholdSpec, SkipEstimates } from "./types";
 
@@ -65,23 +65,6 @@ function useEstimates(camera: string | undefined, name: string | undefined): Ski
     return () => stop.abort();
   }, [camera, name]);
   return found;
-}
-
-/** Why the default policy is the default, what the other one gave, and the line to copy. */
-function WhichPolicy() {
-  const line = '[policy]\nname = "expected-loss"';
-  return (
-    <details class="policy">
-      <summary>Which policy?</summary>
-      <p class="message">
-        The default, <code>albireo</code>, is the paper's loop: this program is its implementation, and u is what people come to tune. With half
-        of the detector's calls, <code>expected-loss</code> was at +1.5 points of AP@50 [−0.1, +3.1] on recordings kept apart from its tuning.
-        To switch, write this into <code>node.toml</code> and restart the node:
-      </p>
-      <pre tabIndex={0}>{line}</pre>
-      <CopyButton text={line} />
-    </details>
-  );
 }
 
 export function ThresholdPanel() {
@@ -216,7 +199,6 @@ export function ThresholdPanel() {
             ))}
           </p>
         )}
-        {camera?.policy === "albireo" && <WhichPolicy />}
         <p id="threshold-message" class={`message ${said?.good ? "good" : "bad"}`} role="alert">
           {forbidden ?? said?.text ?? ""}
         </p>

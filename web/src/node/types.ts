@@ -25,6 +25,7 @@ export type LogLine = Schemas["LogLine"];
 export type Savings = Schemas["Savings"];
 export type Overview = Schemas["NodeOverview"];
 export type States = Schemas["NodeStates"];
+export type PolicyInForce = Schemas["PolicyInForce"];
 export type Pause = Schemas["Pause"];
 export type Threshold = Schemas["ThresholdEvent"];
 export type Thresholds = Schemas["Thresholds"];

@@ -115,6 +115,33 @@ export async function nodeTests(browser) {
     quiet(page);
   });
 
+  await test("one click switches the policy while frames flow, and another one back", async () => {
+    const before = await until("a picture", async () => (await frameNumber(page)) || 0);
+    await page.getByRole("button", { name: "Switch to expected-loss" }).click();
+    await page.getByRole("heading", { name: "Threshold lambda" }).waitFor();
+    await until("the head's word", async () => /expected-loss, lambda = 0\.3/.test(await page.textContent("header")));
+    await until("frames that go on", async () => (await frameNumber(page)) > before + 3);
+    await page.locator("#saving").getByText(/^under expected-loss, since /).waitFor();
+    const { latest, policy } = await until("a frame under it", async () => {
+      const latest = await (await fetch(`${address}/api/v1/cameras/dashcam/detections`)).json();
+      const policy = await (await fetch(`${address}/api/v1/policy`)).json();
+      return latest.threshold?.name === "lambda" && { latest, policy };
+    });
+    assert(latest.threshold.value === 0.3 && policy.name === "expected-loss", JSON.stringify(policy));
+    const { clips } = await (await fetch(`${address}/api/v1/clips?limit=5`)).json();
+    assert(clips.some((clip) => clip.ended_by === "policy" && clip.policy === "albireo"), JSON.stringify(clips[0]));
+    await page.locator("#policy summary").click();
+    await accessible(page, "with the policies");
+    await page.getByLabel("Another one").selectOption("vanilla");
+    await page.getByRole("button", { name: "Switch", exact: true }).click();
+    await page.getByText("The policy vanilla has no threshold.").waitFor();
+    await page.getByLabel("Another one").selectOption("albireo");
+    await page.getByRole("button", { name: "Switch", exact: true }).click();
+    await page.getByRole("heading", { name: "Threshold u" }).waitFor();
+    await page.locator("#policy summary").click();
+    quiet(page);
+  });
+
   await test("a refused value is told with its reason", async () => {
     await page.fill("#u", "7");
     await page.getByRole("button", { name: "Set", exact: true }).click();

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PolicyConfig {
-    /// Name of the policy: one of `known_policies`.
+    /// Name of the policy: one of [`known_policies`].
     pub name: String,
     /// The profile for cases where the paper's text and the published code disagree.
     pub profile: Profile,
@@ -125,7 +125,7 @@ const POLICIES: &[Entry] = &[
 ];
 
 /// The valid values of [`PolicyConfig::name`].
-pub(crate) fn known_policies() -> impl Iterator<Item = &'static str> {
+pub fn known_policies() -> impl Iterator<Item = &'static str> {
     POLICIES.iter().map(|Entry(name, ..)| *name)
 }
 

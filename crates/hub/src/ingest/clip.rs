@@ -329,6 +329,7 @@ const fn ended_by(end: ClipEnd) -> &'static str {
         ClipEnd::Silence => "silence",
         ClipEnd::Shutdown => "shutdown",
         ClipEnd::Length => "length",
+        ClipEnd::Policy => "policy",
         ClipEnd::Other => "other",
     }
 }
@@ -440,6 +441,7 @@ mod tests {
             ClipEnd::Silence,
             ClipEnd::Shutdown,
             ClipEnd::Length,
+            ClipEnd::Policy,
             ClipEnd::Other,
         ] {
             assert_eq!(serde_json::to_value(end).unwrap(), ended_by(end));

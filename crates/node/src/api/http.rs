@@ -10,6 +10,7 @@ mod history;
 mod metrics;
 mod node;
 mod picture;
+mod policy;
 mod recordings;
 mod screen;
 mod states;
@@ -25,9 +26,9 @@ use crate::state::board::{Board, CameraBoard, DetectorEvent, FrameEvent, Thresho
 use albireo_service::http::{self, Problem};
 use albireo_vision::picture::FrameLimits;
 use albireo_wire::{
-    CountersMessage, Desired, DetectionsMessage, FrameAnswer, FrameAttachment, ReportAnswer,
-    ReportBatch, RevisionMessage, ScreenMessage, SettledMessage, Sighting, StatusMessage,
-    ThresholdMessage,
+    CountersMessage, Desired, DetectionsMessage, FrameAnswer, FrameAttachment, PolicyMessage,
+    ReportAnswer, ReportBatch, RevisionMessage, ScreenMessage, SettledMessage, Sighting,
+    StatusMessage, ThresholdMessage,
 };
 use axum::http::StatusCode;
 use axum::routing::get;
@@ -103,6 +104,7 @@ fn bad_request(detail: String) -> Problem {
         // Messages in events and on Zenoh: the document can describe them, but not the contents of a stream.
         CountersMessage,
         DetectionsMessage,
+        PolicyMessage,
         ScreenMessage,
         SettledMessage,
         Sighting,
@@ -153,6 +155,7 @@ fn described() -> (Router<RouteState>, OpenApi) {
 /// The routes by which the node is changed.
 fn changing() -> OpenApiRouter<RouteState> {
     OpenApiRouter::new()
+        .routes(routes!(policy::get, policy::put))
         .routes(routes!(threshold::get_all, threshold::put_all))
         .routes(routes!(threshold::get_one, threshold::put_one))
         .routes(routes!(target::get, target::put))

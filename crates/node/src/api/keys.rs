@@ -5,7 +5,9 @@ use crate::settings::{MAX_MESSAGE_BYTES, Place, Setting, Settings};
 use crate::state::board::Board;
 use albireo_core::policy::EmptyRoad;
 use albireo_service::rate_limit::RateLimit;
-use albireo_wire::{NodeKeys, Pauses, ScreenMessage, ThresholdMessage, VERSION};
+use albireo_wire::{
+    NodeKeys, Pauses, PolicyChoice, PolicyMessage, ScreenMessage, ThresholdMessage, VERSION,
+};
 use std::error::Error;
 use std::sync::Arc;
 use std::time::Duration;
@@ -35,7 +37,7 @@ struct Request {
     query: Query,
 }
 
-/// Declares the keys of the cameras' thresholds, and the keys `target` and `screen`. The returned future applies puts and answers queries,
+/// Declares the keys of the cameras' thresholds, and the keys `policy`, `target` and `screen`. The returned future applies puts and answers queries,
 /// in the order of arrival, for as long as it is polled.
 ///
 /// # Errors
@@ -56,6 +58,7 @@ pub(crate) async fn declare(
         )
     });
     let of_node = [
+        (node.policy(), Setting::Policy),
         (node.target(), Setting::Target),
         (node.screen(), Setting::Screen),
     ];
@@ -155,6 +158,11 @@ impl Request {
 fn in_force(board: &Board, setting: &Setting) -> Result<Vec<u8>, Box<dyn Error + Send + Sync>> {
     let v = VERSION;
     let value = match setting {
+        Setting::Policy => {
+            let name = board.policy().name.to_owned();
+            let policy = PolicyChoice { name };
+            serde_json::to_vec(&PolicyMessage { v, policy })
+        }
         Setting::Target => serde_json::to_vec(&board.target.report()),
         Setting::Screen => {
             let EmptyRoad {

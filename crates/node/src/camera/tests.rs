@@ -18,7 +18,7 @@ use albireo_vision::detector::{CameraSlot, DetectorConfig, DetectorHandle};
 use albireo_vision::picture::{EncodedPicture, FrameLimits, PictureFormat};
 use albireo_vision::pixel_work::PixelWork;
 use albireo_vision::screen::EmptyRun;
-use albireo_wire::{AuditReport, ClipEnd, DetectionsMessage};
+use albireo_wire::{AuditReport, ClipEnd, ClipReport, DetectionsMessage};
 use futures_util::FutureExt;
 use std::path::Path;
 use std::time::Duration;
@@ -108,13 +108,13 @@ impl Bench {
             sent,
             &camera.unpublished,
         );
-        let policy = LatePolicy::waiting(config.policy.build().unwrap());
         let evidence = live_evidence(&detector, &pixels);
         let parts = CameraParts {
             detections: detections.await.unwrap(),
             positions: Arc::clone(&board.positions),
             board: camera,
             receiver: Arc::clone(&receiver),
+            policies: Arc::new(|_, config| config.build()),
             late: None,
             settled: None,
             ros2: None,
@@ -128,13 +128,7 @@ impl Bench {
         Self {
             board,
             receiver,
-            camera: Camera::new(
-                Arc::new(parts),
-                config.loop_settings(),
-                policy,
-                evidence,
-                audit,
-            ),
+            camera: Camera::new(Arc::new(parts), config.loop_settings(), evidence, audit).unwrap(),
             clips,
         }
     }
@@ -308,6 +302,54 @@ async fn drive(policy: &str, share: f64) -> (Vec<DetectionsMessage>, Option<Audi
     let counted = board.snapshot().audit;
     assert_eq!(audit.as_ref().map(counts), counted.as_ref().map(counts));
     (published, audit)
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn a_switch_of_the_policy_loses_no_frame_and_each_report_names_the_policy_of_its_frames() {
+    let bench = Bench::new("albireo:1e-3", 1.0).await;
+    let (board, receiver) = (Arc::clone(&bench.board), Arc::clone(&bench.receiver));
+    let mut clips = bench.clips;
+    let mut events = bench.board.subscribe();
+    let stop = CancellationToken::new();
+    let camera = tokio::spawn(bench.camera.run(stop.clone()));
+    let mut thresholds = Vec::new();
+    for index in 0..60 {
+        if index == 25 {
+            let policy = board.policy().named("expected-loss").unwrap();
+            board.switch_policy(policy);
+        }
+        put(&receiver, index, 0, Instant::now());
+        while thresholds.len() as u64 <= index {
+            if let News::Frame(event) = &events.recv().await.unwrap().news {
+                assert_eq!(event.detections.seq, index);
+                thresholds.push(event.detections.threshold.unwrap().name);
+            }
+        }
+    }
+    stop.cancel();
+    camera.await.unwrap();
+    assert!(thresholds[..25].iter().all(|name| name.as_str() == "u"));
+    assert!(thresholds[25..].iter().all(|name| name.as_str() == "lambda"));
+    let snapshot = board.cameras[0].snapshot();
+    assert_eq!(snapshot.states.frames(), 60);
+    let reports = [clips.recv().await.unwrap(), clips.recv().await.unwrap()];
+    assert!(clips.recv().await.is_none());
+    let [before, after] = reports.map(|clip| clip.report);
+    let told = |report: &ClipReport| (report.policy.clone(), report.part, report.frames);
+    assert_eq!(told(&before), ("albireo".to_owned(), 0, 25));
+    assert_eq!(told(&after), ("expected-loss".to_owned(), 1, 35));
+    assert_eq!(before.ended_by, ClipEnd::Policy);
+    // What was drawn under a policy is in its report, and shown as its own.
+    let sums = |report: &ClipReport| report.audit.as_ref().unwrap().sums.drawn();
+    let skipped = |report: &ClipReport| report.states.skipped(report.degraded_frames);
+    assert_eq!(sums(&before), skipped(&before));
+    assert_eq!(sums(&after), skipped(&after));
+    assert_eq!(snapshot.policy_audit.unwrap().sums.drawn(), sums(&after));
+    assert_eq!(
+        snapshot.audit.unwrap().sums.drawn(),
+        sums(&before) + sums(&after)
+    );
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -54,7 +54,6 @@ impl Reporter {
                 let mut report = ClipReport {
                     node: board.node.clone(),
                     camera: camera.name().to_owned(),
-                    policy: board.policy.to_owned(),
                     model: board.model.clone(),
                     provider: provider.to_owned(),
                     target,
@@ -119,7 +118,7 @@ mod tests {
             listeners: publisher.await.unwrap(),
         };
         let energy = PowerHandle::none().camera();
-        let mut tracker = ClipTracker::new(ClipConfig::default(), energy, None);
+        let mut tracker = ClipTracker::new(ClipConfig::default(), energy, None, "albireo");
         let mut clip = || {
             tracker.arrive(0, Some("drive"), Instant::now());
             tracker.shutdown(Instant::now()).into_iter().collect()

@@ -1,5 +1,6 @@
 use super::*;
 use crate::PreparedNode;
+use crate::camera::AnswerTime;
 use crate::config::{CameraConfig, NodeConfig};
 use albireo_core::policy::ExpectedLoss;
 use albireo_wire::{Pauses, SettingSource};
@@ -36,7 +37,7 @@ impl Settings {
         cameras: &[Arc<CameraBoard>],
         value: f64,
     ) -> Result<(), Box<dyn Error + Send + Sync>> {
-        let name = cameras[0].threshold_spec.unwrap().name;
+        let name = cameras[0].threshold_spec().unwrap().name;
         let threshold = Threshold::new(name, value);
         self.set(|transaction| transaction.thresholds(cameras, threshold, SettingSource::Local))
     }
@@ -77,6 +78,68 @@ fn a_changed_threshold_survives_a_restart() {
     // A value stored for another threshold does not apply.
     let lambda = ExpectedLoss::THRESHOLD.default;
     assert_eq!(thresholds(&restarted("expected-loss").board), [lambda; 2]);
+}
+
+#[test]
+fn a_switched_policy_survives_a_restart_and_brings_the_threshold_that_is_configured_for_it() {
+    let directory = tempfile::tempdir().unwrap();
+    let restarted = |policy: &str| {
+        let mut config = config(Some(directory.path()), policy);
+        config.cameras[1].threshold = Some(0.25);
+        prepared(&config)
+    };
+    let switch = |node: &PreparedNode, name: &str| {
+        node.settings.set(|transaction| transaction.policy(name)).unwrap();
+    };
+    let shown = |node: &PreparedNode| (node.board.policy().name, thresholds(&node.board));
+    let first = restarted("albireo:5e-4");
+    first.settings.set_by_hand(&first.board.cameras, 7e-4).unwrap();
+    switch(&first, "expected-loss");
+    // A camera's own value is for the configured policy's threshold.
+    let lambda = ExpectedLoss::THRESHOLD.default;
+    assert_eq!(shown(&first), ("expected-loss", vec![lambda; 2]));
+    first.settings.set_by_hand(&first.board.cameras[..1], 0.6).unwrap();
+    drop(first);
+    let again = restarted("albireo:5e-4");
+    assert_eq!(shown(&again), ("expected-loss", vec![0.6, lambda]));
+    assert_eq!(again.board.savings_of_policy(), None, "since the start");
+    // What was set before under a policy does not come back with it, now or after a restart.
+    switch(&again, "albireo");
+    let configured = ("albireo", vec![5e-4, 0.25]);
+    assert_eq!(shown(&again), configured);
+    assert!(again.board.savings_of_policy().is_some());
+    drop(again);
+    let third = restarted("albireo:5e-4");
+    assert_eq!(shown(&third), configured);
+    switch(&third, "vanilla");
+    assert_eq!(shown(&third), ("vanilla", vec![]));
+    drop(third);
+    assert_eq!(shown(&restarted("albireo:5e-4")).0, "vanilla");
+    // An edited configuration is newer.
+    assert_eq!(shown(&restarted("kill-only")).0, "kill-only");
+}
+
+#[test]
+fn a_policy_that_cannot_be_is_refused_and_changes_nothing() {
+    let mut config = config(None, "albireo");
+    config.cameras[1].answer = Some(AnswerTime::AtOnce);
+    config.policy.lambda = -1.0;
+    let node = prepared(&config);
+    for (name, words) in [
+        ("expected-los", "did you mean `expected-loss`?"),
+        ("fast", "the policies are `albireo`, `vanilla`"),
+        ("expected-loss", "policy.lambda"),
+        (
+            "vanilla",
+            "camera `rear` answers at once: policy `vanilla` cannot",
+        ),
+    ] {
+        let switched = node.settings.set(|transaction| transaction.policy(name));
+        let refused = switched.unwrap_err().to_string();
+        assert!(refused.contains(words), "{refused}");
+        assert_eq!(node.board.policy().name, "albireo");
+        assert_eq!(thresholds(&node.board), [3e-4; 2]);
+    }
 }
 
 #[test]

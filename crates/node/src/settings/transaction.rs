@@ -1,14 +1,19 @@
 //! Settings that are set together: put in force, and noted to be kept.
 
 use super::file::KeptValues;
-use crate::state::board::{Board, CameraBoard};
-use albireo_core::policy::{EmptyRoad, InvalidThreshold, no_pause};
+use crate::state::board::{Board, CameraBoard, NodePolicy};
+use albireo_core::policy::{
+    CannotRewind, EmptyRoad, InvalidThreshold, PolicyConfigError, no_pause,
+};
 use albireo_core::target::{Target, TargetError};
 use albireo_wire::{Pauses, SettingSource, Threshold};
 use serde::Serialize;
 use std::error::Error;
 use std::slice::from_ref;
 use std::sync::Arc;
+
+/// The name of the policy among the kept settings.
+pub(super) const POLICY: &str = "policy";
 
 /// The name of the target among the kept settings.
 pub(super) const TARGET: &str = "target";
@@ -33,6 +38,36 @@ pub(crate) enum RefusedPause {
     /// The policy takes no pause.
     #[error("{}", no_pause(.0))]
     NoPause(&'static str),
+}
+
+/// The reason why the policy is not switched.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum RefusedPolicy {
+    /// There is none of this name, or a setting of it is invalid.
+    #[error(transparent)]
+    Invalid(#[from] PolicyConfigError),
+    /// It cannot answer at once, as a camera should.
+    #[error("camera `{camera}` answers at once: {reason}")]
+    Waits {
+        /// The camera.
+        camera: String,
+        /// The reason.
+        reason: CannotRewind,
+    },
+}
+
+/// Returns the policy if all cameras can follow it.
+pub(super) fn fits(board: &Board, policy: NodePolicy) -> Result<NodePolicy, RefusedPolicy> {
+    let at_once = board.cameras.iter().find(|camera| camera.answers_at_once);
+    match at_once.filter(|_| !policy.can_rewind) {
+        None => Ok(policy),
+        Some(camera) => Err(RefusedPolicy::Waits {
+            camera: camera.name().to_owned(),
+            reason: CannotRewind {
+                policy: policy.name,
+            },
+        }),
+    }
 }
 
 /// Settings that are being set: they are kept together, or not at all.
@@ -63,8 +98,8 @@ impl<'a> Transaction<'a> {
         source: SettingSource,
     ) -> Result<(), Box<dyn Error + Send + Sync>> {
         // All cameras have the node's policy.
-        let spec = cameras.first().and_then(|camera| camera.threshold_spec);
-        let policy = self.board.policy;
+        let spec = cameras.first().and_then(|camera| camera.threshold_spec());
+        let policy = self.board.policy().name;
         let spec = spec.ok_or(InvalidThreshold::Absent { policy })?;
         let value = spec.check(threshold.value_of(&spec)?)?;
         // First, so that the controller no longer moves anything.
@@ -76,6 +111,35 @@ impl<'a> Transaction<'a> {
             let name = of_threshold(camera.name());
             let threshold = Threshold::new(spec.name, value);
             self.keep_value(&name, threshold, source, camera.configured());
+        }
+        Ok(())
+    }
+
+    /// Switches the policy of all cameras: each follows at its next frame, with the threshold that is configured for the new
+    /// policy. A target is held from there, if the new policy has a threshold for it.
+    ///
+    /// # Errors
+    /// [`RefusedPolicy`]; then nothing changes.
+    pub(crate) fn policy(&mut self, name: &str) -> Result<(), RefusedPolicy> {
+        let before = self.board.policy();
+        if before.name == name {
+            return Ok(());
+        }
+        let policy = fits(self.board, before.named(name)?)?;
+        let holds_target = self.board.target.is_on();
+        self.board.switch_policy(policy);
+        let configured = self.board.configured_policy().name;
+        self.keep_value(POLICY, name, SettingSource::Local, configured);
+        // What was once set under this policy is not to come back after a restart.
+        for camera in &self.board.cameras {
+            if let Some(threshold) = camera.threshold_in_force() {
+                let setting = of_threshold(camera.name());
+                let source = camera.threshold_source();
+                self.keep_value(&setting, threshold, source, camera.configured());
+            }
+        }
+        if holds_target {
+            self.keep_target();
         }
         Ok(())
     }
@@ -121,7 +185,7 @@ impl<'a> Transaction<'a> {
             return Err(RefusedPause::OutOfRange(name, reason));
         }
         if empty_road.pause_s > 0.0 && !self.board.can_pause() {
-            return Err(RefusedPause::NoPause(self.board.policy));
+            return Err(RefusedPause::NoPause(self.board.policy().name));
         }
         self.board.set_empty_road(empty_road);
         let configured = self.board.configured_road();

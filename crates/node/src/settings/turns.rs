@@ -2,10 +2,12 @@
 //! HTTP, and from the hub.
 
 use super::Settings;
-use super::transaction::{SCREEN, TARGET, Transaction, of_threshold};
+use super::transaction::{POLICY, SCREEN, TARGET, Transaction, of_threshold};
 use crate::state::board::CameraBoard;
 use albireo_service::rate_limit::RateLimit;
-use albireo_wire::{ScreenMessage, SettingSource, TargetMessage, ThresholdMessage, check_version};
+use albireo_wire::{
+    PolicyMessage, ScreenMessage, SettingSource, TargetMessage, ThresholdMessage, check_version,
+};
 use parking_lot::Mutex;
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
@@ -37,6 +39,8 @@ pub(crate) struct Place {
 pub(crate) enum Setting {
     /// The threshold of a camera.
     Threshold(Arc<CameraBoard>),
+    /// The node's policy.
+    Policy,
     /// The node's target.
     Target,
     /// The pauses of the node.
@@ -48,6 +52,7 @@ impl Setting {
     fn name(&self) -> String {
         match self {
             Self::Threshold(camera) => of_threshold(camera.name()),
+            Self::Policy => POLICY.to_owned(),
             Self::Target => TARGET.to_owned(),
             Self::Screen => SCREEN.to_owned(),
         }
@@ -229,6 +234,12 @@ impl Settings {
                 check_version(v)?;
                 self.set(|transaction| transaction.thresholds(from_ref(camera), threshold, local))?;
             }
+            Setting::Policy => {
+                let example = r#"{"policy":{"name":"expected-loss"}}"#;
+                let PolicyMessage { v, policy } = read(payload, example)?;
+                check_version(v)?;
+                self.set(|transaction| transaction.policy(&policy.name))?;
+            }
             Setting::Target => {
                 let TargetMessage { v, target } = read(payload, r#"{"target":{"skip_rate":0.5}}"#)?;
                 check_version(v)?;
@@ -346,6 +357,16 @@ mod tests {
             assert!(refused.contains(words), "{refused}");
         }
         assert_eq!(node.board.empty_road(), now);
+    }
+
+    #[test]
+    fn the_policy_comes_by_its_key_too_and_a_wrong_one_says_why() {
+        let node = prepared(&config(None, "albireo"));
+        let set = |payload: &str| node.settings.apply(&Setting::Policy, payload.as_bytes());
+        set(r#"{"policy":{"name":"expected-loss"}}"#).unwrap();
+        assert_eq!(node.board.policy().name, "expected-loss");
+        let refused = set(r#"{"policy":{"name":"albirio"}}"#).unwrap_err().to_string();
+        assert!(refused.contains("did you mean `albireo`?"), "{refused}");
     }
 
     #[test]

@@ -1,11 +1,10 @@
 //! Adds the cameras to a starting node: each its publishers, its loop, its reporter and its source of frames.
 
-use super::PolicyMaker;
 use super::models::Models;
 use crate::camera::audit::{CameraAudit, Examiner};
 use crate::camera::clip::Clip;
 use crate::camera::evidence::LiveEvidence;
-use crate::camera::{AnswerTime, Camera, CameraParts};
+use crate::camera::{AnswerTime, Camera, CameraParts, PolicyMaker};
 use crate::config::{self, CameraConfig, NodeConfig};
 use crate::delivery::report::Reporter;
 use crate::error::NodeError;
@@ -18,7 +17,7 @@ use crate::publishing::{self, Outlet};
 use crate::recorder::Recorder;
 use crate::state::board::{Board, CameraBoard};
 use crate::state::readiness;
-use albireo_core::policy::{LatePolicy, MinConfidence};
+use albireo_core::policy::MinConfidence;
 use albireo_power::PowerHandle;
 use albireo_service::supervise::Supervisor;
 use albireo_vision::detector::CameraSlot;
@@ -159,6 +158,7 @@ impl SharedParts {
         Ok(CameraParts {
             board: Arc::clone(board),
             receiver: Arc::clone(receiver),
+            policies: Arc::clone(&self.policies),
             detections,
             late,
             settled,
@@ -288,11 +288,6 @@ impl SharedParts {
 
     /// Creates a camera's loop, at its start and whenever it has failed.
     fn camera(&self, slot: CameraSlot, parts: Arc<CameraParts>) -> Result<Camera, NodeError> {
-        let policy = (self.policies)(parts.board.name()).map_err(NodeError::new)?;
-        let policy = match parts.late {
-            Some(_) => LatePolicy::new(policy).map_err(NodeError::new)?,
-            None => LatePolicy::waiting(policy),
-        };
         let evidence = LiveEvidence::new(
             self.models.detector.clone(),
             self.models.screen.clone(),
@@ -312,6 +307,6 @@ impl SharedParts {
             move |picture, shown, answer| examiner.clone().examine(picture, shown, answer).boxed();
         let audit = CameraAudit::new(self.config.audit, board, examine);
         let settings = self.config.loop_settings();
-        Ok(Camera::new(parts, settings, policy, evidence, audit))
+        Camera::new(parts, settings, evidence, audit)
     }
 }

@@ -1,17 +1,16 @@
 //! A node before its start: the parts that can be shown and changed without a session or a model.
 
-use super::PolicyMaker;
 use crate::api::http::{self, RouterSetup};
+use crate::camera::{AnswerTime, PolicyMaker};
 use crate::config::{CameraConfig, NodeConfig};
 use crate::error::NodeError;
 use crate::outbox::Outbox;
 use crate::position::Positions;
 use crate::recorder::Recorder;
 use crate::settings::Settings;
-use crate::state::board::{Board, BoardSetup, CameraSetup};
+use crate::state::board::{Board, BoardSetup, CameraSetup, NodePolicy};
 use crate::state::readiness;
 use crate::state::target::NodeTarget;
-use albireo_core::policy::Policy;
 use albireo_service::config::without_secrets;
 use albireo_service::identity::Certificates;
 use albireo_service::readiness::{Fault, Readiness};
@@ -38,26 +37,25 @@ impl PreparedNode {
     pub fn new(config: &NodeConfig) -> Result<Self, NodeError> {
         let directory = config.node.state_dir.as_deref();
         let outbox = Arc::new(Outbox::open(directory)?);
-        let policy = config.policy.build().map_err(NodeError::new)?;
-        let board = board(config, &*policy).map_err(NodeError::new)?;
+        let policy = NodePolicy::new(config.policy.clone()).map_err(NodeError::new)?;
+        let board = board(config, policy).map_err(NodeError::new)?;
         let settings = Arc::new(Settings::open(&board, directory));
         watch_outbox(&board.readiness, &outbox);
         let cameras = config.cameras.iter().map(|camera| camera.name.clone());
         let recorder = Recorder::new(&config.record, cameras.collect());
         let watched = Arc::clone(&recorder);
         board.readiness.probe(readiness::RECORDER, "", move || watched.fault());
-        let policy = config.policy.clone();
         Ok(Self {
             board,
             settings,
             outbox,
             recorder,
-            policies: Arc::new(move |_| policy.build()),
+            policies: Arc::new(|_, config| config.build()),
         })
     }
 
     /// Uses `policies` instead of the configured ones, for a program with its own policy. They should have the
-    /// configured policy's threshold.
+    /// threshold of the policy in force, whose configuration they get.
     #[must_use]
     pub fn with_policies(mut self, policies: PolicyMaker) -> Self {
         self.policies = policies;
@@ -83,11 +81,9 @@ impl PreparedNode {
     }
 }
 
-fn board(config: &NodeConfig, policy: &dyn Policy) -> Result<Arc<Board>, KeyError> {
+fn board(config: &NodeConfig, policy: NodePolicy) -> Result<Arc<Board>, KeyError> {
     let path = &config.detector.model;
     let model = path.file_name().unwrap_or(path.as_os_str());
-    let first = config.cameras.first().and_then(|camera| camera.threshold);
-    let first_threshold = first.or_else(|| policy.threshold());
     let cameras = config.cameras.iter().map(|camera| camera_setup(config, camera));
     let setup = BoardSetup {
         node: config.node.name.clone(),
@@ -96,7 +92,7 @@ fn board(config: &NodeConfig, policy: &dyn Policy) -> Result<Arc<Board>, KeyErro
         cameras: cameras.collect::<Result<_, _>>()?,
         certificates: Certificates::read(config.certificates()),
         positions: Positions::new(&config.position),
-        target: NodeTarget::new(&config.target, policy, first_threshold),
+        target: NodeTarget::new(&config.target, &policy),
         empty_road: config.screen.empty_road(),
         sightings: config.sightings,
     };
@@ -111,8 +107,8 @@ fn camera_setup(config: &NodeConfig, camera: &CameraConfig) -> Result<CameraSetu
         source: camera.source.as_ref().map(ToString::to_string),
         max_rate: camera.max_rate,
         threshold: camera.threshold,
+        answers_at_once: config.answer_time(camera) == AnswerTime::AtOnce,
         audit: config.audit.report(),
-        profile: config.policy.profile,
     })
 }
 

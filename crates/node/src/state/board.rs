@@ -5,6 +5,7 @@ mod event;
 mod flow;
 mod forwarded;
 mod history;
+mod policy;
 mod savings;
 mod screen;
 mod sightings;
@@ -16,14 +17,16 @@ pub(crate) use event::provider;
 pub use event::{DetectorEvent, Event, FrameEvent, News, ThresholdEvent};
 pub(crate) use forwarded::{Forwarded, ForwardedCounts};
 pub(crate) use history::{CameraPiece, Clock, FRAMES, PastFrame, PowerPiece, SLOT_S, SkipEstimate};
+pub(crate) use policy::NodePolicy;
 pub(crate) use savings::{Savings, Totals};
 pub(crate) use screen::NoNews;
 pub use sightings::SightingsConfig;
+pub(crate) use threshold::InForce;
 
 use crate::position::Positions;
 use crate::state::readiness;
 use crate::state::target::NodeTarget;
-use albireo_core::policy::{EmptyRoad, Policy};
+use albireo_core::policy::EmptyRoad;
 pub use albireo_power::PowerSnapshot;
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::identity::Certificates;
@@ -35,6 +38,7 @@ use albireo_wire::{AuditReport, ClipReport, CountersMessage};
 use camera::Shared;
 use history::PowerPast;
 use parking_lot::Mutex;
+use policy::Switched;
 use savings::Today;
 use std::collections::VecDeque;
 use std::sync::{Arc, OnceLock};
@@ -60,8 +64,6 @@ pub(super) const CHANGES_PERIOD: Duration = Duration::from_secs(1);
 pub struct Board {
     /// The node's name.
     pub(crate) node: String,
-    /// The policy's name.
-    pub(crate) policy: &'static str,
     /// File name of the detector's model.
     pub(crate) model: String,
     /// Requested execution providers, in order.
@@ -78,8 +80,11 @@ pub struct Board {
     pub(crate) positions: Arc<Positions>,
     /// The target, which moves the thresholds while one is set.
     pub(crate) target: NodeTarget,
-    /// True if the policy takes a pause on an empty road.
-    can_pause: bool,
+    /// The policy in force.
+    policy: Mutex<Arc<NodePolicy>>,
+    configured_policy: Arc<NodePolicy>,
+    /// The last switch of the policy, if there was one.
+    switched: Mutex<Option<Switched>>,
     /// The pause on an empty road of the configuration.
     configured_road: EmptyRoad,
     shared: Shared,
@@ -136,7 +141,8 @@ pub(crate) struct BoardSetup {
 
 impl Board {
     /// Creates the board of a node under that policy, without frames, with the configured thresholds in force.
-    pub(crate) fn new(setup: BoardSetup, policy: &dyn Policy) -> Arc<Self> {
+    pub(crate) fn new(setup: BoardSetup, policy: NodePolicy) -> Arc<Self> {
+        let policy = Arc::new(policy);
         let shared = Shared {
             node: setup.node.as_str().into(),
             started: Instant::now(),
@@ -146,7 +152,7 @@ impl Board {
         };
         let camera = |camera| {
             let shared = shared.clone();
-            Arc::new(CameraBoard::new(camera, policy, setup.sightings, shared))
+            Arc::new(CameraBoard::new(camera, &policy, setup.sightings, shared))
         };
         let cameras = setup.cameras.into_iter().map(camera).collect();
         let readiness = Readiness::default();
@@ -167,7 +173,6 @@ impl Board {
         let started_ms = unix_milliseconds();
         Arc::new(Self {
             node: setup.node,
-            policy: policy.name(),
             model: setup.model,
             providers: setup.providers,
             cameras,
@@ -176,7 +181,9 @@ impl Board {
             certificates: setup.certificates,
             positions,
             target: setup.target,
-            can_pause: policy.takes_pause(),
+            policy: Mutex::new(Arc::clone(&policy)),
+            configured_policy: policy,
+            switched: Mutex::default(),
             configured_road: setup.empty_road,
             shared,
             clips: Mutex::default(),
@@ -321,7 +328,7 @@ impl Board {
             watts: power.watts,
             power_quality: power.quality,
             target: self.target.is_on().then(|| self.target.report()),
-            audit: snapshot.audit.as_ref().map(AuditReport::figures),
+            audit: snapshot.policy_audit.as_ref().map(AuditReport::figures),
         }
     }
 

@@ -3,9 +3,9 @@
 #[cfg(test)]
 mod tests;
 
-use crate::state::board::{Board, CHANGES_PERIOD, Totals};
+use crate::state::board::{Board, CHANGES_PERIOD, NodePolicy, Totals};
 use albireo_core::audit::AuditSums;
-use albireo_core::policy::{Policy, ThresholdSpec};
+use albireo_core::policy::ThresholdSpec;
 use albireo_core::target::{
     Measured, Target, TargetController, TargetError, TargetState, ThresholdRange,
 };
@@ -35,6 +35,9 @@ pub(crate) type KeptTarget = (Option<Target>, Option<Threshold>);
 
 #[derive(Debug)]
 struct Held {
+    /// The range in which the threshold may move, or why there is none.
+    range: Result<ThresholdRange, TargetError>,
+    spec: Option<ThresholdSpec>,
     controller: Option<TargetController>,
     source: SettingSource,
     last: Option<TargetState>,
@@ -44,31 +47,24 @@ struct Held {
 /// The target of one node, its source and its controller.
 #[derive(Debug)]
 pub(crate) struct NodeTarget {
-    configured: Option<Target>,
-    /// The range in which the threshold may move, or why there is none.
-    range: Result<ThresholdRange, TargetError>,
-    spec: Option<ThresholdSpec>,
-    /// The threshold with which the controller begins without a kept one.
-    first_threshold: Option<f64>,
+    config: TargetConfig,
+    /// The name of the threshold whose range is configured.
+    ranged: Option<&'static str>,
     held: Mutex<Held>,
     /// Log lines about settings.
     changes: RateLimit,
 }
 
 impl NodeTarget {
-    /// The target of a node with that policy, which begins with `first_threshold`. Holds nothing yet.
-    pub(crate) fn new(
-        config: &TargetConfig,
-        policy: &dyn Policy,
-        first_threshold: Option<f64>,
-    ) -> Self {
-        let spec = policy.threshold_spec();
+    /// The target of a node with that policy. Holds nothing yet.
+    pub(crate) fn new(config: &TargetConfig, policy: &NodePolicy) -> Self {
+        let ranged = policy.spec.map(|spec| spec.name);
         Self {
-            configured: config.hold,
-            range: ThresholdRange::of(policy.name(), spec.as_ref(), config.least, config.most),
-            spec,
-            first_threshold,
+            config: *config,
+            ranged,
             held: Mutex::new(Held {
+                range: range(config, ranged, policy),
+                spec: policy.spec,
                 controller: None,
                 source: SettingSource::Configuration,
                 last: None,
@@ -78,24 +74,27 @@ impl NodeTarget {
         }
     }
 
-    /// Holds the kept target, or the configured one. A target that cannot be held is logged, and its report says why.
-    pub(crate) fn begin(&self, kept: Option<(KeptTarget, SettingSource)>) {
-        let configured = ((self.configured, None), SettingSource::Configuration);
+    /// Holds the kept target, or the configured one, beginning at the kept threshold or at `first`. A target that cannot be held
+    /// is logged, and its report says why.
+    pub(crate) fn begin(&self, kept: Option<(KeptTarget, SettingSource)>, first: Option<f64>) {
+        let configured = ((self.config.hold, None), SettingSource::Configuration);
         let ((target, threshold), source) = kept.unwrap_or(configured);
-        let place = threshold.zip(self.spec).and_then(|(kept, spec)| kept.value_of(&spec).ok());
-        let (controller, off) = match self.controller(target, place.or(self.first_threshold)) {
-            Ok(controller) => (controller, None),
-            Err(error) => {
-                tracing::error!(?target, %error, "the target is not held");
-                (None, Some(error.to_string()))
-            }
-        };
-        *self.held.lock() = Held {
-            controller,
-            source,
-            last: None,
-            off,
-        };
+        let mut held = self.held.lock();
+        let place = threshold.zip(held.spec).and_then(|(kept, spec)| kept.value_of(&spec).ok());
+        held.begin(target, place.or(first));
+        held.source = source;
+    }
+
+    /// Holds the target under another policy, beginning at `threshold`. In between, `apply` puts that policy in force: the controller
+    /// moves no threshold meanwhile. A target that cannot be held is logged, and its report says why.
+    pub(crate) fn follow(&self, policy: &NodePolicy, threshold: Option<f64>, apply: impl FnOnce()) {
+        let mut held = self.held.lock();
+        held.range = range(&self.config, self.ranged, policy);
+        held.spec = policy.spec;
+        if let Some(target) = held.target() {
+            held.begin(Some(target), threshold);
+        }
+        apply();
     }
 
     /// Holds `target` from now on, beginning at `threshold`; or none, and the threshold stays.
@@ -108,10 +107,10 @@ impl NodeTarget {
         threshold: Option<f64>,
         source: SettingSource,
     ) -> Result<(), TargetError> {
-        let controller = self.controller(target, threshold)?;
         let mut held = self.held.lock();
+        let controller = held.controller(target, threshold)?;
         // Setting the same target again keeps what the controller has learnt.
-        if target != held.controller.as_ref().map(TargetController::target) {
+        if target != held.target() {
             held.last = None;
             held.off = target.is_none().then(|| "it was switched off".to_owned());
             held.controller = controller;
@@ -160,6 +159,12 @@ impl NodeTarget {
         }
     }
 
+    /// Why no target is held, if the policy allows none.
+    pub(crate) fn not_under_this_policy(&self) -> Option<String> {
+        let held = self.held.lock();
+        held.off.clone().filter(|_| held.range.is_err())
+    }
+
     /// True if a target is held.
     pub(crate) fn is_on(&self) -> bool {
         self.held.lock().controller.is_some()
@@ -168,15 +173,14 @@ impl NodeTarget {
     /// The state of the target.
     pub(crate) fn report(&self) -> TargetReport {
         let held = self.held.lock();
-        let controller = held.controller.as_ref();
         let last = held.last;
         TargetReport {
             v: VERSION,
-            target: controller.map(TargetController::target),
+            target: held.target(),
             source: held.source,
             off: held.off.clone(),
-            range: controller.and_then(|_| self.range.clone().ok()),
-            threshold: self.threshold(&held),
+            range: held.controller.as_ref().and_then(|_| held.range.clone().ok()),
+            threshold: held.threshold(),
             state: last,
             why: last.map(|last| last.status.as_str().to_owned()),
         }
@@ -185,13 +189,41 @@ impl NodeTarget {
     /// What is to be kept of it for a restart, and its source.
     pub(crate) fn kept(&self) -> (KeptTarget, SettingSource) {
         let held = self.held.lock();
-        let target = held.controller.as_ref().map(TargetController::target);
-        ((target, self.threshold(&held)), held.source)
+        ((held.target(), held.threshold()), held.source)
     }
 
     /// The configured target.
     pub(crate) fn configured(&self) -> Option<Target> {
-        self.configured
+        self.config.hold
+    }
+}
+
+/// The range in which a controller moves the threshold of `policy`. The configured ends are for the threshold named `ranged`.
+fn range(
+    config: &TargetConfig,
+    ranged: Option<&'static str>,
+    policy: &NodePolicy,
+) -> Result<ThresholdRange, TargetError> {
+    let is_ranged = policy.spec.map(|spec| spec.name) == ranged;
+    let least = config.least.filter(|_| is_ranged);
+    let most = config.most.filter(|_| is_ranged);
+    ThresholdRange::of(policy.name, policy.spec.as_ref(), least, most)
+}
+
+impl Held {
+    fn target(&self) -> Option<Target> {
+        self.controller.as_ref().map(TargetController::target)
+    }
+
+    /// Begins to hold `target` at `threshold`; if it cannot be held, logs and notes why.
+    fn begin(&mut self, target: Option<Target>, threshold: Option<f64>) {
+        let controller = self.controller(target, threshold);
+        self.off = controller.as_ref().err().map(ToString::to_string);
+        if let Some(error) = &self.off {
+            tracing::error!(?target, error, "the target is not held");
+        }
+        self.controller = controller.unwrap_or_default();
+        self.last = None;
     }
 
     /// A controller that holds `target`, beginning at `threshold`; none without a target.
@@ -208,8 +240,8 @@ impl NodeTarget {
     }
 
     /// The threshold that the controller wants.
-    fn threshold(&self, held: &Held) -> Option<Threshold> {
-        let (spec, controller) = self.spec.as_ref().zip(held.controller.as_ref())?;
+    fn threshold(&self) -> Option<Threshold> {
+        let (spec, controller) = self.spec.as_ref().zip(self.controller.as_ref())?;
         Some(Threshold::new(spec.name, controller.threshold()))
     }
 }

@@ -103,9 +103,9 @@ fn entry(board: &Board, camera: &CameraBoard) -> CameraEntry {
         width: picture.map(|picture| picture.width),
         height: picture.map(|picture| picture.height),
         u_as_published: picture.and_then(|picture| camera.published_threshold(picture)),
-        policy: board.policy,
-        set_by: camera.threshold_spec.map(|_| camera.threshold_source()),
-        threshold_spec: camera.threshold_spec,
+        policy: board.policy().name,
+        set_by: camera.threshold_spec().map(|_| camera.threshold_source()),
+        threshold_spec: camera.threshold_spec(),
         advice: camera.advice(),
     }
 }

@@ -65,7 +65,7 @@ pub(super) fn readiness(board: &Board) -> Readiness {
         ready: health.is_ready(),
         state: health.state(),
         node: board.node.clone(),
-        policy: board.policy,
+        policy: board.policy().name,
         model: board.model.clone(),
         provider: provider(&board.detector_status()),
         requested_providers: board.providers.iter().map(|name| name.as_str()).collect(),

@@ -60,6 +60,9 @@ pub(super) struct CameraHistory {
     slots: Vec<CameraPiece>,
     /// The last frames.
     frames: PastFrames,
+    /// How many of the last of these the policy in force decided: the uncertainties and thresholds of others are those of another
+    /// policy.
+    of_policy: usize,
 }
 
 fn columns(frames: &[PastFrame], clock: &Clock) -> PastFrames {
@@ -95,13 +98,14 @@ pub(super) async fn camera(
 ) -> Result<Json<CameraHistory>, Problem> {
     let most = within("frames", selection.frames.unwrap_or(3000), 0..=FRAMES)?;
     let camera = shared.camera(&camera)?;
-    let (frames, slots, clock) = camera.past(most);
+    let past = camera.past(most);
     Ok(Json(CameraHistory {
         camera: camera.name().to_owned(),
-        now_ms: clock.now_ms,
+        now_ms: past.now.now_ms,
         slot_s: SLOT_S,
-        slots,
-        frames: columns(&frames, &clock),
+        frames: columns(&past.frames, &past.now),
+        of_policy: past.of_policy,
+        slots: past.pieces,
     }))
 }
 
@@ -183,7 +187,7 @@ pub(super) async fn skip_estimate(
 ) -> Result<Json<SkipEstimates>, Problem> {
     let camera = shared.camera(&camera)?;
     let cannot = |why: &str| Problem::new(StatusCode::CONFLICT, why);
-    let (Some(threshold), Some(about)) = (camera.threshold_in_force(), camera.threshold_spec)
+    let (Some(threshold), Some(about)) = (camera.threshold_in_force(), camera.threshold_spec())
     else {
         return Err(cannot("the policy has no threshold to estimate with"));
     };

@@ -91,7 +91,7 @@ fn node(page: &mut MetricsPage, board: &Board) {
     let labels = [
         ("model", board.model.as_str()),
         ("provider", runs.unwrap_or("none")),
-        ("policy", board.policy),
+        ("policy", board.policy().name),
     ];
     page.gauges(
         "albireo_detector_info",

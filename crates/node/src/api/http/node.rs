@@ -61,6 +61,9 @@ pub(super) struct NodeOverview {
     /// The address of the hub's page: the label `hub`; absent without it.
     #[serde(skip_serializing_if = "Option::is_none")]
     hub: Option<String>,
+    /// The first Zenoh endpoint at which the node, or its router, takes frames: of `zenoh.listen`, or of `zenoh.connect`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    frames_at: Option<String>,
     /// How the detector's model is read; absent while it starts.
     #[serde(skip_serializing_if = "Option::is_none")]
     detector: Option<DetectorReading>,
@@ -78,6 +81,9 @@ pub(super) struct NodeOverview {
     since_start: Savings,
     /// Savings of today: since midnight UTC, or since the start if that is later.
     today: Savings,
+    /// Savings under the policy in force, since it was switched; absent if it never was.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    since_switch: Option<Savings>,
 }
 
 fn detector(reading: &ModelReading) -> DetectorReading {
@@ -119,6 +125,9 @@ pub(super) async fn overview(State(shared): State<RouteState>) -> Json<NodeOverv
             .config
             .pointer("/node/labels/hub")
             .and_then(|label| label.as_str().map(str::to_owned)),
+        frames_at: ["/zenoh/listen/0", "/zenoh/connect/0"]
+            .into_iter()
+            .find_map(|place| shared.config.pointer(place)?.as_str().map(str::to_owned)),
         detector: board.reading.get().map(detector),
         outbox: shared.outbox.counts().status,
         forwarded: board.forwarded(),
@@ -127,6 +136,7 @@ pub(super) async fn overview(State(shared): State<RouteState>) -> Json<NodeOverv
         power_source: board.power().source,
         since_start,
         today,
+        since_switch: board.savings_of_policy(),
     })
 }
 
@@ -156,7 +166,7 @@ pub(super) async fn index(State(shared): State<RouteState>) -> Json<Index> {
     Json(Index {
         node: board.node.clone(),
         version: env!("CARGO_PKG_VERSION"),
-        policy: board.policy,
+        policy: board.policy().name,
         cameras: shared.camera_names(),
         openapi: "/openapi.json",
         routes: routes(&super::openapi()),

@@ -28,7 +28,7 @@ pub(super) struct FrameCounts {
     /// Frames for which the detector was called, by cause, including degraded ones.
     #[schema(value_type = std::collections::BTreeMap<String, u64>)]
     calls: DetectorCalls,
-    /// Audit results of skipped frames; absent without an audit.
+    /// Audit results of skipped frames since the node started, or since the policy was switched; absent without an audit.
     audit: Option<AuditFigures>,
 }
 
@@ -75,7 +75,7 @@ impl FrameCounts {
             states += snapshot.states;
             calls += &snapshot.calls;
             degraded_frames += snapshot.degraded_frames;
-            if let Some(found) = &snapshot.audit {
+            if let Some(found) = &snapshot.policy_audit {
                 audit.get_or_insert_default().merge(found);
             }
         }

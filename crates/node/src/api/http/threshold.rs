@@ -67,7 +67,7 @@ fn of(shared: &RouteState, camera: &CameraBoard) -> CameraThreshold {
     CameraThreshold {
         camera: camera.name().to_owned(),
         value: named(camera.threshold_in_force()),
-        threshold_spec: camera.threshold_spec,
+        threshold_spec: camera.threshold_spec(),
         survives_restart: shared.settings.survive_restart(),
     }
 }
@@ -91,8 +91,8 @@ async fn put(
     body: &Bytes,
 ) -> Result<(), Problem> {
     // All cameras have the node's policy.
-    let Some(spec) = cameras.first().and_then(|camera| camera.threshold_spec) else {
-        let policy = shared.board.policy;
+    let Some(spec) = cameras.first().and_then(|camera| camera.threshold_spec()) else {
+        let policy = shared.board.policy().name;
         let absent = InvalidThreshold::Absent { policy }.to_string();
         return Err(Problem::new(StatusCode::CONFLICT, absent));
     };

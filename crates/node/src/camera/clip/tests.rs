@@ -56,7 +56,7 @@ impl Camera {
 
     fn with(config: ClipConfig) -> Self {
         Self {
-            tracker: ClipTracker::new(config, PowerHandle::none().camera(), None),
+            tracker: ClipTracker::new(config, PowerHandle::none().camera(), None, "albireo"),
             start: Instant::now(),
             seq: 0,
         }
@@ -150,6 +150,28 @@ fn windows_and_parts_of_a_long_clip_tile_time_while_frames_keep_coming() {
         closed.extend(camera.shutdown(133_500));
         camera.assert_ended(closed, expected);
     }
+}
+
+#[test]
+fn a_clip_has_the_frames_of_one_policy_and_the_next_part_begins_where_it_ended() {
+    let windows = "window-0/0: 10 frames, 0 to 1000 ms, Policy; window-1/0: 1 frames, 1000 to 1012 ms, Shutdown";
+    let parts =
+        "drive/0: 10 frames, 0 to 1000 ms, Policy; drive/1: 1 frames, 1000 to 1012 ms, Shutdown";
+    for (clip, expected) in [(None, windows), (Some("drive"), parts)] {
+        let mut camera = Camera::new();
+        camera.frames(10, 100, clip);
+        let mut closed = Vec::from_iter(camera.tracker.switch("vanilla", camera.at(1000)));
+        camera.frame(1000, clip);
+        closed.extend(camera.shutdown(1200));
+        let policies: Vec<_> = closed.iter().map(|one| one.report.policy.as_str()).collect();
+        assert_eq!(policies, ["albireo", "vanilla"]);
+        camera.assert_ended(closed, expected);
+    }
+    // A camera that was silent has ended its clip before the switch reaches it.
+    let mut camera = Camera::new();
+    camera.frames(10, 100, Some("drive"));
+    let closed = camera.tracker.switch("vanilla", camera.at(60_000));
+    camera.assert_ended(closed, "drive/0: 10 frames, 0 to 1000 ms, Silence");
 }
 
 #[test]

@@ -4,7 +4,8 @@
 //! Otherwise clips are windows of `window_s`. While frames keep coming, a window or a part begins where the last one
 //! ended, so that no time and no energy is lost in between. Every clip also ends after `silence_s` without a frame, and
 //! on shutdown; its end is then one mean frame interval after the arrival of its last frame (or the time when that
-//! frame was answered, if later), so the silence is not charged to it.
+//! frame was answered, if later), so the silence is not charged to it. A clip has the frames of one policy: a switch ends the
+//! part or window, and the next begins there.
 
 use super::ClipConfig;
 use super::report::Clip;
@@ -25,15 +26,18 @@ pub(crate) struct ClipTracker {
     window: Duration,
     longest: Duration,
     silence: Duration,
+    /// The name of the policy that decides the frames.
+    policy: &'static str,
     windows: u64,
     open: Option<Clip>,
     /// A clip that ended before the final answer of its last frame.
     ended: Option<Clip>,
-    /// The last window or part that ended because it was full: the next begins at its end if frames keep coming.
+    /// The last window or part that ended because it was full, or by a switch of the policy: the next begins at its end if
+    /// frames keep coming.
     full: Option<FullClip>,
 }
 
-/// A window or a part that ended because it was full.
+/// A window or a part that is continued by the next one.
 #[derive(Debug)]
 struct FullClip {
     /// The camera's name for it; `None` for a window.
@@ -43,11 +47,13 @@ struct FullClip {
 }
 
 impl ClipTracker {
-    /// Creates a tracker without a clip. `energy` is the camera's energy, `audit` the audit of a new clip.
+    /// Creates a tracker without a clip. `energy` is the camera's energy, `audit` the audit of a new clip, and `policy` decides
+    /// the frames.
     pub(crate) fn new(
         config: ClipConfig,
         energy: CameraEnergy,
         audit: Option<AuditReport>,
+        policy: &'static str,
     ) -> Self {
         let seconds = |s: f64| Duration::try_from_secs_f64(s.max(0.001)).unwrap_or(Duration::MAX);
         Self {
@@ -56,6 +62,7 @@ impl ClipTracker {
             window: seconds(config.window_s),
             longest: seconds(config.longest_s),
             silence: seconds(config.silence_s),
+            policy,
             windows: 0,
             open: None,
             ended: None,
@@ -201,6 +208,16 @@ impl ClipTracker {
         self.close(ClipEnd::Shutdown, end)
     }
 
+    /// Ends the open clip before a frame with this arrival, because `policy` decides from there on. Call it only while no
+    /// frame is being processed.
+    pub(crate) fn switch(&mut self, policy: &'static str, arrival: Instant) -> Option<Clip> {
+        self.policy = policy;
+        self.tick(arrival).or_else(|| {
+            let end = arrival.max(self.open.as_ref()?.last_arrival);
+            self.close(ClipEnd::Policy, end)
+        })
+    }
+
     fn close_before(&mut self, clip: Option<&str>, arrival: Instant) -> Option<Clip> {
         if let Some(closed) = self.tick(arrival) {
             return Some(closed);
@@ -236,6 +253,7 @@ impl ClipTracker {
                 part,
                 started_ns: t_ns,
                 audit: self.audit.clone(),
+                policy: self.policy.to_owned(),
                 ..ClipReport::default()
             },
             start,
@@ -258,7 +276,10 @@ impl ClipTracker {
         let mut open = self.open.take()?;
         open.report.ended_by = ended_by;
         open.end = end;
-        let full = matches!(ended_by, ClipEnd::Window | ClipEnd::Length);
+        let full = matches!(
+            ended_by,
+            ClipEnd::Window | ClipEnd::Length | ClipEnd::Policy
+        );
         self.full = full.then_some(FullClip {
             named: (!open.windowed).then(|| Arc::clone(&open.name)),
             part: open.report.part,

@@ -78,6 +78,7 @@ pub(in crate::delivery) fn take(desired: &Desired, settings: &Settings, board: &
 mod tests {
     use super::*;
     use crate::PreparedNode;
+    use crate::settings::Transaction;
     use crate::settings::tests::{config, prepared, thresholds};
     use albireo_wire::{Target, Threshold};
     use std::path::Path;
@@ -107,6 +108,23 @@ mod tests {
         fn target(&self) -> Option<Target> {
             self.0.board.target.report().target
         }
+    }
+
+    #[test]
+    fn a_value_for_the_policy_before_is_refused_by_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let node = Node::start(folder.path());
+        let place = node.0.settings.turns.place();
+        let switch = |transaction: &mut Transaction<'_>| transaction.policy("expected-loss");
+        node.0.settings.set_in_turn(place, switch).unwrap();
+        let before = thresholds(&node.0.board);
+        assert!(node.take(3, DesiredSetting::Threshold(Threshold::new("u", 7e-4))));
+        assert_eq!(thresholds(&node.0.board), before);
+        let reason = node.known().refused.unwrap().reason;
+        assert_eq!(
+            reason,
+            "the threshold of the policy in use is `lambda`, not `u`"
+        );
     }
 
     #[test]

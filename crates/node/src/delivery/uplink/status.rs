@@ -132,7 +132,7 @@ impl StatusSender {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             labels: self.labels.clone(),
             cameras: cameras.collect(),
-            policy: board.policy.to_owned(),
+            policy: board.policy().name.to_owned(),
             model: board.model.clone(),
             provider: provider(&board.detector_status()).map(str::to_owned),
             power_source: power.source,

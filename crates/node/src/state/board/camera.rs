@@ -4,21 +4,23 @@ use super::CHANGES_PERIOD;
 use super::event::{Event, FrameEvent, News};
 use super::flow::Flow;
 use super::history::{CameraPiece, Clock, History, PastFrame, SkipEstimate};
+use super::policy::NodePolicy;
 use super::screen::NoNews;
 use super::sightings::{ClassWatch, SightingsConfig};
+use super::threshold::InForce;
 use crate::frame::{AnsweredFrame, FrameRecord};
 use crate::input::{ArrivalCounts, InputCounter, Unusable};
 use crate::publishing::Unpublished;
 use crate::state::advice::{Advice, SkipWatch};
 use albireo_core::audit::AuditSums;
 use albireo_core::geometry::PictureSize;
-use albireo_core::policy::{BoxSource, EmptyRoad, Policy, Profile, ThresholdSpec, short};
+use albireo_core::policy::{BoxSource, EmptyRoad, short};
 use albireo_service::metrics::LatencyHistogram;
 use albireo_service::rate_limit::RateLimit;
 use albireo_vision::picture::EncodedPicture;
 use albireo_wire::{
     AuditReport, BoxMessage, CameraKeys, DetectionsMessage, DetectorCalls, DroppedFrames,
-    FrameStates, SettingSource, Sighting,
+    FrameStates, SettingSource, Sighting, Threshold,
 };
 use parking_lot::Mutex;
 use std::collections::BTreeMap;
@@ -43,6 +45,8 @@ pub struct CameraSnapshot {
     pub dropped: DroppedFrames,
     /// The audit's results; `None` without an audit.
     pub audit: Option<AuditReport>,
+    /// The same, since the policy was last switched.
+    pub policy_audit: Option<AuditReport>,
     /// Ended clips.
     pub clips: u64,
     /// Energy of these clips, joules, over the time that samples cover.
@@ -147,7 +151,7 @@ const fn source_name(source: BoxSource) -> &'static str {
 }
 
 #[derive(Debug, Default)]
-struct Counts {
+pub(super) struct Counts {
     /// The counts that are shown, without those that others keep.
     shown: CameraSnapshot,
     /// Audit results that are in no clip yet.
@@ -156,6 +160,20 @@ struct Counts {
     unmeasured: AuditSums,
     watch: SkipWatch,
     flow: Flow,
+}
+
+impl Counts {
+    /// Forgets what was observed under another policy.
+    pub(super) fn policy_begins(&mut self) {
+        self.watch = SkipWatch::default();
+        self.unmeasured = AuditSums::default();
+        if let Some(audit) = &mut self.shown.policy_audit {
+            *audit = AuditReport {
+                share: audit.share,
+                ..AuditReport::default()
+            };
+        }
+    }
 }
 
 /// State that all cameras of a board share.
@@ -171,7 +189,20 @@ pub(super) struct Shared {
     pub empty_road: watch::Sender<EmptyRoad>,
 }
 
-/// What the board of a camera shows that never changes, and its first threshold.
+/// The past of a camera.
+#[derive(Debug)]
+pub(crate) struct CameraPast {
+    /// The last frames, oldest first.
+    pub frames: Vec<PastFrame>,
+    /// The number of the last of them that the policy in force decided.
+    pub of_policy: usize,
+    /// The pieces of the last hour.
+    pub pieces: Vec<CameraPiece>,
+    /// The present time.
+    pub now: Clock,
+}
+
+/// What the board of a camera shows that never changes, and its configured threshold.
 #[derive(Debug)]
 pub(crate) struct CameraSetup {
     /// The camera's name.
@@ -186,10 +217,10 @@ pub(crate) struct CameraSetup {
     pub max_rate: Option<f64>,
     /// Its threshold, instead of the policy's.
     pub threshold: Option<f64>,
+    /// True if its frames are answered at once.
+    pub answers_at_once: bool,
     /// An audit without results; `None` without an audit.
     pub audit: Option<AuditReport>,
-    /// The profile of the policy's numbers.
-    pub profile: Profile,
 }
 
 /// One camera's part of the live board. One lock guards the counters of the camera's loop, so every snapshot of them is
@@ -205,16 +236,12 @@ pub struct CameraBoard {
     pub(crate) source: Option<String>,
     /// The most frames per second that are taken from the source.
     pub(crate) max_rate: Option<f64>,
-    /// The policy's threshold, if it has one.
-    pub threshold_spec: Option<ThresholdSpec>,
-    /// True if the threshold is a `u` that is independent of the picture size, as with the filter of the profile `paper`.
-    /// The published code, where it is not, then has a different value for it.
-    pub(super) has_sizeless_u: bool,
-    /// The most frames its policy lets pass without the detector while objects are tracked.
-    longest_pause: Option<u32>,
+    /// True if its frames are answered at once.
+    pub(crate) answers_at_once: bool,
     pub(super) shared: Shared,
-    pub(super) configured: Option<f64>,
-    pub(super) threshold: watch::Sender<Option<f64>>,
+    /// Its own threshold in the configuration, under its name in the configured policy.
+    pub(super) own: Option<Threshold>,
+    pub(super) in_force: watch::Sender<InForce>,
     pub(super) set_by: Mutex<SettingSource>,
     /// The bits of the measured frames per second; 0 before the second frame.
     pub(super) rate: AtomicU64,
@@ -228,8 +255,8 @@ pub struct CameraBoard {
     pub(crate) unpublished: Unpublished,
     /// Log lines about its threshold.
     pub(super) changes: RateLimit,
-    counts: Mutex<Counts>,
-    history: Mutex<History>,
+    pub(super) counts: Mutex<Counts>,
+    pub(super) history: Mutex<History>,
     /// The newest answered frame, for viewers of pictures with boxes.
     answered: watch::Sender<Option<Arc<AnsweredFrame>>>,
     /// Finds when a class appears and when it leaves.
@@ -240,27 +267,29 @@ impl CameraBoard {
     /// Creates the board of a camera without frames, with the configured threshold in force.
     pub(super) fn new(
         setup: CameraSetup,
-        policy: &dyn Policy,
+        policy: &Arc<NodePolicy>,
         sightings: SightingsConfig,
         shared: Shared,
     ) -> Self {
-        let spec = policy.threshold_spec();
-        let configured = spec.and_then(|_| setup.threshold.or_else(|| policy.threshold()));
+        let named = policy.spec.zip(setup.threshold);
+        let own = named.map(|(spec, value)| Threshold::new(spec.name, value));
+        let in_force = InForce {
+            policy: Arc::clone(policy),
+            threshold: own.map(|own| own.value).or(policy.threshold),
+        };
         let mut counts = Counts::default();
-        counts.shown.audit = setup.audit;
+        counts.shown.audit.clone_from(&setup.audit);
+        counts.shown.policy_audit = setup.audit;
         Self {
             name: setup.name.into(),
             keys: setup.keys,
             key: setup.key,
             source: setup.source,
             max_rate: setup.max_rate,
-            threshold_spec: spec,
-            has_sizeless_u: setup.profile == Profile::Paper
-                && spec.is_some_and(|spec| spec.name == "u"),
-            longest_pause: policy.longest_pause(),
+            answers_at_once: setup.answers_at_once,
             shared,
-            configured,
-            threshold: watch::Sender::new(configured),
+            own,
+            in_force: watch::Sender::new(in_force),
             set_by: Mutex::new(SettingSource::Configuration),
             input: Arc::default(),
             unpublished: Unpublished::default(),
@@ -288,8 +317,13 @@ impl CameraBoard {
     /// Adds audit results.
     pub(crate) fn record_audit(&self, more: &AuditReport) {
         let mut counts = self.counts.lock();
-        if let Some(audit) = &mut counts.shown.audit {
-            audit.merge(more);
+        let CameraSnapshot {
+            audit,
+            policy_audit,
+            ..
+        } = &mut counts.shown;
+        for shown in audit.iter_mut().chain(policy_audit) {
+            shown.merge(more);
         }
         counts.unreported.merge(more);
         counts.unmeasured.merge(&more.sums);
@@ -361,7 +395,7 @@ impl CameraBoard {
 
     /// Suggests a value of the threshold if nothing is skipped although objects are tracked.
     pub fn advice(&self) -> Option<Advice> {
-        self.counts.lock().watch.advice(self.threshold_spec.as_ref()?)
+        self.counts.lock().watch.advice(&self.threshold_spec()?)
     }
 
     /// Counts an ended clip, and its energy if known.
@@ -396,18 +430,26 @@ impl CameraBoard {
         shown.flow_fault = flow.fault(complaint.as_deref()).map(Arc::from);
     }
 
-    /// The last `frames` frames, oldest first, the pieces of the last hour, and the present time.
-    pub(crate) fn past(&self, frames: usize) -> (Vec<PastFrame>, Vec<CameraPiece>, Clock) {
+    /// The last frames, at most `most`, and the last hour.
+    pub(crate) fn past(&self, most: usize) -> CameraPast {
         let history = self.history.lock();
         let now = Clock::now(self.shared.started);
-        (history.frames(frames), history.slots(&now), now)
+        CameraPast {
+            frames: history.frames(most),
+            of_policy: history.of_policy().min(most),
+            pieces: history.slots(&now),
+            now,
+        }
     }
 
     /// Estimates what these values of the threshold would have skipped over the last frames. Computes for some
     /// milliseconds.
     pub(crate) fn skip_estimate(&self, values: &[f64]) -> Option<SkipEstimate> {
-        let frames = self.history.lock().frames(usize::MAX);
+        let history = self.history.lock();
+        let frames = history.frames(history.of_policy());
+        drop(history);
         // Outside the lock: this takes longer than a frame may wait.
-        SkipEstimate::of(&frames, self.longest_pause, values)
+        let longest_pause = self.in_force.borrow().policy.longest_pause;
+        SkipEstimate::of(&frames, longest_pause, values)
     }
 }

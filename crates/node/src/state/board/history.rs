@@ -174,6 +174,8 @@ impl CameraPiece {
 #[derive(Debug)]
 pub(crate) struct History {
     frames: VecDeque<PastFrame>,
+    /// The number of the last of them that the policy in force decided.
+    of_policy: usize,
     hour: Hour<CameraPiece>,
     /// The first detector times in the open piece.
     times: Vec<f32>,
@@ -183,6 +185,7 @@ impl Default for History {
     fn default() -> Self {
         Self {
             frames: VecDeque::with_capacity(FRAMES),
+            of_policy: 0,
             hour: Hour::default(),
             times: Vec::with_capacity(TIMES),
         }
@@ -196,6 +199,7 @@ impl History {
             self.frames.pop_front();
         }
         self.frames.push_back(PastFrame::of(frame, at));
+        self.of_policy = (self.of_policy + 1).min(FRAMES);
         if let Some(ended) = self.hour.turn(at) {
             ended.set_percentiles(&self.times);
             self.times.clear();
@@ -209,6 +213,16 @@ impl History {
         if let Some(time) = time.filter(|_| self.times.len() < TIMES) {
             self.times.push(time as f32);
         }
+    }
+
+    /// The frames that follow are decided by another policy.
+    pub(super) fn policy_begins(&mut self) {
+        self.of_policy = 0;
+    }
+
+    /// The number of the last frames that the policy in force decided.
+    pub(crate) fn of_policy(&self) -> usize {
+        self.of_policy
     }
 
     /// The last frames, oldest first, at most `most`.

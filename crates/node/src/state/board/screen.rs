@@ -23,7 +23,7 @@ pub(crate) struct NoNews {
 impl Board {
     /// True if the policy takes a pause on an empty road.
     pub fn can_pause(&self) -> bool {
-        self.can_pause
+        self.policy().takes_pause
     }
 
     /// The configured pause on an empty road.

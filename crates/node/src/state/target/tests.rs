@@ -204,6 +204,32 @@ fn a_policy_without_an_adjustable_threshold_holds_no_target_and_reports_why() {
 }
 
 #[test]
+fn a_target_is_held_under_another_policy_from_its_own_threshold_within_its_own_range() {
+    let mut config = config(None, "albireo");
+    config.target.least = Some(2e-4);
+    let node = prepared(&config);
+    hold(&node, HALF);
+    pass(&node.board, 10);
+    let switch = |name: &str| {
+        let place = node.settings.turns.place();
+        node.settings
+            .set_in_turn(place, |transaction| transaction.policy(name))
+            .unwrap();
+    };
+    switch("expected-loss");
+    let report = node.board.target.report();
+    let range = report.range.unwrap();
+    assert_eq!((report.target, range.least, range.most), (HALF, 0.05, 1.2));
+    assert_eq!(report.threshold, Some(Threshold::new("lambda", 0.3)));
+    assert!(pass(&node.board, 10) > 0.3);
+    switch("albireo");
+    assert_eq!(node.board.target.report().range.unwrap().least, 2e-4);
+    switch("vanilla");
+    let report = node.board.target.report();
+    assert!(report.target.is_none() && report.off.unwrap().contains("vanilla"));
+}
+
+#[test]
 fn a_detector_outage_moves_no_threshold() {
     let node = node(None, "expected-loss:0.3", None);
     hold(&node, HALF);

@@ -201,7 +201,7 @@ fn newest(page: &mut MetricsPage, board: &Board, cameras: &[ShownCamera<'_>]) {
         "Threshold in force, under the policy's name for it",
         cameras.iter().filter_map(|(camera, board, _)| {
             Some((
-                [*camera, ("name", board.threshold_spec?.name)],
+                [*camera, ("name", board.threshold_spec()?.name)],
                 board.threshold()?,
             ))
         }),
@@ -251,16 +251,20 @@ fn audit(page: &mut MetricsPage, cameras: &[ShownCamera<'_>]) {
             ends.map(|(end, value)| ([camera, ("end", end)], value))
         })
     };
+    let under_policy = || {
+        let on = cameras.iter();
+        on.filter_map(|(camera, _, snapshot)| Some((*camera, snapshot.policy_audit.as_ref()?)))
+    };
     page.gauges(
         "albireo_audit_recall",
-        "Share of the detector's boxes on audited frames that had been shown, since the start, with the ends of its \
+        "Share of the detector's boxes on audited frames that had been shown, since the policy began, with the ends of its \
          interval at 95 %, missed frames included",
-        audited().flat_map(|(camera, audit)| ends(camera, audit.sums.recall())),
+        under_policy().flat_map(|(camera, audit)| ends(camera, audit.sums.recall())),
     );
     page.gauges(
         "albireo_audit_precision",
-        "Share of the shown boxes on audited frames that the detector confirms, since the start, with the ends of its \
+        "Share of the shown boxes on audited frames that the detector confirms, since the policy began, with the ends of its \
          interval at 95 %, missed frames included; low where a policy shows objects that the detector misses",
-        audited().flat_map(|(camera, audit)| ends(camera, audit.sums.precision())),
+        under_policy().flat_map(|(camera, audit)| ends(camera, audit.sums.precision())),
     );
 }

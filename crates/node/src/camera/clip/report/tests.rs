@@ -51,7 +51,7 @@ async fn the_last_report_waits_no_longer_than_the_node_may_take_to_stop() {
     let meter = FakeMeter(|_: Instant| None::<Value>);
     let never = CancellationToken::new();
     let (power, _task) = start_with("fake", Box::new(meter), ms(10_000), never);
-    let mut tracker = ClipTracker::new(ClipConfig::default(), power.camera(), None);
+    let mut tracker = ClipTracker::new(ClipConfig::default(), power.camera(), None, "albireo");
     tracker.arrive(0, Some("last"), Instant::now());
     tokio::time::sleep(ms(500)).await;
     let asked = Instant::now();

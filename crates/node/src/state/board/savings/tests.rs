@@ -72,7 +72,7 @@ async fn play(
     detector: Arc<Detector>,
     power: PowerHandle,
 ) -> ClipReport {
-    let mut tracker = ClipTracker::new(ClipConfig::default(), power.camera(), None);
+    let mut tracker = ClipTracker::new(ClipConfig::default(), power.camera(), None, policy.name());
     let mut outcome = Outcome::default();
     let start = Instant::now();
     let mut last: Option<u64> = None;
