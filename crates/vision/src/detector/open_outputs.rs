@@ -1,15 +1,16 @@
 //! The sizes that outputs keep at every size of the input, where the model leaves them open. Exporters write an output of a
-//! model with open height and width as `[?, ?, ?]` unless something simplifies the graph, and no head could be told from that.
+//! model with open height and width as `[?, ?, ?]` unless something simplifies the graph, and call the last side of any output
+//! open because that of YOLO is; no head could be told from that, or a wrong one.
 
 use super::opening::{half, run_on_black};
 use crate::onnx::{OnnxSession, PictureInput, Signature, TensorSpec};
 
-/// The model's signature; an output of which nothing is known gets the size that is the same in runs at `input` and at half
-/// of it. Only the last such size counts: it is how many numbers a row has, and how many rows there are may depend on the
+/// The model's signature; an output with an open last side gets the size that is the same in runs at `input` and at half of
+/// it. Only the last such size counts: it is how many numbers a row has, and how many rows there are may depend on the
 /// picture.
 pub(super) fn measured(session: &mut OnnxSession, input: PictureInput, stride: u32) -> Signature {
     let mut signature = session.signature().clone();
-    if !signature.has_open_sides() || !signature.outputs.iter().any(is_unknown) {
+    if !signature.has_open_sides() || !signature.outputs.iter().any(is_open) {
         return signature;
     }
     let smaller = PictureInput {
@@ -32,7 +33,7 @@ pub(super) fn measured(session: &mut OnnxSession, input: PictureInput, stride: u
     for ((output, largest), smaller) in
         signature.outputs.iter_mut().zip(&at_largest).zip(&at_smaller)
     {
-        if is_unknown(output) && output.shape.len() == largest.len() {
+        if is_open(output) && output.shape.len() == largest.len() {
             let stays =
                 |&place: &usize| largest[place] > 0 && smaller.get(place) == Some(&largest[place]);
             if let Some(place) = (1..largest.len()).rev().find(stays) {
@@ -43,7 +44,7 @@ pub(super) fn measured(session: &mut OnnxSession, input: PictureInput, stride: u
     signature
 }
 
-/// True if the model says nothing about the sizes of this output but that there are some for each picture.
-fn is_unknown(output: &TensorSpec) -> bool {
-    output.shape.len() > 2 && output.shape.iter().skip(1).all(|&side| side == -1)
+/// True if the last side of this output is open, and there is another beside that of the batch.
+fn is_open(output: &TensorSpec) -> bool {
+    output.shape.len() > 2 && output.shape.last() == Some(&-1)
 }

@@ -138,7 +138,9 @@ pub(super) const FAMILIES: [Family; 10] = [
                 return Some(RANGE_IS_OPEN.to_owned());
             };
             let queries = output.shape.get(1).copied().unwrap_or_default();
-            if anchors_of(queries, size).is_some() || queries > MOST_BOXES {
+            // An open number is that of a run if anything else could have it.
+            let are_cells = queries != -1 && anchors_of(queries, size).is_some();
+            if are_cells || queries > MOST_BOXES {
                 return Some(format!("it has {queries} rows, and not some hundred"));
             }
             None

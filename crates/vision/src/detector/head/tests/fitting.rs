@@ -214,23 +214,31 @@ fn formats_of_one_shape_are_told_apart_by_the_values_of_a_run() {
 
 #[test]
 fn an_open_number_of_rows_is_that_of_a_run() {
-    // One row with a box in the middle for each of the 84 cells, or three. Nothing else tells one from the other.
+    let with_objectness: &[f32] = &[320.0, 320.0, 200.0, 100.0, 0.9, 0.8];
+    let in_pixels: &[f32] = &[320.0, 320.0, 200.0, 100.0, 0.9];
+    let as_parts: &[f32] = &[0.5, 0.5, 0.3, 0.2, 0.9];
     let either = "could be any of \"yolov5\", \"yolox\"";
-    // A black picture may give no row at all.
-    for (rows, expected) in [(3 * 84, "yolov5"), (84, either), (0, either)] {
-        let signature = plain(64, "output0", &[1, -1, 85]);
+    // The input has 8400 cells. A black picture may give no row at all.
+    for (row, length, rows, expected) in [
+        (with_objectness, 85, 3 * 8400, "yolov5"),
+        (with_objectness, 85, 8400, either),
+        (&[], 85, 0, either),
+        (in_pixels, 84, 8400, "yolo"),
+        (as_parts, 84, 300, "rt-detr"),
+    ] {
+        let signature = plain(640, "output0", &[-1, -1, length]);
         let input = signature.picture_input(None).unwrap();
-        let mut values = vec![0.0; rows * 85];
-        if rows > 0 {
-            values[..6].copy_from_slice(&[32.0, 32.0, 20.0, 10.0, 0.9, 0.8]);
-        }
+        let shape = [1, rows, length];
+        let mut values = vec![0.0; (rows * length) as usize];
+        values[..row.len()].copy_from_slice(row);
         let run = TensorView {
-            shape: &[1, rows as i64, 85],
+            shape: &shape,
             values: &values,
         };
-        let told = found(&signature, Some(80)).unwrap().by_values(&signature, input, &[run]);
-        let told = told.map_or_else(|refusal| refusal, |name| name.as_str().to_owned());
-        assert!(told.contains(expected), "{rows}: {told}");
+        match found(&signature, Some(80)).unwrap().by_values(&signature, input, &[run]) {
+            Ok(told) => assert_eq!(told.as_str(), expected, "{shape:?}"),
+            Err(refusal) => assert!(refusal.contains(expected), "{shape:?}: {refusal}"),
+        }
     }
 }
 
