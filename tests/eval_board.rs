@@ -115,7 +115,7 @@ async fn a_killed_measurement_goes_on_and_its_files_join_into_tables() {
     let lines = lines.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
     let runs: Vec<Value> = lines.map(|line| line["run"].clone()).collect();
     let runs: Vec<&Value> = runs.iter().filter(|run| run.is_object()).collect();
-    let is_traced = |run: &Value| run["trace"].is_array();
+    let is_traced = |run: &Value| run["traces"]["total"].is_array();
     // The power of the first two clips is kept, estimated here.
     assert!(runs.iter().any(|run| is_traced(run)), "{runs:?}");
     for run in runs {

@@ -70,8 +70,8 @@ pub(super) struct Played {
     pub meter_share_of_core: f64,
     /// The most memory that this process held while the clip was played, MB; `None` if the system does not tell.
     pub memory_mb: Option<f64>,
-    /// The machine's power while the clip was played: seconds since its first frame, and watts.
-    pub trace: Vec<[f64; 2]>,
+    /// The machine's power while the clip was played, by domain.
+    pub traces: Traces,
     /// The answers to the clip's frames.
     answers: Vec<Arc<DetectionsMessage>>,
 }
@@ -80,8 +80,11 @@ pub(super) struct Played {
 struct Measured {
     cpu: Duration,
     memory_mb: Option<f64>,
-    trace: Vec<[f64; 2]>,
+    traces: Traces,
 }
+
+/// Power by domain: seconds since a clip's first frame, and watts.
+type Traces = BTreeMap<String, Vec<[f64; 2]>>;
 
 impl Played {
     /// Suggests a threshold, if no frame was skipped although objects were tracked.
@@ -220,7 +223,7 @@ impl Player {
             report: ClipReport::clone(&report),
             cpu: measured.cpu,
             memory_mb: measured.memory_mb,
-            trace: measured.trace,
+            traces: measured.traces,
             meter_share_of_core: board.power().meter_share_of_core(),
             answers,
         })
@@ -283,7 +286,7 @@ impl Player {
                 .then(process::peak_memory_bytes)
                 .flatten()
                 .map(|bytes| bytes as f64 / 1e6),
-            trace: tracing.await.context("the power trace")?,
+            traces: tracing.await.context("the power trace")?,
         };
         close(session).await?;
         Ok(measured)
@@ -441,24 +444,28 @@ async fn collect(
     }
 }
 
-/// Collects the machine's power until `ended`: seconds since the start, and the mean watts since the entry before.
-async fn trace(power: PowerHandle, ended: CancellationToken) -> Vec<[f64; 2]> {
+/// Collects the machine's power by domain until `ended`: seconds since the start, and the mean watts since the entry before.
+async fn trace(power: PowerHandle, ended: CancellationToken) -> Traces {
     let start = Instant::now();
-    let mut trace = Vec::new();
-    let mut before = power.snapshot().energy("total").unwrap_or_default();
+    let mut traces = Traces::new();
+    let mut before = power.snapshot();
     let mut ticks = tokio::time::interval(TRACE_PERIOD);
     while ended.run_until_cancelled(ticks.tick()).await.is_some() {
-        let Some(now) = power.snapshot().energy("total") else {
-            continue;
-        };
-        let (joules, seconds) = (now.0 - before.0, now.1 - before.1);
+        let now = power.snapshot();
         // Without a new sample there is nothing to tell.
-        if seconds > 0.0 {
-            trace.push([start.elapsed().as_secs_f64(), joules / seconds]);
-            before = now;
+        if now.sampled_s <= before.sampled_s {
+            continue;
         }
+        let newest = now.clone().since(&before);
+        for domain in now.joules.keys() {
+            if let Some((joules, seconds)) = newest.energy(domain) {
+                let entry = [start.elapsed().as_secs_f64(), joules / seconds];
+                traces.entry(domain.clone()).or_default().push(entry);
+            }
+        }
+        before = now;
     }
-    trace
+    traces
 }
 
 /// The CPU time of all threads of this process so far.
@@ -488,7 +495,7 @@ mod tests {
             report: ClipReport::default(),
             cpu: Duration::ZERO,
             memory_mb: None,
-            trace: Vec::new(),
+            traces: Traces::new(),
             meter_share_of_core: 0.0,
             answers: vec![answer(31.0, 16.0), answer(30.0, 15.0)],
         };

@@ -24,7 +24,8 @@ use crate::files;
 use std::path::Path;
 
 /// Writes the joined tables into `folder`, which is created if needed: `join.html` with everything, `join.txt` with the
-/// printed text, `clips.csv` with a row per run, `policies.csv` with a row per setup and policy, and the figures as SVG.
+/// printed text, `clips.csv` with a row per run, `policies.csv` with a row per setup and policy, `power.csv` with the power
+/// traces, and the figures as SVG.
 ///
 /// # Errors
 /// [`EvalError`] with the first file that cannot be written.
@@ -40,6 +41,7 @@ pub fn write(folder: &Path, setups: &[SetupRuns], text: &str) -> Result<(), Eval
     files::write(&folder.join("join.html"), page)?;
     files::write(&folder.join("join.txt"), text)?;
     files::write_csv(&folder.join("clips.csv"), &rows::rows_of_clips(setups))?;
+    files::write_csv(&folder.join("power.csv"), &rows::rows_of_power(setups))?;
     files::write_csv(
         &folder.join("policies.csv"),
         &rows::rows_of_policies(&summaries),

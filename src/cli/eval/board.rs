@@ -386,7 +386,7 @@ impl Measuring<'_> {
         run.cpu_s = Some(played.cpu.as_secs_f64());
         run.memory_mb = played.memory_mb;
         if of.is_traced {
-            run.trace.clone_from(&played.trace);
+            run.traces.clone_from(&played.traces);
         }
         let first = player.warm_up_frames();
         run.unlabelled = clip.unlabelled() as u64;

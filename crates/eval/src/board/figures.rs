@@ -1,6 +1,6 @@
 //! Draws the figures of the joined runs.
 
-use super::run::SetupRuns;
+use super::run::{ClipRun, SetupRuns};
 use super::summary::{PolicyFigures, SetupSummary};
 use crate::chart::{
     Axis, BarPart, Plot, PlotError, SOFT_INK, chart, color_of, mark, range, stacked, state_parts,
@@ -60,46 +60,75 @@ pub(super) fn figures(
             });
         }
     }
-    for (name, trace) in ["power-trace-1", "power-trace-2"].into_iter().zip(traces(setups)) {
+    let of_total = ["power-trace-1", "power-trace-2"];
+    for (name, clip) in of_total
+        .into_iter()
+        .zip(traces(setups, usize::MAX, &|domain| domain == "total"))
+    {
         figures.push(Plot {
             name,
             title: "Power over a clip",
             caption: "The machine's power every 100 ms under each policy, from the clip's first frame on.",
-            svg: powers(&trace)?,
+            svg: powers(&clip)?,
+        });
+    }
+    let by_domain = ["power-domains-1", "power-domains-2"];
+    for (name, clip) in by_domain.into_iter().zip(traces(setups, 2, &|domain| domain != "total")) {
+        figures.push(Plot {
+            name,
+            title: "Power over a clip, by domain",
+            caption: "The power of each domain every 100 ms under vanilla and the first policy beside it.",
+            svg: powers(&clip)?,
         });
     }
     Ok(figures)
 }
 
-/// The power over each clip that has a trace under several policies, of the first setup with any: a series per policy.
-fn traces(setups: &[SetupRuns]) -> Vec<(String, Vec<Series>)> {
-    let is_traced = |of: &&SetupRuns| of.runs.iter().any(|run| !run.trace.is_empty());
-    let mut clips: Vec<(String, Vec<Series>)> = Vec::new();
+/// The power of the domains `is_drawn` over each clip that has a trace, of the first setup with any: a series for each of
+/// the first `policies` policies and domain.
+fn traces(
+    setups: &[SetupRuns],
+    policies: usize,
+    is_drawn: &dyn Fn(&str) -> bool,
+) -> Vec<(String, Vec<Series>)> {
+    let is_traced = |of: &&SetupRuns| of.runs.iter().any(|run| !run.traces.is_empty());
+    let mut clips: Vec<(&str, Vec<&ClipRun>)> = Vec::new();
     for run in setups.iter().find(is_traced).iter().flat_map(|of| &of.runs) {
-        if run.trace.is_empty() {
+        if !run.traces.keys().any(|domain| is_drawn(domain)) {
             continue;
         }
-        let points = run.trace.iter().map(|[seconds, watts]| (*seconds, *watts)).collect();
-        let series = (short_label(&run.policy).to_owned(), points);
         match clips.iter_mut().find(|(clip, _)| *clip == run.clip) {
-            Some((_, policies)) => policies.push(series),
-            None => clips.push((run.clip.clone(), vec![series])),
+            Some((_, runs)) => runs.push(run),
+            None => clips.push((&run.clip, vec![run])),
         }
     }
-    for (_, policies) in &mut clips {
-        policies.sort_by_key(|(policy, _)| policy != BASELINE);
-    }
-    clips
+    let drawn = clips.into_iter().map(|(clip, mut runs)| {
+        runs.sort_by_key(|run| run.policy != BASELINE);
+        let series = runs.into_iter().take(policies).flat_map(|run| {
+            let domains = run.traces.iter().filter(|(domain, _)| is_drawn(domain));
+            domains.map(|(domain, trace)| {
+                let policy = short_label(&run.policy);
+                let name = match domain.as_str() {
+                    "total" => policy.to_owned(),
+                    part => format!("{policy} {part}"),
+                };
+                let points = trace.iter().map(|[seconds, watts]| (*seconds, *watts));
+                (name, points.collect())
+            })
+        });
+        (clip.to_owned(), series.collect())
+    });
+    drawn.collect()
 }
 
-/// Draws a line per policy.
+/// Draws a line per series.
 fn powers((clip, series): &(String, Vec<Series>)) -> Result<String, PlotError> {
     let all = || series.iter().flat_map(|(_, points)| points);
     let name = format!("Seconds of {clip}");
     let seconds = Axis {
         name: &name,
         range: range(all().map(|at| at.0).chain([0.0]), 0.02),
-        label: &|seconds| format!("{seconds:.0}"),
+        label: &|seconds| format!("{seconds:.1}"),
     };
     let watts = Axis {
         name: "Watts",

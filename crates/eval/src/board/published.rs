@@ -5,6 +5,7 @@ use crate::error::EvalError;
 use crate::spec::BASELINE;
 use albireo_wire::FrameStates;
 use serde::Deserialize;
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// The columns that are read of a row.
@@ -102,7 +103,7 @@ fn run(row: PublishedRow) -> ClipRun {
         cpu_s: None,
         gpu_utilisation: None,
         memory_mb: None,
-        trace: Vec::new(),
+        traces: BTreeMap::new(),
         throttled: false,
     }
 }

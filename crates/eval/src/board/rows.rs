@@ -52,6 +52,28 @@ pub(super) fn rows_of_clips(setups: &[SetupRuns]) -> Vec<Cells> {
     .collect()
 }
 
+/// Returns a row for each entry of a power trace.
+pub(super) fn rows_of_power(setups: &[SetupRuns]) -> Vec<Cells> {
+    let runs = setups.iter().flat_map(|of| of.runs.iter().map(move |run| (&of.setup, run)));
+    let traces = runs.flat_map(|(setup, run)| {
+        run.traces.iter().map(move |(domain, trace)| (setup, run, domain, trace))
+    });
+    traces
+        .flat_map(|(setup, run, domain, trace)| {
+            trace.iter().map(move |[seconds, watts]| {
+                vec![
+                    ("setup", setup.title()),
+                    ("clip", run.clip.clone()),
+                    ("policy", run.policy.clone()),
+                    ("domain", domain.clone()),
+                    ("seconds", seconds.to_string()),
+                    ("watts", watts.to_string()),
+                ]
+            })
+        })
+        .collect()
+}
+
 /// Returns a row per setup and policy.
 pub(super) fn rows_of_policies(summaries: &[SetupSummary]) -> Vec<Cells> {
     let policies = summaries

@@ -146,9 +146,9 @@ pub struct ClipRun {
     /// The most memory that the program held, MB. It is that of all runs' program, which keeps what an earlier run took.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub memory_mb: Option<f64>,
-    /// The machine's power every 100 ms: seconds since the first frame, and watts. Kept of the first two clips.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub trace: Vec<[f64; 2]>,
+    /// The machine's power every 100 ms, by domain: seconds since the first frame, and watts. Kept of the first two clips.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub traces: BTreeMap<String, Vec<[f64; 2]>>,
     /// True if the machine reported throttled clocks.
     #[serde(default)]
     pub throttled: bool,
@@ -183,7 +183,7 @@ impl ClipRun {
             cpu_s: None,
             gpu_utilisation: report.board.as_ref().and_then(|board| board.gpu_utilisation),
             memory_mb: None,
-            trace: Vec::new(),
+            traces: BTreeMap::new(),
             throttled: report.board.as_ref().is_some_and(|board| board.throttled == Some(true)),
         }
     }

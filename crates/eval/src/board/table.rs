@@ -89,7 +89,7 @@ fn without_rows(setups: &[SetupRuns], summaries: &[SetupSummary]) -> Option<Join
             "paired tests: another policy beside vanilla, on two clips or more",
         ),
         (
-            runs().any(|run| !run.trace.is_empty()),
+            runs().any(|run| !run.traces.is_empty()),
             "power over a clip: runs of `albireo eval board` with a meter",
         ),
         (

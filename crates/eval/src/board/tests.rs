@@ -47,7 +47,9 @@ fn run(clip: &str, policy: &str, joules: f64, ap50: f64) -> ClipRun {
         cpu_s: Some(12.0),
         gpu_utilisation: None,
         memory_mb: Some(310.0),
-        trace: vec![[0.1, 5.0], [0.2, 6.0]],
+        traces: [("total", 6.0), ("gpu", 4.0), ("cpu", 1.0)]
+            .map(|(domain, watts)| (domain.to_owned(), vec![[0.1, 5.0], [0.2, watts]]))
+            .into(),
         throttled: false,
     }
 }
@@ -94,6 +96,11 @@ fn the_power_of_a_traced_clip_is_drawn_with_a_line_for_each_policy() {
         assert!(trace.svg.contains(words), "{words}");
     }
     assert!(!plots.iter().any(|plot| plot.name == "power-trace-2"));
+    let parts = plots.iter().find(|plot| plot.name == "power-domains-1").unwrap();
+    for words in ["vanilla cpu", "vanilla gpu", "albireo-u3e-4 gpu"] {
+        assert!(parts.svg.contains(words), "{words}");
+    }
+    assert!(!parts.svg.contains("total"));
 }
 
 #[test]
@@ -320,6 +327,9 @@ fn the_page_has_every_figure_and_loads_no_other_file() {
         let file = folder.path().join(format!("{figure}.svg"));
         assert!(file.is_file(), "{figure}");
     }
+    let power = fs::read_to_string(folder.path().join("power.csv")).unwrap();
+    // Of three setups three clips under three policies, three domains of two entries each.
+    assert_eq!(power.lines().count(), 1 + 3 * 3 * 3 * 3 * 2);
     let page = fs::read_to_string(folder.path().join("join.html")).unwrap();
     assert!(!page.contains("src=\"") && !page.contains("href=\"http"));
 }
