@@ -125,7 +125,8 @@ impl Recording {
             );
         }
         let seconds = overview.times_ns.map_or(0.0, |(first, last)| (last - first) as f64 / 1e9);
-        let rate = (frames.saturating_sub(1)) as f64 / seconds;
+        // As exact as such a clock, and as a person reads it.
+        let rate = ((frames.saturating_sub(1)) as f64 / seconds * 1e3).round() / 1e3;
         let mut name = clip_name(path);
         if pictures.len() > 1 {
             name = plain_name(&format!("{name}{}", topic.replace('/', "_")));
