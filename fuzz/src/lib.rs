@@ -11,6 +11,9 @@ use albireo_node::config::NodeConfig;
 use albireo_node::input::{PayloadFormat, RawSample, read_frame};
 use albireo_node::position::positions_in;
 use albireo_power::tegrastats_rails;
+use albireo_recording::{
+    Mended, Messages, Overview, PictureKind, mend, picture_in_json, picture_in_protobuf,
+};
 use albireo_router::authority::Entry;
 use albireo_service::config::{Configuration, examine_text};
 use albireo_vision::onnx::Metadata;
@@ -38,7 +41,7 @@ use zenoh::key_expr::KeyExpr;
 /// A target: the name that it shares with its corpus, and the function that takes the bytes.
 pub type Target = (&'static str, fn(&[u8]) -> bool);
 
-pub const TARGETS: [Target; 16] = [
+pub const TARGETS: [Target; 17] = [
     ("access", access),
     ("attachment", attachment),
     ("desired", desired),
@@ -50,6 +53,7 @@ pub const TARGETS: [Target; 16] = [
     ("node_toml", toml::<NodeConfig>),
     ("picture_stream", picture_stream),
     ("position", position),
+    ("recording", recording),
     ("report_batch", report_batch),
     ("rollout", rollout),
     ("ros2", ros2),
@@ -174,6 +178,26 @@ fn position(data: &[u8]) -> bool {
     let found = positions_in(&text);
     assert!(found.iter().all(|position| position.check().is_ok()));
     !found.is_empty()
+}
+
+/// An MCAP file: what it holds, its pictures, and the file that takes its place if it has no end.
+fn recording(data: &[u8]) -> bool {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("fuzzed.mcap");
+    std::fs::write(&path, data).expect("the file can be written");
+    let found = Overview::read(&path);
+    for message in Messages::open(&path).expect("the file is there") {
+        match PictureKind::of(&message.channel) {
+            Some(PictureKind::FoxgloveProtobuf) => drop(picture_in_protobuf(&message.data)),
+            Some(PictureKind::FoxgloveJson) => drop(picture_in_json(&message.data)),
+            Some(PictureKind::Ros2) => drop(ros2(&message.data)),
+            None => {}
+        }
+    }
+    if let Ok(Mended::Mended { .. }) = mend(&path) {
+        Overview::read(&path).expect("a mended file can be read");
+    }
+    found.is_ok_and(|overview| !overview.channels.is_empty())
 }
 
 fn report_batch(data: &[u8]) -> bool {
@@ -304,9 +328,10 @@ fn access(data: &[u8]) -> bool {
 }
 
 /// The routes of a node's HTTP API that take a body.
-const CHANGES: [&str; 3] = [
+const CHANGES: [&str; 4] = [
     "/api/v1/threshold",
     "/api/v1/cameras/front/threshold",
+    "/api/v1/policy",
     "/api/v1/target",
 ];
 
