@@ -118,3 +118,28 @@ fn check_online_names_what_does_not_answer_and_exits_1() {
     let both = "2 of these do not work";
     assert_contains(&said, &[works, fails[0], fails[1], both]);
 }
+
+#[rstest]
+#[case::lines(&["check", "--file-only", "config/node.toml"])]
+#[case::a_script(&["completions", "bash"])]
+fn a_reader_that_has_seen_enough_ends_the_program_without_a_word(#[case] arguments: &[&str]) {
+    let (reader, writer) = std::io::pipe().unwrap();
+    // As `head` does, but before the first line: the first write finds nobody.
+    drop(reader);
+    let ended = std::process::Command::new(env!("CARGO_BIN_EXE_albireo"))
+        .args(arguments)
+        .stdout(writer)
+        .output()
+        .unwrap();
+    assert_eq!(String::from_utf8_lossy(&ended.stderr), "");
+    assert_eq!(ended.status.code(), Some(141));
+}
+
+#[test]
+fn an_address_in_use_says_by_whom_and_the_way_out() {
+    let other = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = other.local_addr().unwrap().to_string();
+    let said = run(&["hub"], &[("ALBIREO_HTTP__LISTEN", &address)]).fails();
+    let expected = format!("http.listen: {address} cannot be listened on");
+    assert_contains(&said, &[&expected, "by a running node or hub?"]);
+}

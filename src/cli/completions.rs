@@ -1,9 +1,7 @@
 //! `albireo completions`: prints the script with which a shell completes the program's arguments.
 
-use anyhow::Context;
 use clap::CommandFactory;
 use clap_complete::Shell;
-use std::io::Write;
 
 /// Arguments of `albireo completions`.
 #[derive(Debug, clap::Args)]
@@ -21,6 +19,6 @@ pub(super) fn run(arguments: &CompletionsArguments) -> anyhow::Result<()> {
     let mut text = Vec::new();
     let mut command = super::Arguments::command();
     clap_complete::generate(arguments.shell, &mut command, "albireo", &mut text);
-    // The generator writes to standard output itself only by panicking on a closed pipe.
-    std::io::stdout().write_all(&text).context("the completions cannot be written")
+    print!("{}", String::from_utf8_lossy(&text));
+    Ok(())
 }

@@ -15,7 +15,6 @@ use albireo_vision::picture::{
 use albireo_vision::screen::decoding_target;
 use anyhow::{Context, bail, ensure};
 use serde_json::json;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -269,7 +268,6 @@ fn detect(
         let name = names.get(usize::from(found.class.0));
         name.map_or("", String::as_str)
     };
-    let mut out = std::io::stdout().lock();
     if arguments.json {
         let detection = |found: &Detection| {
             let corners = found.bounding_box.pixel_corners(size);
@@ -284,22 +282,18 @@ fn detect(
             "padding": network.input_format().padding(size, prepared.size()), "decode_ms": decode,
             "letterbox_ms": letterbox, "model_ms": model, "head_ms": head, "detections": detections,
         });
-        writeln!(out, "{facts}")?;
+        println!("{facts}");
     } else {
-        writeln!(
-            out,
+        println!(
             "{} {size}: {} (decode {decode:.1} ms, letterbox {letterbox:.1} ms, model {model:.1} ms, head {head:.1} ms)",
             file.display(),
             counted(found.detections.len(), "detection", "detections"),
-        )?;
+        );
         for found in &found.detections {
             let Corners { x1, y1, x2, y2 } = found.bounding_box.pixel_corners(size);
             let name = name(found);
             let confidence = found.confidence;
-            writeln!(
-                out,
-                "  {name:<14} {confidence:.3}  [{x1:.1}, {y1:.1}, {x2:.1}, {y2:.1}]"
-            )?;
+            println!("  {name:<14} {confidence:.3}  [{x1:.1}, {y1:.1}, {x2:.1}, {y2:.1}]");
         }
     }
     if let Some(folder) = &arguments.out {

@@ -18,7 +18,8 @@ Examples:
       their pictures and the detector's boxes, in hard/annotations.json
   albireo export recordings --to mot --frames shown --out drives
       every recorded frame with the boxes shown and their track ids, a folder
-      in MOTChallenge's layout for each recording, as `albireo eval mot` reads
+      in MOTChallenge's layout for each recording, as `eval board` and other
+      programs read
 
 The boxes are a detector's, not the truth: correct them in a labelling tool
 before training on them. Each has its confidence (`score`)."

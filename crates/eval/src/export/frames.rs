@@ -61,7 +61,7 @@ pub(super) fn read(
         ));
     }
     if let Some(damage) = messages.damage() {
-        left_out.push(format!("{file} ends early: {damage}"));
+        left_out.push(format!("{file} is no whole recording: {damage}"));
     }
     Ok(left_out)
 }
