@@ -111,7 +111,8 @@ impl GroundTruth {
             let others: Vec<&str> = others.take(8).collect();
             let own: Vec<&str> = names.iter().map(String::as_str).take(8).collect();
             return Err(EvalError::new(format!(
-                "the model has none of the classes of the ground truth: {}; its own are {}. Are these the right labels, or                  the right names (--class-names)?",
+                "the model has none of the classes of the ground truth: {}; its own are {}. Are these the right labels, or the \
+                 right names (--class-names)?",
                 others.join(", "),
                 own.join(", ")
             )));

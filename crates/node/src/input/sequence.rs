@@ -45,7 +45,7 @@ pub(crate) enum Arrival {
     New {
         /// Its place: 0 for the first frame, counting lost frames. Grows with every new frame, also across streams.
         index: u64,
-        /// The number of frames missing before it that were not losses_to_report before.
+        /// The number of frames missing before it that were not told before.
         lost: u64,
         /// True if it begins a new stream. False for the very first frame.
         restarted: bool,
