@@ -6,7 +6,7 @@ mod mot;
 
 use crate::error::EvalError;
 use crate::footage::clip_name;
-use albireo_recording::EXTENSION;
+use albireo_recording::is_recording;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -49,7 +49,6 @@ pub struct Exported {
 /// # Errors
 /// When there is none.
 pub fn recordings(path: &Path) -> Result<Vec<PathBuf>, EvalError> {
-    let is_recording = |path: &Path| path.extension().is_some_and(|ending| ending == EXTENSION);
     if path.is_file() {
         return Ok(vec![path.to_owned()]);
     }
@@ -120,6 +119,15 @@ pub fn export(
         coco.finish(out)?;
     }
     Ok(exported)
+}
+
+/// The place of a name among `names`, to which it is added if it is new.
+fn place_of(names: &mut Vec<String>, name: &str) -> usize {
+    let known = names.iter().position(|known| known == name);
+    known.unwrap_or_else(|| {
+        names.push(name.to_owned());
+        names.len() - 1
+    })
 }
 
 /// The name of a camera's frames: a node has named its recordings for time and camera.

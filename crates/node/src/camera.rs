@@ -511,11 +511,8 @@ impl Camera {
         let name = self.decider.policy.policy().name();
         self.parts.hand_over(self.tracker.switch(name, arrival));
         self.parts.board.policy_begins();
-        tracing::info!(
-            camera = self.parts.board.name(),
-            policy = name,
-            "follows another policy"
-        );
+        let camera = self.parts.board.name();
+        tracing::info!(camera, policy = name, "follows another policy");
     }
 }
 

@@ -1,6 +1,7 @@
 //! What is known of a frame: its newest picture, the times spent on its answer, and the record that everything counts.
 
 use albireo_core::policy::BoxSource;
+use albireo_recording::colour;
 use albireo_vision::picture::{
     EncodedPicture, FrameLimits, Picture, PictureFormat, PixelLayout, decode, outline, to_jpeg,
 };
@@ -97,16 +98,6 @@ impl AnsweredFrame {
             mount: None,
         };
         to_jpeg(&drawn, limits).map_err(|fault| fault.to_string())
-    }
-}
-
-/// The colour of a box, the same as on the page.
-fn colour(source: BoxSource) -> [u8; 3] {
-    match source {
-        BoxSource::Detected => [79, 179, 255],
-        BoxSource::Predicted => [107, 226, 143],
-        BoxSource::Followed => [214, 226, 107],
-        BoxSource::Rescued => [255, 180, 84],
     }
 }
 

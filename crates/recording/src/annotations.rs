@@ -46,14 +46,17 @@ pub(crate) fn annotations(boxes: &[BoxMessage], t_ns: u64, height: u32) -> Image
     }
 }
 
-/// The colour of a box, the same as on the node's page.
-fn color(source: BoxSource) -> Color {
-    let [r, g, b] = match source {
+/// The colour of a box wherever one is drawn: red, green and blue. The node's page has the same.
+pub const fn colour(source: BoxSource) -> [u8; 3] {
+    match source {
         BoxSource::Detected => [79, 179, 255],
         BoxSource::Predicted => [107, 226, 143],
         BoxSource::Followed => [214, 226, 107],
         BoxSource::Rescued => [255, 180, 84],
     }
-    .map(|part| f64::from(part) / 255.0);
+}
+
+fn color(source: BoxSource) -> Color {
+    let [r, g, b] = colour(source).map(|part| f64::from(part) / 255.0);
     Color { r, g, b, a: 1.0 }
 }

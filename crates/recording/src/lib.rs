@@ -26,14 +26,22 @@ mod tests;
 #[cfg(feature = "compressed")]
 mod zstandard;
 
+pub use annotations::colour;
 pub use file::RecordingFile;
 pub use mend::{Mended, mend};
 pub use message::{AuditMessage, EventMessage, Topic};
 pub use picture::{PictureKind, picture_in_json, picture_in_protobuf};
 pub use read::{Channel, Message, Messages, Overview};
 
+use std::path::Path;
+
 /// The ending of the names of recordings.
 pub const EXTENSION: &str = "mcap";
+
+/// True for a path with the ending of recordings.
+pub fn is_recording(path: &Path) -> bool {
+    path.extension().is_some_and(|ending| ending == EXTENSION)
+}
 
 /// A reason why a recording cannot be written or read.
 #[derive(Debug, thiserror::Error)]

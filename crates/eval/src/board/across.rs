@@ -8,22 +8,21 @@ use crate::summary::Difference;
 use crate::text::{Column, one_decimal, or_dash, signed, three_decimals};
 use std::collections::BTreeSet;
 
-/// Makes those tables for which there are setups.
-pub(super) fn tables(setups: &[SetupRuns], summaries: &[SetupSummary]) -> Vec<JoinedTable> {
-    let mut tables: Vec<JoinedTable> = Vec::new();
-    tables.extend(detectors(setups, summaries));
-    tables.extend(modes(setups, summaries));
-    tables.extend(composed(&compositions(setups)));
-    tables
+/// The tables across setups; `None` for one that has no rows.
+pub(super) struct AcrossSetups {
+    pub detectors: Option<JoinedTable>,
+    pub modes: Option<JoinedTable>,
+    pub savings: Option<JoinedTable>,
 }
 
-/// True for each table that has rows, in the same order.
-pub(super) fn have_rows(setups: &[SetupRuns], summaries: &[SetupSummary]) -> [bool; 3] {
-    [
-        detectors(setups, summaries).is_some(),
-        modes(setups, summaries).is_some(),
-        !compositions(setups).is_empty(),
-    ]
+impl AcrossSetups {
+    pub(super) fn new(setups: &[SetupRuns], summaries: &[SetupSummary]) -> Self {
+        Self {
+            detectors: detectors(setups, summaries),
+            modes: modes(setups, summaries),
+            savings: composed(&compositions(setups)),
+        }
+    }
 }
 
 /// A policy in a setup.

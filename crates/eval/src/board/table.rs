@@ -1,6 +1,6 @@
 //! Makes the tables of each setup, and formats all tables for a terminal.
 
-use super::across;
+use super::across::AcrossSetups;
 use super::run::SetupRuns;
 use super::summary::{Changes, PolicyFigures, SetupSummary, summarise};
 use crate::spec::{short_label, split_label};
@@ -44,28 +44,42 @@ pub fn render(setups: &[SetupRuns]) -> String {
 /// Makes all tables: those of each setup, those across setups, and a list of those that have no rows.
 pub(super) fn tables(setups: &[SetupRuns], summaries: &[SetupSummary]) -> Vec<JoinedTable> {
     let mut tables = Vec::new();
+    let mut is_swept = false;
+    let mut has_domains = false;
     for (setup, summary) in setups.iter().zip(summaries) {
+        let sweep = sweep(summary);
+        let domains = domains(summary);
+        is_swept |= sweep.is_some();
+        has_domains |= domains.is_some();
         tables.push(figures(setup, summary));
         tables.extend(differences(summary));
-        tables.extend(sweep(summary));
-        tables.extend(domains(summary));
+        tables.extend(sweep);
+        tables.extend(domains);
     }
-    tables.extend(across::tables(setups, summaries));
-    tables.extend(without_rows(setups, summaries));
+    let across = AcrossSetups::new(setups, summaries);
+    let missing = without_rows(setups, summaries, [is_swept, has_domains], &across);
+    tables.extend(across.detectors);
+    tables.extend(across.modes);
+    tables.extend(across.savings);
+    tables.extend(missing);
     tables
 }
 
 /// Names what the paper has and there are no runs for, and what it needs.
-fn without_rows(setups: &[SetupRuns], summaries: &[SetupSummary]) -> Option<JoinedTable> {
+fn without_rows(
+    setups: &[SetupRuns],
+    summaries: &[SetupSummary],
+    [is_swept, has_domains]: [bool; 2],
+    across: &AcrossSetups,
+) -> Option<JoinedTable> {
     let runs = || setups.iter().flat_map(|of| &of.runs);
     let policies = || summaries.iter().flat_map(|summary| &summary.policies);
     let changes = || policies().filter_map(|of| of.change.as_ref());
     let has_edp = policies().any(|of| of.edp.is_some() && of.ap50.is_some());
     let is_tested = |of: Option<Difference>| of.is_some_and(|of| of.p.is_some());
-    let [detectors, modes, savings] = across::have_rows(setups, summaries);
     let needs = [
         (
-            summaries.iter().any(|summary| sweep(summary).is_some()),
+            is_swept,
             "sweep: several settings of one policy, --sweep u=3e-4,5e-4,7e-4,1e-3,3e-3",
         ),
         (
@@ -73,7 +87,7 @@ fn without_rows(setups: &[SetupRuns], summaries: &[SetupSummary]) -> Option<Join
             "AP@50 against EDP: runs with a meter and ground truth",
         ),
         (
-            summaries.iter().any(|summary| domains(summary).is_some()),
+            has_domains,
             "energy by domain: a meter that tells domains apart",
         ),
         (
@@ -93,15 +107,15 @@ fn without_rows(setups: &[SetupRuns], summaries: &[SetupSummary]) -> Option<Join
             "power over a clip: runs of `albireo eval board` with a meter",
         ),
         (
-            detectors,
+            across.detectors.is_some(),
             "detectors, machines, and their frame states side by side: a file of another detector or machine",
         ),
         (
-            modes,
+            across.modes.is_some(),
             "power modes side by side: a file of another power mode",
         ),
         (
-            savings,
+            across.savings.is_some(),
             "whether savings multiply: a file of another precision, power mode or detector on the same machine",
         ),
     ];

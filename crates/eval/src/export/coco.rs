@@ -1,7 +1,7 @@
 //! Writes COCO: pictures in `images`, one file of annotations.
 
 use super::frames::LabelledFrame;
-use super::sequence_name;
+use super::{place_of, sequence_name};
 use crate::error::EvalError;
 use crate::files::{write, write_json};
 use serde_json::{Value, json};
@@ -36,7 +36,7 @@ impl Coco {
         for found in &frame.boxes {
             let [left, top, right, bottom] = found.corners.map(f64::from);
             let (width, height) = (right - left, bottom - top);
-            let category = self.category(&found.class);
+            let category = place_of(&mut self.classes, &found.class) + 1;
             let mut annotation = json!({
                 "id": self.annotations.len() + 1, "image_id": id, "category_id": category,
                 "bbox": [left, top, width, height], "area": width * height, "iscrowd": 0,
@@ -48,16 +48,6 @@ impl Coco {
             self.annotations.push(annotation);
         }
         Ok(())
-    }
-
-    /// The number of a class.
-    fn category(&mut self, class: &str) -> usize {
-        let known = self.classes.iter().position(|known| known == class);
-        let place = known.unwrap_or_else(|| {
-            self.classes.push(class.to_owned());
-            self.classes.len() - 1
-        });
-        place + 1
     }
 
     /// Writes `annotations.json`.

@@ -1,7 +1,7 @@
 //! Writes the layout of MOTChallenge: a folder for each sequence of pictures.
 
 use super::frames::LabelledFrame;
-use super::{ExportedFrames, sequence_name};
+use super::{ExportedFrames, place_of, sequence_name};
 use crate::error::EvalError;
 use crate::files::write;
 use std::fmt::Write as _;
@@ -86,12 +86,7 @@ impl Sequence {
         if let Some((_, number)) = CLASSES.iter().find(|(known, _)| *known == name) {
             return *number;
         }
-        let known = self.others.iter().position(|known| known == name);
-        let place = known.unwrap_or_else(|| {
-            self.others.push(name.to_owned());
-            self.others.len() - 1
-        });
-        FIRST_OTHER + place
+        FIRST_OTHER + place_of(&mut self.others, name)
     }
 
     /// Writes the boxes and `seqinfo.ini`.

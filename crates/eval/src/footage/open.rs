@@ -7,7 +7,7 @@ use super::video::{Ffmpeg, Video, VideoEncoding};
 use super::video_files::VideoFiles;
 use crate::error::EvalError;
 use crate::files::entries;
-use albireo_recording::EXTENSION;
+use albireo_recording::is_recording;
 use albireo_vision::picture::is_picture_file;
 use albireo_vision::recordings::{are_several, is_video_file};
 use std::fmt::{Display, Formatter};
@@ -50,7 +50,7 @@ impl FromStr for SourceName {
             return Ok(Self::Recording(format!("{file}.mcap").into(), topic));
         }
         let path = Path::new(text);
-        if path.extension().is_some_and(|extension| extension == EXTENSION) {
+        if is_recording(path) {
             return Ok(Self::Recording(path.to_path_buf(), None));
         }
         if path.extension().is_some_and(|extension| extension == "tar") {

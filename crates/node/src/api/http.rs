@@ -76,8 +76,7 @@ impl RouteState {
 
     /// The place of a camera in the configuration.
     fn camera_place(&self, name: &str) -> Result<usize, Problem> {
-        let place = self.board.cameras.iter().position(|camera| camera.name() == name);
-        place.ok_or_else(|| {
+        self.board.camera_place(name).ok_or_else(|| {
             let names = self.camera_names();
             let detail = format!(
                 "there is no camera `{name}`; there is: {}",

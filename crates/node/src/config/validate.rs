@@ -106,13 +106,7 @@ power.gpu_busy_watts: the estimate is of the processor alone; a GPU needs a mete
         self.zenoh.check(&mut findings);
         self.uplink.check(&mut findings);
         findings.count("outbox.gather_s", self.outbox.gather_s, 0, 86_400);
-        let hours = self.outbox.offline_h;
-        if !(0.0..=8760.0).contains(&hours) {
-            findings.add(
-                "outbox.offline_h",
-                format!("must be from 0 to 8760, not {hours}"),
-            );
-        }
+        findings.within("outbox.offline_h", self.outbox.offline_h, 0.0, 8760.0);
         self.http.check(&self.tokens, &mut findings);
         self.check_models(&mut findings);
         if self.publish.ros2 {
@@ -156,15 +150,9 @@ impl NodeConfig {
     }
 
     fn check_figures(&self, findings: &mut Findings) {
-        let shares = [
-            ("report.confidence", self.report.confidence.unwrap_or(0.0)),
-            ("audit.share", self.audit.share),
-        ];
-        for (key, share) in shares {
-            if !(0.0..=1.0).contains(&share) {
-                findings.add(key, format!("must be from 0 to 1, not {share}"));
-            }
-        }
+        let confidence = self.report.confidence.unwrap_or(0.0);
+        findings.within("report.confidence", confidence, 0.0, 1.0);
+        findings.within("audit.share", self.audit.share, 0.0, 1.0);
         findings.above_zero("clip.window_s", self.clip.window_s, DAY_S);
         findings.above_zero("clip.longest_s", self.clip.longest_s, 3600.0);
         findings.above_zero("clip.silence_s", self.clip.silence_s, DAY_S);
@@ -173,10 +161,7 @@ impl NodeConfig {
         }
         let largest = self.frame.max_payload_bytes as u64;
         findings.count("frame.max_payload_bytes", largest, 1, 1 << 30);
-        findings.path("record.folder", self.record.folder.as_deref());
-        for (key, reason) in self.record.problems() {
-            findings.add(format!("record.{key}"), reason);
-        }
+        self.record.check(findings);
         if self.record.when.contains(&Occasion::Audit) && self.audit.share == 0.0 {
             findings.add("record.when", "`audit` needs an audit: audit.share is 0");
         }
@@ -187,14 +172,8 @@ impl NodeConfig {
 
     fn check_forwarding(&self, findings: &mut Findings) {
         let SightingsConfig { appear_s, leave_s } = self.sightings;
-        for (key, limit_s) in [
-            ("sightings.appear_s", appear_s),
-            ("sightings.leave_s", leave_s),
-        ] {
-            if !(0.0..=3600.0).contains(&limit_s) {
-                findings.add(key, format!("must be from 0 to 3600, not {limit_s}"));
-            }
-        }
+        findings.within("sightings.appear_s", appear_s, 0.0, 3600.0);
+        findings.within("sightings.leave_s", leave_s, 0.0, 3600.0);
         self.mqtt.check(findings);
         let cameras: Vec<_> = self.cameras.iter().map(|camera| camera.name.as_str()).collect();
         for (index, hook) in self.hooks.iter().enumerate() {

@@ -24,8 +24,7 @@ pub(crate) async fn record_sightings(
             Err(RecvError::Closed) => return,
         };
         if hooks.iter().any(|hook| hook.record && hook.hears(&sighting)) {
-            let camera = board.cameras.iter().position(|camera| camera.name() == sighting.camera);
-            recorder.event(camera, &reason(&sighting));
+            recorder.event(board.camera_place(&sighting.camera), &reason(&sighting));
         }
     }
 }

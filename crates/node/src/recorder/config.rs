@@ -1,5 +1,6 @@
 //! The `[record]` section of the configuration.
 
+use albireo_service::config::Findings;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -45,25 +46,17 @@ impl Default for RecordConfig {
 }
 
 impl RecordConfig {
-    /// What is wrong: the key and the reason.
-    pub(crate) fn problems(&self) -> Vec<(&'static str, String)> {
-        let mut problems = Vec::new();
-        for (key, value, least, most) in [
-            ("before_s", self.before_s, 0.0, 600.0),
-            ("after_s", self.after_s, 0.0, 3600.0),
-            ("max_gb", self.max_gb, 0.01, 100_000.0),
-            ("keep_days", self.keep_days, 0.01, 3650.0),
-        ] {
-            if !(least..=most).contains(&value) {
-                let reason = format!("must be from {least} to {most}, not {value}");
-                problems.push((key, reason));
-            }
-        }
+    /// Adds the errors in the section.
+    pub(crate) fn check(&self, findings: &mut Findings) {
+        findings.path("record.folder", self.folder.as_deref());
+        findings.within("record.before_s", self.before_s, 0.0, 600.0);
+        findings.within("record.after_s", self.after_s, 0.0, 3600.0);
+        findings.within("record.max_gb", self.max_gb, 0.01, 100_000.0);
+        findings.within("record.keep_days", self.keep_days, 0.01, 3650.0);
         if self.folder.is_none() && !self.when.is_empty() {
             let reason = "is set, but nothing is recorded without record.folder";
-            problems.push(("when", reason.to_owned()));
+            findings.add("record.when", reason);
         }
-        problems
     }
 
     /// The most bytes of all recordings.

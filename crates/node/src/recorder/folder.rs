@@ -1,6 +1,6 @@
 //! The folder of recordings: their names, their sum, and which of them go.
 
-use albireo_recording::{EXTENSION, Mended, RecordingError, mend};
+use albireo_recording::{EXTENSION, Mended, RecordingError, is_recording, mend};
 use std::fs::{DirBuilder, read_dir, remove_file};
 use std::io::Result as IoResult;
 use std::os::unix::fs::DirBuilderExt;
@@ -124,7 +124,7 @@ fn is_own(name: &str) -> bool {
     };
     time.len() == "2026-11-28T110850.123".len()
         && time.bytes().enumerate().all(is_time)
-        && Path::new(camera).extension().is_some_and(|ending| ending == EXTENSION)
+        && is_recording(Path::new(camera))
 }
 
 #[cfg(test)]

@@ -216,7 +216,12 @@ impl Board {
 
     /// The camera named `name`.
     pub fn camera(&self, name: &str) -> Option<&Arc<CameraBoard>> {
-        self.cameras.iter().find(|camera| camera.name() == name)
+        Some(&self.cameras[self.camera_place(name)?])
+    }
+
+    /// The place of the camera named `name` in the configuration.
+    pub(crate) fn camera_place(&self, name: &str) -> Option<usize> {
+        self.cameras.iter().position(|camera| camera.name() == name)
     }
 
     /// Subscribes to events from now on. A reader that falls more than 1024 events behind gets `RecvError::Lagged` with

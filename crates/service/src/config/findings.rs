@@ -85,6 +85,14 @@ impl Findings {
         }
     }
 
+    /// Requires a number from `low` to `high`.
+    pub fn within(&mut self, key: &str, value: f64, low: f64, high: f64) {
+        // NaN is in no range.
+        if !(low..=high).contains(&value) {
+            self.add(key, format!("must be from {low} to {high}, not {value}"));
+        }
+    }
+
     /// Requires a value from `low` to `high`.
     pub fn count(&mut self, key: &str, value: u64, low: u64, high: u64) {
         if !(low..=high).contains(&value) {
