@@ -1,7 +1,9 @@
 """Trains an empty-scene screen on your own footage, with your own detector as the teacher.
 
     python screen_from_footage.py --videos drive/*.mp4 --detector yolo11n.onnx --out screen.onnx
+    python screen_from_footage.py --videos bdd100k/images/track/train --detector yolo26x.onnx --out screen.onnx
 
+A clip is a video or a folder of pictures; a folder of such folders is a data set.
 Each frame in which the detector finds something at --confidence is "occupied", every other one "empty" (paper,
 section on the empty-road classifier). Whole clips are kept for validation, never frames of a clip that was
 trained on; the figure to look at is the false-empty rate there: how many occupied frames would be skipped.
@@ -12,6 +14,7 @@ import argparse
 import copy
 import csv
 import json
+import re
 import subprocess
 import sys
 import tempfile
@@ -37,7 +40,10 @@ def store_detections(arguments, folder):
 def labels_of(folder, name, frames, confidence):
     """One label a frame, from the detections that `albireo eval … --save-detections` has written."""
     labels = np.full(frames, EMPTY)
-    with open(Path(folder) / "detections" / f"{name}.csv", encoding="utf-8", newline="") as file:
+    stored = Path(folder) / "detections" / f"{name}.csv"
+    if not stored.is_file():
+        sys.exit(f"{stored}: no such file: were the detections stored for other clips?")
+    with open(stored, encoding="utf-8", newline="") as file:
         for row in csv.DictReader(file):
             frame = int(row["frame"])
             if frame < frames and float(row["score"]) >= confidence:
@@ -45,14 +51,51 @@ def labels_of(folder, name, frames, confidence):
     return labels
 
 
-def pictures_of(video, every):
-    """Every n-th frame, scaled to the screen's input: [n, rows, columns, 3] uint8, RGB."""
+def pictures_in(folder):
+    """The pictures of a folder in albireo's order: by name, numbers by value."""
+    kinds = (".jpg", ".jpeg", ".png")
+    files = [file for file in folder.iterdir() if file.suffix.lower() in kinds and file.is_file()]
+    padded = [re.sub(r"\d+", lambda digits: digits[0].lstrip("0").rjust(20, "0"), file.name) for file in files]
+    return [file for _, file in sorted(zip(padded, files))]
+
+
+def clips_of(path):
+    """The videos and folders of pictures that albireo takes `path` for."""
+    if not path.is_dir() or pictures_in(path):
+        return [path]
+    folders = [folder / "img1" if (folder / "img1").is_dir() else folder for folder in sorted(path.iterdir()) if folder.is_dir()]
+    clips = [folder for folder in folders if pictures_in(folder)]
+    return clips or sys.exit(f"{path}: no folder of pictures in it; give videos by their names, such as {path}/*.mp4")
+
+
+def name_of(clip):
+    """The clip's name in albireo's files."""
+    own = clip.parent.name if clip.name == "img1" else clip.stem
+    return re.sub(r"[^A-Za-z0-9_.-]", "_", own.lstrip(".")[:100]) or "clip"
+
+
+def pictures_of(clip, every, folder):
+    """Every n-th frame, scaled to the screen's input: [n, rows, columns, 3] uint8, RGB. They stay in a file in `folder`, as
+    those of a data set are more than fits into memory."""
     columns, rows = SCREEN_SIZE
+    source, files = ["-i", str(clip)], None
+    if clip.is_dir():
+        files = pictures_in(clip)
+        listed = Path(folder) / "pictures.txt"
+        quoted = [str(file.resolve()).replace("'", "'\\''") for file in files]
+        listed.write_text("".join(f"file '{file}'\n" for file in quoted), encoding="utf-8")
+        source = ["-f", "concat", "-safe", "0", "-i", str(listed)]
+    raw = Path(folder) / f"{name_of(clip)}.rgb"
+    if raw.exists():
+        sys.exit(f"{clip}: a clip before it is named {name_of(clip)}, too: rename one")
     chosen = f"select=not(mod(n\\,{every})),scale={columns}:{rows}:flags=bilinear"
-    command = ["ffmpeg", "-loglevel", "error", "-i", video, "-vf", chosen, "-fps_mode", "passthrough"]
-    command += ["-pix_fmt", "rgb24", "-f", "rawvideo", "-"]
-    raw = subprocess.run(command, check=True, capture_output=True).stdout
-    return np.frombuffer(raw, np.uint8).reshape(-1, rows, columns, 3)
+    command = ["ffmpeg", "-nostdin", "-loglevel", "error", *source, "-vf", chosen, "-fps_mode", "passthrough"]
+    subprocess.run([*command, "-pix_fmt", "rgb24", "-f", "rawvideo", str(raw)], check=True)
+    size = raw.stat().st_size
+    count = size // (rows * columns * 3)
+    if count == 0 or (files and count != -(-len(files) // every)):
+        sys.exit(f"{clip}: ffmpeg read {count} of its pictures: are all of one kind, JPEG or PNG, and whole?")
+    return np.memmap(raw, np.uint8, "r", shape=(count, rows, columns, 3))
 
 
 def split_by_clip(clips, share):
@@ -142,7 +185,7 @@ def train(training, arguments):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--videos", nargs="+", required=True, help="clips; each is trained on or validated on as a whole")
+    parser.add_argument("--videos", nargs="+", required=True, help="videos, folders of pictures, or folders of such folders; each clip is trained on or validated on as a whole")
     parser.add_argument("--detector", help="ONNX file of the detector that makes the labels")
     parser.add_argument("--head", default="auto", help="how its output is read (default: auto)")
     parser.add_argument("--detections", help="folder of an earlier `albireo eval video … --save-detections`, in place of --detector")
@@ -169,11 +212,12 @@ def main():
         if not arguments.detections:
             store_detections(arguments, folder)
         clips = []
-        for video in tqdm(arguments.videos, desc="reading", unit="clip"):
-            pictures = pictures_of(video, arguments.every)
+        for clip in tqdm([clip for path in arguments.videos for clip in clips_of(Path(path))], desc="reading", unit="clip"):
+            pictures = pictures_of(clip, arguments.every, temporary)
             frames = len(pictures) * arguments.every
-            labels = labels_of(folder, Path(video).stem, frames, arguments.confidence)[:: arguments.every]
-            clips.append((Path(video).stem, pictures, labels))
+            labels = labels_of(folder, name_of(clip), frames, arguments.confidence)[:: arguments.every]
+            # The file stays readable after its folder is gone, until the program ends.
+            clips.append((name_of(clip), pictures, labels))
     if arguments.validate_on:
         training = [clip for clip in clips if clip[0] not in arguments.validate_on]
         validation = [clip for clip in clips if clip[0] in arguments.validate_on]
