@@ -202,32 +202,44 @@ pub struct PolicySummary {
     pub on_skip_frontier: bool,
 }
 
+/// What each policy has, policies in the order in which they first occur.
+type ByPolicy<'a, T> = Vec<(&'a str, Vec<&'a T>)>;
+
+/// Groups `results` by their policies.
+pub(crate) fn by_policy<'a, T>(results: &'a [T], policy: fn(&T) -> &str) -> ByPolicy<'a, T> {
+    let mut groups: ByPolicy<'a, T> = Vec::new();
+    for result in results {
+        let name = policy(result);
+        match groups.iter_mut().find(|(group, _)| *group == name) {
+            Some((_, of_policy)) => of_policy.push(result),
+            None => groups.push((name, vec![result])),
+        }
+    }
+    groups
+}
+
+/// The baseline's results by clip, with which those of other policies are compared.
+pub(crate) fn of_baseline<'a, T>(
+    groups: &ByPolicy<'a, T>,
+    clip: fn(&T) -> &str,
+) -> HashMap<&'a str, &'a T> {
+    let baseline = groups.iter().filter(|(policy, _)| *policy == BASELINE);
+    baseline
+        .flat_map(|(_, results)| results.iter().map(|&result| (clip(result), result)))
+        .collect()
+}
+
 /// Summarises `results`, in the order in which the policies first occur.
 pub fn summarise(results: &[ClipResult]) -> Vec<PolicySummary> {
     let judged = results.iter().any(|result| result.accuracy.is_some());
-    let mut order: Vec<&str> = Vec::new();
-    let mut by_policy: HashMap<&str, Vec<&ClipResult>> = HashMap::new();
-    for result in results {
-        by_policy
-            .entry(&result.policy)
-            .or_insert_with(|| {
-                order.push(&result.policy);
-                Vec::new()
-            })
-            .push(result);
-    }
-    let baseline: HashMap<&str, &ClipResult> = by_policy
-        .get(BASELINE)
-        .into_iter()
-        .flatten()
-        .map(|result| (result.clip.as_str(), *result))
-        .collect();
-    let mut summaries: Vec<PolicySummary> = order
-        .into_iter()
-        .map(|policy| {
-            let mut counted = by_policy[policy].clone();
+    let by_policy = by_policy(results, |result| &result.policy);
+    let baseline = of_baseline(&by_policy, |result| &result.clip);
+    let mut summaries: Vec<PolicySummary> = by_policy
+        .iter()
+        .map(|(policy, of_policy)| {
+            let mut counted = of_policy.clone();
             counted.retain(|result| !judged || result.accuracy.is_some());
-            let left_out = by_policy[policy].len() - counted.len();
+            let left_out = of_policy.len() - counted.len();
             summarise_policy(policy, &counted, left_out, &baseline)
         })
         .collect();

@@ -3,7 +3,7 @@
 use super::run::{ClipRun, SetupRuns};
 use crate::spec::BASELINE;
 use crate::statistics::mean;
-use crate::summary::Difference;
+use crate::summary::{Difference, by_policy, of_baseline};
 use albireo_core::policy::FrameState;
 use std::collections::{BTreeMap, HashMap};
 
@@ -73,27 +73,13 @@ pub(super) struct ClipsOfAp {
     pub median_drop: Option<f64>,
 }
 
-/// Summarises a setup's runs, policies in the order in which they first occur.
+/// Summarises a setup's runs, the baseline first, the other policies in the order in which they first occur.
 pub(super) fn summarise(of: &SetupRuns) -> SetupSummary {
-    let mut order: Vec<&str> = Vec::new();
-    let mut by_policy: HashMap<&str, Vec<&ClipRun>> = HashMap::new();
-    for run in &of.runs {
-        let runs = by_policy.entry(&run.policy).or_default();
-        if runs.is_empty() {
-            order.push(&run.policy);
-        }
-        runs.push(run);
-    }
-    order.sort_by_key(|policy| *policy != BASELINE);
-    let baseline: HashMap<&str, &ClipRun> = by_policy
-        .get(BASELINE)
-        .into_iter()
-        .flatten()
-        .map(|run| (run.clip.as_str(), *run))
-        .collect();
-    let policies = order.into_iter().map(|policy| {
-        let runs = &by_policy[policy];
-        let change = (policy != BASELINE).then(|| changes(runs, &baseline)).flatten();
+    let mut by_policy = by_policy(&of.runs, |run| &run.policy);
+    by_policy.sort_by_key(|(policy, _)| *policy != BASELINE);
+    let baseline = of_baseline(&by_policy, |run| &run.clip);
+    let policies = by_policy.iter().map(|(policy, runs)| {
+        let change = (*policy != BASELINE).then(|| changes(runs, &baseline)).flatten();
         figures(policy, runs, change)
     });
     let estimated = of.runs.iter().any(|run| run.estimated);
