@@ -104,8 +104,8 @@ const LOOKED: &str = "What looks at the pictures";
 struct RunArguments {
     #[command(flatten)]
     settings: SettingsArguments,
-    /// A policy, as NAME or NAME:SETTING, or `all` for every one with the paper's settings; may be given
-    /// several times. `,pause_s=SECONDS` behind it adds a pause on an empty road (`[screen]`), `,after_s=SECONDS` says
+    /// A policy by its name in the configuration, as NAME or NAME:SETTING; may be given several times. `all` stands for the
+    /// paper's policies with its settings and expected-loss at 0.1, 0.3 and 0.5. `,pause_s=SECONDS` behind it adds a pause on an empty road (`[screen]`), `,after_s=SECONDS` says
     /// after how long without a detection. Vanilla always runs as well.
     #[arg(long, value_name = "NAME[:SETTING]", default_value = "albireo")]
     policy: Vec<String>,

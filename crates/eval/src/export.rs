@@ -103,7 +103,10 @@ pub fn export(
         done(&exported);
     }
     if exported.pictures == 0 {
-        let number = recordings.len();
+        let recordings = match recordings.len() {
+            1 => "1 recording was".to_owned(),
+            number => format!("{number} recordings were"),
+        };
         let reasons = exported.left_out.join("; ");
         let help = match frames {
             ExportedFrames::Audit => {
@@ -112,7 +115,7 @@ pub fn export(
             }
             ExportedFrames::Shown => "no frame with its boxes",
         };
-        let text = format!("{number} recordings were read, and there is {help}. {reasons}");
+        let text = format!("{recordings} read, and there is {help}. {reasons}");
         return Err(EvalError::new(text.trim_end()));
     }
     if format == ExportFormat::Coco {

@@ -11,8 +11,8 @@ use std::collections::BTreeSet;
 /// Name and label of the policy with which all others are compared.
 pub const BASELINE: &str = "vanilla";
 
-/// The policies of `--policy all`: every policy with the settings that the paper reports, and our own. Those that look at
-/// pixels are left out if there are none.
+/// The policies of `--policy all`: those of the paper with the settings that it reports, and expected-loss. Those that look
+/// at pixels are left out if there are none. The variants of expected-loss are for comparisons among themselves.
 const ALL: [&str; 22] = [
     "albireo:3e-4",
     "albireo:5e-4",
@@ -41,7 +41,7 @@ const ALL: [&str; 22] = [
 /// A policy with its settings: one line of the results.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PolicySpec {
-    /// Its name in results, unique in a run: `albireo-u3e-4-erd-nonempty`, `fixedskip-2`, `vanilla`.
+    /// Its name in results, unique in a run: `albireo-u3e-4-erd-nonempty`, `fixed-skip-2`, `vanilla`.
     pub label: String,
     /// The configuration from which it is built.
     pub config: PolicyConfig,
@@ -99,7 +99,7 @@ impl std::str::FromStr for Sweep {
 }
 
 /// Returns the policies to run: the baseline, then `asked` in order with all values of `sweeps`, without repetitions.
-/// `screen` is part of the labels; `pixels` is true if there are pictures to look at.
+/// `base` has all other settings. `screen` is part of the labels; `pixels` is true if there are pictures to look at.
 ///
 /// # Errors
 /// [`EvalError`] for an unknown policy, an argument it does not take, a value out of range, or a sweep
@@ -108,6 +108,20 @@ pub fn resolve(
     asked: &[String],
     sweeps: &[Sweep],
     base: &PolicyConfig,
+    screen: ScreenRule,
+    pixels: bool,
+) -> Result<Vec<PolicySpec>, EvalError> {
+    resolve_with_pause(asked, sweeps, (base, EmptyRoad::default()), screen, pixels)
+}
+
+/// [`resolve`], where a policy that names no pause of its own has that of `base`.
+///
+/// # Errors
+/// The same as for [`resolve`].
+pub fn resolve_with_pause(
+    asked: &[String],
+    sweeps: &[Sweep],
+    base: (&PolicyConfig, EmptyRoad),
     screen: ScreenRule,
     pixels: bool,
 ) -> Result<Vec<PolicySpec>, EvalError> {
@@ -121,7 +135,6 @@ pub fn resolve(
         asked => vec![asked],
     });
     let asked: Vec<&str> = std::iter::once(BASELINE).chain(asked).collect();
-    let base = (base, EmptyRoad::default());
     swept(&asked, sweeps, base, |policy, empty_road| {
         label(policy, empty_road, screen)
     })
@@ -242,15 +255,20 @@ pub(crate) fn takes_u(policy: &dyn Policy) -> bool {
     policy.threshold_spec().is_some_and(|spec| spec.name == Albireo::THRESHOLD.name)
 }
 
-/// Labels a policy as the published traces do, if they contain it.
+/// True for 0.5, false for 0.505, whose label would be that of 0.50 or 0.51.
+fn is_hundredths(value: f64) -> bool {
+    format!("{value:.2}").parse() == Ok(value)
+}
+
+/// Labels a policy by its name in the configuration and its setting, as the published traces do (which leave the hyphen of
+/// `fixed-skip` out).
 fn label(policy: &dyn Policy, empty_road: EmptyRoad, screen: ScreenRule) -> String {
-    let name = match policy.name() {
-        FixedSkip::NAME => "fixedskip",
-        name => name,
-    };
+    let name = policy.name();
     let setting = match (policy.threshold_spec(), policy.threshold()) {
         (Some(_), Some(value)) if takes_u(policy) => format!("-u{value:e}"),
-        (Some(_), Some(value)) if policy.name() == Ctd::NAME => format!("-{value:.2}"),
+        (Some(_), Some(value)) if policy.name() == Ctd::NAME && is_hundredths(value) => {
+            format!("-{value:.2}")
+        }
         (Some(_), Some(value)) => format!("-{value}"),
         _ => String::new(),
     };
@@ -273,7 +291,7 @@ pub(crate) fn short_label(label: &str) -> &str {
 }
 
 /// Splits a label into its family, shared by all settings of a policy, and its setting: `albireo-u3e-4-erd-nonempty` is
-/// `albireo` at `u = 3e-4`, `fixedskip-2` is `fixedskip` at `2`, `vanilla` has none. A pause belongs to the setting.
+/// `albireo` at `u = 3e-4`, `fixed-skip-2` is `fixed-skip` at `2`, `vanilla` has none. A pause belongs to the setting.
 pub(crate) fn split_label(label: &str) -> (&str, String) {
     let base = short_label(label);
     if let Some((start, pause)) = base.split_once("+pause") {
@@ -310,7 +328,7 @@ mod tests {
         for (label, family, setting) in [
             ("albireo-u3e-4-erd-nonempty", "albireo", "u = 3e-4"),
             ("kill+erd-10d-u1e-3", "kill+erd-10d", "u = 1e-3"),
-            ("fixedskip-2", "fixedskip", "2"),
+            ("fixed-skip-2", "fixed-skip", "2"),
             ("ctd-0.50", "ctd", "0.50"),
             ("erd-only-erd-detections", "erd-only", ""),
             ("vanilla", "vanilla", ""),
@@ -335,8 +353,9 @@ mod tests {
             ("vanilla", "vanilla"),
             ("albireo", "albireo-u3e-4-erd-nonempty"),
             ("albireo:1e-3", "albireo-u1e-3-erd-nonempty"),
-            ("fixed-skip:2", "fixedskip-2"),
+            ("fixed-skip:2", "fixed-skip-2"),
             ("ctd:0.5", "ctd-0.50"),
+            ("ctd:0.505", "ctd-0.505"),
             ("statues:75", "statues-75"),
             ("erd-only", "erd-only-erd-nonempty"),
             ("kill-only", "kill-only-u3e-4-erd-nonempty"),

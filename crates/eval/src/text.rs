@@ -21,6 +21,12 @@ pub fn wrapped(text: &str, width: usize) -> String {
     lines
 }
 
+/// A number of things by their noun: `1 clip`, `200 clips`.
+pub fn counted(number: usize, noun: &str) -> String {
+    let plural = if number == 1 { "" } else { "s" };
+    format!("{number} {noun}{plural}")
+}
+
 /// A column: its two header lines and its cells.
 pub(crate) struct Column {
     pub heads: [String; 2],

@@ -7,6 +7,7 @@ use albireo_eval::advise::{Target, advise, render};
 use albireo_eval::data::{Clip, recorded};
 use albireo_eval::footage::SourceName;
 use albireo_eval::settings::Settings;
+use albireo_eval::text::counted;
 use anyhow::{bail, ensure};
 use clap::Args;
 use std::path::PathBuf;
@@ -76,7 +77,11 @@ pub(super) fn run(arguments: &AdviseArguments) -> anyhow::Result<()> {
         ..Settings::default()
     };
     let clips = read(arguments)?;
-    eprintln!("Trying {} on {} clips", arguments.policy, clips.len());
+    eprintln!(
+        "Trying {} on {}",
+        arguments.policy,
+        counted(clips.len(), "clip")
+    );
     let advice = advise(
         &clips,
         arguments.target,

@@ -4,7 +4,7 @@ use super::choose::{Advice, HeldOut, Proposal};
 use super::estimate::Estimate;
 use super::target::Target;
 use crate::settings::ScreenRule;
-use crate::text::{Column, or_dash, table, wrapped};
+use crate::text::{Column, counted, or_dash, table, wrapped};
 use albireo_core::policy::short;
 use std::fmt::Write;
 
@@ -24,9 +24,8 @@ pub fn render(advice: &Advice) -> String {
     let mut text = String::new();
     let _ = writeln!(
         text,
-        "Recording: {} clip{}, {} frames, {} boxes of the detector at confidence {} or more.",
-        advice.clips,
-        if advice.clips == 1 { "" } else { "s" },
+        "Recording: {}, {} frames, {} boxes of the detector at confidence {} or more.",
+        counted(advice.clips, "clip"),
         advice.frames,
         advice.boxes,
         advice.confidence

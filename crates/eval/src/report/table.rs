@@ -3,7 +3,9 @@
 use crate::result::Provenance;
 use crate::spec::{BASELINE, short_label};
 use crate::summary::{Difference, NEWCOMERS, PolicySummary, Pooled};
-use crate::text::{self, Column, one_decimal, or_dash, three_decimals, two_decimals, wrapped};
+use crate::text::{
+    self, Column, counted, one_decimal, or_dash, three_decimals, two_decimals, wrapped,
+};
 use albireo_core::policy::FrameState;
 
 /// Maximum width of the table in characters.
@@ -119,9 +121,8 @@ fn differences(summaries: &[PolicySummary]) -> Vec<(String, Vec<Column>)> {
         column("p", &|s| p(s.map_all_change)),
     ];
     let how = format!(
-        "points with 95 % intervals and p (paired t, {} clip{})",
-        first.clips,
-        if first.clips == 1 { "" } else { "s" }
+        "points with 95 % intervals and p (paired t, {})",
+        counted(first.clips, "clip")
     );
     [
         (
@@ -213,8 +214,8 @@ pub(crate) fn notes(summaries: &[PolicySummary]) -> Vec<String> {
     let clips = first.map_or(0, |summary| summary.clips);
     let without = first.map_or(0, |summary| summary.clips_without_truth);
     let mut notes = vec![format!(
-        "Unweighted means over {clips} clip{}. * no other skips as much and is as accurate.",
-        if clips == 1 { "" } else { "s" }
+        "Unweighted means over {}. * no other skips as much and is as accurate.",
+        counted(clips, "clip")
     )];
     if without > 0 {
         let (clips, are) = if without == 1 {

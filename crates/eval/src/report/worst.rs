@@ -3,6 +3,7 @@
 use crate::result::{ClipResult, FramePicture, WorstFrame};
 use crate::run::shown_policies;
 use crate::spec::short_label;
+use crate::text::counted;
 use albireo_core::geometry::Corners;
 use albireo_vision::picture::{PictureFormat, read_picture_file};
 use base64::prelude::{BASE64_STANDARD, Engine as _};
@@ -11,20 +12,29 @@ use maud::{Markup, html};
 /// The number of frames that are shown per policy.
 const SHOWN: usize = 3;
 
-/// Renders the frames of each policy that lost the most objects over all clips; nothing if none were lost. `truth` says
+/// Renders the frames of each policy that lost the most objects over all clips; a sentence if none were lost. `truth` says
 /// what the objects are.
 pub(super) fn frames(results: &[ClipResult], truth: &str) -> Markup {
     let lost = results.iter().filter(|result| !result.worst.is_empty());
     let policies = shown_policies(lost.map(|result| result.policy.as_str()));
     if policies.is_empty() {
-        return Markup::default();
+        return html! {
+            section {
+                h2 { "Where it was lost" }
+                p.legend {
+                    "Nowhere: on no frame without the detector did a policy lose an object that the detector would have found."
+                }
+            }
+        };
     }
     html! {
         section {
             h2 { "Where it was lost" }
             p.legend {
-                "Frames without the detector on which most objects were lost that it would have found: "
-                span.truth-word { (truth) } ", " span.found-word { "the policy's boxes" } "."
+                "Frames on which the detector did not run and most objects were lost: no box of the policy overlaps them by half \
+                 (IoU 0.5), and one of the detector's would have. Drawn are " span.truth-word { (truth) } " and "
+                span.found-word { "the policy's boxes" } ". At most " (SHOWN) " frames of a policy; of many policies, the first \
+                 setting of each. Frames on which the detector ran are not among them, whatever it missed."
                 @if results.iter().flat_map(|result| &result.worst).all(|worst| worst.picture.is_none()) {
                     " The recording has detections and no pictures, so only boxes are drawn."
                 }
@@ -47,26 +57,34 @@ pub(super) fn frames(results: &[ClipResult], truth: &str) -> Markup {
 fn frames_of(results: &[ClipResult], policy: &str) -> Markup {
     html! {
         div.frames {
-            @for (clip, worst) in worst_of(results, policy) {
-                (picture(clip, worst))
+            @for (of, worst) in worst_of(results, policy) {
+                (picture(&place_of(of, worst), worst))
             }
         }
     }
 }
 
-fn worst_of<'a>(results: &'a [ClipResult], policy: &str) -> Vec<(&'a str, &'a WorstFrame)> {
+/// Says where the frame is: `drive, frame 120 (4.8 s)`.
+fn place_of(of: &ClipResult, worst: &WorstFrame) -> String {
+    let seconds = of.frame_rate.map(|rate| format!(" ({:.1} s)", worst.frame as f64 / rate));
+    format!(
+        "{}, frame {}{}",
+        of.clip,
+        worst.frame,
+        seconds.unwrap_or_default()
+    )
+}
+
+fn worst_of<'a>(results: &'a [ClipResult], policy: &str) -> Vec<(&'a ClipResult, &'a WorstFrame)> {
     let own = results.iter().filter(|result| result.policy == policy);
-    let worst = own.flat_map(|result| {
-        let clip = result.clip.as_str();
-        result.worst.iter().map(move |worst| (clip, worst))
-    });
+    let worst = own.flat_map(|result| result.worst.iter().map(move |worst| (result, worst)));
     let mut worst: Vec<_> = worst.collect();
     worst.sort_by_key(|(_, worst)| std::cmp::Reverse(worst.lost));
     worst.truncate(SHOWN);
     worst
 }
 
-fn picture(clip: &str, worst: &WorstFrame) -> Markup {
+fn picture(place: &str, worst: &WorstFrame) -> Markup {
     let (width, height) = (worst.size.width, worst.size.height);
     // Lines are equally wide on pictures of all sizes.
     let stroke = f64::from(width) / 240.0;
@@ -82,7 +100,7 @@ fn picture(clip: &str, worst: &WorstFrame) -> Markup {
                 @for found in &worst.found { (rectangle("found", found, stroke)) }
             }
             figcaption {
-                (clip) ", frame " (worst.frame) ", state " (worst.state.as_str()) ": " (worst.lost) " lost"
+                (place) ", state " (worst.state.as_str()) ": " (worst.lost) " of " (counted(worst.truth.len(), "object")) " lost"
             }
         }
     }

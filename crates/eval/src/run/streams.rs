@@ -337,8 +337,9 @@ impl StreamResults {
             80,
         );
         format!(
-            "{title};\nmeans over {clips} clips\n\n{figures}\nDifferences to vanilla in points (new: in frames), with their \
-             95 % intervals\n\n{differences}\n{legend}\n"
+            "{title};\nmeans over {}\n\n{figures}\nDifferences to vanilla in points (new: in frames), with their \
+             95 % intervals\n\n{differences}\n{legend}\n",
+            text::counted(clips, "clip")
         )
     }
 }

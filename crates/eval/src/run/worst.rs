@@ -133,8 +133,8 @@ mod tests {
         let labels = [
             "albireo-u3e-4-erd-nonempty",
             "albireo-u5e-4-erd-nonempty",
-            "fixedskip-2",
-            "fixedskip-3",
+            "fixed-skip-2",
+            "fixed-skip-3",
             "expected-loss-0.1",
             "expected-loss-0.3",
             // Of the next clip.
@@ -142,7 +142,7 @@ mod tests {
         ];
         let expected = [0, 2, 4, 1, 3, 5].map(|index| labels[index]);
         assert_eq!(shown_policies(labels), expected);
-        let many: Vec<String> = (0..20).map(|n| format!("fixedskip-{n}")).collect();
+        let many: Vec<String> = (0..20).map(|n| format!("fixed-skip-{n}")).collect();
         assert_eq!(
             shown_policies(many.iter().map(String::as_str)).len(),
             SHOWN_POLICIES
