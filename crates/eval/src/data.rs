@@ -47,6 +47,7 @@ use crate::data::classes::Evaluated;
 use crate::error::EvalError;
 use crate::footage::FrameSelection;
 use crate::judge::{Ignored, Mark, only_unlabelled, unlabelled};
+use crate::text::counted;
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_vision::picture::picture_files;
@@ -203,6 +204,8 @@ pub struct LoadReport {
     pub unmapped_classes: BTreeMap<String, usize>,
     /// The number of boxes that extend beyond the picture; they are kept unchanged.
     pub reaching_outside: usize,
+    /// Clips whose ground truth is of some classes only.
+    pub partly_labelled: usize,
     /// Other remarks: clips without ground truth, clips without a single detection.
     pub notes: Vec<String>,
 }
@@ -291,6 +294,12 @@ impl LoadReport {
             lines.push(format!(
                 "kept unchanged: {} boxes that extend beyond the picture",
                 self.reaching_outside
+            ));
+        }
+        if self.partly_labelled > 0 {
+            lines.push(format!(
+                "labelled for some classes only: {}; boxes of other classes are not judged there",
+                counted(self.partly_labelled, "clip")
             ));
         }
         lines.extend(self.notes.iter().cloned());

@@ -77,7 +77,7 @@ pub(super) struct PassArguments {
     /// Number of the screen's output that means "empty".
     #[arg(long, help_heading = LOOKED, default_value_t = 0, requires = "screen_model", value_parser = clap::value_parser!(u8).range(0..=1))]
     screen_empty_class: u8,
-    /// Save detections, screen verdicts and ground truth here, in the layout of `albireo eval recorded`.
+    /// Save detections, screen verdicts and ground truth here, clip by clip, in the layout of `albireo eval recorded`.
     #[arg(long, help_heading = LOOKED, value_name = "DIR")]
     save_detections: Option<PathBuf>,
     /// Process at most this many frames of each clip.
@@ -120,6 +120,7 @@ pub(super) fn run(video: &VideoArguments) -> anyhow::Result<()> {
         times: Vec::new(),
         kept: Vec::new(),
     };
+    evaluation.check_pictures()?;
     for clips in &video.clips {
         for mut source in clips.open_clips(evaluation.arguments.rate, video.encoding)? {
             let rate = evaluation.rate(clips, source.as_ref());
@@ -219,6 +220,36 @@ struct Evaluation<'a> {
 }
 
 impl Evaluation<'_> {
+    /// Holds the number and size of each clip's pictures against the ground truth before the detector runs: a mistake is
+    /// found now and not after hours. How many frames a video has is known only when it was played.
+    fn check_pictures(&self) -> anyhow::Result<()> {
+        // What is left out of it is reported when it is used.
+        let Some(mut truth) = self.truth.clone() else {
+            return Ok(());
+        };
+        let are_pictures = |clips: &&SourceName| {
+            matches!(
+                clips,
+                SourceName::Pictures(_) | SourceName::Archive(_) | SourceName::Demo
+            )
+        };
+        for clips in self.video.clips.iter().filter(are_pictures) {
+            for mut source in clips.open_clips(self.arguments.rate, self.video.encoding)? {
+                let known = source.frames().and_then(|frames| usize::try_from(frames).ok());
+                // A picture that cannot be used is reported in the pass.
+                let (Some(whole), Ok(Some(first))) = (known, source.next()) else {
+                    continue;
+                };
+                let most = self.pass_settings.max_frames.unwrap_or(whole);
+                let mut clip = Clip::new(source.name().to_owned(), first.size, whole.min(most));
+                let alone = self.names.len() == 1;
+                let report = &mut LoadReport::default();
+                truth.attach_to(&mut clip, alone, Some(whole), report)?;
+            }
+        }
+        Ok(())
+    }
+
     /// Returns the frames per second of a clip: those that were asked for, the video's own, or those of the ground truth.
     /// Pictures alone have none.
     fn rate(&self, name: &SourceName, source: &dyn FrameSource) -> Option<f64> {
@@ -256,6 +287,7 @@ impl Evaluation<'_> {
         if self.video.pass.save_detections.is_some() {
             self.kept.push(clip.clone());
         }
+        save_last(&self.video.pass, &self.kept)?;
         clip.pass = pass;
         if self.truth.is_none() {
             clip.truth = Some(vanilla_as_truth(&clip, self.settings.confidence));
@@ -287,7 +319,7 @@ impl Evaluation<'_> {
     /// Saves the detections, and reports the results.
     fn conclude(mut self) -> anyhow::Result<()> {
         let pass = &self.video.pass;
-        end_pass(pass, &self.report, &self.kept)?;
+        end_pass(pass, &self.report);
         let basis = match self.truth {
             Some(_) if self.video.ground_truth.is_empty() => {
                 "by the ground truth that comes with the demonstration".to_owned()
@@ -407,16 +439,22 @@ fn start_models(pass: &PassArguments) -> anyhow::Result<ModelRunner> {
     )?)
 }
 
-/// Prints what was noticed on the way, and saves the detections if asked to.
-fn end_pass(pass: &PassArguments, report: &LoadReport, clips: &[Clip]) -> anyhow::Result<()> {
+/// Saves the detections of the last of `clips`, if asked to: whatever happens to the next one, they are kept.
+fn save_last(pass: &PassArguments, clips: &[Clip]) -> anyhow::Result<()> {
+    if let Some(folder) = &pass.save_detections {
+        recorded::write_last(folder, clips)?;
+    }
+    Ok(())
+}
+
+/// Prints what was noticed on the way.
+fn end_pass(pass: &PassArguments, report: &LoadReport) {
     for line in report.lines() {
         eprintln!("{line}");
     }
     if let Some(folder) = &pass.save_detections {
-        recorded::write(folder, clips)?;
         eprintln!("Detections written to {}", folder.display());
     }
-    Ok(())
 }
 
 /// Passes over a clip, with a progress bar on a terminal and a line otherwise.
@@ -465,9 +503,10 @@ pub(super) fn detect_all(
                 detected.frame_rate = rate;
             }
             pictured.push(detected);
+            save_last(pass, &pictured)?;
         }
     }
-    end_pass(pass, &report, &pictured)?;
+    end_pass(pass, &report);
     Ok(pictured)
 }
 

@@ -7,17 +7,22 @@
 //! If a clip has more pictures than its images, as with TAO's labels of one frame in thirty, `frame_id` (`frame_index`) is the
 //! picture's place in it: counted from 1 if the lowest of the whole file is 1, and otherwise from 0.
 //!
+//! A video with TAO's `neg_category_ids` is labelled for these categories, which do not occur in it, and for those that have boxes
+//! there, except that of its `not_exhaustive_category_ids` only some objects have one. Boxes of all other classes are not judged
+//! in it. A category such as `car_(automobile)` is also found as `car`.
+//!
 //! An annotation with `iscrowd` is a crowd, one with `ignore` an object that is not judged; both as in pycocotools.
 
 use super::classes::Evaluated;
 use super::rows::MAX_FRAMES;
 use super::{Clip, DataSet, LabelledBox, LeftOut};
 use crate::error::EvalError;
-use crate::judge::Mark;
+use crate::judge::{Ignored, Mark};
+use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer};
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::Path;
 
 #[derive(Deserialize)]
@@ -93,6 +98,10 @@ struct ListedVideo {
     fps: Option<f64>,
     #[serde(default)]
     frame_rate: Option<f64>,
+    #[serde(default)]
+    neg_category_ids: Option<Vec<u64>>,
+    #[serde(default)]
+    not_exhaustive_category_ids: Vec<u64>,
 }
 
 /// Reads a data set and, if given, a list of results on its images.
@@ -124,7 +133,7 @@ pub(super) fn read_as(
         let name = names.get(&annotation.category_id).copied();
         LabelledBox {
             corners: corners(annotation.bbox),
-            class: name.map_or(Err(LeftOut::UnmappedClass), |name| classes.find(name)),
+            class: name.map_or(Err(LeftOut::UnmappedClass), |name| class_of(name, classes)),
             class_name: name.map_or_else(
                 || format!("category {}", annotation.category_id).into(),
                 Into::into,
@@ -170,10 +179,75 @@ pub(super) fn read_as(
             }
         }
     }
+    data.report.partly_labelled = mark_other_classes(&set, &places, &mut drafts, classes);
     for clip in drafts {
         data.push(clip);
     }
     data.nonempty(dataset)
+}
+
+/// The class of a category: by its name, else by the name without what TAO and LVIS add to tell two meanings apart.
+fn class_of(name: &str, classes: &Evaluated) -> Result<ClassId, LeftOut> {
+    let plain = || name.split("_(").next().unwrap_or_default().replace('_', " ");
+    classes.find(name).or_else(|_| classes.find(&plain()))
+}
+
+/// Marks in each video that says for which categories it is labelled the whole picture for all other classes, and returns
+/// the number of these videos.
+fn mark_other_classes(
+    set: &Dataset,
+    places: &Places,
+    drafts: &mut [Clip],
+    classes: &Evaluated,
+) -> usize {
+    let mut labelled: HashMap<usize, BTreeSet<u64>> = HashMap::new();
+    for annotation in set.annotations.iter().flatten() {
+        if let Some((clip, _)) = places.get(&annotation.image_id) {
+            labelled.entry(*clip).or_default().insert(annotation.category_id);
+        }
+    }
+    let clip_of = |video: &ListedVideo| {
+        let image = set.images.iter().find(|image| image.video_id == Some(video.id))?;
+        places.get(&image.id).map(|(clip, _)| *clip)
+    };
+    let mut limited = 0;
+    for video in &set.videos {
+        let (Some(absent), Some(place)) = (&video.neg_category_ids, clip_of(video)) else {
+            continue;
+        };
+        let mut judged = labelled.remove(&place).unwrap_or_default();
+        judged.extend(absent);
+        judged.retain(|id| !video.not_exhaustive_category_ids.contains(id));
+        let all = || {
+            let categories = set.categories.iter();
+            categories.filter_map(|of| Some((of.id, class_of(&of.name, classes).ok()?)))
+        };
+        let judged: BTreeSet<ClassId> =
+            all().filter(|(id, _)| judged.contains(id)).map(|(_, class)| class).collect();
+        let others: BTreeSet<ClassId> =
+            all().map(|(_, class)| class).filter(|class| !judged.contains(class)).collect();
+        let clip = &mut drafts[place];
+        let corners = Corners {
+            x1: 0.0,
+            y1: 0.0,
+            x2: f64::from(clip.picture.width),
+            y2: f64::from(clip.picture.height),
+        };
+        for frame in 0..clip.frames {
+            for class in &others {
+                clip.ignore(
+                    frame,
+                    Ignored {
+                        corners,
+                        class: Some(*class),
+                        mark: Mark::Region,
+                    },
+                );
+            }
+        }
+        limited += 1;
+    }
+    limited
 }
 
 fn parse<T: DeserializeOwned>(path: &Path, help: &str) -> Result<T, EvalError> {

@@ -260,39 +260,33 @@ fn labelled(
 /// # Errors
 /// When a file cannot be written.
 pub fn write(folder: &Path, clips: &[Clip]) -> Result<(), EvalError> {
+    for clip in clips {
+        write_tables(folder, clip)?;
+    }
+    write_index(folder, clips)
+}
+
+/// Adds the last of `clips` to the others, which were written before: so a pass over many clips that is stopped has kept
+/// those that were done.
+///
+/// # Errors
+/// When a file cannot be written.
+pub fn write_last(folder: &Path, clips: &[Clip]) -> Result<(), EvalError> {
+    if let Some(last) = clips.last() {
+        write_tables(folder, last)?;
+    }
+    write_index(folder, clips)
+}
+
+/// Writes the list of the clips.
+fn write_index(folder: &Path, clips: &[Clip]) -> Result<(), EvalError> {
     let own = clips.first().and_then(|clip| match &clip.classes {
         Evaluated::Own(names) => Some(names.to_vec()),
         Evaluated::Road => None,
     });
-    let mut index = Index {
-        class_names: own.unwrap_or_default(),
-        sequences: Vec::new(),
-    };
-    for clip in clips {
-        let put = |kind: &str, text| put(&table_path(folder, kind, &clip.name), text);
-        let found = clip.detections.as_deref().unwrap_or_default();
-        let detections = table(DETECTION_HEADER, found, |found| {
-            let corners = cells(found.corners);
-            format!("{corners},{},{}", found.confidence, found.class.0)
-        });
-        put("detections", Some(detections))?;
-        let truth = clip.truth.as_deref().map(|truth| {
-            table(TRUTH_HEADER, truth, |known| {
-                let object = known.object.map_or(-1, |object| object as i64);
-                format!("{},{},{object}", cells(known.corners), known.class.0)
-            })
-        });
-        put("groundtruth", truth)?;
-        let ignored = (!clip.ignored.is_empty()).then(|| ignored_table(&clip.ignored));
-        put("ignore", ignored)?;
-        let verdicts = clip.screen.as_deref().map(|verdicts| {
-            table(SCREEN_HEADER, verdicts, |empty| {
-                u8::from(*empty).to_string()
-            })
-        });
-        put("screen", verdicts)?;
+    let sequences = clips.iter().map(|clip| {
         let truth = clip.truth.as_ref();
-        index.sequences.push(Entry {
+        Entry {
             name: clip.name.clone(),
             width: clip.picture.width,
             height: clip.picture.height,
@@ -300,9 +294,39 @@ pub fn write(folder: &Path, clips: &[Clip]) -> Result<(), EvalError> {
             frames: clip.frames,
             camera: clip.camera.clone(),
             ground_truth_boxes: truth.map(|truth| truth.iter().map(Vec::len).sum()),
-        });
-    }
+        }
+    });
+    let index = Index {
+        class_names: own.unwrap_or_default(),
+        sequences: sequences.collect(),
+    };
     files::write_json(&folder.join("sequences.json"), &index)
+}
+
+/// Writes what a clip has, a table of each kind.
+fn write_tables(folder: &Path, clip: &Clip) -> Result<(), EvalError> {
+    let put = |kind: &str, text| put(&table_path(folder, kind, &clip.name), text);
+    let found = clip.detections.as_deref().unwrap_or_default();
+    let detections = table(DETECTION_HEADER, found, |found| {
+        let corners = cells(found.corners);
+        format!("{corners},{},{}", found.confidence, found.class.0)
+    });
+    put("detections", Some(detections))?;
+    let truth = clip.truth.as_deref().map(|truth| {
+        table(TRUTH_HEADER, truth, |known| {
+            let object = known.object.map_or(-1, |object| object as i64);
+            format!("{},{},{object}", cells(known.corners), known.class.0)
+        })
+    });
+    put("groundtruth", truth)?;
+    let ignored = (!clip.ignored.is_empty()).then(|| ignored_table(&clip.ignored));
+    put("ignore", ignored)?;
+    let verdicts = clip.screen.as_deref().map(|verdicts| {
+        table(SCREEN_HEADER, verdicts, |empty| {
+            u8::from(*empty).to_string()
+        })
+    });
+    put("screen", verdicts)
 }
 
 /// Formats a table with one row per entry: the frame's number, then what `row` returns for the entry.

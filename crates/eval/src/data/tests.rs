@@ -1,5 +1,6 @@
 use super::*;
 use crate::data::classes::{CAR, PERSON};
+use crate::judge::{Classes, Interpolation, Truth, accuracy};
 use tempfile::TempDir;
 
 /// A folder with these files, each given as its path and content.
@@ -64,6 +65,20 @@ fn recorded_detections_truth_and_ignored_regions_are_read_frame_by_frame_and_wri
     recorded::write(copy.path(), &read.clips).unwrap();
     let again = recorded::read(copy.path()).unwrap();
     assert_eq!(again.clips, read.clips, "to the last bit");
+}
+
+#[test]
+fn clips_that_are_written_one_by_one_are_there_after_each() {
+    let clip = |name: &str| Clip {
+        detections: Some(vec![Vec::new(); 3]),
+        ..Clip::new(name.to_owned(), PictureSize::new(100, 50), 3)
+    };
+    let clips = [clip("a"), clip("b")];
+    let folder = tempfile::tempdir().unwrap();
+    for done in 1..=clips.len() {
+        recorded::write_last(folder.path(), &clips[..done]).unwrap();
+        assert_eq!(recorded::read(folder.path()).unwrap().clips, clips[..done]);
+    }
 }
 
 #[test]
@@ -590,6 +605,57 @@ fn images_of_coco_are_frames_of_their_video_by_their_number_if_it_has_more() {
     );
     let refused = attached(&mut truth("unnumbered.json"), "v_1", [100, 50], 40).unwrap_err();
     assert!(refused.to_string().contains("no frame_id"), "{refused}");
+}
+
+#[test]
+fn a_video_of_tao_is_judged_by_the_classes_that_it_is_labelled_for() {
+    let set = r#"{"images": [{"id": 1, "video_id": 7, "width": 100, "height": 50},
+        {"id": 2, "video_id": 8, "width": 100, "height": 50}],
+        "videos": [{"id": 7, "name": "a", "neg_category_ids": [5], "not_exhaustive_category_ids": [4]},
+        {"id": 8, "name": "b"}],
+        "categories": [{"id": 3, "name": "car_(automobile)"}, {"id": 4, "name": "person"},
+        {"id": 5, "name": "bus_(vehicle)"}, {"id": 6, "name": "dog"}],
+        "annotations": [{"image_id": 1, "category_id": 3, "bbox": [1, 2, 10, 20]},
+        {"image_id": 1, "category_id": 4, "bbox": [50, 2, 10, 20]}]}"#;
+    let files = folder(&[("set.json", set)]);
+    let names = ["car", "person", "bus", "dog"];
+    let mut truth = for_model(&files, "set.json", TruthFormat::Coco, &names).unwrap();
+    let said = truth.clone().take_report().lines().join("\n");
+    assert!(
+        said.contains("labelled for some classes only: 1 clip;"),
+        "{said}"
+    );
+    let clip = attached(&mut truth, "a", [100, 50], 1).unwrap();
+    let marked: Vec<_> = clip.ignored[0].iter().filter_map(|ignored| ignored.class).collect();
+    // Persons are not all labelled, and nobody looked for dogs.
+    assert_eq!(marked, [ClassId(1), ClassId(3)]);
+    assert_eq!(clip.truth.as_ref().unwrap()[0].len(), 2);
+    let judged = |class: u16| {
+        let place = Corners {
+            x1: 80.0,
+            y1: 30.0,
+            x2: 95.0,
+            y2: 45.0,
+        };
+        let beside = ScoredBox {
+            corners: place,
+            class: ClassId(class),
+            confidence: 0.99,
+            object: None,
+        };
+        let mut found = clip.truth.clone().unwrap();
+        found[0].iter_mut().for_each(|found| found.confidence = 0.5);
+        found[0].push(beside);
+        let truth = Truth {
+            objects: clip.truth.as_deref().unwrap(),
+            ignored: &clip.ignored,
+        };
+        accuracy(&found, truth, Classes::Pooled, Interpolation::AllPoints).unwrap().ap50
+    };
+    let is_right = [0, 1, 2, 3].map(|class| judged(class) == 1.0);
+    assert_eq!(is_right, [false, true, false, true]);
+    let clip = attached(&mut truth, "b", [100, 50], 1).unwrap();
+    assert!(clip.ignored.iter().all(Vec::is_empty));
 }
 
 #[test]

@@ -405,6 +405,7 @@ fn merge(report: &mut LoadReport, other: LoadReport) {
         *report.unmapped_classes.entry(class).or_default() += count;
     }
     report.reaching_outside += other.reaching_outside;
+    report.partly_labelled += other.partly_labelled;
 }
 
 /// Returns Vanilla's own output as ground truth: the clip's detections from `confidence` on. It measures how far a
