@@ -130,7 +130,7 @@ async fn a_killed_measurement_goes_on_and_its_files_join_into_tables() {
         &table,
         &[
             "yolox_nano, as exported, 15W, board: 3 clips",
-            "fixedskip-2",
+            "fixed-skip-2",
             "albireo-u3e-4",
             "cores",
             "memory",
@@ -140,7 +140,73 @@ async fn a_killed_measurement_goes_on_and_its_files_join_into_tables() {
     let rows = fs::read_to_string(out.join("clips.csv")).unwrap();
     assert_eq!(rows.lines().count(), 10);
     // Every second frame of the six was skipped.
-    assert_contains(&rows, &["fixedskip-2,6,0,0,0,3,"]);
+    assert_contains(&rows, &["fixed-skip-2,6,0,0,0,3,"]);
+}
+
+#[test]
+#[ignore = "needs ONNX Runtime"]
+fn a_measurement_goes_on_only_under_the_settings_that_it_began_with() {
+    let folder = tempfile::tempdir().unwrap();
+    split(folder.path());
+    let place = folder.path().display();
+    let clip = format!("{place}/images/track/val/b1c00000-00000000");
+    let words = format!(
+        "eval board {clip} --ground-truth {place}/labels/val --truth-format bdd100k --machine board \
+         --power-mode 15W --out {place}/out"
+    );
+    let board = |more: &str, environment: &[(&str, &str)]| {
+        let words: Vec<&str> = words.split(' ').chain(more.split_whitespace()).collect();
+        run(&words, environment)
+    };
+    board("", &[]).succeeds();
+    let pictures = format!("{place}/screen.onnx");
+    fs::write(&pictures, "another screen").unwrap();
+    for (variable, value, said) in [
+        (
+            "ALBIREO_DETECTOR__CONFIDENCE",
+            "0.6",
+            "detector.confidence was 0.5, and now is 0.6",
+        ),
+        (
+            "ALBIREO_SCREEN__MODEL",
+            &pictures,
+            "screen.model was not set, and now is",
+        ),
+        (
+            "ALBIREO_POLICY__PROFILE",
+            "reference",
+            "policy.profile was paper, and now is reference",
+        ),
+    ] {
+        let refused = board("", &[(variable, value)]).fails();
+        assert_contains(&refused, &[said, "--out", "--restart"]);
+    }
+    // What changes no run, and another policy, does not matter.
+    let same = [
+        ("ALBIREO_LOG__LEVEL", "warn"),
+        ("ALBIREO_NODE__NAME", "car-7"),
+    ];
+    assert_contains(&board("", &same).err, &["2 of 2 runs are done"]);
+    assert_contains(
+        &board("--sweep u=3e-4,1e-3", &[]).err,
+        &["2 of 3 runs are done"],
+    );
+    let other = [("ALBIREO_DETECTOR__CONFIDENCE", "0.6")];
+    assert_contains(
+        &board("--restart", &other).err,
+        &["0 of 2 runs are done", "All 2 runs"],
+    );
+
+    // The labels of the clip's last frame are lost.
+    let labels = format!("{place}/labels/val/0.json");
+    let mut frames: Value = serde_json::from_str(&fs::read_to_string(&labels).unwrap()).unwrap();
+    frames[FRAMES - 1]["labels"] = json!([]);
+    fs::write(&labels, frames.to_string()).unwrap();
+    let refused = board("", &other).fails();
+    assert_contains(
+        &refused,
+        &["runs of the clip b1c00000-00000000 were of 6 pictures"],
+    );
 }
 
 #[test]
@@ -157,4 +223,12 @@ fn a_clip_that_is_not_what_its_truth_is_for_is_found_before_the_first_run() {
     let refused = run(&words, &[]).fails();
     assert_contains(&refused, &["b1c00002-00000002", "6 frames, the clip has 5"]);
     assert!(!folder.path().join("out").exists());
+
+    let place = folder.path().display();
+    let video = eval(&format!(
+        "video {place}/images/track/val --ground-truth {place}/labels/val --truth-format bdd100k"
+    ));
+    let refused = video.fails();
+    assert_contains(&refused, &["b1c00002-00000002", "6 frames, the clip has 5"]);
+    assert!(!refused.contains("processing"), "{refused}");
 }

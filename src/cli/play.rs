@@ -13,14 +13,13 @@ use albireo_eval::data::{Clip, GroundTruth, LoadReport};
 use albireo_eval::footage::{FrameSource, Pictures};
 use albireo_eval::spec::PolicySpec;
 use albireo_node::PreparedNode;
-use albireo_node::camera::{AnswerTime, SettleConfig};
+use albireo_node::camera::AnswerTime;
 use albireo_node::config::{CameraConfig, NodeConfig};
 use albireo_node::input::Delivery;
 use albireo_node::state::advice::SkipWatch;
 use albireo_node::state::board::{Board, CameraBoard, Event, News};
-use albireo_node::state::target::TargetConfig;
 use albireo_power::{PowerConfig, PowerHandle};
-use albireo_service::config::{Configuration, LogConfig, UplinkConfig, ZenohConfig};
+use albireo_service::config::{Configuration, LogConfig};
 use albireo_service::process;
 use albireo_wire::{ClipReport, DetectionsMessage, EnergyQuality};
 use anyhow::{Context, anyhow, bail, ensure};
@@ -37,6 +36,9 @@ const PATIENCE: Duration = Duration::from_secs(120);
 
 /// The time between two entries of a power trace, as in the paper.
 const TRACE_PERIOD: Duration = Duration::from_millis(100);
+
+/// The longest time that one report can cover, seconds.
+const LONGEST_CLIP_S: f64 = 3600.0;
 
 /// The names of the node, its camera, and the clips of warm-up and measurement.
 const NODE: &str = "compare";
@@ -219,6 +221,10 @@ impl Player {
             .into_iter()
             .find(|report| report.clip == MEASURED)
             .context("the node reported no clip")?;
+        ensure!(
+            report.part == 0,
+            "the clip took more than {LONGEST_CLIP_S} s, which one report cannot cover: play less of it"
+        );
         Ok(Played {
             report: ClipReport::clone(&report),
             cpu: measured.cpu,
@@ -332,37 +338,48 @@ impl Player {
     }
 }
 
-/// Returns the configuration of a run under `policy`: `base` with one camera, a local endpoint and no stored state. The
-/// node reports to no hub, waits for the detector before it answers, and has no target that changes the threshold.
+/// Returns the configuration of a run under `policy`: of `base`, what decides, detects and measures, with one camera, a local
+/// endpoint and no stored state. Whatever else a node does, such as reports to a hub, recordings, hooks and MQTT, is left out:
+/// it would tell others of pictures that no camera has seen.
 fn configuration(
     base: &NodeConfig,
     policy: &PolicySpec,
     delivery: Delivery,
 ) -> anyhow::Result<NodeConfig> {
-    let mut config = base.clone();
-    config.node.name = NODE.to_owned();
-    config.node.state_dir = None;
-    // `vanilla` cannot answer at once, so all policies wait for the detector.
-    config.node.answer = AnswerTime::WhenKnown;
-    config.settle = SettleConfig::default();
-    config.zenoh = ZenohConfig {
-        listen: vec!["tcp/127.0.0.1:0".to_owned()],
-        ..ZenohConfig::default()
-    };
-    config.uplink = UplinkConfig::default();
-    config.target = TargetConfig::default();
+    let mut config = played_of(base);
     config.policy.clone_from(&policy.config);
     config.screen.pause_s = policy.empty_road.pause_s;
     config.screen.after_s = policy.empty_road.after_s;
-    let mut camera = CameraConfig::named(CAMERA);
-    camera.delivery = delivery;
-    config.cameras = vec![camera];
-    // A pause of the machine must not end the clip early.
-    config.clip.silence_s = 3600.0;
+    config.cameras[0].delivery = delivery;
     match config.findings().into_iter().next() {
         Some(problem) => bail!("{problem}"),
         None => Ok(config),
     }
+}
+
+/// What all runs take of the configuration `base`. Only what is taken here can change a run.
+pub(super) fn played_of(base: &NodeConfig) -> NodeConfig {
+    let mut config = NodeConfig {
+        detector: base.detector.clone(),
+        screen: base.screen.clone(),
+        policy: base.policy.clone(),
+        report: base.report,
+        publish: base.publish,
+        audit: base.audit,
+        frame: base.frame,
+        power: base.power.clone(),
+        log: base.log.clone(),
+        cameras: vec![CameraConfig::named(CAMERA)],
+        ..NodeConfig::default()
+    };
+    config.node.name = NODE.to_owned();
+    // `vanilla` cannot answer at once, so all policies wait for the detector.
+    config.node.answer = AnswerTime::WhenKnown;
+    config.zenoh.listen = vec!["tcp/127.0.0.1:0".to_owned()];
+    // Neither a pause of the machine nor its slowness may cut the clip.
+    config.clip.silence_s = LONGEST_CLIP_S;
+    config.clip.longest_s = LONGEST_CLIP_S;
+    config
 }
 
 /// The configuration of the nodes that runs are played to: that of `file`, with another detector if one is named.
@@ -512,6 +529,10 @@ mod tests {
         base.target.hold = Some(Target::SkipRate(0.5));
         base.node.answer = AnswerTime::AtOnce;
         base.settle.enabled = true;
+        base.clip.longest_s = 60.0;
+        base.mqtt.broker = Some("mqtt://house.example".to_owned());
+        base.record.folder = Some("/var/lib/albireo/recordings".into());
+        let NodeConfig { mqtt, record, .. } = NodeConfig::default();
         for policy in ["albireo", "vanilla"] {
             let asked = [policy.to_owned(), "albireo:1e-3,pause_s=0.2".to_owned()];
             let policies = variants(&asked, &[], (&base.policy, EmptyRoad::default())).unwrap();
@@ -521,6 +542,9 @@ mod tests {
             assert_eq!((config.target.hold, config.node.state_dir), (None, None));
             assert_eq!(config.node.answer, AnswerTime::WhenKnown);
             assert!(!config.settle.enabled);
+            // A slow run of a long clip is one report, and nobody else is told of it.
+            assert_eq!(config.clip.longest_s, 3600.0);
+            assert_eq!((&config.mqtt, &config.record), (&mqtt, &record));
             let config = configuration(&base, &policies[1], Delivery::Newest).unwrap();
             assert_eq!(config.screen.pause_s, 0.2);
         }

@@ -15,9 +15,9 @@ mod runs_file;
 mod summary;
 mod table;
 
-pub use run::{ClipRun, Setup, SetupRuns, TRACED_CLIPS};
+pub use run::{ClipRun, FRAMES, JUDGED_BY, Setup, SetupRuns, TRACED_CLIPS};
 pub use runs_file::{RunsFile, read};
-pub use table::{counted_clips, render};
+pub use table::render;
 
 use crate::error::EvalError;
 use crate::files;
@@ -25,7 +25,7 @@ use std::path::Path;
 
 /// Writes the joined tables into `folder`, which is created if needed: `join.html` with everything, `join.txt` with the
 /// printed text, `clips.csv` with a row per run, `policies.csv` with a row per setup and policy, `power.csv` with the power
-/// traces, and the figures as SVG.
+/// traces, `settings.csv` with what each setup was measured under, and the figures as SVG.
 ///
 /// # Errors
 /// [`EvalError`] with the first file that cannot be written.
@@ -42,6 +42,10 @@ pub fn write(folder: &Path, setups: &[SetupRuns], text: &str) -> Result<(), Eval
     files::write(&folder.join("join.txt"), text)?;
     files::write_csv(&folder.join("clips.csv"), &rows::rows_of_clips(setups))?;
     files::write_csv(&folder.join("power.csv"), &rows::rows_of_power(setups))?;
+    files::write_csv(
+        &folder.join("settings.csv"),
+        &rows::rows_of_settings(setups),
+    )?;
     files::write_csv(
         &folder.join("policies.csv"),
         &rows::rows_of_policies(&summaries),

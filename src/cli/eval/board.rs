@@ -1,21 +1,23 @@
 //! `albireo eval board`: measures policies on this machine over the clips of a data set, and goes on where it was stopped.
 
+mod setup;
+
 use super::JUDGED;
 use super::video::{clip_names, truth_places};
 use crate::cli::play::{Player, choose_meter, clip, node_configuration, with_truth};
 use crate::cli::progress;
 use crate::cli::values::{not_negative, parse_rate};
-use albireo_core::policy::PolicyConfig;
-use albireo_eval::board::{ClipRun, RunsFile, Setup, TRACED_CLIPS, counted_clips};
+use albireo_eval::board::{ClipRun, RunsFile, TRACED_CLIPS};
 use albireo_eval::data::classes::Evaluated;
 use albireo_eval::data::{Clip, GroundTruth, LoadReport, Rules, TruthFormat};
 use albireo_eval::footage::{FrameSource, SourceName, VideoEncoding};
 use albireo_eval::judge::{Classes, Interpolation, Truth, accuracy};
 use albireo_eval::settings::ScreenRule;
-use albireo_eval::spec::{PolicySpec, Sweep, resolve};
+use albireo_eval::spec::{PolicySpec, Sweep, resolve_with_pause};
+use albireo_eval::text::counted;
 use albireo_node::config::NodeConfig;
 use albireo_service::{logging, signals};
-use albireo_vision::detector::{DetectorConfig, DetectorNetwork, ExecutionProvider};
+use albireo_vision::detector::{DetectorConfig, DetectorNetwork};
 use anyhow::Context;
 use clap::Args;
 use indicatif::HumanDuration;
@@ -38,7 +40,8 @@ const LONGEST_S: f64 = 3600.0;
 Each run starts a node as `albireo node` does and plays one clip to it under one
 policy; the meter of the node measures it. On every second clip the policies run
 in reverse order. Each run is on disk when it is done: stopped, by Ctrl-C or a
-power cut, the same command goes on with the runs that are missing.
+power cut, the same command goes on with the runs that are missing. It refuses
+if a setting that changes results is another one than before, and names it.
 
 There is a file for each detector, precision, power mode and machine. `albireo
 eval join` makes tables of one or several.
@@ -55,7 +58,8 @@ pub(super) struct BoardArguments {
     /// Video files, folders of pictures, folders of such folders, or tar archives; `demo` is the demonstration's road
     #[arg(required = true, value_name = "CLIP")]
     clips: Vec<SourceName>,
-    /// A policy, as NAME or NAME:SETTING; may be repeated. Vanilla always runs as well
+    /// A policy by its name in the configuration, as NAME or NAME:SETTING; may be repeated. `all` stands for the paper's
+    /// policies with its settings and expected-loss at 0.1, 0.3 and 0.5. Vanilla always runs as well
     #[arg(long, value_name = "NAME[:SETTING]", default_value = "albireo")]
     policy: Vec<String>,
     /// Values of a setting to try one after the other, for instance u=3e-4,5e-4
@@ -100,6 +104,9 @@ pub(super) struct BoardArguments {
     /// Write the file of runs here
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+    /// Measure all again, for instance with other settings; the runs before are kept in a file beside, FILE.before
+    #[arg(long)]
+    restart: bool,
 }
 
 /// Runs the command; progress goes to standard error.
@@ -111,19 +118,25 @@ pub(super) async fn run(arguments: &BoardArguments) -> anyhow::Result<()> {
     let file = arguments.config.as_deref();
     let detector = arguments.detector.as_deref();
     let mut config = node_configuration(file, detector, LOG_LEVEL)?;
-    let policies = policies(arguments, &config.policy)?;
+    let policies = policies(arguments, &config)?;
     let mut truth = ground_truth(arguments, &mut config.detector).await?;
     truth.check(&names)?;
     logging::start(&config.log)?;
     let shutdown = signals::shutdown(None)?;
     let meter = choose_meter(&mut config.power).await?;
     let clips = measured_clips(arguments, &mut truth, names.len() == 1)?;
-    let mut file = RunsFile::open(&arguments.out, &setup(arguments, &config)?)?;
+    let setup = setup::of(arguments, &config)?;
+    let mut file = RunsFile::open(&arguments.out, &setup, arguments.restart)?;
+    for clip in &clips {
+        if let Some(content) = &clip.content {
+            file.check_clip(&clip.name, content)?;
+        }
+    }
     let scheduled = scheduled(&clips, &policies, &file);
     let all = clips.len() * policies.len();
     eprintln!(
         "{}, {} policies: {} of {all} runs are done; power: {meter}; {}",
-        counted_clips(clips.len()),
+        counted(clips.len(), "clip"),
         policies.len(),
         all - scheduled.len(),
         file.path().display()
@@ -149,11 +162,12 @@ pub(super) async fn run(arguments: &BoardArguments) -> anyhow::Result<()> {
             eprintln!("run {} of {}: {name}{left}", number + 1, scheduled.len());
         }
         let steps = |sent: u64, _: &str| bar.set_position(done + sent.min(of.frames.unwrap_or(1)));
-        let played = measuring.play(of, policy, steps, &shutdown).await;
+        let played = measuring.play(of, policy, &file, steps, &shutdown).await;
         if shutdown.is_cancelled() {
             bar.finish_and_clear();
             eprintln!(
-                "Stopped: {number} more runs are kept. The same command goes on with the others."
+                "Stopped: {} more kept. The same command goes on with the others.",
+                counted(number, "run")
             );
             return Ok(());
         }
@@ -218,12 +232,12 @@ fn time_left(elapsed: Duration, done: u64, all: u64) -> String {
     format!(", about {} left", HumanDuration(left))
 }
 
-fn policies(arguments: &BoardArguments, base: &PolicyConfig) -> anyhow::Result<Vec<PolicySpec>> {
+fn policies(arguments: &BoardArguments, config: &NodeConfig) -> anyhow::Result<Vec<PolicySpec>> {
     // Labels name no screen: it is the node's own.
-    let specs = resolve(
+    let specs = resolve_with_pause(
         &arguments.policy,
         &arguments.sweep,
-        base,
+        (&config.policy, config.screen.empty_road()),
         ScreenRule::Nonempty,
         true,
     )?;
@@ -242,6 +256,8 @@ struct MeasuredClip {
     number: usize,
     /// `None` for a video, whose frames are counted when it is read.
     frames: Option<u64>,
+    /// What it is in words, as [`ClipRun::content`]; `None` for a video.
+    content: Option<String>,
     /// True if the power trace of its runs is kept.
     is_traced: bool,
 }
@@ -267,17 +283,20 @@ fn measured_clips(
                 continue;
             }
             let frames = clip.frames();
+            let mut content = None;
             if let Some(frames) = frames {
                 let first = clip.next()?.with_context(|| format!("{name}: it has no pictures"))?;
                 let clip = with_truth(truth, &name, first.size, frames, alone, &mut report)?;
                 all += clip.frames;
                 unlabelled += clip.unlabelled();
+                content = Some(content_of(&clip));
             }
             clips.push(MeasuredClip {
                 name,
                 source: source.clone(),
                 number,
                 frames,
+                content,
                 is_traced: clips.len() < TRACED_CLIPS,
             });
         }
@@ -293,6 +312,17 @@ fn measured_clips(
         );
     }
     Ok(clips)
+}
+
+/// Describes what the clip is, so that later runs can be held against it.
+fn content_of(clip: &Clip) -> String {
+    let judged_by = format!("{:?} {:?}", clip.truth, clip.ignored);
+    format!(
+        "{} pictures of {}, ground truth {:08x}",
+        clip.frames,
+        clip.picture,
+        crc32fast::hash(judged_by.as_bytes())
+    )
 }
 
 /// The runs that are missing, clip by clip; on every second clip the policies are in reverse order.
@@ -316,43 +346,6 @@ fn scheduled<'a>(
     runs
 }
 
-/// Describes what all runs have in common.
-fn setup(arguments: &BoardArguments, config: &NodeConfig) -> anyhow::Result<Setup> {
-    let model = &config.detector.model;
-    let bytes = std::fs::read(model).with_context(|| model.display().to_string())?;
-    let stem = model.file_stem().unwrap_or_default();
-    let host = || std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
-    let mode = || albireo_power::board_state(&config.power).power_mode;
-    // Half precision is a setting of TensorRT alone; elsewhere the model runs as it was exported.
-    let first = config.detector.providers.first();
-    let is_half = config.detector.gpu.fp16 && first == Some(&ExecutionProvider::TensorRt);
-    let precision = if is_half { "fp16" } else { "as exported" };
-    let truth = match (arguments.truth_format, arguments.ground_truth.first()) {
-        (Some(format), Some(path)) => format!("{format:?} {}", path.display()),
-        _ => "demo/truth.json".to_owned(),
-    };
-    let rules = match arguments.rules {
-        Rules::Benchmark => "",
-        Rules::Paper => ", nothing excused",
-    };
-    Ok(Setup {
-        detector: stem.to_string_lossy().into_owned(),
-        detector_checksum: format!("{:08x}-{}", crc32fast::hash(&bytes), bytes.len()),
-        precision: arguments.precision.clone().unwrap_or_else(|| precision.to_owned()),
-        power_mode: arguments.power_mode.clone().or_else(mode).unwrap_or_default(),
-        machine: arguments.machine.clone().unwrap_or_else(|| host().trim().to_owned()),
-        provider: config
-            .detector
-            .providers
-            .iter()
-            .map(|provider| provider.as_str())
-            .collect::<Vec<_>>()
-            .join(", "),
-        pace: if arguments.paced { "paced" } else { "unpaced" }.to_owned(),
-        truth: truth + rules,
-    })
-}
-
 /// Plays runs and judges them.
 struct Measuring<'a> {
     arguments: &'a BoardArguments,
@@ -366,11 +359,12 @@ struct Measuring<'a> {
 }
 
 impl Measuring<'_> {
-    /// Plays a clip under a policy.
+    /// Plays a clip under a policy, unless it is another one than that of its runs in `file`.
     async fn play(
         &mut self,
         of: &MeasuredClip,
         policy: &PolicySpec,
+        file: &RunsFile,
         progress: impl Fn(u64, &str),
         shutdown: &tokio_util::sync::CancellationToken,
     ) -> anyhow::Result<ClipRun> {
@@ -380,8 +374,11 @@ impl Measuring<'_> {
             None => self.load(of).await?,
         };
         let (player, clip) = &*self.loaded.insert(loaded);
+        let content = content_of(clip);
+        file.check_clip(&of.name, &content)?;
         let played = player.play(policy, progress, shutdown).await?;
         let mut run = ClipRun::of(&played.report, &of.name, &policy.label);
+        run.content = content;
         run.frame_ms = played.frame_ms(player.rate);
         run.cpu_s = Some(played.cpu.as_secs_f64());
         run.memory_mb = played.memory_mb;

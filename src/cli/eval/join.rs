@@ -21,7 +21,7 @@ pub(super) struct JoinArguments {
     /// Files of `albireo eval board` (.jsonl), or summary.csv files of the paper's published results.
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
-    /// Write join.html, join.txt, policies.csv, clips.csv, power.csv and the figures here.
+    /// Write join.html, join.txt, policies.csv, clips.csv, power.csv, settings.csv and the figures here.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
 }

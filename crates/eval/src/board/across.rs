@@ -6,7 +6,7 @@ use super::table::{JoinedTable, column, percent, whole};
 use crate::spec::short_label;
 use crate::summary::Difference;
 use crate::text::{Column, one_decimal, or_dash, signed, three_decimals};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// The tables across setups; `None` for one that has no rows.
 pub(super) struct AcrossSetups {
@@ -17,12 +17,39 @@ pub(super) struct AcrossSetups {
 
 impl AcrossSetups {
     pub(super) fn new(setups: &[SetupRuns], summaries: &[SetupSummary]) -> Self {
+        let caution = differing_settings(setups);
+        let with_caution = |table: JoinedTable| JoinedTable {
+            notes: table.notes.into_iter().chain(caution.clone()).collect(),
+            ..table
+        };
         Self {
-            detectors: detectors(setups, summaries),
-            modes: modes(setups, summaries),
-            savings: composed(&compositions(setups)),
+            detectors: detectors(setups, summaries).map(with_caution),
+            modes: modes(setups, summaries).map(with_caution),
+            savings: composed(&compositions(setups)).map(with_caution),
         }
     }
+}
+
+/// Names the settings, beside the detector, in which the measured setups differ: their rows are then not alike in all else.
+fn differing_settings(setups: &[SetupRuns]) -> Option<String> {
+    // The published rows tell no settings.
+    let measured = || setups.iter().map(|of| &of.setup).filter(|of| of.settings.len() > 2);
+    let first = measured().next()?;
+    let mut values: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
+    for other in measured() {
+        for (key, own, others) in first.differing_settings(other) {
+            values.entry(key).or_default().extend([own, others]);
+        }
+    }
+    values.remove("detector.model");
+    let named: Vec<String> = values
+        .into_iter()
+        .map(|(key, values)| {
+            let values: Vec<&str> = values.into_iter().collect();
+            format!("{key} ({})", values.join(", "))
+        })
+        .collect();
+    (!named.is_empty()).then(|| format!("The setups also differ in {}.", named.join(", ")))
 }
 
 /// A policy in a setup.

@@ -23,7 +23,8 @@ pub(super) fn render(setups: &[SetupRuns], summaries: &[SetupSummary], plots: &[
             footer {
                 p {
                     "Made by albireo " (env!("CARGO_PKG_VERSION")) ". The same figures are in " code { "policies.csv" }
-                    ", each run's in " code { "clips.csv" } ", and the power over the first clips in " code { "power.csv" } "."
+                    ", each run's in " code { "clips.csv" } ", the power over the first clips in " code { "power.csv" }
+                    ", and the settings of the measurement in " code { "settings.csv" } "."
                 }
             }
         }

@@ -1,6 +1,6 @@
 //! Reads the per-clip results that accompany the paper: `results/BOARD/SYSTEM/DETECTOR/summary.csv` of its repository.
 
-use super::run::{ClipRun, Setup, SetupRuns};
+use super::run::{ClipRun, FRAMES, JUDGED_BY, Setup, SetupRuns};
 use crate::error::EvalError;
 use crate::spec::BASELINE;
 use albireo_wire::FrameStates;
@@ -51,13 +51,12 @@ pub(super) fn parse(path: &Path, text: &str) -> Result<SetupRuns, EvalError> {
     };
     let setup = Setup {
         detector: folder(1),
-        detector_checksum: String::new(),
         precision: "as published".to_owned(),
         power_mode: String::new(),
         machine: folder(3),
-        provider: String::new(),
-        pace: "unpaced".to_owned(),
-        truth: "BDD100K MOT".to_owned(),
+        settings: [(FRAMES, "unpaced"), (JUDGED_BY, "BDD100K MOT")]
+            .map(|(key, value)| (key.to_owned(), value.to_owned()))
+            .into(),
     };
     Ok(SetupRuns { setup, runs })
 }
@@ -86,6 +85,7 @@ fn run(row: PublishedRow) -> ClipRun {
     ClipRun {
         clip: row.sequence,
         policy,
+        content: String::new(),
         frames: states.frames(),
         dropped: 0,
         unlabelled: 0,

@@ -52,6 +52,24 @@ pub(super) fn rows_of_clips(setups: &[SetupRuns]) -> Vec<Cells> {
     .collect()
 }
 
+/// Returns a row for each setting under which a setup was measured.
+pub(super) fn rows_of_settings(setups: &[SetupRuns]) -> Vec<Cells> {
+    let rows_of = |of: &SetupRuns| -> Vec<Cells> {
+        let title = of.setup.title();
+        let settings = of.setup.settings.iter();
+        settings
+            .map(|(key, value)| {
+                vec![
+                    ("setup", title.clone()),
+                    ("key", key.clone()),
+                    ("value", value.clone()),
+                ]
+            })
+            .collect()
+    };
+    setups.iter().flat_map(rows_of).collect()
+}
+
 /// Returns a row for each entry of a power trace.
 pub(super) fn rows_of_power(setups: &[SetupRuns]) -> Vec<Cells> {
     let runs = setups.iter().flat_map(|of| of.runs.iter().map(move |run| (&of.setup, run)));

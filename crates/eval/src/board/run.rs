@@ -2,32 +2,34 @@
 
 use albireo_wire::{ClipReport, EnergyQuality, FrameStates};
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// What all runs of a file have in common. Runs of different setups are never averaged together.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Setup {
     /// The detector's file name without its ending.
     pub detector: String,
-    /// CRC-32 and length of the detector's file; empty for published rows, which do not have it.
-    #[serde(default)]
-    pub detector_checksum: String,
     /// The detector's precision, such as `fp16`; `as exported` if nobody said.
     pub precision: String,
     /// The machine's power mode; empty if it has none or does not tell.
     pub power_mode: String,
     /// The machine's name.
     pub machine: String,
-    /// The execution provider of ONNX Runtime.
+    /// Everything else that can change a run, by key: versions, digests of the models, and each setting of the node. Empty
+    /// for rows of others.
     #[serde(default)]
-    pub provider: String,
-    /// How frames arrived: `unpaced`, each as soon as the node had taken the last one, or `paced`, at the clip's rate.
-    #[serde(default)]
-    pub pace: String,
-    /// What the boxes were judged by.
-    #[serde(default)]
-    pub truth: String,
+    pub settings: BTreeMap<String, String>,
 }
+
+/// The setting that tells how frames arrived: `unpaced`, each as soon as the node had taken the last one, or `paced`, at the
+/// clip's rate.
+pub const FRAMES: &str = "frames";
+
+/// The setting that tells the layout of the ground truth, and the rules.
+pub const JUDGED_BY: &str = "judged by";
+
+/// What a setting that has no value is called in sentences.
+const UNSET: &str = "not set";
 
 impl Setup {
     /// What names the setup, as far as it is known: detector, precision, power mode and machine.
@@ -46,23 +48,21 @@ impl Setup {
         self.names().collect::<Vec<_>>().join(", ")
     }
 
-    /// Names the parts in which a setup of the same machine differs: `yolo26x: MAXN → 15W`.
+    /// Names the parts in which a setup of the same machine differs: `yolo26x: MAXN → 15W`. Settings tell two setups apart
+    /// only if nothing that names them does.
     pub(super) fn change_to(&self, other: &Self) -> String {
-        let parts = |setup: &Self| {
-            [
-                &setup.detector,
-                &setup.precision,
-                &setup.power_mode,
-                &setup.provider,
-                &setup.pace,
-                &setup.truth,
-            ]
-            .map(String::clone)
-        };
-        let pairs = parts(self).into_iter().zip(parts(other));
-        let differing = pairs.filter(|(own, others)| own != others);
-        let changes: Vec<String> =
+        let named = [
+            (&self.detector, &other.detector),
+            (&self.precision, &other.precision),
+            (&self.power_mode, &other.power_mode),
+        ];
+        let differing = named.into_iter().filter(|(own, others)| own != others);
+        let mut changes: Vec<String> =
             differing.map(|(own, others)| format!("{own} → {others}")).collect();
+        if changes.is_empty() {
+            let settings = self.differing_settings(other).into_iter();
+            changes.extend(settings.map(|(key, own, others)| format!("{key} {own} → {others}")));
+        }
         let detector = Some(&self.detector).filter(|own| **own == other.detector);
         let of = detector.map_or_else(String::new, |detector| format!("{detector}: "));
         format!("{of}{}", changes.join(", "))
@@ -75,23 +75,46 @@ impl Setup {
         format!("{}.jsonl", plain.collect::<Vec<_>>().join("."))
     }
 
-    /// Describes the first difference to `other` in words, if there is one.
-    pub(super) fn difference(&self, other: &Self) -> Option<String> {
-        let parts = |setup: &Self| {
-            [
-                ("detector", setup.detector.clone()),
-                ("checksum of the detector", setup.detector_checksum.clone()),
-                ("precision", setup.precision.clone()),
-                ("power mode", setup.power_mode.clone()),
-                ("machine", setup.machine.clone()),
-                ("execution provider", setup.provider.clone()),
-                ("pace", setup.pace.clone()),
-                ("ground truth", setup.truth.clone()),
-            ]
-        };
-        let mut both = parts(self).into_iter().zip(parts(other));
-        let ((name, own), (_, others)) = both.find(|((_, own), (_, others))| own != others)?;
-        Some(format!("its {name} was `{own}`, and now it is `{others}`"))
+    /// The settings that differ in `other`: key, own value, other value.
+    pub(super) fn differing_settings<'a>(
+        &'a self,
+        other: &'a Self,
+    ) -> Vec<(&'a str, &'a str, &'a str)> {
+        let keys: BTreeSet<&String> = self.settings.keys().chain(other.settings.keys()).collect();
+        let value = |of: &'a Self, key: &str| of.settings.get(key).map_or(UNSET, String::as_str);
+        keys.into_iter()
+            .map(|key| (key.as_str(), value(self, key), value(other, key)))
+            .filter(|(_, own, others)| own != others)
+            .collect()
+    }
+
+    /// Describes how `now` differs, a line for each key; `None` if it does not.
+    pub(super) fn difference(&self, now: &Self) -> Option<String> {
+        if self.settings.is_empty() && !now.settings.is_empty() {
+            return Some(
+                "it does not say under which settings it was measured: another version wrote it"
+                    .to_owned(),
+            );
+        }
+        let named = [
+            ("detector", &self.detector, &now.detector),
+            ("precision", &self.precision, &now.precision),
+            ("power mode", &self.power_mode, &now.power_mode),
+            ("machine", &self.machine, &now.machine),
+        ];
+        let named = named.map(|(name, own, others)| (name, own.as_str(), others.as_str()));
+        let lines: Vec<String> = named
+            .into_iter()
+            .filter(|(_, own, others)| own != others)
+            .chain(self.differing_settings(now))
+            .map(|(key, before, now)| format!("  {key} was {before}, and now is {now}"))
+            .collect();
+        (!lines.is_empty()).then(|| {
+            format!(
+                "its runs were measured with other settings:\n{}",
+                lines.join("\n")
+            )
+        })
     }
 }
 
@@ -102,6 +125,9 @@ pub struct ClipRun {
     pub clip: String,
     /// The policy's label.
     pub policy: String,
+    /// What the clip was: size and number of its pictures, and a digest of its ground truth. Empty for rows of others.
+    #[serde(default)]
+    pub content: String,
     /// Frames answered.
     pub frames: u64,
     /// Frames that the node did not take.
@@ -166,6 +192,7 @@ impl ClipRun {
         Self {
             clip: clip.to_owned(),
             policy: policy.to_owned(),
+            content: String::new(),
             frames: report.frames,
             dropped: report.dropped.total(),
             unlabelled: 0,

@@ -11,6 +11,9 @@ use std::path::{Path, PathBuf};
 /// The version of the file's form.
 const VERSION: u32 = 1;
 
+/// What can be done about a file whose runs do not go with new ones.
+const WAY_OUT: &str = "Set that back to go on, write to another folder with --out, or measure all again with --restart.";
+
 /// A line of the file: the first is the setup, each other one a run.
 #[derive(Serialize, Deserialize)]
 #[serde(untagged)]
@@ -29,11 +32,12 @@ pub struct RunsFile {
 
 impl RunsFile {
     /// Opens the file of `setup` in `folder`, or creates it. A last line that was cut off, because the program or the
-    /// machine stopped while it was written, is removed: its run is played again.
+    /// machine stopped while it was written, is removed: its run is played again. With `restart` the runs before are kept
+    /// in a file beside it, and all are played again.
     ///
     /// # Errors
     /// When the file cannot be read or written, or holds runs of another setup.
-    pub fn open(folder: &Path, setup: &Setup) -> Result<Self, EvalError> {
+    pub fn open(folder: &Path, setup: &Setup, restart: bool) -> Result<Self, EvalError> {
         let path = folder.join(setup.file_name());
         let failed = |error: std::io::Error| EvalError::write(&path, error);
         std::fs::create_dir_all(folder).map_err(failed)?;
@@ -53,6 +57,11 @@ impl RunsFile {
         })?;
         let mut bytes = Vec::new();
         file.read_to_end(&mut bytes).map_err(failed)?;
+        if restart && !bytes.is_empty() {
+            let before = folder.join(format!("{}.before", setup.file_name()));
+            std::fs::write(&before, &bytes).map_err(|error| EvalError::write(&before, error))?;
+            bytes.clear();
+        }
         let whole = bytes.iter().rposition(|byte| *byte == b'\n').map_or(0, |end| end + 1);
         let text = String::from_utf8_lossy(&bytes[..whole]);
         file.set_len(whole as u64).map_err(failed)?;
@@ -65,10 +74,7 @@ impl RunsFile {
         match parse(&path, &text)? {
             Some(before) => {
                 if let Some(what) = before.setup.difference(setup) {
-                    let what = format!(
-                        "it holds runs of another setup: {what}; write to another folder with --out, or remove it"
-                    );
-                    return Err(EvalError::content(&path, what));
+                    return Err(EvalError::content(&path, format!("{what}\n{WAY_OUT}")));
                 }
                 opened.runs = before.runs;
             }
@@ -88,6 +94,24 @@ impl RunsFile {
     /// The runs so far.
     pub fn runs(&self) -> &[ClipRun] {
         &self.runs
+    }
+
+    /// Refuses a clip of which the file has runs, if these were of other pictures or another ground truth.
+    ///
+    /// # Errors
+    /// Both contents in words, and the way out.
+    pub fn check_clip(&self, clip: &str, content: &str) -> Result<(), EvalError> {
+        let mut of_clip = self.runs.iter().filter(|run| run.clip == clip);
+        match of_clip.find(|run| run.content != content) {
+            Some(run) => Err(EvalError::content(
+                &self.path,
+                format!(
+                    "its runs of the clip {clip} were of {}, and now it is of {content}\n{WAY_OUT}",
+                    run.content
+                ),
+            )),
+            None => Ok(()),
+        }
     }
 
     /// True if the clip was played under the policy.

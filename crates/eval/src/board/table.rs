@@ -1,11 +1,11 @@
 //! Makes the tables of each setup, and formats all tables for a terminal.
 
 use super::across::AcrossSetups;
-use super::run::SetupRuns;
+use super::run::{FRAMES, JUDGED_BY, SetupRuns};
 use super::summary::{Changes, PolicyFigures, SetupSummary, summarise};
 use crate::spec::{short_label, split_label};
 use crate::summary::Difference;
-use crate::text::{self, Column, one_decimal, or_dash, signed, three_decimals, wrapped};
+use crate::text::{self, Column, counted, one_decimal, or_dash, signed, three_decimals, wrapped};
 use albireo_core::policy::FrameState;
 use std::collections::BTreeMap;
 
@@ -142,12 +142,6 @@ fn named(policies: &[PolicyFigures]) -> Column {
     })
 }
 
-/// `1 clip`, `200 clips`.
-pub fn counted_clips(clips: usize) -> String {
-    let clip = if clips == 1 { "clip" } else { "clips" };
-    format!("{clips} {clip}")
-}
-
 pub(super) fn whole(value: Option<f64>) -> String {
     or_dash(value.map(|value| format!("{value:.0}")))
 }
@@ -216,15 +210,13 @@ fn figures(setup: &SetupRuns, summary: &SetupSummary) -> JoinedTable {
         notes.push(format!("Energy is {}.", summary.energy_of));
     }
     notes.extend(cautions(rows, clips));
-    let pace = &setup.setup.pace;
-    let judged = &setup.setup.truth;
-    let how = [("frames", pace.as_str()), ("judged by", judged.as_str())]
+    let settings = &setup.setup.settings;
+    let how = [FRAMES, JUDGED_BY]
         .into_iter()
-        .filter(|(_, what)| !what.is_empty())
-        .map(|(name, what)| format!("; {name} {what}"))
+        .filter_map(|name| Some(format!("; {name} {}", settings.get(name)?)))
         .collect::<String>();
     JoinedTable {
-        title: format!("{}: {}{how}", summary.title, counted_clips(clips)),
+        title: format!("{}: {}{how}", summary.title, counted(clips, "clip")),
         columns,
         notes,
     }
@@ -257,8 +249,8 @@ fn cautions(rows: &[PolicyFigures], clips: usize) -> Vec<String> {
         }
         if of.throttled > 0 {
             cautions.push(format!(
-                "Under {name} the clocks were throttled in {} runs.",
-                of.throttled
+                "Under {name} the clocks were throttled in {}.",
+                counted(of.throttled, "run")
             ));
         }
     }
@@ -297,7 +289,7 @@ fn differences(summary: &SetupSummary) -> Option<JoinedTable> {
             "Differences to vanilla with 95 % intervals and p (paired t{})",
             clips.map_or_else(String::new, |clips| format!(
                 ", {} with ground truth",
-                counted_clips(clips)
+                counted(clips, "clip")
             ))
         ),
         columns,

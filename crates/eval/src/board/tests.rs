@@ -7,13 +7,16 @@ use std::path::PathBuf;
 fn setup() -> Setup {
     Setup {
         detector: "yolo".to_owned(),
-        detector_checksum: "ab".to_owned(),
         precision: "fp16".to_owned(),
         power_mode: "15 W".to_owned(),
         machine: "board".to_owned(),
-        provider: "cpu".to_owned(),
-        pace: "unpaced".to_owned(),
-        truth: "labels".to_owned(),
+        settings: [
+            ("detector.model", "ab"),
+            (FRAMES, "unpaced"),
+            (JUDGED_BY, "labels"),
+        ]
+        .map(|(key, value)| (key.to_owned(), value.to_owned()))
+        .into(),
     }
 }
 
@@ -22,6 +25,7 @@ fn run(clip: &str, policy: &str, joules: f64, ap50: f64) -> ClipRun {
     ClipRun {
         clip: clip.to_owned(),
         policy: policy.to_owned(),
+        content: "1280x720".to_owned(),
         frames: 100,
         dropped: 0,
         unlabelled: 0,
@@ -57,7 +61,7 @@ fn run(clip: &str, policy: &str, joules: f64, ap50: f64) -> ClipRun {
 #[test]
 fn a_run_survives_a_stop_and_a_line_cut_off_by_it_is_played_again() {
     let folder = tempfile::tempdir().unwrap();
-    let mut file = RunsFile::open(folder.path(), &setup()).unwrap();
+    let mut file = RunsFile::open(folder.path(), &setup(), false).unwrap();
     for clip in ["a", "b"] {
         file.add(run(clip, BASELINE, 10.0, 0.5)).unwrap();
     }
@@ -68,7 +72,7 @@ fn a_run_survives_a_stop_and_a_line_cut_off_by_it_is_played_again() {
     let second = whole[..whole.len() - 1].iter().rposition(|byte| *byte == b'\n').unwrap() + 1;
     for cut in second..whole.len() {
         fs::write(&path, &whole[..cut]).unwrap();
-        let mut file = RunsFile::open(folder.path(), &setup()).unwrap();
+        let mut file = RunsFile::open(folder.path(), &setup(), false).unwrap();
         assert!(
             file.has("a", BASELINE) && !file.has("b", BASELINE),
             "cut at {cut}"
@@ -103,33 +107,84 @@ fn the_power_of_a_traced_clip_is_drawn_with_a_line_for_each_policy() {
     assert!(!parts.svg.contains("total"));
 }
 
+/// A setup in which one setting has another value, or, with `None`, no value.
+fn changed(key: &str, value: Option<&str>) -> Setup {
+    let mut changed = setup();
+    changed.settings.remove(key);
+    changed.settings.extend(value.map(|value| (key.to_owned(), value.to_owned())));
+    changed
+}
+
 #[test]
-fn runs_of_another_setup_are_not_added_to_a_file() {
+fn runs_with_other_settings_are_not_added_to_a_file() {
     let folder = tempfile::tempdir().unwrap();
-    drop(RunsFile::open(folder.path(), &setup()).unwrap());
-    let other = Setup {
-        detector_checksum: "cd".to_owned(),
-        ..setup()
-    };
-    let refused = RunsFile::open(folder.path(), &other).unwrap_err().to_string();
-    assert!(
-        refused.contains("checksum") && refused.contains("--out"),
-        "{refused}"
-    );
+    drop(RunsFile::open(folder.path(), &setup(), false).unwrap());
+    for (key, value, expected) in [
+        (
+            "detector.model",
+            Some("cd"),
+            "detector.model was ab, and now is cd",
+        ),
+        (FRAMES, None, "frames was unpaced, and now is not set"),
+        (
+            "screen.model",
+            Some("ef"),
+            "screen.model was not set, and now is ef",
+        ),
+    ] {
+        let other = changed(key, value);
+        let refused = RunsFile::open(folder.path(), &other, false).unwrap_err().to_string();
+        for words in [expected, "--out", "--restart"] {
+            assert!(refused.contains(words), "{refused}");
+        }
+    }
     // Another precision has a file of its own.
     let half = Setup {
         precision: "fp32".to_owned(),
         ..setup()
     };
     assert_ne!(half.file_name(), setup().file_name());
-    drop(RunsFile::open(folder.path(), &half).unwrap());
+    drop(RunsFile::open(folder.path(), &half, false).unwrap());
+}
+
+#[test]
+fn a_restart_keeps_the_runs_before_in_a_file_beside() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut file = RunsFile::open(folder.path(), &setup(), false).unwrap();
+    file.add(run("a", BASELINE, 10.0, 0.5)).unwrap();
+    let path = file.path().to_owned();
+    drop(file);
+    let before = fs::read(&path).unwrap();
+    let other = changed(FRAMES, Some("paced"));
+    let file = RunsFile::open(folder.path(), &other, true).unwrap();
+    assert!(file.runs().is_empty());
+    drop(file);
+    assert_eq!(
+        fs::read(path.with_extension("jsonl.before")).unwrap(),
+        before
+    );
+    drop(RunsFile::open(folder.path(), &other, false).unwrap());
+}
+
+#[test]
+fn a_clip_whose_pictures_or_labels_have_changed_is_not_added_to_its_runs() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut file = RunsFile::open(folder.path(), &setup(), false).unwrap();
+    file.add(run("a", BASELINE, 10.0, 0.5)).unwrap();
+    file.check_clip("a", "1280x720").unwrap();
+    file.check_clip("b", "640x360").unwrap();
+    let refused = file.check_clip("a", "640x360").unwrap_err().to_string();
+    assert!(
+        refused.contains("of 1280x720, and now it is of 640x360"),
+        "{refused}"
+    );
 }
 
 #[test]
 fn two_commands_do_not_write_one_file() {
     let folder = tempfile::tempdir().unwrap();
-    let _first = RunsFile::open(folder.path(), &setup()).unwrap();
-    let refused = RunsFile::open(folder.path(), &setup()).unwrap_err().to_string();
+    let _first = RunsFile::open(folder.path(), &setup(), false).unwrap();
+    let refused = RunsFile::open(folder.path(), &setup(), false).unwrap_err().to_string();
     assert!(refused.contains("stop that one first"), "{refused}");
 }
 
@@ -280,6 +335,21 @@ fn three_setups() -> [SetupRuns; 3] {
         measured("yolo", "15W"),
         measured("detr", "MAXN"),
     ]
+}
+
+#[test]
+fn setups_that_differ_in_a_setting_are_not_compared_in_silence() {
+    let mut setups = three_setups();
+    for (of, confidence) in setups.iter_mut().zip(["0.5", "0.5", "0.3"]) {
+        let settings = &mut of.setup.settings;
+        settings.insert("detector.confidence".to_owned(), confidence.to_owned());
+        settings.insert("detector.model".to_owned(), of.setup.detector.clone());
+    }
+    let text = render(&setups);
+    assert!(
+        text.contains("also differ in detector.confidence (0.3, 0.5)."),
+        "{text}"
+    );
 }
 
 #[test]
