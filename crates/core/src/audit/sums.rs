@@ -68,16 +68,13 @@ impl AuditSums {
     /// Compares one frame answered without the detector: the boxes `shown` with those `detected`. Makes as many pairs
     /// as possible and ignores classes. Boxes outside the picture do not count.
     pub fn add(&mut self, shown: &[OutputBox], detected: &[Detection]) {
-        let shown = visible(
-            shown
-                .iter()
-                .map(|output| output.bounding_box)
-                .filter(|bounding_box| bounding_box.is_finite()),
-        );
+        let shown_boxes = shown.iter().map(|output| output.bounding_box);
+        let shown_boxes = visible(shown_boxes.filter(|shown| shown.is_finite()));
         let usable = detected.iter().filter(|found| is_usable(found));
-        let detected = visible(usable.map(|found| found.bounding_box));
-        let pairs = pairs(&shown, &detected);
-        let (detected, shown) = (detected.len() as u64, shown.len() as u64);
+        let detected_boxes = visible(usable.map(|found| found.bounding_box));
+        let pairs = pairs(&shown_boxes, &detected_boxes);
+        let shown = shown_boxes.len() as u64;
+        let detected = detected_boxes.len() as u64;
         self.merge(&Self {
             frames: 1,
             detected,
@@ -165,8 +162,10 @@ impl AuditSums {
 
 /// Clips the boxes to the picture, in normalised coordinates, and drops empty ones.
 fn visible(boxes: impl Iterator<Item = BoundingBox>) -> Vec<Corners> {
-    let clipped = boxes.map(|bounding_box| bounding_box.corners().clipped());
-    clipped.filter(|corners| corners.area() > 0.0).collect()
+    boxes
+        .map(|bounding_box| bounding_box.corners().clipped())
+        .filter(|clipped| clipped.area() > 0.0)
+        .collect()
 }
 
 /// Returns the maximum number of pairs of boxes of the same object.

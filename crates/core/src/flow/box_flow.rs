@@ -18,7 +18,7 @@ use super::pyramid::Pyramid;
 use super::tracker::PointTracker;
 use crate::geometry::Corners;
 
-/// Share of the box's sides that the grid spans.
+/// Share of the box's sides that the grid spans: at its edges a box shows more of what lies behind the object.
 const INNER: f32 = 0.7;
 
 /// Largest distance between a kept point's start and its return, pixels.
@@ -99,10 +99,15 @@ impl BoxFlow {
     ) -> Followed {
         let points = self.track_points(before, after, area, guess);
         let kept = self.pairs.len();
+        let motion = if kept >= LEAST_POINTS {
+            self.motion(area)
+        } else {
+            None
+        };
         Followed {
             points,
             kept,
-            motion: (kept >= LEAST_POINTS).then(|| self.motion(area)).flatten(),
+            motion,
         }
     }
 
@@ -179,10 +184,12 @@ impl BoxFlow {
     /// Returns the median ratio of distances after and before. The root of a median is the median of the roots.
     fn scale(&mut self) -> Option<f32> {
         self.values.clear();
-        for (index, a) in self.pairs.iter().enumerate() {
-            let later = self.pairs.get(index + 1..).unwrap_or_default();
-            self.values
-                .extend(later.iter().map(|b| squared(a.end, b.end) / squared(a.start, b.start)));
+        for (index, one) in self.pairs.iter().enumerate() {
+            for other in self.pairs.get(index + 1..).unwrap_or_default() {
+                let before = squared(one.start, other.start);
+                let after = squared(one.end, other.end);
+                self.values.push(after / before);
+            }
         }
         let ratio = median(&mut self.values);
         (ratio.is_finite() && ratio > 0.0).then(|| ratio.sqrt())
@@ -217,7 +224,9 @@ impl Grid {
     }
 }
 
+/// The squared distance of two points.
 fn squared(a: [f32; 2], b: [f32; 2]) -> f32 {
-    let (dx, dy) = (a[0] - b[0], a[1] - b[1]);
+    let dx = a[0] - b[0];
+    let dy = a[1] - b[1];
     dx * dx + dy * dy
 }

@@ -2,16 +2,17 @@
 
 /// Returns the median of `values`: with an even count, the mean of the two middle values; 0 without values.
 pub(super) fn median(values: &mut [f32]) -> f32 {
-    let middle = values.len() / 2;
-    let even = values.len().is_multiple_of(2);
     if values.is_empty() {
         return 0.0;
     }
+    let middle = values.len() / 2;
+    let is_even = values.len().is_multiple_of(2);
     let (below, upper, _) = values.select_nth_unstable_by(middle, f32::total_cmp);
     let upper = *upper;
-    if !even {
+    if !is_even {
         return upper;
     }
+    // The other of the two in the middle is the largest of those below.
     let lower = below.iter().copied().max_by(f32::total_cmp);
     lower.map_or(upper, |lower| (lower + upper) / 2.0)
 }

@@ -129,6 +129,7 @@ impl Pyramid {
         }
         finest.mirror();
         self.used = 1;
+        // The last level that is filled, and the one behind it.
         while let Some(([.., larger], [smaller, ..])) = self.levels.split_at_mut_checked(self.used)
         {
             let (width, height) = (larger.width.div_ceil(2), larger.height.div_ceil(2));
@@ -175,6 +176,8 @@ impl Pyramid {
     }
 }
 
+/// Fills `smaller` with every second pixel of `larger` after the Gaussian: first down the columns, into `sums`, then
+/// along the rows. Weights 1 4 6 4 1 both times; 16·16 = 2⁸.
 fn halve(larger: &Level, smaller: &mut Level, sums: &mut Vec<u16>) {
     let width = larger.width;
     sums.clear();
@@ -185,8 +188,8 @@ fn halve(larger: &Level, smaller: &mut Level, sums: &mut Vec<u16>) {
             let at = (2 * y + BORDER).wrapping_add_signed(offset) * larger.stride + BORDER - 2;
             &larger.pixels[at..][..width + 5]
         };
-        let rows = [row(-2), row(-1), row(0), row(1), row(2)];
-        let [a, b, c, d, e] = rows;
+        let [a, b, c, d, e] = [-2, -1, 0, 1, 2].map(row);
+        // Zipped, so that no index is checked and the loop becomes vector instructions.
         for (((((sum, a), b), c), d), e) in sums.iter_mut().zip(a).zip(b).zip(c).zip(d).zip(e) {
             *sum = u16::from(*a)
                 + u16::from(*e)

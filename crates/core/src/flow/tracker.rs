@@ -10,7 +10,7 @@ use super::window::{Template, inside};
 /// Maximum number of Gauss-Newton steps per level.
 const STEPS: u32 = 30;
 
-/// A step of at most this length, pixels of its level, is the last.
+/// A step of at most this length, pixels of its level, is the last. Two that cancel each other to this are the last, too.
 const PRECISION: f32 = 0.01;
 
 /// Smallest texture of a window to search for: the smaller eigenvalue of the mean of `∇I ∇Iᵀ`, in squared grey values per
@@ -36,14 +36,16 @@ impl PointTracker {
     ) -> Option<[f32; 2]> {
         let levels = before.levels().iter().zip(after.levels()).enumerate();
         let count = before.levels().len().min(after.levels().len());
+        // Half of what it is on the coarsest level, because it is doubled on each.
         let mut shift = guess.map(|shift| shift / power(count));
+        // Whether the point could be located on the last level looked at, which is the finest in the end.
         let mut textured = false;
         for (index, (from, to)) in levels.rev() {
             if (from.width, from.height) != (to.width, to.height) {
                 return None;
             }
             shift = [shift[0] * 2.0, shift[1] * 2.0];
-            let (x, y) = (point[0] / power(index), point[1] / power(index));
+            let [x, y] = point.map(|place| place / power(index));
             textured = false;
             if !inside(from, x, y) {
                 continue;
@@ -55,11 +57,12 @@ impl PointTracker {
             textured = true;
             let mut last = [0.0; 2];
             for step in 0..STEPS {
-                let (x, y) = (x + shift[0], y + shift[1]);
-                if !inside(to, x, y) {
+                let moved_x = x + shift[0];
+                let moved_y = y + shift[1];
+                if !inside(to, moved_x, moved_y) {
                     break;
                 }
-                let Some([dx, dy]) = self.template.step(to, x, y) else {
+                let Some([dx, dy]) = self.template.step(to, moved_x, moved_y) else {
                     break;
                 };
                 shift = [shift[0] + dx, shift[1] + dy];
@@ -67,7 +70,9 @@ impl PointTracker {
                     break;
                 }
                 // The steps oscillate around the same position: take its middle.
-                if step > 0 && (dx + last[0]).abs() < 0.01 && (dy + last[1]).abs() < 0.01 {
+                let cancels_last =
+                    (dx + last[0]).abs() < PRECISION && (dy + last[1]).abs() < PRECISION;
+                if step > 0 && cancels_last {
                     shift = [shift[0] - dx / 2.0, shift[1] - dy / 2.0];
                     break;
                 }

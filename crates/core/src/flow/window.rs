@@ -9,6 +9,8 @@ use wide::{f32x4, i16x8, i32x4, u8x16};
 
 /// Side of the window, pixels.
 pub(super) const SIDE: usize = 11;
+/// Lanes in which a row of the window is processed.
+const LANES: usize = 16;
 /// Pixels from the centre of the window to its edge.
 const HALF: i32 = (SIDE / 2) as i32;
 /// Scale of the gradients, which are in grey values per pixel times this factor.
@@ -70,9 +72,9 @@ impl Template {
         (left, top): (i32, i32),
         [right, below]: [i16; 2],
     ) -> Option<()> {
-        // One extra pixel on every side.
+        // A gradient needs one pixel more on every side; between pixels, one more to the right and below.
         let count = SIDE + 2 + usize::from(BETWEEN);
-        let mut rows = level.rows(left - 1, top - 1, count, 16 + 3)?;
+        let mut rows = level.rows(left - 1, top - 1, count, LANES + 3)?;
         let columns = columns_inside(left, level.width);
         let mut above = Slopes::of::<BETWEEN>(rows.next()?, right)?;
         let mut middle = Slopes::of::<BETWEEN>(rows.next()?, right)?;
@@ -101,14 +103,16 @@ impl Template {
             }
             let mut row_squares = [i32x4::ZERO; 3];
             for half in 0..2 {
-                let (across, down) = (row.across[half], row.down[half]);
+                let across = row.across[half];
+                let down = row.down[half];
                 row_squares[0] += across.dot(across);
                 row_squares[1] += across.dot(down);
                 row_squares[2] += down.dot(down);
                 own[0] += row.values[half].dot(across);
                 own[1] += row.values[half].dot(down);
             }
-            (*dx, *dy) = (row.across, row.down);
+            *dx = row.across;
+            *dy = row.down;
             // The steepest squares of more than a few rows would overflow.
             for (sum, row) in squares.iter_mut().zip(row_squares) {
                 *sum += row.round_float();
@@ -145,25 +149,28 @@ impl Template {
             (1.0 - right) * below,
             right * below,
         ];
-        let mut b = [0.0; 2];
+        let mut difference = [0.0; 2];
         for (share, [x, y]) in shares.iter().zip(self.differences) {
-            b[0] += share * x;
-            b[1] += share * y;
+            difference[0] += share * x;
+            difference[1] += share * y;
         }
+        let [x, y] = difference;
         let [xx, xy, yy] = self.squares;
         let determinant = xx * yy - xy * xy;
-        (determinant > f32::EPSILON).then(|| {
-            [
-                STEEPNESS * (xy * b[1] - yy * b[0]) / determinant,
-                STEEPNESS * (xy * b[0] - xx * b[1]) / determinant,
-            ]
-        })
+        if determinant <= f32::EPSILON {
+            return None;
+        }
+        // The inverse of the matrix of `squares`, by Cramer's rule, times the difference.
+        Some([
+            STEEPNESS * (xy * y - yy * x) / determinant,
+            STEEPNESS * (xy * x - xx * y) / determinant,
+        ])
     }
 
     /// Fills `differences` for the positions between pixel `(x, y)`, the window's first one, and the next pixels right
     /// and below.
     fn compare(&mut self, level: &Level, (x, y): (i32, i32)) -> Option<()> {
-        let mut rows = level.rows(x, y, SIDE + 1, 16 + 1)?;
+        let mut rows = level.rows(x, y, SIDE + 1, LANES + 1)?;
         let mut sums = [[i32x4::ZERO; 2]; 4];
         let mut above = side_by_side(rows.next()?)?;
         for (row, (dx, dy)) in rows.zip(self.dx.iter().zip(&self.dy)) {

@@ -118,6 +118,7 @@ impl AssignmentSolver {
         }
     }
 
+    /// Keeps the reduced costs of the pairs zero and all others above it, as the next search needs.
     fn update_duals(&mut self, start: usize, distance: f64) {
         self.row_dual[start] += distance;
         for row in 0..self.row_dual.len() {
@@ -132,7 +133,7 @@ impl AssignmentSolver {
         }
     }
 
-    /// Flips the pairs along the path that ends in `sink`.
+    /// Flips the pairs along the path that ends in `sink`, so that one more row has a column.
     fn augment(&mut self, start: usize, sink: usize) {
         let mut column = sink;
         loop {

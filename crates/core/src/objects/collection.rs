@@ -80,11 +80,14 @@ impl ObjectStates {
         let model = &self.model;
         let [width, height] = self.minimum_size;
         self.states.retain_mut(|state| {
-            (0..frames).all(|_| {
+            for _ in 0..frames {
                 state.predict(model);
                 state.filter.clamp_size(width, height);
-                !life_cycle.has_left(state.filter.bounding_box())
-            })
+                if life_cycle.has_left(state.filter.bounding_box()) {
+                    return false;
+                }
+            }
+            true
         });
     }
 
@@ -177,6 +180,7 @@ impl ObjectStates {
     pub(crate) fn copy_from(&mut self, other: &Self) {
         self.states.clone_from(&other.states);
         self.sightings.clone_from(&other.sightings);
+        // All but the buffers, which stay.
         *self = Self {
             states: std::mem::take(&mut self.states),
             sightings: std::mem::take(&mut self.sightings),

@@ -49,16 +49,18 @@ impl ComponentSolver {
         self.of_column.resize(columns, NONE);
         for edge in edges {
             let first = &mut self.of_column[edge.column as usize];
-            match *first {
-                NONE => *first = edge.row,
-                first => {
-                    let (one, other) = (self.root(first), self.root(edge.row));
-                    self.parent[one.max(other) as usize] = one.min(other);
-                }
+            if *first == NONE {
+                *first = edge.row;
+                continue;
             }
+            // Two rows with an edge to one column belong together.
+            let known = *first;
+            let one = self.root(known);
+            let other = self.root(edge.row);
+            self.parent[one.max(other) as usize] = one.min(other);
         }
         let sorted = self.sorted_by_root(rows, edges);
-        for component in sorted.chunk_by(|one, other| one.0 == other.0) {
+        for component in sorted.chunk_by(|(one, _), (other, _)| one == other) {
             match component {
                 [(_, edge)] => pairs.push((edge.row, edge.column)),
                 several => self.solve_component(several, pairs),
@@ -67,7 +69,8 @@ impl ComponentSolver {
         self.sorted = sorted;
     }
 
-    /// Returns the edges grouped by component, each with its root; within a component they keep their order.
+    /// Returns the edges grouped by component, each with its root; within a component they keep their order. Sorted by
+    /// counting: roots are small numbers.
     fn sorted_by_root(&mut self, rows: usize, edges: &[Edge]) -> Vec<(u32, Edge)> {
         self.place_of.clear();
         self.place_of.resize(rows + 1, 0);
@@ -76,8 +79,10 @@ impl ComponentSolver {
         for edge in edges {
             let root = self.root(edge.row);
             self.place_of[root as usize + 1] += 1;
+            // Room for an edge; the second pass puts each in its place.
             sorted.push((root, *edge));
         }
+        // From counts to the places at which the components begin.
         for row in 0..rows {
             self.place_of[row + 1] += self.place_of[row];
         }
@@ -90,6 +95,7 @@ impl ComponentSolver {
         sorted
     }
 
+    /// Returns the row that represents the component of `row`, and halves the path to it.
     fn root(&mut self, mut row: u32) -> u32 {
         while self.parent[row as usize] != row {
             let parent = self.parent[row as usize];
@@ -99,6 +105,7 @@ impl ComponentSolver {
         row
     }
 
+    /// Appends the pairs of one component of several edges.
     fn solve_component(&mut self, edges: &[(u32, Edge)], pairs: &mut Vec<(u32, u32)>) {
         self.rows.clear();
         self.columns.clear();

@@ -59,14 +59,14 @@ impl Matcher {
         usable: impl Iterator<Item = bool>,
     ) -> &[Option<u32>] {
         self.pairing.begin(states.len(), detections, usable);
-        let of = |row: usize| {
+        let by_overlap = |row: usize| {
             let state = &states[row];
             let own = state.filter.bounding_box().corners();
             let is_recent = state.since_update <= settings.iou_frames;
             is_recent.then(|| by_overlap(own, settings.iou_gate))
         };
         let within = |cost: f64| overlaps(cost, settings.iou_gate);
-        self.stage(settings.gate, detections, of, within, |cost| cost);
+        self.stage(settings.gate, detections, by_overlap, within, |cost| cost);
         let by_distance = |row: usize| {
             let gauge = states[row].filter.gauge(model);
             let cost = move |other: BoundingBox| gauge.squared_distance(other);
@@ -83,35 +83,42 @@ impl Matcher {
         self.pairing.is_free()
     }
 
-    /// Runs one stage: `of` and `within` are those of [`Pairing::stage`], and `competing` maps a cost to its value when
-    /// all pairs compete.
+    /// Runs one stage: `reach` and `within` are those of [`Pairing::stage`], and `competing` maps a cost to its value
+    /// when all pairs compete.
     fn stage<C: Fn(BoundingBox) -> f64>(
         &mut self,
         order: GateOrder,
         detections: &[Detection],
-        of: impl Fn(usize) -> Option<(Corners, C)>,
+        reach: impl Fn(usize) -> Option<(Corners, C)>,
         within: impl Fn(f64) -> bool,
         competing: impl Fn(f64) -> f64,
     ) {
         if order == GateOrder::BeforeAssignment {
-            self.pairing.stage(detections, of, within);
+            self.pairing.stage(detections, reach, within);
             return;
         }
         self.rows.clear();
         self.columns.clear();
         self.matrix.clear();
-        let is_free = self.pairing.is_free().iter().enumerate();
-        self.columns
-            .extend(is_free.filter(|(_, free)| **free).map(|(column, _)| column));
-        let detection_of = self.pairing.detection_of().iter().enumerate();
-        for (row, _) in detection_of.filter(|(_, detection)| detection.is_none()) {
-            if let Some((_, cost_of)) = of(row) {
-                self.rows.push(row);
-                let boxes = self.columns.iter().map(|it| detections[*it].bounding_box);
-                self.matrix.extend(boxes.map(|it| competing(cost_of(it))));
+        for (column, is_free) in self.pairing.is_free().iter().enumerate() {
+            if *is_free {
+                self.columns.push(column);
             }
         }
-        let (rows, columns) = (&self.rows, &self.columns);
+        for (row, detection) in self.pairing.detection_of().iter().enumerate() {
+            if detection.is_some() {
+                continue;
+            }
+            if let Some((_, cost_of)) = reach(row) {
+                self.rows.push(row);
+                for column in &self.columns {
+                    let cost = cost_of(detections[*column].bounding_box);
+                    self.matrix.push(competing(cost));
+                }
+            }
+        }
+        let rows = &self.rows;
+        let columns = &self.columns;
         // Usable detections and live filters give finite costs; others would give no pairs.
         for &(row, column) in self.full.solve(rows.len(), columns.len(), &self.matrix) {
             if within(self.matrix[row * columns.len() + column]) {

@@ -50,7 +50,9 @@ impl NearBoxes {
         for (((left, right), (top, bottom)), boxes) in words.zip(self.boxes.chunks(WORD)) {
             let mut near = left & right & top & bottom;
             while near != 0 {
-                visit(boxes[near.trailing_zeros() as usize].1);
+                let (_, index) = boxes[near.trailing_zeros() as usize];
+                visit(index);
+                // Clears the lowest bit.
                 near &= near - 1;
             }
         }
@@ -84,11 +86,14 @@ impl AxisSets {
             sets.resize(BINS * words, 0);
         }
         for (place, (begin, end)) in intervals.enumerate() {
-            let (word, bit) = (place / WORD, 1 << (place % WORD));
-            let (begin, end) = (self.bin(begin), self.bin(end));
-            self.begun[begin * words + word] |= bit;
-            self.not_ended[end * words + word] |= bit;
+            let word = place / WORD;
+            let bit = 1 << (place % WORD);
+            let first_bin = self.bin(begin);
+            let last_bin = self.bin(end);
+            self.begun[first_bin * words + word] |= bit;
+            self.not_ended[last_bin * words + word] |= bit;
         }
+        // Until here each set has the boxes of its own bin: now it also gets those of the bins before it, or behind it.
         for place in words..BINS * words {
             self.begun[place] |= self.begun[place - words];
         }

@@ -40,24 +40,27 @@ impl Pairing {
         self.detection_of.resize(objects, None);
         self.is_free.clear();
         self.is_free.extend(usable);
-        let boxes = detections.iter().zip(0..).zip(&self.is_free);
-        let usable = boxes.filter(|(_, is_usable)| **is_usable);
-        self.near
-            .fill(usable.map(|((detection, place), _)| (detection.bounding_box.corners(), place)));
+        let places = (0..).zip(detections).zip(&self.is_free);
+        let usable = places.filter(|(_, is_usable)| **is_usable);
+        let boxes = usable.map(|((place, detection), _)| (detection.bounding_box.corners(), place));
+        self.near.fill(boxes);
     }
 
     /// Makes as many pairs of free objects and detections as possible, at the smallest total cost. For an object that
-    /// takes part, `of` returns the area that its detections' boxes overlap, and the cost of a box; a pair is allowed
+    /// takes part, `reach` returns the area that its detections' boxes overlap, and the cost of a box; a pair is allowed
     /// if its cost is `within` the gate.
     pub(crate) fn stage<C: Fn(BoundingBox) -> f64>(
         &mut self,
         detections: &[Detection],
-        of: impl Fn(usize) -> Option<(Corners, C)>,
+        reach: impl Fn(usize) -> Option<(Corners, C)>,
         within: impl Fn(f64) -> bool,
     ) {
         self.edges.clear();
-        for (row, _) in (0u32..).zip(&self.detection_of).filter(|(_, it)| it.is_none()) {
-            let Some((area, cost_of)) = of(row as usize) else {
+        for (row, detection) in (0u32..).zip(&self.detection_of) {
+            if detection.is_some() {
+                continue;
+            }
+            let Some((area, cost_of)) = reach(row as usize) else {
                 continue;
             };
             self.near.visit(area, |column| {
@@ -68,7 +71,8 @@ impl Pairing {
             });
         }
         self.pairs.clear();
-        let (rows, columns) = (self.detection_of.len(), self.is_free.len());
+        let rows = self.detection_of.len();
+        let columns = self.is_free.len();
         self.solver.solve(rows, columns, &self.edges, &mut self.pairs);
         for &(row, column) in &self.pairs {
             self.detection_of[row as usize] = Some(column);

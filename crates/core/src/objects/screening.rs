@@ -9,15 +9,15 @@ pub(crate) const LARGEST_COORDINATE: f64 = 1e3;
 /// True if a detection is usable: finite numbers, sides above zero, a box that is not absurdly far or large, and a
 /// confidence from 0 to 1.
 pub(crate) fn is_usable(detection: &Detection) -> bool {
-    let b = &detection.bounding_box;
+    let place = &detection.bounding_box;
     let inside = |value: f64| value.abs() <= LARGEST_COORDINATE;
     // Comparisons with NaN are false.
-    inside(b.center_x)
-        && inside(b.center_y)
-        && inside(b.width)
-        && inside(b.height)
-        && b.width > 0.0
-        && b.height > 0.0
+    inside(place.center_x)
+        && inside(place.center_y)
+        && inside(place.width)
+        && inside(place.height)
+        && place.width > 0.0
+        && place.height > 0.0
         && (0.0..=1.0).contains(&detection.confidence)
 }
 

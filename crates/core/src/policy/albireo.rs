@@ -147,6 +147,7 @@ impl Policy for Albireo {
         } = self.tracker.settings;
         let u = self.u;
         self.index = frame.index;
+        // A camera that counts no lost frames may give a step of 0.
         self.since_detector = self.since_detector.saturating_add(frame.step.max(1));
         self.tracker.u = u;
         let mut cause = None;

@@ -83,14 +83,15 @@ pub enum PolicyConfigError {
     },
 }
 
-/// A policy that the configuration can name: its name, its construction, and the field with the value of its threshold, if
-/// it has one.
+/// A policy that the configuration can name: its name, its construction, and the field with the value of its threshold,
+/// if it has one.
 struct Entry(
     &'static str,
     fn(&PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError>,
     Option<fn(&mut PolicyConfig) -> &mut f64>,
 );
 
+// The triggers of the policies that share the objects of expected-loss.
 pub(super) const PRICED: fn(&PolicyConfig) -> Trigger =
     |c| Trigger::ExpectedLoss { lambda: c.lambda };
 pub(super) const FIXED: fn(&PolicyConfig) -> Trigger = |c| Trigger::FixedSkip { n: c.in_tracker.n };
@@ -191,10 +192,10 @@ impl PolicyConfig {
     }
 
     fn entry(&self) -> Result<&'static Entry, PolicyConfigError> {
-        POLICIES.iter().find(|Entry(name, ..)| *name == self.name).ok_or_else(|| {
-            PolicyConfigError::UnknownPolicy {
-                name: self.name.clone(),
-            }
+        let mut policies = POLICIES.iter();
+        let named = policies.find(|Entry(name, ..)| *name == self.name);
+        named.ok_or_else(|| PolicyConfigError::UnknownPolicy {
+            name: self.name.clone(),
         })
     }
 }

@@ -7,9 +7,9 @@
 //!
 //! A second pause is for [pictures without news](super::still), whatever is tracked.
 //!
-//! The first is a screen that needs no picture: it answers the question that a [policy](Policy::takes_pause) asks while nothing is
-//! tracked, not even tentatively. A look is an answer
-//! of the detector, or of a screen model that says "empty". Lost frames count as time.
+//! The first is a screen that needs no picture: it answers the question that a [policy](Policy::takes_pause) asks while
+//! nothing is tracked, not even tentatively. A look is an answer of the detector, or of a screen model that says
+//! "empty". Lost frames count as time.
 
 use super::still::{Memory, PassCause, Still, WIDTH};
 use super::{
@@ -56,23 +56,22 @@ impl EmptyRoad {
             ("after_s", self.after_s, Self::LONGEST_AFTER_S),
             ("still_s", self.still_s, Self::LONGEST_PAUSE_S),
         ];
-        settings.into_iter().find_map(|(name, value, most)| {
-            let right = (0.0..=most).contains(&value);
-            (!right).then(|| {
-                (
-                    name,
-                    format!("must be a number of seconds from 0 to {most}, not {value}"),
-                )
-            })
-        })
+        for (name, value, most) in settings {
+            if !(0.0..=most).contains(&value) {
+                let reason = format!("must be a number of seconds from 0 to {most}, not {value}");
+                return Some((name, reason));
+            }
+        }
+        None
     }
 
     /// Converts to frames at `rate` frames per second: the pause is rounded down, the time before it up. Without a
     /// rate, every frame is looked at.
     pub fn frames(&self, rate: Option<f64>) -> PauseFrames {
-        let Some(rate) = rate.filter(|rate| rate.is_finite() && *rate > 0.0) else {
+        let rate = rate.unwrap_or(0.0);
+        if !(rate.is_finite() && rate > 0.0) {
             return PauseFrames::OFF;
-        };
+        }
         // Casts saturate, and turn what is not a number into 0.
         PauseFrames {
             every: (self.pause_s * rate * Self::RATE_TOLERANCE).floor() as u32,
@@ -195,12 +194,14 @@ impl WithPause {
 
     /// Asks for the picture before what the policy needs, if it should be compared.
     fn compare_first(&mut self, need: Need) -> Need {
-        let calls = matches!(need, Need::Screen | Need::Detections);
-        if !calls || !self.state.still.is_due(self.pause) || self.policy.pictures().is_some() {
-            return need;
+        let may_call = matches!(need, Need::Screen | Need::Detections);
+        // A policy that looks at pictures itself gets no other ones.
+        let has_own_pictures = self.policy.pictures().is_some();
+        if may_call && !has_own_pictures && self.state.still.is_due(self.pause) {
+            self.state.wanted = need;
+            return Need::SmallGreyPicture { width: WIDTH };
         }
-        self.state.wanted = need;
-        Need::SmallGreyPicture { width: WIDTH }
+        need
     }
 
     /// Takes the picture that is compared. If it has no news, what the detector found at its last look stands.

@@ -120,9 +120,9 @@ impl LatePolicy {
     }
 
     /// Answers a frame immediately: overwrites `outcome` with state `P`, or `E` in a pause on an empty road (not
-    /// `degraded`, without a cause), and predicted boxes. Returns what the frame needs: with [`Need::Nothing`] this is its final answer, otherwise it is pending
-    /// until [`deliver`](Self::deliver) completes it. A frame needs nothing while another one is pending. If frames
-    /// wait, a frame that needs something has no answer yet.
+    /// `degraded`, without a cause), and predicted boxes. Returns what the frame needs: with [`Need::Nothing`] this is
+    /// its final answer, otherwise it is pending until [`deliver`](Self::deliver) completes it. A frame needs nothing
+    /// while another one is pending. If frames wait, a frame that needs something has no answer yet.
     pub fn frame(&mut self, head: FrameHead, outcome: &mut Outcome) -> Need {
         let step = Step {
             head,
@@ -170,6 +170,7 @@ impl LatePolicy {
         restore(&mut self.policy, pending.threshold);
         let need = self.policy.answer(evidence);
         if self.finish_unless(need, outcome) != Need::Nothing {
+            // It waits for its next evidence from here on.
             self.policy.save();
             predict(&mut self.policy, need, &mut self.unused);
         }
@@ -201,16 +202,15 @@ impl LatePolicy {
         need
     }
 
-    /// Stores a frame to predict it again.
+    /// Stores a frame to predict it again; joins it to the last one if there are too many.
     fn remember(&mut self, step: Step) {
         let full = self.steps.len() == MOST_STEPS;
-        match self.steps.last_mut().filter(|_| full) {
-            Some(last) => {
-                let frames = last.head.step.saturating_add(step.head.step.max(1));
-                *last = step;
-                last.head.step = frames;
-            }
-            None => self.steps.push(step),
+        if full && let Some(last) = self.steps.last_mut() {
+            let frames = last.head.step.saturating_add(step.head.step.max(1));
+            *last = step;
+            last.head.step = frames;
+        } else {
+            self.steps.push(step);
         }
     }
 }

@@ -25,16 +25,18 @@ pub fn published_threshold(u: f64, picture: PictureSize) -> f64 {
     if published == paper {
         return u;
     }
-    let (from, to) = (curve(&paper), curve(&published));
-    let mut before = (0.0, 0.0);
-    for (&at, &then) in from.iter().zip(&to) {
-        if u <= at {
-            let share = (u - before.0) / (at - before.0);
-            return before.1 + share * (then - before.1);
+    // Both curves rise: `u` lies between two frames of the first, and the answer between the same two of the second.
+    let mut paper_before = 0.0;
+    let mut published_before = 0.0;
+    for (&paper_tau, &published_tau) in curve(&paper).iter().zip(&curve(&published)) {
+        if u <= paper_tau {
+            let share = (u - paper_before) / (paper_tau - paper_before);
+            return published_before + share * (published_tau - published_before);
         }
-        before = (at, then);
+        paper_before = paper_tau;
+        published_before = published_tau;
     }
-    u / before.0 * before.1
+    u / paper_before * published_before
 }
 
 /// Returns τ of a steadily seen object after its update and after each frame of prediction.

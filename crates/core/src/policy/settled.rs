@@ -181,15 +181,16 @@ impl Settler {
     fn settle(&mut self, each: &mut impl FnMut(SettledFrame<'_>)) {
         loop {
             let mut frames = self.buffer.iter();
-            let Some(length) =
+            let Some(predicted) =
                 frames.position(|frame| frame.pending || frame.state != FrameState::P)
             else {
                 return;
             };
-            if self.buffer[length].pending {
+            if self.buffer[predicted].pending {
                 return;
             }
-            for call_at in (0..length).rev() {
+            // Behind each frame that goes, the call moves one place to the front.
+            for call_at in (0..predicted).rev() {
                 self.draw_oldest(call_at, each);
             }
             let call = self.buffer.pop_front();
@@ -236,21 +237,12 @@ impl Settler {
 fn draw(frame: &Buffered, from: &Buffered, to: &Buffered, drawn: &mut Vec<OutputBox>) {
     drawn.clear();
     for own in &frame.boxes {
-        let kept = match find(to, own) {
-            _ if own.object.is_none() => 1.0,
-            Some(end) if end.source == BoxSource::Detected => {
-                if find(from, own).is_some() {
-                    continue;
-                }
-                1.0
-            }
-            Some(_) => MISSED,
-            None => GONE,
-        };
-        drawn.push(OutputBox {
-            confidence: kept * own.confidence,
-            ..*own
-        });
+        if let Some(belief) = belief(own, from, to) {
+            drawn.push(OutputBox {
+                confidence: belief * own.confidence,
+                ..*own
+            });
+        }
     }
     let share = (frame.index - from.index) as f64 / (to.index - from.index) as f64;
     for end in &to.boxes {
@@ -272,6 +264,22 @@ fn draw(frame: &Buffered, from: &Buffered, to: &Buffered, drawn: &mut Vec<Output
                 ..*end
             });
         }
+    }
+}
+
+/// Returns the factor on the confidence of a box as answered, given what the second call found; `None` if a box on the
+/// line between the calls replaces it.
+fn belief(own: &OutputBox, from: &Buffered, to: &Buffered) -> Option<f64> {
+    if own.object.is_none() {
+        return Some(1.0);
+    }
+    match find(to, own) {
+        Some(end) if end.source == BoxSource::Detected => {
+            let is_at_both_ends = find(from, own).is_some();
+            if is_at_both_ends { None } else { Some(1.0) }
+        }
+        Some(_) => Some(MISSED),
+        None => Some(GONE),
     }
 }
 

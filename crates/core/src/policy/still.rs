@@ -153,9 +153,9 @@ impl Memory {
 
     fn is_same(&mut self, picture: GreyPicture<'_>) -> bool {
         block_means(picture, &mut self.current);
-        let pairs = self.current.iter().zip(&self.blocks);
-        let changed = |(now, before): (&u8, &u8)| u32::from(now.abs_diff(*before)) >= CHANGE;
-        self.size == Some(picture.size) && !pairs.into_iter().any(changed)
+        let mut pairs = self.current.iter().zip(&self.blocks);
+        let has_changed = |(now, before): (&u8, &u8)| u32::from(now.abs_diff(*before)) >= CHANGE;
+        self.size == Some(picture.size) && !pairs.any(has_changed)
     }
 
     fn keep(&mut self, picture: GreyPicture<'_>) {
@@ -175,26 +175,28 @@ fn block_means(picture: GreyPicture<'_>, means: &mut Vec<u8>) {
     let width = (picture.size.width as usize).max(1);
     let height = picture.size.height as usize;
     let side = (width / BLOCKS).max(1);
-    let (columns, rows) = (width / side, (height / side).max(1));
+    let columns = width / side;
+    let rows = (height / side).max(1);
     means.clear();
     for row in 0..rows {
-        let end = if row + 1 == rows {
-            height
-        } else {
-            (row + 1) * side
-        };
+        let top = row * side;
+        let bottom = if row + 1 == rows { height } else { top + side };
         for column in 0..columns {
+            let left = column * side;
             let right = if column + 1 == columns {
                 width
             } else {
-                (column + 1) * side
+                left + side
             };
-            let lines = (row * side..end)
-                .filter_map(|y| picture.pixels.get(y * width + column * side..y * width + right));
-            let (sum, number) = lines.fold((0_u32, 0_u32), |(sum, number), line| {
-                let line_sum: u32 = line.iter().map(|pixel| u32::from(*pixel)).sum();
-                (sum + line_sum, number + line.len() as u32)
-            });
+            let mut sum = 0_u32;
+            let mut number = 0_u32;
+            for y in top..bottom {
+                let line = picture.pixels.get(y * width + left..y * width + right);
+                for pixel in line.unwrap_or_default() {
+                    sum += u32::from(*pixel);
+                    number += 1;
+                }
+            }
             means.push((sum / number.max(1)) as u8);
         }
     }

@@ -21,7 +21,7 @@ const DECAY_FLOOR: f64 = 0.1;
 pub(super) struct Tracker {
     pub objects: ObjectStates,
     pub settings: AlbireoSettings,
-    /// The threshold to which decayed confidences are relative.
+    /// The uncertainty at which a decayed confidence is lowest: the policy's own threshold `u`, or [`DECAY_U`].
     pub u: f64,
     /// Boxes of a detector frame.
     boxes: Vec<OutputBox>,
@@ -85,8 +85,8 @@ impl Tracker {
     /// Replaces the boxes by those of a frame with `detections`, which the objects have observed.
     fn draw(&mut self, detections: &[Detection]) {
         self.boxes.clear();
-        let own_boxes = self.settings.detector_frame_boxes == DetectorFrameBoxes::Detector;
-        if own_boxes {
+        let reports_detections = self.settings.detector_frame_boxes == DetectorFrameBoxes::Detector;
+        if reports_detections {
             for (detection, sighting) in detections.iter().zip(self.objects.sightings()) {
                 if sighting.usable {
                     self.boxes.push(OutputBox {
@@ -105,7 +105,7 @@ impl Tracker {
                 0 => BoxSource::Detected,
                 _ => BoxSource::Rescued,
             };
-            if source == BoxSource::Rescued || !own_boxes {
+            if source == BoxSource::Rescued || !reports_detections {
                 self.boxes.push(filter_box(&self.settings, self.u, state, source));
             }
         }
@@ -115,9 +115,9 @@ impl Tracker {
     pub(crate) fn finish(&self, progress: &Progress, outcome: &mut Outcome) {
         progress.finish(outcome);
         if progress.state.is_skipped() {
+            let source = BoxSource::Predicted;
             let states = self.objects.states().iter();
-            let predicted =
-                states.map(|it| filter_box(&self.settings, self.u, it, BoxSource::Predicted));
+            let predicted = states.map(|state| filter_box(&self.settings, self.u, state, source));
             outcome.boxes.extend(predicted);
         } else {
             outcome.boxes.extend_from_slice(&self.boxes);
@@ -132,6 +132,7 @@ impl Tracker {
     }
 }
 
+/// The box of an object's filter, with the confidence to report.
 fn filter_box(
     settings: &AlbireoSettings,
     u: f64,

@@ -71,14 +71,14 @@ impl LoadControl {
                 window.add(measured);
             }
         }
-        let status = |status| Verdict {
+        let nothing_measured = |status| Verdict {
             actual: None,
             status,
             boxes: None,
         };
         let lately = self.window.load();
         let Some(share) = lately.share else {
-            return status(if lately.seconds < WINDOW_S {
+            return nothing_measured(if lately.seconds < WINDOW_S {
                 TargetStatus::Measuring
             } else {
                 TargetStatus::NoFrames
@@ -88,24 +88,25 @@ impl LoadControl {
             self.power.learn(share, watts, seconds);
         }
         let reported = self.reported.load().of(self.target);
-        let Some((actual, (wanted, error))) = reported.zip(self.error(&lately)) else {
-            return status(TargetStatus::NoPower);
+        let (Some(actual), Some(error)) = (reported, self.error(&lately)) else {
+            return nothing_measured(TargetStatus::NoPower);
         };
         if lately.seconds < WINDOW_S {
             return Verdict {
                 actual: Some(actual),
-                ..status(TargetStatus::Measuring)
+                ..nothing_measured(TargetStatus::Measuring)
             };
         }
         let error = error.clamp(-LARGEST_ERROR, LARGEST_ERROR);
         // A step of the threshold changes the logarithm of the share by `STEEPNESS / share`, so the gain grows with the
-        // share. A longer window slows the controller down.
+        // share, within limits: it still moves if hardly any frame calls, and does not overshoot if all do. A longer
+        // window slows the controller down.
         let constant = LOOP_S.max(2.0 * lately.seconds);
         let gain = (share / STEEPNESS / constant).clamp(0.01, 0.35);
         if error.abs() > DEAD_BAND {
             lever.push(gain * error * seconds.min(LONGEST_STEP_S));
         }
-        let is_held = (actual / wanted - 1.0).abs() <= HELD;
+        let is_held = (actual / self.target.value() - 1.0).abs() <= HELD;
         // The status waits at an end, because the window still contains earlier threshold values.
         let beyond = !is_held
             && ((error > 0.0 && lever.is_at_most()) || (error < 0.0 && lever.is_at_least()));
@@ -128,31 +129,32 @@ impl LoadControl {
         }
     }
 
-    /// Returns the wanted value, and the logarithm of the load over the wanted load.
-    fn error(&self, load: &Load) -> Option<(f64, f64)> {
+    /// Returns the logarithm of the load over the wanted load.
+    fn error(&self, load: &Load) -> Option<f64> {
         // A window without a detector call does not mean a load of zero.
         const LEAST: f64 = 0.005;
         let ratio = |load: f64, wanted: f64| (load.max(LEAST * wanted) / wanted).ln();
         let share = load.share?.max(LEAST);
-        Some(match self.target {
-            Target::SkipRate(wanted) => (wanted, ratio(share, 1.0 - wanted)),
+        match self.target {
+            Target::SkipRate(wanted) => Some(ratio(share, 1.0 - wanted)),
             Target::Watts(wanted) => {
                 let watts = load.watts?;
                 let wanted_share = share - (watts - wanted) / self.power.slope(watts);
-                (wanted, ratio(share, wanted_share.clamp(LEAST, 2.0)))
+                Some(ratio(share, wanted_share.clamp(LEAST, 2.0)))
             }
             // Not a load; it has its own rule.
-            Target::Recall(_) => return None,
-        })
+            Target::Recall(_) => None,
+        }
     }
 }
 
 /// A sliding window over the last measurements.
 #[derive(Clone, Debug)]
 struct Window {
+    /// Its least length, seconds, and its least number of frames.
     length: f64,
     frames: u64,
-    seconds: VecDeque<Measured>,
+    steps: VecDeque<Measured>,
 }
 
 /// The load over a window.
@@ -170,39 +172,47 @@ impl Window {
         Self {
             length,
             frames,
-            seconds: VecDeque::new(),
+            steps: VecDeque::new(),
         }
     }
 
     fn add(&mut self, measured: &Measured) {
-        self.seconds.push_back(measured.clone());
-        let mut length: f64 = self.seconds.iter().map(|one| one.seconds).sum();
-        let mut frames: u64 = self.seconds.iter().map(|one| one.frames).sum();
-        while let Some(first) = self.seconds.front()
+        self.steps.push_back(measured.clone());
+        let mut length: f64 = self.steps.iter().map(|step| step.seconds).sum();
+        let mut frames: u64 = self.steps.iter().map(|step| step.frames).sum();
+        // The oldest goes if what remains is long enough without it.
+        while let Some(first) = self.steps.front()
             && length - first.seconds >= self.length
             && (frames - first.frames >= self.frames || length > LONGEST_S)
         {
             length -= first.seconds;
             frames -= first.frames;
-            self.seconds.pop_front();
+            self.steps.pop_front();
         }
     }
 
     fn load(&self) -> Load {
-        let seconds: f64 = self.seconds.iter().map(|one| one.seconds).sum();
-        let frames: u64 = self.seconds.iter().map(|one| one.frames).sum();
-        let skipped: u64 = self.seconds.iter().map(|one| one.skipped).sum();
-        let known = self.seconds.iter().filter_map(|one| {
-            let watts = one.watts.filter(|watts| watts.is_finite())?;
-            Some((one.seconds, watts))
-        });
-        let (covered, joules) = known.fold((0.0, 0.0), |(time, joules), (seconds, watts)| {
-            (time + seconds, joules + watts * seconds)
-        });
+        let mut seconds = 0.0;
+        let mut frames = 0;
+        let mut skipped = 0;
+        let mut covered_s = 0.0;
+        let mut joules = 0.0;
+        for step in &self.steps {
+            seconds += step.seconds;
+            frames += step.frames;
+            skipped += step.skipped;
+            if let Some(watts) = step.watts
+                && watts.is_finite()
+            {
+                covered_s += step.seconds;
+                joules += watts * step.seconds;
+            }
+        }
+        let has_power = covered_s > 0.0 && joules > 0.0;
         Load {
             seconds,
             share: (frames > 0).then(|| 1.0 - skipped.min(frames) as f64 / frames as f64),
-            watts: (covered > 0.0 && joules > 0.0).then(|| joules / covered),
+            watts: has_power.then(|| joules / covered_s),
         }
     }
 }
@@ -240,7 +250,8 @@ impl PowerAnswer {
             return;
         }
         let part = seconds / weight;
-        let (share_off, watts_off) = (share - self.share, watts - self.watts);
+        let share_off = share - self.share;
+        let watts_off = watts - self.watts;
         let old = 1.0 - part;
         self.variance = old * (self.variance + part * share_off * share_off);
         self.covariance = old * (self.covariance + part * share_off * watts_off);
@@ -253,6 +264,8 @@ impl PowerAnswer {
     fn slope(&self, watts: f64) -> f64 {
         let granted = 0.5 * watts;
         let slope = (self.covariance + granted * Self::GRANTED) / (self.variance + Self::GRANTED);
+        // Beyond these limits it is noise: a detector that adds a tenth of the power cannot hold a target of watts, and
+        // none adds three times the power of the whole node.
         slope.clamp(0.1 * watts, 3.0 * watts)
     }
 }

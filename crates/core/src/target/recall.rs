@@ -31,6 +31,9 @@ const LARGEST: f64 = 0.5;
 /// The target counts as held within this distance.
 const HELD: f64 = 0.01;
 
+/// Seconds with skipped frames and none drawn after which the status is "no audit".
+const NO_AUDIT_AFTER_S: f64 = 600.0;
+
 #[derive(Clone, Debug)]
 pub(super) struct RecallControl {
     wanted: f64,
@@ -41,9 +44,6 @@ pub(super) struct RecallControl {
     verdict: Verdict,
     without_audit_s: f64,
 }
-
-/// Seconds with skipped frames and none drawn after which the status is "no audit".
-const LONG: f64 = 600.0;
 
 impl RecallControl {
     pub(super) fn new(wanted: f64) -> Self {
@@ -73,7 +73,7 @@ impl RecallControl {
         let enough = recall.is_some_and(|recall| recall.independent >= ENOUGH);
         if enough {
             self.decide(lever);
-        } else if self.without_audit_s > LONG {
+        } else if self.without_audit_s > NO_AUDIT_AFTER_S {
             return Verdict {
                 status: TargetStatus::NoAudit,
                 ..self.verdict
@@ -82,6 +82,7 @@ impl RecallControl {
         self.verdict
     }
 
+    /// Moves the threshold by the lot that is complete and those before it.
     fn decide(&mut self, lever: &mut Lever) {
         let lot = std::mem::take(&mut self.lot);
         if lot.missed_share() > MOST_MISSED {
@@ -102,9 +103,9 @@ impl RecallControl {
         };
         let off = recall.low - self.wanted;
         // Half the gain upward, where accuracy is given away.
-        let push = if off > 0.0 { GAIN / 2.0 } else { GAIN } * off;
+        let gain = if off > 0.0 { GAIN / 2.0 } else { GAIN };
         if off.abs() > HELD {
-            lever.push(push.clamp(-LARGEST, LARGEST));
+            lever.push((gain * off).clamp(-LARGEST, LARGEST));
         }
         self.verdict = Verdict {
             actual: Some(recall.low),

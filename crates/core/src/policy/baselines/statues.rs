@@ -97,11 +97,13 @@ impl Statues {
         if !picture.is_whole() {
             return true;
         }
-        let changed = self.size != Some(picture.size) || {
+        let changed = if self.size == Some(picture.size) {
             let width = picture.size.width as usize;
             let difference = self.settings.pixel_difference;
-            let size = self.settings.component_size;
-            self.region.exceeds(width, &self.pixels, pixels, difference, size as u64)
+            let size = self.settings.component_size as u64;
+            self.region.exceeds(width, &self.pixels, pixels, difference, size)
+        } else {
+            true
         };
         self.size = Some(picture.size);
         self.pixels.clear();

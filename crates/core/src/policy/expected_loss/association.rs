@@ -17,11 +17,11 @@ pub(super) fn associate(
     aspect: f64,
 ) {
     pairing.begin(objects.len(), detections, usable);
-    let of = |row: usize| {
+    let by_overlap = |row: usize| {
         let own = objects[row].filter_box(aspect).corners();
         Some(by_overlap(own, IOU_GATE))
     };
-    pairing.stage(detections, of, |cost| overlaps(cost, IOU_GATE));
+    pairing.stage(detections, by_overlap, |cost| overlaps(cost, IOU_GATE));
     // Stage 2: the cost is the squared distance `Σ y²/S` with `S = max(1, α)·(p00 + R)`.
     let by_distance = |row: usize| {
         let object = &objects[row];
@@ -36,8 +36,12 @@ pub(super) fn associate(
         };
         // All centres within the gate, with a margin for rounding.
         let side = |axis: usize| 2.0 * (MAHALANOBIS_GATE * scale * variance[axis]).sqrt() + 1e-9;
-        let (width, height) = (side(X) / aspect, side(Y));
-        let area = BoundingBox::new(position[X] / aspect, position[Y], width, height);
+        let area = BoundingBox {
+            center_x: position[X] / aspect,
+            center_y: position[Y],
+            width: side(X) / aspect,
+            height: side(Y),
+        };
         Some((area.corners(), cost))
     };
     pairing.stage(detections, by_distance, |cost| cost < MAHALANOBIS_GATE);

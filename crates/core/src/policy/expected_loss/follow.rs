@@ -120,6 +120,8 @@ impl Follower {
         }
     }
 
+    /// Follows one box from the last picture into this one: where it was then is the filter's memory, where it is looked
+    /// for is the filter's prediction. `scale` converts picture heights to pixels.
     fn follow(&mut self, object: &mut Object, aspect: f64, scale: [f64; 2]) {
         let Some(mut then) = object.filter.remembered() else {
             return;
@@ -153,16 +155,13 @@ impl Follower {
             motion.scale.ln(),
         ];
         let smaller = sides[0].min(sides[1]) / scale[1];
-        let variance = variance(object, motion.spread, smaller, scale[1]);
-        object.filter.follow(&moved, &variance);
+        let noise = variance(object, motion.spread, smaller, scale[1]);
+        object.filter.follow(&moved, &noise);
         let filtered = object.filter.position();
         let mut end: AxisValues = std::array::from_fn(|axis| then[axis] + moved[axis]);
         let margin = BORDER / scale[1];
-        for (axis, (sides, length)) in
-            [([X, LOG_WIDTH], aspect), ([Y, LOG_HEIGHT], 1.0)].into_iter().enumerate()
-        {
-            object.border_shift[axis] += hold(&then, &mut end, sides, length, margin);
-        }
+        object.border_shift[0] += hold(&then, &mut end, [X, LOG_WIDTH], aspect, margin);
+        object.border_shift[1] += hold(&then, &mut end, [Y, LOG_HEIGHT], 1.0, margin);
         object.offset = Some(std::array::from_fn(|axis| {
             // Limits how far a wrong flow can carry a box away.
             (end[axis] - filtered[axis]).clamp(-LARGEST_OFFSET, LARGEST_OFFSET)
@@ -216,17 +215,18 @@ fn hold(
     longer.max(0.0)
 }
 
+/// Returns r, see above.
 fn reliability(agreement: f64, motion: &BoxMotion) -> f64 {
     agreement * (1.0 - SPREAD_WEIGHT * motion.spread).max(0.0)
 }
 
 /// Returns R of the four axes; `smaller` is the box's smaller side, and the picture has `height` rows.
 fn variance(object: &Object, spread: f64, smaller: f64, height: f64) -> [f64; 4] {
-    let wide = spread.powi(2);
+    let scatter = spread.powi(2);
     let center = (CENTER_NOISE * object.filter.size()).powi(2)
         + (PIXEL_NOISE / height).powi(2)
-        + wide * smaller * smaller;
-    let size = SIZE_NOISE.powi(2) + wide;
+        + scatter * smaller * smaller;
+    let size = SIZE_NOISE.powi(2) + scatter;
     [center, center, size, size]
 }
 

@@ -12,8 +12,13 @@
 //!             p11 ← g²·p11 + q
 //! ```
 //!
-//! The terms in ρ are perspective: an object that approaches at constant speed grows and moves in the picture faster
-//! and faster. A measurement z with variance R gives, with `S = p00 + R`,
+//! q is the variance of the change of velocity within a frame. Spread evenly over the frame, a change moves the
+//! position by half of itself: so its effects on position and velocity are (½, 1), and their covariance is q/4, q/2, q.
+//!
+//! The terms in ρ are perspective: an object at distance d has a size and a place proportional to 1/d. If it approaches
+//! at constant speed, both grow by the factor 1 + ρ per frame, ρ itself by as much, and the velocity of the place, which
+//! goes with 1/d², by (1 + ρ)² ≈ 1 + 2ρ. The clamp keeps one bad pair of sides from throwing the place out of the
+//! picture. A measurement z with variance R gives, with `S = p00 + R`,
 //!
 //! ```text
 //! y = z − x    k0 = p00/S    k1 = p01/S
@@ -49,6 +54,7 @@ pub(super) struct Axis {
 }
 
 impl Axis {
+    /// Advances by one frame: `stretch` is 1 + ρ for the centre and 1 for a log-side.
     fn predict(&mut self, stretch: f64, g: f64, q: f64) {
         self.x += self.v * stretch;
         self.v *= g;
@@ -61,7 +67,8 @@ impl Axis {
     fn update(&mut self, z: f64, r: f64) -> f64 {
         let y = z - self.x;
         let s = self.p00 + r;
-        let (k0, k1) = (self.p00 / s, self.p01 / s);
+        let k0 = self.p00 / s;
+        let k1 = self.p01 / s;
         self.x += k0 * y;
         self.v += k1 * y;
         self.p11 -= k1 * self.p01;
@@ -96,6 +103,7 @@ impl Earlier {
         }
     }
 
+    /// Advances by one frame: the earlier position itself stays.
     fn predict(&mut self, g: f64) {
         self.pxa += self.pva;
         self.pva *= g;
@@ -121,8 +129,11 @@ impl Earlier {
     fn measure(&self, axis: &mut Axis, d: f64, r: f64) {
         let (s, covariance) = self.difference(axis, r);
         let y = d - (axis.x - self.a);
-        let (c0, c1) = (covariance, axis.p01 - self.pva);
-        let (k0, k1) = (c0 / s, c1 / s);
+        // Covariances with the measurement, and the gains.
+        let c0 = covariance;
+        let c1 = axis.p01 - self.pva;
+        let k0 = c0 / s;
+        let k1 = c1 / s;
         axis.x += k0 * y;
         axis.v += k1 * y;
         axis.p00 -= k0 * c0;

@@ -107,11 +107,14 @@ impl Object {
     pub(crate) fn update(&mut self, detection: &Detection, aspect: f64) -> f64 {
         let measured = measure(detection.bounding_box, aspect);
         // The innovation must judge the reported box, because α measures its error.
-        if let Some(offset) = self.offset.filter(|_| self.trailing) {
+        if self.trailing
+            && let Some(offset) = self.offset
+        {
             self.filter.shift(&offset);
         }
         let innovations = self.filter.update(&measured);
-        let n = innovations.iter().map(|n| n.min(LARGEST_INNOVATION)).sum::<f64>() / 4.0;
+        let limited = innovations.map(|squared| squared.min(LARGEST_INNOVATION));
+        let n = limited.iter().sum::<f64>() / 4.0;
         self.alpha = scale(self.alpha, n, ALPHA_RATE);
         self.class = detection.class;
         self.hits = self.hits.saturating_add(1);
@@ -200,7 +203,7 @@ impl Object {
     /// Returns the share of the predicted box inside the picture.
     pub(crate) fn visible_share(&self, aspect: f64) -> f64 {
         let [width, height] = self.filter.sides();
-        let (x, y) = (self.filter.axes[X].x, self.filter.axes[Y].x);
+        let [x, y] = [X, Y].map(|axis| self.filter.axes[axis].x);
         let inside = |center: f64, side: f64, end: f64| {
             let visible = (center + side / 2.0).min(end) - (center - side / 2.0).max(0.0);
             visible.max(0.0) / side
@@ -211,22 +214,22 @@ impl Object {
     /// Returns the box to report, not clipped: if detected, the mean of the detector's box and the filter's.
     pub(crate) fn bounding_box(&self, aspect: f64) -> BoundingBox {
         let own = self.filter_box(aspect);
-        match self.detected_box {
-            None => match self.offset.filter(|_| self.trailing) {
-                Some([x, y, log_width, log_height]) => BoundingBox {
-                    center_x: own.center_x + x / aspect,
-                    center_y: own.center_y + y,
-                    width: own.width * log_width.exp(),
-                    height: own.height * log_height.exp(),
-                },
-                None => own,
-            },
-            Some(detected_box) => BoundingBox {
+        if let Some(detected_box) = self.detected_box {
+            return BoundingBox {
                 center_x: (own.center_x + detected_box.center_x) / 2.0,
                 center_y: (own.center_y + detected_box.center_y) / 2.0,
                 width: (own.width + detected_box.width) / 2.0,
                 height: (own.height + detected_box.height) / 2.0,
+            };
+        }
+        match self.offset {
+            Some([x, y, log_width, log_height]) if self.trailing => BoundingBox {
+                center_x: own.center_x + x / aspect,
+                center_y: own.center_y + y,
+                width: own.width * log_width.exp(),
+                height: own.height * log_height.exp(),
             },
+            _ => own,
         }
     }
 

@@ -47,6 +47,7 @@ impl Objects {
     /// Copies the objects of `other`. Allocates only while buffers grow.
     pub(crate) fn copy_from(&mut self, other: &Self) {
         self.objects.clone_from(&other.objects);
+        // All but the buffers, which stay.
         *self = Self {
             objects: std::mem::take(&mut self.objects),
             pairing: std::mem::take(&mut self.pairing),
@@ -152,6 +153,7 @@ impl Objects {
         self.create(pixels, detections)
     }
 
+    /// Creates an object from each free detection that is sure enough; returns the sum of their scores.
     fn create(&mut self, pixels: Pixels, detections: &[Detection]) -> f64 {
         let mut scores = 0.0;
         for (detection, is_free) in detections.iter().zip(self.pairing.is_free()) {
@@ -159,10 +161,11 @@ impl Objects {
                 continue;
             }
             scores += detection.confidence;
-            let b = detection.bounding_box;
+            let found = detection.bounding_box;
+            let area = found.width * self.aspect * found.height;
             // The area of a thin box may round to 0.
-            let log_size = ((b.width * self.aspect * b.height).ln() / 2.0).max(-LARGEST_LOG);
-            let place = features(b.center_x, b.center_y, log_size);
+            let log_size = (area.ln() / 2.0).max(-LARGEST_LOG);
+            let place = features(found.center_x, found.center_y, log_size);
             let velocity = self.velocity.expect(&place);
             let id = ObjectId(self.next_id);
             self.next_id += 1;
@@ -228,5 +231,6 @@ fn object_features(object: &Object, aspect: f64) -> super::velocity::Features {
 fn clip(bounding_box: BoundingBox, least: [f64; 2]) -> Option<BoundingBox> {
     let Corners { x1, y1, x2, y2 } = bounding_box.corners().clipped();
     let clipped = BoundingBox::new((x1 + x2) / 2.0, (y1 + y2) / 2.0, x2 - x1, y2 - y1);
-    (clipped.width > least[0] && clipped.height > least[1]).then_some(clipped)
+    let is_large_enough = clipped.width > least[0] && clipped.height > least[1];
+    is_large_enough.then_some(clipped)
 }

@@ -133,9 +133,10 @@ impl Pause {
                 let capped = self.frames >= longest_pause;
                 capped.then_some(CallCause::PeriodicCap)
             }
-            // Sums of a rate such as 0.1 fall short of 1 by rounding.
             Trigger::FixedSkip { .. } | Trigger::Even { .. } => {
-                (self.owed >= 1.0 - 1e-9).then_some(CallCause::Schedule)
+                // Sums of a rate such as 0.1 fall short of 1 by rounding.
+                let is_due = self.owed >= 1.0 - 1e-9;
+                is_due.then_some(CallCause::Schedule)
             }
         }
     }
