@@ -40,7 +40,7 @@ mod simulate;
 mod values;
 mod variables;
 
-use albireo_service::logging;
+use albireo_service::{logging, panics};
 use anyhow::Context;
 use clap::{Parser, Subcommand};
 use std::io::Write;
@@ -196,7 +196,7 @@ impl Command {
 /// Invalid arguments end it with a message.
 pub fn run() -> ! {
     let command = Arguments::parse().command;
-    end_quietly_at_a_closed_pipe();
+    panics::end_quietly_at_a_closed_pipe();
     variables::start_with(command.variables());
     let code = command.run().unwrap_or_else(|error| {
         logging::last_words(&format!("albireo: {}", in_words(&error)));
@@ -207,21 +207,6 @@ pub fn run() -> ! {
     let _ = std::io::stdout().flush();
     logging::finish();
     signal_hook::low_level::exit(code)
-}
-
-/// Makes a closed pipe an end without a word: a reader such as `head` has seen enough, and that is nobody's fault. A
-/// service's log replaces this when it is set up.
-fn end_quietly_at_a_closed_pipe() {
-    /// What a shell tells of a program that SIGPIPE ended.
-    const CLOSED_PIPE: i32 = 128 + signal_hook::consts::SIGPIPE;
-    let tell = std::panic::take_hook();
-    std::panic::set_hook(Box::new(move |panic| {
-        let text = panic.payload_as_str().unwrap_or_default();
-        if text.starts_with("failed printing to stdout: Broken pipe") {
-            signal_hook::low_level::exit(CLOSED_PIPE);
-        }
-        tell(panic);
-    }));
 }
 
 /// Formats an error and its causes in one line, without the locations in Zenoh's sources. Skips a cause that the text

@@ -10,9 +10,9 @@ if [ ! -x target/debug/albireo ]; then
 fi
 if [ -t 2 ]; then
     # cargo's own bar shows how far it is.
-    cargo build "${options[@]}"
+    cargo build "${options[@]}" --bin albireo
 else
-    cargo build "${options[@]}" 2>&1 | awk -v every=50 '
+    cargo build "${options[@]}" --bin albireo 2>&1 | awk -v every=50 '
         /^ *(Compiling|Downloaded) / { if ($1 == "Compiling" && ++crates % every == 0) { print crates " crates begun"; fflush() } next }
         { print; fflush() }'
 fi

@@ -1,7 +1,8 @@
 //! `albireo demo` with its hub, end to end.
 
-use crate::support::{Ended, albireo, assert_contains, collected, json_at, signal, until};
+use crate::support::{Ended, albireo, assert_contains, collected, json_at, run, signal, until};
 use serde_json::Value;
+use std::path::Path;
 use std::process::Stdio;
 use tokio::io::{AsyncBufReadExt, BufReader};
 
@@ -62,9 +63,54 @@ async fn the_demo_has_a_hub_that_receives_its_clips_and_shows_its_node() {
         let expected = format!("{}-{:04}", road[number % 4], number + 1);
         assert_eq!(*clip, Some(&*expected));
     }
+    leaves_nothing(temporary.path());
+}
+
+fn leaves_nothing(temporary: &Path) {
     // ONNX Runtime leaves a file there.
-    for left in std::fs::read_dir(temporary.path()).unwrap() {
+    for left in std::fs::read_dir(temporary).unwrap() {
         let name = left.unwrap().file_name().into_string().unwrap();
         assert!(!name.starts_with("albireo"), "the demo leaves {name}");
     }
+}
+
+#[rstest::rstest]
+#[ignore = "needs ONNX Runtime"]
+fn the_demo_ends_without_a_word_when_nobody_reads_on() {
+    let temporary = tempfile::tempdir().unwrap();
+    let (reader, writer) = std::io::pipe().unwrap();
+    drop(reader);
+    let ended = std::process::Command::new(env!("CARGO_BIN_EXE_albireo"))
+        .args(["demo", "--port", "0", "--hub-port", "0"])
+        .env("TMPDIR", temporary.path())
+        .stdout(writer)
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&ended.stderr);
+    assert_eq!((ended.status.code(), &*said), (Some(141), ""));
+    leaves_nothing(temporary.path());
+}
+
+#[test]
+fn the_demo_says_of_a_wrong_clip_only_that_it_is_wrong() {
+    let ended = run(&["demo", "--clip", "nowhere.mp4"], &[]);
+    assert_eq!(ended.out, "");
+    assert_contains(&ended.fails(), &["nowhere.mp4: no such file or folder"]);
+}
+
+#[rstest::rstest]
+#[ignore = "needs ONNX Runtime"]
+fn the_demo_says_which_port_is_in_use_and_which_it_takes() {
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = taken.local_addr().unwrap().port().to_string();
+    let said = run(
+        &["demo", "--port", &port, "--hub-port", "0", "--seconds", "1"],
+        &[],
+    )
+    .succeeds();
+    let moved =
+        format!("port {port} is in use, by another demo or node perhaps: the page has port ");
+    let (_, after) = said.split_once(&moved).expect(&said);
+    let instead = after.lines().next().unwrap();
+    assert_contains(&said, &[&format!("page     http://127.0.0.1:{instead}/")]);
 }

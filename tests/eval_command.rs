@@ -98,6 +98,22 @@ fn one_command_compares_sweeps_traces_and_reports_with_names_escaped() {
 }
 
 #[test]
+fn results_are_kept_although_nobody_reads_the_table() {
+    let folder = recording();
+    let out = folder.path().join("out");
+    let (reader, writer) = std::io::pipe().expect("a pipe");
+    drop(reader);
+    let ended = std::process::Command::new(env!("CARGO_BIN_EXE_albireo"))
+        .args(["eval", "recorded"])
+        .args([folder.path(), Path::new("--out"), &out])
+        .stdout(writer)
+        .status()
+        .expect("it runs");
+    assert_eq!(ended.code(), Some(141));
+    assert!(out.join("report.html").exists());
+}
+
+#[test]
 fn results_do_not_depend_on_the_number_of_threads() {
     let folder = recording();
     let all = format!("recorded {} --policy all", folder.path().display());

@@ -161,6 +161,10 @@ async fn a_request_keeps_what_was_before_and_after_it() {
     let around = "policy.name = \"vanilla\"\nrecord.before_s = 600\nrecord.after_s = 600\n";
     let node = node(tempfile::tempdir().unwrap(), around).await;
     let session = connected(&node).await;
+    assert_contains(
+        &status(&node).await["missing"].to_string(),
+        &["no frames come from front", "albireo replay"],
+    );
     let pictures = pictures(6);
     send(&session, 0, &pictures[..3]).await;
     until("three frames are answered", async || {

@@ -1,6 +1,7 @@
 //! `albireo acl`: generates the router's access control from the certificates.
 
 use super::cert::AuthorityPlace;
+use super::values::counted;
 use albireo_router::access::access_control;
 use albireo_router::authority::{PUBLIC, write};
 use anyhow::Context;
@@ -12,7 +13,8 @@ use std::path::PathBuf;
 Zenoh's rules have no templates, so each node gets rules of its own, selected by
 the common name of its certificate. Everything else is denied. Generate the
 rules again after each `albireo cert node` and `albireo cert revoke`, and
-restart the router: its sessions reconnect by themselves.
+restart the router (`sudo systemctl restart albireo-router`): its sessions
+reconnect by themselves.
 
 Examples:
   albireo acl --folder /etc/albireo/authority --output /etc/albireo/access.json
@@ -46,7 +48,8 @@ pub(super) fn run(arguments: &AclArguments) -> anyhow::Result<()> {
             // The file is replaced as a whole, because the router may start at any moment.
             write(file, &text, PUBLIC).context("the rules cannot be written")?;
             let subjects = access["subjects"].as_array().map_or(0, Vec::len);
-            println!("{}: {subjects} certificates have access", file.display());
+            let subjects = counted(subjects as u64, "certificate", "certificates");
+            println!("{}: access for {subjects}", file.display());
         }
     }
     Ok(())

@@ -156,7 +156,9 @@ pub(super) fn run(arguments: &CertArguments) -> anyhow::Result<()> {
         CertCommand::Revoke { role, name } => {
             let revoked = place.open()?.revoke(*role, name)?;
             println!(
-                "`{}` is revoked; generate the router's rules again with `albireo acl`, and restart it",
+                "`{}` is revoked once the router has new rules: run `albireo acl --output access.json`,\n\
+                 copy access.json to /etc/albireo on the router's machine, and run there\n\
+                 `sudo systemctl restart albireo-router`",
                 revoked.common_name()
             );
         }

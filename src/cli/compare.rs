@@ -2,7 +2,7 @@
 
 use super::play::{Played, Player, choose_meter, clip, node_configuration, with_truth};
 use super::progress;
-use super::values::{above_zero, not_negative, parse_rate};
+use super::values::{above_zero, counted, not_negative, parse_rate};
 use albireo_core::geometry::PictureSize;
 use albireo_eval::boxes::ScoredBox;
 use albireo_eval::compare::{
@@ -139,9 +139,9 @@ pub(super) async fn run(arguments: CompareArguments) -> anyhow::Result<()> {
         None => "full speed".to_owned(),
     };
     eprintln!(
-        "{} runs of {} frames of {} at {pace}; power: {meter}",
-        scheduled.len(),
-        frames,
+        "{} of {} of {} at {pace}; power: {meter}",
+        counted(scheduled.len() as u64, "run", "runs"),
+        counted(frames as u64, "frame", "frames"),
         clip.name(),
     );
     let player = Player {
@@ -156,9 +156,12 @@ pub(super) async fn run(arguments: CompareArguments) -> anyhow::Result<()> {
     let comparison = judge(&player, &variants, played, truth.as_ref())?;
     let summary = summarise(&comparison);
     let text = render(&comparison, &summary);
-    print!("{text}");
+    // Before it is printed: whoever reads the output may close it, which ends the program.
     if let Some(folder) = &arguments.out {
         write(folder, &comparison, &summary, &text)?;
+    }
+    print!("{text}");
+    if let Some(folder) = &arguments.out {
         eprintln!("Written to {}", folder.display());
     }
     Ok(())
@@ -337,7 +340,8 @@ fn judge(
     }
     for (class, boxes) in left_out {
         eprintln!(
-            "{boxes} boxes of the class `{class}` were not judged by ground truth, which does not have it."
+            "not judged: {} of the class `{class}`, which the ground truth does not have",
+            counted(boxes, "box", "boxes")
         );
     }
     let labels = variants.iter().map(|variant| variant.label.clone());

@@ -4,7 +4,7 @@ mod show;
 
 use super::frames::{FrameSender, Pacing, close, open_session};
 use super::replay::{PublishOptions, publish};
-use albireo_eval::footage::{SourceName, VideoEncoding};
+use albireo_eval::footage::{FrameSource, SourceName, VideoEncoding};
 use albireo_hub::config::HubConfig;
 use albireo_node::PreparedNode;
 use albireo_node::config::{CameraConfig, NodeConfig};
@@ -13,7 +13,8 @@ use albireo_service::{logging, signals};
 use anyhow::{Context, bail};
 use show::Show;
 use std::fs::Permissions;
-use std::net::{Ipv4Addr, SocketAddr};
+use std::io::ErrorKind;
+use std::net::Ipv4Addr;
 use std::os::unix::fs::PermissionsExt;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -37,6 +38,7 @@ Examples:
   albireo demo --policy expected-loss:0.5
                                     our own policy, a detector call priced at
                                     0.5
+  albireo demo --port 8081          where another program has port 8080
 
 It prints the addresses of its pages, and commands to try in another terminal.")]
 pub(super) struct DemoArguments {
@@ -78,17 +80,21 @@ pub(super) async fn run(arguments: DemoArguments) -> anyhow::Result<()> {
         ..LogConfig::default()
     })?;
     let shutdown = signals::shutdown(None)?;
-    let listener = listen(arguments.port).await?;
-    let endpoint = format!("tcp/127.0.0.1:{}", listen(7447).await?.local_addr()?.port());
-    let hub_listener = listen(arguments.hub_port).await?;
+    let clip = arguments.clip.open(arguments.rate, VideoEncoding::default())?;
+    let mut moved = Vec::new();
+    let listener = listen("page", arguments.port, &mut moved).await?;
+    let hub_listener = listen("fleet's page", arguments.hub_port, &mut moved).await?;
+    let frames = listen("camera", 7447, &mut moved).await?.local_addr()?;
+    let endpoint = format!("tcp/{frames}");
     let addresses = [listener.local_addr()?, hub_listener.local_addr()?];
     let mut config = configuration(&arguments, &endpoint)?;
     for (label, address) in ["page", "hub"].into_iter().zip(addresses) {
         config.node.labels.insert(label.to_owned(), format!("http://{address}/"));
     }
     let prepared = PreparedNode::new(&config)?;
-    let show = Show::new(prepared.board());
-    show.banner(&config, addresses);
+    let show = Show::new(prepared.board(), shutdown.clone());
+    // Printed once the node works: before, an error may be all there is to say.
+    let banner = show.banner(&config, addresses, &moved);
 
     // Each part is a task: opening a Zenoh session blocks its thread, and no part may wait for another.
     // The part that ends first ends the others.
@@ -104,9 +110,9 @@ pub(super) async fn run(arguments: DemoArguments) -> anyhow::Result<()> {
     }));
     let camera = tokio::spawn(ending(
         shutdown.clone(),
-        camera(arguments, config, endpoint, shutdown.clone()),
+        camera(clip, arguments, config, endpoint, banner, shutdown.clone()),
     ));
-    let show = tokio::spawn(show.run(shutdown));
+    let show = tokio::spawn(show.run());
     let (node, camera, summary) = (
         node.await.context("node")?,
         camera.await.context("camera")?,
@@ -128,12 +134,22 @@ async fn ending<T>(shutdown: CancellationToken, work: impl Future<Output = T>) -
     ended
 }
 
-/// Opens a listener on this port of the loopback interface, or on any free one if it is taken.
-async fn listen(port: u16) -> anyhow::Result<TcpListener> {
-    let either = [port, 0].map(|port| SocketAddr::from((Ipv4Addr::LOCALHOST, port)));
-    TcpListener::bind(&either[..])
+/// Opens a listener on this port of the loopback interface, or else on any free one, and then notes in `moved` which and why.
+async fn listen(whose: &str, port: u16, moved: &mut Vec<String>) -> anyhow::Result<TcpListener> {
+    let error = match TcpListener::bind((Ipv4Addr::LOCALHOST, port)).await {
+        Ok(listener) => return Ok(listener),
+        Err(error) => error,
+    };
+    let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0))
         .await
-        .context("no port of the loopback interface can be listened on")
+        .context("no port of the loopback interface can be listened on")?;
+    let why = match error.kind() {
+        ErrorKind::AddrInUse => "is in use, by another demo or node perhaps".to_owned(),
+        _ => format!("cannot be listened on ({error})"),
+    };
+    let instead = listener.local_addr()?.port();
+    moved.push(format!("port {port} {why}: the {whose} has port {instead}"));
+    Ok(listener)
 }
 
 fn configuration(arguments: &DemoArguments, endpoint: &str) -> anyhow::Result<NodeConfig> {
@@ -181,14 +197,15 @@ async fn hub(
     albireo_hub::run(&config, listener, stop).await.context("hub")
 }
 
-/// Plays the camera until `shutdown`.
+/// Plays the camera until `shutdown`, and prints the `banner` when the node takes its frames.
 async fn camera(
+    clip: Box<dyn FrameSource>,
     arguments: DemoArguments,
     config: NodeConfig,
     endpoint: String,
+    banner: String,
     shutdown: CancellationToken,
 ) -> anyhow::Result<()> {
-    let source = arguments.clip.open(arguments.rate, VideoEncoding::default())?;
     let options = PublishOptions {
         rate: arguments.rate,
         repeat: true,
@@ -199,6 +216,7 @@ async fn camera(
         let session = open_session(&[endpoint], &[], PATIENCE).await?;
         let sender = FrameSender::declare(&session, &key, Pacing::Drop).await?;
         sender.wait_for_receiver(PATIENCE).await?;
+        show::print(&banner, &shutdown);
         if let Some(seconds) = arguments.seconds {
             let shutdown = shutdown.clone();
             tokio::spawn(async move {
@@ -207,7 +225,7 @@ async fn camera(
             });
         }
         let send = |frame| sender.send(frame);
-        publish(source, send, &options, |_| {}, &shutdown).await?;
+        publish(clip, send, &options, |_| {}, &shutdown).await?;
         close(session).await
     };
     let played = shutdown.run_until_cancelled(playing).await;

@@ -1,7 +1,7 @@
 //! `albireo detect`: describes a detector, and runs it on pictures.
 
 use super::progress::spinner;
-use super::values::parse_size;
+use super::values::{counted, parse_size};
 use albireo_core::detection::Detection;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_vision::detector::{
@@ -148,7 +148,8 @@ pub(super) fn run(arguments: &DetectArguments) -> anyhow::Result<()> {
     }
     ensure!(
         unusable == 0,
-        "{unusable} of {pictures} pictures could not be used"
+        "{unusable} of {} could not be used",
+        counted(pictures, "picture", "pictures")
     );
     Ok(())
 }
@@ -165,7 +166,7 @@ fn print_waste(network: &DetectorNetwork) {
 fn classes(reported: &[String], left_out: &[String]) -> String {
     let mut text = format!(
         "reports {}: {}",
-        counted(reported.len(), "class", "classes"),
+        counted(reported.len() as u64, "class", "classes"),
         reported.join(", ")
     );
     if !left_out.is_empty() {
@@ -177,7 +178,7 @@ fn classes(reported: &[String], left_out: &[String]) -> String {
         };
         text.push_str(&format!(
             "\nnot reported: {} of the model ({}{more}); --all-classes, or detector.report_classes = [], reports them",
-            counted(left_out.len(), "class", "classes"),
+            counted(left_out.len() as u64, "class", "classes"),
             first.join(", "),
         ));
     }
@@ -208,12 +209,8 @@ fn not_reported(counts: &HeadCounts, left_out: &[String]) -> Vec<String> {
     ]
     .into_iter()
     .filter(|(count, _)| *count > 0)
-    .map(|(count, reason)| format!("not reported: {} {reason}", counted(count as usize, "box", "boxes")))
+    .map(|(count, reason)| format!("not reported: {} {reason}", counted(count, "box", "boxes")))
     .collect()
-}
-
-fn counted(count: usize, one: &str, several: &str) -> String {
-    format!("{count} {}", if count == 1 { one } else { several })
 }
 
 fn configuration(arguments: &DetectArguments) -> DetectorConfig {
@@ -287,7 +284,7 @@ fn detect(
         println!(
             "{} {size}: {} (decode {decode:.1} ms, letterbox {letterbox:.1} ms, model {model:.1} ms, head {head:.1} ms)",
             file.display(),
-            counted(found.detections.len(), "detection", "detections"),
+            counted(found.detections.len() as u64, "detection", "detections"),
         );
         for found in &found.detections {
             let Corners { x1, y1, x2, y2 } = found.bounding_box.pixel_corners(size);

@@ -213,15 +213,28 @@ fn compare(data: DataSet, path: &Path, arguments: &RunArguments) -> anyhow::Resu
         policies: summary::summarise(&results),
         clips: results,
     };
-    conclude(&report, &streams, arguments)
+    keep(&report, &streams, arguments)?;
+    print(&report, &streams, arguments);
+    Ok(())
 }
 
-/// Prints the results, and writes them to `--out`.
-fn conclude(
+/// Writes the results to `--out`. Before they are printed: whoever reads the output may close it, which ends the program.
+fn keep(
     report: &Report,
     streams: &[StreamResults],
     arguments: &RunArguments,
 ) -> anyhow::Result<()> {
+    if let Some(folder) = &arguments.out {
+        report.write(folder)?;
+        for stream in streams {
+            files::write(&folder.join(stream.file_name()), stream.table())?;
+        }
+    }
+    Ok(())
+}
+
+/// Prints the results.
+fn print(report: &Report, streams: &[StreamResults], arguments: &RunArguments) {
     print!("{}", render(&report.policies));
     println!();
     for sentence in conclusion(&report.policies) {
@@ -238,13 +251,8 @@ fn conclude(
         print!("\n{}", stream.table());
     }
     if let Some(folder) = &arguments.out {
-        report.write(folder)?;
-        for stream in streams {
-            files::write(&folder.join(stream.file_name()), stream.table())?;
-        }
         eprintln!("Written to {}", folder.display());
     }
-    Ok(())
 }
 
 /// Returns the streams that are judged besides the boxes of a detector that takes no time.

@@ -1,6 +1,7 @@
 //! `albireo export`: recorded frames as COCO or MOTChallenge.
 
 use super::progress;
+use super::values::counted;
 use albireo_eval::export::{ExportFormat, ExportedFrames, export, recordings};
 use clap::Args;
 use std::path::PathBuf;
@@ -49,15 +50,15 @@ pub(super) fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
     let out = &arguments.out;
     let done = export(&files, out, arguments.to, arguments.frames, |so_far| {
         bar.inc(1);
-        bar.set_message(format!("{} pictures", so_far.pictures));
+        bar.set_message(counted(so_far.pictures, "picture", "pictures"));
     });
     bar.finish_and_clear();
     let done = done?;
     println!(
-        "{} pictures with {} boxes of {} recordings in {}",
-        done.pictures,
-        done.boxes,
-        done.recordings,
+        "{} with {} of {} in {}",
+        counted(done.pictures, "picture", "pictures"),
+        counted(done.boxes, "box", "boxes"),
+        counted(done.recordings, "recording", "recordings"),
         out.display()
     );
     for what in &done.left_out {

@@ -1,5 +1,6 @@
 //! `albireo hub`: runs a hub until a signal stops it, or moves its database.
 
+use super::values::counted;
 use super::{block_on, listen, progress};
 use albireo_hub::config::{DatabaseConfig, HubConfig};
 use albireo_hub::store::transfer;
@@ -81,6 +82,10 @@ async fn move_database(from: &str, to: &str) -> anyhow::Result<()> {
     })
     .await?;
     bar.finish_and_clear();
-    println!("{rows} rows of {from} are now in {}", to.shown());
+    println!(
+        "{} now has {} of {from}",
+        to.shown(),
+        counted(rows, "row", "rows")
+    );
     Ok(())
 }

@@ -1,6 +1,7 @@
 //! `albireo publish`: sends a live camera's frames to a node on another machine.
 
 use super::frames::{FrameSender, FrameTarget, NOBODY, OutgoingFrame, Pacing, close, open_session};
+use super::values::counted;
 use albireo_node::input::source::{
     LiveSource, Recorded, RtspTransport, SourceAddress, SourceEvent, SourceOptions, SourceSettings,
 };
@@ -107,7 +108,7 @@ pub(super) async fn run(arguments: PublishArguments) -> anyhow::Result<()> {
     tokio::spawn(log_receivers(receivers.clone(), key.clone()));
     let sent = Arc::new(AtomicU64::new(0));
     let name = source.name();
-    let counted = Arc::clone(&sent);
+    let sending = Arc::clone(&sent);
     let mut outlet = Outlet { sender, seq: 0 };
     let mut failed = false;
     let each = move |event| match event {
@@ -128,7 +129,7 @@ pub(super) async fn run(arguments: PublishArguments) -> anyhow::Result<()> {
             ..
         } => match outlet.send(picture, reopened, recorded) {
             Ok(()) => {
-                counted.fetch_add(1, Ordering::Relaxed);
+                sending.fetch_add(1, Ordering::Relaxed);
                 failed = false;
             }
             // Logged once for a series of failures.
@@ -140,7 +141,8 @@ pub(super) async fn run(arguments: PublishArguments) -> anyhow::Result<()> {
     };
     let ended = source.run(each, shutdown).await;
     close(session).await?;
-    println!("sent {} frames on {key}", sent.load(Ordering::Relaxed));
+    let sent = counted(sent.load(Ordering::Relaxed), "frame", "frames");
+    println!("sent {sent} on {key}");
     ended.map_err(|reason| anyhow!("reading the camera failed: {reason}"))?;
     if receivers.borrow().is_none() {
         bail!("no node subscribed to `{key}`: {NOBODY}");

@@ -7,6 +7,7 @@ pub use publish::{PublishOptions, Sent, publish};
 
 use super::frames::{FrameSender, FrameTarget, NOBODY, Pacing, close, open_session};
 use super::progress;
+use super::values::counted;
 use albireo_eval::footage::{SourceName, VideoEncoding};
 use anyhow::bail;
 use clap::Args;
@@ -124,8 +125,8 @@ async fn connect(arguments: &ReplayArguments, key: &str) -> anyhow::Result<(Sess
 fn summary(sent: &Sent, key: &str) -> String {
     let seconds = sent.elapsed.as_secs_f64();
     let mut line = format!(
-        "sent {} frames ({}) on {key} in {seconds:.1} s",
-        sent.frames,
+        "sent {} ({}) on {key} in {seconds:.1} s",
+        counted(sent.frames, "frame", "frames"),
         HumanBytes(sent.bytes)
     );
     if sent.frames > 1 && seconds > 0.0 {

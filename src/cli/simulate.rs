@@ -1,5 +1,6 @@
 //! `albireo simulate`: plays a fleet of nodes to a hub.
 
+use super::values::counted;
 use albireo_service::signals;
 use albireo_simulate::Options;
 use anyhow::bail;
@@ -45,8 +46,9 @@ pub(super) async fn run(arguments: SimulateArguments) -> anyhow::Result<()> {
     let acknowledged = summary.counts.acknowledged;
     if made != acknowledged {
         bail!(
-            "{} of {made} reports were not acknowledged",
-            made - acknowledged
+            "{} of {} not acknowledged",
+            made - acknowledged,
+            counted(made, "report", "reports")
         );
     }
     Ok(())

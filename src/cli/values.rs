@@ -1,4 +1,4 @@
-//! Parses values of arguments: frame rates, times and picture sizes.
+//! Parses values of arguments: frame rates, times and picture sizes. Writes counts.
 
 use albireo_core::geometry::PictureSize;
 
@@ -24,6 +24,11 @@ pub(super) fn above_zero(text: &str) -> Result<f64, String> {
 #[cfg(feature = "eval")]
 pub(super) fn not_negative(text: &str) -> Result<f64, String> {
     number(text, |value| (0.0..=1e6).contains(&value), "from 0 on")
+}
+
+/// A count with its noun: `1 clip`, `2 clips`.
+pub(super) fn counted(count: u64, one: &str, several: &str) -> String {
+    format!("{count} {}", if count == 1 { one } else { several })
 }
 
 fn number(text: &str, fits: fn(f64) -> bool, which: &str) -> Result<f64, String> {

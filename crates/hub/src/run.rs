@@ -122,7 +122,8 @@ async fn parts(
     };
     let mut running = start(config, hub, &tuner, &session, notices).await?;
     let locators = session.info().locators().await;
-    tracing::info!(zenoh = ?locators, "ready");
+    let locators: Vec<_> = locators.iter().map(ToString::to_string).collect();
+    tracing::info!(zenoh = locators.join(" "), "ready");
     let watched = running.tasks.watch().await;
 
     // After a failure the other tasks have to stop.

@@ -84,12 +84,7 @@ impl Outbox {
     /// [`NodeError`] if another node uses the directory or its file is not ours; not if the disk fails.
     pub fn open(directory: Option<&Path>) -> Result<Self, NodeError> {
         let opened = match directory {
-            None => {
-                tracing::warn!(
-                    "no node.state_dir: clip reports wait in memory and are lost when the node stops"
-                );
-                Waiting::new(None, 0).map(Self::of)
-            }
+            None => Waiting::new(None, 0).map(Self::of),
             Some(directory) if directory.is_file() => Err(TableError::Unusable(
                 "it is a file, not a folder: name a folder, or move the file away".to_owned(),
             )),

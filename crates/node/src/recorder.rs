@@ -80,6 +80,9 @@ pub(crate) struct RecordingStatus {
     /// Why nothing can be written.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub fault: Option<String>,
+    /// The cameras of which there is nothing to record, and what to do.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub missing: Option<String>,
 }
 
 #[derive(Debug, Default)]
@@ -243,11 +246,8 @@ impl Recorder {
         let counts = self.counts.lock();
         let slow = || {
             let at = counts.dropped_at?;
-            let dropped = counts.shown.dropped_frames;
             (at.elapsed() < RECENT).then(|| {
-                format!(
-                    "{dropped} frames are missing in recordings: the disk of record.folder or the processor is too slow"
-                )
+                "frames are missing in recordings: the disk of record.folder or the processor is too slow".to_owned()
             })
         };
         counts.shown.fault.clone().or_else(slow).map(Fault::degraded)

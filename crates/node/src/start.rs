@@ -208,7 +208,7 @@ impl Node {
         let ending = async { tokio::join!(undeclared, self.tasks.finish()) };
         if tokio::time::timeout_at(tasks_until, ending).await.is_err() {
             tracing::error!(
-                tasks = ?self.tasks.still_running(),
+                tasks = self.tasks.still_running().join(", "),
                 "abandoned tasks that did not end in time"
             );
         }

@@ -151,15 +151,17 @@ async fn route(
     let of_router = config.clone();
     let access_control =
         config.get_json("access_control/enabled").is_ok_and(|enabled| enabled == "true");
-    let session = session::attempt(config)
-        .await
-        .map_err(|reason| RouterError::Other(format!("the router cannot be opened: {reason}")))?;
+    let session = session::attempt(config).await.map_err(|reason| {
+        let key = format!("listen/endpoints in {}", options.config.display());
+        let reason = session::not_listening(&key, &reason).unwrap_or(reason);
+        RouterError::Other(format!("the router cannot be opened: {reason}"))
+    })?;
     let endpoints: Vec<String> =
         session.info().locators().await.iter().map(ToString::to_string).collect();
     // Set only once.
     let _ = view.session.set(session.clone());
     tracing::info!(
-        zenoh = ?endpoints,
+        zenoh = endpoints.join(" "),
         sessions = view.max_sessions,
         access_control,
         "ready"

@@ -9,7 +9,7 @@ pub mod identity;
 pub mod logging;
 pub mod metrics;
 pub mod notify;
-mod panics;
+pub mod panics;
 pub mod process;
 pub mod rate_limit;
 pub mod readiness;

@@ -1,6 +1,7 @@
 //! Limits log lines that may occur with every message: logs one per period and counts the rest.
 
 use parking_lot::Mutex;
+use std::num::NonZeroU64;
 use std::time::Duration;
 use tokio::time::Instant;
 
@@ -19,8 +20,9 @@ impl RateLimit {
         Self { period, last }
     }
 
-    /// Calls `log` with the number of calls suppressed since the last one, at most once per period.
-    pub fn log(&self, log: impl FnOnce(u64)) {
+    /// Calls `log` at most once per period, with the number of calls suppressed since the last one. A line has no field for it
+    /// if there were none: `tracing` leaves `None` out.
+    pub fn log(&self, log: impl FnOnce(Option<NonZeroU64>)) {
         let mut last = self.last.lock();
         if last.0.is_some_and(|at| at.elapsed() < self.period) {
             last.1 += 1;
@@ -28,7 +30,7 @@ impl RateLimit {
         }
         let (_, held_back) = std::mem::replace(&mut *last, (Some(Instant::now()), 0));
         drop(last);
-        log(held_back);
+        log(NonZeroU64::new(held_back));
     }
 }
 
@@ -41,14 +43,14 @@ mod tests {
         let limit = RateLimit::new(Duration::from_secs(10));
         let logged = || {
             let mut logged = None;
-            limit.log(|held_back| logged = Some(held_back));
+            limit.log(|held_back| logged = Some(held_back.map(NonZeroU64::get)));
             logged
         };
-        assert_eq!(logged(), Some(0));
+        assert_eq!(logged(), Some(None));
         for _ in 0..7 {
             assert_eq!(logged(), None);
         }
         tokio::time::advance(Duration::from_secs(10)).await;
-        assert_eq!(logged(), Some(7));
+        assert_eq!(logged(), Some(Some(7)));
     }
 }

@@ -15,12 +15,15 @@ use tokio::sync::watch;
 use tokio::time::{Duration, Instant};
 use utoipa::ToSchema;
 
+/// For so long after the start, parts that are not ready yet are no news.
+const START: Duration = Duration::from_secs(10);
+
 /// The fault of a part.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub struct Fault {
     /// `not_ready` if the service cannot do its work, `degraded` if it works in spite of the fault.
     pub effect: HealthState,
-    /// The reason, human-readable. It must not contain a number that changes by itself: each new text counts as a change.
+    /// The reason, human-readable. One that differs only in its numbers is no news in the log.
     pub reason: String,
 }
 
@@ -38,6 +41,11 @@ impl Fault {
     pub(crate) fn new(effect: HealthState, reason: impl Into<String>) -> Self {
         let reason = reason.into();
         Self { effect, reason }
+    }
+
+    /// The reason without its numbers: a pause before the next attempt grows, and counts go on.
+    fn cause(&self) -> impl Iterator<Item = char> {
+        self.reason.chars().filter(|c| !c.is_ascii_digit() && *c != '.')
     }
 }
 
@@ -105,7 +113,9 @@ impl Health {
             let same = others
                 .iter()
                 .find(|other| (other.part, &other.subject) == (one.part, &one.subject));
-            same.is_none_or(|other| other.fault != one.fault)
+            same.is_none_or(|other| {
+                other.fault.effect != one.fault.effect || !other.fault.cause().eq(one.fault.cause())
+            })
         };
         let is_gone = |one: &&PartFault| {
             let mut present = self.faults.iter();
@@ -240,21 +250,31 @@ impl Readiness {
 
     /// Checks the health every `period` and logs what has changed, for as long as it is polled.
     pub async fn watch(self, period: Duration) {
+        self.tell_changes(period, Change::log).await;
+    }
+
+    /// Passes each change of the health to `tell`, for as long as it is polled. A start in progress is none, unless it lasts.
+    async fn tell_changes(&self, period: Duration, mut tell: impl FnMut(Change)) {
         let mut changes = self.subscribe();
         let mut ticks = tokio::time::interval(period);
+        let begun = Instant::now();
+        let mut has_started = false;
         let mut known = Health::default();
         loop {
             tokio::select! {
-                _ = ticks.tick() => drop(self.health()),
-                Ok(()) = changes.changed() => {
-                    let now = self.health();
-                    changes.mark_unchanged();
-                    if let Some(change) = now.since(&known) {
-                        change.log();
-                    }
-                    known = now;
-                }
+                _ = ticks.tick() => {}
+                Ok(()) = changes.changed() => {}
             }
+            let now = self.health();
+            changes.mark_unchanged();
+            has_started |= now.is_ready() || begun.elapsed() >= START;
+            if !has_started {
+                continue;
+            }
+            if let Some(change) = now.since(&known) {
+                tell(change);
+            }
+            known = now;
         }
     }
 
@@ -356,17 +376,20 @@ mod tests {
         let worse = |words: &str| Some(Change::Worse(words.to_owned()));
         let better = |words: &str| Some(Change::Better(words.to_owned()));
         front.degraded("silent");
-        rear.degraded("next attempt in 1 s");
+        rear.degraded("refused; next attempt in 0.5 s");
         assert_eq!(
             said(),
-            worse("degraded: cameras front: silent; cameras rear: next attempt in 1 s")
+            worse("degraded: cameras front: silent; cameras rear: refused; next attempt in 0.5 s")
         );
-        rear.degraded("next attempt in 2 s");
-        assert_eq!(
-            said(),
-            worse("degraded: cameras rear: next attempt in 2 s; as before: 1 more, see /readyz")
-        );
+        rear.degraded("refused; next attempt in 1 s");
         assert_eq!(said(), None);
+        rear.degraded("no address; next attempt in 2 s");
+        assert_eq!(
+            said(),
+            worse(
+                "degraded: cameras rear: no address; next attempt in 2 s; as before: 1 more, see /readyz"
+            )
+        );
         front.works();
         assert_eq!(
             said(),
@@ -376,6 +399,23 @@ mod tests {
         assert_eq!(said(), worse("not ready: cameras rear: its loop failed"));
         rear.works();
         assert_eq!(said(), better("every part works"));
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_start_in_progress_is_no_news_unless_it_lasts() {
+        // Whether the part works after some seconds, and what is said until then.
+        for (works_after, expected) in [(3, None), (30, Some("not ready: cameras: not yet"))] {
+            let readiness = Readiness::default();
+            let cameras = readiness.part("cameras");
+            cameras.not_ready("not yet");
+            let mut told = Vec::new();
+            let watching =
+                readiness.tell_changes(Duration::from_secs(1), |change| told.push(change));
+            let started = Duration::from_secs(works_after);
+            assert!(tokio::time::timeout(started, watching).await.is_err());
+            let expected = expected.map(|words| Change::Worse(words.to_owned()));
+            assert_eq!(told, Vec::from_iter(expected));
+        }
     }
 
     #[tokio::test(start_paused = true)]

@@ -43,9 +43,20 @@ pub async fn open(
     // From the final configuration, because a Zenoh configuration file sets its own mode.
     let mode = zenoh.get_json("mode");
     let retries = patient || mode.is_ok_and(|mode| mode == "\"client\"");
-    let place = match &config.config_file {
-        Some(file) => format!("configuration file {}", file.display()),
-        None => format!("listen {:?}, connect {:?}", config.listen, config.connect),
+    let (place, key) = match &config.config_file {
+        Some(file) => {
+            let file = file.display();
+            (
+                format!("configuration file {file}"),
+                format!("listen/endpoints in {file}"),
+            )
+        }
+        None => {
+            let listen = config.listen.join(", ");
+            let connect = config.connect.join(", ");
+            let place = format!("zenoh.listen = [{listen}], zenoh.connect = [{connect}]");
+            (place, "zenoh.listen".to_owned())
+        }
     };
     let mut pause = RETRY.0;
     loop {
@@ -53,7 +64,10 @@ pub async fn open(
             Ok(session) => return Ok(session),
             Err(error) => error,
         };
-        let error = ServiceError(format!("Zenoh session not opened ({place}): {error}"));
+        let error = ServiceError(
+            not_listening(&key, &error)
+                .unwrap_or_else(|| format!("Zenoh session not opened ({place}): {error}")),
+        );
         if !retries {
             return Err(error);
         }
@@ -73,6 +87,24 @@ pub async fn attempt(config: zenoh::Config) -> Result<Session, String> {
         Ok(opened) => opened.map_err(|error| plain(&error)),
         Err(error) => Err(error.to_string()),
     }
+}
+
+/// What Zenoh's `error` says of an endpoint under the setting `key` that cannot be listened on, and the way out; `None` if it
+/// is about something else.
+pub fn not_listening(key: &str, error: &str) -> Option<String> {
+    let (_, said) = error.split_once(" listener bound to ")?;
+    let (endpoint, causes) = said.split_once(": [")?;
+    let cause = causes.split_once(": ").map_or(causes, |(_address, cause)| cause);
+    let (cause, _) = cause.split_once(" (os error").unwrap_or((cause, ""));
+    let cause = cause.trim_end_matches(['.', ']']);
+    let way_out = if cause.starts_with("Address already in use") {
+        " (by a running node or hub? another port in the same key works, too)"
+    } else {
+        ""
+    };
+    Some(format!(
+        "{key}: {endpoint} cannot be listened on: {cause}{way_out}"
+    ))
 }
 
 /// Opens the session to the hub: one attempt.
@@ -120,6 +152,25 @@ mod tests {
         let error = "Can not create listener [Address in use at /home/x/.cargo/src/a-1/b.rs:75.] at /y/o.rs:910.";
         assert_eq!(plain(&error), "Can not create listener [Address in use.].");
         assert_eq!(plain(&"nothing to hide"), "nothing to hide");
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_port_in_use_is_told_with_its_key_and_the_way_out() {
+        let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let endpoint = format!("tcp/{}", taken.local_addr().unwrap());
+        let config = ZenohConfig {
+            listen: vec![endpoint.clone()],
+            ..ZenohConfig::default()
+        };
+        let opened = open(&config, 1 << 20, &[], false, |_| {}).await;
+        let error = opened.err().unwrap().to_string();
+        let expected =
+            format!("zenoh.listen: {endpoint} cannot be listened on: Address already in use");
+        assert!(error.starts_with(&expected), "{error}");
+        assert!(
+            error.ends_with("another port in the same key works, too)"),
+            "{error}"
+        );
     }
 
     #[tokio::test(flavor = "multi_thread")]

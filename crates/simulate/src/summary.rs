@@ -30,7 +30,7 @@ impl fmt::Display for Summary {
         let counts = &self.counts;
         writeln!(
             f,
-            "{} nodes, {} sessions (open after {:.1} s), {:.0} s",
+            "nodes: {}, sessions: {} (open after {:.1} s), {:.0} s",
             self.nodes, self.sessions, self.opened_s, self.played_s
         )?;
         let drained_s = self.drained_s;

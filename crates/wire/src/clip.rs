@@ -42,6 +42,18 @@ pub enum EnergyQuality {
     Unavailable,
 }
 
+impl EnergyQuality {
+    /// The word for it, as on the wire.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Measured => "measured",
+            Self::Partial => "partial",
+            Self::Estimated => "estimated",
+            Self::Unavailable => "unavailable",
+        }
+    }
+}
+
 /// The smallest share of a clip's time that counts as full coverage by samples.
 pub const FULL_COVERAGE: f64 = 0.999;
 

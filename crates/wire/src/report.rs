@@ -130,6 +130,17 @@ pub enum RefusalReason {
     Unreadable,
 }
 
+impl RefusalReason {
+    /// The word for it, as on the wire.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Busy => "busy",
+            Self::Unavailable => "unavailable",
+            Self::Unreadable => "unreadable",
+        }
+    }
+}
+
 /// The answer to a batch that was not accepted, sent as an error reply. None of its reports is acknowledged.
 #[skip_serializing_none]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]

@@ -179,6 +179,17 @@ pub enum SettingSource {
     Hub,
 }
 
+impl SettingSource {
+    /// The word for it, as on the wire.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Configuration => "configuration",
+            Self::Local => "local",
+            Self::Hub => "hub",
+        }
+    }
+}
+
 /// One camera of a [`NodeStatus`].
 #[skip_serializing_none]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]

@@ -1,10 +1,12 @@
 //! Prints the demonstration's output: addresses, a live line, a line for every clip, and a summary.
 
+use crate::cli::values::counted;
 use albireo_node::config::NodeConfig;
 use albireo_node::state::board::{Board, Event, News};
 use albireo_wire::{ClipEnergy, ClipReport, DetectionsMessage, EnergyQuality, FrameStates};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::collections::BTreeMap;
+use std::io::Write;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -19,6 +21,7 @@ const LAST_REPORT: Duration = Duration::from_secs(3);
 pub(super) struct Show {
     board: Arc<Board>,
     events: Receiver<Arc<Event>>,
+    shutdown: CancellationToken,
     started: Instant,
     has_heading: bool,
     bar: ProgressBar,
@@ -32,7 +35,7 @@ pub(super) struct Summary {
 }
 
 impl Show {
-    pub(super) fn new(board: &Arc<Board>) -> Self {
+    pub(super) fn new(board: &Arc<Board>, shutdown: CancellationToken) -> Self {
         let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::stdout());
         if let Ok(style) = ProgressStyle::with_template("{spinner} {msg}") {
             bar.set_style(style);
@@ -40,45 +43,58 @@ impl Show {
         Self {
             board: Arc::clone(board),
             events: board.subscribe(),
+            shutdown,
             started: Instant::now(),
             has_heading: false,
             bar,
         }
     }
 
-    /// Prints the addresses of node and hub, how to query them, and what the letters of the table mean.
-    pub(super) fn banner(&self, config: &NodeConfig, [node, hub]: [SocketAddr; 2]) {
+    /// The addresses of node and hub, what was `moved` from its port and why, how to query them, and what the columns of the
+    /// table mean.
+    pub(super) fn banner(
+        &self,
+        config: &NodeConfig,
+        [node, hub]: [SocketAddr; 2],
+        moved: &[String],
+    ) -> String {
         let model = config.detector.model.display();
-        println!("albireo demo: a recorded road -> Zenoh -> {model}");
-        println!("  page     http://{node}/");
-        println!("  counters curl http://{node}/api/v1/frame-states");
+        let mut lines = vec![format!("albireo demo: a recorded road -> Zenoh -> {model}")];
+        lines.extend(moved.iter().map(|moved| format!("  {moved}")));
+        lines.push(format!("  page     http://{node}/"));
+        lines.push(format!("  counters curl http://{node}/api/v1/frame-states"));
         let camera = self.board.cameras.first();
         if let Some(spec) = camera.and_then(|camera| camera.threshold_spec()) {
             // Twice the default, so that the difference is visible.
             let value = (2.0 * spec.default).min(spec.maximum);
             let value = serde_json::json!({ spec.name: value });
-            println!(
-                "  tune it  curl -X PUT http://{node}/api/v1/threshold \\\n             -H 'content-type: application/json' -d '{value}'"
-            );
+            lines.push(format!(
+                "  tune it  curl -X PUT http://{node}/api/v1/threshold -d '{value}'"
+            ));
         }
         if self.board.can_pause() {
-            println!(
-                "  pause    curl -X PUT http://{node}/api/v1/screen -d '{{\"pause_s\": 0.2}}'\n           \
-                 on the empty road every fifth frame is looked at: 564 calls a round, not 827"
+            lines.push(format!(
+                "  pause    curl -X PUT http://{node}/api/v1/screen -d '{{\"pause_s\": 0.2}}'"
+            ));
+            lines.push(
+                "           on the empty road every fifth frame is looked at: 564 calls a round,\n           not 827"
+                    .to_owned(),
             );
         }
-        println!(
-            "  policy   curl -X PUT http://{node}/api/v1/policy -d '{{\"name\": \"expected-loss\"}}'"
-        );
-        println!("  fleet's page  http://{hub}/");
-        println!("  hub      curl http://{hub}/api/v1/clips");
-        println!("  fleet    albireo fleet --hub http://{hub} ls");
-        println!("E empty, P predicted, E+I screen then detector, I detector, AI with rescue");
+        lines.push(format!(
+            "  policy   curl -X PUT http://{node}/api/v1/policy \\\n             -d '{{\"name\": \"expected-loss\"}}'"
+        ));
+        lines.push(format!("  fleet's page  http://{hub}/"));
+        lines.push(format!("  hub      curl http://{hub}/api/v1/clips"));
+        lines.push(format!("  fleet    albireo fleet --hub http://{hub} ls"));
+        lines.push(LEGEND.to_owned());
+        lines.join("\n")
     }
 
-    /// Prints until `shutdown` and the last clip's report.
-    pub(super) async fn run(mut self, shutdown: CancellationToken) -> Summary {
+    /// Prints until the shutdown and the last clip's report.
+    pub(super) async fn run(mut self) -> Summary {
         let mut summary = Summary::default();
+        let shutdown = self.shutdown.clone();
         let end = async {
             shutdown.cancelled().await;
             tokio::time::sleep(LAST_REPORT).await;
@@ -120,17 +136,31 @@ impl Show {
     /// Prints the heading of the clips' table once.
     fn heading(&mut self) {
         if !std::mem::replace(&mut self.has_heading, true) {
-            self.say(&format!("\n{HEADING}"));
+            self.say(&format!("\n{}", row(HEADING.map(str::to_owned))));
         }
     }
 
     fn say(&self, line: &str) {
-        self.bar.suspend(|| println!("{line}"));
+        self.bar.suspend(|| print(line, &self.shutdown));
     }
 }
 
-const HEADING: &str =
-    "clip                 frames    E    P  E+I    I   AI   skip   energy        EDP";
+/// Prints a line. Where nobody reads on, as behind `head`, the demonstration ends.
+pub(super) fn print(line: &str, shutdown: &CancellationToken) {
+    if writeln!(std::io::stdout(), "{line}").is_err() {
+        shutdown.cancel();
+    }
+}
+
+/// Without the states of a screen, which the demonstration does not have.
+const HEADING: [&str; 9] = [
+    "clip", "policy", "frames", "P", "I", "AI", "skip", "J", "J·ms",
+];
+
+/// What the table's columns are.
+const LEGEND: &str = "\
+P predicted, I by the detector, AI the same with an object that it missed;
+J energy, J·ms energy times time per frame; * estimated (no meter), + partly";
 
 /// Formats the current frame as one line.
 fn live_line(board: &Board, message: &DetectionsMessage) -> String {
@@ -154,29 +184,34 @@ fn live_line(board: &Board, message: &DetectionsMessage) -> String {
     line.chars().take(77).collect()
 }
 
+/// Formats a row of the table of clips, 80 columns wide.
+fn row([clip, policy, frames, p, i, ai, skip, joules, edp]: [String; 9]) -> String {
+    format!(
+        "{clip:<19} {policy:<13} {frames:>6} {p:>4} {i:>4} {ai:>4} {skip:>6} {joules:>7} {edp:>9}"
+    )
+}
+
 /// Formats a clip's row under [`HEADING`].
 fn clip_line(report: &ClipReport) -> String {
     let states = &report.states;
     let mark = mark(&report.energy);
-    let number = |value: Option<f64>, decimals: usize, unit: &str| {
+    let number = |value: Option<f64>, decimals: usize| {
         value.map_or_else(
             || "-".to_owned(),
-            |value| format!("{value:.decimals$}{mark} {unit}"),
+            |value| format!("{value:.decimals$}{mark}"),
         )
     };
-    format!(
-        "{:<20} {:>6} {:>4} {:>4} {:>4} {:>4} {:>4} {:>5.1}% {:>9} {:>12}",
-        report.clip,
-        report.frames,
-        states.e,
-        states.p,
-        states.ei,
-        states.i,
-        states.ai,
-        report.skip_rate * 100.0,
-        number(report.energy.joules, 1, "J"),
-        number(report.energy.edp, 0, "J·ms"),
-    )
+    row([
+        report.clip.clone(),
+        report.policy.clone(),
+        report.frames.to_string(),
+        states.p.to_string(),
+        states.i.to_string(),
+        states.ai.to_string(),
+        format!("{:.1}%", report.skip_rate * 100.0),
+        number(report.energy.joules, 1),
+        number(report.energy.edp, 0),
+    ])
 }
 
 /// Returns the mark for energy that no meter has measured, or that does not cover the whole clip.
@@ -198,8 +233,9 @@ impl Summary {
         let degraded = count(|report| report.degraded_frames);
         let frames = states.frames();
         println!(
-            "\n{frames} frames in {} clips, {:.0} s; detector skipped on {:.1} % ({} of {frames}), dropped {}",
-            self.reports.len(),
+            "\n{} in {}, {:.0} s; detector skipped on {:.1} % ({} of {frames}), dropped {}",
+            counted(frames, "frame", "frames"),
+            counted(self.reports.len() as u64, "clip", "clips"),
             self.seconds,
             states.skip_rate(degraded) * 100.0,
             states.skipped(degraded),

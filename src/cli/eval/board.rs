@@ -6,7 +6,7 @@ use super::JUDGED;
 use super::video::{clip_names, truth_places};
 use crate::cli::play::{Player, choose_meter, clip, node_configuration, with_truth};
 use crate::cli::progress;
-use crate::cli::values::{not_negative, parse_rate};
+use crate::cli::values::{counted, not_negative, parse_rate};
 use albireo_eval::board::{ClipRun, RunsFile, TRACED_CLIPS};
 use albireo_eval::data::classes::Evaluated;
 use albireo_eval::data::{Clip, GroundTruth, LoadReport, Rules, TruthFormat};
@@ -14,7 +14,6 @@ use albireo_eval::footage::{FrameSource, SourceName, VideoEncoding};
 use albireo_eval::judge::{Classes, Interpolation, Truth, accuracy};
 use albireo_eval::settings::ScreenRule;
 use albireo_eval::spec::{PolicySpec, Sweep, resolve_with_pause};
-use albireo_eval::text::counted;
 use albireo_node::config::NodeConfig;
 use albireo_service::{logging, signals};
 use albireo_vision::detector::{DetectorConfig, DetectorNetwork};
@@ -135,10 +134,11 @@ pub(super) async fn run(arguments: &BoardArguments) -> anyhow::Result<()> {
     let scheduled = scheduled(&clips, &policies, &file);
     let all = clips.len() * policies.len();
     eprintln!(
-        "{}, {} policies: {} of {all} runs are done; power: {meter}; {}",
-        counted(clips.len(), "clip"),
-        policies.len(),
+        "{}, {}: {} of {} done; power: {meter}; {}",
+        counted(clips.len() as u64, "clip", "clips"),
+        counted(policies.len() as u64, "policy", "policies"),
         all - scheduled.len(),
+        counted(all as u64, "run", "runs"),
         file.path().display()
     );
     let mut measuring = Measuring {
@@ -166,8 +166,8 @@ pub(super) async fn run(arguments: &BoardArguments) -> anyhow::Result<()> {
         if shutdown.is_cancelled() {
             bar.finish_and_clear();
             eprintln!(
-                "Stopped: {} more kept. The same command goes on with the others.",
-                counted(number, "run")
+                "Stopped, with {} more. The same command goes on with the others.",
+                counted(number as u64, "run", "runs")
             );
             return Ok(());
         }
@@ -177,11 +177,12 @@ pub(super) async fn run(arguments: &BoardArguments) -> anyhow::Result<()> {
     bar.finish_and_clear();
     for (class, boxes) in &measuring.left_out {
         eprintln!(
-            "{boxes} boxes of the class `{class}` were not judged: the ground truth does not have it."
+            "not judged: {} of the class `{class}`, which the ground truth does not have",
+            counted(*boxes, "box", "boxes")
         );
     }
     eprintln!(
-        "All {all} runs are in {0}; next: albireo eval join {0} --out tables",
+        "Every run is in {0}; next: albireo eval join {0} --out tables",
         file.path().display()
     );
     Ok(())

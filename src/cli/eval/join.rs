@@ -43,9 +43,12 @@ pub(super) fn run(arguments: &JoinArguments) -> anyhow::Result<()> {
         setups.push(found);
     }
     let text = render(&setups);
-    print!("{text}");
+    // Before it is printed: whoever reads the output may close it, which ends the program.
     if let Some(folder) = &arguments.out {
         write(folder, &setups, &text)?;
+    }
+    print!("{text}");
+    if let Some(folder) = &arguments.out {
         eprintln!("Written to {}", folder.display());
     }
     Ok(())

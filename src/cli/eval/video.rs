@@ -1,7 +1,8 @@
 //! `albireo eval video`: runs a real detector once over videos or pictures, then every policy on its detections.
 
-use super::{LOOKED, RunArguments, conclude, listed, policies, settings, streams_asked};
+use super::{LOOKED, RunArguments, keep, listed, policies, print, settings, streams_asked};
 use crate::cli::progress;
+use crate::cli::values::counted;
 use albireo_eval::data::{Clip, LoadReport, recorded};
 use albireo_eval::data::{GroundTruth, Rules, StepTimes, TruthFormat, vanilla_as_truth};
 use albireo_eval::footage::{Downsampled, FrameSource, SourceName, VideoEncoding};
@@ -367,8 +368,9 @@ impl Evaluation<'_> {
             policies: summary::summarise(&self.results),
             clips: self.results,
         };
+        keep(&report, &self.streams, &self.arguments)?;
         println!("Judged {basis}");
-        conclude(&report, &self.streams, &self.arguments)?;
+        print(&report, &self.streams, &self.arguments);
         print_screens(&report.clips);
         for (name, value) in notes {
             println!("{name}: {value}");
@@ -402,12 +404,12 @@ fn times_of_steps(times: &[StepTimes]) -> Vec<(String, String)> {
     let row = |(step, time): (&str, StepTime)| {
         let spread = Spread::of(times.iter().map(time).collect())?;
         let value = format!(
-            "mean {:.2} ms, p50 {:.2}, p95 {:.2}, p99 {:.2} (measured on this machine, {} frames)",
+            "mean {:.2} ms, p50 {:.2}, p95 {:.2}, p99 {:.2} (measured on this machine, {})",
             spread.mean,
             spread.p50,
             spread.p95,
             spread.p99,
-            times.len()
+            counted(times.len() as u64, "frame", "frames")
         );
         // The time of a step that was not taken is 0.
         (spread.mean > 0.0).then(|| (format!("Time of {step}"), value))
@@ -472,9 +474,12 @@ fn pass_over(
     let bar = progress::bar(total, "frames").with_prefix(format!("{}: ", source.name()));
     if bar.is_hidden() {
         eprintln!(
-            "{}: processing {} frames",
+            "{}: processing {}",
             source.name(),
-            total.map_or_else(|| "all".to_owned(), |total| total.to_string())
+            total.map_or_else(
+                || "all frames".to_owned(),
+                |total| counted(total, "frame", "frames")
+            )
         );
     }
     let pictured = run_pass(source, models, settings, report, &mut || bar.inc(1));

@@ -3,6 +3,7 @@
 use super::table::{cut, table, width};
 use super::units::{self, ago, figure, joined, name_of, seconds, threshold, when};
 use super::{Context, Ended};
+use crate::cli::values::counted;
 use albireo_hub::http::{Energy, NodeDetail, NodeList};
 use albireo_hub::presence::{NodeView, PresenceState};
 use albireo_service::clock::{DAY_MS, unix_milliseconds};
@@ -155,7 +156,7 @@ fn facts(node: &NodeView) -> String {
         ]);
     }
     lines.push(("revision", node.revision.to_string()));
-    lines.push(("waiting", format!("{} reports", node.waiting)));
+    lines.push(("waiting", counted(node.waiting, "report", "reports")));
     if let Some(status) = status {
         if let Some(refused) = &status.refused {
             let text = format!("revision {}: {}", refused.revision, refused.reason);
@@ -269,10 +270,10 @@ pub(super) async fn watch(context: &Context, most: Option<u64>) -> anyhow::Resul
 fn overview(page: &NodeList) -> String {
     let counts = page.counts.iter().map(|(state, nodes)| format!("{nodes} {state}"));
     let line = format!(
-        "{}: {}; {} reports wait",
+        "{}: {}; waiting: {}",
         units::nodes(page.counts.values().sum()),
         joined(counts),
-        page.waiting
+        counted(page.waiting, "report", "reports")
     );
     let text = cut(&line, width()) + "\n\n";
     let shown = &page.nodes;

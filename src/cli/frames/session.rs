@@ -49,6 +49,9 @@ pub async fn open_session(
     zenoh::open(config).await.map_err(|error| {
         let endpoints = [&connect, listen].concat().join(", ");
         let error = session::plain(&error);
+        if let Some(error) = session::not_listening("--listen", &error) {
+            return anyhow!(error);
+        }
         // It repeats the endpoints, and has no reason.
         let reason = Some(error).filter(|said| !said.starts_with("Unable to connect to any of"));
         let reason = reason.map(|said| format!(": {said}")).unwrap_or_default();

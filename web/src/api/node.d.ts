@@ -3408,6 +3408,8 @@ export interface components {
              * @description The most bytes: the oldest recordings are deleted first.
              */
             max_bytes: number;
+            /** @description The cameras of which there is nothing to record, and what to do. */
+            missing?: string | null;
             /** @description The cameras that are being recorded now. */
             recording: string[];
             /** @description Why the last such event has fewer seconds before it than `before_s`. */

@@ -192,7 +192,8 @@ function Empty() {
     <Section id="fleet" title="No node has reported to this hub yet" wide>
       <ol class="steps">
         <li>
-          In the configuration of each node, <code>node.toml</code>, write where this hub listens for nodes, then restart the node:
+          In the configuration of each node, <code>node.toml</code>, write where this hub listens for nodes (port 7448, unless{" "}
+          <code>zenoh.listen</code> in <code>hub.toml</code> has another), then restart the node:
           <pre tabIndex={0}>{node}</pre>
           <CopyButton text={node} />
         </li>

@@ -1,6 +1,6 @@
 // One line about the whole fleet.
 
-import { count, joules, percent, short } from "../shared/format";
+import { count, interval, isClear, joules, percent, plural, short, shareOrInterval } from "../shared/format";
 import { Figure, Pill, Quality } from "../shared/parts";
 import { caller } from "../shared/api";
 import { knowsSaved, Saved } from "./parts";
@@ -98,11 +98,13 @@ export function Summary() {
             label="recall against the detector today (UTC)"
             note={
               <span title="Share of the detector's boxes on audited skipped frames that were shown. Against the detector, not the truth.">
-                {percent(audit.recall.low)} to {percent(audit.recall.high)}; precision {percent(audit.precision?.rate)}; not the truth
+                {isClear(audit.recall)
+                  ? `${interval(audit.recall)} at 95 % confidence; precision ${percent(audit.precision?.rate)}; not the truth`
+                  : `${plural(audit.recall.boxes, "box", "boxes")} compared: too few for a figure`}
               </span>
             }
           >
-            <span class="big" id="fleet-recall">{percent(audit.recall.rate)}</span>
+            <span class="big" id="fleet-recall">{shareOrInterval(audit.recall)}</span>
           </Figure>
         )}
         <Figure label="reports waiting in outboxes">

@@ -29,7 +29,7 @@ export function Audit() {
       <p class="message quiet">
         The detector is the reference here, not the truth: {plural(figures.drawn, "skipped frame")} were drawn at random and given to the
         detector after they were answered. It had no time for {count(figures.missed)} of them; the 95 % confidence intervals in brackets
-        allow for any result on those. <b>Recall</b> is the share of its {count(figures.detected)} boxes that had been shown;{" "}
+        allow for any result on those. <b>Recall</b> is the share of its {plural(figures.detected, "box", "boxes")} that had been shown;{" "}
         <b>precision</b> is the share of the {count(figures.shown)} shown boxes that it confirms. Keeping an object that the detector
         misses lowers precision here, even if the object is real. The audit used {plural(figures.calls, "extra detector call")} (
         {duration(figures.detector_s)}). Only the power figure includes them.

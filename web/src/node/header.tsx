@@ -1,7 +1,7 @@
 // The head of the page: the node's name and health, the detector's provider, and the energy saved.
 
 import { useComputed } from "@preact/signals";
-import { count, dateTime, duration, percent, plural, small, watts } from "../shared/format";
+import { count, dateTime, duration, interval, isClear, percent, plural, shareOrInterval, small, watts } from "../shared/format";
 import { Figure, isPage, Pill, Quality, Section, type Mood } from "../shared/parts";
 import type { AuditFigures, AuditRate, Savings } from "./types";
 import { cameras, counters, detector, thresholdSpec, thresholdInForce, lost, missed, opened, overview } from "./store";
@@ -122,14 +122,6 @@ export function Header() {
   );
 }
 
-/** Half of the widest interval that is a figure. */
-const CLEAR = 0.1;
-
-/** Whether enough boxes were compared to name a share. */
-export function isClear(found: AuditRate): boolean {
-  return found.rate - found.low <= CLEAR && found.high - found.rate <= CLEAR;
-}
-
 /** One sentence on the detector calls saved and, once it is known well enough, the recall. */
 export function headline(savings: Pick<Savings, "frames" | "avoided_calls" | "degraded_frames"> | undefined, camera: string | undefined, recall: AuditRate | null | undefined): string {
   if (!savings?.frames) return "No frame yet.";
@@ -225,15 +217,14 @@ export function Saving() {
 /** The recall of the opened camera; while few boxes were compared, only where it lies. */
 function Recall({ audit }: { audit: AuditFigures | null | undefined }) {
   const { recall, precision } = audit ?? {};
-  const ends = recall ? `${(100 * recall.low).toFixed(0)} to ${(100 * recall.high).toFixed(0)}` : "";
   const note = !recall
     ? "no audited frame yet"
     : isClear(recall)
-      ? `${ends} % at 95 % confidence; precision ${percent(precision?.rate)}`
+      ? `${interval(recall)} at 95 % confidence; precision ${percent(precision?.rate)}`
       : `${plural(recall.boxes, "box", "boxes")} compared: too few for a figure`;
   return (
     <Figure label="recall against the detector" note={note}>
-      <span class="big">{recall && !isClear(recall) ? `${ends}\u202f%` : percent(recall?.rate)}</span>
+      <span class="big">{shareOrInterval(recall)}</span>
     </Figure>
   );
 }

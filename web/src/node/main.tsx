@@ -51,11 +51,11 @@ function Page() {
           <div class="stack">
             <Picture />
             <TargetPanel />
+            <PolicyPanel />
           </div>
           <div class="stack">
             <Saving />
             <ThresholdPanel />
-            <PolicyPanel />
             <ScreenPanel />
           </div>
           <Ribbon />

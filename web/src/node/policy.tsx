@@ -3,7 +3,7 @@
 import { useEffect, useState } from "preact/hooks";
 import { json, Refused, send } from "../shared/api";
 import { Section, whyNot } from "../shared/parts";
-import { overview } from "./store";
+import { lookAtNode, overview } from "./store";
 import type { PolicyInForce } from "./types";
 
 const PATH = "/api/v1/policy";
@@ -30,6 +30,8 @@ export function PolicyPanel() {
   const switchTo = async (name: string) => {
     try {
       setKnown(await send<PolicyInForce>("PUT", PATH, { name }));
+      // The other cards follow the policy in force.
+      await lookAtNode();
       setChosen("");
       setSaid(undefined);
     } catch (error) {

@@ -3,6 +3,7 @@
 import { useEffect, useState } from "preact/hooks";
 import { every, json, Refused, send } from "../shared/api";
 import { Section, whyNot } from "../shared/parts";
+import { overview } from "./store";
 import type { Pause } from "./types";
 
 const LOOK_MS = 5000;
@@ -24,13 +25,15 @@ export function meaning(camera: Pause["cameras"][number], several: boolean): str
 }
 
 export function ScreenPanel() {
+  const policy = overview.value?.policy;
   const [pause, setPause] = useState<Pause | undefined>(undefined);
   const [said, setSaid] = useState<string | undefined>(undefined);
   useEffect(() => {
     const stop = new AbortController();
     void every(LOOK_MS, stop.signal, async () => setPause(await json<Pause>("/api/v1/screen", { signal: stop.signal })));
     return () => stop.abort();
-  }, []);
+    // Not every policy pauses on an empty road.
+  }, [policy]);
   if (!pause) return null;
   const set = async (next: Partial<typeof SUGGESTED & { still_s: number }>) => {
     try {

@@ -171,7 +171,8 @@ async function lookAtPast(camera: string, signal: AbortSignal): Promise<void> {
   dirty = true;
 }
 
-async function lookAtNode(): Promise<void> {
+/** Reads the node's overview, and what depends on its policy. */
+export async function lookAtNode(): Promise<void> {
   const before = overview.value?.uptime_s ?? 0;
   const now = await json<Overview>("/api/v1/node");
   if (now.uptime_s < before) {

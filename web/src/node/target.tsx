@@ -2,15 +2,16 @@
 
 import { useEffect, useState } from "preact/hooks";
 import { every, json, Refused, send } from "../shared/api";
-import { duration, parsed, small } from "../shared/format";
+import { duration, parsed, plural, small } from "../shared/format";
 import { Section, whyNot } from "../shared/parts";
 import { nameAndValue, TARGETS, type TargetName } from "../shared/target";
-import { thresholdSpec } from "./store";
+import { overview, thresholdSpec } from "./store";
 import type { TargetReport } from "./types";
 
 const LOOK_MS = 2000;
 
 export function TargetPanel() {
+  const policy = overview.value?.policy;
   const [report, setReport] = useState<TargetReport | undefined>(undefined);
   const [name, setName] = useState<TargetName>("skip_rate");
   const [text, setText] = useState("0.5");
@@ -19,7 +20,8 @@ export function TargetPanel() {
     const stop = new AbortController();
     void every(LOOK_MS, stop.signal, async () => setReport(await json<TargetReport>("/api/v1/target", { signal: stop.signal })));
     return () => stop.abort();
-  }, []);
+    // A switch of the policy ends a target that it cannot hold.
+  }, [policy]);
   // A controller moves only these thresholds.
   if (!report || !["u", "lambda"].includes(thresholdSpec.value?.name ?? "")) return null;
   const set = async (target: Record<string, number> | null) => {
@@ -54,7 +56,7 @@ export function TargetPanel() {
             <b id="target-actual">{small(state?.actual)}</b>; {thresholdSpec.value!.name} is <b>{small(state?.threshold)}</b>, allowed {small(report.range?.least)} to{" "}
             {small(report.range?.most)}.
             {state && state.unmet > 0 && ` Not met for ${duration(state.unmet_s)} in total.`}
-            {state?.boxes !== undefined && state?.boxes !== null && ` Based on ${state.boxes} boxes.`}
+            {state?.boxes !== undefined && state?.boxes !== null && ` Based on ${plural(state.boxes, "box", "boxes")}.`}
           </p>
         )}
         <div class="row">

@@ -138,6 +138,30 @@ export function certificates(all: readonly { name: string; until_s: number }[], 
   return words.join(", ");
 }
 
+/** A share with its 95 % confidence interval. */
+interface Estimated {
+  rate: number;
+  low: number;
+  high: number;
+}
+
+/** Half of the widest interval that is a figure. */
+const CLEAR = 0.1;
+
+/** Whether enough was compared to name a share. */
+export function isClear(found: Estimated): boolean {
+  return found.rate - found.low <= CLEAR && found.high - found.rate <= CLEAR;
+}
+
+export function interval(found: Estimated): string {
+  return `${(100 * found.low).toFixed(0)} to ${(100 * found.high).toFixed(0)}\u202f%`;
+}
+
+/** The share, or only where it lies while little was compared. */
+export function shareOrInterval(found: Estimated | undefined | null): string {
+  return found && !isClear(found) ? interval(found) : percent(found?.rate);
+}
+
 export function plural(number: number, one: string, many = `${one}s`): string {
   return `${plain.format(number)} ${number === 1 ? one : many}`;
 }

@@ -137,7 +137,7 @@ impl Run {
                 let values = plan.values.len();
                 if nodes < values * FEWEST_NODES {
                     return Err(format!(
-                        "select: {nodes} nodes in reach are too few for {values} values: each needs at least {FEWEST_NODES}"
+                        "select: too few nodes are in reach, {nodes} for {values} values: each needs at least {FEWEST_NODES}"
                     ));
                 }
                 for (place, member) in members.iter_mut().enumerate() {

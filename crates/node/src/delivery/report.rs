@@ -6,7 +6,7 @@ use crate::outbox::Outbox;
 use crate::state::board::{Board, CameraBoard, provider};
 use albireo_power::Measured;
 use albireo_service::clock::Now;
-use albireo_wire::ClipReport;
+use albireo_wire::{ClipReport, significant};
 use std::sync::Arc;
 use tokio::sync::mpsc;
 use zenoh::Wait;
@@ -75,11 +75,12 @@ impl Reporter {
             tracing::info!(
                 camera,
                 clip = report.clip,
-                part = report.part,
+                // Most clips have one part.
+                part = (report.part > 0).then_some(report.part),
                 frames = report.frames,
-                skip_rate = report.skip_rate,
-                joules = report.energy.joules,
-                quality = ?report.energy.quality,
+                skip_rate = significant(report.skip_rate, 3),
+                joules = report.energy.joules.map(|joules| significant(joules, 4)),
+                quality = report.energy.quality.as_str(),
                 "clip ended"
             );
             // Cannot fail: a report holds numbers and text.

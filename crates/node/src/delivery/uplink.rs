@@ -362,8 +362,12 @@ async fn send_batch(setup: &Arc<UplinkSetup>, reports: &Querier<'_>, again: bool
     let (batch, payload) = match prepared.await {
         Ok(Some((batch, Ok(payload)))) => (batch, payload),
         Ok(None) => return Ok(None),
-        failed => {
-            tracing::error!(?failed, "clip reports cannot be written");
+        Ok(Some((_, Err(error)))) => {
+            tracing::error!(%error, "clip reports cannot be written");
+            return Err(Failure::Unanswered);
+        }
+        Err(error) => {
+            tracing::error!(%error, "clip reports cannot be written");
             return Err(Failure::Unanswered);
         }
     };

@@ -262,7 +262,7 @@ impl Mqtt {
     fn look(&mut self) {
         let board = Arc::clone(&self.board);
         let power = board.power();
-        let quality = (power.quality != EnergyQuality::Unavailable).then(|| quality(power.quality));
+        let quality = (power.quality != EnergyQuality::Unavailable).then(|| power.quality.as_str());
         let describes = !self.described.discovery.is_empty();
         if describes {
             let (topic, payload) = self.described.node(quality);
@@ -381,15 +381,6 @@ fn connect(options: MqttOptions) -> Result<(AsyncClient, Heard, AbortOnDropHandl
 
 fn on_off(is_there: bool) -> String {
     if is_there { "ON" } else { "OFF" }.to_owned()
-}
-
-const fn quality(quality: EnergyQuality) -> &'static str {
-    match quality {
-        EnergyQuality::Measured => "measured",
-        EnergyQuality::Partial => "partial",
-        EnergyQuality::Estimated => "estimated",
-        EnergyQuality::Unavailable => "unavailable",
-    }
 }
 
 /// The reason why a connection failed or ended, and what to do.

@@ -289,9 +289,9 @@ impl FrameReceiver {
     /// Counts `number` frames that will not be processed, and logs `reason` at limited intervals.
     pub(crate) fn count_dropped(&self, kind: DropKind, number: u64, reason: &dyn fmt::Display) {
         self.counter.count(kind, number, reason);
-        // A live camera that is faster than its detector is no fault.
-        let expected = kind == DropKind::Overrun;
-        let period = if expected {
+        // A live camera that is faster than its detector is no fault, and neither is a stop.
+        let expected = matches!(kind, DropKind::Overrun | DropKind::Stopped);
+        let period = if kind == DropKind::Overrun {
             OVERRUN_LOG_PERIOD
         } else {
             LOG_PERIOD

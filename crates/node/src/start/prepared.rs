@@ -37,6 +37,16 @@ impl PreparedNode {
     pub fn new(config: &NodeConfig) -> Result<Self, NodeError> {
         let directory = config.node.state_dir.as_deref();
         let outbox = Arc::new(Outbox::open(directory)?);
+        if directory.is_none() {
+            let lost =
+                "no node.state_dir: clip reports wait in memory and are lost when the node stops";
+            // Without a hub nobody waits for them.
+            if config.uplink.is_set() {
+                tracing::warn!("{lost}");
+            } else {
+                tracing::info!("{lost}");
+            }
+        }
         let policy = NodePolicy::new(config.policy.clone()).map_err(NodeError::new)?;
         let board = board(config, policy).map_err(NodeError::new)?;
         let settings = Arc::new(Settings::open(&board, directory));

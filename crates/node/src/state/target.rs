@@ -14,6 +14,7 @@ use albireo_wire::{SettingSource, TargetReport, Threshold, VERSION};
 use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
+use tracing::field::display;
 
 /// Smaller relative changes of a threshold are skipped: every change is announced and recorded in the clip's report.
 const LEAST_CHANGE: f64 = 0.02;
@@ -117,8 +118,10 @@ impl NodeTarget {
         }
         held.source = source;
         self.changes.log(|held_back| match target {
-            Some(target) => tracing::info!(%target, ?source, held_back, "target set"),
-            None => tracing::info!(?source, held_back, "target switched off"),
+            Some(target) => {
+                tracing::info!(%target, source = source.as_str(), held_back, "target set")
+            }
+            None => tracing::info!(source = source.as_str(), held_back, "target switched off"),
         });
         Ok(())
     }
@@ -220,7 +223,8 @@ impl Held {
         let controller = self.controller(target, threshold);
         self.off = controller.as_ref().err().map(ToString::to_string);
         if let Some(error) = &self.off {
-            tracing::error!(?target, error, "the target is not held");
+            let target = target.map(display);
+            tracing::error!(target, error, "the target is not held");
         }
         self.controller = controller.unwrap_or_default();
         self.last = None;

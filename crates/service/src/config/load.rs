@@ -135,8 +135,15 @@ fn read<C: Configuration>(
                 continue;
             }
             findings.push(finding(&error.kind, &path, C::REMOVED));
-            if !take_out(&mut values, &path) || findings.len() >= MOST_FINDINGS {
+            let taken = take_out(&mut values, &path);
+            if taken.is_none() || findings.len() >= MOST_FINDINGS {
                 return (None, findings);
+            }
+            if let (Kind::UnknownField(name, known), Some(value)) = (&error.kind, taken) {
+                // Read as what was meant, it is not missed in errors that follow from this one.
+                if let Some(meant) = meant(name, known) {
+                    put_beside(&mut values, &path, meant, value);
+                }
             }
         }
     }
@@ -166,15 +173,30 @@ fn put_at_home(values: &mut Value, home: Option<&Path>) {
 }
 
 /// Removes the value at `path`, or the whole list if it is an element of one, so that the rest can be read and every
-/// other element keeps its place; false if that is impossible.
-fn take_out(values: &mut Value, path: &[String]) -> bool {
-    let Some(last) = path.iter().rposition(|part| !is_index(part)) else {
-        return false;
-    };
+/// other element keeps its place; `None` if that is impossible.
+fn take_out(values: &mut Value, path: &[String]) -> Option<Value> {
+    let last = path.iter().rposition(|part| !is_index(part))?;
     match values.pointer_mut(&pointer(&path[..last])) {
-        Some(Value::Object(table)) => table.remove(&path[last]).is_some(),
-        _ => false,
+        Some(Value::Object(table)) => table.remove(&path[last]),
+        _ => None,
     }
+}
+
+/// Puts a value under another name into the table of `path`, unless that name is taken.
+fn put_beside(values: &mut Value, path: &[String], name: &str, value: Value) {
+    let Some((_, table)) = path.split_last() else {
+        return;
+    };
+    if let Some(Value::Object(table)) = values.pointer_mut(&pointer(table)) {
+        table.entry(name).or_insert(value);
+    }
+}
+
+/// The known name that an unknown one is a typing error of.
+fn meant<'a>(name: &str, known: &[&'a str]) -> Option<&'a str> {
+    let mistakes = |known: &&str| strsim::osa_distance(name, known);
+    let nearest = known.iter().copied().min_by_key(mistakes)?;
+    (mistakes(&nearest) <= 2).then_some(nearest)
 }
 
 fn is_index(part: &str) -> bool {
@@ -292,15 +314,10 @@ fn in_words(expected: &str) -> &str {
 
 fn reason(kind: &Kind) -> String {
     match kind {
-        Kind::UnknownField(name, known) => {
-            let mistakes = |known: &&str| strsim::osa_distance(name, known);
-            match known.iter().copied().min_by_key(mistakes) {
-                Some(meant) if mistakes(&meant) <= 2 => {
-                    format!("unknown key `{name}`; did you mean `{meant}`?")
-                }
-                _ => format!("unknown key `{name}`; known are {}", OneOf(known)),
-            }
-        }
+        Kind::UnknownField(name, known) => match meant(name, known) {
+            Some(meant) => format!("unknown key `{name}`; did you mean `{meant}`?"),
+            None => format!("unknown key `{name}`; known are {}", OneOf(known)),
+        },
         Kind::UnknownVariant(value, known) => format!("`{value}` is not {}", OneOf(known)),
         Kind::InvalidType(found, expected) | Kind::InvalidValue(found, expected) => {
             format!("must be {}, not {found}", in_words(expected))
@@ -383,11 +400,32 @@ mod tests {
             "camera[0].name: no such name",
             "camera[0].ring: must be a whole number, 0 or more, not string \"two\"",
             "http.loud: unknown key `loud`; known are `timeout` or `port`",
-            "http.port: must not be 0",
             "http.prot: unknown key `prot`; did you mean `port`?",
             "http.timeout: must be a number, not string \"long\"",
         ];
         assert_eq!(reported, expected);
+    }
+
+    #[test]
+    fn a_typing_error_in_a_key_is_one_error() {
+        for (text, error) in [
+            (
+                "[http]\nport = 1\n[[camera]]\nnmae = \"front\"\n",
+                "camera[0].nmae: unknown key `nmae`; did you mean `name`?",
+            ),
+            (
+                "[htp]\nport = 1\n",
+                "htp: unknown key `htp`; did you mean `http`?",
+            ),
+            (
+                "[http]\nprt = 2\nport = 1\n",
+                "http.prt: unknown key `prt`; did you mean `port`?",
+            ),
+        ] {
+            let (_, findings) = examine_text::<Small>(text);
+            let reported: Vec<_> = findings.iter().map(ToString::to_string).collect();
+            assert_eq!(reported, [error], "{text}");
+        }
     }
 
     #[test]

@@ -64,7 +64,7 @@ pub(super) fn read(
     let count = names.len();
     if let Some(classes) = head.classes.filter(|_| !head.fits_names(count)) {
         return Err(wrong(format!(
-            "the model, read with the head `{}`, has {classes} classes, and {source} has {count} names; if the names are \
+            "the model, read with the head `{}`, has another number of classes than {source} has names, {classes} and {count}; if the names are \
              right, another head belongs to the model (detector.head)",
             head.name.as_str()
         )));
@@ -248,8 +248,8 @@ mod tests {
         let (gap, lines) = file_with("car\n\nbus\n");
         let two = "{0: 'car', 1: 'bus'}";
         for (given, names, said) in [
-            (None, two, "3 classes"),
-            (None, two, "2 names"),
+            (None, two, "another number of classes"),
+            (None, two, "3 and 2;"),
             (None, "{0: car}", "metadata"),
             (Some(no_lines), two, empty.to_str().unwrap()),
             (Some(lines), two, gap.to_str().unwrap()),

@@ -207,7 +207,7 @@ impl Parts {
                 Ok([&[1], rest].concat())
             }
             shape => Err(RunError::Failed(format!(
-                "the model returned an output of {} for {pictures} pictures",
+                "the model returned an output of {} for a batch of {pictures}",
                 shape_text(shape)
             ))),
         };
@@ -287,6 +287,6 @@ mod tests {
         let expected: [(&[i64], &[f32]); 2] = [(&[1, 3, 2], &boxes[6..]), (&[1, 1], &[0.6])];
         assert_eq!(second, expected);
         let error = Parts::of(&outputs, 3).err().unwrap().to_string();
-        assert!(error.contains("[2, 3, 2] for 3 pictures"), "{error}");
+        assert!(error.contains("[2, 3, 2] for a batch of 3"), "{error}");
     }
 }

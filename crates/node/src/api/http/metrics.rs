@@ -8,7 +8,7 @@ use crate::recorder::RecordingStatus;
 use crate::state::board::{Board, provider};
 use crate::state::readiness::PARTS;
 use albireo_service::metrics::MetricsPage;
-use albireo_wire::{EnergyQuality, TargetStatus};
+use albireo_wire::TargetStatus;
 use axum::extract::State;
 use std::sync::atomic::Ordering;
 
@@ -277,12 +277,7 @@ fn recordings(page: &mut MetricsPage, status: &RecordingStatus) {
 fn power(page: &mut MetricsPage, board: &Board) {
     let power = board.power();
     let source = ("source", power.source.as_str());
-    let quality = match power.quality {
-        EnergyQuality::Measured => "measured",
-        EnergyQuality::Partial => "partial",
-        EnergyQuality::Estimated => "estimated",
-        EnergyQuality::Unavailable => "unavailable",
-    };
+    let quality = power.quality.as_str();
     page.gauges(
         "albireo_power_info",
         "Whether power is measured or estimated now, or unavailable: always 1",

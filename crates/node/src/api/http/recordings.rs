@@ -9,6 +9,7 @@ use axum::body::Bytes;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
 use serde::Deserialize;
+use std::time::Duration;
 use utoipa::ToSchema;
 
 const EXPECTED: &str =
@@ -16,6 +17,9 @@ const EXPECTED: &str =
 
 /// The longest reason, bytes: it is a word or two for who looks at the recording.
 const LONGEST_REASON: usize = 200;
+
+/// A camera without a frame for this long sends none.
+const SILENT: Duration = Duration::from_secs(10);
 
 /// A request for a recording: `{"reason": "braking"}`.
 #[derive(Default, Deserialize, ToSchema)]
@@ -32,7 +36,28 @@ pub(super) struct NewRecording {
 /// `curl http://127.0.0.1:8080/api/v1/recordings`
 #[utoipa::path(get, operation_id = "recordings", path = "/api/v1/recordings", tag = "recordings", responses((status = 200, body = RecordingStatus)))]
 pub(super) async fn get(State(shared): State<RouteState>) -> Json<RecordingStatus> {
-    Json(shared.recorder.status())
+    Json(status(&shared, None))
+}
+
+/// The status of the recordings, with what keeps one camera's or all cameras' frames away.
+fn status(shared: &RouteState, camera: Option<usize>) -> RecordingStatus {
+    let mut status = shared.recorder.status();
+    if status.folder.is_some() {
+        let wanted = shared.board.cameras.iter().enumerate();
+        let wanted = wanted.filter(|(place, _)| camera.is_none_or(|camera| camera == *place));
+        let silent: Vec<_> = wanted
+            .filter(|(_, camera)| camera.snapshot().last_frame_age().is_none_or(|age| age > SILENT))
+            .map(|(_, camera)| camera.name())
+            .collect();
+        status.missing = (!silent.is_empty()).then(|| {
+            format!(
+                "no frames come from {}: nothing is recorded until they do; /readyz says why, and a camera without `source` \
+                 needs a sender, such as `albireo replay`",
+                silent.join(", ")
+            )
+        });
+    }
+    status
 }
 
 /// Records what happens now
@@ -70,5 +95,5 @@ pub(super) async fn put(
         let detail = "nothing is recorded here: set record.folder in the configuration";
         return Err(Problem::new(StatusCode::CONFLICT, detail));
     }
-    Ok((StatusCode::ACCEPTED, Json(shared.recorder.status())))
+    Ok((StatusCode::ACCEPTED, Json(status(&shared, camera))))
 }

@@ -1,7 +1,7 @@
 //! Queries the hub, and reads its reply.
 
 use super::Failure;
-use albireo_wire::{MessageError, RefusalReason, ReportRefusal, read};
+use albireo_wire::{MessageError, ReportRefusal, read};
 use serde::de::DeserializeOwned;
 use std::time::Duration;
 use zenoh::query::Querier;
@@ -37,12 +37,8 @@ pub(crate) fn read_reply<T: DeserializeOwned>(reply: Result<&[u8], &[u8]>) -> Re
         Ok(answer) => read(answer).map_err(unreadable),
         Err(refusal) => {
             let refusal: ReportRefusal = read(refusal).map_err(unreadable)?;
-            tracing::warn!(reason = ?refusal.reason, refusal.detail, "the hub refused a query");
-            let reason = match refusal.reason {
-                RefusalReason::Busy => "busy",
-                RefusalReason::Unavailable => "unavailable",
-                RefusalReason::Unreadable => "unreadable",
-            };
+            let reason = refusal.reason.as_str();
+            tracing::warn!(reason, refusal.detail, "the hub refused a query");
             Err(Failure::Refused {
                 at_least: Duration::from_millis(refusal.retry_after_ms.unwrap_or(0)),
                 why: format!("{reason}: {}", refusal.detail),

@@ -236,13 +236,38 @@ impl Messages {
         if self.has_only_sound() {
             return Some(ONLY_SOUND.to_owned());
         }
-        let complaints = self.complaints.make_contiguous();
-        let answer = complaints.iter().find_map(|complaint| refusal(complaint));
-        answer.or_else(|| {
-            let last = &complaints[complaints.len().saturating_sub(2)..];
-            (!last.is_empty()).then(|| last.join("; "))
-        })
+        let complaints = || self.complaints.iter();
+        let answer = complaints().find_map(|complaint| refusal(complaint));
+        answer
+            .or_else(|| complaints().find_map(|complaint| of_element(complaint)))
+            .or_else(|| {
+                let mut last_first = complaints().rev();
+                let last = last_first.next()?;
+                Some(last_first.next().map_or(last.clone(), |before| joined(before, last)))
+            })
     }
+}
+
+/// The last two complaints in one text. Programs end with what they said before: ffmpeg repeats the cause behind the address.
+fn joined(before: &str, last: &str) -> String {
+    // The address of a camera with a password goes to ffmpeg by its input.
+    if before.starts_with("Impossible to open ")
+        && let Some(cause) = last.strip_prefix("pipe:0: ")
+    {
+        return format!("it cannot be opened: {cause}");
+    }
+    let cause = last.rsplit(": ").next().unwrap_or(last);
+    if before.contains(cause) || cause == "Input/output error" {
+        before.to_owned()
+    } else {
+        format!("{before}; {last}")
+    }
+}
+
+/// The error of a GStreamer element. What follows says only that the pipeline does not start without it.
+fn of_element(complaint: &str) -> Option<String> {
+    let (_, error) = complaint.strip_prefix("ERROR: from element ")?.split_once(": ")?;
+    Some(error.trim_end_matches('.').to_owned())
 }
 
 const ONLY_SOUND: &str = "it sends sound, but no pictures: is this the address of its video?";
@@ -282,7 +307,17 @@ fn complaint(line: &str) -> Option<String> {
     let behind = ["[error]", "[fatal]", "[warning]", "[panic]"]
         .iter()
         .find_map(|level| line.split_once(level));
-    Some(behind.map_or(line, |(_, behind)| behind).trim().to_owned())
+    let said = behind.map_or(line, |(_, behind)| behind).trim();
+    // The time limit that we set, in microseconds.
+    Some(match said.split_once("?timeout=") {
+        Some((address, rest)) => {
+            format!(
+                "{address}{}",
+                rest.trim_start_matches(|c: char| c.is_ascii_digit())
+            )
+        }
+        None => said.to_owned(),
+    })
 }
 
 /// What the filter says of a decoded picture: `[info] 3.000000`.
@@ -340,6 +375,55 @@ mod tests {
             messages.take_line();
         }
         messages
+    }
+
+    #[test]
+    fn a_reason_does_not_repeat_its_cause() {
+        for (lines, reason) in [
+            (
+                &[
+                    "[video4linux2,v4l2 @ 0x1] [error] Cannot open video device /dev/video9: No such file or directory",
+                    "[error] /dev/video9: No such file or directory",
+                ][..],
+                "Cannot open video device /dev/video9: No such file or directory",
+            ),
+            (
+                &[
+                    "[tcp @ 0x1] [error] Connection to tcp://10.0.0.5:554?timeout=30000000 failed: Connection refused",
+                    "[error] rtsp://10.0.0.5/x: Connection refused",
+                ],
+                "Connection to tcp://10.0.0.5:554 failed: Connection refused",
+            ),
+            (
+                &[
+                    "[tcp @ 0x1] [error] Failed to resolve hostname cam: Name or service not known",
+                    "[error] rtsp://cam/x: Input/output error",
+                ],
+                "Failed to resolve hostname cam: Name or service not known",
+            ),
+            (
+                &[
+                    "[concat @ 0x1] [error] Impossible to open 'rtsp://10.0.0.5/x'",
+                    "[error] pipe:0: Connection refused",
+                ],
+                "it cannot be opened: Connection refused",
+            ),
+            (
+                &[
+                    "ERROR: from element /GstPipeline:pipeline0/GstV4l2Src:v4l2src0: Cannot identify device '/dev/video9'.",
+                    "Additional debug info:",
+                    "ERROR: pipeline doesn't want to preroll.",
+                    "Failed to set pipeline to PAUSED.",
+                ],
+                "Cannot identify device '/dev/video9'",
+            ),
+            (
+                &["[error] moov atom not found", "[error] x.mp4: Invalid data"],
+                "moov atom not found; x.mp4: Invalid data",
+            ),
+        ] {
+            assert_eq!(heard(lines).reason().as_deref(), Some(reason));
+        }
     }
 
     const H264: &str = "[info]   Stream #0:0: Video: h264 (High), yuv420p, 640x360";

@@ -62,7 +62,7 @@ impl CameraBoard {
             tracing::info!(
                 camera,
                 name,
-                ?before,
+                before,
                 now = value,
                 held_back,
                 "threshold changed"
@@ -97,7 +97,7 @@ impl CameraBoard {
     pub(crate) fn move_threshold(&self, value: f64) {
         if let Some(spec) = self.threshold_spec().filter(|spec| spec.check(value).is_ok()) {
             let before = self.turn(&spec, value);
-            tracing::debug!(camera = %self.name, name = spec.name, ?before, now = value, "threshold moved");
+            tracing::debug!(camera = %self.name, name = spec.name, before, now = value, "threshold moved");
         }
     }
 

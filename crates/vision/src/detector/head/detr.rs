@@ -72,7 +72,7 @@ impl ReadOutputs for Detr {
         let (Some(boxes), Some(logits)) = (outputs.get(self.boxes), outputs.get(self.logits))
         else {
             return Err(format!(
-                "the model returned {} outputs instead of boxes and logits",
+                "the model returned outputs without boxes and logits, {} in all",
                 outputs.len()
             ));
         };

@@ -141,7 +141,9 @@ pub(super) const FAMILIES: [Family; 10] = [
             // An open number is that of a run if anything else could have it.
             let are_cells = queries != -1 && anchors_of(queries, size).is_some();
             if are_cells || queries > MOST_BOXES {
-                return Some(format!("it has {queries} rows, and not some hundred"));
+                return Some(format!(
+                    "the number of its rows is {queries}, and not some hundred"
+                ));
             }
             None
         },

@@ -70,7 +70,10 @@ fn unreachable_nodes_are_in_no_group_and_too_few_nodes_are_rejected() {
     assert!(trial.members.iter().all(|m| m.node != "cam-003"));
     fleet[4].reachable = false;
     let error = begin(fleet, 3).unwrap_err();
-    assert!(error.starts_with("select: 23 nodes"), "{error}");
+    assert!(
+        error.starts_with("select: too few nodes are in reach, 23 for 3 values"),
+        "{error}"
+    );
 }
 
 #[test]
