@@ -103,7 +103,7 @@ async fn a_killed_measurement_goes_on_and_its_files_join_into_tables() {
     let ended = run(&words, &[]);
     assert_contains(
         &ended.err,
-        &[&format!("{} of 9 runs are done", kept.len()), "All 9 runs"],
+        &[&format!("{} of 9 runs done", kept.len()), "Every run is in"],
     );
     ended.succeeds();
     let all = runs(&file);
@@ -186,15 +186,15 @@ fn a_measurement_goes_on_only_under_the_settings_that_it_began_with() {
         ("ALBIREO_LOG__LEVEL", "warn"),
         ("ALBIREO_NODE__NAME", "car-7"),
     ];
-    assert_contains(&board("", &same).err, &["2 of 2 runs are done"]);
+    assert_contains(&board("", &same).err, &["2 of 2 runs done"]);
     assert_contains(
         &board("--sweep u=3e-4,1e-3", &[]).err,
-        &["2 of 3 runs are done"],
+        &["2 of 3 runs done"],
     );
     let other = [("ALBIREO_DETECTOR__CONFIDENCE", "0.6")];
     assert_contains(
         &board("--restart", &other).err,
-        &["0 of 2 runs are done", "All 2 runs"],
+        &["0 of 2 runs done", "Every run is in"],
     );
 
     // The labels of the clip's last frame are lost.
