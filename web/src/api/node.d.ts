@@ -2728,7 +2728,7 @@ export interface components {
         Fault: {
             /** @description `not_ready` if the service cannot do its work, `degraded` if it works in spite of the fault. */
             effect: components["schemas"]["HealthState"];
-            /** @description The reason, human-readable. It must not contain a number that changes by itself: each new text counts as a change. */
+            /** @description The reason, human-readable. One that differs only in its numbers is no news in the log. */
             reason: string;
         };
         /** @description What was forwarded to one place since the start. */
