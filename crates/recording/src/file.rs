@@ -16,15 +16,15 @@ use std::fs::{File, OpenOptions};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 
-/// A chunk is written when it is as large as this, and whenever the file is [kept](RecordingFile::keep). It is in memory
-/// until then, and lost in a power cut.
+/// A chunk is written when it is as large as this, and whenever the file is [kept](RecordingFile::keep). It is in
+/// memory until then, and lost in a power cut.
 const CHUNK_BYTES: u64 = 1 << 20;
 
 /// Only the node's user may read recordings: they show people.
 const OWNER_ONLY: u32 = 0o600;
 
-/// A recording that is being written. Dropping it ends the file as well as [`finish`](Self::finish) does, without saying
-/// whether that worked.
+/// A recording that is being written. Dropping it ends the file as well as [`finish`](Self::finish) does, without
+/// saying whether that worked.
 pub struct RecordingFile {
     writer: Writer<NoSeek<File>>,
     /// The same file, to wait for the disk.
@@ -184,19 +184,30 @@ impl RecordingFile {
         if let Some(known) = self.channels.get(&name) {
             return Ok(*known);
         }
-        let (encoding, of_schema, schema) = match topic.json_schema() {
-            Some(schema) => ("json", "jsonschema", schema.to_string().into_bytes()),
-            None => ("protobuf", "protobuf", schema::protobuf()),
+        let (encoding, schema) = match topic.json_schema() {
+            Some(json) => {
+                let text = json.to_string().into_bytes();
+                (
+                    "json",
+                    self.writer.add_schema(topic.schema(), "jsonschema", &text)?,
+                )
+            }
+            None => {
+                let text = schema::protobuf();
+                (
+                    "protobuf",
+                    self.writer.add_schema(topic.schema(), "protobuf", &text)?,
+                )
+            }
         };
-        let schema = self.writer.add_schema(topic.schema(), of_schema, &schema)?;
-        let none = BTreeMap::new();
-        let channel = self.writer.add_channel(schema, &name, encoding, &none)?;
+        let no_metadata = BTreeMap::new();
+        let channel = self.writer.add_channel(schema, &name, encoding, &no_metadata)?;
         self.channels.insert(name, channel);
         Ok(channel)
     }
 }
 
-/// A writer of a new file, and the file.
+/// A writer of a new file, and the file itself, to wait for the disk.
 pub(crate) fn create_writer(path: &Path) -> Result<(Writer<NoSeek<File>>, File), RecordingError> {
     let mut options = OpenOptions::new();
     let file = options.write(true).create_new(true).mode(OWNER_ONLY).open(path)?;
@@ -212,9 +223,10 @@ pub(crate) fn create_writer(path: &Path) -> Result<(Writer<NoSeek<File>>, File),
 
 /// What a viewer plots of a frame.
 fn figures(detections: &DetectionsMessage, position: Option<&Position>) -> Figures {
+    // As a number, because viewers plot no names.
     let state = FrameState::ALL.iter().position(|state| *state == detections.state);
     let threshold = detections.threshold.map(|threshold| threshold.value);
-    let objects = detections.boxes.iter().filter_map(|found| Some(found.object?.0));
+    let objects = detections.boxes.iter().filter_map(|found| found.object);
     Figures {
         timestamp: timestamp(detections.t_ns),
         seq: detections.seq,
@@ -224,7 +236,7 @@ fn figures(detections: &DetectionsMessage, position: Option<&Position>) -> Figur
         tau_max: detections.tau_max.unwrap_or(f64::NAN),
         threshold: threshold.unwrap_or(f64::NAN),
         boxes: u32::try_from(detections.boxes.len()).unwrap_or(u32::MAX),
-        objects: objects.collect(),
+        objects: objects.map(|object| object.0).collect(),
         latency_ms: detections.latency_ms.total,
         speed_m_s: position.and_then(|position| position.speed_m_s).unwrap_or(f64::NAN),
     }

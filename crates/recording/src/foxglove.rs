@@ -36,7 +36,7 @@ pub(crate) struct ImageAnnotations {
     pub timestamp: Option<Timestamp>,
 }
 
-/// A closed line.
+/// The type of a [`PointsAnnotation`] whose last point is joined to its first.
 pub(crate) const LINE_LOOP: i32 = 2;
 
 /// `foxglove.PointsAnnotation`.
@@ -108,8 +108,8 @@ pub(crate) struct LocationFix {
     pub frame_id: String,
 }
 
-/// `albireo.Figures`: what a viewer plots of a frame. What is absent in the frame's message is not a number (NaN), so that a
-/// curve has a gap there.
+/// `albireo.Figures`: what a viewer plots of a frame. What is absent in the frame's message is not a number (NaN), so
+/// that a curve has a gap there.
 #[derive(Clone, PartialEq, prost::Message)]
 pub(crate) struct Figures {
     #[prost(message, optional, tag = "1")]

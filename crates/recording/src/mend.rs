@@ -2,13 +2,16 @@
 
 use crate::RecordingError;
 use crate::file::create_writer;
-use crate::read::Messages;
+use crate::read::{Definition, Messages};
 use mcap::records::MessageHeader;
 use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::fs::{File, remove_file, rename};
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
+
+/// The number by which MCAP marks a channel without a schema.
+const NO_SCHEMA: u16 = 0;
 
 /// What became of a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -24,8 +27,8 @@ pub enum Mended {
     Removed,
 }
 
-/// Writes a recording that has no end anew, with what is whole in it. The new file takes the place of the old one once it is
-/// on the disk; until then both need room.
+/// Writes a recording that has no end anew, with what is whole in it. The new file takes the place of the old one once
+/// it is on the disk; until then both need room.
 ///
 /// # Errors
 /// If the disk refuses: the file is as it was.
@@ -36,7 +39,7 @@ pub fn mend(path: &Path) -> Result<Mended, RecordingError> {
     let mut name = OsString::from(path);
     name.push(".part");
     let part = Path::new(&name);
-    // Left by a mending that was cut itself.
+    // There may be one of a mending that was cut itself.
     let _ = remove_file(part);
     match copy_whole(path, part) {
         Ok(0) => {
@@ -69,18 +72,21 @@ fn has_end(path: &Path) -> Result<bool, RecordingError> {
     Ok(end == mcap::MAGIC)
 }
 
+/// Copies the messages before the damage; returns how many there are.
 fn copy_whole(from: &Path, to: &Path) -> Result<u64, RecordingError> {
     let (mut writer, file) = create_writer(to)?;
-    let none = BTreeMap::new();
+    let no_metadata = BTreeMap::new();
     let mut copied = 0;
     for message in Messages::open(from)? {
         let channel = &message.channel;
-        let (encoding, definition) = &channel.definition;
-        let schema = match channel.schema.as_str() {
-            "" => 0,
-            name => writer.add_schema(name, encoding, definition)?,
+        let schema = if channel.schema.is_empty() {
+            NO_SCHEMA
+        } else {
+            let Definition { encoding, text } = &channel.definition;
+            writer.add_schema(&channel.schema, encoding, text)?
         };
-        let channel_id = writer.add_channel(schema, &channel.topic, &channel.encoding, &none)?;
+        let channel_id =
+            writer.add_channel(schema, &channel.topic, &channel.encoding, &no_metadata)?;
         let header = MessageHeader {
             channel_id,
             sequence: copied as u32,

@@ -8,6 +8,7 @@ use base64::prelude::BASE64_STANDARD;
 use bytes::Bytes;
 use prost::Message;
 use serde::Deserialize;
+use std::fmt::Display;
 
 /// How the pictures of a channel are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,9 +40,8 @@ impl PictureKind {
 /// # Errors
 /// If the message is not one.
 pub fn picture_in_protobuf(message: &Bytes) -> Result<Bytes, RecordingError> {
-    let image = CompressedImage::decode(message.clone());
-    let wrong = |error| RecordingError::Message(format!("no CompressedImage: {error}"));
-    Ok(image.map_err(wrong)?.data)
+    let image = CompressedImage::decode(message.clone()).map_err(no_image)?;
+    Ok(image.data)
 }
 
 /// The picture file in a `foxglove.CompressedImage` in JSON, where it is in base64.
@@ -53,9 +53,11 @@ pub fn picture_in_json(message: &Bytes) -> Result<Bytes, RecordingError> {
     struct InJson {
         data: String,
     }
-    let wrong = |error: String| RecordingError::Message(format!("no CompressedImage: {error}"));
-    let image: InJson =
-        serde_json::from_slice(message).map_err(|error| wrong(error.to_string()))?;
-    let file = BASE64_STANDARD.decode(image.data).map_err(|error| wrong(error.to_string()))?;
+    let image: InJson = serde_json::from_slice(message).map_err(no_image)?;
+    let file = BASE64_STANDARD.decode(image.data).map_err(no_image)?;
     Ok(file.into())
+}
+
+fn no_image(error: impl Display) -> RecordingError {
+    RecordingError::Message(format!("no CompressedImage: {error}"))
 }

@@ -25,8 +25,21 @@ pub struct Channel {
     pub encoding: String,
     /// The name of its messages' type; empty if there is no schema.
     pub schema: String,
-    /// The encoding of the schema, and the schema.
-    pub(crate) definition: (String, Vec<u8>),
+    pub(crate) definition: Definition,
+}
+
+/// What a schema says, in the language of its encoding: `protobuf`, `jsonschema`, `ros2msg` …
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Definition {
+    pub encoding: String,
+    pub text: Vec<u8>,
+}
+
+/// A schema, whose name its channels repeat.
+#[derive(Clone, Default)]
+struct Schema {
+    name: String,
+    definition: Definition,
 }
 
 /// A message.
@@ -44,7 +57,7 @@ pub struct Message {
 pub struct Messages {
     file: File,
     reader: LinearReader,
-    schemas: BTreeMap<u16, (String, String, Vec<u8>)>,
+    schemas: BTreeMap<u16, Schema>,
     channels: BTreeMap<u16, Arc<Channel>>,
     /// Why there are no more.
     damage: Option<String>,
@@ -77,32 +90,29 @@ impl Messages {
         self.damage.as_deref()
     }
 
-    /// The next message, or `None` at the end.
+    /// The next message, or `None` at the end. Notes the schemas and channels on the way to it.
     fn advance(&mut self) -> Result<Option<Message>, RecordingError> {
-        while let Some(event) = self.reader.next_event() {
-            let (opcode, data) = match event? {
-                LinearReadEvent::ReadRequest(wanted) => {
-                    let buffer = self.reader.insert(wanted);
-                    let read = self.file.read(buffer)?;
-                    self.reader.notify_read(read);
-                    continue;
-                }
-                LinearReadEvent::Record { data, opcode } => (opcode, data),
-            };
-            match mcap::parse_record(opcode, data)? {
+        while let Some(record) = self.next_record()? {
+            match record {
                 Record::Schema { header, data } => {
-                    let schema = (header.name, header.encoding, data.into_owned());
+                    let schema = Schema {
+                        name: header.name,
+                        definition: Definition {
+                            encoding: header.encoding,
+                            text: data.into_owned(),
+                        },
+                    };
                     self.schemas.insert(header.id, schema);
                 }
                 Record::Channel(channel) => {
-                    let schema = self.schemas.get(&channel.schema_id).cloned();
-                    let (name, encoding, definition) = schema.unwrap_or_default();
+                    let schema = self.schemas.get(&channel.schema_id).cloned().unwrap_or_default();
                     let known = Channel {
                         topic: channel.topic,
                         encoding: channel.message_encoding,
-                        schema: name,
-                        definition: (encoding, definition),
+                        schema: schema.name,
+                        definition: schema.definition,
                     };
+                    // A file may repeat it. The first one stays, so that all its messages share it.
                     self.channels.entry(channel.id).or_insert_with(|| Arc::new(known));
                 }
                 Record::Message { header, data } => {
@@ -116,6 +126,24 @@ impl Messages {
                 }
                 Record::Footer(_) => return Ok(None),
                 _ => {}
+            }
+        }
+        Ok(None)
+    }
+
+    /// The next record. The reader does no reading itself: it asks for the bytes that it needs.
+    fn next_record(&mut self) -> Result<Option<Record<'static>>, RecordingError> {
+        while let Some(event) = self.reader.next_event() {
+            match event? {
+                LinearReadEvent::ReadRequest(wanted) => {
+                    let buffer = self.reader.insert(wanted);
+                    let read = self.file.read(buffer)?;
+                    self.reader.notify_read(read);
+                }
+                LinearReadEvent::Record { data, opcode } => {
+                    let record = mcap::parse_record(opcode, data)?;
+                    return Ok(Some(record.into_owned()));
+                }
             }
         }
         Ok(None)
@@ -164,7 +192,7 @@ impl Overview {
     pub fn read(path: &Path) -> Result<Self, RecordingError> {
         let mut overview = match indexed(path) {
             Ok(Some(overview)) => overview,
-            // Without an index, or cut.
+            // It has no index, or was cut.
             Ok(None) | Err(RecordingError::Mcap(_)) => counted(path)?,
             Err(error) => return Err(error),
         };
@@ -173,32 +201,67 @@ impl Overview {
     }
 
     fn count(&mut self, message: &Message) {
-        let known =
-            (self.channels.iter_mut()).find(|(channel, _)| Arc::ptr_eq(channel, &message.channel));
+        let mut channels = self.channels.iter_mut();
+        let known = channels.find(|(channel, _)| Arc::ptr_eq(channel, &message.channel));
         match known {
             Some((_, count)) => *count += 1,
             None => self.channels.push((Arc::clone(&message.channel), 1)),
         }
-        let (first, last) = self.times_ns.unwrap_or((message.time_ns, message.time_ns));
-        self.times_ns = Some((first.min(message.time_ns), last.max(message.time_ns)));
+        let time_ns = message.time_ns;
+        let (first, last) = self.times_ns.unwrap_or((time_ns, time_ns));
+        self.times_ns = Some((first.min(time_ns), last.max(time_ns)));
     }
 }
 
+/// The overview of all messages, read one by one.
 fn counted(path: &Path) -> Result<Overview, RecordingError> {
     let mut overview = Overview::default();
     let mut messages = Messages::open(path)?;
     for message in messages.by_ref() {
         overview.count(&message);
     }
-    overview.damage = messages.damage;
-    match overview.damage {
+    match messages.damage {
         Some(damage) if overview.channels.is_empty() => Err(RecordingError::Message(damage)),
         damage => Ok(Overview { damage, ..overview }),
     }
 }
 
-/// The index; `None` if the file has none, or one without counts.
+/// The overview by the index; `None` if the file has none, or one without counts.
 fn indexed(path: &Path) -> Result<Option<Overview>, RecordingError> {
+    let Some(summary) = summary(path)? else {
+        return Ok(None);
+    };
+    let Some(counts) = summary.stats else {
+        return Ok(None);
+    };
+    let channels = summary.channels.values().map(|channel| {
+        let count = counts.channel_message_counts.get(&channel.id).copied();
+        (Arc::new(known_channel(channel)), count.unwrap_or(0))
+    });
+    let times = (counts.message_start_time, counts.message_end_time);
+    Ok(Some(Overview {
+        channels: channels.collect(),
+        times_ns: (counts.message_count > 0).then_some(times),
+        damage: None,
+    }))
+}
+
+fn known_channel(channel: &mcap::Channel<'_>) -> Channel {
+    let schema = channel.schema.as_ref();
+    let definition = schema.map(|schema| Definition {
+        encoding: schema.encoding.clone(),
+        text: schema.data.to_vec(),
+    });
+    Channel {
+        topic: channel.topic.clone(),
+        encoding: channel.message_encoding.clone(),
+        schema: schema.map(|schema| schema.name.clone()).unwrap_or_default(),
+        definition: definition.unwrap_or_default(),
+    }
+}
+
+/// The summary at the end of a file; `None` if there is none. As in [`Messages`], the reader asks for its bytes.
+fn summary(path: &Path) -> Result<Option<mcap::Summary>, RecordingError> {
     let mut file = File::open(path)?;
     let size = file.metadata()?.len();
     let options = SummaryReaderOptions::default()
@@ -214,28 +277,5 @@ fn indexed(path: &Path) -> Result<Option<Overview>, RecordingError> {
             }
         }
     }
-    let Some(summary) = reader.finish() else {
-        return Ok(None);
-    };
-    let Some(counts) = summary.stats else {
-        return Ok(None);
-    };
-    let channels = summary.channels.values().map(|channel| {
-        let schema = channel.schema.as_ref();
-        let known = Channel {
-            topic: channel.topic.clone(),
-            encoding: channel.message_encoding.clone(),
-            schema: schema.map(|schema| schema.name.clone()).unwrap_or_default(),
-            definition: (schema.map(|schema| (schema.encoding.clone(), schema.data.to_vec())))
-                .unwrap_or_default(),
-        };
-        let count = counts.channel_message_counts.get(&channel.id).copied();
-        (Arc::new(known), count.unwrap_or(0))
-    });
-    let times = (counts.message_start_time, counts.message_end_time);
-    Ok(Some(Overview {
-        channels: channels.collect(),
-        times_ns: (counts.message_count > 0).then_some(times),
-        damage: None,
-    }))
+    Ok(reader.finish())
 }

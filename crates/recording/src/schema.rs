@@ -30,15 +30,18 @@ enum Kind {
 
 use Kind::{Bool, Bytes, Double, Enum, Int32, Int64, Messages, Text, Uint32, Uint64, Uint64s};
 
-/// A message: its name and its fields with their numbers.
-type Fields = &'static [(&'static str, i32, Kind)];
+/// A field: its name, its number in the encoded message, and its type.
+type Field = (&'static str, i32, Kind);
+
+/// The fields of a message.
+type Fields = &'static [Field];
 
 const TIME: Kind = Kind::Message(".google.protobuf.Timestamp");
 const POINT: &str = ".foxglove.Point2";
 const COLOR: Kind = Kind::Message(".foxglove.Color");
 
-/// Foxglove's messages (github.com/foxglove/foxglove-sdk, `schemas/proto`), with the fields that are written here: a reader
-/// takes the others for absent.
+/// Foxglove's messages (github.com/foxglove/foxglove-sdk, `schemas/proto`), with the fields that are written here: a
+/// reader takes the others for absent.
 const FOXGLOVE: &[(&str, Fields)] = &[
     (
         "CompressedImage",
@@ -101,6 +104,13 @@ const FOXGLOVE: &[(&str, Fields)] = &[
 /// The values of `PointsAnnotation.Type`.
 const POINTS: [&str; 5] = ["UNKNOWN", "POINTS", "LINE_LOOP", "LINE_STRIP", "LINE_LIST"];
 
+/// The file of the timestamp, which readers know by this name.
+const TIMESTAMP_FILE: &str = "google/protobuf/timestamp.proto";
+
+const TIMESTAMP: &[(&str, Fields)] =
+    &[("Timestamp", &[("seconds", 1, Int64), ("nanos", 2, Int32)])];
+
+/// The messages of this program.
 const ALBIREO: &[(&str, Fields)] = &[(
     "Figures",
     &[
@@ -120,39 +130,43 @@ const ALBIREO: &[(&str, Fields)] = &[(
 
 /// The schema of all messages in protobuf: a serialised `FileDescriptorSet`.
 pub(crate) fn protobuf() -> Vec<u8> {
-    let timestamp: &[(&str, Fields)] =
-        &[("Timestamp", &[("seconds", 1, Int64), ("nanos", 2, Int32)])];
-    let time = file(
-        "google/protobuf/timestamp.proto",
-        "google.protobuf",
-        timestamp,
-    );
-    let foxglove = file("foxglove.proto", "foxglove", FOXGLOVE);
-    let albireo = file("albireo.proto", "albireo", ALBIREO);
+    let timestamp = file(TIMESTAMP_FILE, "google.protobuf", TIMESTAMP);
+    let mut foxglove = file("foxglove.proto", "foxglove", FOXGLOVE);
+    let mut albireo = file("albireo.proto", "albireo", ALBIREO);
+    for importing in [&mut foxglove, &mut albireo] {
+        importing.dependency.push(TIMESTAMP_FILE.to_owned());
+    }
     let files = FileDescriptorSet {
-        file: vec![time, foxglove, albireo],
+        file: vec![timestamp, foxglove, albireo],
     };
     files.encode_to_vec()
 }
 
+/// A file of messages, as the compiler of protobuf would describe it.
 fn file(name: &str, package: &str, messages: &[(&str, Fields)]) -> FileDescriptorProto {
-    const TIMESTAMP: &str = "google/protobuf/timestamp.proto";
-    let message = |(name, fields): &(&str, Fields)| DescriptorProto {
-        name: Some((*name).to_owned()),
-        field: fields.iter().map(field).collect(),
-        enum_type: (*name == "PointsAnnotation").then(points).into_iter().collect(),
-        ..DescriptorProto::default()
-    };
     FileDescriptorProto {
         name: Some(name.to_owned()),
         package: Some(package.to_owned()),
-        dependency: (name != TIMESTAMP).then(|| TIMESTAMP.to_owned()).into_iter().collect(),
-        message_type: messages.iter().map(message).collect(),
+        message_type: messages.iter().map(|(name, fields)| message(name, fields)).collect(),
         syntax: Some("proto3".to_owned()),
         ..FileDescriptorProto::default()
     }
 }
 
+fn message(name: &str, fields: Fields) -> DescriptorProto {
+    let mut message = DescriptorProto {
+        name: Some(name.to_owned()),
+        field: fields.iter().map(field).collect(),
+        ..DescriptorProto::default()
+    };
+    // The only message that declares a type of its own.
+    if name == "PointsAnnotation" {
+        message.enum_type.push(points());
+    }
+    message
+}
+
+/// The enumeration `PointsAnnotation.Type`.
 fn points() -> EnumDescriptorProto {
     let value = |(number, name): (i32, &str)| EnumValueDescriptorProto {
         name: Some(name.to_owned()),
@@ -166,8 +180,8 @@ fn points() -> EnumDescriptorProto {
     }
 }
 
-fn field(&(name, number, kind): &(&'static str, i32, Kind)) -> FieldDescriptorProto {
-    let (of, type_name) = match kind {
+fn field(&(name, number, kind): &Field) -> FieldDescriptorProto {
+    let (field_type, type_name) = match kind {
         Double => (Type::Double, None),
         Bool => (Type::Bool, None),
         Int32 => (Type::Int32, None),
@@ -187,7 +201,7 @@ fn field(&(name, number, kind): &(&'static str, i32, Kind)) -> FieldDescriptorPr
         name: Some(name.to_owned()),
         number: Some(number),
         label: Some(label.into()),
-        r#type: Some(of.into()),
+        r#type: Some(field_type.into()),
         type_name: type_name.map(str::to_owned),
         json_name: Some(camel_case(name)),
         ..FieldDescriptorProto::default()

@@ -15,6 +15,7 @@ impl Zstandard {
 }
 
 impl Decompressor for Zstandard {
+    /// Any amount.
     fn next_read_size(&self) -> usize {
         0
     }
