@@ -24,11 +24,12 @@ pub(crate) const BEST_FIRST: [PowerSource; 7] = [
     PowerSource::Estimate,
 ];
 
-/// Opens the configured meter; also returns which one it is. May block for a fraction of a second, with `tegrastats` for some seconds.
+/// Opens the configured meter; also returns which one it is. May block for a fraction of a second, with `tegrastats` for
+/// some seconds.
 ///
 /// # Errors
-/// [`MeterError`] if the configuration is invalid or a meter requested by name cannot be used here.
-/// `auto` falls back to the estimate, which works wherever `/proc/stat` exists, then to none, and logs the fallback.
+/// [`MeterError`] if the configuration is invalid or a meter requested by name cannot be used here. `auto` falls back to
+/// the estimate, which works wherever `/proc/stat` exists, then to none, and logs the fallback.
 pub fn open(config: &PowerConfig) -> Result<(PowerSource, Box<dyn Meter>), MeterError> {
     if let Some((key, reason)) = config.problems().into_iter().next() {
         return Err(MeterError::Failed(format!("power.{key}: {reason}")));

@@ -98,38 +98,48 @@ impl Default for PowerConfig {
     }
 }
 
+const EMPTY: &str = "is empty; leave the key out instead";
+
 impl PowerConfig {
     /// Returns all invalid values: the key, and what is wrong and what is allowed.
     pub fn problems(&self) -> Vec<(&'static str, String)> {
         let mut found = Vec::new();
-        let mut check = |key, is_wrong: bool, reason: String| {
-            if is_wrong {
-                found.push((key, reason));
-            }
-        };
+        let mut wrong = |key, reason: String| found.push((key, reason));
+        if let Some(command) = &self.command
+            && command.trim().is_empty()
+        {
+            wrong("command", EMPTY.to_owned());
+        }
         let interval = self.interval_ms;
+        if !(10..=10_000).contains(&interval) {
+            wrong(
+                "interval_ms",
+                format!("must be from 10 to 10000, not {interval}"),
+            );
+        }
+        if self.tegrastats.as_os_str().is_empty() {
+            wrong("tegrastats", EMPTY.to_owned());
+        }
         let idle = self.idle_watts;
         let busy = self.busy_watts;
-        let reason = "is empty; leave the key out instead".to_owned();
-        let is_empty = |command: &String| command.trim().is_empty();
-        check(
-            "command",
-            self.command.as_ref().is_some_and(is_empty),
-            reason,
-        );
-        let reason = format!("must be from 10 to 10000, not {interval}");
-        check("interval_ms", !(10..=10_000).contains(&interval), reason);
-        let reason = "is empty; leave the key out instead".to_owned();
-        check("tegrastats", self.tegrastats.as_os_str().is_empty(), reason);
         for (key, watts) in [("idle_watts", idle), ("busy_watts", busy)] {
-            let reason = format!("must be a number from 0 to 100000, not {watts}");
             // Written so that NaN is rejected.
-            check(key, !(0.0..=1e5).contains(&watts), reason);
+            if !(0.0..=1e5).contains(&watts) {
+                wrong(
+                    key,
+                    format!("must be a number from 0 to 100000, not {watts}"),
+                );
+            }
         }
-        let reason = format!("is {busy}, below idle_watts ({idle})");
-        check("busy_watts", busy < idle, reason);
-        let fault = self.rails.as_ref().and_then(RailTable::fault);
-        check("rails", fault.is_some(), fault.unwrap_or_default());
+        if busy < idle {
+            wrong(
+                "busy_watts",
+                format!("is {busy}, below idle_watts ({idle})"),
+            );
+        }
+        if let Some(fault) = self.rails.as_ref().and_then(RailTable::fault) {
+            wrong("rails", fault);
+        }
         found
     }
 }

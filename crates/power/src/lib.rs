@@ -1,10 +1,10 @@
 //! Power meters for boards and PCs, and the energy between two instants, divided between the cameras of a node.
 //!
 //! A [`Meter`] reads watts or counts joules: `ina` and `tegrastats` on Jetson boards, `rapl` and `nvml` added up on
-//! PCs, a program of the user's, or an estimate from CPU utilisation. [`start`] opens one and samples it. Its [`PowerHandle`] returns the present power, the energy
-//! since the start and, through a [`CameraEnergy`], the energy of a clip: exact for any length in constant memory,
-//! complete or marked with the share of its time that samples cover. It also learns the watts that a running detector
-//! adds, and estimates from them how much avoided calls saved.
+//! PCs, a program of the user's, or an estimate from CPU utilisation. [`start`] opens one and samples it. Its
+//! [`PowerHandle`] returns the present power, the energy since the start and, through a [`CameraEnergy`], the energy of
+//! a clip: exact for any length in constant memory, complete or marked with the share of its time that samples cover. It
+//! also learns the watts that a running detector adds, and estimates from them how much avoided calls saved.
 //!
 //! ```text
 //! Meter ─ every interval_ms ─▶ running totals ─▶ two copies subtracted: a clip's energy

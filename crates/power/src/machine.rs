@@ -51,59 +51,23 @@ pub fn board_state(config: &PowerConfig) -> BoardState {
 impl Machine {
     /// Finds the files.
     pub(crate) fn new(config: &PowerConfig) -> Self {
-        let class = |name: &str| sysfs::entries(&config.sysfs.join("class").join(name));
-        let label = |path: &Path| sysfs::text(&path.join("type")).unwrap_or_default();
-        let there = |path: PathBuf| path.exists().then_some(path);
-        let mut cpus = sysfs::entries(&config.sysfs.join("devices/system/cpu"));
-        // `cpu0` and `cpu11`, but not `cpufreq`.
-        cpus.retain(|path| {
-            let number = sysfs::name(path).strip_prefix("cpu");
-            number.is_some_and(|number| number.parse::<u32>().is_ok())
-        });
-        let x86 = cpus.iter().flat_map(|cpu| {
-            ["core_throttle_count", "package_throttle_count"]
-                .map(|file| cpu.join("thermal_throttle").join(file))
-        });
-        let jetson =
-            class("hwmon")
-                .into_iter()
-                .flat_map(|chip| sysfs::entries(&chip))
-                .filter(|file| {
-                    let name = sysfs::name(file);
-                    name.starts_with("oc") && name.ends_with("_event_cnt")
-                });
-        let gpu = class("devfreq").into_iter().find(|device| has_one(sysfs::name(device), &GPUS));
-        let load = gpu.iter().map(|gpu| gpu.join("device/load"));
-        let other_loads = GPU_LOADS.map(|file| config.sysfs.join(file));
+        let sys = &config.sysfs;
+        let thermal = sysfs::entries(&sys.join("class/thermal"));
+        let cores = cores(sys);
+        let gpu = gpu(sys);
         let (mode, modes) = follow_mode(config.nvpmodel.clone(), MODE_EVERY);
         Self {
-            zones: class("thermal")
-                .into_iter()
-                .filter(|zone| sysfs::name(zone).starts_with("thermal_zone"))
-                .map(|zone| (label(&zone), zone.join("temp")))
-                // This zone of Jetson boards reads a constant 50 °C or 100 °C.
-                .filter(|(name, _)| !name.to_ascii_lowercase().starts_with("pmic"))
-                .collect(),
-            cooling: class("thermal")
-                .into_iter()
-                .filter(|device| sysfs::name(device).starts_with("cooling_device"))
-                .filter(|device| has_one(&label(device), &CLOCKS))
-                .map(|device| device.join("cur_state"))
-                .collect(),
-            events: x86.filter_map(there).chain(jetson).collect(),
+            zones: zones(&thermal),
+            cooling: cooling(&thermal),
+            events: throttling_counters(sys, &cores),
             last_events: None,
-            pi: config.sysfs.join(PI_THROTTLED),
-            cpu_clocks: cpus
-                .iter()
-                .map(|cpu| cpu.join("cpufreq/scaling_cur_freq"))
-                .filter_map(there)
-                .take(MOST_CORES)
-                .collect(),
-            gpu_load: load.chain(other_loads).find_map(there),
+            pi: sys.join(PI_THROTTLED),
+            cpu_clocks: clocks(&cores),
+            gpu_load: gpu_load(sys, gpu.as_deref()),
             gpu_clock: gpu.map(|device| device.join("cur_freq")),
             mode,
             modes,
-            profile: config.sysfs.join("firmware/acpi/platform_profile"),
+            profile: sys.join("firmware/acpi/platform_profile"),
         }
     }
 
@@ -121,25 +85,34 @@ impl Machine {
         for file in &self.cpu_clocks {
             cpu_khz.add(number(file));
         }
-        self.mode = self.modes.try_iter().last().or(self.mode.take());
-        let profile = || {
-            let profile = sysfs::text(&self.profile).ok();
-            profile.filter(|mode| !mode.is_empty())
-        };
+        if let Some(newest) = self.modes.try_iter().last() {
+            self.mode = Some(newest);
+        }
         BoardState {
-            power_mode: self.mode.clone().or_else(profile),
+            power_mode: self.mode.clone().or_else(|| self.platform_profile()),
             hottest_celsius: hottest.map(|(_, celsius)| celsius),
             hottest_sensor: hottest.map(|(sensor, _)| sensor.clone()),
             cpu_mhz: cpu_khz.value().map(|khz| khz * 1e-3),
             gpu_mhz: self.gpu_clock.as_ref().and_then(number).map(|hz| hz * 1e-6),
-            gpu_utilisation: self
-                .gpu_load
-                .as_ref()
-                .and_then(number)
-                .filter(|load| (0.0..=1000.0).contains(load))
-                .map(|load| load * 1e-3),
+            gpu_utilisation: self.gpu_utilisation(),
             throttled: self.throttled(),
         }
+    }
+
+    fn platform_profile(&self) -> Option<String> {
+        let profile = sysfs::text(&self.profile).ok()?;
+        if profile.is_empty() {
+            None
+        } else {
+            Some(profile)
+        }
+    }
+
+    /// The busy share of the GPU, 0 to 1. What is no number of thousandths is no figure.
+    fn gpu_utilisation(&self) -> Option<f64> {
+        let load: f64 = sysfs::number(self.gpu_load.as_ref()?).ok()?;
+        let is_share = (0.0..=1000.0).contains(&load);
+        is_share.then_some(load * 1e-3)
     }
 
     /// Returns true if clocks are limited now or were since the last read; `None` if nothing reports it.
@@ -148,15 +121,97 @@ impl Machine {
         let cooling = self.cooling.iter().filter_map(count);
         let events = self.events.iter().filter_map(count).reduce(|a, b| a + b);
         let last = std::mem::replace(&mut self.last_events, events);
-        let pi = sysfs::text(&self.pi)
-            .ok()
-            .and_then(|word| u64::from_str_radix(word.trim_start_matches("0x"), 16).ok());
-        // Each is silent on machines that lack it: one that reports a limit is enough, and one that reports none is an answer.
+        // Each is silent on machines that lack it: one that reports a limit is enough, and one that reports none is an
+        // answer.
         let by_cooling = cooling.map(|state| state > 0).reduce(|a, b| a || b);
-        let by_pi = pi.map(|word| word & PI_NOW != 0);
+        let by_pi = self.pi_word().map(|word| word & PI_NOW != 0);
         let by_events = events.map(|events| last.is_some_and(|last| events > last));
         [by_cooling, by_pi, by_events].into_iter().flatten().reduce(|a, b| a || b)
     }
+
+    /// The word of the Raspberry Pi's firmware, which is hexadecimal.
+    fn pi_word(&self) -> Option<u64> {
+        let text = sysfs::text(&self.pi).ok()?;
+        u64::from_str_radix(text.trim_start_matches("0x"), 16).ok()
+    }
+}
+
+/// The folders of the processor's cores: `cpu0` and `cpu11`, but not `cpufreq`.
+fn cores(sys: &Path) -> Vec<PathBuf> {
+    let mut found = sysfs::entries(&sys.join("devices/system/cpu"));
+    found.retain(|path| {
+        let number = sysfs::name(path).strip_prefix("cpu");
+        number.is_some_and(|number| number.parse::<u32>().is_ok())
+    });
+    found
+}
+
+fn clocks(cores: &[PathBuf]) -> Vec<PathBuf> {
+    let files = cores.iter().map(|core| core.join("cpufreq/scaling_cur_freq"));
+    files.filter(|file| file.exists()).take(MOST_CORES).collect()
+}
+
+/// The type of a thermal zone or a cooling device.
+fn kind(device: &Path) -> String {
+    sysfs::text(&device.join("type")).unwrap_or_default()
+}
+
+fn zones(thermal: &[PathBuf]) -> Vec<(String, PathBuf)> {
+    let mut found = Vec::new();
+    for zone in thermal {
+        let kind = kind(zone);
+        // This zone of Jetson boards reads a constant 50 °C or 100 °C.
+        let is_constant = kind.to_ascii_lowercase().starts_with("pmic");
+        if sysfs::name(zone).starts_with("thermal_zone") && !is_constant {
+            found.push((kind, zone.join("temp")));
+        }
+    }
+    found
+}
+
+fn cooling(thermal: &[PathBuf]) -> Vec<PathBuf> {
+    let limits_clocks = |device: &&PathBuf| {
+        sysfs::name(device).starts_with("cooling_device") && has_one(&kind(device), &CLOCKS)
+    };
+    thermal
+        .iter()
+        .filter(limits_clocks)
+        .map(|device| device.join("cur_state"))
+        .collect()
+}
+
+/// The counters of throttling events: of the cores on a PC, of the power monitors on a Jetson board.
+fn throttling_counters(sys: &Path, cores: &[PathBuf]) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    for core in cores {
+        for file in ["core_throttle_count", "package_throttle_count"] {
+            let counter = core.join("thermal_throttle").join(file);
+            if counter.exists() {
+                found.push(counter);
+            }
+        }
+    }
+    for chip in sysfs::entries(&sys.join("class/hwmon")) {
+        for file in sysfs::entries(&chip) {
+            let name = sysfs::name(&file);
+            if name.starts_with("oc") && name.ends_with("_event_cnt") {
+                found.push(file);
+            }
+        }
+    }
+    found
+}
+
+/// The GPU among the devices whose clock changes.
+fn gpu(sys: &Path) -> Option<PathBuf> {
+    let devices = sysfs::entries(&sys.join("class/devfreq"));
+    devices.into_iter().find(|device| has_one(sysfs::name(device), &GPUS))
+}
+
+fn gpu_load(sys: &Path, gpu: Option<&Path>) -> Option<PathBuf> {
+    let of_device = gpu.map(|device| device.join("device/load"));
+    let elsewhere = GPU_LOADS.map(|file| sys.join(file));
+    of_device.into_iter().chain(elsewhere).find(|file| file.exists())
 }
 
 /// Substrings of the names that Jetson boards and others give a GPU's devfreq device.

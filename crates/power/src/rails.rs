@@ -65,6 +65,7 @@ impl RailTable {
     }
 }
 
+/// The first rail that is listed twice.
 fn twice<'a>(mut rails: impl Iterator<Item = &'a String>) -> Option<&'a String> {
     let mut known = BTreeSet::new();
     rails.find(|rail| !known.insert(*rail))
@@ -104,57 +105,72 @@ impl RailMap {
     }
 
     /// Returns the domains of one reading, by the table that names most of `rails`. A domain with a missing rail is left
-    /// out, never reported too small. A negative rail counts as zero: no rail returns power, so it is the sensor's offset.
+    /// out, never reported too small. A negative rail counts as zero: no rail returns power, so it is the sensor's
+    /// offset.
     pub fn reading(&mut self, rails: &[RailWatts]) -> Reading {
         let known = |table: &RailTable| rails.iter().filter(|rail| table.knows(&rail.name)).count();
         let tables = self.tables.iter().filter(|table| known(table) > 0);
         // Of equals the first, which is the last in reverse.
         let table = tables.rev().max_by_key(|table| known(table));
-        let watts = |name: &String| {
-            let rail = rails.iter().find(|rail| *rail.name == **name)?;
-            Some(rail.watts.max(0.0))
-        };
-        let added = |names: &[String]| -> Option<f64> {
-            (!names.is_empty()).then(|| names.iter().map(watts).sum())?
-        };
         // No machine runs on nothing: an input rail that shows no power is not connected.
-        let input = table.and_then(|table| table.input.iter().find(|name| watts(name) > Some(0.0)));
+        let shows_power = |name: &&String| watts_of(rails, name) > Some(0.0);
+        let input = table.and_then(|table| table.input.iter().find(shows_power));
         self.has_input |= input.is_some();
         let (total, total_from) = if self.has_input {
-            (input.and_then(watts), INPUT_RAIL)
+            let watts = input.and_then(|name| watts_of(rails, name));
+            (watts, INPUT_RAIL)
         } else if let Some(table) = table {
-            (added(&table.sum), SUM_OF_RAILS)
+            (sum_of(rails, &table.sum), SUM_OF_RAILS)
         } else {
-            let all: f64 = rails.iter().map(|r| r.watts.max(0.0)).sum();
-            ((!rails.is_empty()).then_some(all), UNKNOWN_BOARD)
+            (sum_of_all(rails), UNKNOWN_BOARD)
         };
         let mut values = Values {
             total: total.map(Value::Power),
             ..Values::default()
         };
-        for (domain, names) in table.into_iter().flat_map(RailTable::domains) {
-            values[domain] = added(names).map(Value::Power);
+        if let Some(table) = table {
+            for (domain, names) in table.domains() {
+                values[domain] = sum_of(rails, names).map(Value::Power);
+            }
         }
-        let rails = rails
-            .iter()
-            .map(|rail| Rail {
-                name: Arc::clone(&rail.name),
-                domain: table.and_then(|table| table.domain_of(&rail.name)),
-                in_total: match (input, table) {
-                    (Some(input), _) => **input == *rail.name,
-                    (None, Some(table)) => table.sum.iter().any(|name| **name == *rail.name),
-                    (None, None) => true,
-                },
-                value: Value::Power(rail.watts),
-            })
-            .collect();
+        let listed = rails.iter().map(|rail| Rail {
+            name: Arc::clone(&rail.name),
+            domain: table.and_then(|table| table.domain_of(&rail.name)),
+            in_total: match (input, table) {
+                (Some(input), _) => **input == *rail.name,
+                (None, Some(table)) => table.sum.iter().any(|name| **name == *rail.name),
+                (None, None) => true,
+            },
+            value: Value::Power(rail.watts),
+        });
         Reading {
             at: None,
             values,
             total_from: total_from.into(),
-            rails,
+            rails: listed.collect(),
         }
     }
+}
+
+/// The power of a rail, if it was read.
+fn watts_of(rails: &[RailWatts], name: &str) -> Option<f64> {
+    let rail = rails.iter().find(|rail| &*rail.name == name)?;
+    Some(rail.watts.max(0.0))
+}
+
+/// The power of these rails together; `None` if one of them was not read, or there are none.
+fn sum_of(rails: &[RailWatts], names: &[String]) -> Option<f64> {
+    if names.is_empty() {
+        return None;
+    }
+    names.iter().map(|name| watts_of(rails, name)).sum()
+}
+
+fn sum_of_all(rails: &[RailWatts]) -> Option<f64> {
+    if rails.is_empty() {
+        return None;
+    }
+    Some(rails.iter().map(|rail| rail.watts.max(0.0)).sum())
 }
 
 /// The tables of `boards.toml`.

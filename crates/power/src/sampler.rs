@@ -8,7 +8,7 @@ use crate::machine::Machine;
 use crate::machine::condition::combined;
 use crate::reading::Domain;
 use crate::source::{Meter, NoMeter};
-use albireo_wire::{DomainWatts, EnergyQuality};
+use albireo_wire::{BoardState, DomainWatts, EnergyQuality};
 use parking_lot::{Mutex, MutexGuard};
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -82,7 +82,8 @@ impl PowerSnapshot {
     /// Returns the joules of a domain and the seconds that samples cover; `None` if they cover none.
     pub fn energy(&self, domain: &str) -> Option<(f64, f64)> {
         let seconds = *self.covered_s.get(domain)?;
-        (seconds > 0.0).then_some((*self.joules.get(domain)?, seconds))
+        let joules = *self.joules.get(domain)?;
+        (seconds > 0.0).then_some((joules, seconds))
     }
 
     /// CPU time of reading the source as a share of one core; 0 before the second sample.
@@ -178,12 +179,14 @@ pub async fn start(
     shutdown: CancellationToken,
 ) -> Result<(PowerHandle, JoinHandle<()>), MeterError> {
     let of_meter = config.clone();
-    let opened = tokio::task::spawn_blocking(move || {
-        choose::open(&of_meter).map(|opened| (opened, Machine::new(&of_meter)))
+    let opening = tokio::task::spawn_blocking(move || {
+        let (source, meter) = choose::open(&of_meter)?;
+        Ok((source, meter, Machine::new(&of_meter)))
     });
-    let ((source, meter), machine) = opened
+    let opened = opening
         .await
-        .map_err(|error| MeterError::Failed(format!("the meter cannot be opened: {error}")))??;
+        .map_err(|error| MeterError::Failed(format!("the meter cannot be opened: {error}")))?;
+    let (source, meter, machine) = opened?;
     let interval = Duration::from_millis(config.interval_ms);
     let source = source.as_str();
     Ok(launch(source, meter, Some(machine), interval, shutdown))
@@ -234,24 +237,34 @@ impl Sensors {
         // A panic is a bug in a meter; its next poll may still succeed.
         let readings = catch_unwind(AssertUnwindSafe(|| self.meter.poll(before)))
             .unwrap_or_else(|_| Err(MeterError::Failed("the meter panicked".to_owned())));
+        // A reading takes a while: what it shows is of the middle of it.
         let middle = before + before.elapsed() / 2;
-        let is_due = |last: Instant| before.saturating_duration_since(last) >= CONDITION_EVERY;
-        let condition = self.condition_at.is_none_or(is_due).then(|| {
-            self.condition_at = Some(before);
-            let machine = self.machine.as_mut().map(Machine::read);
-            combined(self.meter.condition(), machine.unwrap_or_default())
-        });
+        let condition = self.condition(before);
         self.cpu += thread_cpu().saturating_sub(cpu);
         let mut account = account.lock();
         account.meter_cpu = self.cpu + self.meter.other_cpu();
         if let Some(condition) = condition {
             account.set_condition(condition);
         }
-        account.failed_reads += u64::from(readings.is_err());
+        if readings.is_err() {
+            account.failed_reads += 1;
+        }
         for reading in readings? {
             account.sampled(reading.at.unwrap_or(middle), &reading);
         }
         Ok(())
+    }
+
+    /// The board's condition, if it is time to read it again.
+    fn condition(&mut self, now: Instant) -> Option<BoardState> {
+        if let Some(last) = self.condition_at
+            && now.saturating_duration_since(last) < CONDITION_EVERY
+        {
+            return None;
+        }
+        self.condition_at = Some(now);
+        let machine = self.machine.as_mut().map(Machine::read).unwrap_or_default();
+        Some(combined(self.meter.condition(), machine))
     }
 }
 

@@ -72,8 +72,9 @@ impl SourceSurvey {
         let mut read: Vec<(Instant, Reading)> = Vec::new();
         while began.elapsed() < WATCH {
             let now = Instant::now();
-            let at = |reading: Reading| (reading.at.unwrap_or(now), reading);
-            read.extend(meter.poll(now)?.into_iter().map(at));
+            for reading in meter.poll(now)? {
+                read.push((reading.at.unwrap_or(now), reading));
+            }
             std::thread::sleep(Duration::from_millis(config.interval_ms));
         }
         let cpu = thread_cpu().saturating_sub(before) + meter.other_cpu();
@@ -90,7 +91,7 @@ impl SourceSurvey {
         });
         self.watts = domains.collect();
         let rails = last.rails.iter().map(|rail| {
-            let before = first.rails.iter().find(|r| r.name == rail.name);
+            let before = first.rails.iter().find(|earlier| earlier.name == rail.name);
             RailNow {
                 name: rail.name.to_string(),
                 watts: rail.value.mean_watts(before.map(|rail| rail.value), seconds),

@@ -37,8 +37,10 @@ struct Notes {
 impl Notes {
     fn add(&mut self, sample: &Sample) {
         for domain in Domain::ALL {
-            let known = [self.peaks[domain], sample.watts[domain]];
-            self.peaks[domain] = known.into_iter().flatten().reduce(f64::max);
+            if let Some(watts) = sample.watts[domain] {
+                let peak = self.peaks[domain].unwrap_or(watts);
+                self.peaks[domain] = Some(peak.max(watts));
+            }
         }
         self.add_rule(sample);
     }
@@ -175,15 +177,20 @@ impl Account {
     /// Ends a measurement and returns the energy used until `end`, from the samples so far.
     pub(crate) fn close(&mut self, number: u64, end: Instant) -> Option<Measured> {
         let open = self.open.remove(&number)?;
-        let known = open.to.filter(|_| open.end == end);
-        let (to, notes) = known.unwrap_or_else(|| (self.history.at(end), open.notes));
+        let (to, notes) = match open.to {
+            // The history may no longer reach back to the end.
+            Some(known) if open.end == end => known,
+            _ => (self.history.at(end), open.notes),
+        };
         let from = open.from.unwrap_or_else(|| self.history.at(open.start));
         let seconds = end.saturating_duration_since(open.start).as_secs_f64();
         let mut energy = self.energy(&from, &to, seconds, &notes);
         let before = from.camera(open.camera);
         let after = to.camera(open.camera);
         let detector_watts = self.detector.watts();
-        energy.joules = (energy.coverage > 0.0).then_some(after.joules - before.joules);
+        if energy.coverage > 0.0 {
+            energy.joules = Some(after.joules - before.joules);
+        }
         energy.saved_joules_estimated =
             detector_watts.map(|watts| watts * (after.seconds - before.seconds));
         Some(Measured {
@@ -199,18 +206,22 @@ impl Account {
             source: self.source.clone(),
             ..ClipEnergy::default()
         };
-        let mut least = 1.0_f64;
-        for domain in Domain::ALL.into_iter().filter(|domain| self.history.has(*domain)) {
+        let mut least_share = 1.0_f64;
+        for domain in Domain::ALL {
+            // A domain that the source never reads leaves no gap.
+            if !self.history.has(domain) {
+                continue;
+            }
             let from = from.sums[domain];
             let to = to.sums[domain];
             let joules = to.joules - from.joules;
             let covered_s = to.seconds - from.seconds;
             if covered_s <= 0.0 {
-                least = 0.0;
+                least_share = 0.0;
                 continue;
             }
             let share = (covered_s / seconds).min(1.0);
-            least = least.min(share);
+            least_share = least_share.min(share);
             if domain == Domain::Total {
                 found.coverage = share;
                 found.node_joules = Some(joules);
@@ -224,7 +235,7 @@ impl Account {
         }
         found.quality = match self.quality {
             _ if found.coverage <= 0.0 => EnergyQuality::Unavailable,
-            EnergyQuality::Measured if least < FULL_COVERAGE => EnergyQuality::Partial,
+            EnergyQuality::Measured if least_share < FULL_COVERAGE => EnergyQuality::Partial,
             quality => quality,
         };
         found.samples = to.samples - from.samples;

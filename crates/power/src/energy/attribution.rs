@@ -84,13 +84,15 @@ impl Attribution {
 
     /// Divides the `joules` of the last `seconds` and returns the totals of all cameras.
     pub(crate) fn divide(&mut self, joules: f64, seconds: f64) -> Vec<(u64, Sum)> {
-        let idle = self.idle_s + seconds - std::mem::take(&mut self.used_s);
-        let idle = idle.min(seconds.max(LONGEST_IDLE_S));
-        let avoided: f64 = self.cameras.values().map(|camera| camera.avoided_s).sum();
-        let saved = avoided.min(idle).max(0.0);
-        self.idle_s = idle - saved;
+        let used_s = std::mem::take(&mut self.used_s);
+        let longest_s = seconds.max(LONGEST_IDLE_S);
+        let idle_s = (self.idle_s + seconds - used_s).min(longest_s);
+        let avoided_s: f64 = self.cameras.values().map(|camera| camera.avoided_s).sum();
+        // The one detector could have run the avoided calls only while it was idle.
+        let saved_s = avoided_s.min(idle_s).max(0.0);
+        self.idle_s = idle_s - saved_s;
         let weights: f64 = self.cameras.values().map(|camera| camera.weight).sum();
-        let cameras = self.cameras.len() as f64;
+        let equal_share = 1.0 / self.cameras.len() as f64;
         let decay = if weights > LEAST_WEIGHT {
             (-seconds / MEMORY_S).exp()
         } else {
@@ -100,17 +102,17 @@ impl Attribution {
             let share = if weights > 0.0 {
                 camera.weight / weights
             } else {
-                1.0 / cameras
+                equal_share
             };
             camera.totals.joules += joules * share;
-            if saved > 0.0 {
-                camera.totals.seconds += saved * camera.avoided_s / avoided;
+            if saved_s > 0.0 {
+                camera.totals.seconds += saved_s * camera.avoided_s / avoided_s;
             }
             camera.avoided_s = 0.0;
             camera.weight *= decay;
         }
-        let totals = self.cameras.iter();
-        totals.map(|(number, camera)| (*number, camera.totals)).collect()
+        let by_number = self.cameras.iter().map(|(number, camera)| (*number, camera.totals));
+        by_number.collect()
     }
 }
 

@@ -33,10 +33,18 @@ pub(crate) struct DetectorWatts {
     /// Total detector time, seconds, and the end of the newest run.
     used_s: f64,
     last: Option<Instant>,
-    /// The start of the current piece, and the detector time and the node's total at that moment.
-    begun: Option<(Instant, f64, Sum)>,
+    /// The start of the current piece.
+    begun: Option<Begun>,
     line: Line,
     known: Option<f64>,
+}
+
+/// The end of a run, at which a piece begins, with the detector's time and the node's total until then.
+#[derive(Clone, Copy, Debug)]
+struct Begun {
+    at: Instant,
+    used_s: f64,
+    total: Sum,
 }
 
 impl DetectorWatts {
@@ -60,24 +68,32 @@ impl DetectorWatts {
 
     /// Learns from the samples so far.
     pub(crate) fn learn(&mut self, history: &History) {
-        let Some(end) = self.last.filter(|end| history.newest() >= Some(*end)) else {
+        let Some(end) = self.last else {
             return;
         };
-        let now = history.at(end).total();
-        if let Some((start, used_before, before)) = self.begun {
-            let seconds = end.saturating_duration_since(start).as_secs_f64();
+        // The energy until the end of that run is known with the first sample after it.
+        if history.newest() < Some(end) {
+            return;
+        }
+        let total = history.at(end).total();
+        if let Some(begun) = self.begun {
+            let seconds = end.saturating_duration_since(begun.at).as_secs_f64();
             if seconds < self.shortest.as_secs_f64() {
                 return;
             }
-            let covered_s = now.seconds - before.seconds;
+            let covered_s = total.seconds - begun.total.seconds;
             if covered_s >= COVERED * seconds {
-                let share = (self.used_s - used_before) / seconds;
-                let watts = (now.joules - before.joules) / covered_s;
+                let share = (self.used_s - begun.used_s) / seconds;
+                let watts = (total.joules - begun.total.joules) / covered_s;
                 self.line.add(share, watts, seconds);
                 self.known = self.line.slope().or(self.known);
             }
         }
-        self.begun = Some((end, self.used_s, now));
+        self.begun = Some(Begun {
+            at: end,
+            used_s: self.used_s,
+            total,
+        });
     }
 
     /// The watts that the detector adds while it runs; `None` until known.
@@ -120,9 +136,11 @@ impl Line {
             return None;
         }
         let slope = self.xy / self.xx;
+        // Two degrees of freedom are spent on the line itself.
         let residual = (self.yy - slope * self.xy).max(0.0) / (self.points - 2.0);
         let error = (residual / self.xx).sqrt();
-        (slope > 0.0 && error <= LARGEST_ERROR * slope).then_some(slope)
+        let is_known = slope > 0.0 && error <= LARGEST_ERROR * slope;
+        is_known.then_some(slope)
     }
 }
 

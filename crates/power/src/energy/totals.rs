@@ -106,7 +106,9 @@ impl History {
         }
         let joules_before = self.totals.total().joules;
         let watts = PerDomain::each(|domain| self.advance(domain, at, reading.value(domain)?));
-        self.totals.samples += u64::from(reading.value(Domain::Total).is_some());
+        if reading.value(Domain::Total).is_some() {
+            self.totals.samples += 1;
+        }
         let seconds = newest.map_or(0.0, |newest| (at - newest).as_secs_f64());
         self.sampled_s += seconds;
         self.totals.cameras = divide(self.totals.total().joules - joules_before, seconds);
@@ -125,23 +127,24 @@ impl History {
 
     /// Adds a value to one domain and returns its power.
     fn advance(&mut self, domain: Domain, at: Instant, value: Value) -> Option<f64> {
-        let (then, before) = self.last[domain].replace((at, value)).unzip();
-        let seconds = then.map_or(0.0, |then| (at - then).as_secs_f64());
-        let (joules, longest) = match (before, value) {
-            (Some(Value::Power(then)), Value::Power(now)) => {
-                (0.5 * (then + now) * seconds, self.gap_s)
-            }
-            (Some(Value::Counter(then)), Value::Counter(now)) => {
+        let Some((then, before)) = self.last[domain].replace((at, value)) else {
+            return value.mean_watts(None, 0.0);
+        };
+        let seconds = (at - then).as_secs_f64();
+        let (joules, longest_s) = match (before, value) {
+            (Value::Power(then), Value::Power(now)) => (0.5 * (then + now) * seconds, self.gap_s),
+            (Value::Counter(then), Value::Counter(now)) => {
                 (now - then, self.gap_s.max(LONGEST_COUNTED_S))
             }
+            // A source that changes from the one to the other leaves a gap.
             _ => (0.0, 0.0),
         };
-        if seconds <= longest {
+        if seconds <= longest_s {
             let sum = &mut self.totals.sums[domain];
             sum.joules += joules;
             sum.seconds += seconds;
         }
-        value.mean_watts(before, seconds)
+        value.mean_watts(Some(before), seconds)
     }
 
     /// True if the source has ever read `domain`.
@@ -161,8 +164,9 @@ impl History {
 
     /// The newest sample, unless it is too old to be current at `now`.
     pub(crate) fn present(&self, now: Instant) -> Option<&Sample> {
-        let age = |sample: &&Sample| now.saturating_duration_since(sample.at).as_secs_f64();
-        self.latest().filter(|newest| age(newest) <= self.gap_s)
+        let newest = self.latest()?;
+        let age_s = now.saturating_duration_since(newest.at).as_secs_f64();
+        (age_s <= self.gap_s).then_some(newest)
     }
 
     /// The last kept sample at or before `moment`.
@@ -195,6 +199,7 @@ fn between(before: &Sample, after: &Sample, moment: Instant) -> Totals {
         joules: from.joules + energy_part * (to.joules - from.joules),
         seconds: from.seconds + part * (to.seconds - from.seconds),
     };
+    // Where power rises, less than its part of the energy comes in the first part of the time.
     let energy_part = |domain: Domain| match (before.values[domain], after.values[domain]) {
         (Some(Value::Power(from)), Some(Value::Power(to))) if from + to > 0.0 => {
             part * (2.0 * from + (to - from) * part) / (from + to)
@@ -203,16 +208,18 @@ fn between(before: &Sample, after: &Sample, moment: Instant) -> Totals {
     };
     let from = &before.totals;
     let to = &after.totals;
+    // Cameras divide the energy of the whole, whichever domain used it.
     let of_total = energy_part(Domain::Total);
-    let cameras = to.cameras.iter();
+    let cameras = to.cameras.iter().map(|(number, to)| {
+        let from = from.camera(*number);
+        (*number, mix(from, *to, of_total))
+    });
     Totals {
         sums: PerDomain::each(|domain| {
             mix(from.sums[domain], to.sums[domain], energy_part(domain))
         }),
         samples: from.samples,
-        cameras: cameras
-            .map(|(number, to)| (*number, mix(from.camera(*number), *to, of_total)))
-            .collect(),
+        cameras: cameras.collect(),
     }
 }
 

@@ -5,8 +5,8 @@ use albireo_wire::BoardState;
 /// The most power modes that one sum lists.
 const MOST_MODES: usize = 8;
 
-/// Combines two sources of the same moment: the hotter sensor, throttling by either, the busier GPU, and `one` first for the
-/// rest.
+/// Combines two sources of the same moment: the hotter sensor, throttling by either, the busier GPU, and `one` first for
+/// the rest.
 pub(crate) fn combined(one: BoardState, other: BoardState) -> BoardState {
     let (hottest_celsius, hottest_sensor) = if other.hottest_celsius > one.hottest_celsius {
         (other.hottest_celsius, other.hottest_sensor)
@@ -17,14 +17,14 @@ pub(crate) fn combined(one: BoardState, other: BoardState) -> BoardState {
         power_mode: one.power_mode.or(other.power_mode),
         hottest_celsius,
         hottest_sensor,
+        // Unknown is the least, then false.
         throttled: one.throttled.max(other.throttled),
         cpu_mhz: one.cpu_mhz.or(other.cpu_mhz),
         gpu_mhz: one.gpu_mhz.or(other.gpu_mhz),
-        gpu_utilisation: one
-            .gpu_utilisation
-            .into_iter()
-            .chain(other.gpu_utilisation)
-            .reduce(f64::max),
+        gpu_utilisation: match (one.gpu_utilisation, other.gpu_utilisation) {
+            (Some(one), Some(other)) => Some(one.max(other)),
+            (one, other) => one.or(other),
+        },
     }
 }
 
@@ -56,8 +56,9 @@ impl ConditionSum {
 
     /// The board's state over the whole period; `None` if nothing is known.
     pub(crate) fn state(&self) -> Option<BoardState> {
+        let has_modes = !self.modes.is_empty();
         let state = BoardState {
-            power_mode: (!self.modes.is_empty()).then(|| self.modes.join(", then ")),
+            power_mode: has_modes.then(|| self.modes.join(", then ")),
             cpu_mhz: self.cpu_mhz.value(),
             gpu_mhz: self.gpu_mhz.value(),
             gpu_utilisation: self.gpu_utilisation.value(),
@@ -76,8 +77,10 @@ pub(crate) struct Mean {
 
 impl Mean {
     pub(crate) fn add(&mut self, value: Option<f64>) {
-        self.sum += value.unwrap_or_default();
-        self.count += f64::from(u8::from(value.is_some()));
+        if let Some(value) = value {
+            self.sum += value;
+            self.count += 1.0;
+        }
     }
 
     pub(crate) fn value(self) -> Option<f64> {

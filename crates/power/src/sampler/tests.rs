@@ -19,7 +19,8 @@ fn sampled_every(
     curve: impl FnMut(f64) -> Option<f64> + Send + 'static,
 ) -> (PowerHandle, Instant) {
     let start = Instant::now();
-    let (interval, never) = (Duration::from_millis(interval_ms), CancellationToken::new());
+    let interval = Duration::from_millis(interval_ms);
+    let never = CancellationToken::new();
     let (handle, _task) = start_with("curve", Box::new(Curve(start, curve)), interval, never);
     (handle, start)
 }
@@ -31,7 +32,8 @@ async fn energy(handle: &PowerHandle, start: Instant, end: Instant) -> ClipEnerg
 
 #[tokio::test(start_paused = true)]
 async fn a_span_is_measured_to_its_ends_and_the_sampler_stops_on_cancellation() {
-    let (start, stop) = (Instant::now(), CancellationToken::new());
+    let start = Instant::now();
+    let stop = CancellationToken::new();
     let meter = Curve(start, |t| Some(10.0 + t));
     let interval = Duration::from_millis(100);
     let (handle, task) = start_with("curve", Box::new(meter), interval, stop.clone());
@@ -50,7 +52,8 @@ async fn a_span_is_measured_to_its_ends_and_the_sampler_stops_on_cancellation() 
 
 #[tokio::test(start_paused = true)]
 async fn without_a_meter_energy_is_unavailable_at_once() {
-    let (interval, never) = (Duration::from_millis(100), CancellationToken::new());
+    let interval = Duration::from_millis(100);
+    let never = CancellationToken::new();
     let (handle, _task) = start_with("none", Box::new(NoMeter), interval, never);
     let start = Instant::now();
     tokio::time::sleep(Duration::from_secs(2)).await;

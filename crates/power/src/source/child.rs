@@ -94,16 +94,23 @@ impl LineChild {
             self.trouble = Some(format!("it printed nothing for {seconds} s"));
         }
         if self.last_sign.elapsed() >= self.pause {
-            self.last_sign = Instant::now();
-            if let Some(reason) = self.trouble.as_deref() {
-                tracing::warn!(reason, "restarting the power meter's child process");
-            }
-            match spawn(&mut self.command) {
-                Ok((child, lines)) => (self.child, self.lines) = (Some(child), lines),
-                Err(error) => self.trouble = Some(format!("it cannot be started: {error}")),
-            }
+            self.restart();
         }
         lines
+    }
+
+    fn restart(&mut self) {
+        self.last_sign = Instant::now();
+        if let Some(reason) = self.trouble.as_deref() {
+            tracing::warn!(reason, "restarting the power meter's child process");
+        }
+        match spawn(&mut self.command) {
+            Ok((child, lines)) => {
+                self.child = Some(child);
+                self.lines = lines;
+            }
+            Err(error) => self.trouble = Some(format!("it cannot be started: {error}")),
+        }
     }
 
     /// Waits up to `patience` for the first line.
@@ -166,6 +173,7 @@ fn read(output: ChildStdout, lines: &SyncSender<TimedLine>) {
         line.clear();
         let read = output.by_ref().take(LONGEST_LINE).read_until(b'\n', &mut line);
         let at = Instant::now();
+        // Nothing was read, or it cannot be.
         if !matches!(read, Ok(1..)) {
             return;
         }

@@ -56,9 +56,13 @@ impl Command {
         let pause = Duration::from_millis(config.interval_ms);
         let child = LineChild::start(shell, &arguments, pause)
             .map_err(|error| sysfs::failure(shell, &error))?;
+        let map = match &config.rails {
+            Some(table) => Some(RailMap::new(Some(table))?),
+            None => None,
+        };
         let mut meter = Self {
             child,
-            map: config.rails.as_ref().map(|table| RailMap::new(Some(table))).transpose()?,
+            map,
             rails: Vec::new(),
             newest: Instant::now(),
         };
@@ -129,13 +133,20 @@ const WHOLE: &str = "total";
 /// The most names that the sum of a set lists.
 const MOST_NAMES: usize = 4;
 
-/// The reading of a set: `total` is the whole machine, else all lines are added up; `gpu`, `cpu` and `io_mem` are domains.
+/// The reading of a set: `total` is the whole machine, else all lines are added up; `gpu`, `cpu` and `io_mem` are
+/// domains.
 fn by_name(rails: &[RailWatts]) -> Reading {
     // As for other monitors: no rail returns power, so a negative value is an offset.
     let power = |watts: f64| Value::Power(watts.max(0.0));
     let named = |name: &str| rails.iter().find(|rail| &*rail.name == name);
     let whole = named(WHOLE);
-    let sum = (!rails.is_empty()).then(|| rails.iter().map(|rail| rail.watts.max(0.0)).sum());
+    let total = match whole {
+        Some(whole) => Some(power(whole.watts)),
+        None if rails.is_empty() => None,
+        None => Some(Value::Power(
+            rails.iter().map(|rail| rail.watts.max(0.0)).sum(),
+        )),
+    };
     let names: Vec<&str> = rails.iter().map(|rail| &*rail.name).collect();
     let total_from = if whole.is_some() {
         INPUT_RAIL.to_owned()
@@ -157,7 +168,7 @@ fn by_name(rails: &[RailWatts]) -> Reading {
     Reading {
         at: None,
         values: PerDomain::each(|domain| match domain {
-            Domain::Total => whole.map(|rail| rail.watts).or(sum).map(power),
+            Domain::Total => total,
             part => named(part.as_str()).map(|rail| power(rail.watts)),
         }),
         total_from: total_from.into(),
@@ -167,17 +178,20 @@ fn by_name(rails: &[RailWatts]) -> Reading {
 
 /// A line of a name and watts.
 fn rail(line: &str) -> Result<RailWatts, MeterError> {
-    let parsed = line.trim().rsplit_once(char::is_whitespace).and_then(|(name, watts)| {
-        let watts: f64 = watts.parse().ok()?;
-        let name = name.trim().into();
-        watts.is_finite().then_some(RailWatts { name, watts })
-    });
-    parsed.ok_or_else(|| {
+    parsed(line).ok_or_else(|| {
         let shown: String = line.chars().take(60).collect();
         MeterError::Failed(format!(
             "power.command: `{shown}` is not a name and watts, such as `total 5.2`"
         ))
     })
+}
+
+fn parsed(line: &str) -> Option<RailWatts> {
+    // A name may have several words.
+    let (name, watts) = line.trim().rsplit_once(char::is_whitespace)?;
+    let watts: f64 = watts.parse().ok()?;
+    let name = name.trim().into();
+    watts.is_finite().then_some(RailWatts { name, watts })
 }
 
 #[cfg(test)]

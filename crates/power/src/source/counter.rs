@@ -35,6 +35,7 @@ impl Counter {
         if let Some((then, before)) = self.last.replace((now, raw)) {
             let wrapped = || self.range.saturating_sub(before).saturating_add(raw);
             let rise = raw.checked_sub(before).unwrap_or_else(wrapped);
+            // Counters move in steps: a short interval may show the joules of a longer one.
             let seconds = now.saturating_duration_since(then).as_secs_f64().max(0.1);
             if rise as f64 * self.unit <= IMPLAUSIBLE_WATTS * seconds {
                 self.counted += rise;

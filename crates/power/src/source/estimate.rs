@@ -19,10 +19,17 @@ pub(crate) struct Estimate {
     stat: PathBuf,
     idle_watts: f64,
     busy_watts: f64,
-    /// The last poll, and the busy and all clock ticks then.
-    last: Option<(Instant, (u64, u64))>,
+    /// The last poll, and the clock ticks then.
+    last: Option<(Instant, Ticks)>,
     watts: f64,
     joules: f64,
+}
+
+/// Clock ticks since boot, all cores together.
+#[derive(Clone, Copy, Debug)]
+struct Ticks {
+    busy: u64,
+    all: u64,
 }
 
 impl Estimate {
@@ -43,8 +50,7 @@ impl Estimate {
         Ok(meter)
     }
 
-    /// The clock ticks since boot, all cores together: the busy ones, and all.
-    fn ticks(&self) -> Result<(u64, u64), MeterError> {
+    fn ticks(&self) -> Result<Ticks, MeterError> {
         let text = sysfs::text(&self.stat)?;
         let numbers = text.strip_prefix("cpu ").unwrap_or_default();
         let ticks: Vec<u64> = numbers
@@ -57,7 +63,8 @@ impl Estimate {
             return Err(MeterError::unreadable(&self.stat, reason));
         };
         let busy = user + nice + system + irq + softirq;
-        Ok((busy, busy + idle + iowait + steal))
+        let all = busy + idle + iowait + steal;
+        Ok(Ticks { busy, all })
     }
 }
 
@@ -67,12 +74,12 @@ impl Meter for Estimate {
     }
 
     fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
-        let (busy, all) = self.ticks()?;
-        if let Some((then, before)) = self.last.replace((now, (busy, all))) {
-            let all = all.saturating_sub(before.1);
+        let ticks = self.ticks()?;
+        if let Some((then, before)) = self.last.replace((now, ticks)) {
+            let all = ticks.all.saturating_sub(before.all);
             // The kernel counts in ticks of 10 ms: within one tick, the last figure still holds.
             if all > 0 {
-                let busy = busy.saturating_sub(before.0).min(all);
+                let busy = ticks.busy.saturating_sub(before.busy).min(all);
                 let utilisation = busy as f64 / all as f64;
                 self.watts = self.idle_watts + (self.busy_watts - self.idle_watts) * utilisation;
             }

@@ -29,8 +29,11 @@ struct Channel {
 
 impl Channel {
     fn watts(&self) -> Result<f64, MeterError> {
-        let numbers = self.files.iter().map(|file| sysfs::number::<f64>(file));
-        Ok(numbers.product::<Result<f64, _>>()? * 1e-6)
+        let mut microwatts = 1.0;
+        for file in &self.files {
+            microwatts *= sysfs::number::<f64>(file)?;
+        }
+        Ok(microwatts * 1e-6)
     }
 }
 
@@ -61,8 +64,8 @@ impl Ina {
             map: RailMap::new(config.rails.as_ref())?,
         };
         let readings = meter.poll(Instant::now())?;
-        let has_total = readings.iter().any(|reading| reading.value(Domain::Total).is_some());
-        if !has_total {
+        let has_total = |reading: &Reading| reading.value(Domain::Total).is_some();
+        if !readings.iter().any(has_total) {
             let rails: Vec<&str> = meter.channels.iter().map(|channel| &*channel.name).collect();
             let reason = format!(
                 "it reads {}, but no rail or sum that is the board's whole power (a rail with in*_enable 0 \
@@ -90,29 +93,37 @@ fn distinct(mut channels: Vec<Channel>) -> Vec<Channel> {
 
 /// The rails of a chip; empty if the chip is not a power monitor.
 fn channels(chip: &Path) -> Vec<Channel> {
-    let text = |file: &str| {
-        let text = sysfs::text(&chip.join(file)).ok();
-        text.filter(|text| !text.is_empty())
-    };
-    match text("name").as_deref() {
+    match words(chip, "name").as_deref() {
         Some("ina238") => {
             let mut labels = ["power1_label", "in1_label", "label"].into_iter();
+            let name = labels.find_map(|file| words(chip, file));
             vec![Channel {
-                name: labels.find_map(text).map_or_else(|| INPUT.into(), Into::into),
+                name: name.map_or_else(|| INPUT.into(), Into::into),
                 files: vec![chip.join("power1_input")],
             }]
         }
-        Some("ina3221") => (1..=3)
-            .filter(|i| text(&format!("in{i}_enable")).is_none_or(|on| on != "0"))
-            .filter_map(|i| Some((i, text(&format!("in{i}_label"))?)))
-            .filter(|(_, label)| label != "NC" && !label.contains("shunt"))
-            .map(|(i, label)| Channel {
-                name: label.into(),
-                files: ["in", "curr"].map(|what| chip.join(format!("{what}{i}_input"))).into(),
-            })
-            .collect(),
+        Some("ina3221") => (1..=3).filter_map(|number| channel(chip, number)).collect(),
         _ => Vec::new(),
     }
+}
+
+/// Channel `number` of an INA3221; `None` if it is switched off, or no rail.
+fn channel(chip: &Path, number: u32) -> Option<Channel> {
+    let is_off = words(chip, &format!("in{number}_enable")).is_some_and(|on| on == "0");
+    let label = words(chip, &format!("in{number}_label"))?;
+    if is_off || label == "NC" || label.contains("shunt") {
+        return None;
+    }
+    Some(Channel {
+        name: label.into(),
+        files: ["in", "curr"].map(|what| chip.join(format!("{what}{number}_input"))).into(),
+    })
+}
+
+/// The text of a chip's file, if there is any.
+fn words(chip: &Path, file: &str) -> Option<String> {
+    let text = sysfs::text(&chip.join(file)).ok()?;
+    if text.is_empty() { None } else { Some(text) }
 }
 
 impl Meter for Ina {

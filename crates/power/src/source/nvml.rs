@@ -42,6 +42,23 @@ struct Card {
     energy: Counter,
 }
 
+/// What is said of a card that answered before.
+const LOST: &str = "it no longer reports its power";
+
+impl Card {
+    /// The energy counted so far.
+    fn joules(&mut self, driver: &dyn Cards, now: Instant) -> Result<f64, String> {
+        let raw = driver.energy_mj(self.index)?.ok_or(LOST)?;
+        Ok(self.energy.update(now, raw))
+    }
+
+    /// The present power.
+    fn watts(&self, driver: &dyn Cards) -> Result<f64, String> {
+        let milliwatts = driver.power_mw(self.index)?.ok_or(LOST)?;
+        Ok(f64::from(milliwatts) * 1e-3)
+    }
+}
+
 /// The NVIDIA cards of this machine.
 pub(crate) struct Nvml {
     cards: Vec<Card>,
@@ -89,9 +106,11 @@ impl Nvml {
         let mut all_count = true;
         for index in 0..count {
             let counts = matches!(driver.energy_mj(index), Ok(Some(_)));
-            let power = driver.power_mw(index);
-            if !counts && power.map_err(|reason| unreadable(index, reason))?.is_none() {
-                continue;
+            if !counts {
+                let power = driver.power_mw(index);
+                if power.map_err(|reason| unreadable(index, reason))?.is_none() {
+                    continue;
+                }
             }
             all_count &= counts;
             let model = driver.name(index).unwrap_or_else(|| "card".to_owned());
@@ -138,18 +157,12 @@ impl Meter for Nvml {
             Value::Power
         };
         for card in &mut self.cards {
-            let answer = if self.count {
-                let raw = self.driver.energy_mj(card.index);
-                raw.map(|raw| raw.map(|raw| card.energy.update(now, raw)))
+            let read = if self.count {
+                card.joules(&*self.driver, now)
             } else {
-                let milliwatts = self.driver.power_mw(card.index);
-                milliwatts
-                    .map(|milliwatts| milliwatts.map(|milliwatts| f64::from(milliwatts) * 1e-3))
+                card.watts(&*self.driver)
             };
-            let lost = || "it no longer reports its power".to_owned();
-            let read = answer
-                .and_then(|answer| answer.ok_or_else(lost))
-                .map_err(|reason| unreadable(card.index, reason))?;
+            let read = read.map_err(|reason| unreadable(card.index, reason))?;
             sum += read;
             rails.push(Rail {
                 name: Arc::clone(&card.energy.name),
@@ -158,12 +171,11 @@ impl Meter for Nvml {
                 value: value(read),
             });
         }
-        let processor = (!self.processor_is_read).then_some("processor");
-        let left_out = [
-            processor.map(str::to_owned),
-            parts::without_cards(self.unread),
-        ];
-        let left_out: Vec<String> = left_out.into_iter().flatten().collect();
+        let mut left_out = Vec::new();
+        if !self.processor_is_read {
+            left_out.push("processor".to_owned());
+        }
+        left_out.extend(parts::without_cards(self.unread));
         Ok(vec![Reading {
             at: None,
             values: Values {

@@ -19,15 +19,16 @@ const NVIDIA: &str = "0x10de";
 
 /// The number of NVIDIA cards in PCI's list, whether or not a driver shows them.
 pub(super) fn cards(sysfs: &Path) -> usize {
-    let is_card = |device: &&std::path::PathBuf| {
-        let is = |file: &str, prefix: &str| {
-            sysfs::text(&device.join(file)).is_ok_and(|text| text.starts_with(prefix))
-        };
-        // Class 03 is display and 3D controllers; the same card's sound and USB are other classes.
-        is("vendor", NVIDIA) && is("class", "0x03")
-    };
     let devices = sysfs::entries(&sysfs.join("bus/pci/devices"));
-    devices.iter().filter(is_card).count()
+    devices.iter().filter(|device| is_card(device)).count()
+}
+
+fn is_card(device: &Path) -> bool {
+    let begins = |file: &str, prefix: &str| {
+        sysfs::text(&device.join(file)).is_ok_and(|text| text.starts_with(prefix))
+    };
+    // Class 03 is display and 3D controllers; the same card's sound and USB are other classes.
+    begins("vendor", NVIDIA) && begins("class", "0x03")
 }
 
 /// "card" or "3 cards".
@@ -83,16 +84,8 @@ impl Parts {
         })
     }
 
-    /// The processor's values as the cards show theirs: counters, or the mean power since the last poll.
-    fn like_the_cards(
-        &mut self,
-        now: Instant,
-        processor: &Reading,
-        counts: bool,
-    ) -> PerDomain<Option<Value>> {
-        if counts {
-            return processor.values;
-        }
+    /// The mean power of the processor since the last poll.
+    fn mean_power(&mut self, now: Instant, processor: &Reading) -> PerDomain<Option<Value>> {
         let before = self.before.replace((now, processor.values));
         PerDomain::each(|domain| {
             let (then, values) = before?;
@@ -113,8 +106,13 @@ impl Meter for Parts {
         let processor = self.processor.poll(now).map_err(|error| error.of("rapl"))?;
         let cards = self.cards.poll(now).map_err(|error| error.of("nvml"))?;
         let readings = processor.into_iter().zip(cards).map(|(processor, cards)| {
-            let counts = matches!(cards.values.total, Some(Value::Counter(_)));
-            let values = self.like_the_cards(now, &processor, counts);
+            // As the cards show theirs: only values of one kind can be added.
+            let cards_count = matches!(cards.values.total, Some(Value::Counter(_)));
+            let values = if cards_count {
+                processor.values
+            } else {
+                self.mean_power(now, &processor)
+            };
             Reading {
                 at: None,
                 values: PerDomain {

@@ -60,21 +60,29 @@ impl Zone {
         })
     }
 
-    /// True if it is part of the total: the platform's counter, or without one the packages and their memory.
-    fn in_total(&self, platform: bool) -> bool {
-        if platform {
-            &*self.counter.name == PLATFORM
-        } else {
-            matches!(self.domain, Some(Domain::Cpu | Domain::IoMem))
+    /// True if it is part of this total.
+    fn counts_for(&self, whole: Whole) -> bool {
+        match whole {
+            Whole::Platform => &*self.counter.name == PLATFORM,
+            Whole::Packages => matches!(self.domain, Some(Domain::Cpu | Domain::IoMem)),
         }
     }
+}
+
+/// What the total counts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Whole {
+    /// The platform, by its own counter.
+    Platform,
+    /// The packages and their memory.
+    Packages,
 }
 
 /// The RAPL counters of this machine.
 #[derive(Debug)]
 pub(crate) struct Rapl {
     zones: Vec<Zone>,
-    platform: bool,
+    whole: Whole,
     /// Graphics cards of this machine, which these counters do not include.
     cards: usize,
 }
@@ -93,8 +101,13 @@ impl Rapl {
     pub(super) fn beside(config: &PowerConfig, cards: usize) -> Result<Self, MeterError> {
         let root = config.sysfs.join("class/powercap");
         let mut zones = find(&root)?;
-        let mut platform = cards == 0 && zones.iter().any(|zone| zone.in_total(true));
-        if !platform && !zones.iter().any(|zone| zone.in_total(false)) {
+        let has = |whole: Whole| zones.iter().any(|zone| zone.counts_for(whole));
+        let mut whole = if cards == 0 && has(Whole::Platform) {
+            Whole::Platform
+        } else {
+            Whole::Packages
+        };
+        if !has(whole) {
             let reason = format!(
                 "no package or psys counter under {} (it needs an Intel or AMD processor, Linux, and \
                  the kernel module intel_rapl_msr; virtual machines and containers often hide it)",
@@ -102,12 +115,12 @@ impl Rapl {
             );
             return Err(MeterError::missing(reason));
         }
-        if platform {
+        if whole == Whole::Platform {
             read(&mut zones, Instant::now())?;
             std::thread::sleep(WATCH_PLATFORM);
             read(&mut zones, Instant::now())?;
-            platform = includes_its_parts(&zones);
-            if !platform {
+            if !includes_its_parts(&zones) {
+                whole = Whole::Packages;
                 tracing::warn!(
                     "the psys counter shows less energy than its packages; it is ignored"
                 );
@@ -115,7 +128,7 @@ impl Rapl {
         }
         Ok(Self {
             zones,
-            platform,
+            whole,
             cards,
         })
     }
@@ -123,7 +136,7 @@ impl Rapl {
     /// The parts of the machine that the total includes, in words.
     pub(super) fn parts(&self) -> &'static str {
         let has_memory = self.zones.iter().any(|zone| zone.domain == Some(Domain::IoMem));
-        if self.platform {
+        if self.whole == Whole::Platform {
             "platform (psys)"
         } else if has_memory {
             "processor + memory"
@@ -144,19 +157,21 @@ fn read(zones: &mut [Zone], now: Instant) -> Result<(), MeterError> {
 /// True if the platform's counter covers the packages and their memory. On some machines it has a wrong unit or
 /// does not move.
 fn includes_its_parts(zones: &[Zone]) -> bool {
-    let sum = |platform: bool| -> f64 {
-        let counted = zones.iter().filter(|zone| zone.in_total(platform));
+    let joules = |whole: Whole| -> f64 {
+        let counted = zones.iter().filter(|zone| zone.counts_for(whole));
         counted.map(|zone| zone.counter.joules()).sum()
     };
-    sum(true) >= PLATFORM_AT_LEAST * sum(false)
+    joules(Whole::Platform) >= PLATFORM_AT_LEAST * joules(Whole::Packages)
 }
 
+/// The zones under `root`, each package before its parts.
 fn find(root: &Path) -> Result<Vec<Zone>, MeterError> {
     let mut tops = sysfs::entries(root);
     tops.retain(|path| {
         let kind = sysfs::name(path).rsplit_once(':').map(|(kind, _)| kind);
         matches!(kind, Some("intel-rapl" | "intel-rapl-mmio"))
     });
+    // The duplicates come last, so that they are known as such.
     tops.sort_by_key(|path| sysfs::name(path).starts_with("intel-rapl-mmio"));
     let mut zones: Vec<Zone> = Vec::new();
     for top in tops {
@@ -211,13 +226,14 @@ impl Meter for Rapl {
         let mut rails = Vec::with_capacity(self.zones.len());
         for zone in &self.zones {
             let joules = zone.counter.joules();
-            let in_total = zone.in_total(self.platform);
+            let in_total = zone.counts_for(self.whole);
             if in_total {
                 add(Domain::Total, joules);
             }
             if let Some(domain) = zone.domain {
                 add(domain, joules);
             }
+            // The package's counter includes it.
             if zone.domain == Some(Domain::Gpu) {
                 add(Domain::Cpu, -joules);
             }
@@ -228,14 +244,11 @@ impl Meter for Rapl {
                 value: Value::Counter(joules),
             });
         }
+        let left_out = parts::without_cards(self.cards);
         Ok(vec![Reading {
             at: None,
             values: PerDomain::each(|domain| sums[domain].map(Value::Counter)),
-            total_from: parts::total_from(
-                self.parts(),
-                parts::without_cards(self.cards).as_slice(),
-            )
-            .into(),
+            total_from: parts::total_from(self.parts(), left_out.as_slice()).into(),
             rails,
         }])
     }

@@ -26,6 +26,9 @@ const FIRST_LINE: Duration = Duration::from_secs(5);
 /// A child that prints nothing for this long and for 20 intervals is restarted.
 const SILENCE: Duration = Duration::from_secs(5);
 
+/// A line that is later than this is an error, which the sampler counts.
+const LATE: Duration = Duration::from_secs(1);
+
 /// A running `tegrastats`.
 #[derive(Debug)]
 pub(crate) struct Tegrastats {
@@ -36,8 +39,8 @@ pub(crate) struct Tegrastats {
     newest: Instant,
 }
 
-/// Why the program was not started. The search for a name without a folder fails like a program that may not be run if one folder of
-/// `PATH` may not be read.
+/// Why the program was not started. The search for a name without a folder fails like a program that may not be run if
+/// one folder of `PATH` may not be read.
 fn not_started(program: &Path, error: &io::Error) -> MeterError {
     let is_searched = program.components().count() == 1;
     if is_searched && error.kind() == io::ErrorKind::PermissionDenied {
@@ -103,7 +106,7 @@ impl Meter for Tegrastats {
             }
         }
         let silent = now.saturating_duration_since(self.newest);
-        if readings.is_empty() && silent > Duration::from_secs(1) {
+        if readings.is_empty() && silent > LATE {
             let why = self.child.trouble.as_deref().unwrap_or("it stalls or has ended");
             let seconds = silent.as_secs_f64();
             return Err(self.unreadable(&format!("no line for {seconds:.1} s: {why}")));
@@ -113,15 +116,18 @@ impl Meter for Tegrastats {
 
     /// CPU time of the program since its last start.
     fn other_cpu(&self) -> Duration {
-        let stat = self
-            .child
-            .process()
-            .and_then(|id| Process::new(i32::try_from(id).ok()?).ok()?.stat().ok());
-        stat.map_or(Duration::ZERO, |stat| {
-            let ticks = (stat.utime + stat.stime) as f64;
-            Duration::from_secs_f64(ticks / procfs::ticks_per_second() as f64)
-        })
+        self.child.process().and_then(cpu_of).unwrap_or_default()
     }
+}
+
+/// CPU time of a process, if the system reports it.
+fn cpu_of(process: u32) -> Option<Duration> {
+    let process = Process::new(i32::try_from(process).ok()?).ok()?;
+    let stat = process.stat().ok()?;
+    let ticks = (stat.utime + stat.stime) as f64;
+    Some(Duration::from_secs_f64(
+        ticks / procfs::ticks_per_second() as f64,
+    ))
 }
 
 #[cfg(test)]

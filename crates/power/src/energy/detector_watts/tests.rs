@@ -13,12 +13,14 @@ struct Machine {
 
 impl Machine {
     fn learn(&self, seconds: u64, runs: impl Fn(u64) -> bool) -> Option<f64> {
-        let (start, interval) = (Instant::now(), ms(self.interval));
+        let start = Instant::now();
+        let interval = ms(self.interval);
         let mut history = History::new(interval);
         let mut learnt = DetectorWatts::new(interval);
         let mut joules = 0.0;
         for now in 0..1000 * seconds {
-            let (slot, phase) = (now / self.every, now % self.every);
+            let slot = now / self.every;
+            let phase = now % self.every;
             let is_running = phase < self.call && runs(slot);
             joules += 1e-3 * (self.idle)(now as f64 / 1e3);
             joules += if is_running { 1e-3 * self.busy } else { 0.0 };

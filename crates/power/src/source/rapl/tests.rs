@@ -93,10 +93,10 @@ fn a_psys_counter_below_its_packages_is_not_trusted() {
         read(&mut zones, start + Duration::from_secs(second)).unwrap();
         assert_eq!(includes_its_parts(&zones), believed);
     }
-    for (platform, total) in [(false, 10.0), (true, 12.0)] {
+    for (whole, total) in [(Whole::Packages, 10.0), (Whole::Platform, 12.0)] {
         let mut meter = Rapl {
             zones,
-            platform,
+            whole,
             cards: 0,
         };
         let found = meter.poll(start + Duration::from_secs(3)).unwrap()[0].value(Domain::Total);

@@ -8,17 +8,21 @@ use crate::rails::RailWatts;
 /// The rails of a line, in the printed order; `None` if the line has no `RAM`, which every `tegrastats` line has.
 pub fn tegrastats_rails(line: &str) -> Option<Vec<RailWatts>> {
     let words: Vec<&str> = line.split_ascii_whitespace().collect();
-    let names = words.iter().zip(words.iter().skip(1));
-    let rails = names.filter(|(name, _)| is_name(name) && **name != "NC");
-    words.contains(&"RAM").then(|| {
-        rails
-            .filter_map(|(name, value)| {
-                let watts = watts(value)?;
-                let name = (*name).into();
-                Some(RailWatts { name, watts })
-            })
-            .collect()
-    })
+    if !words.contains(&"RAM") {
+        return None;
+    }
+    let mut rails = Vec::new();
+    for pair in words.windows(2) {
+        let [name, value] = [pair[0], pair[1]];
+        if is_name(name)
+            && name != "NC"
+            && let Some(watts) = watts(value)
+        {
+            let name = name.into();
+            rails.push(RailWatts { name, watts });
+        }
+    }
+    Some(rails)
 }
 
 fn is_name(word: &str) -> bool {
@@ -31,12 +35,12 @@ fn watts(word: &str) -> Option<f64> {
     let milliwatts = |text: &str| text.strip_suffix("mW").unwrap_or(text).parse::<i64>().ok();
     let values: Option<Vec<i64>> = word.split('/').map(milliwatts).collect();
     // A single number without a unit is a clock (`APE 150`), and `RAM 1282/62795MB` is not a power.
-    match values?[..] {
-        [current] if word.ends_with("mW") => Some(current),
-        [current, _] | [current, _, _] => Some(current),
-        _ => None,
-    }
-    .map(|milliwatts| milliwatts as f64 / 1e3)
+    let present = match values?[..] {
+        [present] if word.ends_with("mW") => present,
+        [present, _] | [present, _, _] => present,
+        _ => return None,
+    };
+    Some(present as f64 / 1e3)
 }
 
 #[cfg(test)]
