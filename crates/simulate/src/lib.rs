@@ -30,6 +30,9 @@ const OPEN_AT_ONCE: usize = 64;
 /// The time between two progress lines.
 const PROGRESS_EVERY: Duration = Duration::from_secs(10);
 
+/// The tasks of all nodes.
+type Playing = JoinSet<Result<(), SimulateError>>;
+
 /// Simulates the fleet until its time is over or `shutdown`. `progress` receives a line at intervals.
 ///
 /// # Errors
@@ -43,17 +46,7 @@ pub async fn run(
     let options = Arc::new(options);
     let totals = Arc::new(Totals::default());
     let opening = Instant::now();
-    let opened = stream::iter(0..options.sessions)
-        .map(|index| play::open(&options, index))
-        .buffer_unordered(OPEN_AT_ONCE)
-        .try_collect::<Vec<Session>>();
-    let sessions = tokio::select! {
-        sessions = opened => sessions?,
-        () = shutdown.cancelled() => {
-            let reason = "stopped before all sessions were open".to_owned();
-            return Err(SimulateError(reason));
-        }
-    };
+    let sessions = open_sessions(&options, &shutdown).await?;
     let opened_s = opening.elapsed().as_secs_f64();
     progress(format!(
         "{} sessions open after {opened_s:.1} s",
@@ -62,15 +55,7 @@ pub async fn run(
 
     let end = CancellationToken::new();
     let began = Instant::now();
-    let started_ns = options::now_ns();
-    let mut playing = JoinSet::new();
-    for (index, session) in (0..options.nodes).zip(sessions.iter().cycle()) {
-        let node = SimNode::new(index, &options, started_ns);
-        let options = Arc::clone(&options);
-        let totals = Arc::clone(&totals);
-        let player = Player::new(session.clone(), node, options, totals)?;
-        playing.spawn(player.play(began, end.clone()));
-    }
+    let mut playing = start_players(&options, &totals, &sessions, began, &end)?;
 
     let mut every = tokio::time::interval(PROGRESS_EVERY);
     let until = began + options.duration;
@@ -84,14 +69,8 @@ pub async fn run(
     let played_s = began.elapsed().as_secs_f64();
     end.cancel();
     let draining = Instant::now();
-    let rest = async {
-        while let Some(ended) = playing.join_next().await {
-            ended.map_err(SimulateError::at("a simulated session failed"))??;
-        }
-        Ok::<_, SimulateError>(())
-    };
     // What is not acknowledged by then is given up.
-    if let Ok(ended) = tokio::time::timeout(options.drain, rest).await {
+    if let Ok(ended) = tokio::time::timeout(options.drain, all_ended(&mut playing)).await {
         ended?;
     }
     playing.shutdown().await;
@@ -112,6 +91,55 @@ pub async fn run(
     })
 }
 
+async fn open_sessions(
+    options: &Options,
+    shutdown: &CancellationToken,
+) -> Result<Vec<Session>, SimulateError> {
+    let opened = stream::iter(0..options.sessions)
+        .map(|index| play::open(options, index))
+        .buffer_unordered(OPEN_AT_ONCE)
+        .try_collect();
+    tokio::select! {
+        sessions = opened => sessions,
+        () = shutdown.cancelled() => {
+            let reason = "stopped before all sessions were open".to_owned();
+            Err(SimulateError(reason))
+        }
+    }
+}
+
+/// Starts all nodes, which take turns in the choice of a session.
+fn start_players(
+    options: &Arc<Options>,
+    totals: &Arc<Totals>,
+    sessions: &[Session],
+    began: Instant,
+    end: &CancellationToken,
+) -> Result<Playing, SimulateError> {
+    let started_ns = options::now_ns();
+    let mut playing = Playing::new();
+    for (index, session) in (0..options.nodes).zip(sessions.iter().cycle()) {
+        let node = SimNode::new(index, options, started_ns);
+        let player = Player::new(
+            session.clone(),
+            node,
+            Arc::clone(options),
+            Arc::clone(totals),
+        )?;
+        playing.spawn(player.play(began, end.clone()));
+    }
+    Ok(playing)
+}
+
+/// Waits until every node has sent its rest.
+async fn all_ended(playing: &mut Playing) -> Result<(), SimulateError> {
+    while let Some(ended) = playing.join_next().await {
+        ended.map_err(SimulateError::at("a simulated session failed"))??;
+    }
+    Ok(())
+}
+
+/// A progress line.
 fn line(began: Instant, totals: &Totals) -> String {
     let counts = *totals.counts.lock();
     let answers = totals.answers.summary();

@@ -30,10 +30,31 @@ const FIRST_SKIP: f64 = 0.55;
 const SKIP_PER_DECADE: f64 = 0.2;
 /// The power that a detector on every frame adds, watts.
 const DETECTOR_WATTS: f64 = 9.0;
+/// The power of the rest of the node, watts.
+const OTHER_WATTS: f64 = 6.0;
+/// Seconds between two heartbeats while the hub has not said another number.
+const HEARTBEAT_S: f64 = 30.0;
+
+/// What is drawn from a node's seed: each has a number of its own, so that one draw says nothing of another.
+const DRAW_RUN: u64 = 2;
+const DRAW_OWN_SKIP: u64 = 5;
+const DRAW_START: u64 = 6;
+/// These two are followed by one number per report.
+const DRAW_REPORT: u64 = 1_000;
+const DRAW_ID: u64 = 2_000_000;
+/// As many as a node's way has parameters.
+pub(crate) const DRAW_WAY: u64 = 3_000_000;
 
 /// The share of frames that a node skips at this `u`, before what is its own and its clip's.
 fn skip_rate(u: f64) -> f64 {
     FIRST_SKIP + SKIP_PER_DECADE * (u / FIRST_U).log10()
+}
+
+/// A value of `u`, and the number of the first report that used it.
+#[derive(Clone, Copy, Debug)]
+struct InForce {
+    from: u64,
+    u: f64,
 }
 
 /// One simulated node. Its reports are computed from their numbers, so a backlog of hours uses no memory.
@@ -49,8 +70,8 @@ pub(crate) struct SimNode {
     pub(crate) acknowledged: u64,
     /// The revision in force.
     pub(crate) revision: u64,
-    /// The values with the first report that used each, in order.
-    values: Vec<(u64, f64)>,
+    /// All values so far, in order.
+    values: Vec<InForce>,
     source: SettingSource,
     refused: Option<RefusedRevision>,
     /// The target it holds, with its status.
@@ -62,13 +83,13 @@ pub(crate) struct SimNode {
 }
 
 impl SimNode {
-    /// Creates node number `index` of a run that began at `began_ns`. Without a backlog it starts at a random point between
-    /// two batches, like in a fleet that has run for long: otherwise nothing would be reported until the first batch is
-    /// gathered.
+    /// Creates node number `index` of a run that began at `began_ns`. Without a backlog it starts at a random point
+    /// between two batches, like in a fleet that has run for long: otherwise nothing would be reported until the first
+    /// batch is gathered.
     pub(crate) fn new(index: usize, options: &Arc<Options>, began_ns: u64) -> Self {
         let seed = mix(options.seed, index as u64);
         let made = match options.backlog {
-            0 => mix(seed, 6) % options.gather.max(1),
+            0 => mix(seed, DRAW_START) % options.gather.max(1),
             backlog => backlog,
         };
         Self {
@@ -79,13 +100,16 @@ impl SimNode {
             made,
             acknowledged: 0,
             revision: 0,
-            values: vec![(0, FIRST_U)],
+            values: vec![InForce {
+                from: 0,
+                u: FIRST_U,
+            }],
             source: SettingSource::Configuration,
             refused: None,
             target: None,
             seq: 0,
             full_due: true,
-            heartbeat_s: options.status_s.unwrap_or(30.0),
+            heartbeat_s: options.status_s.unwrap_or(HEARTBEAT_S),
             seed,
         }
     }
@@ -98,14 +122,16 @@ impl SimNode {
     /// The oldest waiting reports at the time `now_ns`, at most `most`.
     pub(crate) fn batch(&self, most: u64, now_ns: u64) -> Option<ReportBatch> {
         let count = self.waiting().min(most);
-        (count > 0).then(|| ReportBatch {
+        if count == 0 {
+            return None;
+        }
+        let numbers = self.acknowledged..self.acknowledged + count;
+        Some(ReportBatch {
             v: VERSION,
             node: self.name.clone(),
             t_ms: now_ns / 1_000_000,
             ages: Vec::new(),
-            reports: (self.acknowledged..self.acknowledged + count)
-                .map(|n| self.report(n))
-                .collect(),
+            reports: numbers.map(|number| self.report(number)).collect(),
         })
     }
 
@@ -117,48 +143,66 @@ impl SimNode {
     /// Applies a desired setting. Returns true if the status must be sent immediately.
     pub(crate) fn take(&mut self, desired: &Desired) -> bool {
         self.full_due |= desired.send_full_status;
-        let wanted_s = desired.heartbeat_s.unwrap_or(30).into();
+        let wanted_s = desired.heartbeat_s.map_or(HEARTBEAT_S, f64::from);
         self.heartbeat_s = self.options.status_s.unwrap_or(wanted_s);
         let refused_revision = self.refused.as_ref().map_or(0, |refused| refused.revision);
         if desired.revision <= self.revision.max(refused_revision) {
             return desired.send_full_status;
         }
-        let refusal = match desired.setting {
-            None => return desired.send_full_status,
-            Some(DesiredSetting::Target(target)) => {
-                self.target = target.map(|target| self.hold(target));
-                None
-            }
-            Some(DesiredSetting::Threshold(wanted)) => match wanted.name.as_str() {
-                "u" if RANGE.contains(&wanted.value) => {
-                    self.source = SettingSource::Hub;
-                    self.target = None;
-                    self.values.push((self.made, wanted.value));
-                    None
-                }
-                "u" => Some("`u` must be a number from 1e-9 to 1"),
-                _ => Some("the threshold of the policy in use is `u`"),
-            },
+        let Some(setting) = desired.setting else {
+            return desired.send_full_status;
         };
         self.full_due = true;
-        self.refused = refusal.map(|reason| RefusedRevision {
-            revision: desired.revision,
-            reason: reason.to_owned(),
-        });
-        if refusal.is_none() {
-            self.revision = desired.revision;
+        match self.apply(setting) {
+            Ok(()) => {
+                self.refused = None;
+                self.revision = desired.revision;
+            }
+            Err(reason) => {
+                self.refused = Some(RefusedRevision {
+                    revision: desired.revision,
+                    reason: reason.to_owned(),
+                });
+            }
         }
         true
     }
 
-    /// Holds a target. The simulated street has a skip rate for each `u`, so the target is reached
-    /// immediately, as if a controller had settled; there are no figures for power and recall.
+    /// Puts a setting in force, or says why not.
+    fn apply(&mut self, setting: DesiredSetting) -> Result<(), &'static str> {
+        match setting {
+            DesiredSetting::Target(target) => {
+                self.target = target.map(|target| self.hold(target));
+            }
+            DesiredSetting::Threshold(wanted) => {
+                if wanted.name.as_str() != "u" {
+                    return Err("the threshold of the policy in use is `u`");
+                }
+                if !RANGE.contains(&wanted.value) {
+                    return Err("`u` must be a number from 1e-9 to 1");
+                }
+                self.source = SettingSource::Hub;
+                self.target = None;
+                self.set_u(wanted.value);
+            }
+        }
+        Ok(())
+    }
+
+    /// Sets the value for the reports that follow.
+    fn set_u(&mut self, u: f64) {
+        let from = self.made;
+        self.values.push(InForce { from, u });
+    }
+
+    /// Holds a target. The simulated street has a skip rate for each `u`, so the target is reached immediately, as if a
+    /// controller had settled; there are no figures for power and recall.
     fn hold(&mut self, target: Target) -> NodeTarget {
         let (status, actual) = match target {
             Target::SkipRate(rate) => {
                 let u = FIRST_U * 10_f64.powf((rate - FIRST_SKIP) / SKIP_PER_DECADE);
                 let held = u.clamp(*HELD_WITHIN.start(), *HELD_WITHIN.end());
-                self.values.push((self.made, held));
+                self.set_u(held);
                 let status = if u > held {
                     TargetStatus::CannotBeMet
                 } else if u < held {
@@ -181,7 +225,14 @@ impl SimNode {
 
     /// The value in force.
     pub(crate) fn u(&self) -> f64 {
-        self.values.last().map_or(FIRST_U, |(_, u)| *u)
+        self.values.last().map_or(FIRST_U, |last| last.u)
+    }
+
+    /// The value that report number `number` used.
+    fn u_of(&self, number: u64) -> f64 {
+        let mut newest_first = self.values.iter().rev();
+        let used = newest_first.find(|value| value.from <= number);
+        used.map_or(FIRST_U, |value| value.u)
     }
 
     /// The payload of the next status; a heartbeat if nothing changed.
@@ -200,12 +251,13 @@ impl SimNode {
 
     /// The next status; a full one at first, after a change, and on request.
     pub(crate) fn status(&mut self, now_ns: u64) -> StatusMessage {
-        let full = std::mem::take(&mut self.full_due).then(|| Box::new(self.full()));
+        let full_is_due = std::mem::take(&mut self.full_due);
+        let full = full_is_due.then(|| Box::new(self.full()));
         let seq = self.seq;
         self.seq += 1;
         StatusMessage {
             v: VERSION,
-            run: mix(self.seed, 2) as u32,
+            run: mix(self.seed, DRAW_RUN) as u32,
             started_ns: self.started_ns,
             seq,
             t_ns: now_ns,
@@ -259,26 +311,31 @@ impl SimNode {
         }
     }
 
-    /// Report number `number`, from 0, drawn from the node's seed.
-    fn report(&self, number: u64) -> ClipReport {
-        let u = self
-            .values
-            .iter()
-            .rev()
-            .find(|(from, _)| *from <= number)
-            .map_or(FIRST_U, |(_, u)| *u);
-        let mut random = Pcg64Mcg::seed_from_u64(mix(self.seed, 1_000 + number));
-        let mut noise = || normal(&mut random);
-        let frames = (self.options.clip_s * FRAMES_PER_S).round().max(1.0);
-        // A factor of ten in `u` changes a fifth of the frames; nodes and clips differ.
-        let own = 0.08 * normal(&mut Pcg64Mcg::seed_from_u64(mix(self.seed, 5)));
-        let skip = (skip_rate(u) + own + 0.03 * noise()).clamp(0.0, 0.99);
+    /// What report number `number` says of a clip at this `u`.
+    fn draw(&self, number: u64, u: f64) -> Drawn {
+        let mut of_clip = Pcg64Mcg::seed_from_u64(mix(self.seed, DRAW_REPORT + number));
+        let mut noise = || normal(&mut of_clip);
+        let mut of_node = Pcg64Mcg::seed_from_u64(mix(self.seed, DRAW_OWN_SKIP));
+        // Nodes differ more than the clips of one node.
+        let own = 0.08 * normal(&mut of_node);
+        let skip_rate = (skip_rate(u) + own + 0.03 * noise()).clamp(0.0, 0.99);
         let is_worse = self.options.worse_above.is_some_and(|limit| u > limit);
         let worse = if is_worse { self.options.worse_by } else { 1.0 };
-        let watts = 6.0 + DETECTOR_WATTS * (1.0 - skip) + 0.2 * noise();
-        let joules = (watts * worse * self.options.clip_s).max(0.1);
-        let p99 = (28.0 * worse + noise()).max(1.0);
-        let skipped = (skip * frames).round() as u64;
+        let watts = OTHER_WATTS + DETECTOR_WATTS * (1.0 - skip_rate) + 0.2 * noise();
+        Drawn {
+            skip_rate,
+            joules: (watts * worse * self.options.clip_s).max(0.1),
+            saved_watts: DETECTOR_WATTS * skip_rate * worse,
+            p99_ms: (28.0 * worse + noise()).max(1.0),
+        }
+    }
+
+    /// Report number `number`, from 0, drawn from the node's seed.
+    fn report(&self, number: u64) -> ClipReport {
+        let u = self.u_of(number);
+        let frames = (self.options.clip_s * FRAMES_PER_S).round().max(1.0);
+        let drawn = self.draw(number, u);
+        let skipped = (drawn.skip_rate * frames).round() as u64;
         let detected = frames as u64 - skipped;
         let states = FrameStates {
             e: skipped / 5,
@@ -287,12 +344,12 @@ impl SimNode {
             i: detected - detected / 20,
             ai: 0,
         };
-        let latency = |middle: f64, count: u64| Percentiles {
+        let latency = |median_ms: f64, count: u64| Percentiles {
             count,
-            mean: middle * 1.05,
-            p50: middle,
-            p95: middle * 1.6,
-            p99,
+            mean: median_ms * 1.05,
+            p50: median_ms,
+            p95: median_ms * 1.6,
+            p99: drawn.p99_ms,
         };
         let started = self.started_ns + (number as f64 * self.options.clip_s * 1e9) as u64;
         ClipReport {
@@ -320,17 +377,17 @@ impl SimNode {
             }],
             model: "simulated".to_owned(),
             provider: "simulated".to_owned(),
-            total_latency_ms: latency(4.0, frames as u64),
-            detector_latency_ms: latency(18.0, detected),
-            detector_used_ms: 18.0 * detected as f64,
-            energy: self.energy(joules, DETECTOR_WATTS * skip * worse, frames),
+            total_latency_ms: latency(TOTAL_MS, frames as u64),
+            detector_latency_ms: latency(DETECTOR_MS, detected),
+            detector_used_ms: DETECTOR_MS * detected as f64,
+            energy: self.energy(drawn.joules, drawn.saved_watts, frames),
             board: None,
             audit: None,
             travel: self.options.positions.then(|| travel(self.seed, number, self.options.clip_s)),
         }
     }
 
-    /// The energy of a clip of `frames` that used `joules` and saved so many watts.
+    /// The energy of a clip of `frames` frames that used `joules` and saved so many watts.
     fn energy(&self, joules: f64, saved_watts: f64, frames: f64) -> ClipEnergy {
         let seconds = self.options.clip_s;
         ClipEnergy {
@@ -354,13 +411,26 @@ impl SimNode {
 
     /// The id of the report of a clip that began at `started_ns`, drawn from the node's seed and the clip's time.
     fn report_id(&self, number: u64, started_ns: u64) -> Uuid {
-        let drawn = mix(self.seed, 2_000_000 + number).to_le_bytes();
+        let drawn = mix(self.seed, DRAW_ID + number).to_le_bytes();
         let mut random = [0; 10];
         random[..8].copy_from_slice(&drawn);
         let made_ms = (started_ns as f64 / 1e6 + self.options.clip_s * 1e3) as u64;
         Builder::from_unix_timestamp_millis(made_ms, &random).into_uuid()
     }
 }
+
+/// What is random in a clip.
+struct Drawn {
+    skip_rate: f64,
+    joules: f64,
+    /// The power that the detector would have added on the skipped frames.
+    saved_watts: f64,
+    p99_ms: f64,
+}
+
+/// Median latencies of a frame and of the detector, milliseconds.
+const TOTAL_MS: f64 = 4.0;
+const DETECTOR_MS: f64 = 18.0;
 
 /// Mixes two numbers to one (splitmix64's finalizer).
 pub(crate) const fn mix(a: u64, b: u64) -> u64 {
@@ -370,7 +440,7 @@ pub(crate) const fn mix(a: u64, b: u64) -> u64 {
     z ^ (z >> 31)
 }
 
-/// Maps a hash to a number from 0 to 1.
+/// Maps a hash to a number from 0 to 1, by as many of its bits as such a number holds.
 pub(crate) fn unit(hash: u64) -> f64 {
     (hash >> 11) as f64 / (1u64 << 53) as f64
 }
@@ -424,10 +494,11 @@ mod tests {
         node.take(&desired(1, 1e-2));
         node.made += 2;
         let batch = node.batch(10, 0).unwrap();
-        let values = batch.reports.iter().map(|r| r.threshold.unwrap().value);
+        let values = batch.reports.iter().map(|report| report.threshold.unwrap().value);
         let expected = [FIRST_U, FIRST_U, FIRST_U, 1e-2, 1e-2];
         assert_eq!(values.collect::<Vec<_>>(), expected);
-        assert!(batch.reports.iter().all(|r| r.states.frames() == r.frames));
+        let counts_each_frame = |report: &ClipReport| report.states.frames() == report.frames;
+        assert!(batch.reports.iter().all(counts_each_frame));
     }
 
     #[test]

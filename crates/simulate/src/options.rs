@@ -9,6 +9,8 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 const MOST_NODES: usize = 1_000_000;
 /// The maximum number of sessions in a run: each is a connection, with much state at both ends.
 const MOST_SESSIONS: usize = 20_000;
+/// A day, in seconds.
+const DAY_S: f64 = 86_400.0;
 
 /// Headings of the help text.
 const REPORTS: &str = "Reports";
@@ -71,12 +73,10 @@ pub struct Options {
 }
 
 fn seconds(text: &str) -> Result<Duration, &'static str> {
-    let seconds = text
-        .parse::<f64>()
-        .ok()
-        .filter(|seconds| (0.0..=86_400.0).contains(seconds))
-        .ok_or("must be a number of seconds, at most a day")?;
-    Ok(Duration::from_secs_f64(seconds))
+    match text.parse() {
+        Ok(seconds) if (0.0..=DAY_S).contains(&seconds) => Ok(Duration::from_secs_f64(seconds)),
+        _ => Err("must be a number of seconds, at most a day"),
+    }
 }
 
 /// Nanoseconds since the Unix epoch.
@@ -103,21 +103,22 @@ impl Options {
     /// The invalid option, and the allowed values.
     pub(crate) fn check(&self) -> Result<(), String> {
         let within = |what: &str, value: f64, least: f64, most: f64| {
-            let is_within = (least..=most).contains(&value);
-            (is_within.then_some(()))
-                .ok_or_else(|| format!("{what} must be from {least} to {most}, not {value}"))
+            if (least..=most).contains(&value) {
+                Ok(())
+            } else {
+                Err(format!(
+                    "{what} must be from {least} to {most}, not {value}"
+                ))
+            }
         };
         let nodes = self.nodes as f64;
         let sessions = self.sessions as f64;
         within("nodes", nodes, 1.0, MOST_NODES as f64)?;
         within("sessions", sessions, 1.0, nodes.min(MOST_SESSIONS as f64))?;
-        within(
-            "status-seconds",
-            self.status_s.unwrap_or(30.0),
-            0.1,
-            86_400.0,
-        )?;
-        within("clip-seconds", self.clip_s, 0.1, 86_400.0)?;
+        if let Some(status_s) = self.status_s {
+            within("status-seconds", status_s, 0.1, DAY_S)?;
+        }
+        within("clip-seconds", self.clip_s, 0.1, DAY_S)?;
         // More would not fit into the largest batch that a hub accepts.
         within("gather", self.gather as f64, 1.0, 500.0)?;
         if !is_on_this_machine(&self.connect) {
@@ -132,10 +133,15 @@ impl Options {
 
 /// Returns true if an endpoint such as `tcp/127.0.0.1:7448` is on this machine.
 fn is_on_this_machine(endpoint: &str) -> bool {
-    let address = endpoint.split_once('/').map(|(_, address)| address);
-    let host = address.and_then(|address| address.split(['?', '#']).next());
-    let addresses = host.and_then(|host| host.to_socket_addrs().ok());
-    addresses.is_some_and(|mut all| all.all(|address| address.ip().is_loopback()))
+    let Some((_protocol, address)) = endpoint.split_once('/') else {
+        return false;
+    };
+    // What follows are parameters of the connection.
+    let host = address.split(['?', '#']).next().unwrap_or_default();
+    match host.to_socket_addrs() {
+        Ok(mut addresses) => addresses.all(|address| address.ip().is_loopback()),
+        Err(_) => false,
+    }
 }
 
 #[cfg(test)]

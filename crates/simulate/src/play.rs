@@ -41,9 +41,20 @@ type Answer<T> = Result<T, Option<ReportRefusal>>;
 /// A request to the hub with its answer.
 enum Asked {
     Desired(Answer<Desired>),
-    /// A batch with its number of reports and the time until the answer.
-    Batch(u64, Duration, Answer<ReportAnswer>),
+    Batch(SentBatch),
 }
+
+/// A batch of this number of reports, and the time until its answer.
+struct SentBatch {
+    reports: u64,
+    took: Duration,
+    answer: Answer<ReportAnswer>,
+}
+
+/// What is drawn from the hash of a node's name: when its messages are due within their periods.
+const DRAW_FIRST_STATUS: u64 = 1;
+const DRAW_FIRST_CLIP: u64 = 2;
+const DRAW_SECOND_STATUS: u64 = 3;
 
 /// Opens a client session to the endpoint, with the buffers of a node's uplink.
 pub(crate) async fn open(options: &Options, index: usize) -> Result<Session, SimulateError> {
@@ -53,7 +64,9 @@ pub(crate) async fn open(options: &Options, index: usize) -> Result<Session, Sim
     };
     // The first retries are spread over time, because thousands may reconnect to a router at once.
     let first_retry = 500 + mix(options.seed, index as u64) % 2_000;
-    let retry = serde_json::json!({"period_init_ms": first_retry, "period_max_ms": 5_000, "period_increase_factor": 2});
+    let retry = serde_json::json!({
+        "period_init_ms": first_retry, "period_max_ms": 5_000, "period_increase_factor": 2,
+    });
     for (key, value) in [
         ("mode", serde_json::json!("client")),
         ("connect/endpoints", serde_json::json!([options.connect])),
@@ -122,18 +135,22 @@ impl Player {
         end: CancellationToken,
     ) -> Result<(), SimulateError> {
         let notice = Arc::new(Notify::new());
-        let _notices = self.options.notices.then(|| self.hear(&notice)).transpose()?;
+        // Held until the end: dropping it ends the subscription.
+        let _notices = if self.options.notices {
+            Some(self.subscribe_to_notices(&notice)?)
+        } else {
+            None
+        };
         let status = Duration::from_secs_f64(self.node.heartbeat_s);
         let clip = Duration::from_secs_f64(self.options.clip_s);
+        let mut hash = self.options.seed;
+        for byte in self.node.name.bytes() {
+            hash = mix(hash, byte.into());
+        }
         // Spreads the times of all nodes over the period.
-        let name = self
-            .node
-            .name
-            .bytes()
-            .fold(self.options.seed, |seed, byte| mix(seed, byte.into()));
-        let spread = |period: Duration, salt| period.mul_f64(unit(mix(name, salt)));
-        let mut next_status = began + spread(status.min(FIRST_STATUSES), 1);
-        let mut next_clip = began + spread(clip, 2);
+        let spread = |period: Duration, draw| period.mul_f64(unit(mix(hash, draw)));
+        let mut next_status = began + spread(status.min(FIRST_STATUSES), DRAW_FIRST_STATUS);
+        let mut next_clip = began + spread(clip, DRAW_FIRST_CLIP);
         self.pull();
         while !(self.ending && self.node.waiting() == 0) {
             let again = self.again;
@@ -143,7 +160,8 @@ impl Player {
                 () = sleep_until(next_status), if !self.ending => {
                     let status = Duration::from_secs_f64(self.node.heartbeat_s);
                     // All nodes are known soon; from then on, their times are spread over the whole period.
-                    let period = if next_status < began + FIRST_STATUSES { spread(status, 3) } else { status };
+                    let is_first = next_status < began + FIRST_STATUSES;
+                    let period = if is_first { spread(status, DRAW_SECOND_STATUS) } else { status };
                     next_status += period.max(FIRST_STATUSES.min(status));
                     self.status();
                 }
@@ -171,15 +189,15 @@ impl Player {
     }
 
     /// Forwards each notice of the hub to `notice`.
-    fn hear(&self, notice: &Arc<Notify>) -> Result<Subscriber<()>, SimulateError> {
+    fn subscribe_to_notices(&self, notice: &Arc<Notify>) -> Result<Subscriber<()>, SimulateError> {
         let notice = Arc::clone(notice);
-        let notices =
-            self.session.declare_subscriber(self.keys.changed()).callback(move |sample| {
+        self.session
+            .declare_subscriber(self.keys.changed())
+            .callback(move |sample| {
                 if read::<RevisionMessage>(&sample.payload().to_bytes()).is_ok() {
                     notice.notify_one();
                 }
-            });
-        notices
+            })
             .wait()
             .map_err(SimulateError::at(format!("notice of {}", self.node.name)))
     }
@@ -187,11 +205,12 @@ impl Player {
     fn answered(&mut self, asked: Asked, began: Instant) {
         match asked {
             Asked::Desired(Ok(desired)) => self.take(&desired),
+            // The next notice or report brings it.
             Asked::Desired(Err(_)) => {}
-            Asked::Batch(reports, took, answer) => {
+            Asked::Batch(sent) => {
                 self.sending = false;
-                match answer {
-                    Ok(answer) => self.acknowledged(reports, took, &answer, began),
+                match sent.answer {
+                    Ok(answer) => self.acknowledged(sent.reports, sent.took, &answer, began),
                     Err(refusal) => self.send_later(refusal),
                 }
             }
@@ -205,13 +224,15 @@ impl Player {
         answer: &ReportAnswer,
         began: Instant,
     ) {
-        if !self.ending && began.elapsed() >= SETTLED.min(self.options.duration / 3) {
+        let is_settled = began.elapsed() >= SETTLED.min(self.options.duration / 3);
+        if is_settled && !self.ending {
             self.totals.answers.add(took);
         }
         self.pause = FIRST_PAUSE;
         self.node.answered(reports);
         self.count(|counts| counts.acknowledged += reports);
-        self.send(if self.ending { 1 } else { self.options.gather });
+        let least = if self.ending { 1 } else { self.options.gather };
+        self.send(least);
         if let Some(desired) = &answer.desired {
             self.take(desired);
         }
@@ -219,15 +240,15 @@ impl Player {
 
     /// Schedules an unacknowledged batch for resending after a growing pause.
     fn send_later(&mut self, refusal: Option<ReportRefusal>) {
-        self.count(
-            |counts| match refusal.as_ref().map(|refusal| refusal.reason) {
-                Some(RefusalReason::Busy) => counts.busy += 1,
-                Some(_) => counts.refused += 1,
-                None => counts.no_reply += 1,
-            },
-        );
-        let wanted = refusal.and_then(|refusal| refusal.retry_after_ms);
-        let pause = self.pause.max(Duration::from_millis(wanted.unwrap_or(0)));
+        let reason = refusal.as_ref().map(|refusal| refusal.reason);
+        self.count(|counts| match reason {
+            Some(RefusalReason::Busy) => counts.busy += 1,
+            Some(_) => counts.refused += 1,
+            None => counts.no_reply += 1,
+        });
+        let wanted_ms = refusal.and_then(|refusal| refusal.retry_after_ms);
+        let pause = self.pause.max(Duration::from_millis(wanted_ms.unwrap_or(0)));
+        // So that nodes refused at the same time do not come back at the same time.
         let spread = unit(mix(self.node.made, now_ns()));
         self.pause = (self.pause * 2).min(LONGEST_PAUSE);
         self.again = Some(Instant::now() + pause.mul_f64(0.5 + spread));
@@ -277,7 +298,11 @@ impl Player {
         let sent = Instant::now();
         self.asked.spawn(async move {
             let answer = answer.await;
-            Asked::Batch(reports, sent.elapsed(), answer)
+            Asked::Batch(SentBatch {
+                reports,
+                took: sent.elapsed(),
+                answer,
+            })
         });
     }
 

@@ -30,9 +30,10 @@ impl Delays {
     pub(crate) fn summary(&self) -> DelaySummary {
         let mut delays = self.0.lock().clone();
         delays.sort_unstable();
+        // The nearest rank: the smallest delay that a share `q` of all does not exceed.
         let quantile = |q: f64| {
-            let at = (q * delays.len() as f64).ceil() as usize;
-            let us = delays.get(at.saturating_sub(1)).copied();
+            let rank = (q * delays.len() as f64).ceil() as usize;
+            let us = delays.get(rank.saturating_sub(1)).copied();
             f64::from(us.unwrap_or(0)) / 1e3
         };
         DelaySummary {

@@ -1,6 +1,6 @@
 //! The ways of simulated nodes: each drives its own rounds in a made-up town.
 
-use crate::node::{mix, unit};
+use crate::node::{DRAW_WAY, mix, unit};
 use albireo_wire::{ClipTravel, significant};
 use std::f64::consts::TAU;
 
@@ -13,8 +13,9 @@ const POINTS: u32 = 12;
 
 /// The way of clip `number` of a node, which drives around a circle of its own.
 pub(crate) fn travel(seed: u64, number: u64, clip_s: f64) -> ClipTravel {
-    let drawn = |what: u64| unit(mix(seed, 3_000_000 + what));
-    let middle = [drawn(0), drawn(1)].map(|share| (share - 0.5) * 0.2);
+    let drawn = |what: u64| unit(mix(seed, DRAW_WAY + what));
+    // The middle of its circle is up to a tenth of a degree from the town's.
+    let [east, north] = [drawn(0), drawn(1)].map(|share| (share - 0.5) * 0.2);
     let radius_m = 200.0 + 1_800.0 * drawn(2);
     let speed_m_s = 5.0 + 10.0 * drawn(3);
     let distance_m = speed_m_s * clip_s;
@@ -22,9 +23,10 @@ pub(crate) fn travel(seed: u64, number: u64, clip_s: f64) -> ClipTravel {
     let point = |at: u32| {
         let along = f64::from(at) / f64::from(POINTS - 1) * distance_m / radius_m;
         let angle = (begun + along) % TAU;
-        let latitude = MIDDLE[1] + middle[1] + radius_m * angle.sin() / DEGREE_M;
+        let latitude = MIDDLE[1] + north + radius_m * angle.sin() / DEGREE_M;
+        // A degree of longitude is shorter, the farther from the equator.
         let width = MIDDLE[1].to_radians().cos();
-        let longitude = MIDDLE[0] + middle[0] + radius_m * angle.cos() / DEGREE_M / width;
+        let longitude = MIDDLE[0] + east + radius_m * angle.cos() / DEGREE_M / width;
         [longitude, latitude].map(|degrees| (degrees * 1e5).round() / 1e5)
     };
     let track: Vec<_> = (0..POINTS).map(point).collect();
@@ -45,9 +47,11 @@ mod tests {
     #[test]
     fn a_clip_begins_where_the_one_before_it_ended() {
         for seed in 0..20 {
-            let (first, second) = (travel(seed, 4, 40.0), travel(seed, 5, 40.0));
+            let first = travel(seed, 4, 40.0);
+            let second = travel(seed, 5, 40.0);
             assert_eq!(first.check(), Ok(()));
-            let (end, start) = (first.track[11], second.track[0]);
+            let end = first.track[11];
+            let start = second.track[0];
             assert!((0..2).all(|axis| (end[axis] - start[axis]).abs() < 2e-5));
         }
     }
