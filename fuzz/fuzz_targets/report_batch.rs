@@ -1,3 +1,5 @@
+//! Fuzzes batches of reports.
+
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| albireo_fuzz::fuzz("report_batch", data));

@@ -31,7 +31,6 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
 use std::fmt::Debug;
-use std::io::BufRead;
 use tokio::runtime::{Builder, Runtime};
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
@@ -41,6 +40,7 @@ use zenoh::key_expr::KeyExpr;
 /// A target: the name that it shares with its corpus, and the function that takes the bytes.
 pub type Target = (&'static str, fn(&[u8]) -> bool);
 
+/// All targets, by name.
 pub const TARGETS: [Target; 17] = [
     ("access", access),
     ("attachment", attachment),
@@ -76,6 +76,7 @@ fn limits() -> FrameLimits {
     }
 }
 
+/// True if this sample is a frame whose picture can be decoded.
 fn sample(
     payload: &[u8],
     encoding: &str,
@@ -99,9 +100,14 @@ fn sample(
     }
     let mut into = Picture::black(PictureSize::new(1, 1));
     let target = Some(PictureSize::new(64, 64));
-    [PixelLayout::Rgb8, PixelLayout::Gray8]
-        .map(|layout| decode(&frame.picture, &limits(), layout, target, &mut into).is_ok())
-        .contains(&true)
+    let mut decodes = |layout| decode(&frame.picture, &limits(), layout, target, &mut into).is_ok();
+    any([PixelLayout::Rgb8, PixelLayout::Gray8].map(|layout| decodes(layout)))
+}
+
+/// True if one of several attempts succeeded. Takes them done, unlike `||`, which would spare the second parser what the
+/// first one takes.
+fn any<const N: usize>(attempts: [bool; N]) -> bool {
+    attempts.contains(&true)
 }
 
 /// A frame's payload: the first byte chooses the encoding that the sample names.
@@ -129,12 +135,14 @@ fn attachment(data: &[u8]) -> bool {
     sample(&[7; 12], raw, Some(data), PayloadFormat::Encoding)
 }
 
+/// A picture as ROS 2 sends it.
 fn ros2(data: &[u8]) -> bool {
     sample(data, "", None, PayloadFormat::Ros2)
 }
 
 /// The output of a camera's program: a sequence of multipart parts, PNG files or PPM files.
 fn picture_stream(data: &[u8]) -> bool {
+    /// Reads to the end; true if there was a picture and no error after it.
     fn drain<T, E>(data: &[u8], mut next: impl FnMut(&mut &[u8]) -> Result<Option<T>, E>) -> bool {
         let mut stream = data;
         loop {
@@ -145,15 +153,11 @@ fn picture_stream(data: &[u8]) -> bool {
             }
         }
     }
-    fn as_buffered<'a, 'b>(stream: &'a mut &'b [u8]) -> &'a mut (impl BufRead + use<'b>) {
-        stream
-    }
-    [
-        drain(data, |stream| read_part(as_buffered(stream), 1 << 16)),
-        drain(data, |stream| read_png(as_buffered(stream), 1 << 16)),
-        drain(data, |stream| read_ppm(as_buffered(stream), &limits())),
-    ]
-    .contains(&true)
+    any([
+        drain(data, |stream| read_part(stream, 1 << 16)),
+        drain(data, |stream| read_png(stream, 1 << 16)),
+        drain(data, |stream| read_ppm(stream, &limits())),
+    ])
 }
 
 /// Reads JSON. A valid value must be equal after it is written and read again.
@@ -200,6 +204,7 @@ fn recording(data: &[u8]) -> bool {
     found.is_ok_and(|overview| !overview.channels.is_empty())
 }
 
+/// A batch of reports, and the answer to one.
 fn report_batch(data: &[u8]) -> bool {
     message::<ReportAnswer>(data);
     // Fuzzing rarely gets past the compression, so plain JSON is an input too.
@@ -218,8 +223,9 @@ fn report_batch(data: &[u8]) -> bool {
     true
 }
 
+/// What a node sends of itself: its status, in full or in short, and heartbeats.
 fn status(data: &[u8]) -> bool {
-    let valid = [message::<StatusMessage>(data), json::<NodeStatus>(data)].contains(&true);
+    let valid = any([message::<StatusMessage>(data), json::<NodeStatus>(data)]);
     let Ok(beat) = Heartbeat::read(data) else {
         return valid;
     };
@@ -231,17 +237,16 @@ fn status(data: &[u8]) -> bool {
 
 /// The settings that a hub or a user sends to a node.
 fn desired(data: &[u8]) -> bool {
-    [
+    any([
         message::<Desired>(data),
-        message::<RevisionMessage>(data),
         message::<RevisionMessage>(data),
         json::<ThresholdMessage>(data),
         json::<ThresholdChange>(data),
         json::<TargetMessage>(data),
-    ]
-    .contains(&true)
+    ])
 }
 
+/// A configuration file. Without one there is a finding that says why.
 fn toml<C: Configuration>(data: &[u8]) -> bool {
     let Ok(text) = std::str::from_utf8(data) else {
         return false;
@@ -269,6 +274,7 @@ fn model_metadata(data: &[u8]) -> bool {
     true
 }
 
+/// A line of `tegrastats`.
 fn tegrastats(data: &[u8]) -> bool {
     tegrastats_rails(&String::from_utf8_lossy(data)).is_some()
 }
@@ -277,6 +283,7 @@ fn tegrastats(data: &[u8]) -> bool {
 /// can be read back.
 fn names(data: &[u8]) -> bool {
     let text = String::from_utf8_lossy(data);
+    // Two lines are a prefix and a node, one is a node.
     let (prefix, node) = text.split_once('\n').unwrap_or(("albireo", &text));
     let _ = stream_of_token(&text);
     let _ = NodeKeys::node_of(&text);
@@ -296,6 +303,7 @@ fn names(data: &[u8]) -> bool {
     true
 }
 
+/// A selector of nodes, and the plan of a rollout, whose stages grow to all nodes and no further.
 fn rollout(data: &[u8]) -> bool {
     if let Ok(selector) = Selector::new(&[String::from_utf8_lossy(data)]) {
         selector.selects(
@@ -324,7 +332,7 @@ fn rollout(data: &[u8]) -> bool {
 fn access(data: &[u8]) -> bool {
     let text = String::from_utf8_lossy(data);
     let taken = zenoh::Config::default().insert_json5("access_control", &text);
-    json::<Vec<Entry>>(data) || taken.is_ok()
+    any([taken.is_ok(), json::<Vec<Entry>>(data)])
 }
 
 /// The routes of a node's HTTP API that take a body.

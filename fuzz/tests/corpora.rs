@@ -1,6 +1,6 @@
 //! Runs every target on stable Rust: over its corpus, over mutations of it, and over random bytes.
 
-use albireo_fuzz::TARGETS;
+use albireo_fuzz::{TARGETS, Target};
 use proptest::prelude::*;
 use proptest::test_runner::{Config, TestRunner};
 use std::path::Path;
@@ -8,11 +8,10 @@ use std::path::Path;
 /// The inputs of a target's corpus, including those that fuzzing found.
 fn corpus(target: &str) -> Vec<Vec<u8>> {
     let folder = format!("{}/corpus/{target}", env!("CARGO_MANIFEST_DIR"));
-    let files = std::fs::read_dir(&folder).unwrap_or_else(|error| panic!("{folder}: {error}"));
-    let mut files: Vec<_> = files.map(|entry| entry.unwrap().path()).collect();
+    let entries = std::fs::read_dir(&folder).unwrap_or_else(|error| panic!("{folder}: {error}"));
+    let mut files: Vec<_> = entries.map(|entry| entry.unwrap().path()).collect();
     files.sort();
-    let bytes = files.iter().map(|file| std::fs::read(file).unwrap());
-    bytes.collect()
+    files.iter().map(|file| std::fs::read(file).unwrap()).collect()
 }
 
 /// `input` with some bytes replaced, then possibly truncated or doubled.
@@ -36,26 +35,31 @@ fn mutated(input: Vec<u8>) -> impl Strategy<Value = Vec<u8>> {
 
 #[test]
 fn every_target_returns_on_corpus_mutated_and_random_inputs() {
-    let failed: Vec<_> = TARGETS
-        .into_iter()
-        .filter_map(|(name, target)| {
-            let seeds = corpus(name);
-            let valid = seeds.iter().filter(|seed| target(seed)).count();
-            assert!(valid > 0, "{name}: its corpus has no valid input");
-            let from_seed = prop::sample::select(seeds).prop_flat_map(mutated);
-            let random = prop::collection::vec(any::<u8>(), 0..300);
-            let mut runner = TestRunner::new(Config {
-                failure_persistence: None,
-                ..Config::with_cases(400)
-            });
-            let ran = runner.run(&prop_oneof![from_seed, random], |bytes| {
-                target(&bytes);
-                Ok(())
-            });
-            ran.err().map(|error| format!("{name}: {error}"))
-        })
-        .collect();
+    let mut failed = Vec::new();
+    for target in TARGETS {
+        if let Err(error) = run(target) {
+            failed.push(error);
+        }
+    }
     assert!(failed.is_empty(), "{}", failed.join("\n"));
+}
+
+/// Runs a target; returns its name and the input on which it panics, if there is one.
+fn run((name, target): Target) -> Result<(), String> {
+    let seeds = corpus(name);
+    let valid = seeds.iter().filter(|seed| target(seed)).count();
+    assert!(valid > 0, "{name}: its corpus has no valid input");
+    let from_seed = prop::sample::select(seeds).prop_flat_map(mutated);
+    let random = prop::collection::vec(any::<u8>(), 0..300);
+    let mut runner = TestRunner::new(Config {
+        failure_persistence: None,
+        ..Config::with_cases(400)
+    });
+    let ran = runner.run(&prop_oneof![from_seed, random], |bytes| {
+        target(&bytes);
+        Ok(())
+    });
+    ran.map_err(|error| format!("{name}: {error}"))
 }
 
 #[test]
