@@ -28,8 +28,8 @@ pub(crate) type Found<'py> = (
     PyReadonlyArray1<'py, f64>,
 );
 
-/// Boxes as arrays: `xyxy` of shape (N, 4) in pixels, confidence, class, id (-1 without) and index into [`SOURCES`], each
-/// of length N.
+/// Boxes as arrays: `xyxy` of shape (N, 4) in pixels, confidence, class, id (-1 without) and index into [`SOURCES`],
+/// each of length N.
 pub(crate) type Arrays<'py> = (
     Bound<'py, PyArray2<f64>>,
     Bound<'py, PyArray1<f64>>,
@@ -40,12 +40,14 @@ pub(crate) type Arrays<'py> = (
 
 /// Reads detections on a picture of `size` into `detections`. The arrays must agree in length.
 pub(crate) fn read(
-    (xyxy, confidence, class_id): &Found<'_>,
+    found: &Found<'_>,
     size: PictureSize,
     detections: &mut Vec<Detection>,
 ) -> PyResult<()> {
-    let (xyxy, confidence, class_id) =
-        (xyxy.as_array(), confidence.as_array(), class_id.as_array());
+    let (xyxy, confidence, class_id) = found;
+    let xyxy = xyxy.as_array();
+    let confidence = confidence.as_array();
+    let class_id = class_id.as_array();
     let (boxes, columns) = xyxy.dim();
     if columns != 4 || confidence.len() != boxes || class_id.len() != boxes {
         return Err(PyValueError::new_err(format!(
@@ -82,9 +84,10 @@ pub(crate) fn arrays<'py>(py: Python<'py>, boxes: &[OutputBox], size: PictureSiz
     fn column<'py, T: Element>(
         py: Python<'py>,
         boxes: &[OutputBox],
-        of: impl Fn(&OutputBox) -> T,
+        value_of: impl Fn(&OutputBox) -> T,
     ) -> Bound<'py, PyArray1<T>> {
-        boxes.iter().map(of).collect::<Vec<_>>().into_pyarray(py)
+        let values: Vec<T> = boxes.iter().map(value_of).collect();
+        values.into_pyarray(py)
     }
     let xyxy = ndarray::Array2::from_shape_fn((boxes.len(), 4), |(row, column)| {
         let corners = boxes[row].bounding_box.pixel_corners(size);
@@ -94,8 +97,9 @@ pub(crate) fn arrays<'py>(py: Python<'py>, boxes: &[OutputBox], size: PictureSiz
         xyxy.into_pyarray(py),
         column(py, boxes, |found| found.confidence),
         column(py, boxes, |found| i64::from(found.class.0)),
-        column(py, boxes, |found| {
-            found.object.map_or(-1, |id| id.0.cast_signed())
+        column(py, boxes, |found| match found.object {
+            Some(object) => object.0.cast_signed(),
+            None => -1,
         }),
         column(py, boxes, |found| source_index(found.source)),
     )

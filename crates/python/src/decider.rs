@@ -8,15 +8,20 @@ use albireo_core::audit::{AuditDraw, AuditSums};
 use albireo_core::detection::Detection;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{
-    Evidence, FrameHead, LatePolicy, Need, Outcome, PauseFrames, PolicyConfig, Profile, no_pause,
+    Evidence, FrameHead, LatePolicy, Need, Outcome, PauseFrames, Policy, PolicyConfig, Profile,
+    no_pause,
 };
 use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 
-/// The state of an object: id, class, whether it is confirmed, confidence, box (centre and sides, normalised),
-/// uncertainty, hits, frames since its last detection, frames since the detector last measured or missed it, misses in a row.
+/// The state of an object, as a Python tuple: id, class, whether it is confirmed, confidence, box (centre and sides,
+/// normalised), uncertainty, hits, frames since its last detection, frames since the detector last measured or missed
+/// it, misses in a row.
 type Object = (u64, u16, bool, f64, [f64; 4], f64, u32, u32, u32, u32);
+
+/// A settled frame, as a Python tuple: number, state, whether it was settled, boxes.
+type SettledTuple<'py> = (u64, &'static str, bool, Arrays<'py>);
 
 /// Decides the frames of one stream.
 #[pyclass(module = "albireo._core")]
@@ -36,9 +41,13 @@ pub(crate) struct Decider {
 
 #[pymethods]
 impl Decider {
-    /// Makes a decider for pictures of `size` (width, height); `audit` is the share of frames that are drawn, and a seed;
-    /// `answers` says whether detections come late, and the longest delay of settled frames; `pause` is the number of frames
-    /// of which one is looked at on an empty road, and the frames without a detection after which it is empty.
+    /// Makes a decider. Its tuples are named where they are taken apart:
+    ///
+    /// - `size`: width and height of the pictures, pixels.
+    /// - `audit`: the share of frames that are drawn for an audit, and the seed of the draw.
+    /// - `answers`: whether detections come late, and the longest delay of settled frames, if frames are settled.
+    /// - `pause`: the number of frames of which one is looked at on an empty road, and the frames without a detection
+    ///   after which the road is empty.
     #[new]
     fn new(
         policy: &str,
@@ -49,29 +58,18 @@ impl Decider {
         answers: (bool, Option<u64>),
         pause: (u32, u32),
     ) -> PyResult<Self> {
-        let (late, settle) = answers;
+        let (width, height) = size;
+        let (audited_share, audit_seed) = audit;
+        let (comes_late, longest_delay) = answers;
         let (every, after) = pause;
-        let mut config = PolicyConfig {
-            profile: match profile {
-                "paper" => Profile::Paper,
-                "reference" => Profile::Reference,
-                other => {
-                    return Err(PyValueError::new_err(format!(
-                        "there is no profile '{other}'; the profiles are 'paper' and 'reference'"
-                    )));
-                }
-            },
-            ..PolicyConfig::default()
-        };
-        config.select(policy).map_err(wrong)?;
-        let mut policy = config.build().map_err(wrong)?;
+        let mut policy = build(policy, profile)?;
         if let Some(threshold) = threshold {
             policy.set_threshold(threshold).map_err(wrong)?;
         }
         if every > 1 && !policy.takes_pause() {
             return Err(PyValueError::new_err(no_pause(policy.name())));
         }
-        let mut policy = if late {
+        let mut policy = if comes_late {
             LatePolicy::new(policy).map_err(|error| {
                 PyValueError::new_err(format!(
                     "policy '{}' cannot take late detections: it predicts no boxes",
@@ -88,15 +86,15 @@ impl Decider {
         });
         Ok(Self {
             policy,
-            size: PictureSize::new(size.0, size.1),
+            size: PictureSize::new(width, height),
             order: Order::default(),
             outcome: Outcome::default(),
             detections: Vec::new(),
             grey: Grey::default(),
-            draw: AuditDraw::new(audit.0, audit.1),
+            draw: AuditDraw::new(audited_share, audit_seed),
             audit: AuditSums::default(),
             late: Outcome::default(),
-            settling: settle.map(Settling::new),
+            settling: longest_delay.map(Settling::new),
         })
     }
 
@@ -105,7 +103,8 @@ impl Decider {
         self.grey.take(&picture)
     }
 
-    /// Takes the picture of the next frame, an array of shape (rows, columns, 3 or 4), from red to blue or from blue to red.
+    /// Takes the picture of the next frame, an array of shape (rows, columns, 3 or 4), from red to blue or from blue to
+    /// red.
     fn look_in_color(
         &mut self,
         picture: PyReadonlyArray3<'_, u8>,
@@ -114,14 +113,16 @@ impl Decider {
         self.grey.take_colored(&picture, red_first)
     }
 
-    /// Begins frame `n` and returns whether it wants the detector. `empty` is a screen's verdict on the scene.
-    fn begin(&mut self, py: Python<'_>, n: Option<u64>, empty: Option<bool>) -> PyResult<bool> {
-        let (n, step) = self.order.next(n)?;
+    /// Begins a frame, by default the next one, and returns whether it wants the detector. `empty` is a screen's verdict
+    /// on the scene.
+    fn begin(&mut self, py: Python<'_>, frame: Option<u64>, empty: Option<bool>) -> PyResult<bool> {
+        let (index, step) = self.order.next(frame)?;
         let head = FrameHead {
-            index: n,
+            index,
             step,
             picture: self.size,
         };
+        // Other threads of Python may run while a picture is examined, which takes long.
         let need = if self.grey.is_there() {
             py.detach(|| self.ask(head, empty))
         } else {
@@ -130,19 +131,19 @@ impl Decider {
         self.grey.forget();
         let wanted = need == Need::Detections;
         if wanted && self.policy.waits() {
-            self.order.wait(n);
+            self.order.wait(index);
         } else {
-            self.decided(n, wanted);
+            self.decided(index, wanted);
         }
         Ok(wanted)
     }
 
-    /// Takes the detections of frame `n`, which was answered earlier, or `None` if the detector failed; returns the final
+    /// Takes the detections of a frame that was answered earlier, or `None` if the detector failed; returns the final
     /// boxes.
     fn deliver<'py>(
         &mut self,
         py: Python<'py>,
-        n: u64,
+        frame: u64,
         found: Option<Found<'py>>,
     ) -> PyResult<Arrays<'py>> {
         if let Some(found) = &found {
@@ -159,10 +160,10 @@ impl Decider {
         };
         let pending = self.policy.pending();
         self.policy
-            .deliver(n, evidence, &mut self.late)
-            .map_err(|_| not_waiting(n, pending))?;
+            .deliver(frame, evidence, &mut self.late)
+            .map_err(|_| not_waiting(frame, pending))?;
         if let Some(settling) = &mut self.settling {
-            settling.late(n, &self.late);
+            settling.late(frame, &self.late);
         }
         Ok(arrays(py, &self.late.boxes, self.size))
     }
@@ -180,16 +181,15 @@ impl Decider {
     /// The frame that waits for late detections.
     #[getter]
     fn pending(&self) -> Option<u64> {
-        self.policy.pending().filter(|_| !self.policy.waits())
+        // A policy that waits for its detections has none that come late.
+        if self.policy.waits() {
+            return None;
+        }
+        self.policy.pending()
     }
 
-    /// Returns the frames that were settled since the last call: number, state, whether it was settled, boxes. `end` returns
-    /// all that are left.
-    fn settled<'py>(
-        &mut self,
-        py: Python<'py>,
-        end: bool,
-    ) -> PyResult<Vec<(u64, &'static str, bool, Arrays<'py>)>> {
+    /// Returns the frames that were settled since the last call; with `end`, all that are left.
+    fn settled<'py>(&mut self, py: Python<'py>, end: bool) -> PyResult<Vec<SettledTuple<'py>>> {
         let Some(settling) = &mut self.settling else {
             return Err(PyRuntimeError::new_err(
                 "nothing is settled: make the skipper with settle=True",
@@ -198,10 +198,11 @@ impl Decider {
         if end {
             settling.flush();
         }
-        let frames = settling.take().into_iter();
-        Ok(frames
-            .map(|(n, state, settled, boxes)| (n, state, settled, arrays(py, &boxes, self.size)))
-            .collect())
+        let frames = settling.take().into_iter().map(|frame| {
+            let boxes = arrays(py, &frame.boxes, self.size);
+            (frame.frame, frame.state, frame.settled, boxes)
+        });
+        Ok(frames.collect())
     }
 
     /// Takes the detections of the current frame, and returns the boxes to show.
@@ -212,22 +213,22 @@ impl Decider {
         confidence: PyReadonlyArray1<'py, f64>,
         class_id: PyReadonlyArray1<'py, f64>,
     ) -> PyResult<Arrays<'py>> {
-        let n = self.order.awaited("update(result)")?;
+        let frame = self.order.awaited("update(result)")?;
         let found = (xyxy, confidence, class_id);
         read(&found, self.size, &mut self.detections)?;
         let evidence = Evidence::Detections(&self.detections);
-        self.policy.deliver(n, evidence, &mut self.outcome).map_err(wrong)?;
-        self.decided(n, false);
+        self.policy.deliver(frame, evidence, &mut self.outcome).map_err(wrong)?;
+        self.decided(frame, false);
         Ok(arrays(py, &self.outcome.boxes, self.size))
     }
 
     /// Ends the current frame without the detections that it wants, and returns the boxes to show.
     fn unavailable<'py>(&mut self, py: Python<'py>) -> PyResult<Arrays<'py>> {
-        let n = self.order.awaited("unavailable()")?;
+        let frame = self.order.awaited("unavailable()")?;
         self.policy
-            .deliver(n, Evidence::Unavailable, &mut self.outcome)
+            .deliver(frame, Evidence::Unavailable, &mut self.outcome)
             .map_err(wrong)?;
-        self.decided(n, false);
+        self.decided(frame, false);
         Ok(arrays(py, &self.outcome.boxes, self.size))
     }
 
@@ -237,9 +238,9 @@ impl Decider {
         Ok(arrays(py, &self.outcome.boxes, self.size))
     }
 
-    /// True if frame `n` belongs to the random sample of an audit.
-    fn drawn(&self, n: u64) -> bool {
-        self.draw.draw(n)
+    /// True if a frame belongs to the random sample of an audit.
+    fn drawn(&self, frame: u64) -> bool {
+        self.draw.draw(frame)
     }
 
     /// Compares the boxes of the current frame, which skipped the detector, with the detector's.
@@ -281,13 +282,13 @@ impl Decider {
     fn objects(&self) -> Vec<Object> {
         let mut objects = Vec::new();
         self.policy.policy().objects(&mut |object| {
-            let b = object.bounding_box;
+            let place = object.bounding_box;
             objects.push((
                 object.id.0,
                 object.class.0,
                 object.confirmed,
                 object.confidence,
-                [b.center_x, b.center_y, b.width, b.height],
+                <[f64; 4]>::from(place),
                 object.tau,
                 object.hits,
                 object.since_update,
@@ -374,9 +375,10 @@ impl Decider {
         loop {
             let evidence = match need {
                 Need::Nothing | Need::Detections => return need,
-                Need::Screen => {
-                    empty.map_or(Evidence::Unavailable, |empty| Evidence::Screen { empty })
-                }
+                Need::Screen => match empty {
+                    Some(empty) => Evidence::Screen { empty },
+                    None => Evidence::Unavailable,
+                },
                 Need::GreyPicture => self.grey.evidence(None),
                 Need::SmallGreyPicture { width } => self.grey.evidence(Some(width)),
             };
@@ -388,28 +390,45 @@ impl Decider {
         }
     }
 
-    /// Makes frame `n` decided and passes its answer to the settler. `pending` is true if late detections will change it.
-    fn decided(&mut self, n: u64, pending: bool) {
-        self.order.decide(n);
+    /// Makes a frame decided and passes its answer to the settler. `pending` is true if late detections will change it.
+    fn decided(&mut self, frame: u64, pending: bool) {
+        self.order.decide(frame);
         if let Some(settling) = &mut self.settling {
-            settling.frame(n, &self.outcome, pending);
+            settling.frame(frame, &self.outcome, pending);
         }
     }
+}
+
+/// Builds the policy `NAME[:ARGUMENT]` under a profile.
+fn build(policy: &str, profile: &str) -> PyResult<Box<dyn Policy>> {
+    let profile = match profile {
+        "paper" => Profile::Paper,
+        "reference" => Profile::Reference,
+        other => {
+            return Err(PyValueError::new_err(format!(
+                "there is no profile '{other}'; the profiles are 'paper' and 'reference'"
+            )));
+        }
+    };
+    let mut config = PolicyConfig {
+        profile,
+        ..PolicyConfig::default()
+    };
+    config.select(policy).map_err(wrong)?;
+    config.build().map_err(wrong)
 }
 
 fn wrong(error: impl std::fmt::Display) -> PyErr {
     PyValueError::new_err(error.to_string())
 }
 
-/// The error for detections of frame `n`, which asked for none, while `pending` may.
-fn not_waiting(n: u64, pending: Option<u64>) -> PyErr {
+/// The error for detections of a frame that asked for none, while `pending` may have.
+fn not_waiting(frame: u64, pending: Option<u64>) -> PyErr {
     let reason = match pending {
-        Some(pending) => format!("frame {pending} does"),
-        None => {
-            return PyRuntimeError::new_err(format!(
-                "frame {n} does not wait for detections: submit(n) was not True for it"
-            ));
-        }
+        Some(pending) => format!(", frame {pending} does"),
+        None => ": submit(n) was not True for it".to_owned(),
     };
-    PyRuntimeError::new_err(format!("frame {n} does not wait for detections, {reason}"))
+    PyRuntimeError::new_err(format!(
+        "frame {frame} does not wait for detections{reason}"
+    ))
 }

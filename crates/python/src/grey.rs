@@ -88,38 +88,39 @@ impl Grey {
     }
 }
 
-/// Brightness as JPEG has it (ITU-R BT.601).
+/// Brightness as JPEG has it (ITU-R BT.601: 0.299, 0.587 and 0.114), in 256ths, rounded.
 fn luma(red: u8, green: u8, blue: u8) -> u8 {
     let [red, green, blue] = [red, green, blue].map(u32::from);
     ((77 * red + 150 * green + 29 * blue + 128) >> 8) as u8
 }
 
-/// The size of a picture, whose sides the core limits.
+/// The longest side of a picture that the core takes, pixels.
+const LARGEST_SIDE: usize = 65_535;
+
+/// The size of a picture.
 fn size(rows: usize, columns: usize) -> PyResult<PictureSize> {
-    let side = |pixels: usize| {
-        u32::try_from(pixels)
-            .ok()
-            .filter(|side| (1..=65_535).contains(side))
-            .ok_or_else(|| {
-                PyValueError::new_err(format!(
-                    "a picture of {columns}x{rows} pixels: its sides must be 1 to 65535"
-                ))
-            })
-    };
-    Ok(PictureSize::new(side(columns)?, side(rows)?))
+    let sides = 1..=LARGEST_SIDE;
+    if !(sides.contains(&rows) && sides.contains(&columns)) {
+        return Err(PyValueError::new_err(format!(
+            "a picture of {columns}x{rows} pixels: its sides must be 1 to {LARGEST_SIDE}"
+        )));
+    }
+    Ok(PictureSize::new(columns as u32, rows as u32))
 }
 
 /// Halves a grey picture in each direction, in place, and returns its new size.
 fn halve(pixels: &mut Vec<u8>, size: PictureSize) -> PictureSize {
     let half = PictureSize::new(size.width / 2, size.height / 2);
-    let (row, half_row) = (size.width as usize, half.width as usize);
+    let row = size.width as usize;
+    let half_row = half.width as usize;
+    // A pixel is written where all that comes after it has been read.
     for y in 0..half.height as usize {
         for x in 0..half_row {
-            let at = 2 * y * row + 2 * x;
-            let sum: u16 = [at, at + 1, at + row, at + row + 1]
-                .iter()
-                .map(|&pixel| u16::from(pixels[pixel]))
-                .sum();
+            let first = 2 * y * row + 2 * x;
+            let mut sum = 0_u16;
+            for place in [first, first + 1, first + row, first + row + 1] {
+                sum += u16::from(pixels[place]);
+            }
             pixels[y * half_row + x] = ((sum + 2) / 4) as u8;
         }
     }

@@ -27,18 +27,20 @@ impl Order {
         matches!(self.0, Some((_, Stage::WantsDetector)))
     }
 
-    /// Returns the number of the next frame, which is `n` or the one that follows, and its distance to the current one.
-    pub(crate) fn next(&self, n: Option<u64>) -> PyResult<(u64, u32)> {
+    /// Returns the number of the next frame, which is `given` or the one that follows, and its distance to the current
+    /// one.
+    pub(crate) fn next(&self, given: Option<u64>) -> PyResult<(u64, u32)> {
         let Some((last, _)) = self.0 else {
-            return Ok((n.unwrap_or(0), 1));
+            return Ok((given.unwrap_or(0), 1));
         };
-        let n = n.unwrap_or_else(|| last.saturating_add(1));
-        if n <= last {
+        let next = given.unwrap_or_else(|| last.saturating_add(1));
+        if next <= last {
             return Err(PyValueError::new_err(format!(
-                "frame {n} cannot follow frame {last}: frame numbers must increase (a new stream begins with reset())"
+                "frame {next} cannot follow frame {last}: frame numbers must increase (a new stream begins with reset())"
             )));
         }
-        Ok((n, u32::try_from(n - last).unwrap_or(u32::MAX)))
+        let step = u32::try_from(next - last).unwrap_or(u32::MAX);
+        Ok((next, step))
     }
 
     /// Makes `frame` the current one, which wants the detector.
@@ -54,9 +56,9 @@ impl Order {
     /// Returns the current frame's number, and refuses `call` if that frame does not want the detector.
     pub(crate) fn awaited(&self, call: &str) -> PyResult<u64> {
         match self.0 {
-            Some((n, Stage::WantsDetector)) => Ok(n),
-            Some((n, Stage::Decided)) => Err(PyRuntimeError::new_err(format!(
-                "frame {n} does not want the detector: its boxes are predict(), and {call} belongs to a frame for which \
+            Some((frame, Stage::WantsDetector)) => Ok(frame),
+            Some((frame, Stage::Decided)) => Err(PyRuntimeError::new_err(format!(
+                "frame {frame} does not want the detector: its boxes are predict(), and {call} belongs to a frame for which \
                  wants_detector() returned True"
             ))),
             None => Err(PyRuntimeError::new_err(format!(
@@ -69,8 +71,8 @@ impl Order {
     pub(crate) fn decided(&self) -> PyResult<()> {
         match self.0 {
             Some((_, Stage::Decided)) => Ok(()),
-            Some((n, Stage::WantsDetector)) => Err(PyRuntimeError::new_err(format!(
-                "frame {n} wants the detector: call update(result) with what it found, or unavailable() when it failed"
+            Some((frame, Stage::WantsDetector)) => Err(PyRuntimeError::new_err(format!(
+                "frame {frame} wants the detector: call update(result) with what it found, or unavailable() when it failed"
             ))),
             None => Err(PyRuntimeError::new_err(
                 "call wants_detector(n) first: there is no frame yet",

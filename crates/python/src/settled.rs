@@ -3,8 +3,25 @@
 use albireo_core::policy::{Outcome, OutputBox, SettledFrame, Settler};
 use std::time::Duration;
 
-/// A settled frame: its number, state, whether it was settled, and its boxes.
-pub(crate) type Settled = (u64, &'static str, bool, Vec<OutputBox>);
+/// A settled frame, copied from the settler's buffers.
+pub(crate) struct Settled {
+    pub frame: u64,
+    pub state: &'static str,
+    /// False if it was emitted as answered, because no detector call came in time.
+    pub settled: bool,
+    pub boxes: Vec<OutputBox>,
+}
+
+impl From<SettledFrame<'_>> for Settled {
+    fn from(frame: SettledFrame<'_>) -> Self {
+        Self {
+            frame: frame.index,
+            state: frame.state.as_str(),
+            settled: frame.settled,
+            boxes: frame.boxes.to_vec(),
+        }
+    }
+}
 
 /// A settler, and the frames that it has returned and nobody has taken.
 pub(crate) struct Settling {
@@ -21,36 +38,29 @@ impl Settling {
         }
     }
 
-    /// Receives the answer of frame `n`. `pending` is true if late detections will change it.
-    pub(crate) fn frame(&mut self, n: u64, outcome: &Outcome, pending: bool) {
-        let time = Duration::from_secs(n);
+    /// Receives the answer of a frame. `pending` is true if late detections will change it.
+    pub(crate) fn frame(&mut self, index: u64, outcome: &Outcome, pending: bool) {
+        let time = Duration::from_secs(index);
         let ready = &mut self.ready;
-        self.settler.frame(n, time, outcome, pending, |frame| ready.push(row(&frame)));
+        self.settler.frame(index, time, outcome, pending, |frame| {
+            ready.push(frame.into())
+        });
     }
 
     /// Receives the final answer of a pending frame.
-    pub(crate) fn late(&mut self, n: u64, outcome: &Outcome) {
+    pub(crate) fn late(&mut self, index: u64, outcome: &Outcome) {
         let ready = &mut self.ready;
-        self.settler.late(n, outcome, |frame| ready.push(row(&frame)));
+        self.settler.late(index, outcome, |frame| ready.push(frame.into()));
     }
 
     /// Ends a stream: all frames that are held back are ready.
     pub(crate) fn flush(&mut self) {
         let ready = &mut self.ready;
-        self.settler.flush(|frame| ready.push(row(&frame)));
+        self.settler.flush(|frame| ready.push(frame.into()));
     }
 
     /// Takes the frames that are ready.
     pub(crate) fn take(&mut self) -> Vec<Settled> {
         std::mem::take(&mut self.ready)
     }
-}
-
-fn row(frame: &SettledFrame<'_>) -> Settled {
-    (
-        frame.index,
-        frame.state.as_str(),
-        frame.settled,
-        frame.boxes.to_vec(),
-    )
 }
