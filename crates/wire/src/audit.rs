@@ -65,11 +65,12 @@ pub struct AuditFigures {
 impl AuditFigures {
     /// Returns the figures for `sums` and `calls` detector calls that took `detector_us` microseconds.
     pub fn new(sums: &AuditSums, calls: u64, detector_us: u64) -> Self {
+        let detector_ms = detector_us / 1000;
         Self {
             drawn: sums.drawn(),
             missed: sums.missed,
             calls,
-            detector_s: (detector_us / 1000) as f64 / 1e3,
+            detector_s: detector_ms as f64 / 1e3,
             detected: sums.detected,
             shown: sums.shown,
             recall: sums.recall().map(rounded),
@@ -78,7 +79,7 @@ impl AuditFigures {
     }
 }
 
-/// Rounds to the significant digits.
+/// Rounds shares to four decimals: an audit of some thousand boxes knows no more.
 fn rounded(rate: AuditRate) -> AuditRate {
     let share = |value: f64| (value * 1e4).round() / 1e4;
     AuditRate {

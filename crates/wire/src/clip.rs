@@ -116,7 +116,7 @@ impl ClipEnergy {
 
     /// Returns the clip's joules if they are complete.
     pub fn whole_joules(&self) -> Option<f64> {
-        self.joules.filter(|_| self.is_whole())
+        if self.is_whole() { self.joules } else { None }
     }
 }
 
@@ -146,14 +146,14 @@ pub enum ClipEnd {
 #[skip_serializing_none]
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ClipReport {
-    /// Version.
+    /// Version of the message.
     pub v: u32,
     /// Id, a UUID of version 7 from the node's clock; it never changes.
     #[schema(value_type = String, format = "uuid")]
     pub id: Uuid,
-    /// Node.
+    /// Name of the node.
     pub node: String,
-    /// Camera.
+    /// Name of the camera.
     pub camera: String,
     /// Clip id: the camera's own, or `window-N`.
     pub clip: String,
@@ -171,7 +171,7 @@ pub struct ClipReport {
     pub duration_s: f64,
     /// Frames processed: the sum of the five states.
     pub frames: u64,
-    /// Frame states.
+    /// Frames in each of the five states.
     pub states: FrameStates,
     /// Share of frames that skipped the detector: state E or P and not degraded.
     pub skip_rate: f64,
@@ -179,7 +179,7 @@ pub struct ClipReport {
     pub degraded_frames: u64,
     /// Frames not processed, by kind.
     pub dropped: DroppedFrames,
-    /// Policy.
+    /// Name of the policy.
     pub policy: String,
     /// Threshold at the end of the clip; absent if the policy has none.
     pub threshold: Option<Threshold>,
@@ -201,7 +201,7 @@ pub struct ClipReport {
     /// run is divided evenly among its pictures.
     #[serde(default)]
     pub detector_used_ms: f64,
-    /// Energy.
+    /// Energy that the clip used, as far as a meter or an estimate knows it.
     pub energy: ClipEnergy,
     /// The state of the board during the clip; absent if the board does not report it.
     pub board: Option<BoardState>,
@@ -211,7 +211,7 @@ pub struct ClipReport {
     pub travel: Option<ClipTravel>,
 }
 
-// Serde passes a reference.
+// By reference, as `skip_serializing_if` calls it.
 const fn is_zero(number: &u32) -> bool {
     *number == 0
 }
@@ -275,6 +275,8 @@ impl ClipReport {
 
 /// Rounds a number for messages to `digits` significant digits.
 pub fn significant(value: f64, digits: usize) -> f64 {
-    let rounded = format!("{value:.*e}", digits.saturating_sub(1)).parse();
-    rounded.unwrap_or(value)
+    // By way of decimal text: a product of powers of ten would leave binary digits that JSON writes out in full.
+    let decimals = digits.saturating_sub(1);
+    let text = format!("{value:.decimals$e}");
+    text.parse().unwrap_or(value)
 }

@@ -11,11 +11,11 @@ use utoipa::ToSchema;
 #[skip_serializing_none]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct CountersMessage {
-    /// Version.
+    /// Version of the message.
     pub v: u32,
-    /// Time, nanoseconds since the Unix epoch.
+    /// Time of these counts, nanoseconds since the Unix epoch.
     pub t_ns: u64,
-    /// Camera.
+    /// Name of the camera.
     pub camera: String,
     /// Frames processed since the node started.
     pub frames: u64,
@@ -48,6 +48,6 @@ pub struct CountersMessage {
 pub struct DomainWatts {
     /// `total`, `gpu`, `cpu`, `io_mem`.
     pub domain: String,
-    /// Watts.
+    /// Power of the newest sample, watts.
     pub watts: f64,
 }

@@ -20,7 +20,7 @@ pub enum DesiredSetting {
 /// The revision of a desired setting: in a notice the one that the node may pull, in a pull the one that it has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct RevisionMessage {
-    /// Version.
+    /// Version of the message.
     pub v: u32,
     /// The revision; 0 for none.
     pub revision: u64,
@@ -30,7 +30,7 @@ pub struct RevisionMessage {
 #[skip_serializing_none]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Desired {
-    /// Version.
+    /// Version of the message.
     pub v: u32,
     /// Revision of the desired setting; a lower one never replaces a higher one. 0 if there has never been one.
     pub revision: u64,

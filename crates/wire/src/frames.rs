@@ -11,7 +11,7 @@ use utoipa::ToSchema;
 #[skip_serializing_none]
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct FrameAttachment {
-    /// Version.
+    /// Version of the message.
     pub v: u32,
     /// Sequence number, incremented per frame. Without it, frames are numbered by arrival.
     pub seq: Option<u64>,
@@ -27,7 +27,7 @@ pub struct FrameAttachment {
     /// Height of a raw picture, pixels.
     pub height: Option<u32>,
     /// Where the frame was taken. A position that cannot be read is counted and left out, and the frame is processed.
-    // As it came: a position of another form must not cost the frame.
+    // Any JSON: a position of another form must not cost the frame.
     #[schema(value_type = Option<Position>)]
     pub position: Option<serde_json::Value>,
 }
@@ -38,10 +38,14 @@ impl FrameAttachment {
     /// # Errors
     /// The reason why it is no position.
     pub fn position(&self) -> Option<Result<Position, String>> {
-        let given = self.position.as_ref()?;
-        let read = Position::deserialize(given).map_err(|error| error.to_string());
-        Some(read.and_then(|position| position.check().map(|()| position)))
+        self.position.as_ref().map(read_position)
     }
+}
+
+fn read_position(given: &serde_json::Value) -> Result<Position, String> {
+    let position = Position::deserialize(given).map_err(|error| error.to_string())?;
+    position.check()?;
+    Ok(position)
 }
 
 /// The node's answer to a frame received as a query, sent when the frame's turn comes: the sender of a camera with
@@ -49,7 +53,7 @@ impl FrameAttachment {
 #[skip_serializing_none]
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct FrameAnswer {
-    /// Version.
+    /// Version of the message.
     pub v: u32,
     /// The reason why the frame will not be processed; absent if it will be.
     pub refused: Option<String>,
@@ -62,11 +66,11 @@ pub struct BoxMessage {
     /// Left, top, right, bottom in pixels of the source picture, clipped to it.
     #[serde(rename = "box")]
     pub corners: [f32; 4],
-    /// Class name.
+    /// Name of the class.
     pub class: String,
     /// Confidence, 0 to 1.
     pub confidence: f32,
-    /// Origin of the box.
+    /// How the policy knows of the box.
     pub source: BoxSource,
     /// Object that the box belongs to.
     pub object: Option<ObjectId>,
@@ -96,7 +100,7 @@ pub struct Latency {
 #[skip_serializing_none]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct DetectionsMessage {
-    /// Version.
+    /// Version of the message.
     pub v: u32,
     /// Sequence number of the frame.
     pub seq: u64,
@@ -133,7 +137,7 @@ pub struct DetectionsMessage {
 /// The boxes of one frame for recordings, interpolated between two detector calls if the second came in time.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct SettledMessage {
-    /// Version.
+    /// Version of the message.
     pub v: u32,
     /// Sequence number of the frame.
     pub seq: u64,
@@ -141,7 +145,7 @@ pub struct SettledMessage {
     pub t_ns: u64,
     /// Clip that the frame belongs to.
     pub clip: String,
-    /// Frame state.
+    /// The frame's final state.
     pub state: FrameState,
     /// False if the boxes are those of the original answer because no later detector call came in time.
     pub settled: bool,

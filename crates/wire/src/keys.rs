@@ -13,17 +13,19 @@ pub struct KeyError(String);
 /// [`KeyError`] if it is empty, or has a character that is special to Zenoh (`/ * $ # ? @`) or not allowed in names. A
 /// leading `@` is reserved by Zenoh (verbatim segments), so names may not have it.
 pub fn check_segment(what: &str, name: &str) -> Result<(), KeyError> {
-    let is_allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
-    let reason = if name.is_empty() {
-        "it is empty"
-    } else if !name.chars().all(is_allowed) {
-        "it has a character that is not allowed"
-    } else {
-        return Ok(());
+    let refused = |reason: &str| {
+        Err(KeyError(format!(
+            "{what} `{name}` cannot be used in a Zenoh key: {reason}; use letters, digits, `-`, `_` and `.`"
+        )))
     };
-    Err(KeyError(format!(
-        "{what} `{name}` cannot be used in a Zenoh key: {reason}; use letters, digits, `-`, `_` and `.`"
-    )))
+    let is_allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
+    if name.is_empty() {
+        refused("it is empty")
+    } else if !name.chars().all(is_allowed) {
+        refused("it has a character that is not allowed")
+    } else {
+        Ok(())
+    }
 }
 
 /// The keys of one node. In keys between a node and a hub, the kind precedes the node: with the node first, a router
@@ -51,9 +53,10 @@ impl NodeKeys {
     /// # Errors
     /// [`KeyError`] if the prefix is invalid.
     pub fn all(prefix: &str) -> Result<Self, KeyError> {
-        let mut parts = prefix.split('/');
-        let checked = parts.try_for_each(|part| check_segment("the part", part));
-        checked.map_err(|KeyError(reason)| KeyError(format!("prefix `{prefix}`: {reason}")))?;
+        for part in prefix.split('/') {
+            check_segment("the part", part)
+                .map_err(|KeyError(reason)| KeyError(format!("prefix `{prefix}`: {reason}")))?;
+        }
         Ok(Self {
             prefix: prefix.to_owned(),
             node: "*".to_owned(),
@@ -129,9 +132,9 @@ impl NodeKeys {
     /// Returns the node of a key of this kind: its last part. `None` if that is not a valid node name, such as a
     /// wildcard or a part with invalid characters.
     pub fn node_of(key: &str) -> Option<&str> {
-        key.rsplit_once('/')
-            .map(|(_, node)| node)
-            .filter(|node| check_segment("node", node).is_ok())
+        let (_, node) = key.rsplit_once('/')?;
+        let is_name = check_segment("node", node).is_ok();
+        is_name.then_some(node)
     }
 }
 
@@ -192,7 +195,8 @@ pub fn stream_token(frame_key: &str, stream: impl Display) -> String {
 
 /// Returns the stream of a [`stream_token`].
 pub fn stream_of_token(key: &str) -> Option<u64> {
-    key.rsplit_once('/')?.1.parse().ok()
+    let (_, stream) = key.rsplit_once('/')?;
+    stream.parse().ok()
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use utoipa::ToSchema;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PolicyMessage {
-    /// Version; optional on input.
+    /// Version of the message; optional on input.
     #[serde(default = "current_version")]
     pub v: u32,
     /// The policy.

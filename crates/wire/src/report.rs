@@ -27,26 +27,26 @@ pub const MOST_REPORTS: usize = 1000;
 /// Maximum size of a report as JSON, bytes.
 pub const LARGEST_REPORT_BYTES: usize = 64 << 10;
 
-/// Days for which a hub keeps the ids of stored reports. It refuses an older report if it cannot know whether the report was
-/// stored before.
+/// Days for which a hub keeps the ids of stored reports. It refuses an older report if it cannot know whether the
+/// report was stored before.
 pub const IDENTITY_DAYS: u32 = 30;
 
 /// Reports of one node, oldest first. On the wire: one byte with the dictionary's number, then JSON compressed with
 /// Zstandard and that dictionary (`crates/wire/src/report/dictionary-1.json`).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ReportBatch {
-    /// Version.
+    /// Version of the message.
     pub v: u32,
-    /// Node; the same in every report.
+    /// Name of the node; the same in every report.
     pub node: String,
     /// The node's clock when it sent the batch, milliseconds since the Unix epoch, from which a hub checks that the
     /// times in the reports are plausible.
     pub t_ms: u64,
-    /// What the node knows of the age of each report, in the same order: its wall clock may have been wrong, and set since.
-    /// Empty from nodes that do not say it.
+    /// What the node knows of the age of each report, in the same order: its wall clock may have been wrong, and set
+    /// since. Empty from nodes that do not say it.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub ages: Vec<ReportAge>,
-    /// The reports.
+    /// The reports, at most [`MOST_REPORTS`].
     pub reports: Vec<ClipReport>,
 }
 
@@ -67,7 +67,9 @@ impl ReportBatch {
     /// # Errors
     /// [`MessageError`] if it cannot be written; a batch of reports that were read cannot fail.
     pub fn to_payload(&self, compression: BatchCompression) -> Result<Vec<u8>, MessageError> {
-        Ok(compression.compress(&serde_json::to_vec(self)?)?)
+        let json = serde_json::to_vec(self)?;
+        let payload = compression.compress(&json)?;
+        Ok(payload)
     }
 
     /// Reads a payload.
@@ -75,7 +77,8 @@ impl ReportBatch {
     /// # Errors
     /// [`MessageError`] if it is not a batch of a known version, or is larger than [`LARGEST_BATCH_BYTES`].
     pub fn from_payload(payload: &[u8]) -> Result<Self, MessageError> {
-        crate::read(&decompress_batch(payload)?)
+        let json = decompress_batch(payload)?;
+        crate::read(&json)
     }
 }
 
@@ -85,7 +88,7 @@ pub struct RefusedReport {
     /// The report's id.
     #[schema(value_type = String, format = "uuid")]
     pub id: Uuid,
-    /// Human-readable reason.
+    /// Why it will never be stored, human-readable.
     pub reason: String,
 }
 
@@ -93,7 +96,7 @@ pub struct RefusedReport {
 #[skip_serializing_none]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ReportAnswer {
-    /// Version.
+    /// Version of the message.
     pub v: u32,
     /// Reports that will never be stored: they are too old or invalid.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -145,11 +148,11 @@ impl RefusalReason {
 #[skip_serializing_none]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ReportRefusal {
-    /// Version.
+    /// Version of the message.
     pub v: u32,
-    /// The reason.
+    /// The kind of refusal, by which the node decides what to do.
     pub reason: RefusalReason,
-    /// Human-readable reason.
+    /// What happened, human-readable.
     pub detail: String,
     /// Time to wait before trying again, milliseconds.
     pub retry_after_ms: Option<u64>,

@@ -1,4 +1,4 @@
-//! The pauses of a node.
+//! The pauses of a node: for how long it may pass over frames of an empty road, or without news.
 
 use crate::version::current_version;
 use serde::{Deserialize, Serialize};
@@ -9,7 +9,7 @@ use utoipa::ToSchema;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ScreenMessage {
-    /// Version; optional on input.
+    /// Version of the message; optional on input.
     #[serde(default = "current_version")]
     pub v: u32,
     /// The pauses.

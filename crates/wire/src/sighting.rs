@@ -1,4 +1,4 @@
-//! Tells that objects of a class are in a camera's picture, or not any more.
+//! The message that a class has appeared in a camera's picture, or has left it.
 
 use crate::version::current_version;
 use serde::{Deserialize, Serialize};
@@ -20,20 +20,20 @@ pub struct Sighting {
     /// Version of the message.
     #[serde(default = "current_version")]
     pub v: u32,
-    /// Node.
+    /// Name of the node.
     pub node: String,
-    /// Camera.
+    /// Name of the camera.
     pub camera: String,
-    /// Class.
+    /// Name of the class.
     pub class: String,
     /// What became of it.
     pub event: SightingEvent,
-    /// The frame that decided it: its number.
+    /// Sequence number of the frame that decided it.
     pub seq: u64,
     /// The frame's time, nanoseconds since the Unix epoch, as in its detections message.
     pub t_ns: u64,
-    /// Time of the first frame with the class, if it appeared, or of the last, if it left: `t_ns` is later by the time for
-    /// which it had to be there, or away.
+    /// Time of the first frame with the class, if it appeared, or of the last, if it left: `t_ns` is later by the time
+    /// for which it had to be there, or away.
     pub since_ns: u64,
     /// Boxes of the class in the frame that decided it.
     pub count: u32,

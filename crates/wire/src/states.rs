@@ -26,7 +26,7 @@ pub struct FrameStates {
 }
 
 impl FrameStates {
-    fn place(&mut self, state: FrameState) -> &mut u64 {
+    fn count_of(&mut self, state: FrameState) -> &mut u64 {
         match state {
             FrameState::E => &mut self.e,
             FrameState::P => &mut self.p,
@@ -38,12 +38,12 @@ impl FrameStates {
 
     /// Counts one frame.
     pub fn count(&mut self, state: FrameState) {
-        *self.place(state) += 1;
+        *self.count_of(state) += 1;
     }
 
     /// Returns the number of frames in `state`.
     pub fn get(mut self, state: FrameState) -> u64 {
-        *self.place(state)
+        *self.count_of(state)
     }
 
     /// Returns the number of all frames: the sum of the five states.
@@ -69,7 +69,7 @@ impl FrameStates {
 impl std::ops::AddAssign for FrameStates {
     fn add_assign(&mut self, more: Self) {
         for state in FrameState::ALL {
-            *self.place(state) += more.get(state);
+            *self.count_of(state) += more.get(state);
         }
     }
 }
@@ -106,8 +106,9 @@ impl DetectorCalls {
 
 impl Serialize for DetectorCalls {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let some = self.by_cause().filter(|(_, count)| *count > 0);
-        serializer.collect_map(some.map(|(cause, count)| (cause.as_str(), count)))
+        let occurred = self.by_cause().filter(|(_, count)| *count > 0);
+        let by_name = occurred.map(|(cause, count)| (cause.as_str(), count));
+        serializer.collect_map(by_name)
     }
 }
 
@@ -120,8 +121,8 @@ impl From<BTreeMap<String, u64>> for DetectorCalls {
 
 impl std::ops::AddAssign<&Self> for DetectorCalls {
     fn add_assign(&mut self, more: &Self) {
-        for (place, more) in self.0.iter_mut().zip(more.0) {
-            *place += more;
+        for (count, more) in self.0.iter_mut().zip(more.0) {
+            *count += more;
         }
     }
 }
@@ -204,7 +205,7 @@ impl DropKind {
 }
 
 impl DroppedFrames {
-    fn place(&mut self, kind: DropKind) -> &mut u64 {
+    fn count_of(&mut self, kind: DropKind) -> &mut u64 {
         match kind {
             DropKind::Lost => &mut self.lost,
             DropKind::Overrun => &mut self.overrun,
@@ -220,12 +221,12 @@ impl DroppedFrames {
 
     /// Counts `number` frames of that kind.
     pub fn add(&mut self, kind: DropKind, number: u64) {
-        *self.place(kind) += number;
+        *self.count_of(kind) += number;
     }
 
     /// Returns the number of frames of that kind.
     pub fn get(mut self, kind: DropKind) -> u64 {
-        *self.place(kind)
+        *self.count_of(kind)
     }
 
     /// Returns names and counts, in the order of the fields.
@@ -235,7 +236,7 @@ impl DroppedFrames {
 
     /// Returns the number of all dropped frames.
     pub fn total(&self) -> u64 {
-        self.by_kind().iter().map(|(_, n)| n).sum()
+        self.by_kind().iter().map(|(_, count)| count).sum()
     }
 }
 

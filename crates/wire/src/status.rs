@@ -12,7 +12,7 @@ use utoipa::ToSchema;
 #[skip_serializing_none]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct StatusMessage {
-    /// Version.
+    /// Version of the message.
     pub v: u32,
     /// A random number for this run of the process: it distinguishes two runs, and two nodes with the same name.
     pub run: u32,
@@ -110,9 +110,9 @@ pub struct NodeStatus {
     /// Labels from the configuration, for selecting nodes: `region = "north"`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub labels: BTreeMap<String, String>,
-    /// Cameras.
+    /// The node's cameras.
     pub cameras: Vec<CameraStatus>,
-    /// Policy.
+    /// Name of the policy, the same for all cameras.
     pub policy: String,
     /// File name of the detector model.
     pub model: String,
@@ -124,7 +124,7 @@ pub struct NodeStatus {
     pub power_quality: EnergyQuality,
     /// Health with its reasons.
     pub health: HealthStatus,
-    /// The outbox.
+    /// The reports that wait, and those that were lost.
     pub outbox: OutboxStatus,
     /// The desired value that the node refused, until it accepts a later one; absent if it refused none.
     pub refused: Option<RefusedRevision>,

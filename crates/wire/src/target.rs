@@ -12,7 +12,7 @@ use utoipa::ToSchema;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TargetMessage {
-    /// Version; optional on input.
+    /// Version of the message; optional on input.
     #[serde(default = "current_version")]
     pub v: u32,
     /// The target; null for none, which keeps the threshold.
@@ -25,7 +25,7 @@ pub struct TargetMessage {
 #[skip_serializing_none]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct TargetReport {
-    /// Version.
+    /// Version of the message.
     pub v: u32,
     /// The target; null for none.
     #[serialize_always]
@@ -61,8 +61,9 @@ pub struct NodeTarget {
 impl TargetReport {
     /// Returns the target for the status; `None` without a target.
     pub fn status(&self) -> Option<NodeTarget> {
+        let target = self.target?;
         Some(NodeTarget {
-            target: self.target?,
+            target,
             source: self.source,
             status: self.state.map(|state| state.status),
             actual: self.state.and_then(|state| state.actual),

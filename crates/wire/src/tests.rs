@@ -105,7 +105,9 @@ fn call_causes_serialise_by_name_and_unknown_ones_are_ignored() {
     assert_eq!(serde_json::from_str::<DetectorCalls>(&json).unwrap(), calls);
     let later = serde_json::from_str::<DetectorCalls>(r#"{"uncertain":3,"of_a_later_version":4}"#);
     let mut expected = DetectorCalls::default();
-    (0..3).for_each(|_| expected.count(CallCause::Uncertain));
+    for _ in 0..3 {
+        expected.count(CallCause::Uncertain);
+    }
     assert_eq!(later.unwrap(), expected);
 }
 

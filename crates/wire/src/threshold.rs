@@ -14,10 +14,10 @@ pub type ThresholdName = ArrayString<24>;
 /// expected-loss. The name prevents mistaking one policy's value for another's.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Threshold {
-    /// The threshold's name.
+    /// The policy's name for it.
     #[schema(value_type = String)]
     pub name: ThresholdName,
-    /// The value.
+    /// Its value; its range depends on the policy.
     pub value: f64,
 }
 
@@ -69,7 +69,7 @@ pub struct ThresholdChange {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ThresholdMessage {
-    /// Version; optional on input.
+    /// Version of the message; optional on input.
     #[serde(default = "current_version")]
     pub v: u32,
     /// The threshold.

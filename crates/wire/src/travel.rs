@@ -28,10 +28,11 @@ impl Position {
     /// The figure that cannot be right, and its range.
     pub fn check(&self) -> Result<(), String> {
         let within = |what: &str, value: f64, least: f64, most: f64| {
-            let is_within = (least..=most).contains(&value);
-            is_within
-                .then_some(())
-                .ok_or_else(|| format!("{what} is {value}, not from {least} to {most}"))
+            if (least..=most).contains(&value) {
+                Ok(())
+            } else {
+                Err(format!("{what} is {value}, not from {least} to {most}"))
+            }
         };
         within("latitude", self.latitude, -90.0, 90.0)?;
         within("longitude", self.longitude, -180.0, 180.0)?;
@@ -70,6 +71,7 @@ impl ClipTravel {
         }
         let [west, south, east, north] = self.bounds;
         let corners = [[west, south], [east, north]];
+        // The box and the highest speed are in range under the same rules as each point.
         for [longitude, latitude] in self.track.iter().copied().chain(corners) {
             let position = Position {
                 latitude,

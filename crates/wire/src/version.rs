@@ -35,6 +35,7 @@ pub fn read<'a, T: Deserialize<'a>>(bytes: &'a [u8]) -> Result<T, MessageError> 
     struct Versioned {
         v: u32,
     }
+    // First the version alone: a message of another one may have other fields.
     let Versioned { v } = serde_json::from_slice(bytes)?;
     check_version(v)?;
     Ok(serde_json::from_slice(bytes)?)
@@ -45,9 +46,10 @@ pub fn read<'a, T: Deserialize<'a>>(bytes: &'a [u8]) -> Result<T, MessageError> 
 /// # Errors
 /// [`MessageError::Version`].
 pub fn check_version(found: u32) -> Result<(), MessageError> {
-    match found {
-        VERSION => Ok(()),
-        found => Err(MessageError::Version(found)),
+    if found == VERSION {
+        Ok(())
+    } else {
+        Err(MessageError::Version(found))
     }
 }
 

@@ -2015,7 +2015,7 @@ export interface components {
             calls?: {
                 [key: string]: number;
             };
-            /** @description Camera. */
+            /** @description Name of the camera. */
             camera: string;
             /**
              * Format: int64
@@ -2040,14 +2040,14 @@ export interface components {
             states: components["schemas"]["FrameStates"];
             /**
              * Format: int64
-             * @description Time, nanoseconds since the Unix epoch.
+             * @description Time of these counts, nanoseconds since the Unix epoch.
              */
             t_ns: number;
             target?: components["schemas"]["TargetReport"] | null;
             threshold?: components["schemas"]["Threshold"] | null;
             /**
              * Format: int32
-             * @description Version.
+             * @description Version of the message.
              */
             v: number;
             /** @description Current power by domain, watts; empty without a source. */
@@ -2071,7 +2071,7 @@ export interface components {
             domain: string;
             /**
              * Format: double
-             * @description Watts.
+             * @description Power of the newest sample, watts.
              */
             watts: number;
         };
@@ -2498,7 +2498,7 @@ export interface components {
         };
         /** @description The full status that a hub shows of a node between reports. */
         NodeStatus: {
-            /** @description Cameras. */
+            /** @description The node's cameras. */
             cameras: components["schemas"]["CameraStatus"][];
             /** @description The certificates with which the node identifies itself, and those it trusts. */
             certificates?: components["schemas"]["CertificateStatus"][];
@@ -2510,9 +2510,9 @@ export interface components {
             };
             /** @description File name of the detector model. */
             model: string;
-            /** @description The outbox. */
+            /** @description The reports that wait, and those that were lost. */
             outbox: components["schemas"]["OutboxStatus"];
-            /** @description Policy. */
+            /** @description Name of the policy, the same for all cameras. */
             policy: string;
             /** @description Quality of the power figures. */
             power_quality: components["schemas"]["EnergyQuality"];
@@ -3144,7 +3144,7 @@ export interface components {
             threshold?: components["schemas"]["Threshold"] | null;
             /**
              * Format: int32
-             * @description Version.
+             * @description Version of the message.
              */
             v: number;
             /** @description The state, human-readable. */
@@ -3190,11 +3190,11 @@ export interface components {
          *     expected-loss. The name prevents mistaking one policy's value for another's.
          */
         Threshold: {
-            /** @description The threshold's name. */
+            /** @description The policy's name for it. */
             name: string;
             /**
              * Format: double
-             * @description The value.
+             * @description Its value; its range depends on the policy.
              */
             value: number;
         };

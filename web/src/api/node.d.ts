@@ -2028,7 +2028,7 @@ export interface components {
         BoxMessage: {
             /** @description Left, top, right, bottom in pixels of the source picture, clipped to it. */
             box: number[];
-            /** @description Class name. */
+            /** @description Name of the class. */
             class: string;
             /**
              * Format: float
@@ -2038,7 +2038,7 @@ export interface components {
             /** @description True if the object is confirmed. */
             confirmed: boolean;
             object?: components["schemas"]["ObjectId"] | null;
-            /** @description Origin of the box. */
+            /** @description How the policy knows of the box. */
             source: components["schemas"]["BoxSource"];
         };
         /**
@@ -2314,7 +2314,7 @@ export interface components {
         ClipReport: {
             audit?: components["schemas"]["AuditReport"] | null;
             board?: components["schemas"]["BoardState"] | null;
-            /** @description Camera. */
+            /** @description Name of the camera. */
             camera: string;
             /** @description Clip id: the camera's own, or `window-N`. */
             clip: string;
@@ -2346,7 +2346,7 @@ export interface components {
             duration_s: number;
             /** @description The reason why the clip ended. */
             ended_by: components["schemas"]["ClipEnd"];
-            /** @description Energy. */
+            /** @description Energy that the clip used, as far as a meter or an estimate knows it. */
             energy: components["schemas"]["ClipEnergy"];
             /**
              * Format: int64
@@ -2360,14 +2360,14 @@ export interface components {
             id: string;
             /** @description File name of the detector model. */
             model: string;
-            /** @description Node. */
+            /** @description Name of the node. */
             node: string;
             /**
              * Format: int32
              * @description Part number, from 0: a long clip is reported in parts, and so is one in which the policy was switched.
              */
             part?: number;
-            /** @description Policy. */
+            /** @description Name of the policy. */
             policy: string;
             /** @description Execution provider that ran the model. */
             provider: string;
@@ -2381,7 +2381,7 @@ export interface components {
              * @description Capture time of the first frame, nanoseconds since the Unix epoch.
              */
             started_ns: number;
-            /** @description Frame states. */
+            /** @description Frames in each of the five states. */
             states: components["schemas"]["FrameStates"];
             target?: components["schemas"]["Target"] | null;
             threshold?: components["schemas"]["Threshold"] | null;
@@ -2392,7 +2392,7 @@ export interface components {
             travel?: components["schemas"]["ClipTravel"] | null;
             /**
              * Format: int32
-             * @description Version.
+             * @description Version of the message.
              */
             v: number;
         };
@@ -2434,7 +2434,7 @@ export interface components {
             calls?: {
                 [key: string]: number;
             };
-            /** @description Camera. */
+            /** @description Name of the camera. */
             camera: string;
             /**
              * Format: int64
@@ -2459,14 +2459,14 @@ export interface components {
             states: components["schemas"]["FrameStates"];
             /**
              * Format: int64
-             * @description Time, nanoseconds since the Unix epoch.
+             * @description Time of these counts, nanoseconds since the Unix epoch.
              */
             t_ns: number;
             target?: components["schemas"]["TargetReport"] | null;
             threshold?: components["schemas"]["Threshold"] | null;
             /**
              * Format: int32
-             * @description Version.
+             * @description Version of the message.
              */
             v: number;
             /** @description Current power by domain, watts; empty without a source. */
@@ -2489,7 +2489,7 @@ export interface components {
             setting?: components["schemas"]["DesiredSetting"] | null;
             /**
              * Format: int32
-             * @description Version.
+             * @description Version of the message.
              */
             v: number;
             /**
@@ -2545,7 +2545,7 @@ export interface components {
             threshold?: components["schemas"]["Threshold"] | null;
             /**
              * Format: int32
-             * @description Version.
+             * @description Version of the message.
              */
             v: number;
             /**
@@ -2637,7 +2637,7 @@ export interface components {
             domain: string;
             /**
              * Format: double
-             * @description Watts.
+             * @description Power of the newest sample, watts.
              */
             watts: number;
         };
@@ -2760,7 +2760,7 @@ export interface components {
             refused?: string | null;
             /**
              * Format: int32
-             * @description Version.
+             * @description Version of the message.
              */
             v: number;
         };
@@ -2792,7 +2792,7 @@ export interface components {
             t_ns?: number | null;
             /**
              * Format: int32
-             * @description Version.
+             * @description Version of the message.
              */
             v: number;
             /**
@@ -3033,7 +3033,7 @@ export interface components {
         };
         /** @description The full status that a hub shows of a node between reports. */
         NodeStatus: {
-            /** @description Cameras. */
+            /** @description The node's cameras. */
             cameras: components["schemas"]["CameraStatus"][];
             /** @description The certificates with which the node identifies itself, and those it trusts. */
             certificates?: components["schemas"]["CertificateStatus"][];
@@ -3045,9 +3045,9 @@ export interface components {
             };
             /** @description File name of the detector model. */
             model: string;
-            /** @description The outbox. */
+            /** @description The reports that wait, and those that were lost. */
             outbox: components["schemas"]["OutboxStatus"];
-            /** @description Policy. */
+            /** @description Name of the policy, the same for all cameras. */
             policy: string;
             /** @description Quality of the power figures. */
             power_quality: components["schemas"]["EnergyQuality"];
@@ -3239,7 +3239,7 @@ export interface components {
             policy: components["schemas"]["PolicyChoice"];
             /**
              * Format: int32
-             * @description Version; optional on input.
+             * @description Version of the message; optional on input.
              */
             v?: number;
         };
@@ -3429,7 +3429,7 @@ export interface components {
              * @description The report's id.
              */
             id: string;
-            /** @description Human-readable reason. */
+            /** @description Why it will never be stored, human-readable. */
             reason: string;
         };
         /** @description A desired value that a node refused. */
@@ -3467,7 +3467,7 @@ export interface components {
             refused?: components["schemas"]["RefusedReport"][];
             /**
              * Format: int32
-             * @description Version.
+             * @description Version of the message.
              */
             v: number;
         };
@@ -3477,13 +3477,13 @@ export interface components {
          */
         ReportBatch: {
             /**
-             * @description What the node knows of the age of each report, in the same order: its wall clock may have been wrong, and set since.
-             *     Empty from nodes that do not say it.
+             * @description What the node knows of the age of each report, in the same order: its wall clock may have been wrong, and set
+             *     since. Empty from nodes that do not say it.
              */
             ages?: components["schemas"]["ReportAge"][];
-            /** @description Node; the same in every report. */
+            /** @description Name of the node; the same in every report. */
             node: string;
-            /** @description The reports. */
+            /** @description The reports, at most [`MOST_REPORTS`]. */
             reports: components["schemas"]["ClipReport"][];
             /**
              * Format: int64
@@ -3493,7 +3493,7 @@ export interface components {
             t_ms: number;
             /**
              * Format: int32
-             * @description Version.
+             * @description Version of the message.
              */
             v: number;
         };
@@ -3506,7 +3506,7 @@ export interface components {
             revision: number;
             /**
              * Format: int32
-             * @description Version.
+             * @description Version of the message.
              */
             v: number;
         };
@@ -3549,7 +3549,7 @@ export interface components {
             screen: components["schemas"]["Pauses"];
             /**
              * Format: int32
-             * @description Version; optional on input.
+             * @description Version of the message; optional on input.
              */
             v?: number;
         };
@@ -3576,7 +3576,7 @@ export interface components {
             seq: number;
             /** @description False if the boxes are those of the original answer because no later detector call came in time. */
             settled: boolean;
-            /** @description Frame state. */
+            /** @description The frame's final state. */
             state: components["schemas"]["FrameState"];
             /**
              * Format: int64
@@ -3585,7 +3585,7 @@ export interface components {
             t_ns: number;
             /**
              * Format: int32
-             * @description Version.
+             * @description Version of the message.
              */
             v: number;
             /**
@@ -3596,9 +3596,9 @@ export interface components {
         };
         /** @description A class appeared in a camera's picture, or left it: the body of a hook's POST, and of the MQTT topic `…/event`. */
         Sighting: {
-            /** @description Camera. */
+            /** @description Name of the camera. */
             camera: string;
-            /** @description Class. */
+            /** @description Name of the class. */
             class: string;
             /**
              * Format: float
@@ -3612,7 +3612,7 @@ export interface components {
             count: number;
             /** @description What became of it. */
             event: components["schemas"]["SightingEvent"];
-            /** @description Node. */
+            /** @description Name of the node. */
             node: string;
             /**
              * Format: double
@@ -3621,13 +3621,13 @@ export interface components {
             seconds?: number | null;
             /**
              * Format: int64
-             * @description The frame that decided it: its number.
+             * @description Sequence number of the frame that decided it.
              */
             seq: number;
             /**
              * Format: int64
-             * @description Time of the first frame with the class, if it appeared, or of the last, if it left: `t_ns` is later by the time for
-             *     which it had to be there, or away.
+             * @description Time of the first frame with the class, if it appeared, or of the last, if it left: `t_ns` is later by the time
+             *     for which it had to be there, or away.
              */
             since_ns: number;
             /**
@@ -3712,7 +3712,7 @@ export interface components {
             t_ns: number;
             /**
              * Format: int32
-             * @description Version.
+             * @description Version of the message.
              */
             v: number;
             /**
@@ -3749,7 +3749,7 @@ export interface components {
             target?: components["schemas"]["Target"] | null;
             /**
              * Format: int32
-             * @description Version; optional on input.
+             * @description Version of the message; optional on input.
              */
             v?: number;
         };
@@ -3765,7 +3765,7 @@ export interface components {
             threshold?: components["schemas"]["Threshold"] | null;
             /**
              * Format: int32
-             * @description Version.
+             * @description Version of the message.
              */
             v: number;
             /** @description The state, human-readable. */
@@ -3811,11 +3811,11 @@ export interface components {
          *     expected-loss. The name prevents mistaking one policy's value for another's.
          */
         Threshold: {
-            /** @description The threshold's name. */
+            /** @description The policy's name for it. */
             name: string;
             /**
              * Format: double
-             * @description The value.
+             * @description Its value; its range depends on the policy.
              */
             value: number;
         };
@@ -3842,7 +3842,7 @@ export interface components {
             threshold: components["schemas"]["Threshold"];
             /**
              * Format: int32
-             * @description Version; optional on input.
+             * @description Version of the message; optional on input.
              */
             v?: number;
         };

@@ -15,6 +15,7 @@ static DICTIONARY: &[u8] = include_bytes!("dictionary-1.json");
 /// Maximum window size accepted from a sender, as a power of two: no more than a batch may hold.
 const WINDOW_LOG: u32 = LARGEST_BATCH_BYTES.ilog2();
 
+// Levels of Zstandard, which has 1 to 22.
 static BEST_ENCODER: LazyLock<EncoderDictionary<'static>> =
     LazyLock::new(|| EncoderDictionary::copy(DICTIONARY, 19));
 static QUICK_ENCODER: LazyLock<EncoderDictionary<'static>> =
@@ -53,6 +54,7 @@ impl BatchCompression {
 /// # Errors
 /// [`MessageError`] if it is not compressed with a known dictionary, is truncated, or is too large.
 pub fn decompress_batch(payload: &[u8]) -> Result<Vec<u8>, MessageError> {
+    // An empty payload names dictionary 0, which there is not.
     let (dictionary, compressed) = payload.split_first().unwrap_or((&0, &[]));
     if *dictionary != REPORT_DICTIONARY {
         return Err(MessageError::Dictionary(*dictionary));
@@ -60,6 +62,7 @@ pub fn decompress_batch(payload: &[u8]) -> Result<Vec<u8>, MessageError> {
     let mut decoder = zstd::Decoder::with_prepared_dictionary(compressed, &DECODER)?;
     decoder.window_log_max(WINDOW_LOG)?;
     let mut json = Vec::new();
+    // One byte more than allowed, to tell a batch of the largest size from a larger one.
     decoder.take(LARGEST_BATCH_BYTES as u64 + 1).read_to_end(&mut json)?;
     if json.len() > LARGEST_BATCH_BYTES {
         return Err(MessageError::TooLarge);
