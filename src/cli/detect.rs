@@ -9,8 +9,8 @@ use albireo_vision::detector::{
     USUAL_PICTURE,
 };
 use albireo_vision::picture::{
-    ColorOrder, EncodedPicture, Fit, FrameLimits, Picture, PictureFormat, PixelLayout, ValueRange,
-    decode, outline, picture_files, read_picture_file, to_jpeg,
+    ColorOrder, EncodedPicture, Fit, FrameLimits, LineStyle, Picture, PictureFormat, PixelLayout,
+    ValueRange, decode, outline, picture_files, read_picture_file, to_jpeg,
 };
 use albireo_vision::screen::decoding_target;
 use anyhow::{Context, bail, ensure};
@@ -340,7 +340,7 @@ fn write_drawn(
     for detection in &found.detections {
         let Corners { x1, y1, x2, y2 } = detection.bounding_box.pixel_corners(picture.size);
         let colour = COLOURS[usize::from(detection.class.0) % COLOURS.len()];
-        outline(&mut picture, [x1, y1, x2, y2], colour, false);
+        outline(&mut picture, [x1, y1, x2, y2], colour, LineStyle::Solid);
     }
     let drawn = EncodedPicture {
         bytes: picture.pixels.into(),

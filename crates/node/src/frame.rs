@@ -3,7 +3,8 @@
 use albireo_core::policy::BoxSource;
 use albireo_recording::colour;
 use albireo_vision::picture::{
-    EncodedPicture, FrameLimits, Picture, PictureFormat, PixelLayout, decode, outline, to_jpeg,
+    EncodedPicture, FrameLimits, LineStyle, Picture, PictureFormat, PixelLayout, decode, outline,
+    to_jpeg,
 };
 use albireo_wire::{DetectionsMessage, Latency};
 use bytes::Bytes;
@@ -88,8 +89,11 @@ impl AnsweredFrame {
             .map_err(|fault| fault.to_string())?;
         for found in &self.detections.boxes {
             let colour = colour(found.source);
-            let dashed = found.source != BoxSource::Detected;
-            outline(&mut picture, found.corners.map(f64::from), colour, dashed);
+            let style = match found.source {
+                BoxSource::Detected => LineStyle::Solid,
+                _ => LineStyle::Dashed,
+            };
+            outline(&mut picture, found.corners.map(f64::from), colour, style);
         }
         let drawn = EncodedPicture {
             bytes: picture.pixels.into(),

@@ -30,7 +30,7 @@ pub use letterbox::{
 };
 pub use limits::{FrameLimits, check_payload, check_picture};
 pub use mount::{Flip, Mask, Mount, Mounted};
-pub use outline::outline;
+pub use outline::{LineStyle, outline};
 pub use raw::{raw_picture, raw_picture_of_rows};
 pub use stream::{read_part, read_png, read_ppm};
 

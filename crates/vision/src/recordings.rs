@@ -57,18 +57,14 @@ pub fn video_files(text: &str) -> Result<Vec<PathBuf>, String> {
     }
     let mut named: Vec<(FileName, PathBuf)> =
         files.into_iter().map(|file| (FileName::of(&file), file)).collect();
-    one_camera(text, &named)?;
-    let have_times = named.iter().all(|(name, _)| name.time.is_some());
+    check_one_camera(text, &named)?;
     named.sort_by(|(one, one_file), (other, other_file)| {
-        let times = if have_times {
-            one.time.cmp(&other.time)
-        } else {
-            std::cmp::Ordering::Equal
-        };
-        times
-            .then_with(|| one.order.cmp(&other.order))
-            .then_with(|| one_file.cmp(other_file))
+        one.order.cmp(&other.order).then_with(|| one_file.cmp(other_file))
     });
+    if named.iter().all(|(name, _)| name.time.is_some()) {
+        // A stable sort: files of one time stay in the order of their names.
+        named.sort_by_key(|(name, _)| name.time);
+    }
     Ok(named.into_iter().map(|(_, file)| file).collect())
 }
 
@@ -111,31 +107,47 @@ fn nothing(text: &str) -> String {
     }
 }
 
+/// The files of one camera.
+struct View<'a> {
+    count: usize,
+    /// What the name of the first says.
+    name: &'a FileName,
+    first: &'a Path,
+}
+
 /// Checks that all files come from one camera.
-fn one_camera(text: &str, files: &[(FileName, PathBuf)]) -> Result<(), String> {
-    let mut views: BTreeMap<&str, (usize, &FileName, &Path)> = BTreeMap::new();
-    for (name, file) in files {
-        let view = views.entry(&name.view).or_insert((0, name, file));
-        view.0 += 1;
+fn check_one_camera(text: &str, files: &[(FileName, PathBuf)]) -> Result<(), String> {
+    let mut views: BTreeMap<&str, View<'_>> = BTreeMap::new();
+    for (name, first) in files {
+        let view = views.entry(&name.view).or_insert(View {
+            count: 0,
+            name,
+            first,
+        });
+        view.count += 1;
     }
     if views.len() < 2 {
         return Ok(());
     }
-    let shown = views.iter().map(|(view, (count, _, file))| {
-        let file = file.file_name().unwrap_or_default().display();
-        let view = if view.is_empty() { "other" } else { view };
-        format!("{count} {view} ({file})")
-    });
-    let shown = shown.collect::<Vec<_>>().join(", ");
-    let marked = views.iter().find(|(view, _)| !view.is_empty());
-    let pattern = marked.map_or_else(String::new, |(_, (_, name, file))| {
-        let folder = file.parent().unwrap_or_else(|| Path::new(""));
-        let ending = file.extension().unwrap_or_default().display();
-        let pattern = folder.join(format!("*{}.{ending}", name.mark));
-        format!(", such as {}", pattern.display())
-    });
+    let mut shown = Vec::new();
+    let mut example = String::new();
+    for (place, View { count, name, first }) in &views {
+        let file = first.file_name().unwrap_or_default().display();
+        if place.is_empty() {
+            shown.push(format!("{count} other ({file})"));
+            continue;
+        }
+        shown.push(format!("{count} {place} ({file})"));
+        if example.is_empty() {
+            let folder = first.parent().unwrap_or_else(|| Path::new(""));
+            let ending = first.extension().unwrap_or_default().display();
+            let pattern = folder.join(format!("*{}.{ending}", name.mark));
+            example = format!(", such as {}", pattern.display());
+        }
+    }
     Err(format!(
-        "{text}: these are files of several cameras: {shown}. Each is a camera of its own: choose one by a pattern{pattern}"
+        "{text}: these are files of several cameras: {}. Each is a camera of its own: choose one by a pattern{example}",
+        shown.join(", ")
     ))
 }
 
@@ -203,22 +215,22 @@ impl Drives {
     fn join(&mut self, path: PathBuf, probed: VideoFacts) -> Recording {
         let name = FileName::of(&path);
         let before = self.before.take();
-        let continues = before.as_ref().filter(|before| name.continues(&before.name));
-        let started_ns = continues
-            .and_then(|before| before.ended_ns)
-            .or_else(|| name.started_ns())
-            .or(probed.created_ns);
-        let is_next = match before.as_ref().map(|before| (before.ended_ns, started_ns)) {
-            None => false,
-            Some((Some(ended), Some(started))) => {
-                started <= ended.saturating_add(GAP.as_nanos() as u64)
-            }
-            // Without times nothing but a hole shows that something is missing.
-            Some(_) => !self.has_hole,
+        // A chapter begins where the one before it ends.
+        let as_chapter = match &before {
+            Some(before) if name.continues(&before.name) => before.ended_ns,
+            _ => None,
         };
-        let drive = match &before {
-            Some(before) if is_next => Arc::clone(&before.drive),
-            _ => path.file_stem().unwrap_or_default().to_string_lossy().into(),
+        let started_ns = as_chapter.or_else(|| name.started_ns()).or(probed.created_ns);
+        let follows = |before: &Before| match (before.ended_ns, started_ns) {
+            (Some(ended), Some(started)) => started <= ended.saturating_add(GAP.as_nanos() as u64),
+            // Without times nothing but a hole shows that something is missing.
+            _ => !self.has_hole,
+        };
+        let continued = before.filter(follows);
+        let begins_drive = continued.is_none();
+        let drive = match continued {
+            Some(before) => before.drive,
+            None => path.file_stem().unwrap_or_default().to_string_lossy().into(),
         };
         let length = probed.length.as_nanos() as u64;
         self.has_hole = false;
@@ -232,7 +244,7 @@ impl Drives {
             started_ns,
             length: probed.length,
             drive,
-            begins_drive: !is_next,
+            begins_drive,
         }
     }
 }

@@ -3,6 +3,7 @@
 use super::head::Head;
 use super::{ClassNames, HeadName, StartError};
 use crate::onnx::Metadata;
+use std::path::Path;
 
 /// The 80 classes of the COCO detection task (Lin et al., "Microsoft COCO", 2014), in the order of their
 /// category numbers, which is the order detectors trained on it use.
@@ -23,9 +24,6 @@ fn coco_categories() -> Vec<String> {
         })
         .collect()
 }
-
-/// The names that stand for a list of COCO instead of a file: by class, and by category number.
-const LISTS: [&str; 2] = ["coco", "coco91"];
 
 /// True if these are the classes of COCO, however a few of them are written (`aeroplane`, `motorbike`, `tv monitor`).
 pub fn are_of_coco(names: &[String]) -> bool {
@@ -53,16 +51,12 @@ pub(super) fn read(
     let wrong = |reason: String| StartError::configuration("detector.class_names", reason);
     let (names, source) = given(configured, metadata).map_err(wrong)?;
     let Some(names) = names else {
-        return own_list(head).ok_or_else(|| {
-            let classes = head.classes.map_or_else(String::new, |classes| format!("{classes} "));
-            wrong(format!(
-                "the model does not name its {classes}classes; give a file with one name per line, or a list, or \
-                 \"coco\" if it was trained on COCO (\"coco91\" if its numbers are COCO's categories)"
-            ))
-        });
+        return own_list(head).ok_or_else(|| wrong(no_names(head)));
     };
     let count = names.len();
-    if let Some(classes) = head.classes.filter(|_| !head.fits_names(count)) {
+    if let Some(classes) = head.classes
+        && !head.fits_names(count)
+    {
         return Err(wrong(format!(
             "the model, read with the head `{}`, has another number of classes than {source} has names, {classes} and {count}; if the names are \
              right, another head belongs to the model (detector.head)",
@@ -75,6 +69,18 @@ pub(super) fn read(
     Ok(names)
 }
 
+/// What is said of a model without names.
+fn no_names(head: &Head) -> String {
+    let count = match head.classes {
+        Some(classes) => format!("{classes} "),
+        None => String::new(),
+    };
+    format!(
+        "the model does not name its {count}classes; give a file with one name per line, or a list, or \"coco\" if it was \
+         trained on COCO (\"coco91\" if its numbers are COCO's categories)"
+    )
+}
+
 /// The names that are configured, else those of the metadata, if there are any, and where they are from.
 fn given(
     configured: Option<&ClassNames>,
@@ -84,19 +90,10 @@ fn given(
         Some(ClassNames::List(names)) => Ok((Some(names.clone()), "the list".to_owned())),
         Some(ClassNames::File(path)) => {
             let source = path.display().to_string();
-            if let Some(list) = path.to_str().filter(|name| LISTS.contains(name) && !path.exists())
-            {
-                let names = if list == "coco91" {
-                    coco_categories()
-                } else {
-                    coco()
-                };
-                return Ok((Some(names), source));
-            }
-            let names = std::fs::read(path)
-                .map_err(|error| error.to_string())
-                .and_then(|bytes| of_file(&bytes))
-                .map_err(|error| format!("{source}: {error}"))?;
+            let names = match listed_as(path) {
+                Some(names) => names,
+                None => read_file(path).map_err(|error| format!("{source}: {error}"))?,
+            };
             Ok((Some(names), source))
         }
         None => {
@@ -108,6 +105,23 @@ fn given(
             Ok((names, "its metadata".to_owned()))
         }
     }
+}
+
+/// The list of COCO that `path` stands for; a file of that name goes before.
+fn listed_as(path: &Path) -> Option<Vec<String>> {
+    if path.exists() {
+        return None;
+    }
+    match path.to_str() {
+        Some("coco") => Some(coco()),
+        Some("coco91") => Some(coco_categories()),
+        _ => None,
+    }
+}
+
+fn read_file(path: &Path) -> Result<Vec<String>, String> {
+    let bytes = std::fs::read(path).map_err(|error| error.to_string())?;
+    of_file(&bytes)
 }
 
 fn coco() -> Vec<String> {
@@ -139,32 +153,43 @@ fn of_file(bytes: &[u8]) -> Result<Vec<String>, String> {
     if let Some(line) = names.iter().position(|name| name.is_empty()) {
         return Err(format!("line {} is empty", line + 1));
     }
-    let numbered: Option<Vec<_>> = names
+    // Only if every line has its number are the numbers no part of the names.
+    let after_numbers: Option<Vec<&str>> = names
         .iter()
         .enumerate()
         .map(|(place, name)| after_number(name, place))
         .collect();
-    Ok(numbered.unwrap_or(names).into_iter().map(str::to_owned).collect())
+    let names = after_numbers.unwrap_or(names);
+    Ok(names.into_iter().map(str::to_owned).collect())
 }
 
 /// The text of a file in UTF-8, or in UTF-16 with a byte-order mark.
 fn text_of(bytes: &[u8]) -> Result<String, String> {
-    let wide = |from: fn([u8; 2]) -> u16, rest: &[u8]| {
-        let units: Vec<u16> = rest.as_chunks::<2>().0.iter().map(|pair| from(*pair)).collect();
-        String::from_utf16(&units).map_err(|error| error.to_string())
-    };
     match bytes {
-        [0xff, 0xfe, rest @ ..] => wide(u16::from_le_bytes, rest),
-        [0xfe, 0xff, rest @ ..] => wide(u16::from_be_bytes, rest),
+        [0xff, 0xfe, rest @ ..] => text_of_utf16(rest, u16::from_le_bytes),
+        [0xfe, 0xff, rest @ ..] => text_of_utf16(rest, u16::from_be_bytes),
         _ => String::from_utf8(bytes.to_vec()).map_err(|_| "it is not text in UTF-8".to_owned()),
     }
+}
+
+fn text_of_utf16(bytes: &[u8], number: fn([u8; 2]) -> u16) -> Result<String, String> {
+    // An odd byte at the end is half a unit: no character.
+    let (pairs, _) = bytes.as_chunks::<2>();
+    let units: Vec<u16> = pairs.iter().map(|pair| number(*pair)).collect();
+    String::from_utf16(&units).map_err(|error| error.to_string())
 }
 
 /// What follows the number `place` on a line such as `2 car`, `2: car` or `2,car`.
 fn after_number(line: &str, place: usize) -> Option<&str> {
     let rest = line.strip_prefix(&place.to_string())?;
     let name = rest.trim_start_matches([':', ',', ';', '=']).trim().trim_matches(['"', '\'']);
-    (name.len() < rest.len() && !name.is_empty()).then_some(name)
+    // Without anything between them the number is a part of the name, as in `4x4`.
+    let is_apart = name.len() < rest.len();
+    if is_apart && !name.is_empty() {
+        Some(name)
+    } else {
+        None
+    }
 }
 
 fn metadata_names(text: &str) -> Result<Vec<String>, String> {

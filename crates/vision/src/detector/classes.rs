@@ -46,12 +46,12 @@ impl Classes {
             Some(wanted) => {
                 let wanted: Vec<&str> = wanted.iter().map(String::as_str).collect();
                 let classes = Self::only(&renamed, &wanted);
-                let unknown = (0..wanted.len())
-                    .find(|&place| !classes.by_model.contains(&Some(number(place))));
-                match unknown {
-                    Some(place) => return Err(wrong("detector.report_classes", wanted[place])),
-                    None => classes,
+                for (place, name) in wanted.iter().enumerate() {
+                    if !classes.by_model.contains(&Some(number(place))) {
+                        return Err(wrong("detector.report_classes", name));
+                    }
                 }
+                classes
             }
             // The paper's choice, for the data set that its detectors know. Whoever trained a model of his own wants to
             // see its classes.
@@ -69,19 +69,15 @@ impl Classes {
 
     /// The `wanted` classes, under their own name or a synonym.
     fn only(names: &[&str], wanted: &[&str]) -> Self {
-        let place = |name: &str| wanted.iter().position(|&wanted| wanted == name);
-        let by_model: Vec<_> = names
-            .iter()
-            .map(|&name| {
-                let synonym = || {
-                    SYNONYMS
-                        .iter()
-                        .find(|(other, _)| *other == name)
-                        .and_then(|(_, ours)| place(ours))
-                };
-                place(name).or_else(synonym).map(number)
-            })
-            .collect();
+        let reported_as = |name: &str| {
+            let place = wanted.iter().position(|&wanted| wanted == name);
+            place.map(number)
+        };
+        let mut by_model = Vec::with_capacity(names.len());
+        for name in names {
+            let under_own_name = reported_as(name);
+            by_model.push(under_own_name.or_else(|| synonym(name).and_then(reported_as)));
+        }
         Self {
             reported: wanted.iter().map(|&name| name.to_owned()).collect(),
             left_out: left_out(names, &by_model),
@@ -107,6 +103,12 @@ impl Classes {
             by_model,
         }
     }
+}
+
+/// The name in BDD100K of what other data sets call `name`, if they differ.
+fn synonym(name: &str) -> Option<&'static str> {
+    let (_, ours) = SYNONYMS.iter().find(|(other, _)| *other == name)?;
+    Some(ours)
 }
 
 /// The names of the classes that are not reported, without those that do not occur.

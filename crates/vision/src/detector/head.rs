@@ -73,6 +73,16 @@ pub enum Evidence {
 }
 
 impl Head {
+    fn new(name: HeadName, bound: Bound, input_format: InputFormat) -> Self {
+        Self {
+            name,
+            classes: bound.classes,
+            input_format,
+            overlaps: bound.overlaps,
+            reader: bound.reader,
+        }
+    }
+
     /// Appends the boxes with at least `confidence` to `candidates`, in input pixels, overlaps not suppressed. Returns
     /// the number of rows rejected because a number in them is not finite or not possible.
     ///
@@ -148,8 +158,12 @@ pub fn bind(
         HeadSetting::Columns(list) => {
             let bound = columns::bind(list, signature, input.size)?;
             // As most exports with suppression inside want their pictures.
-            let usual = (Fit::Centre, ColorOrder::Rgb, ValueRange::ToOne);
-            Ok(head(HeadName::Columns, bound, usual, input, overrides))
+            let format = input.format(
+                overrides.fit.unwrap_or(Fit::Centre),
+                overrides.color_order.unwrap_or(ColorOrder::Rgb),
+                overrides.value_range.unwrap_or(ValueRange::ToOne),
+            );
+            Ok(Head::new(HeadName::Columns, bound, format))
         }
         HeadSetting::Named(name) => match family(*name) {
             Some(family) => bind_family(family, signature, input, overrides),
@@ -165,28 +179,12 @@ fn bind_family(
     overrides: HeadOverrides,
 ) -> Result<Head, String> {
     let bound = (family.bind)(signature, input.size)?;
-    let wants = (family.fit, family.color_order, family.value_range);
-    Ok(head(family.name, bound, wants, input, overrides))
-}
-
-fn head(
-    name: HeadName,
-    bound: Bound,
-    (fit, color_order, value_range): (Fit, ColorOrder, ValueRange),
-    input: PictureInput,
-    overrides: HeadOverrides,
-) -> Head {
-    Head {
-        name,
-        classes: bound.classes,
-        input_format: input.format(
-            overrides.fit.unwrap_or(fit),
-            overrides.color_order.unwrap_or(color_order),
-            overrides.value_range.unwrap_or(value_range),
-        ),
-        overlaps: bound.overlaps,
-        reader: bound.reader,
-    }
+    let format = input.format(
+        overrides.fit.unwrap_or(family.fit),
+        overrides.color_order.unwrap_or(family.color_order),
+        overrides.value_range.unwrap_or(family.value_range),
+    );
+    Ok(Head::new(family.name, bound, format))
 }
 
 #[cfg(test)]

@@ -141,7 +141,7 @@ pub(crate) struct Inputs(Arc<SharedInputs>);
 
 struct SharedInputs {
     model: ModelInput,
-    /// By the smallest input, as rows and columns: as many as it has strides, whatever pictures come.
+    /// By the smallest input, see [`key`]: as many as it has strides, whatever pictures come.
     uses: Mutex<BTreeMap<(u32, u32), InputUse>>,
 }
 
@@ -179,8 +179,10 @@ impl Inputs {
     pub(crate) fn compared(&self, source: PictureSize) -> Option<PictureSize> {
         let smallest = self.0.model.smallest_for(source);
         let uses = self.0.uses.lock();
-        let found = uses.get(&key(smallest))?;
-        matches!(found.choice, Choice::Comparing(_)).then_some(smallest)
+        match uses.get(&key(smallest))?.choice {
+            Choice::Comparing(_) => Some(smallest),
+            Choice::Fixed | Choice::Smallest(_) | Choice::Largest(_) => None,
+        }
     }
 
     /// Adds the comparison of one picture's boxes, or the reason why the model did not run at the smallest input; decides
@@ -207,6 +209,7 @@ impl Inputs {
     }
 }
 
+/// A size as rows and columns, which have an order.
 fn key(size: PictureSize) -> (u32, u32) {
     (size.height, size.width)
 }

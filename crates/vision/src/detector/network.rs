@@ -245,8 +245,8 @@ impl Model for DetectorNetwork {
 
     fn run(&mut self, pictures: &[PreparedPicture]) -> Result<Vec<Found>, RunError> {
         let answered = self.answer(pictures)?;
-        for (number, largest) in &answered.to_compare {
-            self.compare(&pictures[*number], largest);
+        for largest in &answered.to_compare {
+            self.compare(&pictures[largest.picture], &largest.boxes);
         }
         if answered.impossible < pictures.len() {
             self.impossible_runs = 0;
@@ -284,8 +284,15 @@ struct Answered {
     impossible: usize,
     /// What shows that another head is needed.
     doubt: Option<String>,
-    /// The pictures whose smallest input is to be compared with this one, and the boxes found in them.
-    to_compare: Vec<(usize, Vec<Detection>)>,
+    to_compare: Vec<Compared>,
+}
+
+/// A picture whose smallest input is to be compared with the largest.
+struct Compared {
+    /// Its place in the run.
+    picture: usize,
+    /// The boxes that were found in it.
+    boxes: Vec<Detection>,
 }
 
 impl DetectorNetwork {
@@ -325,7 +332,10 @@ impl DetectorNetwork {
                 answered.doubt = answered.doubt.take().or(read.doubt);
                 if size == format.size && picture.inputs().compared(picture.source()).is_some() {
                     let boxes = reader.uncounted(head, outputs, picture.mapping(), least);
-                    answered.to_compare.push((number, boxes.map_err(RunError::Failed)?));
+                    answered.to_compare.push(Compared {
+                        picture: number,
+                        boxes: boxes.map_err(RunError::Failed)?,
+                    });
                 }
             }
             Ok(answered)

@@ -1,6 +1,6 @@
-//! The sizes that outputs keep at every size of the input, where the model leaves them open. Exporters write an output of a
-//! model with open height and width as `[?, ?, ?]` unless something simplifies the graph, and call the last side of any output
-//! open because that of YOLO is; no head could be told from that, or a wrong one.
+//! The sizes that outputs keep at every size of the input, where the model leaves them open. Exporters write an output of
+//! a model with open height and width as `[?, ?, ?]` unless something simplifies the graph, and call the last side of any
+//! output open because that of YOLO is; no head could be told from that, or a wrong one.
 
 use super::opening::{half, run_on_black};
 use crate::onnx::{OnnxSession, PictureInput, Signature, TensorSpec};
@@ -30,18 +30,28 @@ pub(super) fn measured(session: &mut OnnxSession, input: PictureInput, stride: u
     let (Ok(at_largest), Ok(at_smaller)) = (shapes_at(input), shapes_at(smaller)) else {
         return signature;
     };
-    for ((output, largest), smaller) in
-        signature.outputs.iter_mut().zip(&at_largest).zip(&at_smaller)
-    {
-        if is_open(output) && output.shape.len() == largest.len() {
-            let stays =
-                |&place: &usize| largest[place] > 0 && smaller.get(place) == Some(&largest[place]);
-            if let Some(place) = (1..largest.len()).rev().find(stays) {
-                output.shape[place] = largest[place];
-            }
+    for (place, output) in signature.outputs.iter_mut().enumerate() {
+        if let (Some(at_largest), Some(at_smaller)) = (at_largest.get(place), at_smaller.get(place))
+            && is_open(output)
+        {
+            keep_last_equal(&mut output.shape, at_largest, at_smaller);
         }
     }
     signature
+}
+
+/// Writes the last side that is the same in both runs into the shape; that of the batch does not count.
+fn keep_last_equal(shape: &mut [i64], at_largest: &[i64], at_smaller: &[i64]) {
+    if shape.len() != at_largest.len() {
+        return;
+    }
+    for side in (1..shape.len()).rev() {
+        let size = at_largest[side];
+        if size > 0 && at_smaller.get(side) == Some(&size) {
+            shape[side] = size;
+            return;
+        }
+    }
 }
 
 /// True if the last side of this output is open, and there is another beside that of the batch.

@@ -183,7 +183,10 @@ impl Reader {
 /// The candidate clipped to the source picture; `None` if no part of it is inside.
 fn detection(candidate: &Candidate, mapping: InputMapping) -> Option<Detection> {
     let clipped = mapping.to_source(candidate.corners).corners().clipped();
-    (clipped.area() > 0.0).then(|| Detection {
+    if clipped.area() <= 0.0 {
+        return None;
+    }
+    Some(Detection {
         bounding_box: clipped.normalise(PictureSize::new(1, 1)),
         class: candidate.class,
         confidence: f64::from(candidate.confidence),

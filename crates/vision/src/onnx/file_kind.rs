@@ -119,7 +119,11 @@ fn text(head: &[u8]) -> Option<String> {
 fn ultralytics_engine(head: &[u8]) -> Option<String> {
     let (length, rest) = head.split_first_chunk::<4>()?;
     let is_metadata = u32::from_le_bytes(*length) < 1 << 20 && rest.starts_with(b"{\"");
-    is_metadata.then(|| TENSORRT.to_owned())
+    if is_metadata {
+        Some(TENSORRT.to_owned())
+    } else {
+        None
+    }
 }
 
 /// ONNX Runtime's reason for not loading `model`, preceded by its meaning if that is known.

@@ -23,13 +23,14 @@ impl Metadata {
 
     /// True if the model ends with boxes that need no suppression: `end2end`, or the exporter's argument `nms`.
     pub fn is_end_to_end(&self) -> bool {
-        self.get("end2end").is_some_and(|value| value.eq_ignore_ascii_case("true"))
-            || self.get("nms").is_some_and(|value| value.eq_ignore_ascii_case("true"))
-            || self.get("args").is_some_and(|value| {
-                let plain: String =
-                    value.to_lowercase().chars().filter(|sign| !sign.is_whitespace()).collect();
-                ["'nms':true", "\"nms\":true"].iter().any(|argument| plain.contains(argument))
-            })
+        let is_true =
+            |key: &str| self.get(key).is_some_and(|value| value.eq_ignore_ascii_case("true"));
+        let mut arguments = self.get("args").unwrap_or_default().to_lowercase();
+        arguments.retain(|sign| !sign.is_whitespace());
+        is_true("end2end")
+            || is_true("nms")
+            || arguments.contains("'nms':true")
+            || arguments.contains("\"nms\":true")
     }
 
     /// True if the exporter says that the model is an RT-DETR: `head`, in Ultralytics 8.4.
@@ -40,13 +41,12 @@ impl Metadata {
     /// The input size of the export: `imgsz`, rows first.
     pub fn image_size(&self) -> Option<PictureSize> {
         let text = self.get("imgsz")?.trim();
-        let list = [('[', ']'), ('(', ')')]
-            .into_iter()
-            .find_map(|(open, close)| text.strip_prefix(open)?.strip_suffix(close))
-            .unwrap_or(text);
-        let numbers: Vec<u32> =
-            list.split(',').map(|side| side.trim().parse().ok()).collect::<Option<_>>()?;
-        match *numbers.as_slice() {
+        let list = within(text, '[', ']').or_else(|| within(text, '(', ')'));
+        let mut sides = Vec::new();
+        for side in list.unwrap_or(text).split(',') {
+            sides.push(side.trim().parse().ok()?);
+        }
+        match *sides.as_slice() {
             [side] => Some(PictureSize::new(side, side)),
             [rows, columns] => Some(PictureSize::new(columns, rows)),
             _ => None,
@@ -56,7 +56,11 @@ impl Metadata {
     /// The stride of the export: sides of the input are multiples of it.
     pub fn stride(&self) -> Option<u32> {
         let stride: f64 = self.get("stride")?.trim().parse().ok()?;
-        (1.0..=256.0).contains(&stride).then_some(stride as u32)
+        if (1.0..=256.0).contains(&stride) {
+            Some(stride as u32)
+        } else {
+            None
+        }
     }
 
     /// The class names in `names`: a dictionary from number to name in Python or JSON syntax, or a list.
@@ -86,6 +90,11 @@ impl Metadata {
     }
 }
 
+/// What is between these two signs at the ends of `text`.
+fn within(text: &str, open: char, close: char) -> Option<&str> {
+    text.strip_prefix(open)?.strip_suffix(close)
+}
+
 /// The unread rest of a Python or JSON literal.
 struct Literal<'a>(&'a str);
 
@@ -93,15 +102,13 @@ impl Literal<'_> {
     /// Reads the names by class number.
     fn names(mut self) -> Result<BTreeMap<usize, String>, String> {
         let mut names = BTreeMap::new();
-        let (numbered, close) = if self.take('{') {
-            (true, '}')
-        } else if self.take('[') {
-            (false, ']')
-        } else {
+        let is_dictionary = self.take('{');
+        if !is_dictionary && !self.take('[') {
             return Err(self.expected("`{` or `[`"));
-        };
+        }
+        let close = if is_dictionary { '}' } else { ']' };
         while !self.take(close) {
-            let number = if numbered {
+            let number = if is_dictionary {
                 let number = self.number()?;
                 if !self.take(':') {
                     return Err(self.expected("`:`"));

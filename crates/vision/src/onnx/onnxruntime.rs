@@ -79,94 +79,96 @@ struct Search {
 
 impl Search {
     fn here(configured: Option<&Path>) -> Self {
-        let variable = || {
-            std::env::var_os(VARIABLE)
-                .filter(|value| !value.is_empty())
-                .map(|value| (VARIABLE, PathBuf::from(value)))
+        let by_variable = std::env::var_os(VARIABLE).unwrap_or_default();
+        let named = match configured {
+            Some(path) => Some(("detector.onnxruntime", path.to_owned())),
+            None if by_variable.is_empty() => None,
+            None => Some((VARIABLE, PathBuf::from(by_variable))),
         };
-        let named = configured
-            .map(|path| ("detector.onnxruntime", path.to_owned()))
-            .or_else(variable);
-        let beside = std::env::current_exe()
-            .ok()
-            .as_deref()
-            .and_then(Path::parent)
-            .map(Path::to_owned);
-        let loader = std::env::var_os("LD_LIBRARY_PATH").unwrap_or_default();
-        let listed = std::env::split_paths(&loader).filter(|path| !path.as_os_str().is_empty());
-        let multiarch = format!("/usr/lib/{}-linux-gnu", std::env::consts::ARCH);
+        let mut folders = Vec::new();
+        if let Ok(program) = std::env::current_exe()
+            && let Some(beside) = program.parent()
+        {
+            folders.push(beside.to_owned());
+        }
+        folders.push(PathBuf::from(".cache/onnxruntime"));
+        let for_loader = std::env::var_os("LD_LIBRARY_PATH").unwrap_or_default();
+        let of_loader = std::env::split_paths(&for_loader);
+        folders.extend(of_loader.filter(|folder| !folder.as_os_str().is_empty()));
+        let of_architecture = format!("/usr/lib/{}-linux-gnu", std::env::consts::ARCH);
         let usual = [
             "/usr/local/lib",
-            &multiarch,
+            &of_architecture,
             "/usr/lib64",
             "/usr/lib",
             "/opt/onnxruntime/lib",
         ];
-        let folders = beside
-            .into_iter()
-            .chain([PathBuf::from(".cache/onnxruntime")])
-            .chain(listed)
-            .chain(usual.map(PathBuf::from))
-            .collect();
+        folders.extend(usual.map(PathBuf::from));
         Self { named, folders }
     }
 
     fn find(&self) -> Result<PathBuf, StartError> {
-        let (found, looked_at) = match &self.named {
-            Some((what, path)) => {
-                let file = path.is_file().then(|| path.clone());
-                let looked_at = format!("{} (named by {what})", path.display());
-                (file.or_else(|| library_in(path)), vec![looked_at])
+        if let Some((what, path)) = &self.named {
+            if path.is_file() {
+                return Ok(path.clone());
             }
-            None => {
-                let found = self.folders.iter().find_map(|folder| library_in(folder));
-                let shown = self.folders.iter().map(|folder| folder.display().to_string());
-                (found, shown.collect())
-            }
-        };
+            let looked_at = format!("{} (named by {what})", path.display());
+            return library_in(path).ok_or_else(|| not_found(&looked_at));
+        }
+        let found = self.folders.iter().find_map(|folder| library_in(folder));
         found.ok_or_else(|| {
-            StartError::new(
-                StartErrorKind::Library,
-                format_args!(
-                    "no ONNX Runtime library was found; looked at {}. Run `make onnxruntime`, or name the library \
-                     in detector.onnxruntime or ORT_DYLIB_PATH",
-                    looked_at.join(", ")
-                ),
-            )
+            let looked_at: Vec<String> =
+                self.folders.iter().map(|folder| folder.display().to_string()).collect();
+            not_found(&looked_at.join(", "))
         })
     }
+}
+
+fn not_found(looked_at: &str) -> StartError {
+    StartError::new(
+        StartErrorKind::Library,
+        format_args!(
+            "no ONNX Runtime library was found; looked at {looked_at}. Run `make onnxruntime`, or name the library in \
+             detector.onnxruntime or ORT_DYLIB_PATH"
+        ),
+    )
 }
 
 /// Returns the library in `folder`: the plain name, else the highest version. The path is absolute, because the loader
 /// resolves relative paths in its own way.
 fn library_in(folder: &Path) -> Option<PathBuf> {
+    let mut found: Vec<(Vec<u32>, PathBuf)> = Vec::new();
+    for entry in std::fs::read_dir(folder).ok()?.flatten() {
+        let path = entry.path();
+        let name = entry.file_name();
+        if let Some(version) = name.to_str().and_then(library_version)
+            && path.is_file()
+        {
+            found.push((version, path));
+        }
+    }
+    found.sort();
+    let (_, path) = found.pop()?;
+    std::path::absolute(path).ok()
+}
+
+/// The version at the end of a library's name, `libonnxruntime.so.1.22.0`; the plain name is above all of them. `None` for
+/// another file.
+fn library_version(name: &str) -> Option<Vec<u32>> {
     let plain = format!(
         "{}onnxruntime{}",
         std::env::consts::DLL_PREFIX,
         std::env::consts::DLL_SUFFIX
     );
-    let versioned = format!("{plain}.");
-    let mut found: Vec<(Vec<u32>, PathBuf)> = std::fs::read_dir(folder)
-        .ok()?
-        .filter_map(Result::ok)
-        .filter_map(|entry| {
-            let file = entry.file_name();
-            let name = file.to_str()?;
-            let version = if name == plain {
-                vec![u32::MAX]
-            } else {
-                name.strip_prefix(&versioned)?
-                    .split('.')
-                    .map(|part| part.parse().ok())
-                    .collect::<Option<_>>()?
-            };
-            Some((version, entry.path()))
-        })
-        .filter(|(_, path)| path.is_file())
-        .collect();
-    found.sort();
-    let (_, path) = found.pop()?;
-    std::path::absolute(path).ok()
+    let rest = name.strip_prefix(&plain)?;
+    if rest.is_empty() {
+        return Some(vec![u32::MAX]);
+    }
+    let mut version = Vec::new();
+    for part in rest.strip_prefix('.')?.split('.') {
+        version.push(part.parse().ok()?);
+    }
+    Some(version)
 }
 
 #[cfg(test)]

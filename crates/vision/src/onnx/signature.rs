@@ -81,21 +81,33 @@ impl PictureInput {
     }
 }
 
-/// An input beside the picture, by which a model learns of the picture's size: its name, its elements, and its two
-/// numbers for an input of some columns and rows.
-type BesidePicture = (&'static str, ElementType, fn(f32, f32) -> [f32; 2]);
+/// An input beside the picture, by which a model learns of the picture's size.
+struct BesidePicture {
+    name: &'static str,
+    element: ElementType,
+    /// Its two numbers for an input of some columns and rows.
+    numbers: fn(f32, f32) -> [f32; 2],
+}
 
 /// The inputs beside the picture that exporters write. With these numbers a model answers in pixels of its input.
 const BESIDE_PICTURE: [BesidePicture; 3] = [
     // D-FINE, DEIM and RT-DETR of its authors.
-    ("orig_target_sizes", ElementType::Int64, |columns, rows| {
-        [columns, rows]
-    }),
+    BesidePicture {
+        name: "orig_target_sizes",
+        element: ElementType::Int64,
+        numbers: |columns, rows| [columns, rows],
+    },
     // PaddleDetection.
-    ("scale_factor", ElementType::Float32, |_, _| [1.0, 1.0]),
-    ("im_shape", ElementType::Float32, |columns, rows| {
-        [rows, columns]
-    }),
+    BesidePicture {
+        name: "scale_factor",
+        element: ElementType::Float32,
+        numbers: |_, _| [1.0, 1.0],
+    },
+    BesidePicture {
+        name: "im_shape",
+        element: ElementType::Float32,
+        numbers: |columns, rows| [rows, columns],
+    },
 ];
 
 impl Signature {
@@ -152,12 +164,13 @@ impl Signature {
 
     /// True if the sides of the picture input are open, and neither `wanted` nor the metadata name any.
     pub(crate) fn lacks_size(&self, wanted: Option<PictureSize>) -> bool {
-        let are_open = self
-            .picture()
-            .is_some_and(|input| input.shape.iter().skip(1).any(|&side| side == -1));
-        are_open
-            && wanted.or_else(|| self.metadata.image_size()).is_none()
-            && self.picture_input(Some(PictureSize::new(640, 640))).is_ok()
+        let has_open = |input: &TensorSpec| input.shape.iter().skip(1).any(|&side| side == -1);
+        let is_named = wanted.is_some() || self.metadata.image_size().is_some();
+        // Any size that a model may have shows whether a size is all that is missing.
+        let any_size = PictureSize::new(640, 640);
+        self.picture().is_some_and(has_open)
+            && !is_named
+            && self.picture_input(Some(any_size)).is_ok()
     }
 
     /// True if the model leaves both height and width of its picture input open.
@@ -169,26 +182,25 @@ impl Signature {
     /// The shapes of all inputs for `batch` pictures at an input of `size`, as TensorRT's profiles are written. A batch that
     /// is not open stays.
     pub(crate) fn shapes(&self, size: PictureSize, batch: usize) -> String {
-        let of_input = |input: &TensorSpec| {
-            let is_picture = !input.is_beside_picture();
-            let height = i64::from(size.height);
-            let width = i64::from(size.width);
-            let batch = batch as i64;
+        let height = i64::from(size.height);
+        let width = i64::from(size.width);
+        let batch = batch as i64;
+        let mut shapes = Vec::new();
+        for input in &self.inputs {
             // What each dimension is where the model leaves it open.
             let when_open = match input.shape.as_slice() {
-                _ if !is_picture => [batch, 2, 2, 2],
+                _ if input.is_beside_picture() => [batch, 2, 2, 2],
                 [_, _, _, 3] => [batch, height, width, 3],
                 _ => [batch, 3, height, width],
             };
-            let sides: Vec<String> = input
-                .shape
-                .iter()
-                .zip(when_open)
-                .map(|(&side, open)| if side >= 0 { side } else { open }.to_string())
-                .collect();
-            format!("{}:{}", input.name, sides.join("x"))
-        };
-        self.inputs.iter().map(of_input).collect::<Vec<_>>().join(",")
+            let mut sides = Vec::new();
+            for (&side, open) in input.shape.iter().zip(when_open) {
+                let side = if side >= 0 { side } else { open };
+                sides.push(side.to_string());
+            }
+            shapes.push(format!("{}:{}", input.name, sides.join("x")));
+        }
+        shapes.join(",")
     }
 
     /// The first input that is not one of those beside the picture.
@@ -207,7 +219,7 @@ impl Signature {
             )),
             (Some(_), Some(other)) => {
                 let known: Vec<_> =
-                    BESIDE_PICTURE.iter().map(|(name, ..)| format!("`{name}`")).collect();
+                    BESIDE_PICTURE.iter().map(|beside| format!("`{}`", beside.name)).collect();
                 Err(format!(
                     "it has {} inputs, and what `{}` should get is not known (known beside a picture are {}, two \
                      numbers each)",
@@ -261,10 +273,10 @@ impl TensorSpec {
 
     /// The numbers of this input beside a picture of `size`; `None` if it is no such input.
     pub(super) fn beside_picture(&self, size: PictureSize) -> Option<[f32; 2]> {
-        let (_, _, numbers) = BESIDE_PICTURE
-            .iter()
-            .find(|(name, element, _)| self.name == *name && self.element == *element)?;
-        Some(numbers(size.width as f32, size.height as f32))
+        let is_it =
+            |known: &&BesidePicture| self.name == known.name && self.element == known.element;
+        let beside = BESIDE_PICTURE.iter().find(is_it)?;
+        Some((beside.numbers)(size.width as f32, size.height as f32))
     }
 
     fn is_beside_picture(&self) -> bool {
@@ -275,17 +287,17 @@ impl TensorSpec {
 
 /// A side of the input: the model's, else the offered one.
 fn side(model: i64, offered: Option<u32>) -> Result<u32, String> {
-    let value = match (model, offered) {
+    let side = match (model, offered) {
         (-1, Some(side)) => i64::from(side),
         (-1, None) => {
             return Err("its input size is open; name one in detector.input_size".to_owned());
         }
         (side, _) => side,
     };
-    u32::try_from(value)
-        .ok()
-        .filter(|side| (1..=8192).contains(side))
-        .ok_or_else(|| "the sides of its input are not between 1 and 8192".to_owned())
+    match u32::try_from(side) {
+        Ok(side @ 1..=8192) => Ok(side),
+        _ => Err("the sides of its input are not between 1 and 8192".to_owned()),
+    }
 }
 
 impl fmt::Display for ElementType {

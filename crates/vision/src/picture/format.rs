@@ -120,21 +120,25 @@ impl PictureFormat {
             Self::Nv24,
             Self::Gray16,
         ];
-        let filtered = BayerPattern::ALL
-            .into_iter()
-            .flat_map(|pattern| [Self::Bayer(pattern), Self::Bayer16(pattern)]);
-        plain.into_iter().chain(filtered).find(|format| {
-            let others: &[&str] = match format {
-                Self::Yuyv => &["yuyv422", "yuy2", "yuv422_yuy2"],
-                Self::Uyvy => &["uyvy422", "yuv422"],
-                Self::I420 => &["yuv420p"],
-                Self::Gray8 => &["mono8", "grey"],
-                Self::Gray16 => &["mono16", "gray16le"],
-                _ => &[],
-            };
-            let known = others.iter().copied().chain([format.as_str()]);
-            known.into_iter().any(|known| known.eq_ignore_ascii_case(name))
+        let eight_bits = BayerPattern::ALL.map(Self::Bayer);
+        let sixteen_bits = BayerPattern::ALL.map(Self::Bayer16);
+        let mut raw = plain.into_iter().chain(eight_bits).chain(sixteen_bits);
+        raw.find(|format| {
+            let has_name = |known: &str| known.eq_ignore_ascii_case(name);
+            has_name(format.as_str()) || format.other_names().iter().any(|other| has_name(other))
         })
+    }
+
+    /// The names that others give it.
+    const fn other_names(self) -> &'static [&'static str] {
+        match self {
+            Self::Yuyv => &["yuyv422", "yuy2", "yuv422_yuy2"],
+            Self::Uyvy => &["uyvy422", "yuv422"],
+            Self::I420 => &["yuv420p"],
+            Self::Gray8 => &["mono8", "grey"],
+            Self::Gray16 => &["mono16", "gray16le"],
+            _ => &[],
+        }
     }
 
     /// True if a sample has two bytes.

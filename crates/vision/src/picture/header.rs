@@ -122,9 +122,12 @@ pub(super) fn with_open_end(bytes: &[u8]) -> Option<Vec<u8>> {
             _ => {}
         }
     }
+    if !is_baseline {
+        return None;
+    }
     let is_end = |pair: &[u8]| pair == [0xFF, END_OF_IMAGE];
     let length = segments.rest().windows(2).position(is_end)?;
-    is_baseline.then(|| [&bytes[..segments.at + length], &AHEAD].concat())
+    Some([&bytes[..segments.at + length], &AHEAD].concat())
 }
 
 /// True if a JPEG file is coded with the tables of Motion JPEG, which it does not contain.
@@ -224,13 +227,9 @@ impl<'a> JpegSegments<'a> {
                 END_OF_IMAGE => return Ok(None),
                 _ => {}
             }
+            // The length counts itself; a range that ends before it begins is no content.
             let length = big_endian_u16(self.bytes, self.at).map_or(0, usize::from);
-            let content = self
-                .at
-                .checked_add(length)
-                .filter(|_| length >= 2)
-                .and_then(|end| self.bytes.get(self.at + 2..end));
-            let Some(content) = content else {
+            let Some(content) = self.bytes.get(self.at + 2..self.at + length) else {
                 return Err(FrameFault::undecodable(format!(
                     "the JPEG file is cut short inside segment {marker:#04x}"
                 )));

@@ -88,15 +88,44 @@ impl ValueRange {
         }
     }
 
-    /// The factor of a value, and the offset added afterwards, for red, green and blue.
-    fn factors(self) -> [(f32, f32); 3] {
+    /// How the values of red, green and blue are converted.
+    fn conversions(self) -> [Conversion; 3] {
         match self {
-            Self::To255 => [(1.0, 0.0); 3],
-            Self::ToOne => [(1.0 / 255.0, 0.0); 3],
+            Self::To255 => [Conversion::times(1.0); 3],
+            Self::ToOne => [Conversion::times(1.0 / 255.0); 3],
             // The values of torchvision's models.
-            Self::ImageNet => [(0.485, 0.229), (0.456, 0.224), (0.406, 0.225)]
-                .map(|(mean, deviation)| (1.0 / (255.0 * deviation), -mean / deviation)),
+            Self::ImageNet => [
+                Conversion::normalising(0.485, 0.229),
+                Conversion::normalising(0.456, 0.224),
+                Conversion::normalising(0.406, 0.225),
+            ],
         }
+    }
+}
+
+/// The conversion of a colour's values: a factor, and an offset that is added afterwards.
+#[derive(Clone, Copy)]
+struct Conversion {
+    factor: f32,
+    offset: f32,
+}
+
+impl Conversion {
+    fn times(factor: f32) -> Self {
+        let offset = 0.0;
+        Self { factor, offset }
+    }
+
+    /// To a mean of 0 and a deviation of 1, if values from 0 to 1 have these.
+    fn normalising(mean: f32, deviation: f32) -> Self {
+        Self {
+            factor: 1.0 / (255.0 * deviation),
+            offset: -mean / deviation,
+        }
+    }
+
+    fn apply(self, value: f32) -> f32 {
+        value * self.factor + self.offset
     }
 }
 
@@ -132,7 +161,8 @@ impl InputFormat {
 
     /// The shape of an input of `size`.
     pub(crate) fn shape_of(&self, size: PictureSize) -> [i64; 4] {
-        let (rows, columns) = (i64::from(size.height), i64::from(size.width));
+        let rows = i64::from(size.height);
+        let columns = i64::from(size.width);
         match self.layout {
             TensorLayout::Nchw => [1, 3, rows, columns],
             TensorLayout::Nhwc => [1, rows, columns, 3],
@@ -181,8 +211,10 @@ impl InputFormat {
     ) -> (Vec<f32>, InputMapping) {
         let (from, _) = place(source, *self, self.size);
         let (to, mapping) = place(source, *self, size);
-        let (left, top) = ((from.left - to.left) as usize, (from.top - to.top) as usize);
-        let (rows, columns) = (size.height as usize, size.width as usize);
+        let left = (from.left - to.left) as usize;
+        let top = (from.top - to.top) as usize;
+        let rows = size.height as usize;
+        let columns = size.width as usize;
         let whole = self.size.width as usize;
         let (planes, step) = match self.layout {
             TensorLayout::Nchw => (3, 1),
@@ -199,16 +231,25 @@ impl InputFormat {
         (cut, mapping)
     }
 
-    /// For each of the network's colour planes in order: the index of its colour in red, green, blue, the factor of its
-    /// values, and the offset.
-    fn factors(&self) -> [(usize, f32, f32); 3] {
-        let factors = self.value_range.factors();
+    /// The network's colour planes in order.
+    fn planes(&self) -> [ColorPlane; 3] {
+        let conversions = self.value_range.conversions();
         let order = match self.color_order {
             ColorOrder::Rgb => [0, 1, 2],
             ColorOrder::Bgr => [2, 1, 0],
         };
-        order.map(|color| (color, factors[color].0, factors[color].1))
+        order.map(|color| ColorPlane {
+            color,
+            conversion: conversions[color],
+        })
     }
+}
+
+/// One of a network's colour planes.
+struct ColorPlane {
+    /// The index of its colour in red, green, blue.
+    color: usize,
+    conversion: Conversion,
 }
 
 /// The mapping from the input's pixels back to normalised coordinates of the source picture.
@@ -319,8 +360,7 @@ impl Letterbox {
 
     /// Sets every pixel to the margin's value.
     fn fill_margin(&mut self) {
-        let factors = self.format.factors();
-        let values = factors.map(|(_, factor, offset)| MARGIN * factor + offset);
+        let values = self.format.planes().map(|plane| plane.conversion.apply(MARGIN));
         match self.format.layout {
             TensorLayout::Nchw => {
                 let plane = self.tensor.len() / 3;
@@ -342,7 +382,7 @@ impl Letterbox {
         let PictureSize { width, height } = picture.size;
         // The type of a pixel is known here, so that only its code is compiled.
         let source = TypedImageRef::<U8x3>::from_buffer(width, height, &picture.pixels)?;
-        let (width, height) = (placement.width, placement.height);
+        let Placement { width, height, .. } = placement;
         let mut target = TypedImage::<U8x3>::from_buffer(width, height, &mut self.resized)?;
         // A kernel of fixed size: a convolution would widen it when shrinking, which is antialiasing.
         let options =
@@ -366,13 +406,13 @@ fn convert<const STEP: usize>(
         1 => columns * size.height as usize,
         _ => 1,
     };
-    let factors = format.factors();
+    let planes = format.planes();
     for (row, pixels) in pixels.chunks_exact(width * 3).enumerate() {
         let start = ((placement.top as usize + row) * columns + left) * STEP;
-        for (place, (color, factor, offset)) in factors.into_iter().enumerate() {
+        for (place, plane) in planes.iter().enumerate() {
             let targets = tensor[place * from_color_to_color + start..].chunks_mut(STEP);
             for (target, pixel) in targets.zip(pixels.chunks_exact(3)) {
-                target[0] = f32::from(pixel[color]) * factor + offset;
+                target[0] = plane.conversion.apply(f32::from(pixel[plane.color]));
             }
         }
     }
@@ -401,8 +441,10 @@ fn check(picture: &Picture) -> Result<(), FrameFault> {
 /// in the largest input, so that its pixels are the same in all.
 fn place(source: PictureSize, format: InputFormat, size: PictureSize) -> (Placement, InputMapping) {
     let input = format.size;
-    let (width, height) = (f64::from(source.width), f64::from(source.height));
-    let (columns, rows) = (f64::from(input.width), f64::from(input.height));
+    let width = f64::from(source.width);
+    let height = f64::from(source.height);
+    let columns = f64::from(input.width);
+    let rows = f64::from(input.height);
     let scale = (columns / width).min(rows / height);
     let (scaled_width, scaled_height) = match format.fit {
         Fit::Stretch => (columns, rows),
@@ -417,10 +459,8 @@ fn place(source: PictureSize, format: InputFormat, size: PictureSize) -> (Placem
         };
         (value as u32).clamp(1, most)
     };
-    let (used_width, used_height) = (
-        whole(scaled_width, input.width),
-        whole(scaled_height, input.height),
-    );
+    let used_width = whole(scaled_width, input.width);
+    let used_height = whole(scaled_height, input.height);
     // An odd margin has its larger part at the right and bottom, as in Ultralytics.
     let (left, top) = match format.fit {
         Fit::Centre => (

@@ -4,6 +4,7 @@ use super::orientation::{Orientation, Part};
 use super::{EncodedPicture, Picture};
 use albireo_core::geometry::{BoundingBox, Corners, PictureSize};
 use serde::{Deserialize, Deserializer, Serialize};
+use std::ops::Range;
 use std::sync::Arc;
 
 /// The grey of what is masked, that of a letterbox: networks have learnt that nothing is there.
@@ -120,15 +121,11 @@ impl Mount {
         if let Some(reason) = self.crop.and_then(fault_of_crop) {
             problems.push(("crop", reason));
         }
-        let polygons = self.mask.0.iter().enumerate();
-        let faults = polygons.filter_map(|(place, polygon)| {
-            Some(format!(
-                "polygon {} {}",
-                place + 1,
-                fault_of_polygon(polygon)?
-            ))
-        });
-        problems.extend(faults.map(|reason| ("mask", reason)));
+        for (place, polygon) in self.mask.0.iter().enumerate() {
+            if let Some(fault) = fault_of_polygon(polygon) {
+                problems.push(("mask", format!("polygon {} {fault}", place + 1)));
+            }
+        }
         let all = BoundingBox::new(0.5, 0.5, 1.0, 1.0);
         if problems.is_empty() && self.hidden_places(all) == PLACES * PLACES {
             let reason = "covers the whole picture, so nothing would ever be reported";
@@ -171,17 +168,12 @@ impl Mount {
     /// The part that is kept of a turned picture of `size`: whole pixels, and at least one.
     pub(super) fn part(&self, size: PictureSize) -> Part {
         let [left, top, right, bottom] = self.crop.unwrap_or([0.0, 0.0, 1.0, 1.0]);
-        let side = |from: f64, to: f64, side: u32| {
-            let pixel = |share: f64| (share * f64::from(side)).round() as u32;
-            let from = pixel(from).min(side.saturating_sub(1));
-            (from, pixel(to).clamp((from + 1).min(side), side) - from)
-        };
-        let (left, width) = side(left, right, size.width);
-        let (top, height) = side(top, bottom, size.height);
+        let columns = pixels_between(left, right, size.width);
+        let rows = pixels_between(top, bottom, size.height);
         Part {
-            left,
-            top,
-            size: PictureSize::new(width, height),
+            left: columns.start,
+            top: rows.start,
+            size: PictureSize::new(columns.end - columns.start, rows.end - rows.start),
         }
     }
 
@@ -197,7 +189,8 @@ impl Mount {
 
     /// Paints the mask into a picture that is turned and cropped. A pixel that the edge of a polygon crosses is masked.
     pub(super) fn paint(&self, picture: &mut Picture) {
-        let (width, height) = (picture.size.width as usize, picture.size.height as usize);
+        let width = picture.size.width as usize;
+        let height = picture.size.height as usize;
         let channels = picture.layout.channels();
         let mut crossings = Vec::new();
         let rows = picture.pixels.chunks_exact_mut((width * channels).max(1));
@@ -207,6 +200,7 @@ impl Mount {
                 crossings.clear();
                 crossings.extend(crossed(polygon, y));
                 crossings.sort_by(f64::total_cmp);
+                // What lies between two crossings is inside.
                 for pair in crossings.chunks_exact(2) {
                     let from = (pair[0] * width as f64).floor().clamp(0.0, width as f64) as usize;
                     let to = (pair[1] * width as f64).ceil().clamp(0.0, width as f64) as usize;
@@ -217,13 +211,21 @@ impl Mount {
     }
 }
 
+/// The pixels of a side of `length` between two shares of it, at least one if it has any.
+fn pixels_between(from: f64, to: f64, length: u32) -> Range<u32> {
+    let pixel = |share: f64| (share * f64::from(length)).round() as u32;
+    let start = pixel(from).min(length.saturating_sub(1));
+    let end = pixel(to).clamp((start + 1).min(length), length);
+    start..end
+}
+
 /// Where the edges of a polygon cross the height `y`, an even number of times.
 fn crossed(polygon: &[[f64; 2]], y: f64) -> impl Iterator<Item = f64> {
-    let next = polygon.iter().cycle().skip(1);
-    polygon.iter().zip(next).filter_map(move |([x1, y1], [x2, y2])| {
-        let crosses = (*y1 <= y) != (*y2 <= y);
-        crosses.then(|| x1 + (y - y1) / (y2 - y1) * (x2 - x1))
-    })
+    let ends = polygon.iter().cycle().skip(1);
+    let edges = polygon.iter().zip(ends);
+    // An end on the height itself belongs to one of its two edges only.
+    let crossing = edges.filter(move |([_, y1], [_, y2])| (*y1 <= y) != (*y2 <= y));
+    crossing.map(move |([x1, y1], [x2, y2])| x1 + (y - y1) / (y2 - y1) * (x2 - x1))
 }
 
 fn contains(polygon: &[[f64; 2]], x: f64, y: f64) -> bool {
@@ -264,14 +266,25 @@ fn fault_of_polygon(polygon: &[[f64; 2]]) -> Option<String> {
     if polygon.len() < 3 {
         return Some(format!("has {} points: an area needs three", polygon.len()));
     }
+    if are_on_one_line(polygon) {
+        return Some("has no area: its points lie on one line".to_owned());
+    }
+    None
+}
+
+fn are_on_one_line(polygon: &[[f64; 2]]) -> bool {
     let first = polygon[0];
-    let from_first = |point: &[f64; 2]| [point[0] - first[0], point[1] - first[1]];
-    let turns = |a: [f64; 2], b: [f64; 2]| (a[0] * b[1] - a[1] * b[0]).abs() > 1e-9;
-    let has_area = polygon
-        .iter()
-        .map(from_first)
-        .any(|one| polygon.iter().map(from_first).any(|other| turns(one, other)));
-    (!has_area).then(|| "has no area: its points lie on one line".to_owned())
+    let from_first: Vec<[f64; 2]> =
+        polygon.iter().map(|point| [point[0] - first[0], point[1] - first[1]]).collect();
+    for [x1, y1] in &from_first {
+        for [x2, y2] in &from_first {
+            // Twice the area of the triangle between the first point and these two.
+            if (x1 * y2 - y1 * x2).abs() > 1e-9 {
+                return false;
+            }
+        }
+    }
+    true
 }
 
 #[cfg(test)]

@@ -18,26 +18,18 @@ pub(super) struct Orientation {
 }
 
 impl Orientation {
-    pub(super) const UPRIGHT: Self = Self::new(false, false, false);
+    pub(super) const UPRIGHT: Self = Self {
+        transposed: false,
+        from_right: false,
+        from_bottom: false,
+    };
 
-    const fn new(transposed: bool, from_right: bool, from_bottom: bool) -> Self {
-        Self {
-            transposed,
-            from_right,
-            from_bottom,
-        }
-    }
-
+    /// The orientation of a value of the tag. A value that the standard does not have is upright.
     fn from_tag(value: u16) -> Self {
-        match value {
-            2 => Self::new(false, true, false),
-            3 => Self::new(false, true, true),
-            4 => Self::new(false, false, true),
-            5 => Self::new(true, false, false),
-            6 => Self::new(true, false, true),
-            7 => Self::new(true, true, true),
-            8 => Self::new(true, true, false),
-            _ => Self::UPRIGHT,
+        Self {
+            transposed: matches!(value, 5..=8),
+            from_right: matches!(value, 2 | 3 | 7 | 8),
+            from_bottom: matches!(value, 3 | 4 | 6 | 7),
         }
     }
 
@@ -62,8 +54,14 @@ impl Orientation {
 
     pub(super) const fn mirrored(flip: Flip) -> Self {
         match flip {
-            Flip::Horizontal => Self::new(false, true, false),
-            Flip::Vertical => Self::new(false, false, true),
+            Flip::Horizontal => Self {
+                from_right: true,
+                ..Self::UPRIGHT
+            },
+            Flip::Vertical => Self {
+                from_bottom: true,
+                ..Self::UPRIGHT
+            },
         }
     }
 
@@ -167,28 +165,29 @@ fn tag(tiff: &[u8]) -> Option<u16> {
         _ => return None,
     };
     let short = |at: usize| {
-        let pair = tiff.get(at..at.checked_add(2)?)?.try_into().ok()?;
+        let pair = *tiff.get(at..)?.first_chunk::<2>()?;
         Some(if is_little {
             u16::from_le_bytes(pair)
         } else {
             u16::from_be_bytes(pair)
         })
     };
-    let long = |at: usize| {
-        let four = tiff.get(at..at.checked_add(4)?)?.try_into().ok()?;
-        Some(if is_little {
-            u32::from_le_bytes(four)
-        } else {
-            u32::from_be_bytes(four)
-        })
+    let first_directory = *tiff.get(4..)?.first_chunk::<4>()?;
+    let directory = if is_little {
+        u32::from_le_bytes(first_directory)
+    } else {
+        u32::from_be_bytes(first_directory)
     };
-    let directory = usize::try_from(long(4)?).ok()?;
+    let directory = usize::try_from(directory).ok()?;
     let entries = usize::from(short(directory)?);
-    // An entry has 12 bytes: tag, type, count, value.
-    (0..entries)
-        .map_while(|entry| directory.checked_add(2 + 12 * entry))
-        .find(|&at| short(at) == Some(ORIENTATION))
-        .and_then(|at| short(at.checked_add(8)?))
+    for entry in 0..entries {
+        // An entry has 12 bytes: tag, type, count, value. Its number precedes them.
+        let at = directory.checked_add(2 + 12 * entry)?;
+        if short(at)? == ORIENTATION {
+            return short(at.checked_add(8)?);
+        }
+    }
+    None
 }
 
 #[cfg(test)]

@@ -58,8 +58,9 @@ pub fn raw_picture_of_rows(
 ) -> Result<EncodedPicture, FrameFault> {
     check_picture(size, limits)?;
     let planes = format.planes(size);
-    let row = |plane: &Plane| (plane.row * PARTS).div_ceil(plane.share);
-    let longest = planes.iter().map(row).max().unwrap_or(0);
+    // The step is that of the first plane: what it must be for the rows of each.
+    let least_step = |plane: &Plane| (plane.row * PARTS).div_ceil(plane.share);
+    let longest = planes.iter().map(least_step).max().unwrap_or(0);
     if step < longest {
         return Err(FrameFault::undecodable(format!(
             "a row of the {size} {} picture has {longest} bytes, but its step is {step}",
@@ -68,12 +69,16 @@ pub fn raw_picture_of_rows(
     }
     let units = planes.iter().map(|plane| plane.rows * plane.share).sum::<usize>();
     let needed = step.checked_mul(units).map(|parts| parts / PARTS);
-    let packed = match needed.filter(|needed| *needed <= bytes.len()) {
-        Some(needed) if planes.iter().all(|plane| step * plane.share == plane.row * PARTS) => {
-            Some(bytes.slice(..needed))
+    let packed = match needed {
+        Some(needed) if needed <= bytes.len() => {
+            let has_no_padding = |plane: &Plane| step * plane.share == plane.row * PARTS;
+            if planes.iter().all(has_no_padding) {
+                Some(bytes.slice(..needed))
+            } else {
+                without_padding(&planes, step, bytes)
+            }
         }
-        Some(_) => without_padding(&planes, step, bytes),
-        None => None,
+        _ => None,
     };
     let packed = packed.ok_or_else(|| {
         FrameFault::undecodable(format!(

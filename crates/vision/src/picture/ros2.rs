@@ -1,5 +1,5 @@
-//! ROS 2 `sensor_msgs/msg/CompressedImage` and `Image` in CDR (OMG CDR, plain encoding of XTypes
-//! version 1), both byte orders. Nothing is copied, except the rows of an image with padding and samples in the other byte order.
+//! Reads the ROS 2 messages `sensor_msgs/msg/CompressedImage` and `Image` in CDR (OMG CDR, plain encoding of XTypes version
+//! 1), both byte orders. Nothing is copied, except the rows of an image with padding and samples in the other byte order.
 
 use super::{
     EncodedPicture, FrameFault, FrameLimits, PictureFormat, format_of, picture_of_kind,
@@ -69,7 +69,9 @@ fn raw_pixels(cdr: &mut Cdr, limits: &FrameLimits) -> Result<EncodedPicture, Fra
     let mut picture = raw_picture_of_rows(format, size, step, &data, limits)?;
     if format.is_wide() && is_big_endian {
         let mut swapped = picture.bytes.to_vec();
-        swapped.as_chunks_mut::<2>().0.iter_mut().for_each(|sample| sample.reverse());
+        for sample in swapped.chunks_exact_mut(2) {
+            sample.reverse();
+        }
         picture.bytes = swapped.into();
     }
     Ok(picture)
@@ -135,14 +137,17 @@ impl Cdr {
             rest: self.rest.clone(),
             ..*self
         };
-        let text = ahead.u32("").and_then(|length| ahead.take(length as usize, ""));
-        text.is_ok_and(|text| match text.strip_suffix(b"\0") {
-            Some([]) => ahead.u32("").is_ok_and(|length| length as usize == ahead.rest.len()),
+        let Ok(text) = ahead.bytes("text") else {
+            return false;
+        };
+        match text.strip_suffix(b"\0") {
+            // One row looks like an empty text; behind a text come the data, which fill the message.
+            Some([]) => ahead.u32("data").is_ok_and(|length| length as usize == ahead.rest.len()),
             Some(text) => {
                 text.len() < LONGEST_FORMAT && text.iter().all(|byte| matches!(byte, b' '..=b'~'))
             }
             None => false,
-        })
+        }
     }
 
     /// Reads a string, whose length includes the NUL at its end.
@@ -158,11 +163,14 @@ impl Cdr {
         let seconds = self.u32("header.stamp.sec")?.cast_signed();
         let nanoseconds = self.u32("header.stamp.nanosec")?;
         self.bytes("header.frame_id")?;
-        Ok(u64::try_from(seconds)
-            .ok()
-            .and_then(|seconds| seconds.checked_mul(1_000_000_000))
-            .and_then(|time| time.checked_add(u64::from(nanoseconds)))
-            .filter(|time| *time > 0))
+        // Before 1970 nothing was recorded; 31 bits of seconds stay far below 64 bits of nanoseconds.
+        let Ok(seconds) = u64::try_from(seconds) else {
+            return Ok(None);
+        };
+        match seconds * 1_000_000_000 + u64::from(nanoseconds) {
+            0 => Ok(None),
+            time_ns => Ok(Some(time_ns)),
+        }
     }
 }
 

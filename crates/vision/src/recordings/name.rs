@@ -33,8 +33,16 @@ pub(super) struct FileName {
     pub mark: String,
     /// Sorts names.
     pub order: Vec<Piece>,
-    /// The recording's number and the chapter, for GoPro.
-    chapter: Option<(u32, u32)>,
+    /// The chapter of a recording, for GoPro.
+    chapter: Option<Chapter>,
+}
+
+/// A chapter of a recording.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Chapter {
+    recording: u32,
+    /// From 1.
+    number: u32,
 }
 
 /// A piece of a name, for sorting: `clip2` comes before `clip10`.
@@ -52,10 +60,10 @@ impl FileName {
         let (view, mark) = view(&stem, time.is_some());
         let order = match chapter {
             // The recording comes before the chapter in time, and behind it in the name.
-            Some((recording, chapter)) => vec![
+            Some(Chapter { recording, number }) => vec![
                 Piece::Text("g".to_owned()),
                 Piece::Number(recording.into()),
-                Piece::Number(chapter.into()),
+                Piece::Number(number.into()),
             ],
             None => pieces(&stem),
         };
@@ -70,9 +78,10 @@ impl FileName {
 
     /// True if it is the next chapter of the recording of `before`.
     pub(super) fn continues(&self, before: &Self) -> bool {
-        self.chapter
-            .zip(before.chapter)
-            .is_some_and(|(own, other)| own.0 == other.0 && own.1 == other.1 + 1)
+        let (Some(own), Some(other)) = (self.chapter, before.chapter) else {
+            return false;
+        };
+        own.recording == other.recording && own.number == other.number + 1
     }
 
     /// When it begins, nanoseconds since the Unix epoch: cameras write local time.
@@ -86,47 +95,74 @@ impl FileName {
 /// `20261120_080001_NF`, `NO20261120-080001-000123F`, `2026-11-20_08-00-01-front`.
 fn time(stem: &str) -> Option<DateTime> {
     let bytes = stem.as_bytes();
-    let starts = (0..bytes.len())
-        .filter(|at| bytes[*at].is_ascii_digit() && (*at == 0 || !bytes[at - 1].is_ascii_digit()));
-    starts.filter_map(|at| time_at(&bytes[at..])).next()
+    let mut before = None;
+    for (at, byte) in bytes.iter().enumerate() {
+        let begins_number = byte.is_ascii_digit() && !before.is_some_and(u8::is_ascii_digit);
+        if begins_number && let Some(time) = time_at(&stem[at..]) {
+            return Some(time);
+        }
+        before = Some(byte);
+    }
+    None
 }
 
-fn time_at(mut rest: &[u8]) -> Option<DateTime> {
-    let mut part = |digits: usize| -> Option<i16> {
-        if let [b'_' | b'-' | b'.' | b' ' | b'T' | b'h' | b'm', after @ ..] = rest {
-            rest = after;
-        }
-        let (read, after) = rest.split_at_checked(digits)?;
-        rest = after;
-        let read = std::str::from_utf8(read).ok()?;
-        (read.bytes().all(|byte| byte.is_ascii_digit())).then(|| read.parse().ok())?
+fn time_at(mut text: &str) -> Option<DateTime> {
+    let mut next = |digits: usize| {
+        let from = text.strip_prefix(['_', '-', '.', ' ', 'T', 'h', 'm']).unwrap_or(text);
+        let (read, after) = from.split_at_checked(digits)?;
+        text = after;
+        number(read)
     };
-    let year = part(4).filter(|year| (2000..2100).contains(year))?;
-    let mut two = || i8::try_from(part(2)?).ok();
-    let (month, day) = (two()?, two()?);
-    let (hour, minute, second) = (two()?, two()?, two()?);
+    let year = i16::try_from(next(4)?).ok()?;
+    let mut next_two = || i8::try_from(next(2)?).ok();
+    let month = next_two()?;
+    let day = next_two()?;
+    let hour = next_two()?;
+    let minute = next_two()?;
+    let second = next_two()?;
+    // Other years are other numbers.
+    if !(2000..2100).contains(&year) {
+        return None;
+    }
     DateTime::new(year, month, day, hour, minute, second, 0).ok()
+}
+
+/// A number that is written with digits alone.
+fn number(text: &str) -> Option<u32> {
+    if text.bytes().all(|byte| byte.is_ascii_digit()) {
+        text.parse().ok()
+    } else {
+        None
+    }
 }
 
 /// The recording and the chapter in a GoPro's name: `GX010123` is the first of recording 123, `GOPR0123` too, and `GP010123`
 /// is the second.
-fn chapter(stem: &str) -> Option<(u32, u32)> {
+fn chapter(stem: &str) -> Option<Chapter> {
     let stem = stem.to_ascii_uppercase();
-    let number = |text: &str, digits: usize| {
-        let is_number = text.len() == digits && text.bytes().all(|byte| byte.is_ascii_digit());
-        is_number.then(|| text.parse::<u32>().ok())?
-    };
     if let Some(recording) = stem.strip_prefix("GOPR") {
-        return Some((number(recording, 4)?, 1));
+        return Some(Chapter {
+            recording: recording_number(recording)?,
+            number: 1,
+        });
     }
     let (kind, digits) = stem.split_at_checked(2)?;
-    let first = match kind {
+    let written_before = match kind {
         "GH" | "GX" | "GL" => 0,
+        // The first is `GOPR`.
         "GP" => 1,
         _ => return None,
     };
     let (chapter, recording) = digits.split_at_checked(2)?;
-    Some((number(recording, 4)?, number(chapter, 2)? + first))
+    Some(Chapter {
+        recording: recording_number(recording)?,
+        number: number(chapter)? + written_before,
+    })
+}
+
+/// The number of a recording, which has four digits.
+fn recording_number(text: &str) -> Option<u32> {
+    if text.len() == 4 { number(text) } else { None }
 }
 
 /// The camera that a file shows, and the mark in its name: a word at the end, or behind a time a letter, which another may
@@ -153,7 +189,10 @@ fn view(stem: &str, has_time: bool) -> (&'static str, &str) {
         },
         _ => "",
     };
-    (view, if view.is_empty() { "" } else { mark })
+    if view.is_empty() {
+        return ("", "");
+    }
+    (view, mark)
 }
 
 fn of_letter(letter: u8) -> &'static str {

@@ -86,7 +86,10 @@ pub(super) fn probe(path: &Path, ffprobe: &Path) -> Result<VideoFacts, String> {
 fn created_ns(time: &str) -> Option<u64> {
     let time: Timestamp = time.parse().ok()?;
     let first: Timestamp = FIRST_YEAR.parse().ok()?;
-    (time > first).then(|| u64::try_from(time.as_nanosecond()).ok())?
+    if time <= first {
+        return None;
+    }
+    u64::try_from(time.as_nanosecond()).ok()
 }
 
 /// Checks that a file is not empty, and that an MP4 file is all there. One that is made of fragments plays to where it is
@@ -98,14 +101,14 @@ fn check_is_whole(path: &Path) -> Result<(), String> {
         return Err("it is empty, as a power cut leaves a recording".to_owned());
     }
     let boxes = mp4_boxes(&mut file).map_err(|error| error.to_string())?;
-    let has = |wanted: &[u8; 4]| boxes.iter().any(|(kind, _)| kind == wanted);
+    let has = |wanted: &[u8; 4]| boxes.iter().any(|found| found.kind == *wanted);
     if !has(b"ftyp") {
         return Ok(());
     }
     if !has(b"moov") {
         return Err(NO_INDEX.to_owned());
     }
-    let end = boxes.last().map_or(0, |(_, end)| *end);
+    let end = boxes.last().map_or(0, |last| last.end);
     if end > length && !has(b"moof") {
         return Err(format!(
             "it is cut short: {length} of {end} bytes are there"
@@ -114,8 +117,15 @@ fn check_is_whole(path: &Path) -> Result<(), String> {
     Ok(())
 }
 
-/// The outermost boxes of an MP4 file (ISO 14496-12, 4.2), each with its end; nothing of another file.
-fn mp4_boxes(file: &mut File) -> io::Result<Vec<([u8; 4], u64)>> {
+/// A box of an MP4 file (ISO 14496-12, 4.2).
+struct Mp4Box {
+    kind: [u8; 4],
+    /// The place in the file behind its last byte.
+    end: u64,
+}
+
+/// The outermost boxes of an MP4 file; nothing of another file.
+fn mp4_boxes(file: &mut File) -> io::Result<Vec<Mp4Box>> {
     let mut boxes = Vec::new();
     let mut at = 0;
     while boxes.len() < MOST_BOXES {
@@ -137,7 +147,7 @@ fn mp4_boxes(file: &mut File) -> io::Result<Vec<([u8; 4], u64)>> {
             break;
         }
         at = at.saturating_add(size);
-        boxes.push((kind, at));
+        boxes.push(Mp4Box { kind, end: at });
     }
     Ok(boxes)
 }

@@ -55,21 +55,12 @@ fn work<M: Model>(
         let outcome = match command {
             Command::Build => {
                 let built = catch_unwind(AssertUnwindSafe(build))
-                    .unwrap_or_else(|panic| Err(StartError::thread(name, message(&*panic))));
-                Outcome::Built(built.and_then(|built| {
-                    let facts = built.facts();
-                    if first_facts.get_or_insert_with(|| facts.clone()) != &facts {
-                        return Err(StartError::new(
-                            StartErrorKind::DoesNotFit,
-                            format_args!(
-                                "the model of the {name} has other classes or another input than when the program \
-                                 started; restart the program to use the new file"
-                            ),
-                        ));
-                    }
-                    let provider = built.provider();
+                    .unwrap_or_else(|panic| Err(StartError::thread(name, message(&*panic))))
+                    .and_then(|built| checked(name, built, &mut first_facts));
+                Outcome::Built(built.map(|built| {
+                    let told = (built.provider(), built.facts());
                     model = Some(built);
-                    Ok((provider, facts))
+                    told
                 }))
             }
             Command::Run(pictures) => {
@@ -91,6 +82,25 @@ fn work<M: Model>(
             return;
         }
     }
+}
+
+/// The model, if it has the facts of the first that was built.
+fn checked<M: Model>(
+    name: &str,
+    built: M,
+    first_facts: &mut Option<M::Facts>,
+) -> Result<M, StartError> {
+    let facts = built.facts();
+    if *first_facts.get_or_insert_with(|| facts.clone()) == facts {
+        return Ok(built);
+    }
+    Err(StartError::new(
+        StartErrorKind::DoesNotFit,
+        format_args!(
+            "the model of the {name} has other classes or another input than when the program started; restart the \
+             program to use the new file"
+        ),
+    ))
 }
 
 fn run<M: Model>(model: &mut Option<M>, pictures: &[M::Input]) -> Result<Vec<M::Output>, RunError> {

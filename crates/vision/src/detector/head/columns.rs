@@ -64,28 +64,29 @@ impl FromStr for ColumnList {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let known = || COLUMNS.map(|(_, name)| name).join(" ");
         let mut outputs = Vec::new();
         let mut seen = Vec::new();
+        let mut is_named_twice = false;
         for part in text.split(',') {
             // A name may hold a colon itself: `detection_boxes:0: y1 x1 y2 x2`.
-            let (output, columns) = match part.rsplit_once(": ") {
-                Some((name, columns)) => (Some(name.trim().to_owned()), columns),
+            let (output, names) = match part.rsplit_once(": ") {
+                Some((output, names)) => (Some(output.trim().to_owned()), names),
                 None => (None, part),
             };
-            let columns = columns
-                .split_whitespace()
-                .map(|name| {
-                    let column = COLUMNS.iter().find(|(_, known)| *known == name);
-                    column.map(|(column, _)| *column).ok_or_else(|| {
-                        format!("`{name}` in the columns `{text}` is none of {}", known())
-                    })
-                })
-                .collect::<Result<Vec<_>, _>>()?;
-            seen.extend(columns.iter().copied().filter(|column| *column != Column::Skipped));
+            let mut columns = Vec::new();
+            for name in names.split_whitespace() {
+                let column = Column::named(name).ok_or_else(|| {
+                    let known = COLUMNS.map(|(_, name)| name).join(" ");
+                    format!("`{name}` in the columns `{text}` is none of {known}")
+                })?;
+                columns.push(column);
+                if column != Column::Skipped {
+                    is_named_twice |= seen.contains(&column);
+                    seen.push(column);
+                }
+            }
             outputs.push(OutputColumns { output, columns });
         }
-        let is_named_twice = (1..seen.len()).any(|place| seen[..place].contains(&seen[place]));
         if is_named_twice {
             return Err(format!("the columns `{text}` name one column twice"));
         }
@@ -94,18 +95,8 @@ impl FromStr for ColumnList {
                 "the columns `{text}` are of several outputs, which all need a name: `boxes: x1 y1 x2 y2, scores: score`"
             ));
         }
-        let has = |column: Column| seen.contains(&column);
-        let spans = |first: Column, last: Column, centre: Column, length: Column| {
-            [has(first), has(last), has(centre), has(length)]
-                .into_iter()
-                .filter(|it| *it)
-                .count()
-                == 2
-                && (has(first) && (has(last) || has(length)) || has(centre) && has(length))
-        };
-        let is_box = spans(Column::X1, Column::X2, Column::CentreX, Column::Width)
-            && spans(Column::Y1, Column::Y2, Column::CentreY, Column::Height);
-        if !is_box || !has(Column::Score) {
+        let is_box = are_ends(&seen, ACROSS) && are_ends(&seen, DOWN);
+        if !is_box || !seen.contains(&Column::Score) {
             return Err(format!(
                 "the columns `{text}` need a box (x1 y1 x2 y2, or cx cy w h, or x1 y1 w h) and a score; `class` is \
                  left out if there is one class, `_` skips a column"
@@ -131,21 +122,56 @@ impl fmt::Display for ColumnList {
     }
 }
 
+/// The columns that may give one direction of a box: first end, centre, last end and length.
+type EndColumns = [Column; 4];
+
+const ACROSS: EndColumns = [Column::X1, Column::CentreX, Column::X2, Column::Width];
+const DOWN: EndColumns = [Column::Y1, Column::CentreY, Column::Y2, Column::Height];
+
+/// True if the columns that are there say where a box begins and ends in one direction, and no more than that.
+fn are_ends(seen: &[Column], [first, centre, last, length]: EndColumns) -> bool {
+    let is_there = [first, centre, last, length].map(|column| seen.contains(&column));
+    matches!(
+        is_there,
+        [true, false, true, false] | [true, false, false, true] | [false, true, false, true]
+    )
+}
+
 impl Column {
+    fn named(name: &str) -> Option<Self> {
+        let (column, _) = COLUMNS.iter().find(|(_, known)| *known == name)?;
+        Some(*column)
+    }
+
     fn name(self) -> &'static str {
         COLUMNS.iter().find(|(column, _)| *column == self).map_or("", |(_, name)| name)
     }
 }
 
-/// The place of a column: the index of its output, and its place in a row of it.
-type ColumnPlace = (usize, usize);
+/// Where a column is.
+#[derive(Clone, Copy, Debug)]
+struct ColumnPlace {
+    /// The index of its output among those that are read.
+    output: usize,
+    /// Its place in a row of that output.
+    in_row: usize,
+}
+
+/// An output that is read.
+#[derive(Debug)]
+struct ReadOutput {
+    /// Its index in the model.
+    index: usize,
+    shape: Vec<i64>,
+    /// The length of a row.
+    length: usize,
+}
 
 /// The parameters for reading the outputs.
 #[derive(Debug)]
 struct Finished {
     size: PictureSize,
-    /// For each output that is read: its index in the model, its shape, and the length of a row.
-    outputs: Vec<(usize, Vec<i64>, usize)>,
+    outputs: Vec<ReadOutput>,
     batch: Option<ColumnPlace>,
     /// Left or centre, and right or width: the columns and what they mean.
     across: [(Column, ColumnPlace); 2],
@@ -179,13 +205,21 @@ pub(super) fn bind(
         if rows.is_some_and(|rows| rows != -1 && these != -1 && rows != these) {
             return Err("its outputs have different numbers of rows".to_owned());
         }
-        rows = Some(rows.filter(|rows| *rows != -1).unwrap_or(these));
-        let place = outputs.len();
-        places.extend(part.columns.iter().enumerate().map(|(at, column)| (*column, (place, at))));
-        outputs.push((index, spec.shape.clone(), length));
+        if rows.is_none_or(|rows| rows == -1) {
+            rows = Some(these);
+        }
+        let output = outputs.len();
+        for (in_row, column) in part.columns.iter().enumerate() {
+            places.push((*column, ColumnPlace { output, in_row }));
+        }
+        outputs.push(ReadOutput {
+            index,
+            shape: spec.shape.clone(),
+            length,
+        });
     }
     let find = |wanted: Column| places.iter().find(|(column, _)| *column == wanted).copied();
-    let pair = |options: [Column; 4]| {
+    let two_of = |options: EndColumns| {
         let mut found = options.into_iter().filter_map(find);
         Some([found.next()?, found.next()?])
     };
@@ -194,16 +228,19 @@ pub(super) fn bind(
     let finished = Finished {
         size,
         batch: find(Column::Batch).map(|(_, place)| place),
-        across: pair([Column::X1, Column::CentreX, Column::X2, Column::Width])
-            .ok_or_else(incomplete)?,
-        down: pair([Column::Y1, Column::CentreY, Column::Y2, Column::Height])
-            .ok_or_else(incomplete)?,
+        across: two_of(ACROSS).ok_or_else(incomplete)?,
+        down: two_of(DOWN).ok_or_else(incomplete)?,
         score: find(Column::Score).ok_or_else(incomplete)?.1,
         class: find(Column::Class).map(|(_, place)| place),
         outputs,
     };
     Ok(Bound {
-        classes: finished.class.is_none().then_some(1),
+        // Without a column for it there is one class; with one, the shapes do not tell how many.
+        classes: if finished.class.is_none() {
+            Some(1)
+        } else {
+            None
+        },
         overlaps: rows.is_some_and(|rows| rows > MOST_BOXES),
         reader: Box::new(finished),
     })
@@ -233,22 +270,22 @@ impl Finished {
     fn numbers<'a>(&self, outputs: &[TensorView<'a>]) -> Result<(Vec<Numbers<'a>>, usize), String> {
         let mut numbers = Vec::with_capacity(self.outputs.len());
         let mut rows = None;
-        for (index, shape, length) in &self.outputs {
+        for read in &self.outputs {
             let output = outputs
-                .get(*index)
+                .get(read.index)
                 .ok_or_else(|| format!("the model returned {} outputs", outputs.len()))?;
             // The first of three dimensions is the batch, which may be open and is 1.
-            let mut expected = shape.clone();
+            let mut expected = read.shape.clone();
             if let [batch, _, _] = expected.as_mut_slice() {
                 *batch = 1;
             }
             let values = elements(output, &expected)?;
-            let these = values.len() / length;
+            let these = values.len() / read.length;
             if rows.is_some_and(|rows| rows != these) {
                 return Err("the model returned outputs with different numbers of rows".to_owned());
             }
             rows = Some(these);
-            numbers.push((values, *length));
+            numbers.push((values, read.length));
         }
         Ok((numbers, rows.unwrap_or_default()))
     }
@@ -259,7 +296,8 @@ impl Finished {
         number: impl Fn(ColumnPlace) -> f32,
     ) -> (f64, f64) {
         let [(first, start), (second, end)] = columns;
-        let (start, end) = (f64::from(number(*start)), f64::from(number(*end)));
+        let start = f64::from(number(*start));
+        let end = f64::from(number(*end));
         let is_length = matches!(second, Column::Width | Column::Height);
         match first {
             Column::CentreX | Column::CentreY => (start - end / 2.0, start + end / 2.0),
@@ -278,9 +316,9 @@ impl Finished {
     ) -> Result<(), String> {
         let (numbers, rows) = self.numbers(outputs)?;
         for row in 0..rows {
-            let number = |(output, place): ColumnPlace| {
-                let (values, length) = numbers[output];
-                values[row * length + place]
+            let number = |place: ColumnPlace| {
+                let (values, length) = numbers[place.output];
+                values[row * length + place.in_row]
             };
             let score = number(self.score);
             let batch = self.batch.map_or(0.0, number);
@@ -291,9 +329,12 @@ impl Finished {
             }
             let (x1, x2) = Self::sides(&self.across, number);
             let (y1, y2) = Self::sides(&self.down, number);
-            let class = self.class.map_or(Some(ClassId(0)), |place| class_number(number(place)));
-            // There is one picture, number 0: another number is something else.
-            let class = class.filter(|_| batch == 0.0);
+            let class = match self.class {
+                // There is one picture, number 0: another number is something else.
+                _ if batch != 0.0 => None,
+                Some(place) => class_number(number(place)),
+                None => Some(ClassId(0)),
+            };
             each(Corners { x1, y1, x2, y2 }, score, class);
         }
         Ok(())
@@ -351,5 +392,9 @@ impl ReadOutputs for Finished {
 /// A class number written as a floating-point number.
 fn class_number(value: f32) -> Option<ClassId> {
     let whole = value.fract() == 0.0 && (0.0..=f32::from(u16::MAX)).contains(&value);
-    whole.then_some(ClassId(value as u16))
+    if whole {
+        Some(ClassId(value as u16))
+    } else {
+        None
+    }
 }

@@ -56,24 +56,28 @@ struct Anchors<'a> {
 }
 
 impl<'a> Anchors<'a> {
-    /// The box, the objectness if there is one, and the scores of each anchor.
     fn rows(&self) -> impl Iterator<Item = Anchor<'a>> {
         let first_class = self.first_class;
         let has_objectness = self.has_objectness;
         let boxes = self.boxes.chunks_exact(self.box_row);
-        boxes.zip(self.scores.chunks_exact(self.score_row)).map(move |(row, scores)| {
-            let sides = [row[0], row[1], row[2], row[3]];
-            (
-                sides,
-                has_objectness.then(|| row[4]),
-                &scores[first_class..],
-            )
+        let scores = self.scores.chunks_exact(self.score_row);
+        boxes.zip(scores).map(move |(row, scores)| Anchor {
+            sides: [row[0], row[1], row[2], row[3]],
+            objectness: if has_objectness { Some(row[4]) } else { None },
+            scores: &scores[first_class..],
         })
     }
 }
 
-/// A box, the objectness if there is one, and the scores.
-type Anchor<'a> = ([f32; 4], Option<f32>, &'a [f32]);
+/// The numbers of one anchor.
+struct Anchor<'a> {
+    /// The box, in the form that the model writes it.
+    sides: [f32; 4],
+    /// The objectness, if the model has it.
+    objectness: Option<f32>,
+    /// One score per class.
+    scores: &'a [f32],
+}
 
 /// The way in which the boxes of one run are written.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -119,8 +123,8 @@ impl Dense {
     /// How the boxes of this run are written. One odd number decides nothing alone: it is as likely to be a fault.
     fn writing(&self, anchors: &Anchors<'_>) -> Writing {
         let mut largest: f64 = 0.0;
-        for (sides, _, _) in anchors.rows() {
-            for side in sides {
+        for anchor in anchors.rows() {
+            for side in anchor.sides {
                 if side.is_finite() {
                     largest = largest.max(f64::from(side.abs()));
                 }
@@ -189,16 +193,19 @@ pub(super) fn are_logits(scores: impl Iterator<Item = f32>) -> bool {
 
 /// The class with the largest logit, and its probability; `None` if one of them is not a number.
 fn best_logit(logits: &[f32]) -> Option<(ClassId, f32)> {
-    let mut best = (0, f32::NEG_INFINITY);
+    let mut best = 0;
+    let mut largest = f32::NEG_INFINITY;
     for (class, &logit) in logits.iter().enumerate() {
         if logit.is_nan() {
             return None;
         }
-        if logit > best.1 {
-            best = (class, logit);
+        if logit > largest {
+            best = class;
+            largest = logit;
         }
     }
-    Some((ClassId(u16::try_from(best.0).ok()?), sigmoid(best.1)))
+    let class = u16::try_from(best).ok()?;
+    Some((ClassId(class), sigmoid(largest)))
 }
 
 /// The probability of a logit.
@@ -210,12 +217,13 @@ impl ReadOutputs for Dense {
     fn read(&self, outputs: &[TensorView<'_>], rows: &mut Rows<'_>) -> Result<(), String> {
         let anchors = self.anchors(outputs)?;
         let writing = self.writing(&anchors);
-        let first = |(_, objectness, scores): Anchor<'_>| {
-            objectness.or_else(|| scores.first().copied()).unwrap_or_default()
+        let first_score = |anchor: Anchor<'_>| match anchor.objectness {
+            Some(objectness) => objectness,
+            None => anchor.scores.first().copied().unwrap_or_default(),
         };
-        let has_logits = are_logits(anchors.rows().map(first));
-        for (anchor, (sides, raw, scores)) in anchors.rows().enumerate() {
-            let objectness = match raw {
+        let has_logits = are_logits(anchors.rows().map(first_score));
+        for (number, anchor) in anchors.rows().enumerate() {
+            let objectness = match anchor.objectness {
                 Some(logit) if has_logits => sigmoid(logit),
                 Some(probability) => probability,
                 None => 1.0,
@@ -225,18 +233,18 @@ impl ReadOutputs for Dense {
                 continue;
             }
             let best = if has_logits {
-                best_logit(scores)
+                best_logit(anchor.scores)
             } else {
-                best_class(scores)
+                best_class(anchor.scores)
             };
-            if best.is_some_and(|(_, score)| f64::from(score) < rows.confidence) {
-                continue;
+            match best {
+                Some((_, score)) if f64::from(score) < rows.confidence => {}
+                Some((class, score)) if is_score(objectness) => {
+                    let corners = self.corners(anchor.sides, writing, number);
+                    rows.add(candidate(corners, class, objectness * score));
+                }
+                _ => rows.add(None),
             }
-            let read = best.filter(|_| is_score(objectness)).and_then(|(class, score)| {
-                let corners = self.corners(sides, writing, anchor);
-                candidate(corners, class, objectness * score)
-            });
-            rows.add(read);
         }
         Ok(())
     }
@@ -251,9 +259,10 @@ impl ReadOutputs for Dense {
             return against("its boxes are in pixels, and not from 0 to 1");
         }
         // Logarithms of sides shorter than a cell are negative, and sides never are.
-        let negative = |(sides, _, _): &Anchor<'_>| sides[2] < -1e-3 || sides[3] < -1e-3;
+        let is_negative = |anchor: &Anchor<'_>| anchor.sides[2] < -1e-3 || anchor.sides[3] < -1e-3;
         let total = anchors.boxes.len() / anchors.box_row;
-        let are_many = 10 * anchors.rows().filter(negative).count() > total;
+        // One in ten: a few are faults.
+        let are_many = 10 * anchors.rows().filter(is_negative).count() > total;
         match writing {
             Writing::Cells(_) if are_many => return Evidence::For,
             Writing::Unit(_) if are_many => {
@@ -261,11 +270,20 @@ impl ReadOutputs for Dense {
             }
             _ => {}
         }
-        let is_sure = |objectness: f32| f64::from(objectness) >= confidence;
-        let sure = anchors.rows().filter(|(_, objectness, _)| objectness.is_some_and(is_sure));
-        let of_no_class = |(_, _, scores): &Anchor<'_>| scores.iter().all(|&score| score == 0.0);
-        let (of_none, of_one): (Vec<_>, Vec<_>) = sure.partition(of_no_class);
-        if of_none.len() > of_one.len() {
+        let mut of_a_class = 0_usize;
+        let mut of_none = 0_usize;
+        for anchor in anchors.rows() {
+            let is_sure = anchor.objectness.is_some_and(|it| f64::from(it) >= confidence);
+            if !is_sure {
+                continue;
+            }
+            if anchor.scores.iter().all(|&score| score == 0.0) {
+                of_none += 1;
+            } else {
+                of_a_class += 1;
+            }
+        }
+        if of_none > of_a_class {
             return against("its surest boxes have no class at all");
         }
         Evidence::None

@@ -104,16 +104,18 @@ impl ReadOutputs for Detr {
                 f64::from(sides[2]) * width,
                 f64::from(sides[3]) * height,
             ]);
-            let sound = logits.iter().enumerate().all(|(class, &logit)| {
+            let mut is_sound = true;
+            for (class, &logit) in logits.iter().enumerate() {
                 if f64::from(logit) >= least {
                     match candidate(corners, ClassId(class as u16), probability(logit)) {
                         Some(candidate) => found.push(candidate),
-                        None => return false,
+                        None => is_sound = false,
                     }
                 }
-                !logit.is_nan()
-            });
-            if !sound {
+                is_sound &= !logit.is_nan();
+            }
+            // A query is taken whole or not at all.
+            if !is_sound {
                 found.truncate(before);
                 rows.rejected += 1;
             }

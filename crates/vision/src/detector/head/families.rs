@@ -6,7 +6,7 @@ use super::reading::{STRIDES, can_be, cells, count};
 use super::yolo::{BEFORE_CLASSES, Yolo};
 use super::{Bound, detr, fastestdet};
 use crate::detector::HeadName;
-use crate::onnx::Signature;
+use crate::onnx::{Signature, TensorSpec};
 use crate::picture::ColorOrder::{self, Bgr, Rgb};
 use crate::picture::Fit::{self, Centre, Stretch, TopLeft};
 use crate::picture::ValueRange::{self, ImageNet, To255, ToOne};
@@ -47,18 +47,7 @@ pub(super) const FAMILIES: [Family; 10] = [
         color_order: Rgb,
         value_range: ToOne,
         bind: bind_yolov5,
-        looks_other: |signature, size| {
-            let [.., anchors, _] = signature.outputs.first()?.shape.as_slice() else {
-                return None;
-            };
-            let per_cell = anchors_of(*anchors, size);
-            let is_flat = signature.outputs.first()?.shape.len() == 2;
-            let has_flat_name = signature.outputs.first()?.name.contains("flat_predictions");
-            if is_flat && has_flat_name {
-                return Some("its output has the name of YOLO-NAS".to_owned());
-            }
-            (!is_flat && per_cell.is_none()).then(|| other_anchors(*anchors, size))
-        },
+        looks_other: yolov5_looks_other,
     },
     Family {
         name: HeadName::Yolox,
@@ -76,12 +65,11 @@ pub(super) const FAMILIES: [Family; 10] = [
         color_order: Rgb,
         value_range: ToOne,
         bind: bind_yolo_nas,
-        looks_other: |signature, _| {
-            let output = signature.outputs.first()?;
-            let is_other =
-                signature.outputs.len() == 1 && !output.name.contains("flat_predictions");
-            is_other
-                .then(|| "its output has another name than `graph2_flat_predictions`".to_owned())
+        looks_other: |signature, _| match signature.outputs.as_slice() {
+            [only] if !has_name_of_yolo_nas(only) => {
+                Some("its output has another name than `graph2_flat_predictions`".to_owned())
+            }
+            _ => None,
         },
     },
     Family {
@@ -91,17 +79,7 @@ pub(super) const FAMILIES: [Family; 10] = [
         color_order: Rgb,
         value_range: ToOne,
         bind: |signature, size| listed("x1 y1 x2 y2 score class", signature, size),
-        looks_other: |signature, size| {
-            let rows = signature.outputs.first()?.shape.iter().rev().nth(1).copied()?;
-            let are_cells = anchors_of(rows, size).is_some();
-            if signature.outputs.first()?.shape.len() != 3 {
-                return Some(
-                    "its output has no dimension for the batch, as exports of other columns do"
-                        .to_owned(),
-                );
-            }
-            (rows > MOST_BOXES && !are_cells).then(|| format!("it has {rows} boxes"))
-        },
+        looks_other: end_to_end_looks_other,
     },
     Family {
         name: HeadName::Detr,
@@ -120,10 +98,9 @@ pub(super) const FAMILIES: [Family; 10] = [
                 size,
             )
         },
-        looks_other: |signature, size| {
-            detr::bind(&[detr::RF_DETR], signature, size)
-                .err()
-                .map(|_| RANGE_IS_OPEN.to_owned())
+        looks_other: |signature, size| match detr::bind(&[detr::RF_DETR], signature, size) {
+            Ok(_) => None,
+            Err(_) => Some(RANGE_IS_OPEN.to_owned()),
         },
     },
     Family {
@@ -139,7 +116,7 @@ pub(super) const FAMILIES: [Family; 10] = [
             };
             let queries = output.shape.get(1).copied().unwrap_or_default();
             // An open number is that of a run if anything else could have it.
-            let are_cells = queries != -1 && anchors_of(queries, size).is_some();
+            let are_cells = queries != -1 && are_anchors(queries, size);
             if are_cells || queries > MOST_BOXES {
                 return Some(format!(
                     "the number of its rows is {queries}, and not some hundred"
@@ -162,8 +139,10 @@ pub(super) const FAMILIES: [Family; 10] = [
             )
         },
         looks_other: |signature, _| {
-            let has_sizes = signature.inputs.iter().any(|input| input.name == "orig_target_sizes");
-            (!has_sizes).then(|| "it has no input `orig_target_sizes`".to_owned())
+            if signature.inputs.iter().any(|input| input.name == "orig_target_sizes") {
+                return None;
+            }
+            Some("it has no input `orig_target_sizes`".to_owned())
         },
     },
     Family {
@@ -202,13 +181,13 @@ fn listed(columns: &str, signature: &Signature, size: PictureSize) -> Result<Bou
 /// The sets of strides of YOLO models: three feature maps, or four with a finer or a coarser one.
 const YOLO_STRIDES: [&[u32]; 3] = [&STRIDES, &[4, 8, 16, 32], &[8, 16, 32, 64]];
 
-/// The number of anchors per cell, 1 or 3, if `anchors`, which may be open, can be those of an input of `size`.
-fn anchors_of(anchors: i64, size: PictureSize) -> Option<usize> {
-    [1, 3].into_iter().find(|per_cell| {
-        YOLO_STRIDES
-            .iter()
-            .any(|strides| can_be(anchors, per_cell * cells(size, strides)))
-    })
+/// True if `anchors`, which may be open, can be those of an input of `size`, with one or three anchors per cell.
+fn are_anchors(anchors: i64, size: PictureSize) -> bool {
+    let of_strides = |strides: &&[u32]| {
+        let cells = cells(size, strides);
+        can_be(anchors, cells) || can_be(anchors, 3 * cells)
+    };
+    YOLO_STRIDES.iter().any(of_strides)
 }
 
 fn other_anchors(anchors: i64, size: PictureSize) -> String {
@@ -221,17 +200,20 @@ fn other_anchors(anchors: i64, size: PictureSize) -> String {
 
 /// The one output that fits an anchor's worth of numbers; exports for training have others beside it.
 fn with_anchors(signature: &Signature, size: PictureSize) -> Result<usize, String> {
-    let of_anchors = |shape: &[i64]| matches!(shape, [1 | -1, a, b] if *a != -1 && *b != -1 && (is_cells(*a, size) || is_cells(*b, size)));
-    match signature.outputs.as_slice() {
-        [_] => Ok(0),
-        several => {
-            let mut fitting =
-                several.iter().enumerate().filter(|(_, output)| of_anchors(&output.shape));
-            match (fitting.next(), fitting.next()) {
-                (Some((place, _)), None) => Ok(place),
-                _ => Err(format!("it has {} outputs instead of one", several.len())),
-            }
+    let outputs = &signature.outputs;
+    if outputs.len() == 1 {
+        return Ok(0);
+    }
+    let fits = |place: &usize| match *outputs[*place].shape.as_slice() {
+        [1 | -1, first, second] if first != -1 && second != -1 => {
+            is_cells(first, size) || is_cells(second, size)
         }
+        _ => false,
+    };
+    let fitting: Vec<usize> = (0..outputs.len()).filter(fits).collect();
+    match fitting.as_slice() {
+        [only] => Ok(*only),
+        _ => Err(format!("it has {} outputs instead of one", outputs.len())),
     }
 }
 
@@ -260,10 +242,11 @@ fn bind_yolo(signature: &Signature, size: PictureSize) -> Result<Bound, String> 
             boxes: index,
             scores: None,
         };
-        return Ok(dense(reader, true));
+        return Ok(dense(reader));
     }
     let classes = count(first).saturating_sub(BEFORE_CLASSES);
-    if !(1..=usize::from(u16::MAX)).contains(&classes) || !(second == -1 || second > 0) {
+    let have_numbers = (1..=usize::from(u16::MAX)).contains(&classes);
+    if !have_numbers || !(second == -1 || second > 0) {
         return Err("its output has another shape".to_owned());
     }
     Ok(Bound {
@@ -283,18 +266,52 @@ fn yolo_has_other_anchors(signature: &Signature, size: PictureSize) -> Option<St
     let shape = &signature.outputs.get(index)?.shape;
     let sides = [shape.get(1).copied()?, shape.get(2).copied()?];
     // As many names as classes leave no doubt, whatever strides the model has.
-    let names = signature.metadata.class_names().ok().flatten();
-    if names.is_some_and(|names| count(sides[0]) == BEFORE_CLASSES + names.len()) {
+    if let Ok(Some(names)) = signature.metadata.class_names()
+        && count(sides[0]) == BEFORE_CLASSES + names.len()
+    {
         return None;
     }
-    let fits = sides.iter().any(|&side| side == -1 || is_cells(side, size));
-    (!fits).then(|| other_anchors(sides[1], size))
+    if sides.iter().any(|&side| side == -1 || is_cells(side, size)) {
+        return None;
+    }
+    Some(other_anchors(sides[1], size))
 }
 
-fn dense(reader: Dense, overlaps: bool) -> Bound {
+fn yolov5_looks_other(signature: &Signature, size: PictureSize) -> Option<String> {
+    let output = signature.outputs.first()?;
+    match *output.shape.as_slice() {
+        [_, _] if has_name_of_yolo_nas(output) => {
+            Some("its output has the name of YOLO-NAS".to_owned())
+        }
+        [_, _] => None,
+        [.., anchors, _] if !are_anchors(anchors, size) => Some(other_anchors(anchors, size)),
+        _ => None,
+    }
+}
+
+/// True if an output is called as YOLO-NAS calls that of its final boxes.
+fn has_name_of_yolo_nas(output: &TensorSpec) -> bool {
+    output.name.contains("flat_predictions")
+}
+
+fn end_to_end_looks_other(signature: &Signature, size: PictureSize) -> Option<String> {
+    match *signature.outputs.first()?.shape.as_slice() {
+        [] | [_] => None,
+        [_, rows, _] if rows > MOST_BOXES && !are_anchors(rows, size) => {
+            Some(format!("it has {rows} boxes"))
+        }
+        [_, _, _] => None,
+        _ => Some(
+            "its output has no dimension for the batch, as exports of other columns do".to_owned(),
+        ),
+    }
+}
+
+/// A head of anchors, of which several may show one object.
+fn dense(reader: Dense) -> Bound {
     Bound {
         classes: Some(reader.classes),
-        overlaps,
+        overlaps: true,
         reader: Box::new(reader),
     }
 }
@@ -315,7 +332,7 @@ fn bind_yolov5(signature: &Signature, size: PictureSize) -> Result<Bound, String
         boxes: 0,
         scores: None,
     };
-    Ok(dense(reader, true))
+    Ok(dense(reader))
 }
 
 fn bind_yolox(signature: &Signature, size: PictureSize) -> Result<Bound, String> {
@@ -326,11 +343,9 @@ fn bind_yolox(signature: &Signature, size: PictureSize) -> Result<Bound, String>
     }
     let cells = cells(size, &STRIDES);
     let (rows, classes) = rows_with_classes(&signature.only_output()?.shape, BEFORE_CLASSES + 1)
-        .map_err(|_| format!("its output has another shape than [1, {cells}, 5 + classes]"))?;
+        .map_err(|_| other_than_cells(cells))?;
     if !can_be(rows, cells) {
-        return Err(format!(
-            "its output has another shape than [1, {cells}, 5 + classes]"
-        ));
+        return Err(other_than_cells(cells));
     }
     let reader = Dense {
         size,
@@ -341,7 +356,11 @@ fn bind_yolox(signature: &Signature, size: PictureSize) -> Result<Bound, String>
         boxes: 0,
         scores: None,
     };
-    Ok(dense(reader, true))
+    Ok(dense(reader))
+}
+
+fn other_than_cells(cells: usize) -> String {
+    format!("its output has another shape than [1, {cells}, 5 + classes]")
 }
 
 fn bind_yolo_nas(signature: &Signature, size: PictureSize) -> Result<Bound, String> {
@@ -368,7 +387,7 @@ fn bind_yolo_nas(signature: &Signature, size: PictureSize) -> Result<Bound, Stri
         boxes,
         scores: Some(scores),
     };
-    Ok(dense(reader, true))
+    Ok(dense(reader))
 }
 
 /// A score per class for each query, or the best of them with their classes, as Ultralytics has exported since it writes the
@@ -390,5 +409,9 @@ fn bind_rt_detr(signature: &Signature, size: PictureSize) -> Result<Bound, Strin
         boxes: 0,
         scores: None,
     };
-    Ok(dense(reader, false))
+    // Each query is another object.
+    Ok(Bound {
+        overlaps: false,
+        ..dense(reader)
+    })
 }

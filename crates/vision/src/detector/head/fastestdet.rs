@@ -57,21 +57,22 @@ impl ReadOutputs for FastestDet {
             }
             scores.clear();
             scores.extend((0..self.classes).map(|class| channel(BEFORE_CLASSES + class, cell)));
-            let read =
-                best_class(&scores).filter(|_| is_score(objectness)).and_then(|(class, score)| {
-                    let score = objectness.max(0.0).powf(0.6) * score.powf(0.4);
-                    let offset = |number: usize| f64::from(channel(number, cell));
+            match best_class(&scores) {
+                Some((class, score)) if is_score(objectness) => {
+                    let number = |place: usize| f64::from(channel(place, cell));
+                    let column = (cell % columns) as f64;
+                    let line = (cell / columns) as f64;
                     let corners = around([
-                        (offset(1).tanh() + (cell % columns) as f64) / columns as f64
-                            * f64::from(size.width),
-                        (offset(2).tanh() + (cell / columns) as f64) / lines as f64
-                            * f64::from(size.height),
-                        sigmoid(offset(3)) * f64::from(size.width),
-                        sigmoid(offset(4)) * f64::from(size.height),
+                        (number(1).tanh() + column) / columns as f64 * f64::from(size.width),
+                        (number(2).tanh() + line) / lines as f64 * f64::from(size.height),
+                        sigmoid(number(3)) * f64::from(size.width),
+                        sigmoid(number(4)) * f64::from(size.height),
                     ]);
-                    candidate(corners, class, score)
-                });
-            rows.add(read);
+                    let score = objectness.max(0.0).powf(0.6) * score.powf(0.4);
+                    rows.add(candidate(corners, class, score));
+                }
+                _ => rows.add(None),
+            }
         }
         Ok(())
     }

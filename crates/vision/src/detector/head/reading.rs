@@ -76,15 +76,11 @@ pub(super) fn only<'a>(outputs: &[TensorView<'a>], expected: &[i64]) -> Result<&
 
 /// The elements of `output`, which must have this shape; -1 matches any dimension.
 pub(super) fn elements<'a>(output: &TensorView<'a>, expected: &[i64]) -> Result<&'a [f32], String> {
+    let is_as_expected =
+        |(&actual, &expected): (&i64, &i64)| actual >= 0 && (expected == -1 || actual == expected);
     let fits = output.shape.len() == expected.len()
-        && output
-            .shape
-            .iter()
-            .zip(expected)
-            .all(|(&actual, &expected)| actual >= 0 && (expected == -1 || actual == expected));
-    let length = output.shape.iter().try_fold(1_i64, |product, &side| product.checked_mul(side));
-    if !fits || length.and_then(|length| usize::try_from(length).ok()) != Some(output.values.len())
-    {
+        && output.shape.iter().zip(expected).all(is_as_expected);
+    if !fits || elements_of(output.shape) != Some(output.values.len()) {
         return Err(format!(
             "the model returned an output of {} instead of {}",
             shape_text(output.shape),
@@ -94,6 +90,15 @@ pub(super) fn elements<'a>(output: &TensorView<'a>, expected: &[i64]) -> Result<
     Ok(output.values)
 }
 
+/// The number of elements of a tensor with this shape; `None` if it is not representable.
+fn elements_of(shape: &[i64]) -> Option<usize> {
+    let mut elements = 1_usize;
+    for &side in shape {
+        elements = elements.checked_mul(usize::try_from(side).ok()?)?;
+    }
+    Some(elements)
+}
+
 /// True if `score` is a number from 0 to 1, within rounding (of float16 too).
 pub(super) fn is_score(score: f32) -> bool {
     (-1e-3..=1.001).contains(&score)
@@ -101,17 +106,22 @@ pub(super) fn is_score(score: f32) -> bool {
 
 /// The class with the largest score, and that score; `None` if one of the numbers is not a score.
 pub(super) fn best_class(scores: &[f32]) -> Option<(ClassId, f32)> {
-    let mut best = (0, f32::NEG_INFINITY);
+    if scores.is_empty() {
+        return None;
+    }
+    let mut best = 0;
+    let mut highest = f32::NEG_INFINITY;
     for (class, &score) in scores.iter().enumerate() {
         if !is_score(score) {
             return None;
         }
-        if score > best.1 {
-            best = (class, score);
+        if score > highest {
+            best = class;
+            highest = score;
         }
     }
-    let class = u16::try_from(best.0).ok()?;
-    (!scores.is_empty()).then_some((ClassId(class), best.1.clamp(0.0, 1.0)))
+    let class = u16::try_from(best).ok()?;
+    Some((ClassId(class), highest.clamp(0.0, 1.0)))
 }
 
 /// The unit of a model's boxes.
@@ -129,7 +139,8 @@ impl Unit {
         let Self::Sides(size) = self else {
             return corners;
         };
-        let (width, height) = (f64::from(size.width), f64::from(size.height));
+        let width = f64::from(size.width);
+        let height = f64::from(size.height);
         Corners {
             x1: corners.x1 * width,
             y1: corners.y1 * height,
@@ -166,7 +177,10 @@ pub(super) fn candidate(corners: Corners, class: ClassId, confidence: f32) -> Op
         && x2 > x1
         && y2 > y1
         && is_score(confidence);
-    possible.then(|| Candidate {
+    if !possible {
+        return None;
+    }
+    Some(Candidate {
         corners,
         class,
         confidence: confidence.clamp(0.0, 1.0),

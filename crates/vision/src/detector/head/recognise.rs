@@ -30,8 +30,10 @@ pub fn recognise(
     }
     let told = if metadata.is_rt_detr() {
         Some(HeadName::RtDetr)
+    } else if metadata.is_end_to_end() {
+        Some(HeadName::EndToEnd)
     } else {
-        metadata.is_end_to_end().then_some(HeadName::EndToEnd)
+        None
     };
     if let Some(head) = told {
         return fitting(signature, input, &[head]).map_err(|reason| {
@@ -51,7 +53,7 @@ pub fn recognise(
             .unwrap_or_else(|| "it looks like none of the models that are read".into());
         refused(signature, input, reason)
     })?;
-    // Formats with another number of numbers before the classes have another number of classes.
+    // How many numbers a head takes to be before the class scores decides how many classes it sees.
     let known = names.unwrap_or(80);
     if heads.iter().any(|head| head.fits_names(known)) {
         heads.retain(|head| head.fits_names(known));
@@ -130,20 +132,21 @@ impl Recognised {
         input: PictureInput,
         outputs: &[TensorView<'_>],
     ) -> Result<HeadName, String> {
-        let mut left: Vec<(HeadName, bool)> = Vec::new();
+        let mut sure = Vec::new();
+        let mut names = Vec::new();
         let mut against = Vec::new();
         for head in &self.with_sizes_of(signature, input, outputs).0 {
             match head.evidence(outputs, LEAST_SCORE) {
                 Evidence::Against(reason) => {
-                    against.push(format!("no `{}`: {reason}", head.name.as_str()))
+                    against.push(format!("no `{}`: {reason}", head.name.as_str()));
                 }
-                Evidence::For => left.push((head.name, true)),
-                Evidence::None => left.push((head.name, false)),
+                Evidence::For => {
+                    sure.push(head.name);
+                    names.push(head.name);
+                }
+                Evidence::None => names.push(head.name),
             }
         }
-        let sure: Vec<_> =
-            left.iter().filter(|(_, is_sure)| *is_sure).map(|(name, _)| *name).collect();
-        let names: Vec<_> = left.iter().map(|(name, _)| *name).collect();
         for only in [&sure, &names] {
             if let [name] = only.as_slice() {
                 return Ok(*name);

@@ -33,11 +33,14 @@ fn transformers(signature: &Signature) -> Option<String> {
 fn mmdeploy(signature: &Signature) -> Option<String> {
     let (_, boxes) = signature.output("dets").ok()?;
     signature.output("labels").ok()?;
-    matches!(boxes.shape.as_slice(), [.., 5]).then(|| {
+    if boxes.shape.last() != Some(&5) {
+        return None;
+    }
+    Some(
         "mmdeploy writes these outputs for every detector, and not how it wants its pictures. Set detector.head = \
          \"rtmdet\" for RTMDet; for another, also set detector.range, color_order and fit"
-            .to_owned()
-    })
+            .to_owned(),
+    )
 }
 
 /// The full name of the output that has `part` in it.
@@ -64,8 +67,8 @@ fn paddle(signature: &Signature) -> Option<String> {
     if !signature.inputs.iter().any(|input| input.name == "scale_factor") {
         return None;
     }
-    let is_rows = |output: &&TensorSpec| matches!(output.shape.as_slice(), [.., 6]);
-    Some(match signature.outputs.iter().find(is_rows) {
+    let has_rows = |output: &&TensorSpec| output.shape.last() == Some(&6);
+    let reason = match signature.outputs.iter().find(has_rows) {
         Some(output) => format!(
             "it is a model of PaddleDetection (PP-YOLOE and others), which does not say how it wants its pictures. Set \
              detector.head = {{ columns = \"{}: class score x1 y1 x2 y2\" }}, detector.fit = \"stretch\", and \
@@ -75,7 +78,8 @@ fn paddle(signature: &Signature) -> Option<String> {
         None => "it is a model of PaddleDetection (PP-YOLOE and others) without its suppression: export it with \
                  `export.nms=True`"
             .to_owned(),
-    })
+    };
+    Some(reason)
 }
 
 /// TensorRT's suppression, if this ONNX Runtime could load it.
@@ -100,33 +104,39 @@ fn training_heads(signature: &Signature) -> Option<String> {
                 .to_owned(),
         );
     }
-    (signature.outputs.len() >= 4).then(|| {
-        format!(
-            "its {} outputs are feature maps that are not decoded (as of NanoDet, PicoDet or CenterFace), which nothing \
-             here reads: export it with its decoding in the graph, as one output with a row per box, and list the row's \
-             columns in detector.head = {{ columns = \"x1 y1 x2 y2 score class\" }}",
-            signature.outputs.len()
-        )
-    })
+    if signature.outputs.len() < 4 {
+        return None;
+    }
+    Some(format!(
+        "its {} outputs are feature maps that are not decoded (as of NanoDet, PicoDet or CenterFace), which nothing here \
+         reads: export it with its decoding in the graph, as one output with a row per box, and list the row's columns in \
+         detector.head = {{ columns = \"x1 y1 x2 y2 score class\" }}",
+        signature.outputs.len()
+    ))
 }
 
 fn segmentation(signature: &Signature) -> Option<String> {
-    let has_masks = signature
-        .outputs
-        .iter()
-        .any(|output| matches!(output.shape.as_slice(), [_, 32, _, _]));
-    (has_masks && signature.outputs.len() == 2).then(|| {
+    // Prototypes of masks, of which every export has 32.
+    let are_masks = |output: &TensorSpec| matches!(output.shape.as_slice(), [_, 32, _, _]);
+    if signature.outputs.len() != 2 || !signature.outputs.iter().any(are_masks) {
+        return None;
+    }
+    Some(
         "it is a segmentation model, whose masks nothing here reads: use the detection model of the same family"
-            .to_owned()
-    })
+            .to_owned(),
+    )
 }
 
 fn classifier(signature: &Signature) -> Option<String> {
     let [output] = signature.outputs.as_slice() else {
         return None;
     };
-    let is_row = matches!(output.shape.as_slice(), [1 | -1, classes] if !(4..=8).contains(classes));
-    is_row.then(|| {
-        "its output is one row of scores: it is a classifier and finds no boxes; a detector is needed".to_owned()
-    })
+    match output.shape.as_slice() {
+        // From 4 to 8 numbers may be those of one box.
+        [1 | -1, classes] if !(4..=8).contains(classes) => Some(
+            "its output is one row of scores: it is a classifier and finds no boxes; a detector is needed"
+                .to_owned(),
+        ),
+        _ => None,
+    }
 }

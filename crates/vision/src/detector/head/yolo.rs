@@ -35,22 +35,23 @@ impl ReadOutputs for Yolo {
         let anchors = values.len() / numbers;
         let row = |number: usize| &values[number * anchors..][..anchors];
         let sides = [row(0), row(1), row(2), row(3)];
-        let largest = sides
-            .iter()
-            .flat_map(|row| row.iter())
-            .filter(|side| side.is_finite())
-            .fold(0.0_f32, |largest, side| largest.max(side.abs()));
+        let mut largest = 0.0_f32;
+        for side in sides.into_iter().flatten() {
+            if side.is_finite() {
+                largest = largest.max(side.abs());
+            }
+        }
         let unit = unit(f64::from(largest), self.size);
         let has_logits = are_logits(row(BEFORE_CLASSES).iter().copied());
         for start in (0..anchors).step_by(BLOCK) {
             let length = BLOCK.min(anchors - start);
-            let of_class = |class: usize| &row(BEFORE_CLASSES + class)[start..][..length];
-            let classes = (0..self.classes).map(of_class);
+            let scores_of = |class: usize| &row(BEFORE_CLASSES + class)[start..][..length];
+            let by_class = (0..self.classes).map(scores_of);
             // A logit that is not finite is a fault like a probability that is none.
             let (best, sound) = if has_logits {
-                best_of_block(classes, f32::is_finite)
+                best_of_block(by_class, f32::is_finite)
             } else {
-                best_of_block(classes, is_score)
+                best_of_block(by_class, is_score)
             };
             for place in 0..length {
                 let (highest, class) = best[place];
@@ -59,27 +60,30 @@ impl ReadOutputs for Yolo {
                 } else {
                     highest
                 };
-                if sound[place] && f64::from(score) < rows.confidence {
+                if !sound[place] {
+                    rows.add(None);
+                    continue;
+                }
+                if f64::from(score) < rows.confidence {
                     continue;
                 }
                 let corners = around(sides.map(|row| f64::from(row[start + place])));
-                let read = candidate(unit.pixels(corners), ClassId(class), score);
-                rows.add(read.filter(|_| sound[place]));
+                rows.add(candidate(unit.pixels(corners), ClassId(class), score));
             }
         }
         Ok(())
     }
 }
 
-/// The best score of each anchor of a block with its class, and whether all its scores are sound. `classes` has the
+/// The best score of each anchor of a block with its class, and whether all its scores are sound. `by_class` has the
 /// scores of the block for one class after the other.
 fn best_of_block<'a>(
-    classes: impl Iterator<Item = &'a [f32]>,
+    by_class: impl Iterator<Item = &'a [f32]>,
     is_sound: impl Fn(f32) -> bool,
 ) -> ([(f32, u16); BLOCK], [bool; BLOCK]) {
     let mut best = [(f32::NEG_INFINITY, 0_u16); BLOCK];
     let mut sound = [true; BLOCK];
-    for (class, scores) in classes.enumerate() {
+    for (class, scores) in by_class.enumerate() {
         for ((best, sound), &score) in best.iter_mut().zip(&mut sound).zip(scores) {
             *sound &= is_sound(score);
             if score > best.0 {
