@@ -16,10 +16,10 @@ DEMO_SECONDS ?=
 # Python's ONNX Runtime, like ours, must not collect telemetry.
 export ORT_DISABLE_TELEMETRY := 1
 
-.PHONY: help needs demo test build-tests web browser lint deny fuzz simulate soak board onnxruntime python wheel wheel-tests debian release dist bench bench-peers peers gpu parity clean
+.PHONY: help needs demo test build-tests web browser lint deny fuzz simulate soak board onnxruntime python wheel wheel-tests debian release dist bench bench-counted bench-peers peers gpu parity clean
 
 help: ## list the commands
-	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 demo: needs onnxruntime web ## run camera, node and hub in one process, with nothing to configure (DEMO_SECONDS=N stops it)
 	@bash tests/build.sh
@@ -66,6 +66,9 @@ soak: onnxruntime python ## run a node and a hub under faults for half an hour, 
 
 bench: onnxruntime web ## run the benches, optimised (slow the first time)
 	cargo bench --locked
+
+bench-counted: ## count the instructions of the frames that must not become dearer unseen (ACCEPT=1 takes the new counts)
+	@bash benches/counted.sh
 
 bench-peers: ## compare the decision core with other trackers, and the JPEG decoder with others
 	cargo run --release --locked --manifest-path benches/standalone/Cargo.toml
@@ -136,7 +139,7 @@ debian: ## install the Debian packages that the tests use, if missing and allowe
 	@bash tests/debian-packages.sh ffmpeg:ffmpeg promtool:prometheus curl:curl cmake:cmake nasm:nasm initdb:postgresql \
 		strace:strace gst-launch-1.0:gstreamer1.0-tools :gstreamer1.0-plugins-base :gstreamer1.0-plugins-good \
 		:gstreamer1.0-plugins-ugly :gir1.2-gst-rtsp-server-1.0 :python3-gi \
-		systemd-analyze:systemd caddy:caddy mosquitto:mosquitto mosquitto_sub:mosquitto-clients docker-compose:docker-compose shellcheck:shellcheck
+		systemd-analyze:systemd caddy:caddy mosquitto:mosquitto mosquitto_sub:mosquitto-clients docker-compose:docker-compose shellcheck:shellcheck valgrind:valgrind
 
 clean: ## remove what was built and fetched
 	cargo clean

@@ -114,15 +114,11 @@ impl Arguments {
         self.detector_with(model, Some(&self.engines))
     }
 
-    /// The same with other caches, or none. CUDA runs the parts of a model that TensorRT cannot.
+    /// The same with other caches, or none. No other provider is listed: it would answer while TensorRT builds its engine.
     pub(crate) fn detector_with(&self, model: &Path, engines: Option<&Path>) -> DetectorConfig {
-        let mut providers = vec![self.provider];
-        if self.provider == ExecutionProvider::TensorRt {
-            providers.push(ExecutionProvider::Cuda);
-        }
         DetectorConfig {
             model: model.to_owned(),
-            providers,
+            providers: vec![self.provider],
             gpu: GpuConfig {
                 device: self.device,
                 engine_cache: engines.map(Path::to_owned),

@@ -9,7 +9,8 @@ use albireo_service::ServiceError;
 use albireo_service::clock::milliseconds;
 use albireo_service::config::{ZenohConfig, ZenohMode};
 use albireo_service::session;
-use albireo_vision::detector::{DetectorConfig, DetectorNetwork, USUAL_PICTURE};
+use albireo_vision::detector::{DetectorConfig, DetectorNetwork, ExecutionProvider};
+use albireo_vision::detector::{USUAL_PICTURE, compare_with_cpu};
 use albireo_vision::picture::{EncodedPicture, FrameLimits, Picture, PixelLayout, decode};
 use albireo_vision::screen::ScreenHandle;
 use parking_lot::Mutex;
@@ -36,8 +37,9 @@ pub async fn try_all(config: &NodeConfig, mut each: impl FnMut(&str, Result<Stri
     let mut report = |key: &str, outcome: Result<String, TrialFailure>| {
         each(key, outcome.map_err(|error| error.to_string()));
     };
-    let detector = config.detector.clone();
-    let found = tokio::task::spawn_blocking(move || try_detector(&detector)).await;
+    let detector = Arc::new(config.detector_here());
+    let opened = Arc::clone(&detector);
+    let found = tokio::task::spawn_blocking(move || try_detector(&opened)).await;
     let (network, outcome) = match found.unwrap_or_else(|error| Err(error.into())) {
         Ok((network, text)) => (Some(Arc::new(Mutex::new(network))), Ok(text)),
         Err(error) => (None, Err(error)),
@@ -56,12 +58,11 @@ pub async fn try_all(config: &NodeConfig, mut each: impl FnMut(&str, Result<Stri
             let limits = config.frame;
             let mount = camera.mount();
             let network = network.clone();
+            let detector = Arc::clone(&detector);
             let tried = tokio::task::spawn_blocking(move || {
-                try_picture(
-                    &arrived?.mounted(mount.as_ref()),
-                    &limits,
-                    network.as_deref(),
-                )
+                let picture = arrived?.mounted(mount.as_ref());
+                let network = network.as_deref().map(|network| (network, &*detector));
+                try_picture(&picture, &limits, network)
             });
             report(&key, tried.await.unwrap_or_else(|error| Err(error.into())));
         }
@@ -97,11 +98,11 @@ async fn in_time(
     Ok(tokio::time::timeout(ANSWER, opening).await.map_err(silent)??)
 }
 
-/// Decodes the picture of a camera and, if there is a detector, runs it on the picture.
+/// Decodes the picture of a camera and, if there is a detector, runs it on the picture; if a GPU runs it, on the CPU, too.
 fn try_picture(
     picture: &EncodedPicture,
     limits: &FrameLimits,
-    network: Option<&Mutex<DetectorNetwork>>,
+    detector: Option<(&Mutex<DetectorNetwork>, &DetectorConfig)>,
 ) -> Result<String, TrialFailure> {
     let unusable = |reason: &dyn Display| -> TrialFailure {
         format!("a picture arrived that cannot be used: {reason}").into()
@@ -115,7 +116,7 @@ fn try_picture(
         picture.size,
         picture.format.as_str()
     );
-    let Some(network) = network else {
+    let Some((network, config)) = detector else {
         return Ok(text);
     };
     let mut network = network.lock();
@@ -147,8 +148,16 @@ fn try_picture(
     }
     let smallest = network.input().smallest_for(decoded.source_size);
     let inputs = network.preparation().inputs();
-    if let Some(found) = inputs.iter().find(|found| found.smallest.size == smallest) {
-        text.push_str(&format!("; {found}"));
+    if let Some(input) = inputs.iter().find(|input| input.smallest.size == smallest) {
+        text.push_str(&format!("; {input}"));
+    }
+    let provider = network.provider();
+    if provider != ExecutionProvider::Cpu {
+        let agreement = compare_with_cpu(config, provider, &prepared, &found.detections)?;
+        if !agreement.agrees() {
+            return Err(format!("{text}; {agreement}").into());
+        }
+        text.push_str(&format!("; {agreement}"));
     }
     Ok(text)
 }

@@ -89,7 +89,7 @@ impl PreparedNode {
         let started = albireo_power::start(&config.power, stop).await;
         let (power, sampler) = started.map_err(NodeError::of("[power]"))?;
 
-        let models = Models::start(&config.detector, &config.screen, &board).await?;
+        let models = Models::start(&config.detector_here(), &config.screen, &board).await?;
 
         // Whatever starts from here on is watched, and ends in order if one of them fails.
         let mut tasks = Supervisor::new(

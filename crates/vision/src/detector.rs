@@ -11,6 +11,7 @@ mod inputs;
 mod network;
 mod open_outputs;
 mod opening;
+mod precision;
 mod preparation;
 mod reader;
 
@@ -22,6 +23,9 @@ pub use handle::{Detected, DetectorHandle, SpareTurn};
 pub use head_name::{HeadName, HeadSetting};
 pub use inputs::{Agreement, Choice, InputUse, ModelInput, OpenSides, PaddedInput, USUAL_PICTURE};
 pub use network::{DetectorNetwork, Found};
+pub use precision::{
+    Precision, PrecisionError, PrecisionProof, ProviderAgreement, compare_with_cpu,
+};
 pub(crate) use preparation::prepare_off_thread;
 pub use preparation::{Preparation, PreparedPicture};
 pub use reader::{HeadCounts, HeadMeter};

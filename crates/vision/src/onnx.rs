@@ -1,5 +1,6 @@
 //! ONNX models on ONNX Runtime: the library, sessions and their execution providers, a model's signature and metadata.
 
+mod engine_cache;
 mod error;
 pub(crate) mod fault;
 mod file_kind;
@@ -10,6 +11,7 @@ mod provider;
 mod session;
 mod signature;
 
+pub(crate) use engine_cache::{EngineCache, has_half_weights};
 pub use error::{StartError, StartErrorKind};
 pub use gpu::GpuConfig;
 pub use metadata::Metadata;

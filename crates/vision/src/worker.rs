@@ -20,6 +20,7 @@ pub use status::ModelStatus;
 
 use crate::onnx::{ExecutionProvider, StartError, fault};
 use albireo_core::geometry::PictureSize;
+pub(crate) use queue::batch_sizes;
 use queue::{Queue, Request};
 use std::sync::Arc;
 use std::time::Duration;
@@ -84,9 +85,13 @@ pub(crate) struct WorkerSettings {
     pub(crate) timeout: Duration,
     /// The maximum number of pictures in a run, each from another asker and all of one size.
     pub(crate) batch_size: usize,
-    /// The longest time that a picture waits for pictures of other askers to share its run, from its request.
+    /// The longest time that a picture waits for pictures of other askers to share its run, from its request. It waits
+    /// only for those that are likely to come, and no longer than a run takes.
     pub(crate) batch_wait: Duration,
 }
+
+/// Builds a model on its thread.
+pub(crate) type Build<M> = Box<dyn Fn() -> Result<M, StartError> + Send>;
 
 /// An answered picture.
 #[derive(Clone, Debug, PartialEq)]
@@ -130,12 +135,16 @@ impl<I: WorkerInput, T: Send + 'static> Worker<I, T> {
     /// Builds the model on its thread and waits for it; also returns the model's facts. Calls `build` again after each
     /// failure. Counts with `meter`. Needs a tokio runtime with timers.
     ///
+    /// `successor` builds a better model, which may take long: on another thread, while the first one answers, whose place
+    /// it takes between two runs. If it cannot be built, the log says why and the first one stays.
+    ///
     /// # Errors
     /// If the first model cannot be built.
     pub(crate) async fn start<M: Model<Input = I, Output = T>>(
         settings: WorkerSettings,
         meter: WorkerMeter,
         build: impl Fn() -> Result<M, StartError> + Send + 'static,
+        successor: Option<Build<M>>,
     ) -> Result<(Self, M::Facts), StartError> {
         let thread = ModelThread::spawn(settings.name, build)
             .map_err(|error| StartError::thread(settings.name, error))?;
@@ -147,6 +156,8 @@ impl<I: WorkerInput, T: Send + 'static> Worker<I, T> {
         let mut task = Task {
             settings,
             thread,
+            successor: None,
+            facts: None,
             requests: received,
             queue: Queue::new(settings.batch_size, settings.batch_wait),
             is_stopping: false,
@@ -173,6 +184,9 @@ impl<I: WorkerInput, T: Send + 'static> Worker<I, T> {
             Err(StartError::thread(settings.name, reason))
         });
         let facts = built?;
+        if let Some(build) = successor {
+            task.successor = Some(Successor::build(settings.name, build)?);
+        }
         tokio::spawn(async move {
             let served = task.serve().await;
             end.send_replace(Some(task.finish(served).await));
@@ -258,14 +272,64 @@ enum Event<M: Model> {
     Request,
     /// The thread has finished its command.
     Outcome(Outcome<M>),
+    /// The successor is ready, cannot be built, or is still being built.
+    Successor,
     /// The time limit of the wait has come.
     Time,
+}
+
+/// A model that is built while another one answers.
+struct Successor<M: Model> {
+    thread: ModelThread<M>,
+    begun: Instant,
+    /// The time after which the log next reports that it is still being built.
+    patience: Duration,
+    /// What runs it, once it is ready.
+    provider: Option<ExecutionProvider>,
+}
+
+impl<M: Model> Successor<M> {
+    fn build(name: &'static str, build: Build<M>) -> Result<Self, StartError> {
+        let thread =
+            ModelThread::spawn(name, build).map_err(|error| StartError::thread(name, error))?;
+        // A thread that is gone is noticed by its outcomes.
+        let _ = thread.commands.send(Command::Build);
+        Ok(Self {
+            thread,
+            begun: Instant::now(),
+            patience: STILL_BUILDING,
+            provider: None,
+        })
+    }
+}
+
+/// What a successor tells.
+enum Told<M: Model> {
+    Outcome(Option<Outcome<M>>),
+    /// It is still being built.
+    Still,
+}
+
+/// What the `successor` tells next; never returns without one that is being built.
+async fn told_by<M: Model>(successor: &mut Option<Successor<M>>) -> Told<M> {
+    match successor {
+        Some(successor) if successor.provider.is_none() => {
+            tokio::select! {
+                outcome = successor.thread.outcomes.recv() => Told::Outcome(outcome),
+                () = sleep_until(successor.begun + successor.patience) => Told::Still,
+            }
+        }
+        _ => std::future::pending().await,
+    }
 }
 
 /// All mutable state, owned by one task.
 struct Task<M: Model> {
     settings: WorkerSettings,
     thread: ModelThread<M>,
+    successor: Option<Successor<M>>,
+    /// The facts of the first model that was built, which any other must have.
+    facts: Option<M::Facts>,
     requests: mpsc::UnboundedReceiver<Request<M::Input, M::Output>>,
     queue: Queue<M::Input, M::Output>,
     /// True once the worker is stopped: every request is refused.
@@ -309,6 +373,62 @@ impl<M: Model> Task<M> {
         Ok(())
     }
 
+    /// Puts the successor in the place of the model, if it is ready and no run is in progress. The former model is dropped
+    /// on its own thread.
+    fn succeed(&mut self) -> bool {
+        let Some(ready) = self.successor.take_if(|successor| successor.provider.is_some()) else {
+            return false;
+        };
+        let former = self.provider.as_str();
+        self.thread = ready.thread;
+        self.provider = ready.provider.unwrap_or(self.provider);
+        let provider = self.provider;
+        info!(
+            worker = self.settings.name,
+            former,
+            provider = provider.as_str(),
+            took_s = ready.begun.elapsed().as_secs(),
+            "the model runs on the provider that was being built"
+        );
+        self.open(ModelStatus::Ready { provider });
+        true
+    }
+
+    /// Takes note of what a successor told.
+    fn hear_of_successor(&mut self, told: Told<M>) {
+        let worker = self.settings.name;
+        let provider = self.provider.as_str();
+        let Some(successor) = &mut self.successor else {
+            return;
+        };
+        let seconds = successor.begun.elapsed().as_secs();
+        let reason = match told {
+            Told::Still => {
+                successor.patience *= 2;
+                info!(
+                    worker,
+                    seconds, provider, "still building, this provider answers meanwhile"
+                );
+                return;
+            }
+            Told::Outcome(Some(Outcome::Built(Ok((built, facts))))) => {
+                if self.facts.as_ref() == Some(&facts) {
+                    successor.provider = Some(built);
+                    return;
+                }
+                "it has other classes or another input; restart the program to use the new file"
+                    .to_owned()
+            }
+            Told::Outcome(Some(Outcome::Built(Err(error)))) => error.to_string(),
+            Told::Outcome(Some(Outcome::Ran(_)) | None) => "its thread is gone".to_owned(),
+        };
+        self.successor = None;
+        error!(
+            worker,
+            provider, reason, "the build failed, and this provider goes on"
+        );
+    }
+
     /// Returns the next event, at `time` at the latest.
     ///
     /// # Errors
@@ -325,15 +445,24 @@ impl<M: Model> Task<M> {
                 None => Err(self.stuck("is gone".to_owned())),
             },
             Some(request) = self.requests.recv() => {
-                match self.refusal() {
-                    None => self.queue.push(request),
-                    Some(refusal) => self.refuse([request], &refusal),
-                }
-                self.count_waiting();
+                self.take(request);
                 Ok(Event::Request)
+            }
+            told = told_by(&mut self.successor) => {
+                self.hear_of_successor(told);
+                Ok(Event::Successor)
             }
             () = sleep_until(time.unwrap_or_else(Instant::now)), if time.is_some() => Ok(Event::Time),
         }
+    }
+
+    /// Queues or refuses a request.
+    fn take(&mut self, request: Request<M::Input, M::Output>) {
+        match self.refusal() {
+            None => self.queue.push(request),
+            Some(refusal) => self.refuse([request], &refusal),
+        }
+        self.count_waiting();
     }
 
     /// The immediate answer to every request while no session can accept pictures.
@@ -347,6 +476,11 @@ impl<M: Model> Task<M> {
     /// Returns when the next run may begin.
     async fn next_batch(&mut self) -> Result<(), End> {
         loop {
+            self.succeed();
+            // What has come together runs together.
+            while let Ok(request) = self.requests.try_recv() {
+                self.take(request);
+            }
             let cancelled = self.queue.drop_cancelled() as u64;
             self.meter.update(|counts| counts.cancelled += cancelled);
             self.count_waiting();
@@ -377,7 +511,7 @@ impl<M: Model> Task<M> {
         let result = loop {
             match self.event(Some(deadline)).await {
                 Ok(Event::Outcome(Outcome::Ran(result))) => break result,
-                Ok(Event::Outcome(Outcome::Built(_)) | Event::Request) => {}
+                Ok(Event::Outcome(Outcome::Built(_)) | Event::Request | Event::Successor) => {}
                 // The run in progress may still end in time.
                 Err(End::Stopped) if waiting.is_some() => {}
                 Err(End::Stopped) => return Err(End::StoppedLate),
@@ -396,6 +530,7 @@ impl<M: Model> Task<M> {
             }
         };
         let took = started.elapsed();
+        self.queue.ran(took);
         if waiting.is_none() {
             info!(
                 worker = self.settings.name,
@@ -496,6 +631,9 @@ impl<M: Model> Task<M> {
             while Instant::now() < over {
                 self.event(Some(over)).await?;
             }
+            if self.succeed() {
+                return Ok(());
+            }
             self.meter.update(|counts| counts.rebuilds += 1);
             let Err(reason) = self.build().await? else {
                 info!(worker = self.settings.name, "the session has been rebuilt");
@@ -520,11 +658,12 @@ impl<M: Model> Task<M> {
                 Event::Outcome(Outcome::Built(built)) => {
                     return Ok(built.map(|(provider, facts)| {
                         self.provider = provider;
+                        self.facts.get_or_insert_with(|| facts.clone());
                         self.open(ModelStatus::Ready { provider });
                         facts
                     }));
                 }
-                Event::Outcome(Outcome::Ran(_)) | Event::Request => {}
+                Event::Outcome(Outcome::Ran(_)) | Event::Request | Event::Successor => {}
                 Event::Time => {
                     warn!(
                         worker = self.settings.name,

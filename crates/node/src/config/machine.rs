@@ -73,6 +73,15 @@ impl NodeConfig {
         }
     }
 
+    /// The detector as it runs on this machine: TensorRT's engines are kept in the state directory unless another folder is
+    /// set, because each takes minutes to build.
+    pub fn detector_here(&self) -> DetectorConfig {
+        let mut detector = self.detector.clone();
+        let kept = self.node.state_dir.as_ref().map(|folder| folder.join("engines"));
+        detector.gpu.engine_cache = detector.gpu.engine_cache.or(kept);
+        detector
+    }
+
     /// Finds obstacles that may be temporary: ports in use, perhaps by this very node.
     pub fn in_the_way(&self) -> Vec<Finding> {
         let mut findings = Findings::default();

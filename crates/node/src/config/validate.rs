@@ -68,7 +68,7 @@ http.idle_timeout_ms: a connection that is silent for 30 s is closed
 http.max_connections: 256 connections may be open at a time
 detector.suppression_per_class: boxes of one class suppress each other
 detector.most_detections: a frame has at most 300 detections
-detector.batch_wait_ms: a frame waits 5 ms for those that share its run
+detector.batch_wait_ms: a frame waits for those that are likely to come within the time of a run
 detector.may_fall_back: each provider in detector.providers replaces those before it if they fail: list a single \
     one to allow no other
 detector.gpu.device: the environment variable CUDA_VISIBLE_DEVICES chooses the GPU

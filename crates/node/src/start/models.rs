@@ -94,6 +94,7 @@ fn show_reading(detector: &DetectorHandle, board: &Board) {
         left_out: left_out.to_vec(),
         meter: detector.head_meter(),
         preparation: detector.preparation().clone(),
+        precision: detector.precision(),
     });
 }
 

@@ -32,7 +32,9 @@ use albireo_service::clock::unix_milliseconds;
 use albireo_service::identity::Certificates;
 use albireo_service::readiness::{Fault, Readiness};
 use albireo_service::supervise::TaskFailures;
-use albireo_vision::detector::{ExecutionProvider, HeadMeter, ModelStatus, Preparation};
+use albireo_vision::detector::{
+    ExecutionProvider, HeadMeter, ModelStatus, PrecisionProof, Preparation,
+};
 use albireo_vision::worker::{WorkerCounts, WorkerMeter};
 use albireo_wire::{AuditReport, ClipReport, CountersMessage};
 use camera::Shared;
@@ -114,6 +116,8 @@ pub(crate) struct ModelReading {
     pub(crate) meter: HeadMeter,
     /// The sizes of its input in use.
     pub(crate) preparation: Preparation,
+    /// Whether its provider finds what the CPU finds.
+    pub(crate) precision: PrecisionProof,
 }
 
 /// What the board of a node shows that never changes, and what its parts begin with.

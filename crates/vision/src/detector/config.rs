@@ -66,7 +66,8 @@ pub struct DetectorConfig {
     /// The maximum number of frames in a run, each from another camera; more than 1 only for a model with an open
     /// batch.
     pub batch_size: usize,
-    /// The longest time that a frame waits for frames of other cameras, from its request. Not a node setting.
+    /// The longest time that a frame waits for frames of other cameras, from its request: it waits only for those that are
+    /// likely to come, and no longer than a run takes. Not a node setting.
     #[serde(skip)]
     pub batch_wait_ms: u64,
     /// The ONNX Runtime library; if empty, it is searched for in `ORT_DYLIB_PATH`, beside the program, in
@@ -94,7 +95,7 @@ impl Default for DetectorConfig {
             threads: 0,
             timeout_ms: 2000,
             batch_size: 1,
-            batch_wait_ms: 5,
+            batch_wait_ms: 50,
             onnxruntime: None,
         }
     }
@@ -115,6 +116,7 @@ impl DetectorConfig {
             threads: self.threads,
             onnxruntime: self.onnxruntime.clone(),
             shapes: None,
+            engines: None,
         }
     }
 

@@ -1,13 +1,15 @@
 //! One detector shared by all cameras.
 
 use super::network::DetectorNetwork;
+use super::opening::Among;
 use super::preparation::prepare_off_thread;
 use super::{
-    CameraSlot, DetectorConfig, ExecutionProvider, Found, HeadMeter, InputUse, Preparation,
+    CameraSlot, DetectorConfig, ExecutionProvider, Found, HeadMeter, InputUse, PrecisionProof,
+    Preparation,
 };
 use super::{PreparedPicture, StartError};
 use crate::picture::Picture;
-use crate::worker::{Answer, Asker, ModelStatus, RunError, Worker, WorkerCounts};
+use crate::worker::{Answer, Asker, Build, ModelStatus, RunError, Worker, WorkerCounts};
 use crate::worker::{WorkerMeter, WorkerSettings};
 use std::sync::Arc;
 use std::time::Duration;
@@ -25,6 +27,7 @@ pub struct DetectorHandle {
     left_out: Arc<[String]>,
     description: Arc<str>,
     head_meter: HeadMeter,
+    proof: PrecisionProof,
     preparation: Preparation,
     spare: Arc<Semaphore>,
 }
@@ -33,7 +36,9 @@ pub struct DetectorHandle {
 pub type SpareTurn = OwnedSemaphorePermit;
 
 impl DetectorHandle {
-    /// Loads the model on its own thread, checks that it fits its head, and warms it up.
+    /// Loads the model on its own thread, checks that it fits its head, and warms it up. If TensorRT is the first of
+    /// several providers, the others answer while it builds its engine, and it takes over when that is there; if it cannot,
+    /// the log says why and they go on.
     ///
     /// # Errors
     /// If the library, the model, its head or the execution provider is not as configured.
@@ -46,11 +51,24 @@ impl DetectorHandle {
             batch_wait: Duration::from_millis(config.batch_wait_ms),
         };
         let model_name = config.model.file_name().unwrap_or_default().to_string_lossy().into();
-        let config = config.clone();
         let head_meter = HeadMeter::default();
-        let counting = head_meter.clone();
-        let build = move || DetectorNetwork::open_counting(&config, counting.clone());
-        let (worker, facts) = Worker::start(settings, WorkerMeter::default(), build).await?;
+        let proof = PrecisionProof::new(config);
+        let build = |among| {
+            let config = config.clone();
+            let counting = head_meter.clone();
+            let proof = proof.clone();
+            move || {
+                let network = DetectorNetwork::open_counting(&config, among, counting.clone())?;
+                Ok(network.proved_by(proof.clone()))
+            }
+        };
+        // An engine takes minutes to build: whatever else is listed answers until then.
+        let waits = config.providers.len() > 1
+            && config.providers.first() == Some(&ExecutionProvider::TensorRt);
+        let first = build(if waits { Among::Meanwhile } else { Among::All });
+        let successor: Option<Build<_>> = waits.then(|| Box::new(build(Among::TensorRt)) as _);
+        let meter = WorkerMeter::default();
+        let (worker, facts) = Worker::start(settings, meter, first, successor).await?;
         Ok(Self {
             worker,
             model_name,
@@ -58,6 +76,7 @@ impl DetectorHandle {
             left_out: facts.left_out.into(),
             description: facts.description.into(),
             head_meter,
+            proof,
             preparation: Preparation::new(facts.input),
             spare: Arc::new(Semaphore::new(1)),
         })
@@ -165,6 +184,11 @@ impl DetectorHandle {
         self.head_meter.clone()
     }
 
+    /// What compares the provider with the CPU, on the first picture in which something is found.
+    pub fn precision(&self) -> PrecisionProof {
+        self.proof.clone()
+    }
+
     /// The model's file name.
     pub fn model_name(&self) -> &str {
         &self.model_name
@@ -188,5 +212,58 @@ impl DetectorHandle {
     /// Accepts no more pictures and returns when the run in progress has ended or exceeded its deadline.
     pub async fn stop(&self) {
         self.worker.stop().await;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use parking_lot::Mutex;
+    use std::path::Path;
+    use std::sync::mpsc::channel;
+
+    /// The second session stands for TensorRT's: it is told from the first by a confidence that the box does not reach.
+    #[tokio::test]
+    #[ignore = "needs ONNX Runtime"]
+    async fn a_session_answers_every_picture_until_the_one_that_takes_long_is_built() {
+        let model = "../../tests/fixtures/models/colours.onnx";
+        let first = DetectorConfig {
+            model: Path::new(env!("CARGO_MANIFEST_DIR")).join(model),
+            timeout_ms: 60_000,
+            ..DetectorConfig::default()
+        };
+        let second = DetectorConfig {
+            confidence: 0.9,
+            ..first.clone()
+        };
+        let (go_on, told) = channel::<()>();
+        let told = Mutex::new(told);
+        let successor: Build<DetectorNetwork> = Box::new(move || {
+            let _ = told.lock().recv();
+            DetectorNetwork::open(&second)
+        });
+        let settings = WorkerSettings {
+            name: "detector",
+            timeout: Duration::from_secs(60),
+            batch_size: 1,
+            batch_wait: Duration::ZERO,
+        };
+        let meter = WorkerMeter::default();
+        let build = move || DetectorNetwork::open(&first);
+        let (worker, facts) = Worker::start(settings, meter, build, Some(successor)).await.unwrap();
+        let preparation = Preparation::new(facts.input);
+        let mut green = Picture::black(preparation.format().size);
+        green.pixels.iter_mut().skip(1).step_by(3).for_each(|value| *value = 204);
+        let boxes = async || {
+            let picture = preparation.prepare(&green).unwrap();
+            let answer = worker.run(Some(Asker(0)), picture).await.unwrap();
+            answer.output.detections.len()
+        };
+        assert_eq!(boxes().await, 1);
+        go_on.send(()).unwrap();
+        let swapped = async { while boxes().await == 1 {} };
+        tokio::time::timeout(Duration::from_secs(60), swapped).await.unwrap();
+        let counts = worker.meter.read();
+        assert_eq!((counts.failed, counts.refused, counts.rebuilds), (0, 0, 0));
     }
 }

@@ -3,12 +3,14 @@
 use super::classes::Classes;
 use super::heads::Heads;
 use super::inputs::percent;
+use super::opening::{self, Among};
+use super::precision::PrecisionProof;
 use super::reader::{Parts, Reader};
-use super::{Agreement, ModelInput, PreparedPicture, USUAL_PICTURE, class_names, opening};
+use super::{Agreement, ModelInput, PreparedPicture, USUAL_PICTURE, class_names};
 use super::{DetectorConfig, HeadCounts, HeadMeter, HeadName, Preparation};
 use crate::onnx::{ExecutionProvider, OnnxSession, Signature, StartError};
 use crate::picture::{InputFormat, Picture};
-use crate::worker::{Model, RunError, WorkerInput};
+use crate::worker::{Model, RunError, WorkerInput, batch_sizes};
 use albireo_core::detection::Detection;
 use albireo_core::geometry::PictureSize;
 use std::time::{Duration, Instant};
@@ -39,6 +41,8 @@ pub struct DetectorNetwork {
     impossible_runs: u32,
     /// What the last of these showed, if it showed that another head is needed.
     doubt: Option<String>,
+    /// What compares the provider with the CPU.
+    proof: Option<PrecisionProof>,
 }
 
 /// This many consecutive runs with only impossible results are a fault of the model.
@@ -51,14 +55,16 @@ impl DetectorNetwork {
     /// If the library, the model, its head or the execution provider is not as configured.
     pub fn open(config: &DetectorConfig) -> Result<Self, StartError> {
         config.check()?;
-        Self::open_counting(config, HeadMeter::default())
+        Self::open_counting(config, Among::All, HeadMeter::default())
     }
 
     pub(super) fn open_counting(
         config: &DetectorConfig,
+        among: Among,
         meter: HeadMeter,
     ) -> Result<Self, StartError> {
-        let (session, heads) = opening::open(config)?;
+        let begun = Instant::now();
+        let (session, heads) = opening::open(config, among)?;
         let names = class_names::read(
             config.class_names.as_ref(),
             &session.signature().metadata,
@@ -74,10 +80,12 @@ impl DetectorNetwork {
             confidence: config.confidence,
             impossible_runs: 0,
             doubt: None,
+            proof: None,
         };
         network
             .warm_up(config.batch_size)
             .map_err(|reason| StartError::first_run(&config.model, reason))?;
+        network.session.was_built_in(begun.elapsed());
         // Counting begins with the first picture.
         network.reader.meter = meter;
         network.impossible_runs = 0;
@@ -85,26 +93,43 @@ impl DetectorNetwork {
         Ok(network)
     }
 
-    /// Runs the model on a black picture, then on a full batch of them, to get over the slow first runs, in which
-    /// memory is laid out and an engine is built.
+    /// Has the provider compared with the CPU.
+    pub(super) fn proved_by(self, proof: PrecisionProof) -> Self {
+        Self {
+            proof: Some(proof),
+            ..self
+        }
+    }
+
+    /// Runs the model on black pictures, in all numbers that a run may have, to get over the slow first runs: memory is
+    /// laid out, TensorRT builds its engine, and CUDA's library looks for the fastest kernels of each number and size that
+    /// it meets, which takes seconds. The largest comes first, so that memory and engine fit the others.
     fn warm_up(&mut self, batch_size: usize) -> Result<(), String> {
-        // `self.preparation` would keep these buffers, and a batch of them may be large.
-        let preparation = Preparation::new(self.input_format());
-        let black = Picture::black(self.input_format().size);
-        // A GPU's library looks for the fastest kernels of each size that it meets, which takes seconds.
+        self.warm_up_at(self.input_format().size, batch_size)?;
         if self.input().open.is_some() && self.provider() != ExecutionProvider::Cpu {
             // The comparison with the largest input tells whether the model runs at it.
-            let _ = self.time_at(self.input().smallest_for(USUAL_PICTURE));
+            let _ = self.warm_up_at(self.input().smallest_for(USUAL_PICTURE), batch_size);
         }
+        Ok(())
+    }
+
+    /// [`warm_up`](Self::warm_up) at an input of `size`.
+    fn warm_up_at(&mut self, size: PictureSize, batch_size: usize) -> Result<(), String> {
+        // `self.preparation` would keep these buffers, and a batch of them may be large.
+        let preparation = Preparation::new(self.input_format());
+        let black = Picture::black(size);
         let mut pictures = Vec::new();
         for _ in 0..batch_size.max(1) {
-            let prepared = preparation.prepare(&black);
+            let prepared = preparation.prepare_at(&black, size);
             pictures.push(prepared.map_err(|error| error.to_string())?);
         }
-        self.run(&pictures[..1]).map_err(|error| error.to_string())?;
-        if batch_size > 1 {
-            self.run(&pictures)
-                .map_err(|error| format!("{error} (with detector.batch_size = {batch_size})"))?;
+        for count in batch_sizes(batch_size).rev() {
+            // Black pictures show nothing, however often.
+            self.impossible_runs = 0;
+            self.run(&pictures[..count]).map_err(|error| match count {
+                1 => error.to_string(),
+                _ => format!("{error} (with detector.batch_size = {batch_size})"),
+            })?;
         }
         Ok(())
     }
@@ -251,6 +276,11 @@ impl Model for DetectorNetwork {
         if answered.impossible < pictures.len() {
             self.impossible_runs = 0;
             self.doubt = None;
+            if let Some(proof) = &self.proof {
+                for (picture, found) in pictures.iter().zip(&answered.found) {
+                    proof.found(self.provider(), picture, &found.detections);
+                }
+            }
             return Ok(answered.found);
         }
         self.impossible_runs = self.impossible_runs.saturating_add(1);

@@ -6,18 +6,37 @@ use super::heads::Heads;
 use super::inputs::STRIDE;
 use super::open_outputs;
 use super::{DetectorConfig, HeadName, HeadSetting, ModelInput, OpenSides, USUAL_PICTURE};
-use crate::onnx::{ExecutionProvider, OnnxSession, PictureInput, SessionSettings, ShapeRange};
-use crate::onnx::{Signature, StartError, StartErrorKind, TensorSpec, TensorView};
+use crate::onnx::has_half_weights;
+use crate::onnx::{EngineCache, ExecutionProvider, OnnxSession, PictureInput, SessionSettings};
+use crate::onnx::{ShapeRange, Signature, StartError, StartErrorKind, TensorSpec, TensorView};
 use crate::picture::{ColorOrder, Fit, ValueRange};
 use albireo_core::geometry::PictureSize;
+use tracing::{info, warn};
 
 /// Scores of a real run are above it, and unused rows are 0.
 const LEAST_SCORE: f64 = 1e-4;
 
+/// Which of the configured providers run a model.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Among {
+    /// The first that works.
+    All,
+    /// The first that works, but not TensorRT, whose engine is being built.
+    Meanwhile,
+    /// TensorRT alone.
+    TensorRt,
+}
+
 /// Opens the model and finds its head. TensorRT builds an engine for a range of shapes, which must be known before, and
 /// only a run shows how the outputs are read: there the processor looks at the model first.
-pub(super) fn open(config: &DetectorConfig) -> Result<(OnnxSession, Heads), StartError> {
+pub(super) fn open(
+    config: &DetectorConfig,
+    among: Among,
+) -> Result<(OnnxSession, Heads), StartError> {
     let mut settings = config.session_settings();
+    if among == Among::Meanwhile {
+        settings.providers.retain(|provider| *provider != ExecutionProvider::TensorRt);
+    }
     if !settings.providers.contains(&ExecutionProvider::TensorRt) {
         let mut session = OnnxSession::open(&settings)?;
         check_batch(config, session.signature())?;
@@ -32,13 +51,47 @@ pub(super) fn open(config: &DetectorConfig) -> Result<(OnnxSession, Heads), Star
     let heads = head_for(config, &mut looked_at)?;
     let signature = looked_at.signature();
     let input = model_input(config, signature, heads.largest());
-    settings.shapes = input.open.map(|open| ShapeRange {
-        least: signature.shapes(open.least, 1),
-        usual: signature.shapes(input.smallest_for(USUAL_PICTURE), 1),
-        most: signature.shapes(input.format.size, config.batch_size),
-    });
+    settings.shapes = shapes(config, signature, input);
     drop(looked_at);
-    Ok((OnnxSession::open(&settings)?, heads))
+    let model = std::fs::read(&config.model)
+        .map_err(|error| StartError::unreadable(&config.model, &error).because(error))?;
+    settings.gpu.fp16 |= has_half_weights(&model);
+    settings.engines = EngineCache::open(&settings)?;
+    match &settings.engines {
+        Some(engines) if engines.is_built() => {}
+        Some(engines) => info!(
+            last_build_s = engines.last_build().map(|took| took.as_secs()),
+            "TensorRT builds an engine for this model, which takes minutes, and keeps it for the next start"
+        ),
+        None => warn!(
+            "TensorRT builds an engine, which takes minutes, at this and every start: set node.state_dir or \
+             detector.gpu.engine_cache to keep it"
+        ),
+    }
+    let opened = if among == Among::TensorRt {
+        OnnxSession::open_with_first(&settings)?
+    } else {
+        OnnxSession::open(&settings)?
+    };
+    Ok((opened, heads))
+}
+
+/// The shapes that an engine is built for, if the model leaves some open: without them TensorRT would build another for
+/// each size of a batch. It is made fast for full batches, as those come when there is much to do.
+fn shapes(config: &DetectorConfig, signature: &Signature, input: ModelInput) -> Option<ShapeRange> {
+    if input.open.is_none() && config.batch_size == 1 {
+        return None;
+    }
+    let least = input.open.map_or(input.format.size, |open| open.least);
+    let usual = match input.open {
+        Some(_) => input.smallest_for(USUAL_PICTURE),
+        None => input.format.size,
+    };
+    Some(ShapeRange {
+        least: signature.shapes(least, 1),
+        usual: signature.shapes(usual, config.batch_size),
+        most: signature.shapes(input.format.size, config.batch_size),
+    })
 }
 
 /// Half of each side, in whole strides: the least input that an engine of TensorRT is built for.

@@ -120,6 +120,17 @@ impl PreparedPicture {
         self.letterbox.as_ref().map_or(&[], Letterbox::tensor)
     }
 
+    /// A copy whose buffer is its own.
+    pub(super) fn copied(&self) -> Self {
+        Self {
+            letterbox: self.letterbox.clone(),
+            source: self.source,
+            mapping: self.mapping,
+            took: self.took,
+            origin: Preparation::new(self.origin.model()),
+        }
+    }
+
     /// The mapping from the input's pixels back to the picture.
     pub(crate) fn mapping(&self) -> InputMapping {
         self.mapping

@@ -14,8 +14,8 @@ pub struct GpuConfig {
     /// no limit. Not a node setting.
     #[serde(skip)]
     pub memory_limit_mib: u32,
-    /// True if TensorRT may compute in half precision: about twice as fast, and scores change in the third decimal
-    /// place.
+    /// True if TensorRT may compute in half precision, normalisation of layers excepted. It does so for a model whose own
+    /// weights are in half precision, too.
     pub fp16: bool,
     /// The folder in which TensorRT keeps the engines and tactics it has built, minutes of work each, for the next
     /// start. Without it they are built at every start.
@@ -27,7 +27,7 @@ impl Default for GpuConfig {
         Self {
             device: 0,
             memory_limit_mib: 0,
-            fp16: true,
+            fp16: false,
             engine_cache: None,
         }
     }

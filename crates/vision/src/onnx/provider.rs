@@ -31,22 +31,18 @@ impl ExecutionProvider {
 }
 
 /// The providers that ONNX Runtime registers for `provider`; none for the CPU, which is always there. TensorRT leaves
-/// to CUDA what it cannot run, if CUDA is among the `configured`. By default, ONNX Runtime would continue without a
-/// provider that it cannot register.
+/// to CUDA what it cannot run, and is nowhere without it. By default, ONNX Runtime would continue without a provider that
+/// it cannot register.
 pub(super) fn registrations(
     provider: ExecutionProvider,
     settings: &SessionSettings,
 ) -> Vec<ExecutionProviderDispatch> {
-    let configured = &settings.providers;
     let cuda = || cuda(&settings.gpu).build().error_on_failure();
     let tensorrt = || tensorrt(settings).build().error_on_failure();
     match provider {
         ExecutionProvider::Cpu => Vec::new(),
         ExecutionProvider::Cuda => vec![cuda()],
-        ExecutionProvider::TensorRt if configured.contains(&ExecutionProvider::Cuda) => {
-            vec![tensorrt(), cuda()]
-        }
-        ExecutionProvider::TensorRt => vec![tensorrt()],
+        ExecutionProvider::TensorRt => vec![tensorrt(), cuda()],
     }
 }
 
@@ -65,6 +61,10 @@ fn tensorrt(settings: &SessionSettings) -> TensorRT {
     let gpu = &settings.gpu;
     let mut tensorrt =
         TensorRT::default().with_device_id(gpu.device.cast_signed()).with_fp16(gpu.fp16);
+    if gpu.fp16 {
+        // Their sums of squares exceed what half precision holds, and boxes of transformers are lost.
+        tensorrt = tensorrt.with_layer_norm_fp32_fallback(true);
+    }
     if let Some(limit) = gpu.memory_limit() {
         tensorrt = tensorrt.with_max_workspace_size(limit);
     }
@@ -74,13 +74,13 @@ fn tensorrt(settings: &SessionSettings) -> TensorRT {
             .with_profile_opt_shapes(&shapes.usual)
             .with_profile_max_shapes(&shapes.most);
     }
-    if let Some(folder) = &gpu.engine_cache {
-        let folder = folder.display();
+    if let Some(engines) = &settings.engines {
+        // Timings are those of layers on this GPU, whatever model they are from.
         tensorrt = tensorrt
             .with_engine_cache(true)
-            .with_engine_cache_path(&folder)
+            .with_engine_cache_path(engines.folder().display())
             .with_timing_cache(true)
-            .with_timing_cache_path(&folder);
+            .with_timing_cache_path(engines.root().display());
     }
     tensorrt
 }

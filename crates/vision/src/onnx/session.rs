@@ -1,6 +1,8 @@
 //! One ONNX Runtime session: loads a model file and runs it on tensors.
 
-use super::{ElementType, ExecutionProvider, GpuConfig, Metadata, Signature, StartError};
+use super::{
+    ElementType, EngineCache, ExecutionProvider, GpuConfig, Metadata, Signature, StartError,
+};
 use super::{StartErrorKind, TensorSpec, fault, file_kind, onnxruntime, provider};
 use albireo_core::geometry::PictureSize;
 use half::f16;
@@ -11,6 +13,7 @@ use ort::session::{Session, SessionInputValue};
 use ort::value::{DynValue, Outlet, Tensor, TensorElementType, TensorRef, ValueType};
 use std::borrow::Cow;
 use std::path::PathBuf;
+use std::time::Duration;
 
 /// The shapes between which TensorRT must run a model, each for all inputs as `name:1x3x416x416,…`. ONNX Runtime runs only
 /// the first optimisation profile of an engine, so there is one for all shapes, built for the usual one
@@ -40,6 +43,8 @@ pub struct SessionSettings {
     pub onnxruntime: Option<PathBuf>,
     /// The shapes that TensorRT is told before it builds an engine; it would build another for each new one.
     pub shapes: Option<ShapeRange>,
+    /// Where TensorRT keeps the engines of this model.
+    pub(crate) engines: Option<EngineCache>,
 }
 
 /// An output tensor as borrowed float32 values.
@@ -56,6 +61,7 @@ pub struct OnnxSession {
     session: Session,
     signature: Signature,
     provider: ExecutionProvider,
+    engines: Option<EngineCache>,
     /// The pictures of a batch, one after another, in the model's element type.
     floats: Vec<f32>,
     halves: Vec<f16>,
@@ -68,6 +74,21 @@ impl OnnxSession {
     /// # Errors
     /// If there is no library, no readable model, or no provider as configured.
     pub fn open(settings: &SessionSettings) -> Result<Self, StartError> {
+        Self::open_among(settings, &settings.providers)
+    }
+
+    /// [`open`](Self::open) with the first provider of `settings` or none.
+    ///
+    /// # Errors
+    /// As of [`open`](Self::open).
+    pub(crate) fn open_with_first(settings: &SessionSettings) -> Result<Self, StartError> {
+        Self::open_among(settings, settings.providers.get(..1).unwrap_or_default())
+    }
+
+    fn open_among(
+        settings: &SessionSettings,
+        providers: &[ExecutionProvider],
+    ) -> Result<Self, StartError> {
         // Distinguishes an unreadable file and one of another kind from a model that ONNX Runtime finds damaged.
         if let Err(error) = std::fs::File::open(&settings.model) {
             return Err(StartError::unreadable(&settings.model, &error).because(error));
@@ -75,17 +96,8 @@ impl OnnxSession {
         if let Some(kind) = file_kind::other_kind(&settings.model) {
             return Err(StartError::unreadable(&settings.model, kind));
         }
-        if let Some(folder) = &settings.gpu.engine_cache
-            && settings.providers.contains(&ExecutionProvider::TensorRt)
-        {
-            std::fs::create_dir_all(folder).map_err(|error| {
-                let folder = folder.display();
-                let reason = format!("{folder} cannot be created: {error}");
-                StartError::configuration("detector.gpu.engine_cache", reason)
-            })?;
-        }
         let environment = onnxruntime::environment(settings.onnxruntime.as_deref())?;
-        provider::first_that_works(&settings.providers, |provider| {
+        provider::first_that_works(providers, |provider| {
             Self::open_with(&environment, settings, provider)
         })
     }
@@ -106,10 +118,21 @@ impl OnnxSession {
             session,
             signature,
             provider,
+            engines: settings.engines.clone(),
             floats: Vec::new(),
             halves: Vec::new(),
             bytes: Vec::new(),
         })
+    }
+
+    /// Keeps the time from the start of the build to the end of the first run, if TensorRT has built an engine in it.
+    pub(crate) fn was_built_in(&self, took: Duration) {
+        if self.provider == ExecutionProvider::TensorRt
+            && let Some(engines) = &self.engines
+            && !engines.is_built()
+        {
+            engines.built_in(took);
+        }
     }
 
     /// Names, types and shapes of the model's inputs and outputs.

@@ -287,6 +287,7 @@ struct Placement {
 }
 
 /// Fills one network's input, reusing its buffers from picture to picture.
+#[derive(Clone)]
 pub struct Letterbox {
     format: InputFormat,
     /// Columns and rows of the input, at most those of the format.

@@ -50,7 +50,7 @@ impl ScreenHandle {
             batch_size: 1,
             batch_wait: Duration::ZERO,
         };
-        let (worker, input) = Worker::start(settings, WorkerMeter::default(), build).await?;
+        let (worker, input) = Worker::start(settings, WorkerMeter::default(), build, None).await?;
         Ok(Some(Self {
             worker,
             preparation: Preparation::new(input),

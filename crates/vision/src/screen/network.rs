@@ -36,6 +36,7 @@ impl ScreenNetwork {
             threads: 1,
             onnxruntime,
             shapes: None,
+            engines: None,
         })?;
         let signature = session.signature();
         let input = picture_input(signature).map_err(|reason| {

@@ -7,6 +7,15 @@ use std::time::Duration;
 use tokio::sync::oneshot;
 use tokio::time::Instant;
 
+/// The numbers of pictures that a run may have, ascending: 1, 2, 4 and so on, and the largest. A library that adapts to each
+/// number that it meets has met all of them once the model has been run with each.
+pub(crate) fn batch_sizes(largest: usize) -> impl DoubleEndedIterator<Item = usize> {
+    let largest = largest.max(1);
+    let powers = (0..usize::BITS).map(|power| 1 << power);
+    let below: Vec<usize> = powers.take_while(|size| *size < largest).collect();
+    below.into_iter().chain([largest])
+}
+
 /// A picture that waits for its run.
 pub(super) struct Request<I, T> {
     /// Who asked; `None` for a picture that runs only when no asker waits.
@@ -20,14 +29,63 @@ pub(super) struct Request<I, T> {
 /// The waiting requests, in order of arrival.
 pub(super) struct Queue<I, T> {
     waiting: Vec<Request<I, T>>,
-    /// All that have ever asked, with the size of their latest picture: a batch cannot have more pictures than there are
-    /// askers of its size.
-    askers: BTreeMap<Asker, PictureSize>,
+    /// All that have ever asked.
+    askers: BTreeMap<Asker, Rhythm>,
     last_served: Option<Asker>,
     /// The maximum number of pictures in a run.
     batch_size: usize,
     /// The longest time that a picture waits for pictures of other askers, from its request.
     batch_wait: Duration,
+    /// The duration of the last run. Waiting longer for another picture would be slower than a run of its own.
+    last_run: Duration,
+}
+
+/// When an asker asks: by it a picture waits only for those that are likely to come.
+#[derive(Clone, Copy, Debug)]
+struct Rhythm {
+    /// The size of its latest picture.
+    size: PictureSize,
+    asked_at: Instant,
+    /// The usual time between two requests; `None` after the first.
+    gap: Option<Duration>,
+    /// How far the times are from it, on average.
+    deviation: Duration,
+}
+
+impl Rhythm {
+    fn new(size: PictureSize, asked_at: Instant) -> Self {
+        Self {
+            size,
+            asked_at,
+            gap: None,
+            deviation: Duration::ZERO,
+        }
+    }
+
+    /// Smooths as the round-trip times of TCP are (RFC 6298).
+    fn asked(&mut self, size: PictureSize, now: Instant) {
+        let latest = now.saturating_duration_since(self.asked_at);
+        match self.gap {
+            None => {
+                self.gap = Some(latest);
+                self.deviation = latest / 2;
+            }
+            Some(gap) => {
+                self.deviation = (3 * self.deviation + latest.abs_diff(gap)) / 4;
+                self.gap = Some((7 * gap + latest) / 8);
+            }
+        }
+        self.size = size;
+        self.asked_at = now;
+    }
+
+    /// The time until which a picture of `first` waits for the next one of this asker: until it is late, but no longer than
+    /// `longest`. `None` if it is not expected so soon, or asks at no regular times.
+    fn waited_for_until(&self, first: Instant, longest: Duration) -> Option<Instant> {
+        let expected = self.asked_at + self.gap?;
+        let is_near = expected <= first + longest && self.deviation <= longest;
+        is_near.then(|| (expected + 4 * self.deviation).min(first + longest))
+    }
 }
 
 impl<I, T> Queue<I, T> {
@@ -38,12 +96,23 @@ impl<I, T> Queue<I, T> {
             last_served: None,
             batch_size: batch_size.max(1),
             batch_wait,
+            last_run: Duration::ZERO,
         }
     }
 
     pub(super) fn push(&mut self, request: Request<I, T>) {
-        self.askers.extend(request.asker.map(|asker| (asker, request.size)));
+        if let Some(asker) = request.asker {
+            self.askers
+                .entry(asker)
+                .and_modify(|rhythm| rhythm.asked(request.size, request.requested_at))
+                .or_insert_with(|| Rhythm::new(request.size, request.requested_at));
+        }
         self.waiting.push(request);
+    }
+
+    /// Takes note of how long a run took.
+    pub(super) fn ran(&mut self, took: Duration) {
+        self.last_run = took;
     }
 
     /// The number of waiting pictures of askers.
@@ -62,8 +131,8 @@ impl<I, T> Queue<I, T> {
         before - self.waiting()
     }
 
-    /// The time at which the next run may begin: as soon as its pictures are there, or once the first of them has
-    /// waited long enough for others. `None` if nothing waits.
+    /// The time at which the next run may begin: at once, or when no picture of another asker is likely to come that could
+    /// share it. `None` if nothing waits.
     pub(super) fn begins_at(&self) -> Option<Instant> {
         let Some(next) = self.next(|_| true) else {
             return self.waiting.first().map(|request| request.requested_at);
@@ -71,13 +140,17 @@ impl<I, T> Queue<I, T> {
         let size = self.waiting[next].size;
         let of_size = || self.of_askers().filter(|request| request.size == size);
         let first = of_size().map(|request| request.requested_at).min()?;
-        let waiting: BTreeSet<_> = of_size().map(|request| request.asker).collect();
-        let could_wait = self.askers.values().filter(|latest| **latest == size).count();
-        if waiting.len() >= self.batch_size.min(could_wait) {
-            Some(first)
-        } else {
-            Some(first + self.batch_wait)
+        let waiting: BTreeSet<_> = of_size().filter_map(|request| request.asker).collect();
+        if waiting.len() >= self.batch_size {
+            return Some(first);
         }
+        let longest = self.batch_wait.min(self.last_run);
+        let others = self
+            .askers
+            .iter()
+            .filter(|(asker, rhythm)| rhythm.size == size && !waiting.contains(asker));
+        let last = others.filter_map(|(_, rhythm)| rhythm.waited_for_until(first, longest)).max();
+        Some(last.map_or(first, |last| last.max(first)))
     }
 
     /// The place of the request whose asker is next in turn, among those that `fit`.
@@ -91,13 +164,27 @@ impl<I, T> Queue<I, T> {
             .map(|(place, _)| place)
     }
 
+    /// The number of pictures in the next run: as many askers as wait with pictures of the size that is next, rounded down
+    /// to one of the [`batch_sizes`].
+    fn next_size(&self) -> usize {
+        let Some(next) = self.next(|_| true) else {
+            return 1;
+        };
+        let size = self.waiting[next].size;
+        let of_size = self.of_askers().filter(|request| request.size == size);
+        let waiting = of_size.map(|request| request.asker).collect::<BTreeSet<_>>().len();
+        let fitting = batch_sizes(self.batch_size).rev().find(|size| *size <= waiting);
+        fitting.unwrap_or(1)
+    }
+
     /// Takes the pictures of the next run: that of the next asker in round-robin order and those of others that have its
     /// size, else one of nobody.
     pub(super) fn take_batch(&mut self) -> Vec<Request<I, T>> {
         let mut batch: Vec<Request<I, T>> = Vec::new();
         // An asker that is passed over, because its picture has another size, is the next in turn.
         let mut all_in_turn = true;
-        while batch.len() < self.batch_size {
+        let most = self.next_size();
+        while batch.len() < most {
             let is_new =
                 |request: &Request<I, T>| batch.iter().all(|other| other.asker != request.asker);
             let in_turn = self.next(is_new);

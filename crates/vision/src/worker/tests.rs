@@ -3,7 +3,9 @@
 mod any_order;
 mod building;
 mod gpu;
+mod rhythm;
 mod spare;
+mod successor;
 
 use super::*;
 use parking_lot::Mutex;
@@ -53,7 +55,7 @@ struct Next {
 }
 
 /// A model that reports when a run starts and for which cameras, and then waits for the test to end it.
-struct Scripted(Arc<Script>);
+struct Scripted(Arc<Script>, ExecutionProvider);
 
 impl Model for Scripted {
     type Input = Scene;
@@ -82,7 +84,7 @@ impl Model for Scripted {
     }
 
     fn provider(&self) -> ExecutionProvider {
-        ExecutionProvider::Cpu
+        self.1
     }
 }
 
@@ -113,6 +115,14 @@ fn hold_time() -> blocking::Sender<()> {
 }
 
 async fn stage(settings: WorkerSettings) -> Stage {
+    stage_with(settings, |_| None).await
+}
+
+/// A stage whose model may get a successor, made of the same script.
+async fn stage_with(
+    settings: WorkerSettings,
+    successor: impl FnOnce(Arc<Script>) -> Option<Build<Scripted>>,
+) -> Stage {
     let held = hold_time();
     let (tell_started, started) = mpsc::unbounded_channel();
     let (tell_ended, ended) = mpsc::unbounded_channel();
@@ -126,9 +136,10 @@ async fn stage(settings: WorkerSettings) -> Stage {
     let followed = script.clone();
     let factory = move || match followed.next.lock().failures.pop_front() {
         Some(reason) => Err(StartError::first_run("scripted.onnx".as_ref(), reason)),
-        None => Ok(Scripted(followed.clone())),
+        None => Ok(Scripted(followed.clone(), ExecutionProvider::Cpu)),
     };
-    let worker = Worker::start(settings, WorkerMeter::default(), factory).await;
+    let successor = successor(Arc::clone(&script));
+    let worker = Worker::start(settings, WorkerMeter::default(), factory, successor).await;
     Stage {
         worker: worker.unwrap().0,
         started,
@@ -373,12 +384,10 @@ async fn a_run_that_fails_or_panics_is_counted_and_the_session_rebuilt() {
     assert_eq!(stage.counts(), expected);
 }
 
-const BATCH_WAIT: Duration = Duration::from_millis(10);
-
 fn in_threes() -> WorkerSettings {
     WorkerSettings {
         batch_size: 3,
-        batch_wait: BATCH_WAIT,
+        batch_wait: Duration::from_millis(10),
         ..settings()
     }
 }
@@ -412,33 +421,6 @@ async fn waiting_pictures_share_a_run_and_each_gets_its_own_answer_and_times() {
     }
     let counters = stage.counts();
     assert_eq!((counters.completed, counters.batches), (5, 3));
-}
-
-#[tokio::test(start_paused = true)]
-async fn a_picture_waits_for_others_only_for_the_configured_time_or_until_the_worker_stops() {
-    let mut stage = stage(in_threes()).await;
-    let first = stage.run(Step::Answer).await.unwrap();
-    assert_eq!(first.queued, Duration::ZERO);
-    // Camera 1 is the second that ever asks: it waits for camera 0.
-    let asked = stage.ask(1);
-    stage.until_waiting(1).await;
-    pass(BATCH_WAIT - Duration::from_millis(1)).await;
-    assert!(stage.started.try_recv().is_err());
-    pass(Duration::from_millis(1)).await;
-    assert_eq!(stage.next_run().await, [1]);
-    assert_eq!(stage.answer(asked).await.queued, BATCH_WAIT);
-    // A batch that is complete before the wait is over.
-    let one = stage.ask(1);
-    stage.until_waiting(1).await;
-    pass(BATCH_WAIT / 2).await;
-    let other = stage.ask(0);
-    assert_eq!(stage.next_run().await, [0, 1]);
-    assert_eq!(stage.answer(one).await.queued, BATCH_WAIT / 2);
-    assert_eq!(other.await.unwrap().unwrap().queued, Duration::ZERO);
-    let waiting = stage.ask(1);
-    stage.until_waiting(1).await;
-    stage.worker.stop().await;
-    assert_eq!(waiting.await.unwrap().unwrap_err(), RunError::Stopped);
 }
 
 /// Cameras from 10 on have pictures of another size.
@@ -582,7 +564,7 @@ async fn a_picture_whose_caller_is_gone_is_not_run() {
 async fn a_panic_while_the_first_model_is_built_is_an_error() {
     let _held = hold_time();
     let panics = || -> Result<Scripted, _> { panic!("scripted panic") };
-    let panicking = Worker::start(settings(), WorkerMeter::default(), panics);
+    let panicking = Worker::start(settings(), WorkerMeter::default(), panics, None);
     let error = panicking.await.err().unwrap().to_string();
     assert!(error.contains("scripted panic"), "{error}");
 }

@@ -6,7 +6,7 @@ use crate::position::PositionStatus;
 use crate::state::board::{ForwardedCounts, ModelReading, Savings};
 use albireo_service::clock::seconds;
 use albireo_service::http::{Route, routes};
-use albireo_vision::detector::{InputUse, PaddedInput};
+use albireo_vision::detector::{InputUse, PaddedInput, Precision};
 use albireo_wire::{CertificateStatus, OutboxStatus};
 use axum::Json;
 use axum::extract::State;
@@ -29,6 +29,20 @@ pub(super) struct DetectorReading {
     boxes_impossible: u64,
     /// The inputs that pictures run at, one for each shape of picture that has come.
     inputs: Vec<DetectorInput>,
+    /// Whether a GPU finds what the CPU finds, by the boxes of the first picture in which it found any; absent until then,
+    /// and on the CPU.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    precision: Option<DetectorPrecision>,
+}
+
+/// What the comparison of a provider with the CPU showed.
+#[derive(Serialize, ToSchema)]
+struct DetectorPrecision {
+    /// True if all boxes agree within 2 pixels of the input and 0.02 of confidence; absent if they could not be compared.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    agrees: Option<bool>,
+    /// The outcome in words, with what to do.
+    words: String,
 }
 
 /// The input that pictures of one shape run at.
@@ -95,6 +109,21 @@ fn detector(reading: &ModelReading) -> DetectorReading {
         boxes_left_out: counts.other_class,
         boxes_impossible: counts.rejected,
         inputs: reading.preparation.inputs().iter().map(input).collect(),
+        precision: precision(&reading.precision.outcome()),
+    }
+}
+
+fn precision(outcome: &Precision) -> Option<DetectorPrecision> {
+    match outcome {
+        Precision::NotCompared => None,
+        Precision::Compared(agreement) => Some(DetectorPrecision {
+            agrees: Some(agreement.agrees()),
+            words: agreement.to_string(),
+        }),
+        Precision::Failed(reason) => Some(DetectorPrecision {
+            agrees: None,
+            words: format!("could not be compared: {reason}"),
+        }),
     }
 }
 

@@ -22,7 +22,8 @@ async fn a_slow_build_is_logged_periodically_and_waited_for_and_its_failure_is_a
             "scripted end",
         ))
     };
-    let starting = tokio::spawn(Worker::start(settings(), WorkerMeter::default(), build));
+    let meter = WorkerMeter::default();
+    let starting = tokio::spawn(Worker::start(settings(), meter, build, None));
     is_building.recv().await.unwrap();
     settle().await;
     for (seconds, expected) in [

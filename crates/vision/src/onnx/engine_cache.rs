@@ -1,0 +1,350 @@
+//! Where TensorRT keeps the engines of one model: a folder that is named for everything an engine is built from.
+//!
+//! ONNX Runtime names an engine's file for the names in the graph and the versions of the libraries and the GPU, not for
+//! the weights (`TRTGenerateId` in `core/providers/tensorrt`): a model that was trained again would get the old engine. Its
+//! own prefix for the names would replace the versions, so each model gets a folder instead.
+
+use super::{SessionSettings, StartError};
+use sha2::{Digest, Sha256};
+use std::collections::BTreeSet;
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime};
+use tracing::{info, warn};
+
+/// Engines of this many models are kept, those used last.
+const KEPT: usize = 4;
+/// Written at each use of a folder: the model that it belongs to.
+const MODEL: &str = "model.txt";
+/// The seconds that the last build took, beside the folders.
+const LAST_BUILD: &str = "last-build-seconds";
+
+/// The engines of one model.
+#[derive(Clone, Debug)]
+pub(crate) struct EngineCache {
+    root: PathBuf,
+    folder: PathBuf,
+    is_built: bool,
+}
+
+impl EngineCache {
+    /// Finds or creates the folder for the engines of the model and the precision and shapes of `settings`, and removes
+    /// those of models that were not used lately. `None` if the settings name no folder.
+    ///
+    /// # Errors
+    /// If the model cannot be read or the folder not be created.
+    pub(crate) fn open(settings: &SessionSettings) -> Result<Option<Self>, StartError> {
+        let Some(root) = &settings.gpu.engine_cache else {
+            return Ok(None);
+        };
+        let key = key(settings)
+            .map_err(|error| StartError::unreadable(&settings.model, &error).because(error))?;
+        let folder = root.join(key);
+        let model = settings.model.display().to_string();
+        std::fs::create_dir_all(&folder)
+            .and_then(|()| std::fs::write(folder.join(MODEL), model))
+            .map_err(|error| {
+                let reason = format!("{} cannot be written: {error}", folder.display());
+                StartError::configuration("detector.gpu.engine_cache", reason)
+            })?;
+        forget_all_but_the_last(root, &folder);
+        Ok(Some(Self {
+            is_built: has_engine(&folder),
+            root: root.clone(),
+            folder,
+        }))
+    }
+
+    /// The folder for engines.
+    pub(crate) fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// The folder of the folders of all models.
+    pub(crate) fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// True if an engine was there when the cache was opened.
+    pub(crate) fn is_built(&self) -> bool {
+        self.is_built
+    }
+
+    /// How long the last build of an engine took on this machine, of this model or of another.
+    pub(crate) fn last_build(&self) -> Option<Duration> {
+        let text = std::fs::read_to_string(self.root.join(LAST_BUILD)).ok()?;
+        Some(Duration::from_secs(text.trim().parse().ok()?))
+    }
+
+    /// Keeps how long a build took.
+    pub(crate) fn built_in(&self, took: Duration) {
+        let written = std::fs::write(self.root.join(LAST_BUILD), took.as_secs().to_string());
+        if let Err(error) = written {
+            warn!(%error, "how long the engine took to build could not be kept");
+        }
+    }
+}
+
+fn has_engine(folder: &Path) -> bool {
+    let Ok(entries) = std::fs::read_dir(folder) else {
+        return false;
+    };
+    entries
+        .flatten()
+        .any(|entry| entry.path().extension().is_some_and(|it| it == "engine"))
+}
+
+/// Removes the folders of engines that were not used lately, but not `used`.
+fn forget_all_but_the_last(root: &Path, used: &Path) {
+    let Ok(entries) = std::fs::read_dir(root) else {
+        return;
+    };
+    let mut others: Vec<(SystemTime, PathBuf)> = entries
+        .flatten()
+        .filter_map(|entry| {
+            // A folder without this file is not ours.
+            let of_model = entry.path().join(MODEL).metadata().ok()?;
+            Some((of_model.modified().ok()?, entry.path()))
+        })
+        .filter(|(_, folder)| folder != used)
+        .collect();
+    others.sort();
+    let too_many = (others.len() + 1).saturating_sub(KEPT);
+    for (_, folder) in &others[..too_many] {
+        match std::fs::remove_dir_all(folder) {
+            Ok(()) => {
+                info!(folder = %folder.display(), "removed engines of a model not used lately")
+            }
+            Err(error) => {
+                warn!(folder = %folder.display(), %error, "old engines could not be removed")
+            }
+        }
+    }
+}
+
+/// What an engine is built from, as hexadecimal digits: the bytes of the model and of the files that it keeps its weights
+/// in, the shapes, and the precision. The versions of the libraries and the kind of GPU are in ONNX Runtime's file names.
+fn key(settings: &SessionSettings) -> std::io::Result<String> {
+    let model = std::fs::read(&settings.model)?;
+    let mut digest = Sha256::new();
+    let mut add = |part: &[u8]| {
+        digest.update((part.len() as u64).to_le_bytes());
+        digest.update(part);
+    };
+    add(&model);
+    let beside = settings.model.parent().unwrap_or(Path::new(""));
+    for name in external_files(&model) {
+        add(name.as_bytes());
+        add(&std::fs::read(beside.join(&name))?);
+    }
+    let precision = settings.gpu.fp16;
+    add(format!("fp16 {precision}, {:?}", settings.shapes).as_bytes());
+    let mut text = String::new();
+    for byte in digest.finalize() {
+        // Writing to a string does not fail.
+        let _ = write!(text, "{byte:02x}");
+    }
+    Ok(text)
+}
+
+/// The files beside a model that hold its weights: the values of `location` wherever a tensor of the graph has its data
+/// outside (`TensorProto.external_data` of ONNX, entries of a key and a value).
+fn external_files(model: &[u8]) -> BTreeSet<String> {
+    // Field 1, the key, of eight bytes; then field 2, the value.
+    const LOCATION: &[u8] = b"\x0a\x08location\x12";
+    let mut found = BTreeSet::new();
+    let mut rest = model;
+    while let Some(place) = rest.windows(LOCATION.len()).position(|bytes| bytes == LOCATION) {
+        rest = &rest[place + LOCATION.len()..];
+        // File names are shorter than 128 bytes nearly always, then the length is one byte; of two bytes, seven bits each.
+        let (length, value) = match rest {
+            [low, high, value @ ..] if *low >= 128 => {
+                (usize::from(low & 127) + 128 * usize::from(*high), value)
+            }
+            [length, value @ ..] => (usize::from(*length), value),
+            [] => break,
+        };
+        let name = value.get(..length).and_then(|name| std::str::from_utf8(name).ok());
+        found.extend(name.map(str::to_owned));
+    }
+    found
+}
+
+/// Returns true if weights of an ONNX model are in half precision, which then is the model's own: an initializer of the
+/// graph has the element type float16.
+pub(crate) fn has_half_weights(model: &[u8]) -> bool {
+    const GRAPH: u64 = 7;
+    const INITIALIZER: u64 = 5;
+    const DATA_TYPE: u64 = 2;
+    const FLOAT16: u64 = 10;
+    let is_half = |tensor: &[u8]| {
+        Fields(tensor).any(|field| matches!(field, (DATA_TYPE, Value::Number(FLOAT16))))
+    };
+    Fields(model).any(|field| match field {
+        (GRAPH, Value::Bytes(graph)) => Fields(graph).any(|field| match field {
+            (INITIALIZER, Value::Bytes(tensor)) => is_half(tensor),
+            _ => false,
+        }),
+        _ => false,
+    })
+}
+
+/// The fields of a message of Protocol Buffers, until its end or what is none.
+struct Fields<'a>(&'a [u8]);
+
+enum Value<'a> {
+    Number(u64),
+    Bytes(&'a [u8]),
+    Other,
+}
+
+impl Fields<'_> {
+    fn number(&mut self) -> Option<u64> {
+        let mut number = 0;
+        for place in 0..10 {
+            let (&byte, rest) = self.0.split_first()?;
+            self.0 = rest;
+            number |= u64::from(byte & 127) << (7 * place);
+            if byte < 128 {
+                return Some(number);
+            }
+        }
+        None
+    }
+}
+
+impl<'a> Fields<'a> {
+    fn bytes(&mut self, length: u64) -> Option<&'a [u8]> {
+        let (bytes, rest) = self.0.split_at_checked(usize::try_from(length).ok()?)?;
+        self.0 = rest;
+        Some(bytes)
+    }
+}
+
+impl<'a> Iterator for Fields<'a> {
+    type Item = (u64, Value<'a>);
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let tag = self.number()?;
+        let value = match tag & 7 {
+            0 => Value::Number(self.number()?),
+            2 => {
+                let length = self.number()?;
+                Value::Bytes(self.bytes(length)?)
+            }
+            1 => self.bytes(8).map(|_| Value::Other)?,
+            5 => self.bytes(4).map(|_| Value::Other)?,
+            _ => return None,
+        };
+        Some((tag >> 3, value))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::detector::DetectorConfig;
+    use crate::onnx::ShapeRange;
+
+    fn fixture(name: &str) -> PathBuf {
+        Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("../../tests/fixtures/models")
+            .join(name)
+    }
+
+    fn settings(model: PathBuf) -> SessionSettings {
+        let config = DetectorConfig {
+            model,
+            ..DetectorConfig::default()
+        };
+        config.session_settings()
+    }
+
+    #[test]
+    fn an_engine_belongs_to_weights_precision_and_shapes_and_not_to_a_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = |name: &str, bytes: &[u8]| {
+            let path = folder.path().join(name);
+            std::fs::write(&path, bytes).unwrap();
+            path
+        };
+        let first = settings(file("model.onnx", b"first"));
+        let of_first = key(&first).unwrap();
+        let renamed = settings(file("renamed.onnx", b"first"));
+        assert_eq!(key(&renamed).unwrap(), of_first);
+        let mut keys = BTreeSet::from([of_first]);
+        // Trained again, under the old name.
+        file("model.onnx", b"again");
+        assert!(keys.insert(key(&first).unwrap()));
+        let mut half = first.clone();
+        half.gpu.fp16 = true;
+        assert!(keys.insert(key(&half).unwrap()));
+        for batch in [4, 8] {
+            let of_batch = |batch| format!("images:{batch}x3x32x64");
+            let shapes = ShapeRange {
+                least: of_batch(1),
+                usual: of_batch(batch),
+                most: of_batch(batch),
+            };
+            let batched = SessionSettings {
+                shapes: Some(shapes),
+                ..first.clone()
+            };
+            assert!(keys.insert(key(&batched).unwrap()));
+        }
+    }
+
+    #[test]
+    fn weights_beside_a_model_belong_to_its_engine() {
+        let folder = tempfile::tempdir().unwrap();
+        let model = folder.path().join("model.onnx");
+        let mut bytes = std::fs::read(fixture("outside.onnx")).unwrap();
+        let [named] = &*external_files(&bytes).into_iter().collect::<Vec<_>>() else {
+            panic!("the fixture names one file");
+        };
+        let weights = "w".repeat(named.len());
+        let place = bytes.windows(named.len()).position(|it| it == named.as_bytes()).unwrap();
+        bytes[place..][..named.len()].copy_from_slice(weights.as_bytes());
+        std::fs::write(&model, bytes).unwrap();
+        // One that is not there is said, and nothing is taken for its engine.
+        assert!(key(&settings(model.clone())).is_err());
+        let mut keys = BTreeSet::new();
+        for values in ["first", "again"] {
+            std::fs::write(folder.path().join(&weights), values).unwrap();
+            assert!(keys.insert(key(&settings(model.clone())).unwrap()));
+        }
+    }
+
+    #[test]
+    fn engines_of_the_last_models_are_kept_and_the_time_of_the_last_build() {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path().join("engines");
+        let model = folder.path().join("model.onnx");
+        let mut settings = settings(model.clone());
+        settings.gpu.engine_cache = Some(root.clone());
+        let mut caches = Vec::new();
+        for weights in 0..6_u64 {
+            std::fs::write(&model, weights.to_string()).unwrap();
+            let cache = EngineCache::open(&settings).unwrap().unwrap();
+            assert!(!cache.is_built() && cache.folder().starts_with(&root));
+            std::fs::write(cache.folder().join("part_sm87.engine"), "").unwrap();
+            let used = SystemTime::UNIX_EPOCH + Duration::from_secs(weights);
+            let of_model = std::fs::File::options().append(true).open(cache.folder().join(MODEL));
+            of_model.unwrap().set_modified(used).unwrap();
+            caches.push(cache);
+        }
+        let kept: Vec<_> = caches.iter().map(|cache| cache.folder().exists()).collect();
+        assert_eq!(kept, [false, false, true, true, true, true]);
+        assert!(EngineCache::open(&settings).unwrap().unwrap().is_built());
+        assert_eq!(caches[5].last_build(), None);
+        caches[5].built_in(Duration::from_secs(570));
+        assert_eq!(caches[4].last_build(), Some(Duration::from_secs(570)));
+    }
+
+    #[test]
+    fn the_half_precision_of_a_model_is_seen_in_its_weights() {
+        let is_half = |name: &str| has_half_weights(&std::fs::read(fixture(name)).unwrap());
+        assert!(is_half("yolo_float16.onnx"));
+        assert!(!is_half("colours.onnx") && !is_half("truncated.onnx"));
+    }
+}

@@ -1,0 +1,117 @@
+//! What a picture waits for before it runs: pictures of others that are likely to come, and nothing else.
+
+use super::*;
+
+const SIZE: PictureSize = PictureSize::new(1, 1);
+/// The time between two pictures of a camera, milliseconds.
+const GAP: u64 = 40;
+const RUN: u64 = 12;
+
+/// A queue whose clock counts milliseconds from its start.
+struct Line {
+    queue: Queue<(), ()>,
+    start: Instant,
+}
+
+impl Line {
+    fn new() -> Self {
+        let mut queue = Queue::new(8, Duration::from_millis(50));
+        queue.ran(Duration::from_millis(RUN));
+        Self {
+            queue,
+            start: Instant::now(),
+        }
+    }
+
+    fn ask(&mut self, camera: usize, at: u64) {
+        self.queue.push(Request {
+            asker: Some(Asker(camera)),
+            picture: (),
+            size: SIZE,
+            requested_at: self.start + Duration::from_millis(at),
+            reply: oneshot::channel().0,
+        });
+    }
+
+    /// When the next run may begin.
+    fn begins_at(&self) -> Option<u128> {
+        let time = self.queue.begins_at()?;
+        Some(time.duration_since(self.start).as_millis())
+    }
+
+    fn run(&mut self) -> Vec<usize> {
+        let batch = self.queue.take_batch();
+        batch.iter().filter_map(|request| Some(request.asker?.0)).collect()
+    }
+
+    /// Lets two cameras ask so many times, the second so much `later`.
+    fn two_cameras(&mut self, times: u64, later: u64) {
+        for round in 0..times {
+            for (camera, at) in [(0, 0), (1, later)] {
+                self.ask(camera, round * GAP + at);
+                self.run();
+            }
+        }
+    }
+}
+
+#[test]
+fn a_picture_waits_for_one_that_is_about_to_come_and_a_lone_camera_never_waits() {
+    let mut line = Line::new();
+    for round in 0..3 {
+        line.ask(0, round * GAP);
+        assert_eq!(line.begins_at(), Some(u128::from(round * GAP)));
+        assert_eq!(line.run(), [0]);
+    }
+    let mut line = Line::new();
+    // Of the second camera it is not known yet when it asks.
+    line.ask(1, 5);
+    line.run();
+    line.ask(0, GAP);
+    assert_eq!(line.begins_at(), Some(40));
+    let mut line = Line::new();
+    line.two_cameras(12, 5);
+    line.ask(0, 12 * GAP);
+    let begins = line.begins_at().unwrap();
+    assert!((485..=492).contains(&begins), "{begins}");
+    line.ask(1, 12 * GAP + 5);
+    assert_eq!(line.run(), [0, 1]);
+    // It stays away, and is not waited for again.
+    line.ask(0, 13 * GAP);
+    assert!(line.begins_at() > Some(520));
+    line.run();
+    line.ask(0, 14 * GAP);
+    assert_eq!(line.begins_at(), Some(560));
+}
+
+#[test]
+fn a_picture_waits_neither_longer_than_a_run_takes_nor_for_a_camera_without_a_rhythm() {
+    let mut line = Line::new();
+    line.two_cameras(12, RUN + 3);
+    line.ask(0, 12 * GAP);
+    assert_eq!(line.begins_at(), Some(480));
+    let mut line = Line::new();
+    let mut at = 0;
+    for gap in [7, 400, 30, 900, 5, 200, 1100, 11] {
+        at += gap;
+        line.ask(1, at);
+        line.run();
+    }
+    line.ask(0, at + 1);
+    assert_eq!(line.begins_at(), Some(u128::from(at + 1)));
+}
+
+#[test]
+fn a_run_has_one_of_the_numbers_of_pictures_that_the_model_was_warmed_up_with() {
+    let sizes = |largest| batch_sizes(largest).collect::<Vec<_>>();
+    assert_eq!(sizes(0), [1]);
+    assert_eq!(sizes(1), [1]);
+    assert_eq!(sizes(3), [1, 2, 3]);
+    assert_eq!(sizes(8), [1, 2, 4, 8]);
+    assert_eq!(sizes(12), [1, 2, 4, 8, 12]);
+    let mut line = Line::new();
+    (1..8).for_each(|camera| line.ask(camera, 0));
+    assert_eq!(line.run(), [1, 2, 3, 4]);
+    assert_eq!(line.run(), [5, 6]);
+    assert_eq!(line.run(), [7]);
+}
