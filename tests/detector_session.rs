@@ -94,6 +94,16 @@ async fn a_missing_provider_is_an_error_unless_the_list_has_another() {
     assert_eq!(detector.provider(), Cpu);
     let ready = ModelStatus::Ready { provider: Cpu };
     assert_eq!(*detector.status().borrow(), ready);
+    // A node does not wait for TensorRT, and the provider after it goes on where there is none.
+    let detector = started(&DetectorConfig {
+        answers_while_building: true,
+        ..of(&[TensorRt, Cpu])
+    })
+    .await;
+    for _ in 0..3 {
+        assert_the_box(&detected(&detector, [51, 204, 0]).await, 1, 0.8);
+    }
+    assert_eq!(*detector.status().borrow(), ready);
 }
 
 #[tokio::test]

@@ -25,7 +25,9 @@ pub(super) struct NodeArguments {
 }
 
 pub(super) fn run(arguments: &NodeArguments) -> anyhow::Result<()> {
-    let config = configuration(arguments.config.as_deref())?;
+    let mut config = configuration(arguments.config.as_deref())?;
+    // Only what is measured waits for the engine.
+    config.detector.answers_while_building = true;
     logging::start(&config.log)?;
     let defaults = Path::new("built-in defaults");
     let file = arguments.config.as_deref().unwrap_or(defaults).display();

@@ -57,6 +57,10 @@ pub struct DetectorConfig {
     pub most_detections: usize,
     /// Execution providers in order of preference. The first that works is used; a list of one has no fallback.
     pub providers: Vec<ExecutionProvider>,
+    /// True if the providers after TensorRT answer while it builds its engine. What is measured waits for the engine. Not a
+    /// node setting: a node answers.
+    #[serde(skip)]
+    pub answers_while_building: bool,
     /// Settings of the GPU providers.
     pub gpu: GpuConfig,
     /// Threads that ONNX Runtime uses within a run; 0 for one fewer than the machine has cores.
@@ -91,6 +95,7 @@ impl Default for DetectorConfig {
             suppression_overlap: 0.45,
             most_detections: 300,
             providers: vec![ExecutionProvider::Cpu],
+            answers_while_building: false,
             gpu: GpuConfig::default(),
             threads: 0,
             timeout_ms: 2000,

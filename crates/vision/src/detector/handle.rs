@@ -36,9 +36,9 @@ pub struct DetectorHandle {
 pub type SpareTurn = OwnedSemaphorePermit;
 
 impl DetectorHandle {
-    /// Loads the model on its own thread, checks that it fits its head, and warms it up. If TensorRT is the first of
-    /// several providers, the others answer while it builds its engine, and it takes over when that is there; if it cannot,
-    /// the log says why and they go on.
+    /// Loads the model on its own thread, checks that it fits its head, and warms it up. If TensorRT is the first of several
+    /// providers and the configuration says so, the others answer while it builds its engine, and it takes over when that
+    /// is there; if it cannot, the log says why and they go on.
     ///
     /// # Errors
     /// If the library, the model, its head or the execution provider is not as configured.
@@ -63,7 +63,8 @@ impl DetectorHandle {
             }
         };
         // An engine takes minutes to build: whatever else is listed answers until then.
-        let waits = config.providers.len() > 1
+        let waits = config.answers_while_building
+            && config.providers.len() > 1
             && config.providers.first() == Some(&ExecutionProvider::TensorRt);
         let first = build(if waits { Among::Meanwhile } else { Among::All });
         let successor: Option<Build<_>> = waits.then(|| Box::new(build(Among::TensorRt)) as _);
