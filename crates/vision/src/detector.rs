@@ -19,7 +19,7 @@ pub use crate::onnx::{ExecutionProvider, GpuConfig, StartError};
 pub use crate::worker::{ModelStatus, RunError};
 pub use class_names::are_of_coco;
 pub use config::{ClassNames, DetectorConfig};
-pub use handle::{Detected, DetectorHandle, SpareTurn};
+pub use handle::{Detected, DetectorHandle, EngineBuild, SpareTurn};
 pub use head_name::{HeadName, HeadSetting};
 pub use inputs::{Agreement, Choice, InputUse, ModelInput, OpenSides, PaddedInput, USUAL_PICTURE};
 pub use network::{DetectorNetwork, Found};

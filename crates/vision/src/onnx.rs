@@ -11,7 +11,7 @@ mod provider;
 mod session;
 mod signature;
 
-pub(crate) use engine_cache::{EngineCache, has_half_weights};
+pub(crate) use engine_cache::{EngineCache, has_half_weights, last_build};
 pub use error::{StartError, StartErrorKind};
 pub use gpu::GpuConfig;
 pub use metadata::Metadata;

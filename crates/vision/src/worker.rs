@@ -112,6 +112,8 @@ pub(crate) struct Worker<I, T> {
     /// The worker's status, updated as it changes.
     pub(crate) status: watch::Receiver<ModelStatus>,
     idle: watch::Receiver<bool>,
+    /// The start of the build of a successor, until it has ended.
+    pub(crate) building: watch::Receiver<Option<Instant>>,
     ended: watch::Receiver<Option<Result<(), String>>>,
     /// Counters for metrics; does not keep the worker running.
     pub(crate) meter: WorkerMeter,
@@ -124,6 +126,7 @@ impl<I, T> Clone for Worker<I, T> {
             requests: self.requests.clone(),
             status: self.status.clone(),
             idle: self.idle.clone(),
+            building: self.building.clone(),
             ended: self.ended.clone(),
             meter: self.meter.clone(),
             stop: Arc::clone(&self.stop),
@@ -151,6 +154,7 @@ impl<I: WorkerInput, T: Send + 'static> Worker<I, T> {
         let (requests, received) = mpsc::unbounded_channel();
         let (status, watched) = watch::channel(ModelStatus::Starting);
         let (idle, is_idle) = watch::channel(false);
+        let (building, is_building) = watch::channel(None);
         let (end, ended) = watch::channel(None);
         let stop = CancellationToken::new();
         let mut task = Task {
@@ -164,6 +168,7 @@ impl<I: WorkerInput, T: Send + 'static> Worker<I, T> {
             provider: ExecutionProvider::Cpu,
             status,
             idle,
+            building,
             meter: meter.clone(),
             stop: stop.clone(),
         };
@@ -172,6 +177,7 @@ impl<I: WorkerInput, T: Send + 'static> Worker<I, T> {
             requests,
             status: watched,
             idle: is_idle,
+            building: is_building,
             ended,
             meter,
             stop: Arc::new((stop, guard)),
@@ -185,7 +191,9 @@ impl<I: WorkerInput, T: Send + 'static> Worker<I, T> {
         });
         let facts = built?;
         if let Some(build) = successor {
-            task.successor = Some(Successor::build(settings.name, build)?);
+            let successor = Successor::build(settings.name, build)?;
+            task.building.send_replace(Some(successor.begun));
+            task.successor = Some(successor);
         }
         tokio::spawn(async move {
             let served = task.serve().await;
@@ -337,6 +345,7 @@ struct Task<M: Model> {
     provider: ExecutionProvider,
     status: watch::Sender<ModelStatus>,
     idle: watch::Sender<bool>,
+    building: watch::Sender<Option<Instant>>,
     meter: WorkerMeter,
     stop: CancellationToken,
 }
@@ -402,6 +411,9 @@ impl<M: Model> Task<M> {
             return;
         };
         let seconds = successor.begun.elapsed().as_secs();
+        if let Told::Outcome(_) = told {
+            self.building.send_replace(None);
+        }
         let reason = match told {
             Told::Still => {
                 successor.patience *= 2;

@@ -265,6 +265,17 @@ mod tests {
     }
 
     #[test]
+    fn engines_are_kept_in_the_state_directory_unless_another_folder_is_set() {
+        let mut config = NodeConfig::default();
+        let kept = |config: &NodeConfig| config.detector_here().gpu.engine_cache;
+        assert_eq!(kept(&config), None);
+        config.node.state_dir = Some("/state".into());
+        assert_eq!(kept(&config), Some("/state/engines".into()));
+        config.detector.gpu.engine_cache = Some("/engines".into());
+        assert_eq!(kept(&config), Some("/engines".into()));
+    }
+
+    #[test]
     fn a_provider_missing_from_the_library_is_named() {
         let folder = tempfile::tempdir().unwrap();
         let library = folder.path().join("libonnxruntime.so");

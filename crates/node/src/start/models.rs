@@ -95,6 +95,7 @@ fn show_reading(detector: &DetectorHandle, board: &Board) {
         meter: detector.head_meter(),
         preparation: detector.preparation().clone(),
         precision: detector.precision(),
+        engine_build: detector.engine_build(),
     });
 }
 

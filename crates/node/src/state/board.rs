@@ -33,7 +33,7 @@ use albireo_service::identity::Certificates;
 use albireo_service::readiness::{Fault, Readiness};
 use albireo_service::supervise::TaskFailures;
 use albireo_vision::detector::{
-    ExecutionProvider, HeadMeter, ModelStatus, PrecisionProof, Preparation,
+    EngineBuild, ExecutionProvider, HeadMeter, ModelStatus, PrecisionProof, Preparation,
 };
 use albireo_vision::worker::{WorkerCounts, WorkerMeter};
 use albireo_wire::{AuditReport, ClipReport, CountersMessage};
@@ -118,6 +118,8 @@ pub(crate) struct ModelReading {
     pub(crate) preparation: Preparation,
     /// Whether its provider finds what the CPU finds.
     pub(crate) precision: PrecisionProof,
+    /// The build of its engine, while another provider answers.
+    pub(crate) engine_build: EngineBuild,
 }
 
 /// What the board of a node shows that never changes, and what its parts begin with.

@@ -8,12 +8,14 @@ use super::{
     Preparation,
 };
 use super::{PreparedPicture, StartError};
+use crate::onnx::last_build;
 use crate::picture::Picture;
 use crate::worker::{Answer, Asker, Build, ModelStatus, RunError, Worker, WorkerCounts};
 use crate::worker::{WorkerMeter, WorkerSettings};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
+use tokio::time::Instant;
 
 /// The detector's answer for one picture.
 pub type Detected = Answer<Found>;
@@ -28,8 +30,28 @@ pub struct DetectorHandle {
     description: Arc<str>,
     head_meter: HeadMeter,
     proof: PrecisionProof,
+    expected_build: Option<Duration>,
     preparation: Preparation,
     spare: Arc<Semaphore>,
+}
+
+/// The build of TensorRT's engine while another provider answers; does not keep the detector running.
+#[derive(Clone, Debug)]
+pub struct EngineBuild {
+    begun: watch::Receiver<Option<Instant>>,
+    expected: Option<Duration>,
+}
+
+impl EngineBuild {
+    /// The time since it began; `None` if nothing is being built.
+    pub fn elapsed(&self) -> Option<Duration> {
+        self.begun.borrow().map(|begun| begun.elapsed())
+    }
+
+    /// How long the last build took on this machine, of this model or of another.
+    pub fn expected(&self) -> Option<Duration> {
+        self.expected
+    }
 }
 
 /// The right to have one picture answered while no camera waits.
@@ -78,6 +100,7 @@ impl DetectorHandle {
             description: facts.description.into(),
             head_meter,
             proof,
+            expected_build: config.gpu.engine_cache.as_deref().and_then(last_build),
             preparation: Preparation::new(facts.input),
             spare: Arc::new(Semaphore::new(1)),
         })
@@ -188,6 +211,14 @@ impl DetectorHandle {
     /// What compares the provider with the CPU, on the first picture in which something is found.
     pub fn precision(&self) -> PrecisionProof {
         self.proof.clone()
+    }
+
+    /// The build of an engine, while another provider answers.
+    pub fn engine_build(&self) -> EngineBuild {
+        EngineBuild {
+            begun: self.worker.building.clone(),
+            expected: self.expected_build,
+        }
     }
 
     /// The model's file name.

@@ -72,8 +72,7 @@ impl EngineCache {
 
     /// How long the last build of an engine took on this machine, of this model or of another.
     pub(crate) fn last_build(&self) -> Option<Duration> {
-        let text = std::fs::read_to_string(self.root.join(LAST_BUILD)).ok()?;
-        Some(Duration::from_secs(text.trim().parse().ok()?))
+        last_build(&self.root)
     }
 
     /// Keeps how long a build took.
@@ -83,6 +82,12 @@ impl EngineCache {
             warn!(%error, "how long the engine took to build could not be kept");
         }
     }
+}
+
+/// How long the last build took of an engine under `root`.
+pub(crate) fn last_build(root: &Path) -> Option<Duration> {
+    let text = std::fs::read_to_string(root.join(LAST_BUILD)).ok()?;
+    Some(Duration::from_secs(text.trim().parse().ok()?))
 }
 
 fn has_engine(folder: &Path) -> bool {

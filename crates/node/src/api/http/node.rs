@@ -33,6 +33,19 @@ pub(super) struct DetectorReading {
     /// and on the CPU.
     #[serde(skip_serializing_if = "Option::is_none")]
     precision: Option<DetectorPrecision>,
+    /// The build of TensorRT's engine while the provider listed after it answers; absent if nothing is being built.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    engine_build: Option<DetectorEngineBuild>,
+}
+
+/// TensorRT builds its engine.
+#[derive(Serialize, ToSchema)]
+struct DetectorEngineBuild {
+    /// Seconds since it began.
+    elapsed_s: f64,
+    /// Seconds that the last build took on this machine, of this model or of another; absent before the first.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    last_build_s: Option<f64>,
 }
 
 /// What the comparison of a provider with the CPU showed.
@@ -110,6 +123,10 @@ fn detector(reading: &ModelReading) -> DetectorReading {
         boxes_impossible: counts.rejected,
         inputs: reading.preparation.inputs().iter().map(input).collect(),
         precision: precision(&reading.precision.outcome()),
+        engine_build: reading.engine_build.elapsed().map(|elapsed| DetectorEngineBuild {
+            elapsed_s: seconds(elapsed),
+            last_build_s: reading.engine_build.expected().map(seconds),
+        }),
     }
 }
 

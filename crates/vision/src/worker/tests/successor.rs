@@ -30,7 +30,10 @@ async fn the_first_model_answers_until_its_successor_is_built_and_takes_over_bet
     let (mut stage, build) = stage_with_successor().await;
     until_provider(&stage, Cpu).await;
     // However long it takes: an engine may need a quarter of an hour.
-    pass(Duration::from_secs(1500)).await;
+    let took = Duration::from_secs(1500);
+    pass(took).await;
+    let building = |stage: &Stage| stage.worker.building.borrow().map(|begun| begun.elapsed());
+    assert_eq!(building(&stage), Some(took));
     stage.run(Step::Answer).await.unwrap();
     let running = stage.begin(0).await;
     build.send(Ok(0)).unwrap();
@@ -38,6 +41,7 @@ async fn the_first_model_answers_until_its_successor_is_built_and_takes_over_bet
     assert_eq!(stage.worker.status.borrow().provider(), Some(Cpu));
     stage.answer(running).await;
     until_provider(&stage, TensorRt).await;
+    assert_eq!(building(&stage), None);
     // The first one has ended, and its memory is free.
     stage.ended.recv().await.unwrap();
     stage.run(Step::Answer).await.unwrap();
