@@ -2554,6 +2554,19 @@ export interface components {
              */
             width: number;
         };
+        /** @description TensorRT builds its engine. */
+        DetectorEngineBuild: {
+            /**
+             * Format: double
+             * @description Seconds since it began.
+             */
+            elapsed_s: number;
+            /**
+             * Format: double
+             * @description Seconds that the last build took on this machine, of this model or of another; absent before the first.
+             */
+            last_build_s?: number | null;
+        };
         /** @description The state of the detector. */
         DetectorEvent: {
             /** @description Execution provider that runs it; absent while it starts. */
@@ -2588,6 +2601,13 @@ export interface components {
             /** @description The same in words, with the reason and what to do. */
             words: string;
         };
+        /** @description What the comparison of a provider with the CPU showed. */
+        DetectorPrecision: {
+            /** @description True if all boxes agree within 2 pixels of the input and 0.02 of confidence; absent if they could not be compared. */
+            agrees?: boolean | null;
+            /** @description The outcome in words, with what to do. */
+            words: string;
+        };
         /** @description How the detector's model is read, and which of its classes are reported. */
         DetectorReading: {
             /**
@@ -2603,12 +2623,14 @@ export interface components {
             boxes_left_out: number;
             /** @description Names of the classes that are reported, by class number. */
             classes: string[];
+            engine_build?: components["schemas"]["DetectorEngineBuild"] | null;
             /** @description Head and input, in words. */
             head: string;
             /** @description The inputs that pictures run at, one for each shape of picture that has come. */
             inputs: components["schemas"]["DetectorInput"][];
             /** @description Names of the model's classes that are not reported (`detector.report_classes`). */
             left_out: string[];
+            precision?: components["schemas"]["DetectorPrecision"] | null;
         };
         /** @description Energy of one domain of the board. */
         DomainEnergy: {
