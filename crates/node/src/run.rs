@@ -8,6 +8,7 @@ use crate::state::board::Board;
 use crate::state::readiness;
 use albireo_service::ServiceError;
 use albireo_service::http::Problem;
+use albireo_vision::detector::ExecutionProvider;
 use axum::Router;
 use axum::extract::Request;
 use axum::http::{Method, StatusCode};
@@ -62,11 +63,7 @@ pub async fn run(
     };
 
     let stopping = shutdown.child_token();
-    let notifier = notify(
-        Arc::clone(&board),
-        config.node.stuck_after_s,
-        stopping.clone(),
-    );
+    let notifier = notify(Arc::clone(&board), config, stopping.clone());
 
     tracing::info!(
         http = format!("http://{address}"),
@@ -136,10 +133,12 @@ async fn prepare(
 }
 
 /// Tells the service manager how the node is, until `stopping`.
-fn notify(board: Arc<Board>, stuck_after_s: f64, stopping: CancellationToken) -> JoinHandle<()> {
+fn notify(board: Arc<Board>, config: &NodeConfig, stopping: CancellationToken) -> JoinHandle<()> {
+    let stuck_after_s = config.node.stuck_after_s;
+    let builds_engine = config.detector.providers.contains(&ExecutionProvider::TensorRt);
     let state = move || {
         let detector = board.detector_status();
-        readiness::service_state(&board.readiness, &detector, stuck_after_s)
+        readiness::service_state(&board.readiness, &detector, stuck_after_s, builds_engine)
     };
     tokio::spawn(albireo_service::notify::run(state, stopping))
 }

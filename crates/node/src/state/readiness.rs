@@ -80,24 +80,30 @@ pub(crate) const PARTS: [&str; 14] = [
 ];
 
 /// The state for the service manager. A fault of the node itself (not an unreachable router) that has lasted for
-/// `stuck_after_s` seconds counts as stuck, so that the service manager restarts the node; the loss of this process's
+/// `stuck_after_s` seconds counts as stuck, but not a detector that `builds_engine`, so that the service manager restarts the node; the loss of this process's
 /// GPU does so at once.
 pub(crate) fn service_state(
     readiness: &Readiness,
     detector: &ModelStatus,
     stuck_after_s: f64,
+    builds_engine: bool,
 ) -> (HealthStatus, Option<String>) {
     let health = readiness.health();
     let lost = match detector {
         ModelStatus::Lost { reason, .. } => Some(format!("{DETECTOR}: {reason}")),
         _ => None,
     };
-    // A detector that is being built is not stuck: TensorRT may need a quarter of an hour for an engine, and would begin
-    // anew after a restart.
-    let is_starting = *detector == ModelStatus::Starting;
+    // The detector starts once the session is open: until then, the session is the cause. TensorRT may need a quarter of an
+    // hour for an engine, and would begin anew after a restart.
+    let may_take_long = *detector == ModelStatus::Starting
+        && (builds_engine
+            || health
+                .faults
+                .iter()
+                .any(|fault| fault.part == ZENOH && fault.subject.is_empty()));
     let stuck = health.faults.iter().find(|fault| {
         let own = match fault.part {
-            DETECTOR => !is_starting,
+            DETECTOR => !may_take_long,
             TASKS => true,
             ZENOH => fault.subject == ZENOH_SESSION,
             _ => false,
@@ -181,7 +187,8 @@ mod tests {
     async fn only_lasting_faults_of_the_node_itself_are_stuck() {
         let readiness = Readiness::default();
         let limit = Duration::from_secs(60);
-        let state = |status: &ModelStatus| service_state(&readiness, status, limit.as_secs_f64());
+        let limit_s = limit.as_secs_f64();
+        let state = |status: &ModelStatus| service_state(&readiness, status, limit_s, false);
         let stuck = |status: &ModelStatus| state(status).1.unwrap_or_default();
         let starting = ModelStatus::Starting;
         let failed = ModelStatus::Degraded {
@@ -192,17 +199,28 @@ mod tests {
         detector.not_ready("it is broken");
         assert_eq!(state(&starting).0.state, HealthState::NotReady);
         tokio::time::advance(Duration::from_secs(59)).await;
-        assert_eq!(stuck(&failed), "");
-        tokio::time::advance(Duration::from_secs(1)).await;
-        assert_eq!(stuck(&failed), "detector: it is broken");
-        // However long an engine takes to build.
-        tokio::time::advance(100 * limit).await;
         assert_eq!(stuck(&starting), "");
+        tokio::time::advance(Duration::from_secs(1)).await;
+        assert_eq!(stuck(&starting), "detector: it is broken");
+        // TensorRT's engine takes as long as it takes.
+        tokio::time::advance(100 * limit).await;
+        let building = service_state(&readiness, &starting, limit_s, true);
+        assert_eq!(building.1, None);
+        let broken = service_state(&readiness, &failed, limit_s, true);
+        assert_eq!(broken.1.as_deref(), Some("detector: it is broken"));
+
+        // A node that waits for its router has not got as far as its detector.
+        let zenoh = readiness.part(ZENOH);
+        zenoh.not_ready("the router is away");
+        tokio::time::advance(limit).await;
+        assert_eq!(stuck(&starting), "");
+        assert_eq!(stuck(&failed), "detector: it is broken");
 
         // The session was opened, the detector is being built, and the session closes permanently.
+        zenoh.works();
         let session = readiness.part_of(ZENOH, ZENOH_SESSION);
         session.not_ready("it is closed");
-        assert_eq!(stuck(&starting), "");
+        assert_eq!(stuck(&starting), "detector: it is broken");
         detector.degraded("of no matter");
         assert_eq!(stuck(&failed), "");
         tokio::time::advance(limit).await;
@@ -223,7 +241,7 @@ mod tests {
             reason: "the GPU is lost to this process".to_owned(),
             provider: ExecutionProvider::Cuda,
         };
-        let (_, stuck) = service_state(&Readiness::default(), &lost, 900.0);
+        let (_, stuck) = service_state(&Readiness::default(), &lost, 900.0, true);
         let stuck = stuck.unwrap();
         assert!(stuck.starts_with("detector: the GPU is lost"), "{stuck}");
         let fault = of_detector(&lost).unwrap();

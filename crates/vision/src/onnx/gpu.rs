@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
 /// Settings of the `cuda` and `tensorrt` execution providers; without effect on `cpu`.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct GpuConfig {
     /// The GPU's number, as CUDA counts. Not a node setting: `CUDA_VISIBLE_DEVICES` chooses.
@@ -20,17 +20,6 @@ pub struct GpuConfig {
     /// The folder in which TensorRT keeps the engines and tactics it has built, minutes of work each, for the next
     /// start. Without it they are built at every start.
     pub engine_cache: Option<PathBuf>,
-}
-
-impl Default for GpuConfig {
-    fn default() -> Self {
-        Self {
-            device: 0,
-            memory_limit_mib: 0,
-            fp16: false,
-            engine_cache: None,
-        }
-    }
 }
 
 impl GpuConfig {
