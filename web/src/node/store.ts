@@ -185,9 +185,9 @@ export async function lookAtNode(): Promise<void> {
     hour.value = [];
   }
   const switched = overview.value !== undefined && overview.value.policy !== now.policy;
-  overview.value = now;
-  // Another policy has another threshold.
+  // Another policy has another threshold, and nothing may ask about that of the policy before.
   if (switched) thresholds.value = await json<Thresholds>("/api/v1/threshold");
+  overview.value = now;
 }
 
 function takeCameras(known: CameraEntry[]): void {

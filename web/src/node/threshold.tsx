@@ -1,7 +1,7 @@
 // The threshold slider: on a logarithmic scale over its useful range, in force from the next frame on.
 
 import { useEffect, useState } from "preact/hooks";
-import { every, json, Refused, send } from "../shared/api";
+import { every, json, pause, Refused, send } from "../shared/api";
 import { duration, parsed, percent, small, typed } from "../shared/format";
 import { Quality, Section, whyNot } from "../shared/parts";
 import { cameras, counters, thresholdSpec, thresholdInForce, lost, opened, overview, thresholds } from "./store";
@@ -36,6 +36,7 @@ export function outside(text: string, spec: Pick<ThresholdSpec, "name" | "minimu
 
 /** Time between two requests for the skip rates of other values, milliseconds. */
 const ESTIMATE_MS = 5000;
+const BEFORE_MS = 1000;
 
 /** Share of frames that a value would have skipped, between the values that the node computed. */
 export function estimated(curve: readonly { value: number; skip_rate: number }[], value: number): number | undefined {
@@ -57,11 +58,12 @@ function useEstimates(camera: string | undefined, name: string | undefined): Ski
     setFound(undefined);
     if (camera === undefined || name !== "u") return;
     const stop = new AbortController();
-    void every(ESTIMATE_MS, stop.signal, async () => {
+    // What the node has recorded begins with the first frames under this threshold.
+    void pause(BEFORE_MS, stop.signal).then(() => every(ESTIMATE_MS, stop.signal, async () => {
       // A camera without frames has no recording: the node would return an error.
       if (lost.value !== undefined || !counters.value.get(camera)?.frames) return;
       setFound(await json<SkipEstimates>(`/api/v1/cameras/${encodeURIComponent(camera)}/skip-estimate`, { signal: stop.signal }));
-    });
+    }));
     return () => stop.abort();
   }, [camera, name]);
   return found;

@@ -133,7 +133,7 @@ token = "a-token-that-may-look"
     await until("all outcomes", async () => {
       const text = await page.textContent(".given");
       const [applied, refused] = [Number(text.match(/(\d+) in force/)?.[1] ?? 0), Number(text.match(/(\d+) refused/)?.[1] ?? 0)];
-      return text.startsWith("Ordered") && applied + refused === 100 && applied > 90;
+      return text.startsWith("Given: ") && applied + refused === 100 && applied > 90;
     });
     await page.getByRole("link", { name: /revision \d+/ }).click();
     await page.getByText("a test of the page").waitFor();
