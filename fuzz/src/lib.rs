@@ -100,8 +100,8 @@ fn sample(
     }
     let mut into = Picture::black(PictureSize::new(1, 1));
     let target = Some(PictureSize::new(64, 64));
-    let mut decodes = |layout| decode(&frame.picture, &limits(), layout, target, &mut into).is_ok();
-    any([PixelLayout::Rgb8, PixelLayout::Gray8].map(|layout| decodes(layout)))
+    let decodes = |layout| decode(&frame.picture, &limits(), layout, target, &mut into).is_ok();
+    any([PixelLayout::Rgb8, PixelLayout::Gray8].map(decodes))
 }
 
 /// True if one of several attempts succeeded. Takes them done, unlike `||`, which would spare the second parser what the
