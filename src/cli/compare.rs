@@ -141,7 +141,7 @@ pub(super) async fn run(arguments: CompareArguments) -> anyhow::Result<()> {
     eprintln!(
         "{} of {} of {} at {pace}; power: {meter}",
         counted(scheduled.len() as u64, "run", "runs"),
-        counted(frames as u64, "frame", "frames"),
+        counted(frames, "frame", "frames"),
         clip.name(),
     );
     let player = Player {
