@@ -182,7 +182,7 @@ fn composed(rows: &[Composition]) -> Option<JoinedTable> {
         columns,
         notes: vec![
             "product: 1 − (1 − skipping)(1 − setup). factor: energy of both over what the product says, geometric mean over \
-             the clips; they multiply if its interval contains 1."
+             the clips with its 95 % interval: 1 if they multiply; a wide interval around 1 shows neither."
                 .to_owned(),
         ],
     })
