@@ -6,6 +6,7 @@ mod probe;
 
 use glob::MatchOptions;
 use name::FileName;
+pub use probe::frame_rate;
 use probe::{VideoFacts, probe};
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
@@ -176,6 +177,8 @@ pub struct Recording {
     pub started_ns: Option<u64>,
     /// Its length.
     pub length: Duration,
+    /// Its frames per second, if it says them.
+    pub rate: Option<f64>,
     /// The name of its drive: the stem of the drive's first file.
     pub drive: Arc<str>,
     /// True if a drive begins with it.
@@ -243,6 +246,7 @@ impl Drives {
             path,
             started_ns,
             length: probed.length,
+            rate: probed.rate,
             drive,
             begins_drive,
         }

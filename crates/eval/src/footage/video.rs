@@ -3,6 +3,7 @@
 use super::source::{FrameSource, Stopper, clip_name};
 use crate::error::EvalError;
 use albireo_vision::picture::{EncodedPicture, FrameLimits, picture_of_file, read_part, read_png};
+use albireo_vision::recordings::frame_rate;
 use bytes::Bytes;
 use parking_lot::Mutex;
 use serde::Deserialize;
@@ -106,13 +107,6 @@ struct ProbedStream {
     nb_frames: Option<String>,
 }
 
-/// Reads a frame rate such as `30000/1001`.
-fn rate(text: &str) -> Option<f64> {
-    let (numerator, denominator) = text.split_once('/').unwrap_or((text, "1"));
-    let rate = numerator.parse::<f64>().ok()? / denominator.parse::<f64>().ok()?;
-    (rate.is_finite() && rate > 0.0 && rate <= 1000.0).then_some(rate)
-}
-
 /// The arguments of ffprobe, without the file.
 const PROBE: [&str; 8] = [
     "-v",
@@ -141,17 +135,6 @@ impl Video {
         encoding: VideoEncoding,
         programs: Ffmpeg,
     ) -> Result<Self, EvalError> {
-        Self::open_in(Arc::default(), file, default_rate, encoding, programs)
-    }
-
-    /// Like [`open`](Self::open), with a process that others may stop.
-    pub(super) fn open_in(
-        process: Arc<Mutex<Process>>,
-        file: &str,
-        default_rate: Option<f64>,
-        encoding: VideoEncoding,
-        programs: Ffmpeg,
-    ) -> Result<Self, EvalError> {
         if file.contains("://") {
             // The address may contain a password, so it is not repeated.
             return Err(EvalError::new(
@@ -159,19 +142,29 @@ impl Video {
                  it to one",
             ));
         }
-        // A name that begins with a dash would be read as an option.
-        let file = match file.strip_prefix('-') {
-            Some(rest) => format!("./-{rest}"),
-            None => file.to_owned(),
-        };
+        let file = no_option(file);
         let (rate, frames) = probe(&file, default_rate, &programs)?;
+        let mut video = Self::open_probed(Arc::default(), &file, rate, encoding, programs)?;
+        video.frames = frames;
+        Ok(video)
+    }
+
+    /// Opens a file of which the frame rate is known, with a process that others may stop.
+    pub(super) fn open_probed(
+        process: Arc<Mutex<Process>>,
+        file: &str,
+        rate: f64,
+        encoding: VideoEncoding,
+        programs: Ffmpeg,
+    ) -> Result<Self, EvalError> {
+        let file = no_option(file);
         let mut video = Self {
             name: clip_name(Path::new(&file)),
             file,
             encoding,
             programs,
             rate,
-            frames,
+            frames: None,
             output: None,
             process,
         };
@@ -202,6 +195,21 @@ impl Video {
     }
 }
 
+/// A name that begins with a dash would be read as an option.
+fn no_option(file: &str) -> String {
+    match file.strip_prefix('-') {
+        Some(rest) => format!("./-{rest}"),
+        None => file.to_owned(),
+    }
+}
+
+/// What a file without a frame rate needs.
+pub(super) fn no_rate(file: &str) -> EvalError {
+    EvalError::new(format!(
+        "{file}: ffprobe reports no frame rate; give one with --rate"
+    ))
+}
+
 /// Reads the frame rate of a file and, if known, its number of frames.
 fn probe(
     file: &str,
@@ -228,9 +236,9 @@ fn probe(
     let rate = [&stream.avg_frame_rate, &stream.r_frame_rate]
         .into_iter()
         .flatten()
-        .find_map(|text| rate(text))
+        .find_map(|text| frame_rate(text))
         .or(default_rate)
-        .ok_or_else(|| wrong("ffprobe reports no frame rate; give one with --rate".to_owned()))?;
+        .ok_or_else(|| no_rate(file))?;
     let frames = stream.nb_frames.as_ref().and_then(|text| text.parse().ok());
     Ok((rate, frames))
 }
@@ -357,15 +365,6 @@ impl Drop for Video {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_rate_is_a_valid_fraction() {
-        assert_eq!(rate("25/1"), Some(25.0));
-        assert_eq!(rate("30000/1001"), Some(30000.0 / 1001.0));
-        for text in ["0/0", "90000/1", "x", "-5/1", ""] {
-            assert_eq!(rate(text), None, "{text}");
-        }
-    }
 
     #[test]
     fn a_camera_address_is_rejected_with_a_remedy() {

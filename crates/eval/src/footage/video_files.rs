@@ -1,7 +1,7 @@
 //! Reads several video files, as a dashcam writes them, as one source.
 
 use super::source::{FrameSource, Stopper, plain_name};
-use super::video::{Ffmpeg, Process, Video, VideoEncoding, stopper};
+use super::video::{Ffmpeg, Process, Video, VideoEncoding, no_rate, stopper};
 use crate::error::EvalError;
 use albireo_vision::picture::EncodedPicture;
 use albireo_vision::recordings::{Drives, Recording, video_files};
@@ -74,7 +74,9 @@ impl VideoFiles {
         }
         source.rate = source.playing.as_ref().map_or(0.0, |playing| playing.video.rate());
         // Those that were passed over are told when it is their turn.
-        source.rewind()?;
+        if first_fault.is_some() {
+            source.rewind()?;
+        }
         Ok(source)
     }
 
@@ -102,13 +104,9 @@ impl VideoFiles {
         self.last.clone_from(&recording.path);
         let file = recording.path.to_string_lossy().into_owned();
         let process = Arc::clone(&self.process);
-        let video = Video::open_in(
-            process,
-            &file,
-            self.default_rate,
-            self.encoding,
-            self.programs.clone(),
-        )?;
+        let rate = recording.rate.or(self.default_rate).ok_or_else(|| no_rate(&file))?;
+        let programs = self.programs.clone();
+        let video = Video::open_probed(process, &file, rate, self.encoding, programs)?;
         self.drive = plain_name(&recording.drive).into();
         self.playing = Some(PlayedFile {
             video,
@@ -186,5 +184,53 @@ impl FrameSource for VideoFiles {
 
     fn stopper(&self) -> Option<Stopper> {
         Some(stopper(&self.process))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::process::Command;
+
+    #[test]
+    #[ignore = "needs ffmpeg"]
+    fn each_file_is_probed_once() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["a1.mp4", "a2.mp4"] {
+            let mut film = Command::new("ffmpeg");
+            film.args([
+                "-v",
+                "error",
+                "-f",
+                "lavfi",
+                "-i",
+                "testsrc=s=64x48:r=5:d=1",
+            ]);
+            let made = film.arg(folder.path().join(name)).status().unwrap();
+            assert!(made.success());
+        }
+        let programs = tempfile::tempdir().unwrap();
+        let [text, ffprobe, calls] =
+            ["text", "ffprobe", "calls"].map(|name| programs.path().join(name));
+        let counting = format!(
+            "#!/bin/sh\necho >>{}\nexec ffprobe \"$@\"\n",
+            calls.display()
+        );
+        std::fs::write(&text, counting).unwrap();
+        // A program that this process has open for writing, or a child of another test, could not be started.
+        let copied = Command::new("install").args(["-m", "700"]).args([&text, &ffprobe]).status();
+        assert!(copied.unwrap().success());
+        let programs = Ffmpeg {
+            ffprobe,
+            ..Ffmpeg::default()
+        };
+        let text = folder.path().to_str().unwrap();
+        let mut files = VideoFiles::open(text, None, VideoEncoding::Jpeg, programs).unwrap();
+        let mut pictures = 0;
+        while files.next().unwrap().is_some() {
+            pictures += 1;
+        }
+        assert_eq!((files.rate(), pictures), (5.0, 10));
+        assert_eq!(std::fs::read_to_string(&calls).unwrap().lines().count(), 2);
     }
 }

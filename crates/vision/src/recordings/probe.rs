@@ -1,4 +1,4 @@
-//! Looks into a video file: its length, when it was made, and whether it is whole.
+//! Looks into a video file: its length and frame rate, when it was made, and whether it is whole.
 
 use jiff::Timestamp;
 use serde::Deserialize;
@@ -21,14 +21,22 @@ pub(super) struct VideoFacts {
     pub length: Duration,
     /// Its `creation_time`, nanoseconds since the Unix epoch.
     pub created_ns: Option<u64>,
+    /// Its frames per second, if it says them.
+    pub rate: Option<f64>,
 }
 
 #[derive(Deserialize)]
 struct FfprobeAnswer {
     #[serde(default)]
-    streams: Vec<serde::de::IgnoredAny>,
+    streams: Vec<ProbedStream>,
     #[serde(default)]
     format: ProbedFormat,
+}
+
+#[derive(Deserialize)]
+struct ProbedStream {
+    avg_frame_rate: Option<String>,
+    r_frame_rate: Option<String>,
 }
 
 #[derive(Default, Deserialize)]
@@ -53,7 +61,7 @@ pub(super) fn probe(path: &Path, ffprobe: &Path) -> Result<VideoFacts, String> {
     command.args(["-v", "error", "-select_streams", "v:0", "-of", "json"]);
     command.args([
         "-show_entries",
-        "format=duration:format_tags=creation_time:stream=index",
+        "format=duration:format_tags=creation_time:stream=avg_frame_rate,r_frame_rate",
     ]);
     // A name that begins with a dash would be an option.
     command.arg("-i").arg(path).stdin(Stdio::null());
@@ -72,15 +80,25 @@ pub(super) fn probe(path: &Path, ffprobe: &Path) -> Result<VideoFacts, String> {
     }
     let answer: FfprobeAnswer = serde_json::from_slice(&output.stdout)
         .map_err(|error| format!("ffprobe's answer cannot be read: {error}"))?;
-    if answer.streams.is_empty() {
+    let Some(stream) = answer.streams.first() else {
         return Err("it has no video".to_owned());
-    }
+    };
+    let rates = [&stream.avg_frame_rate, &stream.r_frame_rate];
+    let rate = rates.into_iter().flatten().find_map(|text| frame_rate(text));
     let length = answer.format.duration.and_then(|seconds| seconds.parse().ok());
     let created = answer.format.tags.creation_time.and_then(|time| created_ns(&time));
     Ok(VideoFacts {
         length: Duration::try_from_secs_f64(length.unwrap_or(0.0)).unwrap_or_default(),
         created_ns: created,
+        rate,
     })
+}
+
+/// Reads a frame rate as ffprobe writes it, such as `30000/1001`; `None` if it says that there is none.
+pub fn frame_rate(text: &str) -> Option<f64> {
+    let (numerator, denominator) = text.split_once('/').unwrap_or((text, "1"));
+    let rate = numerator.parse::<f64>().ok()? / denominator.parse::<f64>().ok()?;
+    (rate.is_finite() && rate > 0.0 && rate <= 1000.0).then_some(rate)
 }
 
 fn created_ns(time: &str) -> Option<u64> {

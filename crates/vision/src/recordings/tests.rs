@@ -258,3 +258,12 @@ fn times_come_from_the_file_where_its_name_has_none_and_chapters_follow_each_oth
         .collect();
     assert_eq!(drives, [Some("a1"), Some("a1"), None, Some("a4")]);
 }
+
+#[test]
+fn a_frame_rate_is_a_valid_fraction() {
+    assert_eq!(frame_rate("25/1"), Some(25.0));
+    assert_eq!(frame_rate("30000/1001"), Some(30000.0 / 1001.0));
+    for text in ["0/0", "90000/1", "x", "-5/1", ""] {
+        assert_eq!(frame_rate(text), None, "{text}");
+    }
+}
