@@ -192,7 +192,8 @@ mod tests {
             newest_wins: bool,
         ) {
             let ring = ring(items, newest_wins);
-            let (mut queue, mut closed) = (VecDeque::new(), false);
+            let mut queue = VecDeque::new();
+            let mut closed = false;
             for act in acts {
                 match act {
                     Act::Push(item) => {

@@ -3,8 +3,11 @@
 //!
 //! | file | contents |
 //! | --- | --- |
-//! | `address` | the address of a source and its options, shown without secrets |
-//! | `templates` | the command lines of ffmpeg and GStreamer |
+//! | `address` | the address of a source, shown without a password |
+//! | `options` | the options of ffmpeg for a source, shown without secrets |
+//! | `secrets` | what is masked in the messages of programs |
+//! | `settings` | a source to open, and how to open it |
+//! | `ffmpeg`, `gstreamer` | the command lines of these programs |
 //! | `program` | a program that writes pictures: started, read with a deadline, ended |
 //! | `messages` | what such a program says: why it fails, which pictures are broken |
 //! | `files` | several video files as one source |
@@ -12,18 +15,23 @@
 //! | `live` | a source that is reopened whenever it ends |
 
 mod address;
+mod ffmpeg;
 mod files;
+mod gstreamer;
 mod live;
 mod login;
 mod messages;
+mod options;
 mod program;
-mod templates;
+mod secrets;
+mod settings;
 
-pub use address::{SourceAddress, SourceKind, SourceOptions};
+pub use address::{SourceAddress, SourceKind};
 pub use files::Recorded;
 pub use live::{LiveSource, SourceEvent};
+pub use options::SourceOptions;
 pub(crate) use program::FIRST_PICTURE;
-pub use templates::{RtspTransport, SourceSettings};
+pub use settings::{RtspTransport, SourceSettings};
 
 #[cfg(test)]
 mod tests;

@@ -1,9 +1,10 @@
-//! The address of a source, and its options. Both may contain a password, or the name of an environment variable with
-//! one: they are shown without it, and it is removed from the messages of programs.
+//! The address of a source. It may contain a password, or the name of an environment variable with one: it is shown
+//! without it, and the password is removed from the messages of programs.
 
+use super::secrets::{LOGIN, Secrets};
 use albireo_vision::recordings::are_several;
-use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, percent_decode_str, utf8_percent_encode};
-use serde::{Deserialize, Serialize, Serializer};
+use percent_encoding::utf8_percent_encode;
+use serde::Deserialize;
 use serde_with::SerializeDisplay;
 use std::fmt;
 use std::fs;
@@ -11,23 +12,17 @@ use std::os::unix::fs::FileTypeExt;
 use std::path::Path;
 use strsim::osa_distance;
 
-/// The characters encoded between `://` and `@`: all but the unreserved ones of RFC 3986, section 2.3.
-const LOGIN: &AsciiSet = &NON_ALPHANUMERIC.remove(b'-').remove(b'.').remove(b'_').remove(b'~');
-
 /// Common schemes of addresses. Others are left to the program that opens the source.
 const SCHEMES: [&str; 12] = [
     "rtsp", "rtsps", "http", "https", "rtmp", "rtmps", "rtp", "srt", "udp", "tcp", "tls", "ftp",
 ];
-
-/// Shown instead of a secret.
-const MASK: &str = "***";
 
 const CONTROL: &str = "contains a control character";
 
 const LOGIN_AFTER_QUERY: &str =
     "has an `@` behind a `?`: write a `?` in a password as `%3F`, and an `@` in a query as `%40`";
 
-fn no_control(text: &str) -> Result<(), String> {
+pub(super) fn no_control(text: &str) -> Result<(), String> {
     if text.contains(char::is_control) {
         return Err(CONTROL.to_owned());
     }
@@ -54,6 +49,18 @@ pub enum SourceKind {
     Files,
 }
 
+impl SourceKind {
+    /// True for the addresses of RTSP, also of its encrypted form.
+    pub(super) fn is_rtsp(&self) -> bool {
+        matches!(self, Self::Network(scheme) if scheme.starts_with("rtsp"))
+    }
+
+    /// True for the addresses of HTTP and HTTPS.
+    pub(super) fn is_http(&self) -> bool {
+        matches!(self, Self::Network(scheme) if scheme.starts_with("http"))
+    }
+}
+
 /// An address with its variables substituted.
 #[derive(Clone)]
 pub(crate) struct Resolved {
@@ -76,54 +83,6 @@ impl Resolved {
     /// The address, if it is one word.
     pub(super) fn text(&self) -> &str {
         self.words.first().map_or("", String::as_str)
-    }
-}
-
-/// Secrets, longest first.
-#[derive(Clone, Default)]
-pub(crate) struct Secrets(Vec<String>);
-
-impl Secrets {
-    pub(super) fn add(&mut self, secret: &str) {
-        let decoded = percent_decode_str(secret).decode_utf8_lossy().into_owned();
-        let encoded = utf8_percent_encode(secret, LOGIN).to_string();
-        for form in [secret.to_owned(), decoded, encoded] {
-            if !form.is_empty() && !self.0.contains(&form) {
-                self.0.push(form);
-            }
-        }
-        self.0.sort_by_key(|secret| std::cmp::Reverse(secret.len()));
-    }
-
-    /// Adds the user and password of an address. A name of one or two letters would be masked everywhere.
-    fn add_login(&mut self, login: Option<&str>) {
-        let Some(login) = login else { return };
-        let (user, password) = login.split_once(':').unwrap_or((login, ""));
-        self.add(login);
-        self.add(password);
-        if user.len() > 2 {
-            self.add(user);
-        }
-    }
-
-    /// Adds the query of an address.
-    fn add_query(&mut self, query: Option<&str>) {
-        let Some(query) = query else { return };
-        self.add(query);
-        let values = query.split('&').filter_map(|pair| pair.split_once('='));
-        for (_, value) in values.filter(|(_, value)| value.len() > 2) {
-            self.add(value);
-        }
-    }
-
-    pub(super) fn is_empty(&self) -> bool {
-        self.0.is_empty()
-    }
-
-    /// Returns `text` with the secrets masked.
-    pub(super) fn redact(&self, text: &str) -> String {
-        let hidden = |text: String, secret: &String| text.replace(secret.as_str(), MASK);
-        self.0.iter().fold(text.to_owned(), hidden)
     }
 }
 
@@ -172,14 +131,7 @@ impl SourceAddress {
         }
         no_control(&self.0)?;
         let kind = self.kind();
-        if let SourceKind::Network(scheme) = &kind
-            && !SCHEMES.contains(&scheme.as_str())
-            && let Some(meant) = SCHEMES.iter().find(|&known| osa_distance(known, scheme) == 1)
-        {
-            return Err(format!(
-                "begins with `{scheme}://`; did you mean `{meant}://`?"
-            ));
-        }
+        check_scheme(&kind)?;
         let mut variables = Variables {
             value: variable,
             // A path with a variable in it is shown, as a login is not.
@@ -190,17 +142,19 @@ impl SourceAddress {
             secrets: Secrets::default(),
             unset: Vec::new(),
         };
-        let written = match kind {
-            SourceKind::Pipeline => shlex::split(&self.0),
-            _ => Some(vec![self.0.clone()]),
+        let is_pipeline = kind == SourceKind::Pipeline;
+        let written = if is_pipeline {
+            shlex::split(&self.0).ok_or("has a quotation mark that is not closed")?
+        } else {
+            vec![self.0.clone()]
         };
         let mut words = Vec::new();
-        for word in written.ok_or("has a quotation mark that is not closed")? {
+        for word in written {
             if query(&word).is_some_and(|query| query.contains('@')) && login(&word).is_none() {
                 return Err(LOGIN_AFTER_QUERY.to_owned());
             }
             let (before, after) = word.split_at(login_end(&word));
-            let before = variables.filled(before, kind != SourceKind::Pipeline)?;
+            let before = variables.filled(before, !is_pipeline)?;
             words.push(before + &variables.filled(after, false)?);
         }
         let Variables {
@@ -221,17 +175,30 @@ impl SourceAddress {
                 secrets.add(value);
             }
         }
-        let kind = match (kind, &words[..]) {
-            // Only now its variables are known.
-            (SourceKind::File, [path]) => file_or_files(path),
-            (kind, _) => kind,
-        };
-        Ok(Resolved {
+        let mut resolved = Resolved {
             kind,
             words,
             secrets,
-        })
+        };
+        if resolved.kind == SourceKind::File {
+            // A variable may name a folder: only now its value is known.
+            resolved.kind = file_or_files(resolved.text());
+        }
+        Ok(resolved)
     }
+}
+
+/// Checks that the scheme is not a misspelt one.
+fn check_scheme(kind: &SourceKind) -> Result<(), String> {
+    if let SourceKind::Network(scheme) = kind
+        && !SCHEMES.contains(&scheme.as_str())
+        && let Some(meant) = SCHEMES.iter().find(|&known| osa_distance(known, scheme) == 1)
+    {
+        return Err(format!(
+            "begins with `{scheme}://`; did you mean `{meant}://`?"
+        ));
+    }
+    Ok(())
 }
 
 /// Fills environment variables into an address, and notes which are secret and which are not set.
@@ -285,25 +252,31 @@ pub(super) fn without_scheme(path: &str) -> &str {
 
 /// True for a device, also under another name: `/dev/v4l/by-id/…`, or a link to it from anywhere.
 fn is_device(path: &str) -> bool {
-    let is_there =
-        || fs::metadata(path).is_ok_and(|metadata| metadata.file_type().is_char_device());
-    path.starts_with("/dev/") || is_there()
+    if path.starts_with("/dev/") {
+        return true;
+    }
+    fs::metadata(path).is_ok_and(|metadata| metadata.file_type().is_char_device())
 }
 
 /// The end of the part of an address with user and password: behind the last `@` before the query, so that a password
 /// with a `/` in it is also masked.
 fn login_end(address: &str) -> usize {
-    let end = address.find('?').unwrap_or(address.len());
-    let (Some(_), Some(at)) = (address.find("://"), address[..end].rfind('@')) else {
+    if !address.contains("://") {
         return 0;
-    };
-    at + 1
+    }
+    let query = address.find('?').unwrap_or(address.len());
+    match address[..query].rfind('@') {
+        Some(at) => at + 1,
+        None => 0,
+    }
 }
 
 /// The user and password of an address.
 fn login(address: &str) -> Option<&str> {
     let begin = address.find("://")? + 3;
-    address.get(begin..login_end(address).checked_sub(1)?)
+    // Without its `@`.
+    let end = login_end(address).checked_sub(1)?;
+    address.get(begin..end)
 }
 
 /// What follows the scheme and the login of an address.
@@ -347,71 +320,6 @@ impl fmt::Display for SourceAddress {
 impl fmt::Debug for SourceAddress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "SourceAddress({self})")
-    }
-}
-
-/// Options of ffmpeg for a source, each name followed by its value. Shown (and serialised) without secret
-/// values.
-#[derive(Clone, Default, PartialEq, Eq, Deserialize)]
-#[serde(transparent)]
-pub struct SourceOptions(pub Vec<String>);
-
-impl SourceOptions {
-    /// Checks that they can be passed to a program.
-    ///
-    /// # Errors
-    /// The fault.
-    pub fn check(&self) -> Result<(), String> {
-        self.0.iter().try_for_each(|word| no_control(word))
-    }
-
-    /// Name, without its `-`, and value. An option without a value is a flag.
-    pub(super) fn pairs(&self) -> Vec<(&str, Option<&str>)> {
-        let mut pairs: Vec<(&str, Option<&str>)> = Vec::new();
-        for word in &self.0 {
-            match (word.strip_prefix('-'), pairs.last_mut()) {
-                // A value may be a negative number.
-                (Some(name), _) if !name.starts_with(|c: char| c.is_ascii_digit()) => {
-                    pairs.push((name, None));
-                }
-                (_, Some((_, value @ None))) => *value = Some(word),
-                _ => pairs.push((word, None)),
-            }
-        }
-        pairs
-    }
-
-    /// The secret values.
-    pub(super) fn secrets(&self) -> impl Iterator<Item = &str> {
-        self.pairs()
-            .into_iter()
-            .filter_map(|(name, value)| value.filter(|_| is_secret(name)))
-    }
-}
-
-/// True if the option `name` carries a secret.
-fn is_secret(name: &str) -> bool {
-    let name = name.to_ascii_lowercase();
-    let parts = [
-        "key", "pass", "secret", "token", "header", "cookie", "auth", "proxy", "user", "login",
-    ];
-    parts.iter().any(|part| name.contains(part))
-}
-
-impl Serialize for SourceOptions {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let shown = self.pairs().into_iter().flat_map(|(name, value)| {
-            let shown = value.map(|value| if is_secret(name) { MASK } else { value });
-            std::iter::once(format!("-{name}")).chain(shown.map(str::to_owned))
-        });
-        serializer.collect_seq(shown)
-    }
-}
-
-impl fmt::Debug for SourceOptions {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let shown = serde_json::to_string(self).unwrap_or_default();
-        write!(f, "SourceOptions({shown})")
     }
 }
 
@@ -508,23 +416,5 @@ mod tests {
         ] {
             assert_eq!(resolve(text).err().as_deref(), Some(error), "{text}");
         }
-    }
-
-    #[test]
-    fn options_are_shown_without_secrets() {
-        let words = "-headers 'Authorization: Bearer abc' -video_size 1280x720 -re -cenc_decryption_key 0123 \
-                     -itsoffset -1.5";
-        let options = SourceOptions(shlex::split(words).unwrap());
-        let shown = serde_json::to_string(&options).unwrap();
-        let masked =
-            "-headers *** -video_size 1280x720 -re -cenc_decryption_key *** -itsoffset -1.5";
-        let expected = serde_json::to_string(&Vec::from_iter(masked.split(' ')));
-        assert_eq!(shown, expected.unwrap());
-        assert_eq!(format!("{options:?}"), format!("SourceOptions({shown})"));
-        let secrets: Vec<_> = options.secrets().collect();
-        assert_eq!(secrets, ["Authorization: Bearer abc", "0123"]);
-        options.check().unwrap();
-        let broken = SourceOptions(vec!["-headers".to_owned(), "A: b\r\nC: d".to_owned()]);
-        assert_eq!(broken.check().unwrap_err().to_string(), CONTROL);
     }
 }

@@ -1,18 +1,20 @@
 //! A source that is reopened whenever it ends, fails or falls silent, with growing pauses, until it is stopped.
 
 use super::address::{SourceKind, without_scheme};
+use super::ffmpeg::{FFMPEG, Version, Way, ffmpeg, version};
 use super::files::{Playlist, Recorded};
+use super::gstreamer::{GSTREAMER, gstreamer};
 use super::login::unknown_digest;
 use super::messages::{Messages, Stage, is_refusal};
 use super::program::{PictureProgram, RunningProgram, output_of};
-use super::templates::{
-    FFMPEG, GSTREAMER, SourceSettings, Version, Way, ffmpeg, gstreamer, version,
-};
+use super::settings::SourceSettings;
 use crate::input::arrivals::Arrivals;
-use albireo_vision::picture::{EncodedPicture, FrameFault, picture_of_file, read_part, read_ppm};
+use albireo_vision::picture::{
+    EncodedPicture, FrameFault, FrameLimits, picture_of_file, read_part, read_ppm,
+};
 use albireo_vision::recordings::{PassedOver, Recording};
 use bytes::Bytes;
-use std::io::BufReader;
+use std::io::{self, BufReader};
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
@@ -100,6 +102,13 @@ enum Ending {
     },
 }
 
+/// How long to wait before a source is opened again, and what is said of it.
+struct Wait {
+    time: Duration,
+    /// Why it has to be opened again, if that is a failure.
+    reason: Option<String>,
+}
+
 /// How a source was opened.
 struct Opening<'a> {
     /// True if its pictures are PPM files.
@@ -121,9 +130,31 @@ fn recorded(recording: &Recording, since_first: Duration) -> Recorded {
     }
 }
 
+/// Counts a file that is left out, and tells of it.
 fn pass_over(arrivals: &Arrivals, each: &mut dyn FnMut(SourceEvent), passed_over: PassedOver) {
     arrivals.passed_over(&passed_over);
     each(SourceEvent::PassedOver(passed_over));
+}
+
+/// The version of ffmpeg if it is to open the source, and `None` if GStreamer is.
+fn find_program(name: &str, kind: &SourceKind) -> Result<Option<Version>, String> {
+    let is_pipeline = *kind == SourceKind::Pipeline;
+    if !is_pipeline && let Some(banner) = output_of(FFMPEG, "-version")? {
+        return Ok(Some(version(&banner)));
+    }
+    if output_of(GSTREAMER, "--version")?.is_none() {
+        return Err(if is_pipeline {
+            format!("{name}: no `gst-launch-1.0` was found. {INSTALL_GSTREAMER}")
+        } else {
+            format!("{name}: neither `ffmpeg` nor `gst-launch-1.0` was found. {INSTALL_FFMPEG}")
+        });
+    }
+    if *kind == SourceKind::Files {
+        return Err(format!(
+            "{name}: several files need ffmpeg, and none was found. {INSTALL_FFMPEG}"
+        ));
+    }
+    Ok(None)
 }
 
 impl LiveSource {
@@ -132,10 +163,12 @@ impl LiveSource {
     /// # Errors
     /// What is missing.
     pub fn find(mut settings: SourceSettings) -> Result<Self, String> {
-        // Time for several frames at least.
-        let frames = settings.max_rate.map_or(0.0, |rate| 3.0 / rate);
-        let frames = Duration::try_from_secs_f64(frames).unwrap_or(LONGEST_SILENCE);
-        settings.silence = settings.silence.max(frames).min(LONGEST_SILENCE);
+        if let Some(rate) = settings.max_rate {
+            // Time for several frames at least.
+            let frames = Duration::try_from_secs_f64(3.0 / rate).unwrap_or(LONGEST_SILENCE);
+            settings.silence = settings.silence.max(frames);
+        }
+        settings.silence = settings.silence.min(LONGEST_SILENCE);
         let name = settings.address.to_string();
         let resolved = settings.address.resolved()?;
         let path = without_scheme(resolved.text());
@@ -146,34 +179,16 @@ impl LiveSource {
             SourceKind::Files => Some(Playlist::find(path)?),
             _ => None,
         };
-        let is_pipeline = resolved.kind == SourceKind::Pipeline;
-        let found = if is_pipeline {
-            None
-        } else {
-            output_of(FFMPEG, "-version")?
-        };
-        if found.is_none() && output_of(GSTREAMER, "--version")?.is_none() {
-            let (programs, remedy) = if is_pipeline {
-                ("no `gst-launch-1.0`", INSTALL_GSTREAMER)
-            } else {
-                ("neither `ffmpeg` nor `gst-launch-1.0`", INSTALL_FFMPEG)
-            };
-            return Err(format!("{name}: {programs} was found. {remedy}"));
-        }
-        if files.is_some() && found.is_none() {
-            return Err(format!(
-                "{name}: several files need ffmpeg, and none was found. {INSTALL_FFMPEG}"
-            ));
-        }
+        let ffmpeg = find_program(&name, &resolved.kind)?;
         let way = match &resolved.kind {
             SourceKind::Files => Way::Paced,
-            SourceKind::Network(scheme) if scheme.starts_with("http") => Way::Jpeg,
             SourceKind::Device => Way::Jpeg,
+            kind if kind.is_http() => Way::Jpeg,
             _ => Way::Decoded,
         };
         let source = Self {
             settings,
-            ffmpeg: found.as_deref().map(version),
+            ffmpeg,
             way,
             not_jpeg: false,
             fault_as_jpeg: String::new(),
@@ -239,25 +254,32 @@ impl LiveSource {
                 pause = FIRST_PAUSE;
             }
             continues = matches!(ending, Ending::GoesOn { .. });
-            let (reason, waits) = match ending {
+            let wait = match ending {
                 Ending::GoesOn { period } => {
                     pause = FIRST_PAUSE;
-                    (None, period.saturating_sub(begun.elapsed()))
+                    Wait {
+                        time: period.saturating_sub(begun.elapsed()),
+                        reason: None,
+                    }
                 }
                 Ending::Failed(reason) => self.after_failure(reason, pause),
                 Ending::OtherWay => {
-                    let reason = "it alternates between motion JPEG and another codec";
+                    let reason = "it alternates between motion JPEG and another codec".to_owned();
+                    // The first change of the way is how the right one is found.
                     let alternates = pause > FIRST_PAUSE && self.way != Way::BareJpeg;
-                    (alternates.then(|| reason.to_owned()), pause)
+                    Wait {
+                        time: pause,
+                        reason: if alternates { Some(reason) } else { None },
+                    }
                 }
             };
-            if let Some(reason) = reason {
+            if let Some(reason) = wait.reason {
                 each(SourceEvent::Failed {
                     reason,
-                    pause: waits,
+                    pause: wait.time,
                 });
             }
-            let waited = shutdown.run_until_cancelled(sleep(waits));
+            let waited = shutdown.run_until_cancelled(sleep(wait.time));
             if Handle::current().block_on(waited).is_none() {
                 return;
             }
@@ -267,9 +289,9 @@ impl LiveSource {
         }
     }
 
-    /// The reason to tell for a failure, and the time to wait. A camera that refuses the login is left alone for minutes
-    /// after the second time.
-    fn after_failure(&mut self, reason: String, pause: Duration) -> (Option<String>, Duration) {
+    /// The wait after a failure: the `pause`, but a camera that refuses the login is left alone for minutes after the second
+    /// time.
+    fn after_failure(&mut self, reason: String, pause: Duration) -> Wait {
         let is_login = ["401 ", "403 "].iter().any(|status| reason.starts_with(status));
         self.refusals = if is_login { self.refusals + 1 } else { 0 };
         let minutes = LOGIN_PAUSE.as_secs() / 60;
@@ -278,24 +300,35 @@ impl LiveSource {
                 "{reason}: it asks for a digest login by {algorithm}, and ffmpeg knows only MD5: let the camera accept MD5 \
                  digest or basic logins; it is tried again in {minutes} minutes"
             );
-            return (Some(reason), LOGIN_PAUSE);
+            return Wait {
+                time: LOGIN_PAUSE,
+                reason: Some(reason),
+            };
         }
         if self.refusals < REFUSALS {
-            return (Some(reason), pause);
+            return Wait {
+                time: pause,
+                reason: Some(reason),
+            };
         }
         let reason = format!(
             "{reason}: refused {} times, so it is left alone for {minutes} minutes, because many cameras lock an address \
              after some wrong logins; check user and password, then restart",
             self.refusals
         );
-        (Some(reason), LOGIN_PAUSE)
+        Wait {
+            time: LOGIN_PAUSE,
+            reason: Some(reason),
+        }
     }
 
     /// The algorithm of the camera's login, if the node has one for it and ffmpeg does not know the algorithm.
     fn unknown_digest(&self) -> Option<String> {
         let resolved = self.settings.address.resolved().ok()?;
-        self.ffmpeg?;
-        (!resolved.secrets.is_empty()).then(|| unknown_digest(resolved.text()))?
+        if self.ffmpeg.is_none() || resolved.secrets.is_empty() {
+            return None;
+        }
+        unknown_digest(resolved.text())
     }
 
     /// Opens the source, or the next of its files, once and reads to its end.
@@ -305,14 +338,14 @@ impl LiveSource {
         continues: bool,
         stop: CancellationToken,
     ) -> Ending {
-        let next = self
-            .files
-            .as_mut()
-            .map(|files| files.next(|passed_over| pass_over(&self.arrivals, each, passed_over)));
-        let recording = match next.transpose() {
-            Ok(recording) => recording,
-            Err(reason) => return Ending::Failed(reason),
-        };
+        let mut recording = None;
+        if let Some(files) = &mut self.files {
+            let next = files.next(|passed_over| pass_over(&self.arrivals, each, passed_over));
+            match next {
+                Ok(next) => recording = Some(next),
+                Err(reason) => return Ending::Failed(reason),
+            }
+        }
         let begins = recording.as_ref().is_some_and(|recording| recording.begins_drive);
         let program = match self.program(recording.as_ref()) {
             Ok(program) => program,
@@ -367,12 +400,14 @@ impl LiveSource {
             self.way = way;
             return Ending::OtherWay;
         }
-        if ended.is_ok() && pictures > 0 && self.is_http() {
+        let is_http = self.settings.address.kind().is_http();
+        if ended.is_ok() && pictures > 0 && is_http {
             if self.way == Way::Paced {
                 return Ending::GoesOn {
                     period: FIRST_PAUSE,
                 };
             }
+            // A camera that sends one picture for each request.
             if self.way == Way::Jpeg && pictures == 1 {
                 let period = self.settings.max_rate.map_or(1.0, |rate| 1.0 / rate);
                 let period = Duration::try_from_secs_f64(period).unwrap_or(LONGEST_SILENCE);
@@ -389,7 +424,7 @@ impl LiveSource {
             // A device without motion JPEG cannot be opened for it.
             Way::Jpeg if is_device => self.way = Way::Decoded,
             Way::Decoded if is_device => self.way = Way::Jpeg,
-            Way::Jpeg if self.is_http() && answered && !is_refusal(&reason) => {
+            Way::Jpeg if is_http && answered && !is_refusal(&reason) => {
                 self.way = Way::BareJpeg;
                 self.fault_as_jpeg = reason;
                 return Ending::OtherWay;
@@ -431,8 +466,8 @@ impl LiveSource {
         }
     }
 
-    /// Passes pictures on until there are no more. Returns the reason the output is not read further, if it has not
-    /// ended.
+    /// Passes pictures on until there are no more, and counts them in `pictures`. Returns the reason the output is not read
+    /// further, if it has not ended.
     fn pictures(
         &mut self,
         output: &mut BufReader<RunningProgram>,
@@ -450,18 +485,17 @@ impl LiveSource {
         let limits = self.settings.limits;
         // ffmpeg counts and limits by itself what it decodes.
         let is_counted = !self.way.is_untouched() && self.ffmpeg.is_some();
-        let limit = self.settings.max_rate.filter(|_| !is_counted);
+        let max_rate = if is_counted {
+            None
+        } else {
+            self.settings.max_rate
+        };
         let mut last_slot = None;
         let mut bad_parts = 0;
         loop {
-            let read = if ppm {
-                read_ppm(output, &limits)
-            } else {
-                read_part(output, limits.max_payload_bytes as u64)
-                    .map(|part| part.map(|part| picture_of_file(Bytes::from(part), &limits)))
-            };
-            let picture = match read {
-                Ok(picture) => picture?,
+            let picture = match read_picture(output, ppm, &limits) {
+                Ok(Some(picture)) => picture,
+                Ok(None) => return None,
                 Err(error) => return Some(error.to_string()),
             };
             let first = *pictures == 0;
@@ -484,7 +518,7 @@ impl LiveSource {
             // The first picture of each time slot: on average exactly the limit, at any rate of the camera.
             let now = Instant::now();
             let since_first = now - *first_at.get_or_insert(now);
-            let slot = limit.map(|rate| (begun.elapsed().as_secs_f64() * rate) as u64);
+            let slot = max_rate.map(|rate| (begun.elapsed().as_secs_f64() * rate) as u64);
             if slot.is_none() || last_slot != slot {
                 last_slot = slot;
                 if let Ok(picture) = &picture {
@@ -509,10 +543,6 @@ impl LiveSource {
         }
     }
 
-    fn is_http(&self) -> bool {
-        matches!(self.settings.address.kind(), SourceKind::Network(scheme) if scheme.starts_with("http"))
-    }
-
     /// The way in which the source must be read, if it is not the present one: something that was taken for motion JPEG
     /// is none, ffmpeg reports a codec for another way, or a recording that comes as fast as it is read.
     fn other_way(&self, messages: &Messages) -> Option<Way> {
@@ -525,13 +555,29 @@ impl LiveSource {
         } else {
             messages.codec()? == "mjpeg"
         };
-        let is_paced = self.is_http() && messages.is_paced();
-        let way = match (is_paced, is_jpeg) {
-            (true, _) => Way::Paced,
-            (false, true) if self.way.is_untouched() => self.way,
-            (false, true) => Way::Jpeg,
-            (false, false) => Way::Decoded,
+        let is_paced = self.settings.address.kind().is_http() && messages.is_paced();
+        let way = if is_paced {
+            Way::Paced
+        } else if !is_jpeg {
+            Way::Decoded
+        } else if self.way.is_untouched() {
+            self.way
+        } else {
+            Way::Jpeg
         };
-        (way != self.way).then_some(way)
+        if way == self.way { None } else { Some(way) }
     }
+}
+
+/// Reads the next picture of a program's output: a PPM file, or a part of a multipart stream. `None` at the end.
+fn read_picture(
+    output: &mut BufReader<RunningProgram>,
+    ppm: bool,
+    limits: &FrameLimits,
+) -> io::Result<Option<Result<EncodedPicture, FrameFault>>> {
+    if ppm {
+        return read_ppm(output, limits);
+    }
+    let part = read_part(output, limits.max_payload_bytes as u64)?;
+    Ok(part.map(|part| picture_of_file(Bytes::from(part), limits)))
 }

@@ -90,10 +90,8 @@ mod tests {
 
     #[test]
     fn the_last_digest_counts_because_ffmpeg_takes_it() {
-        let (md5, sha) = (
-            "WWW-Authenticate: Digest realm=\"c\", nonce=\"1\", algorithm=MD5\r\n",
-            "www-authenticate: Digest realm=\"c\", algorithm=\"SHA-256\", nonce=\"1\"\r\n",
-        );
+        let md5 = "WWW-Authenticate: Digest realm=\"c\", nonce=\"1\", algorithm=MD5\r\n";
+        let sha = "www-authenticate: Digest realm=\"c\", algorithm=\"SHA-256\", nonce=\"1\"\r\n";
         let basic = "WWW-Authenticate: Basic realm=\"c\"\r\n";
         let old = "WWW-Authenticate: Digest realm=\"c\", nonce=\"1\"\r\n";
         for (offers, found) in [

@@ -1,7 +1,7 @@
 //! Reads the messages of a program that opens a source: why it fails, what the source sends, how far the connection has
 //! come, and which pictures are broken.
 
-use super::address::Secrets;
+use super::secrets::Secrets;
 use crate::input::arrivals::Arrivals;
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -36,7 +36,7 @@ pub(super) enum Stage {
     Decoded,
 }
 
-/// What the filter of [`super::templates`] says of each decoded picture: 1 for a key frame, plus 2 for one that is
+/// What the filter of [`super::ffmpeg`] says of each decoded picture: 1 for a key frame, plus 2 for one that is
 /// taken.
 const KEY: u8 = 1;
 const TAKEN: u8 = 2;
@@ -54,8 +54,10 @@ pub(super) struct Messages {
     codec: Option<String>,
     /// True if the input comes as fast as it is read.
     is_paced: bool,
-    /// The kinds of streams that the camera offers: sound, pictures.
-    offers: [bool; 2],
+    /// True once the camera has offered sound.
+    offers_sound: bool,
+    /// True once it has offered pictures.
+    offers_pictures: bool,
     stage: Stage,
     complaints: VecDeque<String>,
     /// True if the decoder has complained since the last picture.
@@ -97,9 +99,11 @@ impl Messages {
 
     /// Why no picture came for that long.
     pub(super) fn silence(&self, silence: Duration) -> String {
+        if self.has_only_sound() {
+            return ONLY_SOUND.to_owned();
+        }
         let seconds = silence.as_secs_f64();
         match self.stage {
-            _ if self.has_only_sound() => ONLY_SOUND.to_owned(),
             Stage::Unknown | Stage::Decoded => format!("no picture for more than {seconds} s"),
             Stage::Connecting => {
                 format!("it cannot be reached: no answer for more than {seconds} s")
@@ -115,7 +119,7 @@ impl Messages {
     }
 
     fn has_only_sound(&self) -> bool {
-        self.offers == [true, false]
+        self.offers_sound && !self.offers_pictures
     }
 
     /// Notes that a picture was read.
@@ -196,12 +200,16 @@ impl Messages {
     /// True for the error of a decoder, such as `[h264 @ 0x1] [error] error while decoding MB 3 4`, and where ffmpeg names a
     /// picture corrupt.
     fn is_damage(&self, line: &str) -> bool {
-        let by_decoder = (line.strip_prefix('[').and_then(|line| line.split_once(" @ ")))
-            .zip(self.codec.as_deref())
-            .is_some_and(|((name, rest), codec)| {
-                name.contains(codec) && rest.contains("] [error] ")
-            });
-        by_decoder || line.contains("corrupt decoded frame")
+        if line.contains("corrupt decoded frame") {
+            return true;
+        }
+        let Some(codec) = &self.codec else {
+            return false;
+        };
+        let message = line.strip_prefix('[').and_then(|line| line.split_once(" @ "));
+        message.is_some_and(|(decoder, rest)| {
+            decoder.contains(codec.as_str()) && rest.contains("] [error] ")
+        })
     }
 
     /// Notes what is no complaint: how far the connection has come, and what the source is.
@@ -218,9 +226,9 @@ impl Messages {
             Stage::Unknown
         };
         self.stage = self.stage.max(stage);
-        let offers = text.split_once("Stream #").map_or(text, |(_, stream)| stream);
-        self.offers[0] |= offers.starts_with("m=audio ") || offers.contains(": Audio: ");
-        self.offers[1] |= offers.starts_with("m=video ") || offers.contains(": Video: ");
+        let stream = text.split_once("Stream #").map_or(text, |(_, stream)| stream);
+        self.offers_sound |= stream.starts_with("m=audio ") || stream.contains(": Audio: ");
+        self.offers_pictures |= stream.starts_with("m=video ") || stream.contains(": Video: ");
         let has_end = text
             .strip_prefix("[info]   Duration: ")
             .is_some_and(|length| length.starts_with(|c: char| c.is_ascii_digit()));
@@ -236,15 +244,19 @@ impl Messages {
         if self.has_only_sound() {
             return Some(ONLY_SOUND.to_owned());
         }
-        let complaints = || self.complaints.iter();
-        let answer = complaints().find_map(|complaint| refusal(complaint));
-        answer
-            .or_else(|| complaints().find_map(|complaint| of_element(complaint)))
-            .or_else(|| {
-                let mut last_first = complaints().rev();
-                let last = last_first.next()?;
-                Some(last_first.next().map_or(last.clone(), |before| joined(before, last)))
-            })
+        let complaints = &self.complaints;
+        if let Some(answer) = complaints.iter().find_map(|complaint| refusal(complaint)) {
+            return Some(answer);
+        }
+        if let Some(said) = complaints.iter().find_map(|complaint| of_element(complaint)) {
+            return Some(said);
+        }
+        let mut newest_first = complaints.iter().rev();
+        let last = newest_first.next()?;
+        match newest_first.next() {
+            Some(before) => Some(joined(before, last)),
+            None => Some(last.clone()),
+        }
     }
 }
 
@@ -274,13 +286,17 @@ const ONLY_SOUND: &str = "it sends sound, but no pictures: is this the address o
 
 /// The answer of a camera that refuses, such as `401 Unauthorized`.
 fn refusal(complaint: &str) -> Option<String> {
-    let answers = ["failed: ", "returned ", "HTTP error "]
-        .iter()
-        .filter_map(|before| complaint.split_once(before));
-    answers.map(|(_, answer)| answer).find_map(|answer| {
-        let answer = answer.split(" (").next()?;
-        is_refusal(answer).then(|| answer.to_owned())
-    })
+    for before in ["failed: ", "returned ", "HTTP error "] {
+        let Some((_, after)) = complaint.split_once(before) else {
+            continue;
+        };
+        // ffmpeg adds words of its own in parentheses.
+        let answer = after.split(" (").next().unwrap_or(after);
+        if is_refusal(answer) {
+            return Some(answer.to_owned());
+        }
+    }
+    None
 }
 
 /// True if a reason begins with the status of an answer, such as `404 Not Found`.
@@ -431,7 +447,9 @@ mod tests {
 
     #[test]
     fn pictures_are_broken_from_a_complaint_to_the_next_whole_key_frame() {
-        let (key, other, key_left_out) = ("[info] 3.000000", "[info] 2.000000", "[info] 1.000000");
+        let key = "[info] 3.000000";
+        let other = "[info] 2.000000";
+        let key_left_out = "[info] 1.000000";
         let sound = "[aac @ 0x5566] [error] channel element 1.0 is not allocated";
         let corrupt = "[warning] rtsp://cam/s: corrupt decoded frame in stream 0";
         let mut messages = heard(&[
@@ -463,14 +481,10 @@ mod tests {
 
     #[test]
     fn silence_has_the_words_of_how_far_the_connection_has_come() {
-        let (start, connected) = (
-            "[tcp @ 0x1] [verbose] Starting connection attempt to 127.0.0.1 port 1",
-            "[tcp @ 0x1] [verbose] Successfully connected to 127.0.0.1 port 1",
-        );
-        let (described, opened) = (
-            "[rtsp @ 0x1] [verbose] SDP:",
-            "[info] Input #0, rtsp, from 'x':",
-        );
+        let start = "[tcp @ 0x1] [verbose] Starting connection attempt to 127.0.0.1 port 1";
+        let connected = "[tcp @ 0x1] [verbose] Successfully connected to 127.0.0.1 port 1";
+        let described = "[rtsp @ 0x1] [verbose] SDP:";
+        let opened = "[info] Input #0, rtsp, from 'x':";
         for (lines, said) in [
             (&[][..], "no picture"),
             (&[start], "cannot be reached"),

@@ -1,8 +1,8 @@
 //! Opens a source with a program that writes pictures to its output. The program gets a clean environment and limited
 //! memory, its output is read with a deadline, and it is killed with everything it started.
 
-use super::address::Secrets;
 use super::messages::{Messages, Stage};
+use super::secrets::Secrets;
 use crate::input::arrivals::Arrivals;
 use rustix::process::{Pid, Resource, Rlimit, Signal, kill_process_group, prlimit};
 use std::ffi::OsString;
@@ -92,9 +92,8 @@ impl PictureProgram {
             .process_group(0);
         let mut child = command.spawn()?;
         let process = child.id().and_then(|id| Pid::from_raw(id.cast_signed()));
-        let (Some(process), Some(output), pipe) =
-            (process, child.stdout.take(), child.stderr.take())
-        else {
+        let output = child.stdout.take();
+        let (Some(process), Some(output)) = (process, output) else {
             return Err(io::Error::other("it has no output"));
         };
         if let Some(bytes) = self.max_memory {
@@ -114,10 +113,10 @@ impl PictureProgram {
         // If the system allows less, the pipe keeps its size.
         let _ = rustix::pipe::fcntl_setpipe_size(&output, PIPE_BYTES);
         Ok(RunningProgram {
+            messages: Messages::new(child.stderr.take(), self.secrets, arrivals),
             child,
             process,
             output,
-            messages: Messages::new(pipe, self.secrets, arrivals),
             tells_broken: self.tells_broken,
             stop,
             silence,

@@ -87,7 +87,8 @@ impl Open {
         // What came while ffmpeg looked at the stream comes at once.
         let burst = Instant::now() + Duration::from_secs(3);
         while timeout_at(burst, self.events.recv()).await.is_ok() {}
-        let (begun, before) = (Instant::now(), self.arrivals.now());
+        let begun = Instant::now();
+        let before = self.arrivals.now();
         let mut taken = 0;
         while let Ok(event) = timeout_at(begun + time, self.events.recv()).await {
             match event.unwrap().1 {
@@ -352,7 +353,8 @@ async fn a_dashcams_folder_is_one_stream_of_drives_and_begins_again() {
             SourceEvent::Failed { reason, .. } => panic!("it failed: {reason}"),
         }
     }
-    let (first, second) = ("2026_1120_080000_F", "2026_1120_080100_F");
+    let first = "2026_1120_080000_F";
+    let second = "2026_1120_080100_F";
     let passed_over = format!(
         "{}: it has no index (moov atom), as a power cut leaves a recording",
         cut.display()

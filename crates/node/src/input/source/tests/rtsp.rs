@@ -105,7 +105,8 @@ impl Camera {
         let film = Arc::clone(film);
         thread::spawn(move || {
             for client in listener.incoming() {
-                let (film, faults) = (Arc::clone(&film), faults.clone());
+                let film = Arc::clone(&film);
+                let faults = faults.clone();
                 let counted = Arc::clone(&counted);
                 // It ends when the client leaves.
                 thread::spawn(move || serve(client?, &film, &faults, &counted));
