@@ -134,8 +134,8 @@ pub(crate) struct Camera {
     rate: FrameRate,
     /// True once it was said what the pause on an empty road means at the camera's rate.
     pause_is_told: bool,
-    /// The highest index and newest stream of the camera so far.
-    newest: Option<(u64, u64)>,
+    /// The place of the newest frame of the camera so far.
+    newest: Option<StreamPlace>,
     /// The index of the policy's first frame, from which it counts.
     first_index: Option<u64>,
     /// The arrival of the first of the broken frames in a row up to now.
@@ -143,6 +143,15 @@ pub(crate) struct Camera {
     /// The camera's name for the clip of the previous frame.
     clip: Option<Arc<str>>,
     outcome: Outcome,
+}
+
+/// The place of a frame in what its camera sends.
+#[derive(Clone, Copy)]
+struct StreamPlace {
+    /// Its number.
+    index: u64,
+    /// The number of its stream: a camera that restarts begins another.
+    epoch: u64,
 }
 
 /// A frame in progress.
@@ -177,13 +186,15 @@ impl Camera {
     ) -> Result<Self, NodeError> {
         let mut in_force = parts.board.watch_in_force();
         let config = Arc::clone(&in_force.borrow_and_update().policy);
+        // So that the first frame applies the threshold.
         in_force.mark_changed();
         let policy = parts.policy(&config.config)?;
         parts.receiver.ring.open();
-        let settled = parts
-            .settled
-            .is_some()
-            .then(|| SettledStream::new(settings.longest_hold, &parts));
+        let settled = if parts.settled.is_some() {
+            Some(SettledStream::new(settings.longest_hold, &parts))
+        } else {
+            None
+        };
         let energy = parts.energy.clone();
         let name = policy.policy().name();
         Ok(Self {
@@ -208,8 +219,9 @@ impl Camera {
     /// Runs until `shutdown`, then finishes the current or pending frame and closes the open clip.
     pub(crate) async fn run(mut self, shutdown: CancellationToken) {
         loop {
-            let settled = self.settled.as_ref().and_then(SettledStream::deadline);
-            let due = self.tracker.deadline().into_iter().chain(settled).min();
+            let clip_ends = self.tracker.deadline();
+            let hold_ends = self.settled.as_ref().and_then(SettledStream::deadline);
+            let due = [clip_ends, hold_ends].into_iter().flatten().min();
             // If frames are answered only when everything is known, later frames wait.
             let waits = self.decider.is_pending() && !self.decider.answers_at_once();
             tokio::select! {
@@ -322,17 +334,11 @@ impl Camera {
     fn begin(&mut self, incoming: SequencedFrame) -> BegunFrame {
         let taken = Instant::now();
         let frame = &incoming.frame;
-        let before = self.newest.replace((incoming.index, incoming.epoch));
-        let restarted = before.is_some_and(|(_, epoch)| epoch != incoming.epoch);
-        let new_clip = frame.clip.is_some() && frame.clip != self.clip;
-        let blind = if incoming.broken {
-            let since = *self.broken_since.get_or_insert(frame.received);
-            frame.received.saturating_duration_since(since) > LONGEST_BLIND
-        } else {
-            self.broken_since = None;
-            false
-        };
-        if restarted || blind || (new_clip && self.parts.reset_at_clip && self.clip.is_some()) {
+        let before = self.newest.replace(StreamPlace {
+            index: incoming.index,
+            epoch: incoming.epoch,
+        });
+        if self.forgets_objects(&incoming, before) {
             self.conclude_pending();
             self.decider.policy.reset();
             self.first_index = None;
@@ -341,15 +347,18 @@ impl Camera {
         self.take_in_force(frame.received);
 
         // Without a first index the policy has just begun, and knows no frame before this one.
-        let known = self.first_index.and(before);
-        let step = known.map_or(1, |(last, _)| incoming.index - last);
+        let step = match before {
+            Some(before) if self.first_index.is_some() => incoming.index - before.index,
+            _ => 1,
+        };
         let head = FrameHead {
             index: incoming.index - *self.first_index.get_or_insert(incoming.index),
             step: u32::try_from(step).unwrap_or(u32::MAX),
             picture: frame.picture.size,
         };
         self.rate.add(frame.time_ns, head.step);
-        self.take_pause();
+        self.show_no_news();
+        self.apply_pause();
         // Frames dropped before this one belong to the clip that was open then.
         self.count_others();
         let parts = &self.parts;
@@ -372,6 +381,22 @@ impl Camera {
             first_answer: None,
             times: Times::default(),
         }
+    }
+
+    /// True if the policy must not carry its objects over to this frame: another stream begins, too many pictures were
+    /// broken, or a clip begins at which they are to be forgotten.
+    fn forgets_objects(&mut self, incoming: &SequencedFrame, before: Option<StreamPlace>) -> bool {
+        let frame = &incoming.frame;
+        let is_blind = if incoming.broken {
+            let since = *self.broken_since.get_or_insert(frame.received);
+            frame.received.saturating_duration_since(since) > LONGEST_BLIND
+        } else {
+            self.broken_since = None;
+            false
+        };
+        let is_restart = before.is_some_and(|before| before.epoch != incoming.epoch);
+        let is_new_clip = self.clip.is_some() && frame.clip.is_some() && frame.clip != self.clip;
+        is_restart || is_blind || (is_new_clip && self.parts.reset_at_clip)
     }
 
     /// Publishes an answer of a frame: a `pending` one before the final one, or the final one. Leaves only the
@@ -420,9 +445,22 @@ impl Camera {
         message
     }
 
-    /// Applies the pause on an empty road, in frames of the measured rate, from this frame on. Says once what it means: a
-    /// pause may be shorter than two frames.
-    fn take_pause(&mut self) {
+    /// Shows on the board that the camera's pictures have no news, with the pause in seconds at the measured rate.
+    fn show_no_news(&self) {
+        let rate = self.rate.rate().unwrap_or(1.0);
+        let no_news = self.decider.policy.no_news().map(|(cause, frames)| {
+            let seconds = f64::from(frames) / rate;
+            NoNews {
+                cause,
+                for_s: (10.0 * seconds).round() / 10.0,
+            }
+        });
+        self.parts.board.set_no_news(no_news);
+    }
+
+    /// Applies the pause on an empty road, in frames of the measured rate, from this frame on, and shows the rate. Says once
+    /// what the pause means: it may be shorter than two frames.
+    fn apply_pause(&mut self) {
         if self.empty_road.has_changed().unwrap_or(false) {
             self.empty_road.mark_unchanged();
             self.pause_is_told = false;
@@ -430,13 +468,6 @@ impl Camera {
         let empty_road = *self.empty_road.borrow();
         let rate = self.rate.rate();
         let frames = empty_road.frames(rate);
-        let no_news = self.decider.policy.no_news();
-        let seconds = |frames| (10.0 * f64::from(frames) / rate.unwrap_or(1.0)).round() / 10.0;
-        let no_news = no_news.map(|(cause, frames)| NoNews {
-            cause,
-            for_s: seconds(frames),
-        });
-        self.parts.board.set_no_news(no_news);
         self.decider.policy.set_pause(frames);
         self.parts.board.set_rate(rate);
         if !self.pause_is_told && empty_road.pause_s > 0.0 && self.rate.is_settled() {

@@ -46,10 +46,13 @@ pub async fn try_all(config: &NodeConfig, mut each: impl FnMut(&str, Result<Stri
     };
     report("detector", outcome);
     let onnxruntime = config.detector.onnxruntime.as_deref();
-    if let Some(screen) = ScreenHandle::start(&config.screen, onnxruntime).await.transpose() {
-        let shape = screen.map(|screen| screen.input_format().shape());
-        let shown = shape.map(|[_, _, rows, columns]| format!("input shape {rows} x {columns}"));
-        report("screen", shown.map_err(Into::into));
+    match ScreenHandle::start(&config.screen, onnxruntime).await {
+        Ok(Some(screen)) => {
+            let [_, _, rows, columns] = screen.input_format().shape();
+            report("screen", Ok(format!("input shape {rows} x {columns}")));
+        }
+        Ok(None) => {}
+        Err(error) => report("screen", Err(error.into())),
     }
     for camera in &config.cameras {
         if let Some(settings) = camera.source_settings(config.frame) {
@@ -70,13 +73,14 @@ pub async fn try_all(config: &NodeConfig, mut each: impl FnMut(&str, Result<Stri
     if config.mqtt.broker.is_some() {
         report(
             "mqtt.broker",
-            Mqtt::connects(&config.mqtt).await.map_err(Into::into),
+            Mqtt::try_to_connect(&config.mqtt).await.map_err(Into::into),
         );
     }
-    let hooks = config.hooks.iter().enumerate();
-    for (index, hook) in hooks.filter(|(_, hook)| hook.posts()) {
-        let tried = Hook::connects(hook).await;
-        report(&format!("hook[{index}]"), tried.map_err(Into::into));
+    for (index, hook) in config.hooks.iter().enumerate() {
+        if hook.posts() {
+            let tried = Hook::connects(hook).await;
+            report(&format!("hook[{index}]"), tried.map_err(Into::into));
+        }
     }
     if config.uplink.is_set() {
         report("uplink.connect", try_hub(config).await);

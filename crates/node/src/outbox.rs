@@ -52,14 +52,16 @@ const LOSS_SHOWN_FOR: Duration = Duration::from_secs(600);
 impl OutboxCounts {
     /// The fault of the node that the counts show.
     pub(crate) fn fault(&self) -> Option<Fault> {
-        let lost = self.last_loss.is_some_and(|at| at.elapsed() < LOSS_SHOWN_FOR);
-        let minutes = LOSS_SHOWN_FOR.as_secs() / 60;
-        let reason = match &self.failing {
-            _ if lost => format!("clip reports were lost in the last {minutes} minutes"),
-            Some(_) => "clip reports wait in memory and do not survive a power loss".to_owned(),
-            None => return None,
-        };
-        Some(Fault::degraded(reason))
+        if self.last_loss.is_some_and(|at| at.elapsed() < LOSS_SHOWN_FOR) {
+            let minutes = LOSS_SHOWN_FOR.as_secs() / 60;
+            let reason = format!("clip reports were lost in the last {minutes} minutes");
+            return Some(Fault::degraded(reason));
+        }
+        if self.failing.is_some() {
+            let reason = "clip reports wait in memory and do not survive a power loss";
+            return Some(Fault::degraded(reason));
+        }
+        None
     }
 }
 

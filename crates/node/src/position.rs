@@ -141,7 +141,8 @@ impl Positions {
     /// Notes what the receiver says instead of a position, unless it has just said whether it has one.
     fn answering(&self, words: &str) {
         let mut known = self.known.lock();
-        if known.newest.is_none() && known.words.is_empty() || known.heard.elapsed() >= SILENT {
+        let has_said_nothing = known.newest.is_none() && known.words.is_empty();
+        if has_said_nothing || known.heard.elapsed() >= SILENT {
             known.words = words.to_owned();
         }
     }
@@ -180,8 +181,10 @@ impl Positions {
                 words => format!("{source} gives no position: {words}"),
             });
         }
-        let (reason, _) =
-            known.last_refused.as_ref().filter(|(_, at)| at.elapsed() < REFUSED_FOR)?;
+        let (reason, at) = known.last_refused.as_ref()?;
+        if at.elapsed() >= REFUSED_FOR {
+            return None;
+        }
         let refused = known.refused;
         Some(format!("{reason} ({refused} since the start)"))
     }

@@ -27,9 +27,9 @@ use tokio::sync::oneshot;
 use utoipa::ToSchema;
 use writer::Writer;
 
-/// The most frames and bytes of pictures that wait for the writer. More would be memory that a stalled disk takes from the
-/// detector.
+/// The most frames that wait for the writer.
 const MOST_WAITING: usize = 256;
+/// The most bytes of pictures that wait for the writer. More would be memory that a stalled disk takes from the detector.
 const MOST_WAITING_BYTES: usize = 64 << 20;
 
 /// Missing frames are a fault for this long.
@@ -244,13 +244,14 @@ impl Recorder {
     /// Why the recordings are not what was asked for, if so.
     pub(crate) fn fault(&self) -> Option<Fault> {
         let counts = self.counts.lock();
-        let slow = || {
-            let at = counts.dropped_at?;
-            (at.elapsed() < RECENT).then(|| {
-                "frames are missing in recordings: the disk of record.folder or the processor is too slow".to_owned()
-            })
-        };
-        counts.shown.fault.clone().or_else(slow).map(Fault::degraded)
+        if let Some(fault) = &counts.shown.fault {
+            return Some(Fault::degraded(fault.clone()));
+        }
+        if counts.dropped_at?.elapsed() >= RECENT {
+            return None;
+        }
+        let reason = "frames are missing in recordings: the disk of record.folder or the processor is too slow";
+        Some(Fault::degraded(reason))
     }
 
     /// Gives the writer an order without waiting. False if nothing is recorded here.

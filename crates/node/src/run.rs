@@ -156,21 +156,18 @@ fn early_routes(node: &str) -> Router {
 
 /// Logs the main facts in one line.
 fn log_start(config: &NodeConfig, board: &Board, node: &Node, http: SocketAddr, zenoh: &[String]) {
-    let from: Vec<_> = board
-        .cameras
-        .iter()
+    let cameras = board.cameras.iter();
+    let from: Vec<_> = cameras
+        .clone()
         .map(|camera| camera.source.as_deref().unwrap_or(&camera.key))
         .collect();
-    let names: BTreeSet<_> = board
-        .cameras
-        .iter()
-        .filter_map(|camera| Some(camera.threshold_in_force()?.to_string()))
-        .collect();
+    let in_force = cameras.filter_map(|camera| camera.threshold_in_force());
+    let thresholds: BTreeSet<_> = in_force.map(|threshold| threshold.to_string()).collect();
     tracing::info!(
         version = env!("CARGO_PKG_VERSION"),
         node = config.node.name,
         policy = board.policy().name,
-        threshold = names.into_iter().collect::<Vec<_>>().join(", "),
+        threshold = thresholds.into_iter().collect::<Vec<_>>().join(", "),
         model = %config.detector.model.display(),
         provider = node.provider(),
         cameras = from.len(),

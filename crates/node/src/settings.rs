@@ -43,7 +43,9 @@ impl Settings {
             turns: Turns::default(),
         };
         settings.restore_policy();
-        board.cameras.iter().for_each(|camera| settings.restore(camera));
+        for camera in &board.cameras {
+            settings.restore(camera);
+        }
         settings.restore_pause();
         let target = &board.target;
         let kept = settings.file.kept(transaction::TARGET, &target.configured());

@@ -147,7 +147,7 @@ impl PreparedNode {
             labels: config.node.labels.clone(),
             limits: config.frame,
             keys,
-            local: (!config.uplink.is_set()).then_some(session),
+            local: session_to_hub(config, session),
         });
         tasks.until_shutdown("uplink", uplink.ended.clone());
 
@@ -260,8 +260,10 @@ fn start_forwarding(
     if let Some(mqtt) = Mqtt::new(setup).map_err(NodeError::of("[mqtt]"))? {
         tasks.essential("mqtt", mqtt.run(shutdown.clone()));
     }
-    let hooks = config.hooks.iter().enumerate();
-    for (index, hook) in hooks.filter(|(_, hook)| hook.posts()) {
+    for (index, hook) in config.hooks.iter().enumerate() {
+        if !hook.posts() {
+            continue;
+        }
         let hook = Hook::new(hook.clone(), board, random.hash_one(index))
             .map_err(NodeError::of(format!("hook[{index}]")))?;
         tasks.essential(format!("hook {index}"), hook.run(shutdown.clone()));
@@ -272,6 +274,14 @@ fn start_forwarding(
         tasks.until_shutdown("recordings of hooks", recording);
     }
     Ok(())
+}
+
+/// The node's session, if the hub is reached through it; `None` if the node has an uplink of its own.
+fn session_to_hub(config: &NodeConfig, session: Session) -> Option<Session> {
+    if config.uplink.is_set() {
+        return None;
+    }
+    Some(session)
 }
 
 /// Announces the node's name for as long as it runs.

@@ -15,7 +15,8 @@ use tokio::sync::mpsc;
 use zenoh::Session;
 use zenoh::Wait;
 use zenoh::bytes::{Encoding, ZBytes};
-use zenoh::query::Query;
+use zenoh::pubsub::Subscriber;
+use zenoh::query::{Query, Queryable};
 
 /// The maximum number of queries that wait for the file; a person or a hub sends a few per second at most.
 const WAITING: usize = 64;
@@ -37,8 +38,8 @@ struct Request {
     query: Query,
 }
 
-/// Declares the keys of the cameras' thresholds, and the keys `policy`, `target` and `screen`. The returned future applies puts and answers queries,
-/// in the order of arrival, for as long as it is polled.
+/// Declares the keys of the cameras' thresholds, and the keys `policy`, `target` and `screen`. The returned future applies
+/// puts and answers queries, in the order of arrival, for as long as it is polled.
 ///
 /// # Errors
 /// [`NodeError`] if Zenoh rejects a declaration.
@@ -48,66 +49,38 @@ pub(crate) async fn declare(
     settings: &Arc<Settings>,
     node: &NodeKeys,
 ) -> Result<impl Future<Output = ()> + use<>, NodeError> {
+    let mut served = vec![
+        Served {
+            key: node.policy(),
+            setting: Setting::Policy,
+        },
+        Served {
+            key: node.target(),
+            setting: Setting::Target,
+        },
+        Served {
+            key: node.screen(),
+            setting: Setting::Screen,
+        },
+    ];
+    for camera in &board.cameras {
+        served.push(Served {
+            key: camera.keys.threshold(),
+            setting: Setting::Threshold(Arc::clone(camera)),
+        });
+    }
     let (requests, mut waiting) = mpsc::channel(WAITING);
     let mut declared = Vec::new();
-    let cameras = board.cameras.iter();
-    let thresholds = cameras.map(|camera| {
-        (
-            camera.keys.threshold(),
-            Setting::Threshold(Arc::clone(camera)),
-        )
-    });
-    let of_node = [
-        (node.policy(), Setting::Policy),
-        (node.target(), Setting::Target),
-        (node.screen(), Setting::Screen),
-    ];
-    for (key, setting) in thresholds.chain(of_node) {
-        let served = Arc::new(Served {
-            key: key.clone(),
-            setting,
-        });
-        // Zenoh's threads only keep settings, because setting them writes a file, which can take a while on a slow SD card.
-        let puts = Arc::clone(settings);
-        let of_puts = Arc::clone(&served);
-        let refused = || NodeError::refused(format!("`{key}` cannot be served"));
-        let subscriber = session
-            .declare_subscriber(key.clone())
-            .callback(move |sample| {
-                let Served { key, setting } = &*of_puts;
-                let stamp = sample.timestamp().map(|stamp| stamp.get_time().to_system_time());
-                puts.turns.put(key, setting, stamp, beginning(sample.payload()));
-            })
-            .await
-            .map_err(refused())?;
-        let requests = requests.clone();
-        let too_many = RateLimit::new(LOG_PERIOD);
-        let queries = Arc::clone(settings);
-        let queryable = session
-            .declare_queryable(key.clone())
-            .callback(move |query| {
-                let payload = query.payload().filter(|payload| !payload.is_empty());
-                let request = Request {
-                    served: Arc::clone(&served),
-                    place: queries.turns.place(),
-                    payload: payload.map(beginning),
-                    query,
-                };
-                // A query without room goes unanswered, as if nobody served the key.
-                if requests.try_send(request).is_err() {
-                    too_many.log(|held_back| {
-                        let key = served.key.as_str();
-                        tracing::warn!(key, held_back, "query dropped: too many at once");
-                    });
-                }
-            })
-            .await
-            .map_err(refused())?;
-        declared.push((subscriber, queryable));
+    for served in served {
+        let served = Arc::new(served);
+        let puts = take_puts(session, Arc::clone(&served), Arc::clone(settings)).await?;
+        let queries = take_queries(session, served, Arc::clone(settings), requests.clone()).await?;
+        declared.push((puts, queries));
     }
     let board = Arc::clone(board);
     let settings = Arc::clone(settings);
     Ok(async move {
+        // Dropped, they would undeclare the keys and close the channel.
         let _held = (requests, declared);
         loop {
             let request = tokio::select! {
@@ -125,6 +98,58 @@ pub(crate) async fn declare(
             }
         }
     })
+}
+
+/// Keeps what is put on a key until its turn. Zenoh's threads only keep settings, because setting them writes a file, which
+/// can take a while on a slow SD card.
+async fn take_puts(
+    session: &Session,
+    served: Arc<Served>,
+    settings: Arc<Settings>,
+) -> Result<Subscriber<()>, NodeError> {
+    let key = served.key.clone();
+    let refused = NodeError::refused(format!("`{key}` cannot be served"));
+    session
+        .declare_subscriber(key)
+        .callback(move |sample| {
+            let Served { key, setting } = &*served;
+            let stamp = sample.timestamp().map(|stamp| stamp.get_time().to_system_time());
+            settings.turns.put(key, setting, stamp, beginning(sample.payload()));
+        })
+        .await
+        .map_err(refused)
+}
+
+/// Gives the queries on a key their places, and sends them to who answers them.
+async fn take_queries(
+    session: &Session,
+    served: Arc<Served>,
+    settings: Arc<Settings>,
+    requests: mpsc::Sender<Request>,
+) -> Result<Queryable<()>, NodeError> {
+    let key = served.key.clone();
+    let refused = NodeError::refused(format!("`{key}` cannot be served"));
+    let too_many = RateLimit::new(LOG_PERIOD);
+    session
+        .declare_queryable(key)
+        .callback(move |query| {
+            let payload = query.payload().filter(|payload| !payload.is_empty());
+            let request = Request {
+                served: Arc::clone(&served),
+                place: settings.turns.place(),
+                payload: payload.map(beginning),
+                query,
+            };
+            // A query without room goes unanswered, as if nobody served the key.
+            if requests.try_send(request).is_err() {
+                too_many.log(|held_back| {
+                    let key = served.key.as_str();
+                    tracing::warn!(key, held_back, "query dropped: too many at once");
+                });
+            }
+        })
+        .await
+        .map_err(refused)
 }
 
 impl Request {

@@ -79,8 +79,10 @@ fn clipped_corners(bounding_box: BoundingBox, size: PictureSize) -> Option<[f32;
     let width = f64::from(size.width);
     let height = f64::from(size.height);
     let corners = bounding_box.pixel_corners(size);
-    let (x1, x2) = (corners.x1.clamp(0.0, width), corners.x2.clamp(0.0, width));
-    let (y1, y2) = (corners.y1.clamp(0.0, height), corners.y2.clamp(0.0, height));
+    let x1 = corners.x1.clamp(0.0, width);
+    let x2 = corners.x2.clamp(0.0, width);
+    let y1 = corners.y1.clamp(0.0, height);
+    let y2 = corners.y2.clamp(0.0, height);
     // NaN fails the comparison and is also left out.
     let visible = x2 > x1 && y2 > y1;
     visible.then(|| [x1, y1, x2, y2].map(|edge| ((edge * 100.0).round() / 100.0) as f32))

@@ -42,7 +42,8 @@ pub(super) fn pixels(detector: &DetectorHandle) -> PixelWork {
 
 /// The evidence of a camera without a screen.
 pub(super) fn live_evidence(detector: &DetectorHandle, pixels: &PixelWork) -> LiveEvidence {
-    let (slot, pixels) = (CameraSlot(0), pixels.clone());
+    let slot = CameraSlot(0);
+    let pixels = pixels.clone();
     let run = EmptyRun::new(100);
     let never = CancellationToken::new();
     LiveEvidence::new(detector.clone(), None, run, slot, pixels, never)
@@ -308,7 +309,8 @@ async fn drive(policy: &str, share: f64) -> (Vec<DetectionsMessage>, Option<Audi
 #[ignore = "needs ONNX Runtime"]
 async fn a_switch_of_the_policy_loses_no_frame_and_each_report_names_the_policy_of_its_frames() {
     let bench = Bench::new("albireo:1e-3", 1.0).await;
-    let (board, receiver) = (Arc::clone(&bench.board), Arc::clone(&bench.receiver));
+    let board = Arc::clone(&bench.board);
+    let receiver = Arc::clone(&bench.receiver);
     let mut clips = bench.clips;
     let mut events = bench.board.subscribe();
     let stop = CancellationToken::new();
@@ -400,7 +402,8 @@ async fn the_audit_changes_no_bit_of_published_messages() {
         let skipped = skipped.count() as u64;
         assert!(skipped > 10, "{policy}: {skipped}");
         let audit = audit.unwrap();
-        let (sums, calls) = (&audit.sums, audit.calls);
+        let sums = &audit.sums;
+        let calls = audit.calls;
         let found = (sums.frames, sums.missed, sums.shown, calls);
         assert_eq!(found, (skipped, 0, shown as u64, skipped), "{policy}");
         assert!(audit.detector_us > 0);

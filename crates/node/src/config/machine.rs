@@ -1,7 +1,7 @@
 //! Checks what a configuration needs on this machine: files, folders, libraries, ports. Most of it is used only by
 //! `albireo check`; a running node finds out when it opens them.
 
-use super::{CameraConfig, NodeConfig};
+use super::NodeConfig;
 use crate::input::source::{LiveSource, SourceAddress};
 use albireo_service::config::{Finding, Findings};
 use albireo_service::http::read_token;
@@ -108,9 +108,14 @@ impl NodeConfig {
 
     /// The files of the certificates of its sessions, by key.
     pub(crate) fn certificates(&self) -> Vec<(String, PathBuf)> {
-        let own = self.uplink.files().filter(|(key, _)| key.ends_with("certificate"));
-        let own = own.map(|(key, file)| (key.to_owned(), file.to_owned()));
-        own.chain(self.zenoh.tls_files("certificate")).collect()
+        let mut files = Vec::new();
+        for (key, file) in self.uplink.files() {
+            if key.ends_with("certificate") {
+                files.push((key.to_owned(), file.to_owned()));
+            }
+        }
+        files.extend(self.zenoh.tls_files("certificate"));
+        files
     }
 
     /// Why a certificate of its sessions cannot be used now, or soon cannot.
@@ -133,12 +138,12 @@ impl NodeConfig {
         found.extend(self.mqtt.exposed());
         let hooks = self.hooks.iter().enumerate();
         found.extend(hooks.filter_map(|(index, hook)| hook.exposed(index, file)));
-        let has_password = |camera: &&CameraConfig| {
-            camera.source.as_ref().is_some_and(SourceAddress::holds_password)
-        };
-        for camera in self.cameras.iter().filter(has_password) {
-            let key = format!("camera.{}.source", camera.name);
-            found.extend(file.and_then(|file| exposed(&key, file)));
+        for camera in &self.cameras {
+            let has_password = camera.source.as_ref().is_some_and(SourceAddress::holds_password);
+            if has_password && let Some(file) = file {
+                let key = format!("camera.{}.source", camera.name);
+                found.extend(exposed(&key, file));
+            }
         }
         found
     }
@@ -163,11 +168,13 @@ impl NodeConfig {
             }
         };
         let text = error.to_string();
-        // Such an error begins with its key.
-        let of_key =
-            text.split_once(": ").filter(|_| error.kind() == StartErrorKind::Configuration);
-        let (key, reason) = of_key.unwrap_or(("detector.model", &text));
-        findings.add(key, reason);
+        match text.split_once(": ") {
+            // Such an error begins with its key.
+            Some((key, reason)) if error.kind() == StartErrorKind::Configuration => {
+                findings.add(key, reason);
+            }
+            _ => findings.add("detector.model", text),
+        }
         Vec::new()
     }
 

@@ -235,13 +235,15 @@ impl NodeConfig {
         }
     }
 
+    /// Checks the target. `spec` is the policy's threshold, if it has one; `None` if the policy itself is invalid.
     fn check_target(&self, spec: Option<Option<ThresholdSpec>>, findings: &mut Findings) {
         let target = self.target.hold;
         findings.check("target.hold", target.map(Target::check).transpose());
         if matches!(target, Some(Target::Recall(_))) && self.audit.share == 0.0 {
             findings.add("target.hold", "`recall` needs an audit: audit.share is 0");
         }
-        let (least, most) = (self.target.least, self.target.most);
+        let least = self.target.least;
+        let most = self.target.most;
         if let Some(spec) = spec
             && (target.is_some() || least.is_some() || most.is_some())
         {
@@ -250,6 +252,7 @@ impl NodeConfig {
         }
     }
 
+    /// Checks the cameras; for `spec` see [`Self::check_target`].
     fn check_cameras(&self, spec: Option<Option<ThresholdSpec>>, findings: &mut Findings) {
         if self.cameras.is_empty() {
             findings.add("camera", "is empty: a node needs at least one [[camera]]");
@@ -279,7 +282,10 @@ impl NodeConfig {
         let Ok(node) = self.keys() else { return };
         // The camera of each key; `None` for the node itself.
         let mut owners = HashMap::from([(node.target(), None), (node.screen(), None)]);
-        for keys in self.cameras.iter().filter_map(|camera| node.camera(&camera.name).ok()) {
+        for camera in &self.cameras {
+            let Ok(keys) = node.camera(&camera.name) else {
+                continue;
+            };
             owners.extend([
                 (keys.detections(), None),
                 (keys.late(), None),
@@ -335,8 +341,10 @@ fn check_camera(camera: &CameraConfig, key: &dyn Fn(&str) -> String, findings: &
             ),
         }
     }
-    for (name, reason) in camera.mount().iter().flat_map(|mount| mount.problems()) {
-        findings.add(key(name), reason);
+    if let Some(mount) = camera.mount() {
+        for (name, reason) in mount.problems() {
+            findings.add(key(name), reason);
+        }
     }
     if let Some(topic) = &camera.topic {
         findings.check(key("topic"), check_topic(topic));
@@ -356,7 +364,7 @@ fn check_source(camera: &CameraConfig, key: &dyn Fn(&str) -> String, findings: &
     findings.check(key("source"), source.transpose());
     findings.check(key("source_options"), camera.source_options.check());
     let kind = camera.source.as_ref().map(SourceAddress::kind);
-    let none = kind.is_none();
+    let has_source = kind.is_some();
     let is_pipeline = kind == Some(SourceKind::Pipeline);
     let rate = camera.max_rate.is_some();
     let transport = camera.rtsp_transport != RtspTransport::default();
@@ -364,20 +372,20 @@ fn check_source(camera: &CameraConfig, key: &dyn Fn(&str) -> String, findings: &
     let options = !camera.source_options.0.is_empty();
     let every = camera.delivery == Delivery::Every;
     for (name, is_wrong, reason) in [
-        ("max_rate", none && rate, NO_SOURCE),
-        ("rtsp_transport", none && transport, NO_SOURCE),
-        ("hardware", none && hardware, NO_SOURCE),
-        ("source_options", none && options, NO_SOURCE),
+        ("max_rate", !has_source && rate, NO_SOURCE),
+        ("rtsp_transport", !has_source && transport, NO_SOURCE),
+        ("hardware", !has_source && hardware, NO_SOURCE),
+        ("source_options", !has_source && options, NO_SOURCE),
         ("hardware", is_pipeline && hardware, FOR_FFMPEG),
         ("source_options", is_pipeline && options, FOR_FFMPEG),
-        ("key", !none && camera.key.is_some(), BESIDE_SOURCE),
-        ("topic", !none && camera.topic.is_some(), BESIDE_SOURCE),
+        ("key", has_source && camera.key.is_some(), BESIDE_SOURCE),
+        ("topic", has_source && camera.topic.is_some(), BESIDE_SOURCE),
         (
             "topic",
             camera.key.is_some() && camera.topic.is_some(),
             BESIDE_KEY,
         ),
-        ("delivery", !none && every, NEVER_WAITS),
+        ("delivery", has_source && every, NEVER_WAITS),
     ] {
         if is_wrong {
             findings.add(key(name), reason);

@@ -169,7 +169,13 @@ impl Health {
         self.expects_hub |= connected;
         self.lost_since = None;
         let key = keys.report();
-        let said = trouble.filter(|_| self.expects_hub).map(|trouble| match trouble {
+        let Some(trouble) = trouble else {
+            return self.say(None);
+        };
+        if !self.expects_hub {
+            return self.say(None);
+        }
+        self.say(Some(match trouble {
             Trouble::NoHub => format!(
                 "no hub answers on `{key}`, and clip reports wait: is a hub running, with the same prefix, and may this \
                  node's certificate use that key?"
@@ -178,8 +184,7 @@ impl Health {
                 "a hub takes clip reports and does not answer: it hangs, or the router's access rules deny `{key}`"
             ),
             Trouble::Refused(why) => format!("the hub refuses clip reports: {why}"),
-        });
-        self.say(said);
+        }));
     }
 }
 
@@ -456,7 +461,8 @@ mod tests {
             detail: "the disk is full".to_owned(),
             retry_after_ms: None,
         });
-        let (refusal, accepts) = (refusal.unwrap(), Arc::new(AtomicBool::new(false)));
+        let refusal = refusal.unwrap();
+        let accepts = Arc::new(AtomicBool::new(false));
         let accepting = Arc::clone(&accepts);
         let hub = router.declare_queryable("albireo/@report/node").callback(move |query| {
             let answer = serde_json::to_vec(&ReportAnswer::default()).unwrap();

@@ -18,7 +18,8 @@ pub(crate) struct Endpoint {
 
 impl fmt::Display for Endpoint {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (scheme, port) = (self.scheme, self.port);
+        let scheme = self.scheme;
+        let port = self.port;
         if self.host.contains(':') {
             write!(f, "{scheme}://[{}]:{port}", self.host)
         } else {
@@ -27,28 +28,64 @@ impl fmt::Display for Endpoint {
     }
 }
 
-/// The schemes: the name, the usual port, and whether TLS is used.
-type Schemes = [(&'static str, u16, bool); 2];
+/// The schemes of a protocol.
+struct Schemes {
+    plain: Scheme,
+    /// With TLS.
+    secure: Scheme,
+}
 
-const HTTP: Schemes = [("http", 80, false), ("https", 443, true)];
-const MQTT: Schemes = [("mqtt", 1883, false), ("mqtts", 8883, true)];
+struct Scheme {
+    name: &'static str,
+    usual_port: u16,
+}
+
+const HTTP: Schemes = Schemes {
+    plain: Scheme {
+        name: "http",
+        usual_port: 80,
+    },
+    secure: Scheme {
+        name: "https",
+        usual_port: 443,
+    },
+};
+
+const MQTT: Schemes = Schemes {
+    plain: Scheme {
+        name: "mqtt",
+        usual_port: 1883,
+    },
+    secure: Scheme {
+        name: "mqtts",
+        usual_port: 8883,
+    },
+};
 
 /// Takes an address apart. The error does not show it.
-fn parse(text: &str, schemes: Schemes) -> Result<(Uri, Endpoint), String> {
-    let [(plain, ..), (secure, ..)] = schemes;
+fn parse(text: &str, schemes: &Schemes) -> Result<(Uri, Endpoint), String> {
+    let Schemes { plain, secure } = schemes;
     let begin = text.split_once("://").map_or("", |(begin, _)| begin);
-    let known = schemes.into_iter().find(|(known, ..)| begin.eq_ignore_ascii_case(known));
-    let (scheme, usual_port, is_secure) =
-        known.ok_or_else(|| format!("must begin with {plain}:// or {secure}://"))?;
+    let is_secure = begin.eq_ignore_ascii_case(secure.name);
+    if !is_secure && !begin.eq_ignore_ascii_case(plain.name) {
+        return Err(format!(
+            "must begin with {}:// or {}://",
+            plain.name, secure.name
+        ));
+    }
+    let scheme = if is_secure { secure } else { plain };
     let uri: Uri = text.parse().map_err(|error| format!("is no address: {error}"))?;
     let host = uri.host().unwrap_or_default().trim_matches(['[', ']']);
     if host.is_empty() {
-        return Err(format!("names no host, as in {secure}://host.example"));
+        return Err(format!(
+            "names no host, as in {}://host.example",
+            secure.name
+        ));
     }
     let place = Endpoint {
-        scheme,
+        scheme: scheme.name,
         host: host.to_owned(),
-        port: uri.port_u16().unwrap_or(usual_port),
+        port: uri.port_u16().unwrap_or(scheme.usual_port),
         is_secure,
     };
     Ok((uri, place))
@@ -59,7 +96,7 @@ fn parse(text: &str, schemes: Schemes) -> Result<(Uri, Endpoint), String> {
 /// # Errors
 /// What is wrong with it.
 pub(crate) fn broker(text: &str) -> Result<Endpoint, String> {
-    let (uri, place) = parse(text.trim_end_matches('/'), MQTT)?;
+    let (uri, place) = parse(text.trim_end_matches('/'), &MQTT)?;
     if uri.authority().is_some_and(|authority| authority.as_str().contains('@')) {
         return Err("holds a user: set mqtt.user and mqtt.password_file instead".to_owned());
     }
@@ -85,13 +122,17 @@ impl HookUrl {
     /// # Errors
     /// What is wrong with it; does not show it.
     pub(crate) fn target(&self) -> Result<Target, String> {
-        let (uri, place) = parse(&self.0, HTTP)?;
+        let (uri, place) = parse(&self.0, &HTTP)?;
         let authority = uri.authority().map_or("", |authority| authority.as_str());
         let (login, host) = authority.rsplit_once('@').unwrap_or(("", authority));
         let login = percent_decode_str(login).collect::<Vec<u8>>();
         Ok(Target {
             host: host.to_owned(),
-            login: (!login.is_empty()).then(|| format!("Basic {}", STANDARD.encode(&login))),
+            login: if login.is_empty() {
+                None
+            } else {
+                Some(format!("Basic {}", STANDARD.encode(&login)))
+            },
             path: uri.path_and_query().map_or("/", |path| path.as_str()).to_owned(),
             place,
         })

@@ -139,9 +139,11 @@ impl HookConfig {
 
     /// Where it posts to.
     pub(crate) fn target(&self) -> Result<Target, String> {
-        let from_file = self.url_file.as_deref().map(secret).transpose()?;
-        let url = from_file.map(HookUrl::new).or_else(|| self.url.clone());
-        url.ok_or("has neither url nor url_file")?.target()
+        if let Some(file) = &self.url_file {
+            return HookUrl::new(secret(file)?).target();
+        }
+        let url = self.url.as_ref().ok_or("has neither url nor url_file")?;
+        url.target()
     }
 
     /// Adds the errors in the section at `index`, of a node with these cameras.
@@ -179,7 +181,9 @@ impl HookConfig {
         if let Some(secret) = &self.url_file {
             return exposed(&format!("hook[{index}].url_file"), secret);
         }
-        let holds = self.url.as_ref().is_some_and(HookUrl::may_hold_secret);
-        exposed(&format!("hook[{index}].url"), file.filter(|_| holds)?)
+        if !self.url.as_ref().is_some_and(HookUrl::may_hold_secret) {
+            return None;
+        }
+        exposed(&format!("hook[{index}].url"), file?)
     }
 }

@@ -31,7 +31,11 @@ pub(super) struct Connector {
 impl Connector {
     /// Reads the certificates of the authorities that may sign the place's: those of a file, or the system's.
     pub(super) fn new(place: Endpoint, authority: Option<&Path>) -> Result<Self, String> {
-        let tls = place.is_secure.then(|| tls(authority)).transpose()?;
+        let tls = if place.is_secure {
+            Some(tls(authority)?)
+        } else {
+            None
+        };
         Ok(Self { place, tls })
     }
 

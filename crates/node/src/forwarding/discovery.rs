@@ -102,12 +102,12 @@ impl Described {
             });
             components.insert(format!("power_{quality}"), power);
         }
-        let cameras = json!({
+        let problem = json!({
             "platform": "binary_sensor", "unique_id": format!("{id}_problem"), "name": "Problem",
             "state_topic": format!("{base}/figures"), "device_class": "problem", "entity_category": "diagnostic",
             "value_template": "{{ 'OFF' if value_json.state == 'ready' else 'ON' }}",
         });
-        components.insert("problem".to_owned(), cameras);
+        components.insert("problem".to_owned(), problem);
         message.insert("components".to_owned(), components.into());
         (self.topic(id), Value::from(message).to_string())
     }

@@ -27,8 +27,9 @@ use tokio_util::task::AbortOnDropHandle;
 /// The time within which an address must have answered.
 const ANSWERED_WITHIN: Duration = Duration::from_secs(10);
 
-/// The pauses between attempts, milliseconds.
-const PAUSES: (u64, u64) = (1000, 60_000);
+/// The first and the longest pause between attempts, milliseconds.
+const FIRST_PAUSE_MS: u64 = 1000;
+const LONGEST_PAUSE_MS: u64 = 60_000;
 
 /// The most sightings that wait; then the oldest is given up.
 pub(super) const MOST_WAITING: usize = 64;
@@ -80,7 +81,7 @@ impl Hook {
             waiting: VecDeque::new(),
             counts,
             part,
-            backoff: Backoff::new(PAUSES.0, PAUSES.1, random),
+            backoff: Backoff::new(FIRST_PAUSE_MS, LONGEST_PAUSE_MS, random),
         })
     }
 
@@ -199,10 +200,10 @@ impl Hook {
         let opened = http1::handshake(TokioIo::new(stream)).await;
         let (mut sender, connection) = opened.map_err(RefusedPost::for_now)?;
         let _connection = AbortOnDropHandle::new(tokio::spawn(connection));
-        let response = sender.send_request(self.request(sighting)?).await;
-        let response =
-            response.map_err(|error| RefusedPost::for_now(format!("did not answer: {error}")))?;
-        let status = response.status();
+        let status = match sender.send_request(self.request(sighting)?).await {
+            Ok(response) => response.status(),
+            Err(error) => return Err(RefusedPost::for_now(format!("did not answer: {error}"))),
+        };
         if status.is_success() {
             return Ok(());
         }

@@ -39,22 +39,14 @@ pub(super) struct Mailbox {
 impl Mailbox {
     /// Sets the state of a topic. The same again costs nothing.
     pub(super) fn set(&mut self, topic: String, payload: String) {
-        match self.states.get_mut(&topic) {
-            Some(state) if state.payload == payload => {}
-            Some(state) => {
-                *state = TopicState {
-                    payload,
-                    is_new: true,
-                }
-            }
-            None => drop(self.states.insert(
-                topic,
-                TopicState {
-                    payload,
-                    is_new: true,
-                },
-            )),
+        if self.states.get(&topic).is_some_and(|state| state.payload == payload) {
+            return;
         }
+        let state = TopicState {
+            payload,
+            is_new: true,
+        };
+        self.states.insert(topic, state);
     }
 
     /// Adds an event; returns how many older ones were given up for it.
@@ -104,17 +96,17 @@ impl Mailbox {
 
     /// The connection is lost: what was not acknowledged is sent again, and all states, which a broker may have forgotten.
     pub(super) fn disconnected(&mut self) -> u64 {
-        let given = take(&mut self.given);
-        let mut events: VecDeque<_> = take(&mut self.sent)
-            .into_values()
-            .chain(given)
-            .filter(|message| !message.is_retained)
-            .collect();
+        let sent = take(&mut self.sent).into_values();
+        let unacknowledged = sent.chain(take(&mut self.given));
+        let mut events: VecDeque<_> =
+            unacknowledged.filter(|message| !message.is_retained).collect();
         events.append(&mut self.events);
         let over = events.len().saturating_sub(MOST_EVENTS);
         events.drain(..over);
         self.events = events;
-        self.states.values_mut().for_each(|state| state.is_new = true);
+        for state in self.states.values_mut() {
+            state.is_new = true;
+        }
         over as u64
     }
 

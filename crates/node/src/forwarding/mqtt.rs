@@ -25,14 +25,15 @@ use tokio::time::{Instant, Interval, MissedTickBehavior, interval, sleep, timeou
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::AbortOnDropHandle;
 
-/// The time between two looks at counts and availability.
-const LOOK: Duration = Duration::from_secs(1);
+/// The time between two rounds, in which counts and availability are published.
+const ROUND: Duration = Duration::from_secs(1);
 
-/// So many looks to one message with figures.
-const LOOKS_PER_FIGURES: u32 = 10;
+/// So many rounds to one message with figures.
+const ROUNDS_PER_FIGURES: u32 = 10;
 
-/// The pauses between attempts to connect, milliseconds.
-const PAUSES: (u64, u64) = (1000, 60_000);
+/// The first and the longest pause between attempts to connect, milliseconds.
+const FIRST_PAUSE_MS: u64 = 1000;
+const LONGEST_PAUSE_MS: u64 = 60_000;
 
 /// A connection that lasted this long was a good one: the next attempt follows soon.
 const LASTED: Duration = Duration::from_secs(60);
@@ -46,8 +47,11 @@ const CAMERA_SILENCE: Duration = Duration::from_secs(30);
 /// The time for saying goodbye.
 const GOODBYE: Duration = Duration::from_millis(500);
 
-/// The longest messages from and to a broker, bytes.
-const PACKETS: (usize, usize) = (16 << 10, 256 << 10);
+/// The longest message from a broker, bytes.
+const LARGEST_RECEIVED: usize = 16 << 10;
+
+/// The longest message to a broker, bytes.
+const LARGEST_SENT: usize = 256 << 10;
 
 const ONLINE: &str = "online";
 const OFFLINE: &str = "offline";
@@ -81,8 +85,9 @@ pub(crate) struct Mqtt {
     part: Part,
     backoff: Backoff,
     sightings: broadcast::Receiver<Arc<Sighting>>,
-    looks: Interval,
-    looked: u32,
+    rounds: Interval,
+    /// The number of rounds so far.
+    round: u32,
 }
 
 impl Mqtt {
@@ -105,8 +110,8 @@ impl Mqtt {
                 "MQTT tells of the first {MOST_CLASSES} classes of the model: name those that matter in detector.report_classes"
             );
         }
-        let mut looks = interval(LOOK);
-        looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut rounds = interval(ROUND);
+        rounds.set_missed_tick_behavior(MissedTickBehavior::Delay);
         Ok(Some(Self {
             described: Described {
                 discovery: setup.config.discovery.clone(),
@@ -118,16 +123,16 @@ impl Mqtt {
             },
             part: board.readiness.part(readiness::MQTT),
             sightings: board.sightings(),
-            backoff: Backoff::new(PAUSES.0, PAUSES.1, setup.random),
+            backoff: Backoff::new(FIRST_PAUSE_MS, LONGEST_PAUSE_MS, setup.random),
             config: setup.config,
             mailbox: Mailbox::default(),
-            looked: 0,
+            round: 0,
             connector,
             place,
             board,
             classes,
             counts,
-            looks,
+            rounds,
         }))
     }
 
@@ -161,8 +166,8 @@ impl Mqtt {
             tokio::select! {
                 () = shutdown.cancelled() => return false,
                 () = &mut over => return true,
-                heard = self.sightings.recv() => self.take(heard),
-                _ = self.looks.tick() => self.look(),
+                sighting = self.sightings.recv() => self.take(sighting),
+                _ = self.rounds.tick() => self.publish_round(),
             }
         }
     }
@@ -206,11 +211,11 @@ impl Mqtt {
                         }
                     }
                     Some(Ok(_)) => {}
-                    Some(Err(error)) => return Err(words(&error)),
+                    Some(Err(error)) => return Err(reason_of(&error)),
                     None => return Err("the connection ended".to_owned()),
                 },
-                heard = self.sightings.recv() => self.take(heard),
-                _ = self.looks.tick() => self.look(),
+                sighting = self.sightings.recv() => self.take(sighting),
+                _ = self.rounds.tick() => self.publish_round(),
             }
             while is_connected && let Some(message) = self.mailbox.next() {
                 let how = PublishOptions::at_least_once().retain(message.is_retained);
@@ -242,7 +247,7 @@ impl Mqtt {
     fn take(&mut self, heard: Result<Arc<Sighting>, RecvError>) {
         let sighting = match heard {
             Ok(sighting) => sighting,
-            // The states are right again at the next look.
+            // The states are right again in the next round.
             Err(RecvError::Lagged(lost)) => return self.counts.dropped(lost),
             Err(RecvError::Closed) => return,
         };
@@ -258,18 +263,22 @@ impl Mqtt {
         self.counts.dropped(lost);
     }
 
-    /// Looks at the node and its cameras.
-    fn look(&mut self) {
+    /// Publishes the states of the node and its cameras.
+    fn publish_round(&mut self) {
         let board = Arc::clone(&self.board);
         let power = board.power();
-        let quality = (power.quality != EnergyQuality::Unavailable).then(|| power.quality.as_str());
+        let quality = if power.quality == EnergyQuality::Unavailable {
+            None
+        } else {
+            Some(power.quality.as_str())
+        };
         let describes = !self.described.discovery.is_empty();
         if describes {
             let (topic, payload) = self.described.node(quality);
             self.mailbox.set(topic, payload);
         }
-        let shows_figures = self.looked.is_multiple_of(LOOKS_PER_FIGURES);
-        self.looked = self.looked.wrapping_add(1);
+        let shows_figures = self.round.is_multiple_of(ROUNDS_PER_FIGURES);
+        self.round = self.round.wrapping_add(1);
         if shows_figures {
             let total = power.watts.iter().find(|one| one.domain == "total");
             let figures = json!({
@@ -287,11 +296,11 @@ impl Mqtt {
                 let (topic, payload) = self.described.camera(camera.name(), &self.classes);
                 self.mailbox.set(topic, payload);
             }
-            self.look_at(camera, shows_figures);
+            self.publish_camera(camera, shows_figures);
         }
     }
 
-    fn look_at(&mut self, camera: &CameraBoard, shows_figures: bool) {
+    fn publish_camera(&mut self, camera: &CameraBoard, shows_figures: bool) {
         let base = format!("{}/{}", self.described.base, camera.name());
         let now = camera.snapshot();
         let is_live = now.last_frame_age().is_some_and(|age| age < CAMERA_SILENCE);
@@ -320,7 +329,7 @@ impl Mqtt {
     }
 
     /// Connects to the broker as a node would, and leaves at once, for `check --online`.
-    pub(crate) async fn connects(config: &MqttConfig) -> Result<String, String> {
+    pub(crate) async fn try_to_connect(config: &MqttConfig) -> Result<String, String> {
         let place = config.place().ok_or("no broker is set")??;
         let connector = Connector::new(place.clone(), config.root_ca_certificate.as_deref())?;
         let id = format!("albireo-check-{}", std::process::id());
@@ -332,7 +341,7 @@ impl Mqtt {
                     return Ok(format!("{place} lets this node in"));
                 }
                 Ok(_) => {}
-                Err(error) => return Err(format!("{place}: {}", words(&error))),
+                Err(error) => return Err(format!("{place}: {}", reason_of(&error))),
             }
         }
         Err(format!("{place}: the connection ended"))
@@ -350,7 +359,7 @@ fn options(
 ) -> Result<MqttOptions, String> {
     let mut options = MqttOptions::new(id, (place.host.as_str(), place.port));
     options.set_keep_alive(KEEP_ALIVE_S);
-    options.set_max_packet_size(PACKETS.0, PACKETS.1);
+    options.set_max_packet_size(LARGEST_RECEIVED, LARGEST_SENT);
     if let Some((user, password)) = config.login()? {
         options.set_credentials(user, password);
     }
@@ -384,7 +393,7 @@ fn on_off(is_there: bool) -> String {
 }
 
 /// The reason why a connection failed or ended, and what to do.
-fn words(error: &ConnectionError) -> String {
+fn reason_of(error: &ConnectionError) -> String {
     match error {
         ConnectionError::ConnectionRefused(
             ConnectReturnCode::BadUserNamePassword | ConnectReturnCode::NotAuthorized,

@@ -140,12 +140,11 @@ impl Disk for StateFile {
 
     fn set_aside(&mut self) -> std::io::Result<PathBuf> {
         let named = |ending: &str| self.directory.join(format!("{FILE}{ending}"));
-        let aside = (0..1000)
-            .map(|number| named(&format!(".damaged-{number}")))
-            .find(|aside| !aside.exists())
-            .ok_or_else(|| {
-                std::io::Error::other("too many damaged files were set aside already")
-            })?;
+        let mut names = (0..1000).map(|number| named(&format!(".damaged-{number}")));
+        let Some(aside) = names.find(|aside| !aside.exists()) else {
+            let reason = "too many damaged files were set aside already";
+            return Err(std::io::Error::other(reason));
+        };
         fs::rename(&self.file, &aside)?;
         for ending in ["-wal", "-shm"] {
             let mut beside = aside.clone().into_os_string();

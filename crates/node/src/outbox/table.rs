@@ -126,7 +126,7 @@ impl StoredReport {
     }
 
     /// The checksum of what never changes; the state is beside it in the table, in the upper half.
-    fn content(&self) -> i64 {
+    fn content_checksum(&self) -> i64 {
         let mut hasher = crc32fast::Hasher::new();
         hasher.update(self.id.as_bytes());
         hasher.update(&self.count.map(signed).unwrap_or(-1).to_le_bytes());
@@ -139,14 +139,24 @@ impl StoredReport {
 
     /// What the table is to have: a content that was damaged keeps the checksum that tells so.
     fn new_checksum(&self) -> Option<i64> {
-        let content = self.checksum.map_or_else(|| self.content(), |checksum| checksum & CONTENT);
-        (self.state != REFUSED).then_some(content | (self.state << 32))
+        if self.state == REFUSED {
+            return None;
+        }
+        let content = match self.checksum {
+            Some(checksum) => checksum & CONTENT,
+            None => self.content_checksum(),
+        };
+        Some(content | (self.state << 32))
     }
 
     /// True if the report is as it was written, as far as that can be known.
     pub(super) fn is_intact(&self) -> bool {
-        let known = self.checksum.map(|checksum| checksum & CONTENT);
-        self.state == REFUSED || known.is_none_or(|known| known == self.content())
+        match self.checksum {
+            Some(checksum) if self.state != REFUSED => {
+                checksum & CONTENT == self.content_checksum()
+            }
+            _ => true,
+        }
     }
 
     /// Takes a state that is not the one that was written for that of a report that waits: a hub stores it only once.
@@ -157,7 +167,7 @@ impl StoredReport {
     }
 }
 
-/// The part of a checksum that is about the content.
+/// The part of a checksum that is about the content; 4294967295 in statements.
 const CONTENT: i64 = 0xffff_ffff;
 
 /// Counters that continue after a restart.
@@ -280,7 +290,7 @@ impl Table {
     }
 
     /// The number of reports in the table whose counts are above `settled`, up to `made`.
-    pub(super) fn between(&self, settled: u64, made: u64) -> Result<u64, TableError> {
+    pub(super) fn count_between(&self, settled: u64, made: u64) -> Result<u64, TableError> {
         let text = "SELECT count(*) FROM report WHERE state BETWEEN 0 AND 3 AND count > ?1 AND count <= ?2";
         let bounds = params![signed(settled), signed(made)];
         let found: i64 = self.db.query_row(text, bounds, |row| row.get(0))?;
@@ -288,7 +298,7 @@ impl Table {
     }
 
     /// Notes that reports are about to be sent.
-    pub(super) fn sent(&mut self, reports: &[Uuid]) -> Result<(), TableError> {
+    pub(super) fn note_sent(&mut self, reports: &[Uuid]) -> Result<(), TableError> {
         let transaction = self.db.transaction()?;
         {
             let mut update =
@@ -389,11 +399,13 @@ impl Table {
             }
         }
         // Examines only the oldest, so the cost is limited by the number of deleted rows.
-        (transaction.prepare_cached(
-            "DELETE FROM report WHERE acknowledged_ms < ?1 AND rowid IN \
-             (SELECT rowid FROM report WHERE state >= ?2 ORDER BY state, count LIMIT 400)",
-        )?)
-        .execute(params![now_ms.saturating_sub(kept_ms), ACKNOWLEDGED])?;
+        {
+            let mut forget = transaction.prepare_cached(
+                "DELETE FROM report WHERE acknowledged_ms < ?1 AND rowid IN \
+                 (SELECT rowid FROM report WHERE state >= ?2 ORDER BY state, count LIMIT 400)",
+            )?;
+            forget.execute(params![now_ms.saturating_sub(kept_ms), ACKNOWLEDGED])?;
+        }
         write_counters(&transaction, &self.counters)?;
         transaction.commit()?;
         Ok(())
@@ -402,11 +414,12 @@ impl Table {
     /// Counts what waits.
     pub(super) fn count(&self) -> Result<Count, TableError> {
         let text = "SELECT count(*), min(count) FROM report WHERE state = ?";
-        let mut count = self.db.prepare_cached(text)?;
+        let mut select = self.db.prepare_cached(text)?;
         let mut count = |state: i64| {
-            count.query_row([state], |row| {
-                let (count, oldest): (i64, Option<i64>) = (row.get(0)?, row.get(1)?);
-                Ok((count.cast_unsigned(), oldest.map(i64::cast_unsigned)))
+            select.query_row([state], |row| {
+                let reports: i64 = row.get(0)?;
+                let oldest: Option<i64> = row.get(1)?;
+                Ok((reports.cast_unsigned(), oldest.map(i64::cast_unsigned)))
             })
         };
         let (waiting, oldest) = count(WAITING)?;

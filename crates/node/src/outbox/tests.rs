@@ -56,7 +56,8 @@ impl Faults {
         max_bytes: u64,
         now: Now,
     ) -> Result<Outbox, TableError> {
-        let (file, faults) = (StateFile::new(directory), Arc::clone(self));
+        let file = StateFile::new(directory);
+        let faults = Arc::clone(self);
         Outbox::open_on(Box::new(FaultyDisk { file, faults }), max_bytes, now)
     }
 
@@ -122,7 +123,8 @@ impl Bench {
     }
 
     fn open(&self) -> Outbox {
-        let (state, now) = (self.state(), Now::system());
+        let state = self.state();
+        let now = Now::system();
         self.faults.open(&state, self.max_bytes, now).unwrap()
     }
 }
@@ -307,7 +309,8 @@ fn a_cut_log_costs_at_most_a_hundred_reports_and_they_are_counted_as_lost() {
     let mut bytes = std::fs::read(&log).unwrap();
     let place = bytes.len() / 10;
     bytes[place] ^= 4;
-    let (file, counts) = (bench.file(), bench.state().join(WITNESS));
+    let file = bench.file();
+    let counts = bench.state().join(WITNESS);
     let kept = [&file, &counts].map(|file| std::fs::read(file).unwrap());
     drop(outbox);
     std::fs::write(&log, bytes).unwrap();
@@ -331,7 +334,8 @@ fn a_cut_log_costs_at_most_a_hundred_reports_and_they_are_counted_as_lost() {
 #[test]
 fn what_the_node_knows_of_a_reports_age_survives_a_restart_of_the_program() {
     let bench = Bench::new();
-    let (outbox, mut now) = (bench.open(), Now::system());
+    let outbox = bench.open();
+    let mut now = Now::system();
     let ages = |outbox: &Outbox, node: &str, now| {
         let sent = outbox.change(|waiting| waiting.batch(node, true, now)).unwrap();
         sent.ages[0]
@@ -439,7 +443,8 @@ fn a_failing_disk_delays_no_report_and_its_return_loses_or_repeats_none() {
 
 #[test]
 fn reports_in_memory_move_to_another_disk_that_takes_the_place_of_the_first() {
-    let (bench, other) = (Bench::new(), Bench::new());
+    let bench = Bench::new();
+    let other = Bench::new();
     let outbox = bench.open();
     keep(&other.open(), 10..12);
     std::fs::rename(bench.state(), bench.folder.path().join("first")).unwrap();
@@ -478,7 +483,8 @@ fn a_full_outbox_drops_acknowledged_reports_first_then_the_oldest_and_counts_the
     assert_eq!((counts.status.waiting, counts.status.lost), (20, 0));
     keep(&outbox, 60..400);
     let counts = outbox.counts();
-    let (lost, waiting) = (counts.status.lost, counts.status.waiting);
+    let lost = counts.status.lost;
+    let waiting = counts.status.waiting;
     assert!(lost > 0 && waiting > 20, "{counts:?}");
     assert_eq!(lost + waiting, 360);
     assert!(counts.last_loss.is_some());
@@ -506,7 +512,8 @@ fn without_a_state_directory_reports_wait_in_bounded_memory_and_are_sent_in_boun
 
 #[test]
 fn a_report_that_cannot_be_sent_is_counted_and_the_rest_is_sent() {
-    let (bench, too_large) = (Bench::new(), in_memory());
+    let bench = Bench::new();
+    let too_large = in_memory();
     keep(&bench.open(), 0..3);
     let db = Connection::open(bench.file()).unwrap();
     let spoilt = "UPDATE report SET json = x'00' WHERE count = 2";

@@ -28,9 +28,12 @@ pub(super) const BATCH_BYTES: usize = 1 << 20;
 const BATCH_REPORTS: usize = 400;
 const _: () = assert!(BATCH_REPORTS <= MOST_REPORTS);
 
-/// The number of reports, and the time, after which the log is copied into the file: a damaged byte of the log hides all that
-/// was written since.
-const CHECKPOINT: (usize, Duration) = (100, Duration::from_secs(60));
+/// The number of reports after which the log is copied into the file: a damaged byte of the log hides all that was written
+/// since.
+const CHECKPOINT_REPORTS: usize = 100;
+
+/// The time after which the log is copied into the file, however few reports are in it.
+const CHECKPOINT_AFTER: Duration = Duration::from_secs(60);
 
 /// Reports that no hub has, and acknowledged ones that a hub may lose.
 #[derive(Debug)]
@@ -58,7 +61,7 @@ impl Waiting {
     pub(super) fn new(disk: Option<Box<dyn Disk>>, most_bytes: u64) -> Result<Self, TableError> {
         let counters = Counters {
             // Without a disk, there is no earlier count to continue.
-            made: disk.is_none().then_some(0),
+            made: if disk.is_none() { Some(0) } else { None },
             ..Counters::default()
         };
         Ok(Self {
@@ -100,10 +103,10 @@ impl Waiting {
         let before = file.counters;
         file.counters = file.counters.max(self.table.counters);
         let lost = file.insert(&self.table.reports(REFUSED, usize::MAX)?)?;
-        // A witness that is older than the file knows nothing more.
-        let newer = |witness: &Witness| is_salvage || before.made < Some(witness.made);
         if (is_salvage || !self.was_on_disk)
-            && let Some(witness) = disk.witness().filter(newer)
+            && let Some(witness) = disk.witness()
+            // A witness that is older than the file knows nothing more.
+            && (is_salvage || before.made < Some(witness.made))
         {
             let gone = recount(&mut file, witness)?;
             if gone > 0 {
@@ -115,7 +118,8 @@ impl Waiting {
             }
         }
         let count = file.count()?;
-        (self.counts.status.waiting, self.counts.again) = (count.waiting, count.again);
+        self.counts.status.waiting = count.waiting;
+        self.counts.again = count.again;
         self.table = file;
         self.is_on_disk = true;
         self.was_on_disk = true;
@@ -139,8 +143,8 @@ impl Waiting {
             self.checkpoint_at = None;
             return;
         }
-        let at = *self.checkpoint_at.get_or_insert(now.at + CHECKPOINT.1);
-        if self.table.written >= CHECKPOINT.0 || now.at >= at {
+        let at = *self.checkpoint_at.get_or_insert(now.at + CHECKPOINT_AFTER);
+        if self.table.written >= CHECKPOINT_REPORTS || now.at >= at {
             self.checkpoint_at = None;
             if let Err(error) = self.table.checkpoint() {
                 tracing::debug!(%error, "the log of reports is not copied now");
@@ -158,7 +162,10 @@ impl Waiting {
         {
             tracing::warn!(%error, "clip reports on the disk cannot be read now");
         }
-        let Some(disk) = self.disk.as_mut().filter(|_| error.is_corruption()) else {
+        if !error.is_corruption() {
+            return;
+        }
+        let Some(disk) = &mut self.disk else {
             return;
         };
         match disk.set_aside() {
@@ -185,17 +192,24 @@ impl Waiting {
 
     /// Does `work` on the file, or in memory if that fails.
     fn work<T: Default>(&mut self, work: impl Fn(&mut Table) -> Result<T, TableError>) -> T {
-        let work = |table: &mut Table| Ok((work(table)?, table.count()?));
-        let mut done = None;
-        if let Some(disk) = self.disk.as_ref().filter(|_| self.is_on_disk) {
-            match disk.check().and_then(|()| work(&mut self.table)) {
-                Ok(worked) => done = Some(worked),
-                Err(error) => self.fail(&error),
+        let work_and_count = |table: &mut Table| Ok((work(table)?, table.count()?));
+        let mut outcome = match &self.disk {
+            Some(disk) if self.is_on_disk => {
+                disk.check().and_then(|()| work_and_count(&mut self.table))
             }
+            _ => work_and_count(&mut self.table),
+        };
+        if let Err(error) = &outcome
+            && self.is_on_disk
+        {
+            // The table is in memory from here on.
+            self.fail(error);
+            outcome = work_and_count(&mut self.table);
         }
-        match done.map_or_else(|| work(&mut self.table), Ok) {
+        match outcome {
             Ok((done, count)) => {
-                (self.counts.status.waiting, self.counts.again) = (count.waiting, count.again);
+                self.counts.status.waiting = count.waiting;
+                self.counts.again = count.again;
                 self.testify(count.oldest);
                 done
             }
@@ -213,14 +227,18 @@ impl Waiting {
             lost,
             undeliverable,
         } = self.table.counters;
-        if let Some((disk, made)) = self.disk.as_ref().zip(made) {
-            disk.testify(Witness {
-                made,
-                lost,
-                undeliverable,
-                settled: oldest.map_or(made, |oldest| oldest.saturating_sub(1)),
-            });
-        }
+        let (Some(disk), Some(made)) = (&self.disk, made) else {
+            return;
+        };
+        disk.testify(Witness {
+            made,
+            lost,
+            undeliverable,
+            settled: match oldest {
+                Some(oldest) => oldest.saturating_sub(1),
+                None => made,
+            },
+        });
     }
 
     /// Keeps reports in order and sets their running counts. Writes a file.
@@ -259,37 +277,41 @@ impl Waiting {
     /// The oldest reports to send, as reports of `node`; with `again`, also those that a hub has lost.
     /// Unreadable reports are counted as undeliverable. Reads, and may write, a file.
     pub(crate) fn batch(&mut self, node: &str, again: bool, now: Now) -> Option<ReportBatch> {
-        let (read, unreadable) = self.work(|table| read(table, node, again));
+        let BatchRead {
+            reports,
+            unreadable,
+        } = self.work(|table| read(table, node, again));
         if !unreadable.is_empty() {
             self.conclude(&unreadable, &[], now);
         }
-        // First, so that after a crash nobody takes them for reports that were never sent.
-        let first: Vec<_> = read
-            .iter()
-            .filter(|(report, _)| !report.sent)
-            .map(|(report, _)| report.id)
-            .collect();
-        if !first.is_empty() {
-            self.work(|table| table.sent(&first));
+        if reports.is_empty() {
+            return None;
         }
-        let age = |(stored, report): &(StoredReport, ClipReport)| ReportAge {
-            made_s: stored.made.and_then(|made| now.uptime.since(made)),
-            // The state directory may have belonged to another node, which sent it.
-            first: !stored.sent && report.node == node,
-        };
-        (!read.is_empty()).then(|| ReportBatch {
+        // First, so that after a crash nobody takes them for reports that were never sent.
+        let never_sent = reports.iter().filter(|(stored, _)| !stored.sent);
+        let first: Vec<Uuid> = never_sent.map(|(stored, _)| stored.id).collect();
+        if !first.is_empty() {
+            self.work(|table| table.note_sent(&first));
+        }
+        let mut batch = ReportBatch {
             v: VERSION,
             node: node.to_owned(),
             t_ms: u64::try_from(now.unix_ms).unwrap_or(0),
-            ages: read.iter().map(age).collect(),
-            reports: read
-                .into_iter()
-                .map(|(_, report)| ClipReport {
-                    node: node.to_owned(),
-                    ..report
-                })
-                .collect(),
-        })
+            ages: Vec::with_capacity(reports.len()),
+            reports: Vec::with_capacity(reports.len()),
+        };
+        for (stored, report) in reports {
+            batch.ages.push(ReportAge {
+                made_s: stored.made.and_then(|made| now.uptime.since(made)),
+                // The state directory may have belonged to another node, which sent it.
+                first: !stored.sent && report.node == node,
+            });
+            batch.reports.push(ClipReport {
+                node: node.to_owned(),
+                ..report
+            });
+        }
+        Some(batch)
     }
 
     /// Applies a hub's answer to `batch` and returns the number of reports it has stored. Writes a file.
@@ -299,15 +321,16 @@ impl Waiting {
             .iter()
             .map(|refused| (refused.id, refused.reason.as_str()))
             .collect();
-        let ended = batch.reports.iter().map(|report| {
-            let id = report.id;
-            let Some(reason) = refused.get(&id) else {
-                return (id, ACKNOWLEDGED);
-            };
-            tracing::error!(%id, reason, "the hub rejected a clip report");
-            (id, REFUSED)
-        });
-        let stored = self.conclude(&ended.collect::<Vec<_>>(), &answer.missing, now);
+        let mut concluded = Vec::with_capacity(batch.reports.len());
+        for ClipReport { id, .. } in &batch.reports {
+            if let Some(reason) = refused.get(id) {
+                tracing::error!(%id, reason, "the hub rejected a clip report");
+                concluded.push((*id, REFUSED));
+            } else {
+                concluded.push((*id, ACKNOWLEDGED));
+            }
+        }
+        let stored = self.conclude(&concluded, &answer.missing, now);
         self.counts.acknowledged += stored;
         self.checkpoint(now);
         stored
@@ -339,7 +362,7 @@ fn recount(file: &mut Table, witness: Witness) -> Result<u64, TableError> {
         lost: witness.lost,
         undeliverable: witness.undeliverable,
     };
-    let there = file.between(witness.settled, witness.made)?;
+    let there = file.count_between(witness.settled, witness.made)?;
     let gone = witness.made.saturating_sub(witness.settled).saturating_sub(there);
     file.counters = file.counters.max(seen);
     file.counters.lost += gone;
@@ -348,27 +371,32 @@ fn recount(file: &mut Table, witness: Witness) -> Result<u64, TableError> {
     Ok(gone)
 }
 
-/// The reports of a batch, stored and parsed, and the unreadable ones with their new state.
-type Read = (Vec<(StoredReport, ClipReport)>, Vec<(Uuid, i64)>);
+/// What the table has for a batch.
+#[derive(Default)]
+struct BatchRead {
+    /// The reports, as they are stored and as they are sent.
+    reports: Vec<(StoredReport, ClipReport)>,
+    /// The unreadable ones with their new state.
+    unreadable: Vec<(Uuid, i64)>,
+}
 
-fn read(table: &Table, node: &str, again: bool) -> Result<Read, TableError> {
-    let mut reports = Vec::new();
-    let mut unreadable = Vec::new();
+fn read(table: &Table, node: &str, again: bool) -> Result<BatchRead, TableError> {
+    let mut found = BatchRead::default();
     let mut bytes = 0;
     // Those that a hub has lost follow those that none has.
     let last_state = if again { AGAIN } else { WAITING };
     for report in table.reports(last_state, BATCH_REPORTS)? {
         bytes += report.json.len();
         match readable(&report) {
-            Ok(_) if bytes > BATCH_BYTES && !reports.is_empty() => break,
-            Ok(read) => reports.push((report, read)),
+            Ok(_) if bytes > BATCH_BYTES && !found.reports.is_empty() => break,
+            Ok(parsed) => found.reports.push((report, parsed)),
             Err(reason) => {
                 tracing::error!(node, id = %report.id, reason, "a clip report cannot be sent");
-                unreadable.push((report.id, REFUSED));
+                found.unreadable.push((report.id, REFUSED));
             }
         }
     }
-    Ok((reports, unreadable))
+    Ok(found)
 }
 
 fn readable(report: &StoredReport) -> Result<ClipReport, String> {

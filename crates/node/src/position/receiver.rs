@@ -28,12 +28,11 @@ const WATCH: &[u8] = b"?WATCH={\"enable\":true,\"json\":true};\n";
 /// Reads the receiver for as long as it is polled.
 pub(crate) async fn follow(positions: Arc<Positions>) {
     loop {
-        let ended = read(&positions).await;
+        let reason = match read(&positions).await {
+            Ok(()) => "it ended the connection".to_owned(),
+            Err(error) => error.to_string(),
+        };
         let seconds = PAUSE.as_secs();
-        let reason = ended.err().map_or_else(
-            || "it ended the connection".to_owned(),
-            |error| error.to_string(),
-        );
         positions.failing(format!("{reason}; next attempt in {seconds} s"));
         sleep(PAUSE).await;
     }
@@ -65,9 +64,15 @@ async fn read(positions: &Positions) -> io::Result<()> {
 }
 
 async fn connect(place: &str) -> io::Result<TcpStream> {
-    let connected = timeout(CONNECTING, TcpStream::connect(place)).await;
-    let connected = connected.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into()));
-    connected.map_err(|error| io::Error::new(error.kind(), format!("cannot connect: {error}")))
+    let error = match timeout(CONNECTING, TcpStream::connect(place)).await {
+        Ok(Ok(stream)) => return Ok(stream),
+        Ok(Err(error)) => error,
+        Err(_) => io::ErrorKind::TimedOut.into(),
+    };
+    Err(io::Error::new(
+        error.kind(),
+        format!("cannot connect: {error}"),
+    ))
 }
 
 /// An open path.

@@ -47,16 +47,16 @@ pub(super) fn nmea(line: &str, has_rmc: &mut bool) -> Reading {
             *has_rmc = true;
             let is_valid = rmc.status_of_fix != RmcStatusOfFix::Invalid;
             let speed = rmc.speed_over_ground.map(|knots| f64::from(knots) * KNOT);
-            match rmc.lat.zip(rmc.lon).filter(|_| is_valid) {
-                Some(place) => fix(place, speed),
-                None => no_fix,
+            match (rmc.lat, rmc.lon) {
+                (Some(latitude), Some(longitude)) if is_valid => fix((latitude, longitude), speed),
+                _ => no_fix,
             }
         }
         Ok(ParseResult::GGA(gga)) if !*has_rmc => {
             let is_valid = gga.fix_type.is_some_and(|kind| kind != FixType::Invalid);
-            match gga.latitude.zip(gga.longitude).filter(|_| is_valid) {
-                Some(place) => fix(place, None),
-                None => no_fix,
+            match (gga.latitude, gga.longitude) {
+                (Some(latitude), Some(longitude)) if is_valid => fix((latitude, longitude), None),
+                _ => no_fix,
             }
         }
         Ok(_) => Reading::Other,

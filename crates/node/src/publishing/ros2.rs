@@ -223,10 +223,12 @@ impl CdrWriter {
         self.text(&found.class);
         self.f64(f64::from(found.confidence));
         let unknown_pose = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0];
-        unknown_pose
-            .into_iter()
-            .chain([0.0; COVARIANCE])
-            .for_each(|value| self.f64(value));
+        for value in unknown_pose {
+            self.f64(value);
+        }
+        for value in [0.0; COVARIANCE] {
+            self.f64(value);
+        }
         let [left, top, right, bottom] = found.corners.map(f64::from);
         let angle = 0.0;
         for value in [

@@ -72,6 +72,7 @@ impl Folder {
         now: SystemTime,
     ) -> IoResult<(u64, u64)> {
         let mut recordings = self.recordings()?;
+        // The oldest first; of the same age in the order of names.
         recordings
             .sort_by(|one, other| (one.changed, &one.path).cmp(&(other.changed, &other.path)));
         let mut left = recordings.len() as u64;

@@ -72,8 +72,10 @@ impl Window {
         let mut held = std::mem::take(&mut self.held);
         held.retain(|frame| oldest.is_none_or(|oldest| frame.at >= oldest));
         let is_short = std::mem::take(&mut self.is_short);
-        let first = held.front().filter(|_| is_short);
-        let held_for = first.map(|first| at.saturating_duration_since(first.at));
+        let held_for = match held.front() {
+            Some(first) if is_short => Some(at.saturating_duration_since(first.at)),
+            _ => None,
+        };
         (held, held_for)
     }
 

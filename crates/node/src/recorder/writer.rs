@@ -93,11 +93,11 @@ impl Writer {
 
     /// Writes until nobody gives orders any more, then ends the files.
     pub(super) fn run(&mut self, orders: &Receiver<Order>, waiting: &AtomicUsize) {
-        let prepared = self.folder.create().map_err(RecordingError::from);
-        let prepared = prepared.and_then(|()| self.folder.mend());
-        self.judge(prepared);
+        let created = self.folder.create().map_err(RecordingError::from);
+        self.judge(created.and_then(|()| self.folder.mend()));
         self.tidy();
-        let (mut kept, mut tidied) = (Instant::now(), Instant::now());
+        let mut kept = Instant::now();
+        let mut tidied = Instant::now();
         // The time up to which everything was taken from the queue, which may be behind.
         let mut reached = Instant::now();
         loop {
@@ -167,9 +167,12 @@ impl Writer {
                     t_ns,
                     reason: reason.to_string(),
                 };
-                let cameras = 0..self.cameras.len();
-                for camera in cameras.filter(|one| camera.is_none_or(|only| only == *one)) {
-                    self.begin(camera, at, event.clone());
+                if let Some(camera) = camera {
+                    self.begin(camera, at, event);
+                } else {
+                    for camera in 0..self.cameras.len() {
+                        self.begin(camera, at, event.clone());
+                    }
                 }
             }
         }
@@ -184,10 +187,10 @@ impl Writer {
         for frame in &before {
             self.write(frame);
         }
-        let of = &mut self.cameras[camera];
-        if of.file.is_none() {
+        let written = &mut self.cameras[camera];
+        if written.file.is_none() {
             // Written with the next frame: a camera without frames has no recording.
-            of.reasons.push(event);
+            written.reasons.push(event);
         } else {
             self.put(camera, |file, name| file.event(name, &event));
         }
@@ -269,36 +272,39 @@ impl Writer {
 
     /// The camera's file and its name.
     fn open(&mut self, camera: usize) -> Result<(&mut OpenFile, &str), RecordingError> {
-        let of = &mut self.cameras[camera];
-        if of.file.is_none() {
+        let CameraWriter {
+            name,
+            file: open,
+            reasons,
+            ..
+        } = &mut self.cameras[camera];
+        if open.is_none() {
             self.folder.create()?;
-            let path = self.folder.new_path(&of.name, SystemTime::now());
+            let path = self.folder.new_path(name, SystemTime::now());
             let mut file = RecordingFile::create(&path)?;
-            for reason in of.reasons.drain(..) {
-                file.event(&of.name, &reason)?;
+            for reason in reasons.drain(..) {
+                file.event(name, &reason)?;
             }
-            of.file = Some(OpenFile {
+            *open = Some(OpenFile {
                 file,
                 path,
                 begun: Instant::now(),
                 is_changed: true,
             });
-            self.counts.lock().shown.recording.push(of.name.clone());
+            self.counts.lock().shown.recording.push(name.clone());
         }
-        match &mut of.file {
-            Some(file) => Ok((file, &of.name)),
+        match open {
+            Some(file) => Ok((file, name)),
             None => Err(RecordingError::Message("no file is open".to_owned())),
         }
     }
 
     /// Ends a file that is large or old enough.
     fn rotate(&mut self, camera: usize) {
-        let largest = self.largest;
-        let is_full = self.cameras[camera]
-            .file
-            .as_ref()
-            .is_some_and(|open| open.file.bytes() >= largest || open.begun.elapsed() >= OLDEST);
-        if is_full {
+        let Some(open) = &self.cameras[camera].file else {
+            return;
+        };
+        if open.file.bytes() >= self.largest || open.begun.elapsed() >= OLDEST {
             self.end_file(camera);
             self.tidy();
         }
@@ -307,15 +313,15 @@ impl Writer {
     /// Waits until the disk has what was written, and ends the files whose recording was over at the time that is `reached`.
     pub(super) fn keep(&mut self, reached: Instant) {
         for camera in 0..self.cameras.len() {
-            let of = &mut self.cameras[camera];
-            let is_over = of.window.has_length() && !of.window.is_recording(reached);
-            let Some(open) = &mut of.file else { continue };
+            let CameraWriter { window, file, .. } = &mut self.cameras[camera];
+            let is_over = window.has_length() && !window.is_recording(reached);
+            let Some(open) = file else { continue };
             if is_over {
                 self.end_file(camera);
             } else if std::mem::take(&mut open.is_changed) {
                 let kept = open.file.keep();
                 if kept.is_err() {
-                    of.file = None;
+                    *file = None;
                 }
                 self.judge(kept);
             }
@@ -333,13 +339,10 @@ impl Writer {
         }
     }
 
-    /// Deletes old recordings, and looks at what is left.
+    /// Deletes old recordings, and counts what is left.
     fn tidy(&mut self) {
-        let open: Vec<_> = self
-            .cameras
-            .iter()
-            .filter_map(|camera| Some(&*camera.file.as_ref()?.path))
-            .collect();
+        let open_files = self.cameras.iter().filter_map(|camera| camera.file.as_ref());
+        let open: Vec<&Path> = open_files.map(|open| open.path.as_path()).collect();
         match self.folder.tidy(&open, self.largest, SystemTime::now()) {
             Ok((files, bytes)) => {
                 let shown = &mut self.counts.lock().shown;

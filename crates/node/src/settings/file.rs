@@ -113,17 +113,22 @@ impl SettingsFile {
     /// What is wrong with the file, in words.
     pub(crate) fn fault(&self) -> Option<String> {
         let disk = self.disk.lock();
-        let recent = disk.damaged.filter(|at| at.elapsed() < DAMAGE_SHOWN_FOR);
-        let damaged =
-            || format!("{FILE} was damaged and set aside: the configured values are used");
-        disk.failing.clone().or_else(|| recent.map(|_| damaged()))
+        if let Some(reason) = &disk.failing {
+            return Some(reason.clone());
+        }
+        if disk.damaged?.elapsed() >= DAMAGE_SHOWN_FOR {
+            return None;
+        }
+        Some(format!(
+            "{FILE} was damaged and set aside: the configured values are used"
+        ))
     }
 
     /// Notes the outcome of reading or writing the file.
     fn note(&self, outcome: Result<(), &std::io::Error>) {
-        let why =
-            |error| format!("what was set at run time is not kept over a restart: {FILE}: {error}");
-        self.disk.lock().failing = outcome.err().map(why);
+        self.disk.lock().failing = outcome.err().map(|error| {
+            format!("what was set at run time is not kept over a restart: {FILE}: {error}")
+        });
     }
 
     /// Reads the file; sets it aside if it is damaged.
@@ -302,10 +307,8 @@ mod tests {
     #[test]
     fn settings_survive_a_restart_only_if_their_own_file_was_written() {
         let folder = tempfile::tempdir().unwrap();
-        let (file, new) = (
-            folder.path().join(FILE),
-            folder.path().join("settings.json.new"),
-        );
+        let file = folder.path().join(FILE);
+        let new = folder.path().join("settings.json.new");
         let settings = SettingsFile::open(Some(folder.path()));
         assert!(settings.set("target", 1) && settings.survive_restart());
         // No file can be created in the place of a folder, as on a full disk.

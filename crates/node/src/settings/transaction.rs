@@ -58,15 +58,15 @@ pub(crate) enum RefusedPolicy {
 
 /// Returns the policy if all cameras can follow it.
 pub(super) fn fits(board: &Board, policy: NodePolicy) -> Result<NodePolicy, RefusedPolicy> {
-    let at_once = board.cameras.iter().find(|camera| camera.answers_at_once);
-    match at_once.filter(|_| !policy.can_rewind) {
-        None => Ok(policy),
-        Some(camera) => Err(RefusedPolicy::Waits {
+    let answering_at_once = board.cameras.iter().find(|camera| camera.answers_at_once);
+    match answering_at_once {
+        Some(camera) if !policy.can_rewind => Err(RefusedPolicy::Waits {
             camera: camera.name().to_owned(),
             reason: CannotRewind {
                 policy: policy.name,
             },
         }),
+        _ => Ok(policy),
     }
 }
 

@@ -1,7 +1,7 @@
 //! Loads the models of a node: the detector, and the screen if there is one.
 
 use crate::error::NodeError;
-use crate::state::board::{Board, ModelReading};
+use crate::state::board::{Board, ModelReading, WorkerMeters};
 use crate::state::readiness;
 use albireo_service::supervise::Supervisor;
 use albireo_vision::detector::{DetectorConfig, DetectorHandle, ModelStatus};
@@ -38,8 +38,11 @@ impl Models {
                 readiness::of_screen(&status.borrow())
             });
         }
-        let screen_meter = screen.as_ref().map(ScreenHandle::meter);
-        let _ = board.meters.set((detector.meter(), screen_meter));
+        // Set once: a node starts its models once.
+        let _ = board.meters.set(WorkerMeters {
+            detector: detector.meter(),
+            screen: screen.as_ref().map(ScreenHandle::meter),
+        });
         Ok(Self { detector, screen })
     }
 

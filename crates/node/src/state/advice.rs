@@ -87,15 +87,22 @@ impl SkipWatch {
 
     /// Suggests a value, if it is clear that nothing is skipped and `spec` can change that.
     pub(crate) fn advice(&self, spec: &ThresholdSpec) -> Option<Advice> {
-        self.is_clear().then(|| self.attempt(spec)).flatten()
+        if self.is_clear() {
+            self.attempt(spec)
+        } else {
+            None
+        }
     }
 
     /// Like [`Self::advice`], from any number of frames: for a finished clip.
     pub fn advice_so_far(&self, spec: &ThresholdSpec) -> Option<Advice> {
-        let skips_nothing = !self.skipped && self.followed > 0;
-        self.attempt(spec).filter(|_| skips_nothing)
+        if self.skipped || self.followed == 0 {
+            return None;
+        }
+        self.attempt(spec)
     }
 
+    /// The value to try, if a larger one can make a difference.
     fn attempt(&self, spec: &ThresholdSpec) -> Option<Advice> {
         let value = self.threshold?.value_of(spec).ok()?;
         let attempt = match spec.name {
@@ -106,7 +113,10 @@ impl SkipWatch {
             _ => return None,
         };
         // If the threshold is already above it, a cap calls the detector, and no value helps.
-        (attempt > value && attempt <= spec.maximum).then_some(Advice {
+        if attempt <= value || attempt > spec.maximum {
+            return None;
+        }
+        Some(Advice {
             frames: self.frames,
             followed: self.followed,
             threshold: spec.name,

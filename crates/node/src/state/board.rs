@@ -93,7 +93,7 @@ pub struct Board {
     clips: Mutex<VecDeque<Arc<ClipReport>>>,
     detector: Arc<Mutex<ModelStatus>>,
     /// The meters of the detector and the screen, once these have started.
-    pub(crate) meters: OnceLock<(WorkerMeter, Option<WorkerMeter>)>,
+    pub(crate) meters: OnceLock<WorkerMeters>,
     /// How the detector's model is read, once it has started.
     pub(crate) reading: OnceLock<ModelReading>,
     power: Mutex<PowerPast>,
@@ -101,6 +101,30 @@ pub struct Board {
     forwarded: Mutex<Vec<Arc<Forwarded>>>,
     started_ms: i64,
     today: Mutex<Today>,
+}
+
+/// The meters of the models.
+#[derive(Debug)]
+pub(crate) struct WorkerMeters {
+    pub(crate) detector: WorkerMeter,
+    /// `None` without a screen.
+    pub(crate) screen: Option<WorkerMeter>,
+}
+
+/// The counts of the models: zero before they start, and without a screen.
+#[derive(Debug, Default)]
+pub(crate) struct ModelCounts {
+    pub(crate) detector: WorkerCounts,
+    pub(crate) screen: WorkerCounts,
+}
+
+/// What was saved, over two spans.
+#[derive(Debug)]
+pub(crate) struct SavingsSoFar {
+    /// Since the node's start.
+    pub(crate) since_start: Savings,
+    /// Since midnight UTC, or since the start if that is later.
+    pub(crate) today: Savings,
 }
 
 /// How the detector's model is read, and what of its output is left out.
@@ -206,13 +230,15 @@ impl Board {
         })
     }
 
-    /// The counts of the detector and the screen: zero before they start, and without a screen.
-    pub(crate) fn worker_counts(&self) -> (WorkerCounts, WorkerCounts) {
-        let Some((detector, screen)) = self.meters.get() else {
-            return Default::default();
+    /// The counts of the detector and the screen.
+    pub(crate) fn model_counts(&self) -> ModelCounts {
+        let Some(WorkerMeters { detector, screen }) = self.meters.get() else {
+            return ModelCounts::default();
         };
-        let screen = screen.as_ref().map(WorkerMeter::read);
-        (detector.read(), screen.unwrap_or_default())
+        ModelCounts {
+            detector: detector.read(),
+            screen: screen.as_ref().map(WorkerMeter::read).unwrap_or_default(),
+        }
     }
 
     /// The time since the board was created.
@@ -296,29 +322,29 @@ impl Board {
     /// second; `t_ns` is the wall clock, nanoseconds since the Unix epoch.
     pub fn publish_counters(&self, t_ns: u64) -> Vec<Arc<CountersMessage>> {
         self.turn_day();
-        self.cameras
-            .iter()
-            .map(|camera| {
-                camera.sample_flow();
-                let message = Arc::new(self.counters(camera, t_ns));
-                let news = News::Counters(Arc::clone(&message));
-                let _ = self.shared.events.send(Event::new(news));
-                message
-            })
-            .collect()
+        let mut messages = Vec::with_capacity(self.cameras.len());
+        for camera in &self.cameras {
+            camera.sample_flow();
+            let message = Arc::new(self.counters(camera, t_ns));
+            let news = News::Counters(Arc::clone(&message));
+            let _ = self.shared.events.send(Event::new(news));
+            messages.push(message);
+        }
+        messages
     }
 
     /// The present state as events: the detector, and thresholds and counters of every camera.
     pub(crate) fn current(&self, t_ns: u64) -> Vec<Arc<Event>> {
-        let current = |camera: &Arc<CameraBoard>| {
-            let counters = News::Counters(Arc::new(self.counters(camera, t_ns)));
-            let threshold =
-                camera.threshold_in_force().map(|threshold| camera.threshold_news(threshold));
-            threshold.into_iter().chain([counters]).map(Event::new)
-        };
-        let detector = News::Detector(DetectorEvent::new(&self.detector.lock()));
-        let cameras = self.cameras.iter().flat_map(current);
-        [Event::new(detector)].into_iter().chain(cameras).collect()
+        let detector = DetectorEvent::new(&self.detector.lock());
+        let mut events = vec![Event::new(News::Detector(detector))];
+        for camera in &self.cameras {
+            if let Some(threshold) = camera.threshold_in_force() {
+                events.push(Event::new(camera.threshold_news(threshold)));
+            }
+            let counters = Arc::new(self.counters(camera, t_ns));
+            events.push(Event::new(News::Counters(counters)));
+        }
+        events
     }
 
     /// The present counter message of one camera.
@@ -338,7 +364,11 @@ impl Board {
             threshold: camera.threshold_in_force(),
             watts: power.watts,
             power_quality: power.quality,
-            target: self.target.is_on().then(|| self.target.report()),
+            target: if self.target.is_on() {
+                Some(self.target.report())
+            } else {
+                None
+            },
             audit: snapshot.policy_audit.as_ref().map(AuditReport::figures),
         }
     }
@@ -387,13 +417,14 @@ impl Board {
     }
 
     /// The savings since the start, and today.
-    pub(crate) fn savings(&self) -> (Savings, Savings) {
+    pub(crate) fn savings(&self) -> SavingsSoFar {
         self.turn_day();
         let now = self.totals(self.power());
-        let since_start = now.savings(self.started_ms);
         let today = self.today.lock();
-        let of_today = now.since(&today.before).savings(today.since_ms);
-        (since_start, of_today)
+        SavingsSoFar {
+            since_start: now.savings(self.started_ms),
+            today: now.since(&today.before).savings(today.since_ms),
+        }
     }
 
     /// The last power figures.

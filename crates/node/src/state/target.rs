@@ -78,10 +78,17 @@ impl NodeTarget {
     /// Holds the kept target, or the configured one, beginning at the kept threshold or at `first`. A target that cannot be held
     /// is logged, and its report says why.
     pub(crate) fn begin(&self, kept: Option<(KeptTarget, SettingSource)>, first: Option<f64>) {
-        let configured = ((self.config.hold, None), SettingSource::Configuration);
-        let ((target, threshold), source) = kept.unwrap_or(configured);
         let mut held = self.held.lock();
-        let place = threshold.zip(held.spec).and_then(|(kept, spec)| kept.value_of(&spec).ok());
+        let Some(((target, kept_threshold), source)) = kept else {
+            held.begin(self.config.hold, first);
+            held.source = SettingSource::Configuration;
+            return;
+        };
+        // What was kept may be the threshold of another policy.
+        let place = match (kept_threshold, held.spec) {
+            (Some(threshold), Some(spec)) => threshold.value_of(&spec).ok(),
+            _ => None,
+        };
         held.begin(target, place.or(first));
         held.source = source;
     }
@@ -113,7 +120,10 @@ impl NodeTarget {
         // Setting the same target again keeps what the controller has learnt.
         if target != held.target() {
             held.last = None;
-            held.off = target.is_none().then(|| "it was switched off".to_owned());
+            held.off = match target {
+                Some(_) => None,
+                None => Some("it was switched off".to_owned()),
+            };
             held.controller = controller;
         }
         held.source = source;
@@ -165,7 +175,10 @@ impl NodeTarget {
     /// Why no target is held, if the policy allows none.
     pub(crate) fn not_under_this_policy(&self) -> Option<String> {
         let held = self.held.lock();
-        held.off.clone().filter(|_| held.range.is_err())
+        match held.range {
+            Ok(_) => None,
+            Err(_) => held.off.clone(),
+        }
     }
 
     /// True if a target is held.
@@ -207,9 +220,11 @@ fn range(
     ranged: Option<&'static str>,
     policy: &NodePolicy,
 ) -> Result<ThresholdRange, TargetError> {
-    let is_ranged = policy.spec.map(|spec| spec.name) == ranged;
-    let least = config.least.filter(|_| is_ranged);
-    let most = config.most.filter(|_| is_ranged);
+    let (least, most) = if policy.spec.map(|spec| spec.name) == ranged {
+        (config.least, config.most)
+    } else {
+        (None, None)
+    };
     ThresholdRange::of(policy.name, policy.spec.as_ref(), least, most)
 }
 

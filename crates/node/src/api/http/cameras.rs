@@ -71,24 +71,23 @@ pub(super) struct Cameras {
 }
 
 fn entry(board: &Board, camera: &CameraBoard) -> CameraEntry {
-    let faults = board.readiness.health().faults;
-    let fault = faults
-        .into_iter()
-        .filter(|fault| fault.part == CAMERAS)
-        .find(|fault| {
-            fault.subject.strip_suffix(PICTURES).unwrap_or(&fault.subject) == camera.name()
-        })
-        .map(|fault| fault.fault.reason);
+    let mut faults = board.readiness.health().faults.into_iter();
+    let of_camera = faults.find(|fault| {
+        let subject = fault.subject.strip_suffix(PICTURES).unwrap_or(&fault.subject);
+        fault.part == CAMERAS && subject == camera.name()
+    });
+    let fault = of_camera.map(|fault| fault.fault.reason);
     let source = camera.source.as_deref().map(str::to_owned);
     let snapshot = camera.snapshot();
     let unusable = snapshot.unusable();
-    let picture = snapshot
-        .latest
-        .as_ref()
-        .map(|latest| PictureSize::new(latest.width, latest.height));
+    let latest = snapshot.latest.as_ref();
+    let picture = latest.map(|latest| PictureSize::new(latest.width, latest.height));
     CameraEntry {
         states: states::of(camera, &snapshot),
-        key: source.is_none().then(|| camera.key.to_owned()),
+        key: match source {
+            Some(_) => None,
+            None => Some(camera.key.clone()),
+        },
         source,
         unusable: unusable.is_some(),
         fault: unusable.or(fault),

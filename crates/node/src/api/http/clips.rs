@@ -63,6 +63,9 @@ pub(super) async fn list(
     let mut clips = board.recent_clips(selection.camera.as_deref(), before, after, limit + 1);
     let more = clips.len() > limit;
     clips.truncate(limit);
-    let next = clips.last().map(|clip| clip.id).filter(|_| more);
+    let next = match clips.last() {
+        Some(last) if more => Some(last.id),
+        _ => None,
+    };
     Ok(Json(Clips { clips, next }))
 }

@@ -156,18 +156,16 @@ pub(super) struct SkipEstimates {
 /// The maximum number of values per request.
 const MOST_VALUES: usize = 64;
 
+/// Reads the values of a request.
 fn thresholds(text: &str) -> Result<Vec<f64>, Problem> {
-    let values: Result<Vec<f64>, _> = text.split(',').map(|value| value.trim().parse()).collect();
+    let parsed: Result<Vec<f64>, _> = text.split(',').map(|value| value.trim().parse()).collect();
     let is_positive = |value: &f64| *value > 0.0 && value.is_finite();
-    let values = values
-        .ok()
-        .filter(|values| values.len() <= MOST_VALUES && values.iter().all(is_positive));
-    values.ok_or_else(|| {
-        let most = MOST_VALUES;
-        bad_request(format!(
-            "`values` must be at most {most} numbers above 0, separated by commas"
-        ))
-    })
+    match parsed {
+        Ok(values) if values.len() <= MOST_VALUES && values.iter().all(is_positive) => Ok(values),
+        _ => Err(bad_request(format!(
+            "`values` must be at most {MOST_VALUES} numbers above 0, separated by commas"
+        ))),
+    }
 }
 
 /// The frames that other thresholds would have skipped over the last minutes

@@ -116,17 +116,17 @@ fn node(page: &mut MetricsPage, board: &Board) {
 
 /// The counts of the detector and of the empty-scene screen.
 fn detector(page: &mut MetricsPage, board: &Board) {
-    let (counts, screen) = board.worker_counts();
+    let counts = board.model_counts();
     let head = board.reading.get().map(|reading| reading.meter.read()).unwrap_or_default();
     page.counter(
         "albireo_detector_batches_total",
         "Completed runs of the model: fewer than completed pictures where cameras share a run",
-        counts.batches as f64,
+        counts.detector.batches as f64,
     );
     page.gauge(
         "albireo_detector_queue",
         "Pictures that wait for the detector",
-        counts.waiting as f64,
+        counts.detector.waiting as f64,
     );
     let dropped = [
         ("impossible", head.rejected),
@@ -141,8 +141,8 @@ fn detector(page: &mut MetricsPage, board: &Board) {
         dropped.map(|(reason, count)| ([("reason", reason)], count as f64)),
     );
     for (prefix, what, counts) in [
-        ("detector", "detector", &counts),
-        ("screen", "empty-scene screen", &screen),
+        ("detector", "detector", &counts.detector),
+        ("screen", "empty-scene screen", &counts.screen),
     ] {
         let runs = [
             ("completed", counts.completed),
@@ -173,7 +173,7 @@ fn detector(page: &mut MetricsPage, board: &Board) {
 fn target(page: &mut MetricsPage, board: &Board) {
     let report = board.target.report();
     let target = report.target;
-    let state = report.state.filter(|_| target.is_some());
+    let state = if target.is_some() { report.state } else { None };
     let label = || target.iter().map(|target| [("target", target.name())]);
     page.gauges(
         "albireo_target",

@@ -162,7 +162,7 @@ fn input(found: &InputUse) -> DetectorInput {
 #[utoipa::path(get, operation_id = "node_overview", path = "/api/v1/node", tag = "health", responses((status = 200, body = NodeOverview)))]
 pub(super) async fn overview(State(shared): State<RouteState>) -> Json<NodeOverview> {
     let board = &shared.board;
-    let (since_start, today) = board.savings();
+    let savings = board.savings();
     Json(NodeOverview {
         version: env!("CARGO_PKG_VERSION"),
         uptime_s: seconds(board.uptime()),
@@ -180,8 +180,8 @@ pub(super) async fn overview(State(shared): State<RouteState>) -> Json<NodeOverv
         certificates: board.certificates.status(),
         position: board.positions.status(),
         power_source: board.power().source,
-        since_start,
-        today,
+        since_start: savings.since_start,
+        today: savings.today,
         since_switch: board.savings_of_policy(),
     })
 }

@@ -77,8 +77,9 @@ pub(super) async fn jpeg(
         // Decodes one picture at a time, and finishes even if the request is gone: the next request can use the picture.
         let turn = Arc::clone(&shared.decoding).lock_owned().await;
         let frame = board.input.latest_frame().ok_or_else(none)?;
-        let (picture, decoded, limits) =
-            (Arc::clone(&frame), shared.decoded.clone(), shared.limits);
+        let picture = Arc::clone(&frame);
+        let decoded = Arc::clone(&shared.decoded);
+        let limits = shared.limits;
         let making = tokio::task::spawn_blocking(move || {
             let _turn = turn;
             if !picture.is_made() {

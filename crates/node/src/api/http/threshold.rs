@@ -74,10 +74,14 @@ fn of(shared: &RouteState, camera: &CameraBoard) -> CameraThreshold {
 
 fn thresholds(shared: &RouteState) -> Thresholds {
     let cameras: Vec<_> = shared.board.cameras.iter().map(|camera| of(shared, camera)).collect();
-    let first = cameras.first().map(|camera| camera.value.clone());
-    let same = first.filter(|first| cameras.iter().all(|camera| camera.value == *first));
+    let value = match cameras.first() {
+        Some(first) if cameras.iter().all(|camera| camera.value == first.value) => {
+            first.value.clone()
+        }
+        _ => NamedValue::new(),
+    };
     Thresholds {
-        value: same.unwrap_or_default(),
+        value,
         survives_restart: shared.settings.survive_restart(),
         cameras,
     }

@@ -137,15 +137,17 @@ impl Clip {
 fn new_id() -> Uuid {
     let now_ns = unix_nanoseconds();
     let seconds = now_ns / 1_000_000_000;
-    let nanoseconds = now_ns % 1_000_000_000;
-    let nanoseconds = u32::try_from(nanoseconds).unwrap_or(0);
+    let nanoseconds = u32::try_from(now_ns % 1_000_000_000).unwrap_or(0);
     Uuid::new_v7(Timestamp::from_unix(NoContext, seconds, nanoseconds))
 }
 
 /// Energy-delay product, J·ms/frame: energy × duration ÷ frames (paper, evaluation). `None` without frames, or if
 /// samples do not cover the whole clip: the energy would be that of a part of the time.
 fn energy_delay_product(energy: &ClipEnergy, duration: Duration, frames: u64) -> Option<f64> {
-    let joules = energy.whole_joules().filter(|_| frames > 0)?;
+    if frames == 0 {
+        return None;
+    }
+    let joules = energy.whole_joules()?;
     Some(joules * duration.as_secs_f64() * 1e3 / frames as f64)
 }
 

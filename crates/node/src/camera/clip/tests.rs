@@ -81,7 +81,9 @@ impl Camera {
             let [start, end] = times.map(|time| time.as_millis());
             let report = closed.report;
             assert_eq!(report.frames, report.states.frames());
-            let (clip, part, frames) = (report.clip, report.part, report.frames);
+            let clip = report.clip;
+            let part = report.part;
+            let frames = report.frames;
             let by = report.ended_by;
             format!("{clip}/{part}: {frames} frames, {start} to {end} ms, {by:?}")
         });
@@ -284,7 +286,9 @@ proptest! {
     fn no_frame_is_lost_between_clips_and_no_time_is_counted_twice(events in events()) {
         let mut camera = Camera::with(LONGEST_50_S);
         let mut closed: Vec<Clip> = Vec::new();
-        let (mut now, mut frames, mut dropped) = (0, 0, 0);
+        let mut now = 0;
+        let mut frames = 0;
+        let mut dropped = 0;
         for event in events {
             match event {
                 Event::Frame { wait, clip } => {

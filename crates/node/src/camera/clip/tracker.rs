@@ -212,18 +212,24 @@ impl ClipTracker {
     /// frame is being processed.
     pub(crate) fn switch(&mut self, policy: &'static str, arrival: Instant) -> Option<Clip> {
         self.policy = policy;
-        self.tick(arrival).or_else(|| {
-            let end = arrival.max(self.open.as_ref()?.last_arrival);
-            self.close(ClipEnd::Policy, end)
-        })
+        if let Some(closed) = self.tick(arrival) {
+            return Some(closed);
+        }
+        let end = arrival.max(self.open.as_ref()?.last_arrival);
+        self.close(ClipEnd::Policy, end)
     }
 
+    /// Ends the open clip if it is over when a frame of `clip` arrives, or if the frame belongs to another clip.
     fn close_before(&mut self, clip: Option<&str>, arrival: Instant) -> Option<Clip> {
         if let Some(closed) = self.tick(arrival) {
             return Some(closed);
         }
         let open = self.open.as_ref()?;
-        if open.windowed == clip.is_none() && clip.is_none_or(|clip| clip == &*open.name) {
+        let is_same_clip = match clip {
+            Some(clip) => !open.windowed && clip == &*open.name,
+            None => open.windowed,
+        };
+        if is_same_clip {
             return None;
         }
         let end = arrival.max(open.last_arrival);
@@ -234,16 +240,24 @@ impl ClipTracker {
         let windowed = clip.is_none();
         // A full clip continues if frames keep coming, and its successor must not be over before the frame arrived.
         let longest = self.silence.min(self.limit(windowed));
-        let full = self.full.take().filter(|full| {
-            full.named.as_deref() == clip && arrival.saturating_duration_since(full.end) < longest
-        });
-        let start = full.as_ref().map_or(arrival, |full| full.end);
-        let part = match full {
-            Some(full) if !windowed => full.part.saturating_add(1),
-            _ => 0,
+        let mut start = arrival;
+        let mut part = 0;
+        if let Some(full) = self.full.take()
+            && full.named.as_deref() == clip
+            && arrival.saturating_duration_since(full.end) < longest
+        {
+            start = full.end;
+            if !windowed {
+                part = full.part.saturating_add(1);
+            }
+        }
+        let name = match clip {
+            Some(clip) => clip.to_owned(),
+            None => {
+                self.windows += 1;
+                format!("window-{}", self.windows - 1)
+            }
         };
-        let name = clip.map_or_else(|| format!("window-{}", self.windows), str::to_owned);
-        self.windows += u64::from(windowed);
         let arrival = arrival.max(start);
         let energy = self.energy.measure(start);
         energy.until(arrival);
@@ -276,15 +290,18 @@ impl ClipTracker {
         let mut open = self.open.take()?;
         open.report.ended_by = ended_by;
         open.end = end;
-        let full = matches!(
-            ended_by,
-            ClipEnd::Window | ClipEnd::Length | ClipEnd::Policy
-        );
-        self.full = full.then_some(FullClip {
-            named: (!open.windowed).then(|| Arc::clone(&open.name)),
-            part: open.report.part,
-            end,
-        });
+        self.full = match ended_by {
+            ClipEnd::Window | ClipEnd::Length | ClipEnd::Policy => Some(FullClip {
+                named: if open.windowed {
+                    None
+                } else {
+                    Some(Arc::clone(&open.name))
+                },
+                part: open.report.part,
+                end,
+            }),
+            _ => None,
+        };
         if open.pending {
             self.ended = Some(open);
             return None;

@@ -135,11 +135,13 @@ impl Travel {
         }
     }
 
+    /// Lengthens the way to a place.
     fn go_to(&mut self, place: Waypoint) {
         self.distance_m += self.end.distance_m(&place);
         self.go_on_at(place);
     }
 
+    /// Continues the way at a place, without the distance to it.
     fn go_on_at(&mut self, place: Waypoint) {
         self.end = place;
         self.track.push(place.point());
@@ -200,7 +202,8 @@ fn corner_m2(points: &[[f64; 2]]) -> f64 {
         let east = (points[to][0] - points[0][0]) * width;
         [east * degree_m, (points[to][1] - points[0][1]) * degree_m]
     };
-    let (first, second) = (side(1), side(2));
+    let first = side(1);
+    let second = side(2);
     (first[0] * second[1] - second[0] * first[1]).abs() / 2.0
 }
 

@@ -25,7 +25,8 @@ async fn decoded_pictures_of_all_cameras_share_the_same_buffers() {
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
 async fn a_wait_for_a_place_ends_when_the_node_stops() {
-    let (picture, detector) = (picture(0), detector().await);
+    let picture = picture(0);
+    let detector = detector().await;
     let mut evidence = live_evidence(&detector, &pixels(&detector));
     let give_up = evidence.give_up.clone();
     let mut held = Vec::new();
@@ -43,7 +44,8 @@ async fn a_wait_for_a_place_ends_when_the_node_stops() {
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
 async fn a_frame_is_charged_its_share_of_a_run_and_no_decoding_for_an_unavailable_detector() {
-    let (picture, detector) = (picture(0), detector().await);
+    let picture = picture(0);
+    let detector = detector().await;
     let mut evidence = live_evidence(&detector, &pixels(&detector));
     let detected = evidence.detect(&picture).await;
     let took = detected.unwrap().unwrap().took;

@@ -43,7 +43,8 @@ struct Bench {
 
 impl Bench {
     fn new() -> Self {
-        let (folder, time) = (folder(), Timeline::new(0, false));
+        let folder = folder();
+        let time = Timeline::new(0, false);
         let mut hub = Hub::new(folder.path());
         hub.switch_on(0, time.now(0));
         let mut bench = Self {
@@ -86,7 +87,8 @@ impl Bench {
     fn send(&mut self, fate: Fate) {
         // Longer than any pause after a failure.
         self.time.now_ms += HOUR;
-        let (question, now) = (self.time.number(), self.now());
+        let question = self.time.number();
+        let now = self.now();
         let Some((Some(batch), _)) = self.node.poll(question, now) else {
             return;
         };

@@ -170,12 +170,14 @@ impl Settings {
             Event::Set => self.set_one(),
             Event::Rollout => self.rollout(),
             Event::Command => {
-                let (command, which) = (self.time.one_of(&Command::ALL), self.time.random());
+                let command = self.time.one_of(&Command::ALL);
+                let which = self.time.random();
                 self.hub.command(which, command, self.time.now(0));
                 self.notices();
             }
             Event::PrepareTrial => {
-                let (all, off) = (self.all(), DesiredSetting::Target(None));
+                let all = self.all();
+                let off = DesiredSetting::Target(None);
                 self.hub.set(&all, off, self.time.now(0));
                 self.notices();
                 self.time.after(60 * SECOND, Event::Trial);
@@ -195,14 +197,16 @@ impl Settings {
 
     fn node_on(&mut self, at: usize) {
         if !self.nodes[at].is_on() {
-            let (now, random) = (self.time.now(0), self.time.random());
+            let now = self.time.now(0);
+            let random = self.time.random();
             self.nodes[at].switch_on(now, random);
             self.time.after(0, Event::Poll(at));
         }
     }
 
     fn poll(&mut self, at: usize) {
-        let (now, question) = (self.time.now(0), self.time.number());
+        let now = self.time.now(0);
+        let question = self.time.number();
         let Some((status, pulls)) = self.nodes[at].poll(question, now) else {
             return;
         };
@@ -219,7 +223,8 @@ impl Settings {
     }
 
     fn pulled(&mut self, at: usize, question: u64, answer: Option<&[u8]>) {
-        let (now, before) = (self.time.now(0), self.nodes[at].state());
+        let now = self.time.now(0);
+        let before = self.nodes[at].state();
         let Some(taken) = self.nodes[at].conclude(question, answer, now) else {
             return;
         };
@@ -287,17 +292,21 @@ impl Settings {
     }
 
     fn set_one(&mut self) {
-        let (names, setting) = (self.some(), self.setting());
+        let names = self.some();
+        let setting = self.setting();
         self.time.note(&format!("{setting:?} for {names:?}"));
         self.hub.set(&names, setting, self.time.now(0));
         self.notices();
     }
 
     fn rollout(&mut self) {
-        let (names, value, seed) = (self.some(), self.value(), self.time.random());
+        let names = self.some();
+        let value = self.value();
+        let seed = self.time.random();
         let [soak_s, patience_s, apply_within_s, held_for_s] =
             [(); 4].map(|()| self.time.between(10, 300) as f64);
-        let (holds, passes) = (self.time.chance(300), self.time.chance(500));
+        let holds = self.time.chance(300);
+        let passes = self.time.chance(500);
         let mut gates = Gate::defaults();
         // Nothing is measured, so only rollouts that need no measurement pass.
         gates.retain(|gate| !passes || gate.where_measured);
@@ -383,8 +392,10 @@ impl Settings {
             }
             "hub is killed" => self.hub_crash(SECOND),
             "hub is killed at a commit" => {
-                let (cut, event) = (self.time.random(), self.time.below(4));
-                let (names, setting) = (self.some(), self.setting());
+                let cut = self.time.random();
+                let event = self.time.below(4);
+                let names = self.some();
+                let setting = self.setting();
                 let command = self.time.one_of(&Command::ALL);
                 let now = self.time.now(0);
                 let before = self.hub.file.read();
@@ -445,7 +456,8 @@ impl Settings {
             let Some(desired) = self.hub.desired(&node.name) else {
                 continue;
             };
-            let (revision, setting) = (node.revision(), desired.setting);
+            let revision = node.revision();
+            let setting = desired.setting;
             // What the hub forgot with its database may be in force; a setting given since must not be skipped.
             let is_newer = revision > desired.revision;
             let is_forgotten = is_newer && desired.at_ms <= self.restored_ms;

@@ -212,7 +212,8 @@ impl World {
 
     fn node_on(&mut self, at: usize) {
         if !self.nodes[at].is_on() {
-            let (now, random) = (self.now_at(at), self.time.random());
+            let now = self.now_at(at);
+            let random = self.time.random();
             self.nodes[at].switch_on(now, random);
             self.note_counts(at);
             self.poll(at);
@@ -236,7 +237,8 @@ impl World {
 
     fn make(&mut self, at: usize) {
         if self.nodes[at].is_on() {
-            let (now, random) = (self.now_at(at), self.time.random());
+            let now = self.now_at(at);
+            let random = self.time.random();
             let number = self.reports;
             self.reports += 1;
             self.time.note(&format!("node {at} makes report {number}"));
@@ -246,7 +248,8 @@ impl World {
     }
 
     fn poll(&mut self, at: usize) {
-        let (question, now) = (self.time.number(), self.now_at(at));
+        let question = self.time.number();
+        let now = self.now_at(at);
         let Some((batch, pause)) = self.nodes[at].poll(question, now) else {
             return;
         };
@@ -256,7 +259,8 @@ impl World {
             self.time.after(10 * SECOND, Event::Reply((at, question), unanswered));
         }
         let pause = (pause.as_millis() as i64).max(1);
-        let (at_ms, looks_at_ms) = (self.time.now_ms + pause, &mut self.nodes[at].looks_at_ms);
+        let at_ms = self.time.now_ms + pause;
+        let looks_at_ms = &mut self.nodes[at].looks_at_ms;
         if looks_at_ms.is_none_or(|looks_at_ms| at_ms < looks_at_ms) {
             *looks_at_ms = Some(at_ms);
             self.time.after(pause, Event::Poll(at));

@@ -135,6 +135,7 @@ impl Schedule {
     /// True if the waiting reports are worth a batch; a single one is while somebody watches the node (`watched`).
     fn is_due(&mut self, waiting: u64, watched: bool, now: Instant) -> bool {
         if waiting == 0 {
+            // What was due has gone; the next report may wait again.
             self.due_at.take_if(|at| *at > now);
             return false;
         }
@@ -192,12 +193,18 @@ impl Schedule {
     pub(crate) fn trouble(&self, connected: bool, now: Instant) -> Option<Trouble> {
         let waited = now.saturating_duration_since(self.owed_since?);
         let offline = self.patience.max(self.offline);
-        let (patience, trouble) = match &self.refused {
-            Some(why) if connected => (self.patience, Trouble::Refused(why.clone())),
-            _ if connected => (offline, Trouble::Unanswered),
-            _ => (offline, Trouble::NoHub),
-        };
-        (waited >= patience).then_some(trouble)
+        if connected && let Some(why) = &self.refused {
+            let is_trouble = waited >= self.patience;
+            return is_trouble.then(|| Trouble::Refused(why.clone()));
+        }
+        if waited < offline {
+            return None;
+        }
+        Some(if connected {
+            Trouble::Unanswered
+        } else {
+            Trouble::NoHub
+        })
     }
 
     /// The time for which it is normal to reach no hub.
@@ -236,14 +243,19 @@ impl Schedule {
 
     /// The time of the next check: `latest`, or the end of a pause if that is earlier.
     pub(crate) fn next_due(&self, latest: Instant, now: Instant) -> Instant {
-        let times = [
+        let next_pull = if self.pull_wanted {
+            self.pulls.not_before
+        } else {
+            None
+        };
+        let ends = [
             self.reports.not_before,
-            self.pulls.not_before.filter(|_| self.pull_wanted),
+            next_pull,
             self.again_at,
             self.due_at,
         ];
-        let ahead = times.into_iter().flatten().filter(|at| *at > now);
-        ahead.min().map_or(latest, |at| at.min(latest))
+        let ahead = ends.into_iter().flatten().filter(|at| *at > now);
+        ahead.fold(latest, Instant::min)
     }
 }
 
@@ -388,7 +400,8 @@ mod tests {
         assert_eq!(bench.batch(0, 0), None);
         assert_eq!(trouble(&bench, false, 3_600_000), None, "nothing waits");
         // No hub: there is no attempt.
-        let (mut counts, now) = (OutboxCounts::default(), bench.at(10_000));
+        let mut counts = OutboxCounts::default();
+        let now = bench.at(10_000);
         counts.status.waiting = GATHERED;
         assert_eq!(bench.schedule.next_batch(&counts, false, false, now), None);
         assert_eq!(trouble(&bench, false, 39_999), None);
@@ -431,7 +444,8 @@ mod tests {
             assert_eq!(at(12 * 3600 - 1), None);
             assert!(at(12 * 3600).is_some());
         }
-        let (at_least, why) = (Duration::ZERO, "busy".to_owned());
+        let at_least = Duration::ZERO;
+        let why = "busy".to_owned();
         bench.ended(Err(Failure::Refused { at_least, why }), 31_000);
         assert!(bench.schedule.trouble(true, bench.at(31_000)).is_some());
     }

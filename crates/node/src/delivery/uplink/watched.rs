@@ -63,9 +63,9 @@ impl Watched {
             self.pictures.clear();
             return Ok(());
         }
-        let early = |at: Instant| now.duration_since(at) < PERIOD;
+        let is_early = self.counted_at.is_some_and(|at| now.duration_since(at) < PERIOD);
         // The local session publishes counters anyway.
-        let counts = setup.local.is_none() && !self.counted_at.is_some_and(early);
+        let counts = setup.local.is_none() && !is_early;
         let declares = self.pictures.is_empty();
         let places = Arc::new(Semaphore::new(MOST_PICTURES));
         for camera in &setup.board.cameras {
@@ -109,6 +109,9 @@ impl Watched {
 
 /// Answers a picture query. Encodes the picture: call it outside async workers.
 fn answer(camera: &CameraBoard, query: &Query, setup: &UplinkSetup) {
+    if !setup.uplink.pictures {
+        return note(camera, query.reply_err(REFUSED).wait());
+    }
     let limits = &setup.limits;
     let found = if query.parameters().get("boxes") == Some("true") {
         let frame = camera.answered().borrow().clone();
@@ -118,7 +121,6 @@ fn answer(camera: &CameraBoard, query: &Query, setup: &UplinkSetup) {
         frame.map(|frame| (frame.seq, frame.jpeg(limits)))
     };
     let answered = match found {
-        _ if !setup.uplink.pictures => query.reply_err(REFUSED).wait(),
         None => query.reply_err("no frame has arrived yet").wait(),
         Some((seq, Ok(file))) => query
             .reply(query.key_expr().clone(), file.to_vec())
@@ -127,7 +129,12 @@ fn answer(camera: &CameraBoard, query: &Query, setup: &UplinkSetup) {
             .wait(),
         Some((_, Err(reason))) => query.reply_err(reason).wait(),
     };
-    if let Err(error) = answered {
+    note(camera, answered);
+}
+
+/// Logs that an answer could not be sent.
+fn note(camera: &CameraBoard, sent: zenoh::Result<()>) {
+    if let Err(error) = sent {
         tracing::debug!(camera = camera.name(), %error, "a picture was not sent");
     }
 }

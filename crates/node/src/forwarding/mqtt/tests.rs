@@ -273,7 +273,8 @@ async fn a_broker_with_an_unknown_certificate_is_refused_and_one_with_a_known_on
     let folder = broker.folder.path().to_owned();
     certificate(&folder);
     let file = |name: &str| folder.join(name).display().to_string();
-    let (cert, key) = (file("cert.pem"), file("key.pem"));
+    let cert = file("cert.pem");
+    let key = file("key.pem");
     let settings = format!("allow_anonymous true\ncertfile {cert}\nkeyfile {key}");
     broker.start(&settings).await;
     // Another authority than the broker's.

@@ -88,7 +88,8 @@ impl Killed {
 
 #[test]
 fn one_flipped_bit_changes_nothing_or_is_told() {
-    let (killed, folder) = (Killed::new(), folder());
+    let killed = Killed::new();
+    let folder = folder();
     let threads = thread::available_parallelism().map_or(1, |many| many.get().min(8)) as u64;
     let run = &|first| {
         let seeds = (first..FLIPS).step_by(threads as usize);

@@ -95,8 +95,12 @@ impl CameraSnapshot {
     /// The fault of the camera's frames, if the last of them were all unusable.
     pub fn unusable(&self) -> Option<String> {
         let Unusable { frames, fault } = &self.unusable;
-        (*frames >= UNUSABLE_IN_A_ROW)
-            .then(|| format!("its last {frames} frames could not be used: {fault}"))
+        if *frames < UNUSABLE_IN_A_ROW {
+            return None;
+        }
+        Some(format!(
+            "its last {frames} frames could not be used: {fault}"
+        ))
     }
 
     /// What is wrong with the flow of its frames.
@@ -402,7 +406,11 @@ impl CameraBoard {
     pub(super) fn count_clip(&self, joules: Option<f64>) {
         let shown = &mut self.counts.lock().shown;
         shown.clips += 1;
-        shown.clip_joules += joules.filter(|joules| *joules > 0.0).unwrap_or_default();
+        if let Some(joules) = joules
+            && joules > 0.0
+        {
+            shown.clip_joules += joules;
+        }
     }
 
     /// The camera's state.

@@ -46,9 +46,10 @@ impl Flow {
         while self.samples.get(1).is_some_and(|second| at - second.at >= SPAN) {
             self.samples.pop_front();
         }
-        let (Some(rate), true) = (self.rate(), self.is_full()) else {
+        if !self.is_full() {
             return;
-        };
+        }
+        let Some(rate) = self.rate() else { return };
         let usual = *self.usual.get_or_insert(rate);
         if rate >= usual / 2.0 {
             self.low_since = None;
@@ -61,12 +62,17 @@ impl Flow {
 
     /// The frames per second that come; `None` until there are two samples.
     pub(super) fn rate(&self) -> Option<f64> {
-        let (first, last) = (self.samples.front()?, self.samples.back()?);
+        let first = self.samples.front()?;
+        let last = self.samples.back()?;
         let seconds = (last.at - first.at).as_secs_f64();
+        if seconds == 0.0 {
+            return None;
+        }
         let frames = last.arrived.frames - first.arrived.frames;
-        (seconds > 0.0).then(|| frames as f64 / seconds)
+        Some(frames as f64 / seconds)
     }
 
+    /// True once the samples cover [`SPAN`].
     fn is_full(&self) -> bool {
         let ends = self.samples.front().zip(self.samples.back());
         ends.is_some_and(|(first, last)| last.at - first.at >= SPAN)
@@ -74,47 +80,74 @@ impl Flow {
 
     /// What is wrong with the frames of the last ten seconds. `complaint` is the last one of the decoder.
     pub(super) fn fault(&self, complaint: Option<&str>) -> Option<String> {
-        let (first, last) = (self.samples.front()?, self.samples.back()?);
         if !self.is_full() {
             return None;
         }
+        let broken = self.broken(complaint);
+        broken.or_else(|| self.slow()).or_else(|| self.dropping())
+    }
+
+    /// Says that more than half of the frames are broken.
+    fn broken(&self, complaint: Option<&str>) -> Option<String> {
+        let first = self.samples.front()?;
+        let last = self.samples.back()?;
         let came = last.arrived.frames - first.arrived.frames;
         let broken = last.arrived.broken - first.arrived.broken;
-        if broken * 2 > came {
-            let complaint = complaint.unwrap_or("they cannot be decoded");
-            return Some(format!(
-                "its pictures are broken: {broken} of {came} in the last 10 s ({complaint}); check its network"
-            ));
+        if broken * 2 <= came {
+            return None;
         }
-        self.slow().or_else(|| {
-            let before = first.dropped.by_kind();
-            let dropped = last.dropped.by_kind().into_iter().zip(before)
-                .map(|((kind, now), (_, before))| (kind, now - before));
-            let (kind, most) = dropped.clone().max_by_key(|(_, frames)| *frames)?;
-            let all: u64 = dropped.map(|(_, frames)| frames).sum();
-            let came = came.max(all);
-            (all > FEW && all * 2 > came).then(|| {
-                format!(
-                    "most of its frames are dropped: {all} of {came} in the last 10 s, {most} of them {kind}{}",
-                    remedy(kind)
-                )
-            })
-        })
+        let complaint = complaint.unwrap_or("they cannot be decoded");
+        Some(format!(
+            "its pictures are broken: {broken} of {came} in the last 10 s ({complaint}); check its network"
+        ))
+    }
+
+    /// Says that more than half of the frames are dropped, and which kind of drop is the most frequent.
+    fn dropping(&self) -> Option<String> {
+        let first = self.samples.front()?;
+        let last = self.samples.back()?;
+        let mut all = 0;
+        let mut most = 0;
+        let mut most_frequent = "";
+        let both = last.dropped.by_kind().into_iter().zip(first.dropped.by_kind());
+        for ((kind, now), (_, before)) in both {
+            let dropped = now - before;
+            all += dropped;
+            if dropped >= most {
+                most = dropped;
+                most_frequent = kind;
+            }
+        }
+        let arrived = last.arrived.frames - first.arrived.frames;
+        let came = arrived.max(all);
+        if all <= FEW || all * 2 <= came {
+            return None;
+        }
+        Some(format!(
+            "most of its frames are dropped: {all} of {came} in the last 10 s, {most} of them {most_frequent}{}",
+            remedy(most_frequent)
+        ))
     }
 
     /// Says that frames come at less than half of the usual rate, in both halves of the time: a stream that begins or
     /// ends is not slow.
     fn slow(&self) -> Option<String> {
-        let (rate, usual) = (self.rate()?, self.usual?);
-        let (first, last) = (self.samples.front()?, self.samples.back()?);
+        let rate = self.rate()?;
+        let usual = self.usual?;
+        let first = self.samples.front()?;
+        let last = self.samples.back()?;
         let middle = self.samples.get(self.samples.len() / 2)?;
         let is_slow = |from: &Sample, to: &Sample| {
             let frames = to.arrived.frames - from.arrived.frames;
             let usually = usual * (to.at - from.at).as_secs_f64();
             frames > 0 && (frames as f64) < usually / 2.0
         };
-        (is_slow(first, middle) && is_slow(middle, last))
-            .then(|| format!("{rate:.1} frames per second come; {usual:.1} came before"))
+        if !is_slow(first, middle) || !is_slow(middle, last) {
+            return None;
+        }
+        Some(format!(
+            "{rate:.1} frames per second come; {usual:.1} came before"
+        ))
     }
 }
 

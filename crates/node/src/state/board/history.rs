@@ -95,16 +95,20 @@ impl Clock {
 /// The last hour in pieces.
 #[derive(Debug)]
 struct Hour<T> {
+    /// The ended pieces, each with its number, counted from the node's start.
     ended: VecDeque<(u64, T)>,
-    /// The open piece, and its number, counted from the node's start.
-    open: (u64, T),
+    /// The open piece.
+    open: T,
+    /// Its number.
+    open_slot: u64,
 }
 
 impl<T: Default> Default for Hour<T> {
     fn default() -> Self {
         Self {
             ended: VecDeque::with_capacity(SLOTS),
-            open: Default::default(),
+            open: T::default(),
+            open_slot: 0,
         }
     }
 }
@@ -113,28 +117,32 @@ impl<T: Clone + Default> Hour<T> {
     /// If the open piece is over at `at` after the node's start, opens the next and returns the ended one.
     fn turn(&mut self, at: Duration) -> Option<&mut T> {
         let slot = at.as_secs() / SLOT_S;
-        if slot == self.open.0 {
+        if slot == self.open_slot {
             return None;
         }
         if self.ended.len() == SLOTS {
             self.ended.pop_front();
         }
-        let ended = std::mem::replace(&mut self.open, (slot, T::default()));
-        self.ended.push_back(ended);
+        let ended = std::mem::take(&mut self.open);
+        self.ended.push_back((self.open_slot, ended));
+        self.open_slot = slot;
         self.ended.back_mut().map(|(_, piece)| piece)
     }
 
     /// The pieces of the last hour with their starts, oldest first, the open one last.
     fn read(&self, now: &Clock) -> Vec<(i64, T)> {
         let oldest = (now.age.as_secs() / SLOT_S).saturating_sub(SLOTS as u64 - 1);
-        let pieces = self.ended.iter().chain([&self.open]);
-        let recent = pieces.filter(|(slot, _)| *slot >= oldest);
-        recent
-            .map(|(slot, piece)| {
-                let before_ms = now.before_now_ms(slot * SLOT_S * 1000);
-                (now.now_ms - before_ms as i64, piece.clone())
-            })
-            .collect()
+        let started_ms = |slot: u64| now.now_ms - now.before_now_ms(slot * SLOT_S * 1000) as i64;
+        let mut pieces = Vec::with_capacity(SLOTS);
+        for (slot, piece) in &self.ended {
+            if *slot >= oldest {
+                pieces.push((started_ms(*slot), piece.clone()));
+            }
+        }
+        if self.open_slot >= oldest {
+            pieces.push((started_ms(self.open_slot), self.open.clone()));
+        }
+        pieces
     }
 }
 
@@ -204,13 +212,14 @@ impl History {
             ended.set_percentiles(&self.times);
             self.times.clear();
         }
-        let open = &mut self.hour.open.1;
+        let open = &mut self.hour.open;
         open.frames += 1;
         open.skipped += u32::from(frame.state.is_skipped() && !frame.degraded);
         open.degraded += u32::from(frame.degraded);
         open.calls += u32::from(frame.cause.is_some());
-        let time = frame.latency_ms.detector;
-        if let Some(time) = time.filter(|_| self.times.len() < TIMES) {
+        if let Some(time) = frame.latency_ms.detector
+            && self.times.len() < TIMES
+        {
             self.times.push(time as f32);
         }
     }
@@ -280,7 +289,7 @@ impl PowerPast {
             let (joules, seconds) = piece.energy(domain)?;
             Some((domain.clone(), (joules / seconds) as f32))
         });
-        self.hour.open.1 = PowerPiece {
+        self.hour.open = PowerPiece {
             at_ms: 0,
             quality: self.worst.unwrap_or_default(),
             watts: watts.collect(),

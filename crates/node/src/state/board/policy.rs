@@ -129,9 +129,12 @@ impl CameraBoard {
 
     /// The threshold that is configured for a policy. The camera's own value is for the configured policy's threshold.
     pub(super) fn configured_under(&self, policy: &NodePolicy) -> Option<f64> {
-        let own = self.own.zip(policy.spec);
-        let own = own.and_then(|(own, spec)| own.value_of(&spec).ok());
-        own.or(policy.threshold)
+        if let (Some(own), Some(spec)) = (self.own, policy.spec)
+            && let Ok(value) = own.value_of(&spec)
+        {
+            return Some(value);
+        }
+        policy.threshold
     }
 
     fn set_policy(&self, policy: &Arc<NodePolicy>) {

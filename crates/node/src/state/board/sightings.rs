@@ -103,26 +103,30 @@ impl ClassWatch {
                 });
             }
         }
-        let (appear, leave) = (self.appear, self.leave);
-        let turns = self.watched.iter_mut().filter_map(|watched| {
+        let mut turns = Vec::new();
+        for watched in &mut self.watched {
             let boxes = answer.boxes.iter().filter(|one| one.class == watched.class);
-            let confidences: Vec<_> = boxes.map(|one| one.confidence).collect();
-            let event = watched.frame(frame, !confidences.is_empty(), appear, leave)?;
-            let has_left = event == SightingEvent::Left;
-            Some(Turn {
+            let confidences: Vec<f32> = boxes.map(|one| one.confidence).collect();
+            let is_seen = !confidences.is_empty();
+            let Some(event) = watched.frame(frame, is_seen, self.appear, self.leave) else {
+                continue;
+            };
+            let (since_ns, stayed) = match event {
+                SightingEvent::Appeared => (watched.first.t_ns, None),
+                SightingEvent::Left => {
+                    let stayed = watched.last.at - watched.first.at;
+                    (watched.last.t_ns, Some(seconds(stayed)))
+                }
+            };
+            turns.push(Turn {
                 class: watched.class.clone(),
                 event,
-                since_ns: if has_left {
-                    watched.last.t_ns
-                } else {
-                    watched.first.t_ns
-                },
+                since_ns,
                 count: confidences.len() as u32,
                 confidence: confidences.into_iter().reduce(f32::max),
-                seconds: has_left.then(|| seconds(watched.last.at - watched.first.at)),
-            })
-        });
-        let turns = turns.collect();
+                seconds: stayed,
+            });
+        }
         self.watched.retain(|watched| watched.is_there || watched.turning.is_some());
         turns
     }

@@ -79,7 +79,10 @@ impl CameraBoard {
     /// same number.
     pub(crate) fn published_threshold(&self, picture: PictureSize) -> Option<f64> {
         let in_force = self.in_force.borrow();
-        let value = in_force.threshold.filter(|_| in_force.policy.has_sizeless_u())?;
+        if !in_force.policy.has_sizeless_u() {
+            return None;
+        }
+        let value = in_force.threshold?;
         let published = significant(published_threshold(value, picture), 3);
         (published != value).then_some(published)
     }

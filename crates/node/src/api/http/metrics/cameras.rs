@@ -9,18 +9,23 @@ use albireo_wire::{AuditRate, AuditReport};
 
 /// The metric families of the cameras.
 pub(super) fn cameras(page: &mut MetricsPage, board: &Board) {
-    let cameras: Vec<ShownCamera<'_>> = board
-        .cameras
-        .iter()
-        .map(|camera| (("camera", camera.name()), &**camera, camera.snapshot()))
-        .collect();
+    let shown = board.cameras.iter().map(|camera| ShownCamera {
+        label: ("camera", camera.name()),
+        board: camera,
+        snapshot: camera.snapshot(),
+    });
+    let cameras: Vec<ShownCamera<'_>> = shown.collect();
     frames(page, &cameras);
     newest(page, board, &cameras);
     audit(page, &cameras);
 }
 
-/// A camera's label, its part of the board, and its state.
-type ShownCamera<'a> = ((&'a str, &'a str), &'a CameraBoard, CameraSnapshot);
+/// A camera, as all metrics of one page show it.
+struct ShownCamera<'a> {
+    label: (&'static str, &'a str),
+    board: &'a CameraBoard,
+    snapshot: CameraSnapshot,
+}
 
 /// A counter of each camera: name, help and value.
 type CameraCounter = (&'static str, &'static str, fn(&CameraSnapshot) -> f64);
@@ -79,37 +84,37 @@ fn frames(page: &mut MetricsPage, cameras: &[ShownCamera<'_>]) {
     page.counters(
         "albireo_frames_total",
         "Frames processed, by frame state",
-        cameras.iter().flat_map(|(camera, _, snapshot)| {
+        cameras.iter().flat_map(|camera| {
             FrameState::ALL.map(|state| {
-                let labels = [*camera, ("state", state.as_str())];
-                (labels, snapshot.states.get(state) as f64)
+                let labels = [camera.label, ("state", state.as_str())];
+                (labels, camera.snapshot.states.get(state) as f64)
             })
         }),
     );
     page.counters(
         "albireo_detector_calls_total",
         "Frames for which the detector was called, by cause, whether or not it was available",
-        cameras.iter().flat_map(|(camera, _, snapshot)| {
+        cameras.iter().flat_map(|camera| {
             // A cause that the policy never has would stay a row of zeros.
-            let some = snapshot.calls.by_cause().filter(|(_, count)| *count > 0);
-            some.map(|(cause, count)| ([*camera, ("cause", cause.as_str())], count as f64))
+            let some = camera.snapshot.calls.by_cause().filter(|(_, count)| *count > 0);
+            some.map(|(cause, count)| ([camera.label, ("cause", cause.as_str())], count as f64))
         }),
     );
     page.counters(
         "albireo_frames_dropped_total",
         "Frames not processed, by kind",
-        cameras.iter().flat_map(|(camera, _, snapshot)| {
-            let dropped = snapshot.dropped.by_kind();
-            dropped.map(|(kind, count)| ([*camera, ("kind", kind)], count as f64))
+        cameras.iter().flat_map(|camera| {
+            let dropped = camera.snapshot.dropped.by_kind();
+            dropped.map(|(kind, count)| ([camera.label, ("kind", kind)], count as f64))
         }),
     );
     page.counters(
         "albireo_frames_passed_total",
         "Frames that a pause passed over, by cause: the road was empty, the picture has not changed, or is dark as well",
-        cameras.iter().flat_map(|(camera, _, snapshot)| {
-            let causes = PassCause::ALL.into_iter().zip(snapshot.passed);
+        cameras.iter().flat_map(|camera| {
+            let causes = PassCause::ALL.into_iter().zip(camera.snapshot.passed);
             let some = causes.filter(|(_, count)| *count > 0);
-            some.map(|(cause, count)| ([*camera, ("cause", cause.as_str())], count as f64))
+            some.map(|(cause, count)| ([camera.label, ("cause", cause.as_str())], count as f64))
         }),
     );
     for (name, help, value) in COUNTERS {
@@ -117,23 +122,21 @@ fn frames(page: &mut MetricsPage, cameras: &[ShownCamera<'_>]) {
         page.counters(
             name,
             help,
-            samples.map(|(camera, _, snapshot)| ([*camera], value(snapshot))),
+            samples.map(|camera| ([camera.label], value(&camera.snapshot))),
         );
     }
     page.histograms(
         "albireo_frame_latency_seconds",
         "Time from reception to publication of a frame, by frame state",
-        cameras.iter().flat_map(|(camera, _, snapshot)| {
-            let states = FrameState::ALL.into_iter().zip(&snapshot.total_latency);
-            states.map(|(state, times)| ([*camera, ("state", state.as_str())], *times))
+        cameras.iter().flat_map(|camera| {
+            let states = FrameState::ALL.into_iter().zip(&camera.snapshot.total_latency);
+            states.map(|(state, times)| ([camera.label, ("state", state.as_str())], *times))
         }),
     );
     page.histograms(
         "albireo_detector_latency_seconds",
         "Time the detector took, over the frames where it ran",
-        cameras
-            .iter()
-            .map(|(camera, _, snapshot)| ([*camera], snapshot.detector_latency)),
+        cameras.iter().map(|camera| ([camera.label], camera.snapshot.detector_latency)),
     );
 }
 
@@ -146,30 +149,33 @@ fn newest(page: &mut MetricsPage, board: &Board, cameras: &[ShownCamera<'_>]) {
     page.gauges(
         "albireo_camera_state",
         "Whether frames come from a camera: 1 for the state it is in (live, stale, never_seen, unusable), 0 for the others",
-        cameras.iter().flat_map(|(camera, _, snapshot)| {
-            let now = match snapshot.last_frame_age() {
-                _ if snapshot.unusable().is_some() => "unusable",
+        cameras.iter().flat_map(|camera| {
+            let now = match camera.snapshot.last_frame_age() {
+                _ if camera.snapshot.unusable().is_some() => "unusable",
                 None => "never_seen",
-                Some(_) if silent(camera.1) => "stale",
+                Some(_) if silent(camera.board.name()) => "stale",
                 Some(_) => "live",
             };
             ["live", "stale", "never_seen", "unusable"]
-                .map(|state| ([*camera, ("state", state)], flag(state == now)))
+                .map(|state| ([camera.label, ("state", state)], flag(state == now)))
         }),
     );
     page.gauges(
         "albireo_last_frame_age_seconds",
         "Time since the newest frame",
-        cameras.iter().filter_map(|(camera, _, snapshot)| {
-            Some(([*camera], snapshot.last_frame_age()?.as_secs_f64()))
+        cameras.iter().filter_map(|camera| {
+            Some((
+                [camera.label],
+                camera.snapshot.last_frame_age()?.as_secs_f64(),
+            ))
         }),
     );
     page.gauges(
         "albireo_camera_no_news_seconds",
         "Time for which a camera's picture has not changed, by cause (unchanged, dark); absent while it changes",
-        cameras.iter().filter_map(|(camera, board, _)| {
-            let now = board.no_news()?;
-            Some(([*camera, ("cause", now.cause.as_str())], now.for_s))
+        cameras.iter().filter_map(|camera| {
+            let now = camera.board.no_news()?;
+            Some(([camera.label, ("cause", now.cause.as_str())], now.for_s))
         }),
     );
     page.gauges(
@@ -177,21 +183,21 @@ fn newest(page: &mut MetricsPage, board: &Board, cameras: &[ShownCamera<'_>]) {
         "Frames per second that a camera sends, over the last 10 s",
         cameras
             .iter()
-            .filter_map(|(camera, _, snapshot)| Some(([*camera], snapshot.rate?))),
+            .filter_map(|camera| Some(([camera.label], camera.snapshot.rate?))),
     );
     page.gauges(
         "albireo_camera_max_rate",
         "Frames per second that the node takes at most, max_rate",
         cameras
             .iter()
-            .filter_map(|(camera, board, _)| Some(([*camera], board.max_rate?))),
+            .filter_map(|camera| Some(([camera.label], camera.board.max_rate?))),
     );
     page.counters(
         "albireo_boxes_total",
         "Boxes reported, by class and source (detected, predicted, followed, rescued)",
-        cameras.iter().flat_map(|(camera, _, snapshot)| {
-            snapshot.boxes.iter().map(|((class, source), count)| {
-                let labels = [*camera, ("class", &**class), ("source", *source)];
+        cameras.iter().flat_map(|camera| {
+            camera.snapshot.boxes.iter().map(|((class, source), count)| {
+                let labels = [camera.label, ("class", &**class), ("source", *source)];
                 (labels, *count as f64)
             })
         }),
@@ -199,19 +205,19 @@ fn newest(page: &mut MetricsPage, board: &Board, cameras: &[ShownCamera<'_>]) {
     page.gauges(
         "albireo_threshold",
         "Threshold in force, under the policy's name for it",
-        cameras.iter().filter_map(|(camera, board, _)| {
+        cameras.iter().filter_map(|camera| {
             Some((
-                [*camera, ("name", board.threshold_spec()?.name)],
-                board.threshold()?,
+                [camera.label, ("name", camera.board.threshold_spec()?.name)],
+                camera.board.threshold()?,
             ))
         }),
     );
     page.gauges(
         "albireo_tau_max",
         "Largest uncertainty of the newest frame; absent where it had no objects",
-        cameras.iter().filter_map(|(camera, _, snapshot)| {
-            Some(([*camera], snapshot.latest.as_ref()?.tau_max?))
-        }),
+        cameras
+            .iter()
+            .filter_map(|camera| Some(([camera.label], camera.snapshot.latest.as_ref()?.tau_max?))),
     );
 }
 
@@ -219,21 +225,21 @@ fn newest(page: &mut MetricsPage, board: &Board, cameras: &[ShownCamera<'_>]) {
 fn audit(page: &mut MetricsPage, cameras: &[ShownCamera<'_>]) {
     let audited = || {
         let on = cameras.iter();
-        on.filter_map(|(camera, _, snapshot)| Some((*camera, snapshot.audit.as_ref()?)))
+        on.filter_map(|camera| Some((camera.label, camera.snapshot.audit.as_ref()?)))
     };
     page.counters(
         "albireo_audit_frames_total",
         "Skipped frames drawn for the audit, by result: compared, or missed because the detector had no time",
-        audited().flat_map(|(camera, audit)| {
+        audited().flat_map(|(label, audit)| {
             [("compared", audit.sums.frames), ("missed", audit.sums.missed)]
-                .map(|(result, count)| ([camera, ("result", result)], count as f64))
+                .map(|(result, count)| ([label, ("result", result)], count as f64))
         }),
     );
     page.counters(
         "albireo_audit_boxes_total",
         "Boxes of audited frames by side (detected: the detector's; shown: the published ones) and by result: paired \
          with one of the other side, or unpaired. Compared with the detector, not with ground truth",
-        audited().flat_map(|(camera, AuditReport { sums, .. })| {
+        audited().flat_map(|(label, AuditReport { sums, .. })| {
             let results = [
                 ("detected", "paired", sums.paired),
                 ("detected", "unpaired", sums.detected.saturating_sub(sums.paired)),
@@ -241,30 +247,30 @@ fn audit(page: &mut MetricsPage, cameras: &[ShownCamera<'_>]) {
                 ("shown", "unpaired", sums.shown.saturating_sub(sums.paired)),
             ];
             results.map(|(side, result, count)| {
-                ([camera, ("side", side), ("result", result)], count as f64)
+                ([label, ("side", side), ("result", result)], count as f64)
             })
         }),
     );
-    let ends = |camera, rate: Option<AuditRate>| {
+    let ends = |label, rate: Option<AuditRate>| {
         rate.into_iter().flat_map(move |rate| {
             let ends = [("rate", rate.rate), ("low", rate.low), ("high", rate.high)];
-            ends.map(|(end, value)| ([camera, ("end", end)], value))
+            ends.map(|(end, value)| ([label, ("end", end)], value))
         })
     };
     let under_policy = || {
         let on = cameras.iter();
-        on.filter_map(|(camera, _, snapshot)| Some((*camera, snapshot.policy_audit.as_ref()?)))
+        on.filter_map(|camera| Some((camera.label, camera.snapshot.policy_audit.as_ref()?)))
     };
     page.gauges(
         "albireo_audit_recall",
         "Share of the detector's boxes on audited frames that had been shown, since the policy began, with the ends of its \
          interval at 95 %, missed frames included",
-        under_policy().flat_map(|(camera, audit)| ends(camera, audit.sums.recall())),
+        under_policy().flat_map(|(label, audit)| ends(label, audit.sums.recall())),
     );
     page.gauges(
         "albireo_audit_precision",
         "Share of the shown boxes on audited frames that the detector confirms, since the policy began, with the ends of its \
          interval at 95 %, missed frames included; low where a policy shows objects that the detector misses",
-        under_policy().flat_map(|(camera, audit)| ends(camera, audit.sums.precision())),
+        under_policy().flat_map(|(label, audit)| ends(label, audit.sums.precision())),
     );
 }

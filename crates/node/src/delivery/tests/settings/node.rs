@@ -162,7 +162,8 @@ impl Node {
 
     pub(super) fn shown(&self) -> String {
         let board = &self.started.as_ref().unwrap().parts.board;
-        let (target, values) = (board.target.report().target, thresholds(board));
+        let target = board.target.report().target;
+        let values = thresholds(board);
         format!("{target:?}, {values:?} by revision {}", self.revision())
     }
 }

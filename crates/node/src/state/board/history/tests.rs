@@ -75,7 +75,8 @@ fn at(seconds: u64) -> Clock {
 fn memory_is_allocated_once_and_the_oldest_entry_is_overwritten() {
     let mut history = History::default();
     let capacities = |history: &History| {
-        let (frames, slots) = (history.frames.capacity(), history.hour.ended.capacity());
+        let frames = history.frames.capacity();
+        let slots = history.hour.ended.capacity();
         (frames, slots, history.times.capacity())
     };
     let before = capacities(&history);
@@ -94,7 +95,8 @@ fn memory_is_allocated_once_and_the_oldest_entry_is_overwritten() {
     assert_eq!(history.frames(3).first().unwrap().seq, 18_397);
     let shown = history.slots(&at(7200));
     assert_eq!(shown.len(), SLOTS);
-    let (first, last) = (&shown[0], shown.last().unwrap());
+    let first = &shown[0];
+    let last = shown.last().unwrap();
     assert_eq!(first.at_ms, 3_600_000);
     assert_eq!((first.frames, first.calls, first.skipped), (20, 20, 0));
     assert_eq!(last.frames, 4000);
@@ -125,7 +127,9 @@ fn the_estimated_skip_rate_of_another_threshold_is_close_to_its_actual_one() {
     let truths: Vec<f64> = values.iter().map(|u| played(*u, 6000).1).collect();
     // The shares must differ, or there is nothing to estimate.
     assert!(truths[4] - truths[0] > 0.2, "{truths:?}");
-    let (mut worst, mut naive_worst, mut near) = (0.0_f64, 0.0_f64, 0.0_f64);
+    let mut worst = 0.0_f64;
+    let mut naive_worst = 0.0_f64;
+    let mut near = 0.0_f64;
     for (place, recorded) in values.into_iter().enumerate() {
         let past = played(recorded, 6000).0.frames(usize::MAX);
         let estimate = SkipEstimate::of(&past, longest, &values).unwrap();
@@ -142,7 +146,8 @@ fn the_estimated_skip_rate_of_another_threshold_is_close_to_its_actual_one() {
             });
             naive_worst = naive_worst.max((naive.count() as f64 / past.len() as f64 - truth).abs());
         }
-        let (really, same) = (estimate.skipped, estimate.values[place].skipped);
+        let really = estimate.skipped;
+        let same = estimate.values[place].skipped;
         let apart = really.abs_diff(same) as f64 / past.len() as f64;
         assert!(apart < 0.01, "at the value itself: {really} and {same}");
     }

@@ -134,7 +134,8 @@ async fn run(policy: &str, cameras: usize, rate: f64) -> (f64, PowerHandle, Vec<
     let (power, sampler) = start_with("fake", Box::new(plug), interval, stop.clone());
     let loops: Vec<_> = (0..cameras)
         .map(|camera| {
-            let (policy, detector) = (config.build().unwrap(), Arc::clone(&detector));
+            let policy = config.build().unwrap();
+            let detector = Arc::clone(&detector);
             tokio::spawn(play(camera, rate, policy, detector, power.clone()))
         })
         .collect();
@@ -153,7 +154,7 @@ async fn run(policy: &str, cameras: usize, rate: f64) -> (f64, PowerHandle, Vec<
 fn estimated_saving(power: &PowerHandle) -> Option<f64> {
     let board = prepared(&config(None, "albireo")).board;
     board.set_power(power.snapshot());
-    let energy = board.savings().0.energy.unwrap();
+    let energy = board.savings().since_start.energy.unwrap();
     assert_eq!(energy.quality, EnergyQuality::Measured);
     energy.saved_joules_estimated
 }
