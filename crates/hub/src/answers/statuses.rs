@@ -52,19 +52,24 @@ impl Answers {
             .map_err(HubError::at("liveliness tokens cannot be watched"))
     }
 
+    /// Reads a message and applies it. Returns true if the node's full status is missing.
+    fn apply(&self, node: &str, message: &[u8], now: Now) -> Result<bool, String> {
+        if message.len() > LARGEST_STATUS {
+            return Err(format!("it has {} bytes", message.len()));
+        }
+        if Heartbeat::is_one(message) {
+            let heartbeat = Heartbeat::read(message).map_err(|error| error.to_string())?;
+            return Ok(self.fleet.alive(node, heartbeat, now));
+        }
+        let status: StatusMessage =
+            albireo_wire::read(message).map_err(|error| error.to_string())?;
+        Ok(self.fleet.apply_status(node, status, now))
+    }
+
     /// Applies the status or heartbeat of a node, and notifies the node if its full status is missing.
     fn hear(&self, node: &str, payload: &ZBytes) {
         let now = Now::system();
-        let heard = match &*payload.to_bytes() {
-            large if large.len() > LARGEST_STATUS => Err(format!("it has {} bytes", large.len())),
-            heartbeat if Heartbeat::is_one(heartbeat) => Heartbeat::read(heartbeat)
-                .map(|heartbeat| self.fleet.alive(node, heartbeat, now))
-                .map_err(|error| error.to_string()),
-            status => albireo_wire::read::<StatusMessage>(status)
-                .map(|status| self.fleet.apply_status(node, status, now))
-                .map_err(|error| error.to_string()),
-        };
-        match heard {
+        match self.apply(node, &payload.to_bytes(), now) {
             Ok(is_full_due) => {
                 self.counters.count(|counts| counts.statuses += 1);
                 if is_full_due {

@@ -63,10 +63,9 @@ impl DatabaseConfig {
     /// The passwords in the URL: the user's, and any in the parameters.
     pub(crate) fn passwords(&self) -> impl Iterator<Item = &str> {
         let (place, parameters) = self.url.split_once('?').unwrap_or((&self.url, ""));
-        let user = place
-            .split_once("://")
-            .and_then(|(_, rest)| rest.rsplit_once('@'))
-            .and_then(|(user, _)| user.split_once(':'));
+        let behind_scheme = place.split_once("://").map_or("", |(_, rest)| rest);
+        let login = behind_scheme.rsplit_once('@').map_or("", |(login, _)| login);
+        let user = login.split_once(':');
         let parameters = parameters.split('&').filter_map(|one| one.split_once('='));
         let named = parameters.filter(|(name, _)| *name == "password");
         user.into_iter().chain(named).map(|(_, secret)| secret)

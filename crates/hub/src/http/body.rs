@@ -89,7 +89,10 @@ where
 pub(super) fn next<T>(found: &mut Vec<T>, limit: i64, id: impl Fn(&T) -> i64) -> Option<i64> {
     let more = found.len() as i64 > limit;
     found.truncate(usize::try_from(limit).unwrap_or(usize::MAX));
-    found.last().filter(|_| more).map(id)
+    match found.last() {
+        Some(last) if more => Some(id(last)),
+        _ => None,
+    }
 }
 
 /// The problem document of an invalid request.

@@ -68,12 +68,14 @@ pub(super) async fn stream(
         let event = sse::Event::default().event("resync");
         event.json_data(json!({ "reason": reason }))
     });
-    let news = stream::unfold((store, last), |(store, last)| async move {
-        let events = store.events_after(last, STEP).await;
-        let events = events.unwrap_or_else(|error| {
-            tracing::debug!(%error, "events cannot be read");
-            Vec::new()
-        });
+    let steps = stream::unfold((store, last), |(store, last)| async move {
+        let events = match store.events_after(last, STEP).await {
+            Ok(events) => events,
+            Err(error) => {
+                tracing::debug!(%error, "events cannot be read");
+                Vec::new()
+            }
+        };
         if events.is_empty() {
             tokio::time::sleep(LOOK).await;
         }
@@ -81,12 +83,11 @@ pub(super) async fn stream(
         Some((stream::iter(events), (store, last)))
     });
     let types = selection.types;
-    let is_wanted = move |event: &StoredEvent| {
-        types
-            .as_ref()
-            .is_none_or(|types| types.split(',').any(|kind| kind == event.kind))
+    let is_wanted = move |event: &StoredEvent| match &types {
+        Some(types) => types.split(',').any(|kind| kind == event.kind),
+        None => true,
     };
-    let news = news
+    let news = steps
         .flatten()
         .filter(move |event| ready(is_wanted(event)))
         .map(|event| {

@@ -78,6 +78,23 @@ pub struct NodeList {
     pub nodes: Vec<NodeView>,
 }
 
+/// The states in a list that is separated by commas.
+fn states_in(list: &str) -> Result<Vec<PresenceState>, Problem> {
+    let mut states = Vec::new();
+    for name in list.split(',').filter(|name| !name.is_empty()) {
+        let Some(state) = PresenceState::named(name) else {
+            let known = PresenceState::ALL.map(PresenceState::name);
+            let detail = format!(
+                "there is no state `{name}`; there are: {}",
+                known.join(", ")
+            );
+            return Err(unusable(detail).allowing(known));
+        };
+        states.push(state);
+    }
+    Ok(states)
+}
+
 /// The nodes of the fleet
 ///
 /// `curl 'http://127.0.0.1:8090/api/v1/nodes?state=degraded,silent&select=region=north&sort=waiting&down=true'`
@@ -89,26 +106,14 @@ pub(super) async fn list(
     State(hub): State<Hub>,
     Query(selection): Query<NodeSelection>,
 ) -> Result<Json<NodeList>, Problem> {
-    let names = selection.state.as_deref().unwrap_or_default().split(',');
-    let wanted: Vec<PresenceState> = names
-        .filter(|name| !name.is_empty())
-        .map(|name| {
-            PresenceState::named(name).ok_or_else(|| {
-                let known = PresenceState::ALL.map(PresenceState::name);
-                let detail = format!(
-                    "there is no state `{name}`; there are: {}",
-                    known.join(", ")
-                );
-                unusable(detail).allowing(known)
-            })
-        })
-        .collect::<Result<_, _>>()?;
-    let select = selection
-        .select
-        .filter(|text| !text.trim().is_empty())
-        .map(|text| text.parse::<Selector>())
-        .transpose()
-        .map_err(|error| unusable(error.to_string()))?;
+    let wanted = states_in(selection.state.as_deref().unwrap_or_default())?;
+    let select = match &selection.select {
+        Some(text) if !text.trim().is_empty() => {
+            let selector = text.parse::<Selector>();
+            Some(selector.map_err(|error| unusable(error.to_string()))?)
+        }
+        _ => None,
+    };
     let search = selection.search.unwrap_or_default();
 
     let mut waiting = 0;

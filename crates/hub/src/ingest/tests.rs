@@ -83,13 +83,11 @@ fn a_clip_made_before_the_clock_was_set_is_stored_under_the_time_when_it_began()
             started_ns: u64::try_from(by_its_clock).unwrap() * 1_000_000,
             ..ClipReport::default()
         };
-        let (present, age) = (
-            present(now_ms),
-            Some(ReportAge {
-                made_s,
-                first: true,
-            }),
-        );
+        let present = present(now_ms);
+        let age = Some(ReportAge {
+            made_s,
+            first: true,
+        });
         let behind_ms = present.behind_when_made(id, age);
         let clip = clip(&report, present.when_made(id, age), behind_ms).unwrap();
         (clip.row.at_ms - NOW_MS, clip.clock)

@@ -230,13 +230,13 @@ impl Fleet {
         drop(reads);
         let mut nodes = self.nodes.write();
         let mut sums = self.sums.lock();
-        let mut entry = nodes.remove(node).map_or_else(
-            || NodeEntry::new(node, now_ms),
-            |entry| {
+        let mut entry = match nodes.remove(node) {
+            Some(entry) => {
                 sums.remove(&entry);
                 entry
-            },
-        );
+            }
+            None => NodeEntry::new(node, now_ms),
+        };
         entry.has_reported = true;
         // Its status may have been dropped, as that of a name that somebody invented.
         entry.needs_full |= entry.node.status.is_none();
@@ -274,11 +274,12 @@ impl Fleet {
                  report: let only certificates in, and forget the invented names"
             )));
         }
-        (sums.statuses_refused > 0 && sums.status_bytes > room - room / 8).then(|| {
-            Fault::degraded(
-                "the full statuses of all nodes do not fit into memory, so some are not shown: look for invented names",
-            )
-        })
+        if sums.statuses_refused == 0 || sums.status_bytes <= room - room / 8 {
+            return None;
+        }
+        Some(Fault::degraded(
+            "the full statuses of all nodes do not fit into memory, so some are not shown: look for invented names",
+        ))
     }
 
     /// Sets the energy of the nodes' clips of today; a node that is absent used none.

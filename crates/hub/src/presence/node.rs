@@ -71,7 +71,10 @@ impl NodeView {
     pub(crate) fn threshold(&self) -> Option<Threshold> {
         let cameras = &self.status.as_ref()?.cameras;
         let first = cameras.first()?.threshold;
-        first.filter(|_| cameras.iter().all(|camera| camera.threshold == first))
+        if cameras.iter().any(|camera| camera.threshold != first) {
+            return None;
+        }
+        first
     }
 
     /// The name of its policy's threshold, if a camera reports one.

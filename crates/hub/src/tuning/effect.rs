@@ -131,18 +131,31 @@ impl Comparison {
         unchanged: &[&BeforeAfter],
         fewest: u64,
     ) -> Self {
-        let measured = |nodes: &[&BeforeAfter]| -> (Vec<(f64, f64)>, Vec<f64>) {
-            let means = nodes.iter().filter_map(|node| node.means(figure, fewest));
-            let both = means.filter_map(|mean| Some((mean, scale.change(mean.0, mean.1)?)));
-            both.unzip()
+        // The means before, the means after, and the changes of the nodes that have all three.
+        let measured = |nodes: &[&BeforeAfter]| -> [Vec<f64>; 3] {
+            let mut all = [Vec::new(), Vec::new(), Vec::new()];
+            for node in nodes {
+                if let Some((before, after)) = node.means(figure, fewest)
+                    && let Some(change) = scale.change(before, after)
+                {
+                    all[0].push(before);
+                    all[1].push(after);
+                    all[2].push(change);
+                }
+            }
+            all
         };
-        let (means, own) = measured(changed);
-        let (_, others) = measured(unchanged);
-        let average = |side: fn(&(f64, f64)) -> f64| means.iter().map(side).mean();
+        let [before, after, own] = measured(changed);
+        let [_, _, others] = measured(unchanged);
+        let means = if own.is_empty() {
+            None
+        } else {
+            Some((before.iter().mean(), after.iter().mean()))
+        };
         Self {
             nodes: own.len(),
             compared: others.len(),
-            means: (!own.is_empty()).then(|| (average(|mean| mean.0), average(|mean| mean.1))),
+            means,
             effect: Effect::of(scale, &own, &others),
         }
     }

@@ -83,14 +83,13 @@ impl Given {
             DesiredSetting::Target(Some(_)) if node.is_reachable() => node.unable(setting),
             _ => None,
         };
-        let refused = node
-            .status
-            .as_ref()
-            .and_then(|status| status.refused.as_ref())
-            .filter(|refused| refused.revision == self.revision);
+        let refused = match node.status.as_ref().and_then(|status| status.refused.as_ref()) {
+            Some(refused) if refused.revision == self.revision => Some(refused.reason.clone()),
+            _ => None,
+        };
         let next = if node.revision >= self.revision && node.has(setting) {
             Outcome::Applied
-        } else if let Some(reason) = unable.or_else(|| Some(refused?.reason.clone())) {
+        } else if let Some(reason) = unable.or(refused) {
             self.detail = reason;
             Outcome::Refused
         } else if !node.is_reachable() {

@@ -117,7 +117,8 @@ impl Run {
         // The draw depends only on the seed and the nodes.
         nodes.sort_by(|a, b| a.node.cmp(&b.node));
         shuffle(&mut nodes, seed);
-        let (mut members, far): (Vec<_>, Vec<_>) = nodes.into_iter().partition(|m| m.reachable);
+        let (mut members, far): (Vec<_>, Vec<_>) =
+            nodes.into_iter().partition(|member| member.reachable);
         match &kind {
             Kind::Rollout { plan, .. } => {
                 plan.check()?;
@@ -168,7 +169,7 @@ impl Run {
             failed_attempts: 0,
             unsaved: false,
         };
-        run.noted(now, What::Begun, "").who = Some(who.to_owned());
+        run.noted_by(now, What::Begun, who);
         run.enter_stage(1, now);
         Ok(run)
     }
@@ -241,7 +242,7 @@ impl Run {
     }
 
     fn applying(&mut self, waited: Millis, now: Millis) {
-        let members = self.members.iter().filter(|m| self.is_in_stage(m));
+        let members = self.members.iter().filter(|member| self.is_in_stage(member));
         let outcomes: Vec<Outcome> = members.map(|member| member.given.outcome).collect();
         // A node that comes and goes must not delay the others.
         if outcomes.contains(&Outcome::Pending) && waited < 2 * self.patience() {
@@ -317,9 +318,12 @@ impl Run {
         };
         let (verdict, text, gates) = self.judge(plan, found);
         self.looks += 1;
-        let entry = self.noted(now, What::Judged, &text);
-        entry.verdict = Some(verdict);
-        entry.gates = gates;
+        self.add_entry(Entry {
+            text: text.clone(),
+            verdict: Some(verdict),
+            gates,
+            ..self.entry(now, What::Judged)
+        });
         let reason = format!("stage {}: {text}", self.stage);
         match verdict {
             Verdict::Failed => self.fail(&reason, now),
@@ -385,7 +389,7 @@ impl Run {
     fn go_back(&mut self, reason: &str, now: Millis) {
         self.enter(Phase::Returning, reason, now);
         self.noted(now, What::Returning, reason);
-        for member in self.members.iter_mut().filter(|m| m.value.is_none()) {
+        for member in self.members.iter_mut().filter(|member| member.value.is_none()) {
             member.given.outcome = Outcome::Untouched;
         }
     }
@@ -395,14 +399,13 @@ impl Run {
             (Kind::Rollout { .. }, Phase::Returning) => (Phase::Returned, What::Returned),
             _ => (Phase::Done, What::Done),
         };
-        let without =
-            |m: &&Member| !matches!(m.given.outcome, Outcome::Applied | Outcome::Untouched);
-        let names: Vec<String> = self
-            .members
-            .iter()
-            .filter(without)
-            .map(|m| format!("{} {}", m.node, m.given.outcome))
-            .collect();
+        let mut names = Vec::new();
+        for member in &self.members {
+            let outcome = member.given.outcome;
+            if !matches!(outcome, Outcome::Applied | Outcome::Untouched) {
+                names.push(format!("{} {outcome}", member.node));
+            }
+        }
         let text = match names.as_slice() {
             [] => "every node reported its value".to_owned(),
             names => format!("without {}", list(names)),
@@ -423,7 +426,7 @@ impl Run {
     /// Leaves out the nodes for which `changed_since` is true: they keep the value that somebody else gave them since
     /// then.
     pub(crate) fn leave_out(&mut self, changed_since: impl Fn(&Member) -> bool) {
-        for member in self.members.iter_mut().filter(|m| changed_since(m)) {
+        for member in self.members.iter_mut().filter(|member| changed_since(member)) {
             member.value = None;
         }
     }
@@ -457,21 +460,41 @@ impl Run {
         milliseconds(self.kind.basics().apply_within_s)
     }
 
-    /// Adds an entry to the record.
-    fn noted(&mut self, at_ms: Millis, what: What, text: &str) -> &mut Entry {
-        self.unsaved = true;
-        if self.record.len() >= MOST_ENTRIES {
-            self.record.remove(0);
-        }
-        self.record.push_mut(Entry {
+    /// Notes in the record what has happened.
+    fn noted(&mut self, at_ms: Millis, what: What, text: &str) {
+        self.add_entry(Entry {
+            text: text.to_owned(),
+            ..self.entry(at_ms, what)
+        });
+    }
+
+    /// Notes in the record what somebody has done.
+    fn noted_by(&mut self, at_ms: Millis, what: What, who: &str) {
+        self.add_entry(Entry {
+            who: Some(who.to_owned()),
+            ..self.entry(at_ms, what)
+        });
+    }
+
+    /// An entry about the present stage, without anything more.
+    fn entry(&self, at_ms: Millis, what: What) -> Entry {
+        Entry {
             at_ms,
             stage: self.stage,
             what,
             who: None,
-            text: text.to_owned(),
+            text: String::new(),
             verdict: None,
             gates: Vec::new(),
-        })
+        }
+    }
+
+    fn add_entry(&mut self, entry: Entry) {
+        self.unsaved = true;
+        if self.record.len() >= MOST_ENTRIES {
+            self.record.remove(0);
+        }
+        self.record.push(entry);
     }
 }
 

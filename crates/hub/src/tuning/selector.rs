@@ -167,8 +167,10 @@ mod tests {
         ];
         let selector: Selector = selector.parse().unwrap();
         let has = |region: &str| {
-            let labels = [("region".to_owned(), region.to_owned())];
-            labels.into_iter().filter(|_| !region.is_empty()).collect()
+            if region.is_empty() {
+                return BTreeMap::new();
+            }
+            BTreeMap::from([("region".to_owned(), region.to_owned())])
         };
         fleet
             .iter()

@@ -167,7 +167,9 @@ impl FromRow for ClipSums {
         for figure in Figure::ALL {
             let clips: u64 = row.take()?;
             let sum: Option<f64> = row.take()?;
-            if let Some(sum) = sum.filter(|_| clips > 0) {
+            if let Some(sum) = sum
+                && clips > 0
+            {
                 figures.insert(figure, Mean { clips, sum });
             }
         }

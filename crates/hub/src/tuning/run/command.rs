@@ -54,7 +54,7 @@ impl Run {
                 "a rollout that is {phase} does not accept `{command}`"
             ));
         }
-        self.noted(now, what, "").who = Some(who.to_owned());
+        self.noted_by(now, what, who);
         if command != Command::Pause {
             self.wake(now);
         }

@@ -64,9 +64,10 @@ impl Run {
         found: &Measured,
     ) -> (Verdict, String, Vec<GateResult>) {
         let rates = self.error_rates(plan);
-        let (clips, changed) =
-            self.side(found, |m| self.is_in_stage(m) && m.applied_ms().is_some());
-        let (others, unchanged) = self.side(found, |m| self.is_later(m));
+        let (clips, changed) = self.side(found, |member| {
+            self.is_in_stage(member) && member.applied_ms().is_some()
+        });
+        let (others, unchanged) = self.side(found, |member| self.is_later(member));
         let results = judge(
             &plan.gates,
             &clips,
@@ -123,8 +124,12 @@ impl Run {
     pub(super) fn compare(&self, plan: &TrialPlan, found: &Measured, now: Millis) -> TrialResult {
         let intervals = (Figure::ALL.len() * (plan.values.len() - 1)) as f64;
         let miss = (1.0 - plan.basics.confidence) / intervals / 2.0;
-        let nodes =
-            |arm: usize| (self.side(found, |m| m.group == arm && m.applied_ms().is_some())).0;
+        let nodes = |arm: usize| {
+            let (applied, _) = self.side(found, |member| {
+                member.group == arm && member.applied_ms().is_some()
+            });
+            applied
+        };
         let first = nodes(0);
         let arm = |(arm, value): (usize, &Threshold)| {
             let own = nodes(arm);
@@ -139,15 +144,16 @@ impl Run {
                     clips: clips.map(|mean| mean.clips).sum(),
                     before,
                     mean,
-                    difference: found
-                        .effect
-                        .filter(|_| arm > 0)
-                        .map(|effect| effect.interval(miss)),
+                    // The first group is what the others are compared with.
+                    difference: match found.effect {
+                        Some(effect) if arm > 0 => Some(effect.interval(miss)),
+                        _ => None,
+                    },
                 })
             };
             ArmResult {
                 value: *value,
-                nodes: self.members.iter().filter(|m| m.group == arm).count(),
+                nodes: self.members.iter().filter(|member| member.group == arm).count(),
                 applied: own.len(),
                 silent: own.iter().filter(|clips| clips.fell_silent()).count(),
                 figures: Figure::ALL.into_iter().filter_map(figure).collect(),
@@ -179,10 +185,10 @@ impl Run {
 fn named(results: &[GateResult], verdict: Verdict) -> String {
     let names: Vec<String> = results
         .iter()
-        .filter(|r| r.verdict == verdict)
-        .map(|r| match r.figure {
-            Some(figure) => format!("{} ({figure})", r.gate),
-            None => format!("{} (not measured)", r.gate),
+        .filter(|result| result.verdict == verdict)
+        .map(|result| match result.figure {
+            Some(figure) => format!("{} ({figure})", result.gate),
+            None => format!("{} (not measured)", result.gate),
         })
         .collect();
     names.join(", ")

@@ -35,9 +35,14 @@ impl Run {
 
     /// The value that is due for a member, if any.
     fn due_value(&self, member: &Member) -> Option<Threshold> {
-        self.value_of(member)
-            .filter(|_| self.paused_ms.is_none())
-            .filter(|value| member.value != Some(*value))
+        if self.paused_ms.is_some() {
+            return None;
+        }
+        let value = self.value_of(member)?;
+        if member.value == Some(value) {
+            return None;
+        }
+        Some(value)
     }
 
     /// The values that are due, even after its end: nodes that missed their deadline get the old value. The caller calls

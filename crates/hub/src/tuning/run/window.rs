@@ -40,31 +40,34 @@ impl Run {
     pub(crate) fn windows(&self, now: Millis) -> Vec<[Window; 2]> {
         let baseline = milliseconds(self.kind.basics().baseline_s);
         let since = self.since_ms;
-        let stage_given_ms = self
-            .members
-            .iter()
-            .filter(|m| self.is_in_stage(m))
-            .map(|m| m.given.given_ms)
-            .min()
-            .unwrap_or(since);
-        let windows = |member: &Member, given: Millis, value: Threshold, from: Millis| {
-            Some([
+        let in_stage = self.members.iter().filter(|member| self.is_in_stage(member));
+        let stage_given_ms = in_stage.map(|member| member.given.given_ms).min().unwrap_or(since);
+        let before_and_after = |member: &Member, given: Millis, value: Threshold, from: Millis| {
+            [
                 Window::new(&member.node, member.before, given - baseline, given),
                 Window::new(&member.node, value, from, now),
-            ])
+            ]
         };
-        self.members
-            .iter()
-            .filter_map(|member| match member.applied_ms() {
-                // After a resumption only later clips count.
-                Some(applied) if self.is_in_stage(member) => {
-                    let given_ms = member.given.given_ms;
-                    windows(member, given_ms, member.value?, applied.max(since))
+        let mut windows = Vec::new();
+        for member in &self.members {
+            if let Some(applied) = member.applied_ms()
+                && self.is_in_stage(member)
+            {
+                if let Some(value) = member.value {
+                    // After a resumption only later clips count.
+                    let from = applied.max(since);
+                    windows.push(before_and_after(member, member.given.given_ms, value, from));
                 }
-                _ if self.is_later(member) => windows(member, stage_given_ms, member.before, since),
-                _ => None,
-            })
-            .collect()
+            } else if self.is_later(member) {
+                windows.push(before_and_after(
+                    member,
+                    stage_given_ms,
+                    member.before,
+                    since,
+                ));
+            }
+        }
+        windows
     }
 
     /// True if the member was not given its value yet.
