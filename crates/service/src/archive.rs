@@ -13,22 +13,31 @@ pub fn diagnostics(name: &str, files: &[(&str, Vec<u8>)], at_s: u64) -> Response
     let lines = logging::lines_after(0, usize::MAX).into_iter();
     let text: String = lines.map(|line| format!("{line}\n")).collect();
     let log = ("log.txt", text.into_bytes());
-    let mut archive = Builder::new(Vec::new());
-    let packed = files.iter().chain([&log]).try_for_each(|(name, content)| {
-        let mut header = Header::new_ustar();
-        header.set_size(content.len() as u64);
-        header.set_mode(0o600);
-        header.set_mtime(at_s);
-        archive.append_data(&mut header, name, content.as_slice())
-    });
     let file = format!("attachment; filename=\"{name}-{at_s}.tar\"");
     let headers = [
         (CONTENT_TYPE, "application/x-tar".to_owned()),
         (CONTENT_DISPOSITION, file),
     ];
-    packed
-        .and_then(|()| archive.into_inner())
-        .map(|archive| (headers, archive))
-        .map_err(|error| Problem::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()))
-        .into_response()
+    match pack(files.iter().chain([&log]), at_s) {
+        Ok(archive) => (headers, archive).into_response(),
+        Err(error) => {
+            Problem::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()).into_response()
+        }
+    }
+}
+
+/// Packs the files into an archive.
+fn pack<'a>(
+    files: impl Iterator<Item = &'a (&'a str, Vec<u8>)>,
+    at_s: u64,
+) -> std::io::Result<Vec<u8>> {
+    let mut archive = Builder::new(Vec::new());
+    for (name, content) in files {
+        let mut header = Header::new_ustar();
+        header.set_size(content.len() as u64);
+        header.set_mode(0o600);
+        header.set_mtime(at_s);
+        archive.append_data(&mut header, name, content.as_slice())?;
+    }
+    archive.into_inner()
 }

@@ -28,18 +28,21 @@ pub struct Uptime {
     pub s: u64,
 }
 
+/// The beginning of the system's random number for this start.
+fn boot_id() -> Option<u64> {
+    let id = std::fs::read_to_string("/proc/sys/kernel/random/boot_id")
+        .ok()?
+        .replace('-', "");
+    u64::from_str_radix(id.get(..16)?, 16).ok()
+}
+
 impl Uptime {
     /// The time of this machine.
     fn system() -> Self {
         static BOOT: OnceLock<u64> = OnceLock::new();
-        let boot = BOOT.get_or_init(|| {
-            // Where the system does not tell, each process counts as a start of its own.
-            let id = std::fs::read_to_string("/proc/sys/kernel/random/boot_id")
-                .map(|id| id.replace('-', ""))
-                .unwrap_or_default();
-            let first = id.get(..16).and_then(|id| u64::from_str_radix(id, 16).ok());
-            first.unwrap_or_else(|| RandomState::new().hash_one("boot"))
-        });
+        // Where the system does not tell, each process counts as a start of its own.
+        let boot =
+            BOOT.get_or_init(|| boot_id().unwrap_or_else(|| RandomState::new().hash_one("boot")));
         let time = clock_gettime(ClockId::Boottime);
         Self {
             boot: *boot,
@@ -49,7 +52,10 @@ impl Uptime {
 
     /// Seconds since an earlier time; `None` if the machine was started since then.
     pub fn since(self, earlier: Self) -> Option<u64> {
-        (self.boot == earlier.boot).then(|| self.s.checked_sub(earlier.s))?
+        if self.boot != earlier.boot {
+            return None;
+        }
+        self.s.checked_sub(earlier.s)
     }
 }
 

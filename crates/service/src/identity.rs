@@ -62,7 +62,9 @@ pub fn exposed_files(
         found.extend(token_file.as_ref().and_then(|file| exposed(&key, file)));
         holds_one |= token.as_ref().is_some_and(|token| text.contains(token.secret()));
     }
-    found.extend(file.filter(|_| holds_one).and_then(|file| exposed("", file)));
+    if holds_one && let Some(file) = file {
+        found.extend(exposed("", file));
+    }
     let keys = zenoh.tls_files("private_key").into_iter();
     found.extend(keys.filter_map(|(key, file)| exposed(&key, &file)));
     found
@@ -194,17 +196,15 @@ impl Certificates {
                 self.log(now_s);
             }
             tokio::time::sleep(READ_EVERY).await;
-            let files: Vec<_> = {
-                let known = self.0.read();
-                known.iter().map(|one| (one.key.clone(), one.file.clone())).collect()
-            };
-            let read = tokio::task::spawn_blocking(move || {
-                files
-                    .into_iter()
-                    .map(|(key, file)| Certificate::read(key, file))
-                    .collect::<Vec<_>>()
+            let mut files = Vec::new();
+            for one in self.0.read().iter() {
+                files.push((one.key.clone(), one.file.clone()));
+            }
+            let reading = tokio::task::spawn_blocking(move || {
+                let read = files.into_iter().map(|(key, file)| Certificate::read(key, file));
+                read.collect::<Vec<_>>()
             });
-            if let Ok(read) = read.await {
+            if let Ok(read) = reading.await {
                 *self.0.write() = read;
             }
         }
@@ -245,15 +245,20 @@ impl Certificates {
     fn invalid_at(&self, now_s: i64) -> Option<String> {
         let known = self.0.read();
         let invalid = known.iter().filter(|one| !one.is_valid(now_s));
-        let faults: Vec<_> = invalid.filter_map(|one| one.fault(now_s)).collect();
-        (!faults.is_empty()).then(|| faults.join("; "))
+        in_one_sentence(invalid.filter_map(|one| one.fault(now_s)).collect())
     }
 
     fn fault_at(&self, now_s: i64) -> Option<String> {
         let known = self.0.read();
-        let faults: Vec<_> = known.iter().filter_map(|one| one.fault(now_s)).collect();
-        (!faults.is_empty()).then(|| faults.join("; "))
+        in_one_sentence(known.iter().filter_map(|one| one.fault(now_s)).collect())
     }
+}
+
+fn in_one_sentence(faults: Vec<String>) -> Option<String> {
+    if faults.is_empty() {
+        return None;
+    }
+    Some(faults.join("; "))
 }
 
 #[cfg(test)]

@@ -53,10 +53,15 @@ pub fn examine<C: Configuration>(file: Option<&Path>) -> (Option<C>, Vec<Finding
 
 /// Like [`examine`], with the file's text.
 pub fn examine_text<C: Configuration>(text: &str) -> (Option<C>, Vec<Finding>) {
-    let variables = std::env::vars_os()
-        .filter_map(|(name, text)| Some((name.into_string().ok()?, text.into_string().ok()?)));
+    let mut variables = Vec::new();
+    for (name, value) in std::env::vars_os() {
+        // A name or a value that is no text cannot be one of ours.
+        if let (Ok(name), Ok(value)) = (name.into_string(), value.into_string()) {
+            variables.push((name, value));
+        }
+    }
     let home = std::env::home_dir();
-    examine_with(text, &variables.collect::<Vec<_>>(), home.as_deref())
+    examine_with(text, &variables, home.as_deref())
 }
 
 /// Like [`examine_text`], with these environment variables and this home folder.
@@ -73,15 +78,13 @@ fn examine_with<C: Configuration>(
     let (config, malformed) = read::<C>(&figment, &environment, home);
     findings.extend(malformed);
     if let Some(config) = &config {
-        let known: Vec<_> = findings.iter().map(|finding| finding.key.clone()).collect();
-        // A value left out because of its form has its default here, or shortens a list, and is already reported.
-        let reported = |key: &str| {
-            known.iter().any(|known| {
-                let rest = known.strip_prefix(key);
-                rest.is_some_and(|rest| rest.is_empty() || rest.starts_with(['.', '[']))
-            })
-        };
-        findings.extend(config.findings().into_iter().filter(|finding| !reported(&finding.key)));
+        let reported: Vec<_> = findings.iter().map(|finding| finding.key.clone()).collect();
+        for finding in config.findings() {
+            // A value left out because of its form has its default here, or shortens a list, and is already reported.
+            if !reported.iter().any(|reported| is_or_holds(&finding.key, reported)) {
+                findings.push(finding);
+            }
+        }
     }
     for finding in &mut findings {
         // An element of a list is from where the list is from.
@@ -97,6 +100,12 @@ fn examine_with<C: Configuration>(
     (config, findings)
 }
 
+/// True if the value at `inner` is the one at `key`, or a part of it.
+fn is_or_holds(key: &str, inner: &str) -> bool {
+    let rest = inner.strip_prefix(key);
+    rest.is_some_and(|rest| rest.is_empty() || rest.starts_with(['.', '[']))
+}
+
 /// Reads the configuration. A variable of the environment that has another type than its key is read in another way. An
 /// unknown key or a value of the wrong type is reported and left out, and the rest is read again, so all errors are found at
 /// once. `None` if the rest cannot be read either.
@@ -109,9 +118,10 @@ fn read<C: Configuration>(
     let mut values: Value = match figment.extract() {
         Ok(values) => values,
         Err(errors) => {
-            let of_form =
-                errors.into_iter().map(|error| finding(&error.kind, &error.path, C::REMOVED));
-            return (None, of_form.collect());
+            for error in errors {
+                findings.push(finding(&error.kind, &error.path, C::REMOVED));
+            }
+            return (None, findings);
         }
     };
     put_at_home(&mut values, home);
@@ -160,7 +170,11 @@ fn put_at_home(values: &mut Value, home: Option<&Path>) {
                 }
             }
         }
-        Value::Array(values) => values.iter_mut().for_each(|value| put_at_home(value, home)),
+        Value::Array(values) => {
+            for value in values {
+                put_at_home(value, home);
+            }
+        }
         Value::String(text) => {
             let place = text.strip_prefix("sqlite:").unwrap_or(text);
             if let (Some(rest), Some(home)) = (place.strip_prefix("~/"), home) {
@@ -211,52 +225,62 @@ fn pointer(path: &[String]) -> String {
 
 /// Turns `camera[1].rate` into `camera.cabin.rate` if the second camera is named `cabin`.
 fn by_name(figment: &Figment, key: &str) -> String {
-    let named = || {
-        let (list, rest) = key.split_once('[')?;
-        let (index, rest) = rest.split_once(']')?;
-        let values: Value = figment.extract_inner(list).ok()?;
-        let name = values.pointer(&format!("/{index}/name"))?.as_str()?;
-        (!name.is_empty()).then(|| format!("{list}.{name}{rest}"))
-    };
-    named().unwrap_or_else(|| key.to_owned())
+    named_key(figment, key).unwrap_or_else(|| key.to_owned())
+}
+
+/// Such a key; `None` if it has no number, or nothing at that number has a name.
+fn named_key(figment: &Figment, key: &str) -> Option<String> {
+    let (list, rest) = key.split_once('[')?;
+    let (index, rest) = rest.split_once(']')?;
+    let values: Value = figment.extract_inner(list).ok()?;
+    let name = values.pointer(&format!("/{index}/name"))?.as_str()?;
+    if name.is_empty() {
+        return None;
+    }
+    Some(format!("{list}.{name}{rest}"))
 }
 
 /// Reports variables that look like a key with one underscore instead of two: they would silently have no
 /// effect.
 fn misspelt_variables(sections: &[&str], variables: &[(String, String)]) -> Vec<Finding> {
-    let misspelt = variables.iter().filter_map(|(name, _)| {
-        let (section, key) = name.strip_prefix(PREFIX)?.split_once('_')?;
-        let reason = format!(
-            "environment variable {name} names no key; between section and key belong two underscores: \
-             {PREFIX}{section}__{key}"
-        );
-        let is_misspelt = sections.contains(&section) && !key.starts_with('_');
-        is_misspelt.then(|| Finding::new("", reason))
-    });
-    misspelt.collect()
+    let mut misspelt = Vec::new();
+    for (name, _) in variables {
+        let own = name.strip_prefix(PREFIX).unwrap_or_default();
+        if let Some((section, key)) = own.split_once('_')
+            && sections.contains(&section)
+            && !key.starts_with('_')
+        {
+            let reason = format!(
+                "environment variable {name} names no key; between section and key belong two underscores: \
+                 {PREFIX}{section}__{key}"
+            );
+            misspelt.push(Finding::new("", reason));
+        }
+    }
+    misspelt
 }
 
 /// The error about the value at `path`. For removed keys and values it names the replacement, whichever camera it is:
 /// `camera[1].ring` is `camera.ring`.
 fn finding(error: &Kind, path: &[String], removed: &str) -> Finding {
     let mut key = String::new();
-    let mut of_any = String::new();
+    let mut without_numbers = String::new();
     for part in path {
         if is_index(part) {
             key.push_str(&format!("[{part}]"));
         } else {
             let dot = if key.is_empty() { "" } else { "." };
             key.push_str(&format!("{dot}{part}"));
-            of_any.push_str(&format!("{dot}{part}"));
+            without_numbers.push_str(&format!("{dot}{part}"));
         }
     }
-    let gone = match error {
-        Kind::UnknownField(..) => of_any,
-        Kind::UnknownVariant(value, _) => format!("{of_any} = {value}"),
+    let refused = match error {
+        Kind::UnknownField(..) => without_numbers,
+        Kind::UnknownVariant(value, _) => format!("{without_numbers} = {value}"),
         _ => String::new(),
     };
-    let mut removed = removed.lines().filter_map(|line| line.split_once(": "));
-    match removed.find(|(name, _)| *name == gone) {
+    let mut all_removed = removed.lines().filter_map(|line| line.split_once(": "));
+    match all_removed.find(|(name, _)| *name == refused) {
         Some((_, became)) => Finding::new(key, format!("was removed: {became}")),
         None if may_hold_a_secret(path) => Finding::new(key, reason(&without_value(error))),
         None => Finding::new(key, reason(error)),
@@ -272,7 +296,7 @@ fn may_hold_a_secret(path: &[String]) -> bool {
 
 /// The error without the value that was found.
 fn without_value(error: &Kind) -> Kind {
-    let kind = |found: &Actual| {
+    let kind_of = |found: &Actual| {
         let kind = match found {
             Actual::Str(_) => "a string",
             Actual::Seq => "a list",
@@ -282,8 +306,8 @@ fn without_value(error: &Kind) -> Kind {
         Actual::Other(kind.to_owned())
     };
     match error {
-        Kind::InvalidType(found, expected) => Kind::InvalidType(kind(found), expected.clone()),
-        Kind::InvalidValue(found, expected) => Kind::InvalidValue(kind(found), expected.clone()),
+        Kind::InvalidType(found, expected) => Kind::InvalidType(kind_of(found), expected.clone()),
+        Kind::InvalidValue(found, expected) => Kind::InvalidValue(kind_of(found), expected.clone()),
         other => other.clone(),
     }
 }
@@ -312,6 +336,7 @@ fn in_words(expected: &str) -> &str {
     }
 }
 
+/// What is wrong, in words.
 fn reason(kind: &Kind) -> String {
     match kind {
         Kind::UnknownField(name, known) => match meant(name, known) {

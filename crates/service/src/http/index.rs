@@ -17,24 +17,22 @@ pub struct Route {
 
 /// The routes in `document`, by path.
 pub fn routes(document: &OpenApi) -> Vec<Route> {
-    document
-        .paths
-        .paths
-        .iter()
-        .flat_map(|(path, item)| {
-            let methods = [
-                ("GET", &item.get),
-                ("PUT", &item.put),
-                ("POST", &item.post),
-                ("DELETE", &item.delete),
-            ];
-            methods.into_iter().filter_map(move |(method, operation)| {
-                Some(Route {
+    let mut routes = Vec::new();
+    for (path, item) in &document.paths.paths {
+        for (method, operation) in [
+            ("GET", &item.get),
+            ("PUT", &item.put),
+            ("POST", &item.post),
+            ("DELETE", &item.delete),
+        ] {
+            if let Some(operation) = operation {
+                routes.push(Route {
                     method,
                     path: path.clone(),
-                    summary: operation.as_ref()?.summary.clone().unwrap_or_default(),
-                })
-            })
-        })
-        .collect()
+                    summary: operation.summary.clone().unwrap_or_default(),
+                });
+            }
+        }
+    }
+    routes
 }

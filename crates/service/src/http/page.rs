@@ -71,11 +71,12 @@ fn file(name: &str, headers: &HeaderMap, caching: &'static str) -> Option<Respon
         (CACHE_CONTROL, caching),
         (VARY, "accept-encoding"),
     ];
-    let packed = takes_gzip(headers).then(|| Built::get(&format!("{name}.gz"))).flatten();
-    Some(match packed {
-        Some(packed) => (common, [(CONTENT_ENCODING, "gzip")], packed.data).into_response(),
-        None => (common, Built::get(name)?.data).into_response(),
-    })
+    if takes_gzip(headers)
+        && let Some(packed) = Built::get(&format!("{name}.gz"))
+    {
+        return Some((common, [(CONTENT_ENCODING, "gzip")], packed.data).into_response());
+    }
+    Some((common, Built::get(name)?.data).into_response())
 }
 
 /// The media types of page files; no other file is served.
@@ -92,14 +93,15 @@ fn media_type(name: &str) -> Option<&'static str> {
 /// True if `Accept-Encoding` accepts gzip.
 fn takes_gzip(headers: &HeaderMap) -> bool {
     let values = headers.get_all(ACCEPT_ENCODING).iter().filter_map(|value| value.to_str().ok());
-    let codings = values.flat_map(|value| value.split(','));
-    codings
-        .map(|coding| coding.split_once(';').unwrap_or((coding, "")))
-        .any(|(name, weight)| {
-            let weight = weight.trim().strip_prefix("q=");
-            let refused = weight.is_some_and(|weight| weight.parse() == Ok(0.0_f32));
-            name.trim().eq_ignore_ascii_case("gzip") && !refused
-        })
+    values.flat_map(|value| value.split(',')).any(accepts_gzip)
+}
+
+/// True for `gzip` and `gzip;q=0.5`, but not for `gzip;q=0`, which refuses it.
+fn accepts_gzip(coding: &str) -> bool {
+    let (name, parameter) = coding.split_once(';').unwrap_or((coding, ""));
+    let weight = parameter.trim().strip_prefix("q=");
+    let is_refused = weight.is_some_and(|weight| weight.parse() == Ok(0.0_f32));
+    name.trim().eq_ignore_ascii_case("gzip") && !is_refused
 }
 
 #[cfg(test)]

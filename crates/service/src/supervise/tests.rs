@@ -27,10 +27,12 @@ fn bench<F: Future<Output: Into<TaskEnd>> + Send + 'static>(
     what: impl Fn(u32, CancellationToken) -> F + Clone + Send + Sync + 'static,
 ) -> Bench {
     let mut supervisor = supervisor();
-    let (readiness, failures) = (supervisor.readiness.clone(), supervisor.failures.clone());
+    let readiness = supervisor.readiness.clone();
+    let failures = supervisor.failures.clone();
     let shutdown = supervisor.shutdown.clone();
     let (started, starts) = unbounded_channel();
-    let (number, stop) = (AtomicU32::new(0), shutdown.clone());
+    let number = AtomicU32::new(0);
+    let stop = shutdown.clone();
     supervisor.restarting("camera/front", HealthState::NotReady, move || {
         let _ = started.send(Instant::now());
         what(number.fetch_add(1, Ordering::Relaxed), stop.clone())
