@@ -134,7 +134,8 @@ impl Recordings {
         let frames: usize = self.clips.iter().map(|clip| clip.frames).sum();
         let near = 2e-4f64.max(0.5 / frames as f64);
         // On the square root: fine where the threshold is small, and zero can be reached.
-        let (mut low, mut high) = (spec.minimum.sqrt(), spec.maximum.sqrt());
+        let mut low = spec.minimum.sqrt();
+        let mut high = spec.maximum.sqrt();
         let mut best = (f64::INFINITY, String::new());
         for _ in 0..18 {
             let middle: f64 = (low + high) / 2.0;
@@ -160,8 +161,10 @@ impl Recordings {
     fn row(&self, name: &str, other: &Point) -> Outcome<()> {
         let ours = self.at_skip_rate("expected-loss", other.skip_rate())?;
         let (_, ap50) = FIGURES[0];
-        let (skip, theirs) = (other.skip_rate(), other.mean(ap50));
-        let (value, own) = (ours.value, ours.mean(ap50));
+        let skip = other.skip_rate();
+        let theirs = other.mean(ap50);
+        let value = ours.value;
+        let own = ours.mean(ap50);
         print!("| {name} | {skip:.3} | {theirs:.3} | {value:.3} | {own:.3} |");
         for (_, figure) in FIGURES {
             let points = ours.minus(other, figure).into_iter().map(|points| 100.0 * points);
@@ -184,9 +187,11 @@ fn with_interval(differences: &[f64], decimals: usize) -> String {
 
 fn main() -> Outcome<()> {
     let arguments = Arguments::parse();
-    let (half_rate, confidence) = (arguments.half_rate, arguments.confidence);
+    let half_rate = arguments.half_rate;
+    let confidence = arguments.confidence;
     let recordings = Recordings::read(&arguments.folder, half_rate, confidence)?;
-    let (clips, count) = (&recordings.clips, recordings.clips.len());
+    let clips = &recordings.clips;
+    let count = recordings.clips.len();
     let rate = ["", ", every second frame"][usize::from(half_rate)];
     println!("{count} clips, detections >= {confidence}{rate}\n");
     for policy in [BASELINE, "expected-loss:0"] {

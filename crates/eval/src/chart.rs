@@ -85,7 +85,8 @@ const LEGEND_LINE: i32 = 20;
 
 /// The places of a legend's markers, in lines above a chart, where no data are, and the height of these lines.
 fn legend(names: &[(usize, &str)]) -> (Vec<(i32, i32)>, i32) {
-    let (left, right) = (24, SIZE.0 as i32 - 12);
+    let left = 24;
+    let right = SIZE.0 as i32 - 12;
     let mut at = (left, 12 + LEGEND_LINE / 2);
     let mut places = Vec::new();
     for (_, name) in names {

@@ -254,10 +254,12 @@ impl LoadReport {
         place: impl FnOnce() -> String,
     ) -> Option<ScoredBox> {
         let confidence = labelled.confidence;
-        let reason = self
-            .check(labelled.corners, picture)
-            .or_else(|| (!confidence.is_finite()).then_some(LeftOut::NotFinite))
-            .or_else(|| (!(0.0..=1.0).contains(&confidence)).then_some(LeftOut::ConfidenceRange));
+        let mut reason = self.check(labelled.corners, picture);
+        if reason.is_none() && !confidence.is_finite() {
+            reason = Some(LeftOut::NotFinite);
+        } else if reason.is_none() && !(0.0..=1.0).contains(&confidence) {
+            reason = Some(LeftOut::ConfidenceRange);
+        }
         match (reason, labelled.class) {
             (None, Ok(class)) => {
                 return Some(ScoredBox {

@@ -2,6 +2,7 @@
 
 use crate::error::EvalError;
 use serde::Serialize;
+use std::error::Error;
 use std::path::{Path, PathBuf};
 
 /// Reads the text of a file; `help` says what to do if it is missing.
@@ -45,14 +46,17 @@ pub(crate) fn write_csv(
     path: &Path,
     rows: &[Vec<(&'static str, String)>],
 ) -> Result<(), EvalError> {
+    let text = csv_of(rows).map_err(|error| EvalError::content(path, error))?;
+    write(path, text)
+}
+
+fn csv_of(rows: &[Vec<(&'static str, String)>]) -> Result<Vec<u8>, Box<dyn Error>> {
     let mut writer = csv::Writer::from_writer(Vec::new());
-    let header = rows.first().map(|row| row.iter().map(|(name, _)| *name));
-    let written = header.map_or(Ok(()), |header| writer.write_record(header)).and_then(|()| {
-        let mut cells = rows.iter().map(|row| row.iter().map(|(_, cell)| cell));
-        cells.try_for_each(|cells| writer.write_record(cells))
-    });
-    let text = written
-        .map_err(|error| error.to_string())
-        .and_then(|()| writer.into_inner().map_err(|error| error.to_string()));
-    write(path, text.map_err(|what| EvalError::content(path, what))?)
+    if let Some(first) = rows.first() {
+        writer.write_record(first.iter().map(|(name, _)| *name))?;
+    }
+    for row in rows {
+        writer.write_record(row.iter().map(|(_, cell)| cell))?;
+    }
+    Ok(writer.into_inner().map_err(|error| error.to_string())?)
 }

@@ -3,6 +3,7 @@
 
 mod assignment;
 pub(crate) mod average_precision;
+mod frame_matching;
 mod ignored;
 mod newcomers;
 mod tracking;

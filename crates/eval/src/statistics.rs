@@ -61,7 +61,8 @@ mod tests {
     #[test]
     fn the_interval_of_the_paired_t_test_agrees_with_scipy() {
         let values = [1.5, -0.3, 2.2, 0.7, 3.1, -1.1, 0.4, 2.8];
-        let (mean, half) = (mean(values).unwrap(), half_interval(&values).unwrap());
+        let mean = mean(values).unwrap();
+        let half = half_interval(&values).unwrap();
         for (found, expected) in [
             (mean - half, -0.08869166766646241),
             (mean + half, 2.4136916676664626),

@@ -117,16 +117,11 @@ impl Difference {
 
     /// The p of the paired t-test with three decimals, or `-`.
     pub(crate) fn p_text(self) -> String {
-        self.p.map_or_else(
-            || "-".to_owned(),
-            |p| {
-                if p < 0.001 {
-                    "<.001".to_owned()
-                } else {
-                    format!("{p:.3}")
-                }
-            },
-        )
+        match self.p {
+            None => "-".to_owned(),
+            Some(p) if p < 0.001 => "<.001".to_owned(),
+            Some(p) => format!("{p:.3}"),
+        }
     }
 }
 
@@ -287,11 +282,15 @@ impl Means<'_> {
             let found = result.newcomers?;
             Some(found.never_found as f64 / found.objects as f64)
         };
+        // Only if every clip has a frame rate: frames of the others would be left out of the milliseconds.
+        let ms = if self.results.iter().all(|result| result.frame_rate.is_some()) {
+            self.over(|result| result.newcomer_ms())
+        } else {
+            None
+        };
         Some(NewcomerSummary {
             frames,
-            ms: self
-                .over(|result| result.newcomer_ms())
-                .filter(|_| self.results.iter().all(|result| result.frame_rate.is_some())),
+            ms,
             never_found: self.over(never).unwrap_or_default(),
         })
     }

@@ -32,7 +32,8 @@ impl Estimate {
     /// to zero. A single part has no spread, so its interval is 0 to 1.
     pub(super) fn ratio(parts: impl Iterator<Item = [f64; 2]> + Clone) -> Option<Self> {
         let mut count = 0.0;
-        let (mut numerator, mut denominator) = (0.0, 0.0);
+        let mut numerator = 0.0;
+        let mut denominator = 0.0;
         for [above, below] in parts.clone() {
             // A part without a denominator carries no information.
             if below > 0.0 {

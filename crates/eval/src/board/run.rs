@@ -188,7 +188,13 @@ impl ClipRun {
     pub fn of(report: &ClipReport, clip: &str, policy: &str) -> Self {
         let energy = &report.energy;
         let joules = energy.whole_joules();
-        let domains = energy.domains.iter().filter(|_| joules.is_some());
+        let mut domains = BTreeMap::new();
+        // Joules of a part of the time are not shown, neither as a sum nor by domain.
+        if joules.is_some() {
+            for domain in &energy.domains {
+                domains.insert(domain.domain.clone(), domain.joules);
+            }
+        }
         Self {
             clip: clip.to_owned(),
             policy: policy.to_owned(),
@@ -204,7 +210,7 @@ impl ClipRun {
             ap50: None,
             map: None,
             joules,
-            domains: domains.map(|domain| (domain.domain.clone(), domain.joules)).collect(),
+            domains,
             estimated: energy.quality == EnergyQuality::Estimated,
             energy_of: energy.total_from.clone(),
             cpu_s: None,

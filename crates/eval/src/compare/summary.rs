@@ -60,7 +60,8 @@ impl Figure {
         let report = &run.report;
         match self {
             Self::Joules => report.energy.whole_joules(),
-            Self::Edp => report.energy.edp.filter(|_| report.energy.is_whole()),
+            Self::Edp if report.energy.is_whole() => report.energy.edp,
+            Self::Edp => None,
             Self::CpuSeconds => Some(run.cpu_s),
             Self::FrameMilliseconds => Some(run.frame_ms),
             Self::DetectorCalls => Some(report.detector_latency_ms.count as f64),
@@ -170,26 +171,30 @@ pub fn summarise(comparison: &Comparison) -> Summary {
     let values = |variant: usize, figure: Figure| -> Option<Vec<f64>> {
         of_variant(variant).into_iter().map(|run| figure.of(run)).collect()
     };
-    let policies = comparison
-        .policies
-        .iter()
-        .enumerate()
-        .map(|(variant, policy)| VariantSummary {
+    let mut policies = Vec::with_capacity(comparison.policies.len());
+    for (variant, policy) in comparison.policies.iter().enumerate() {
+        let mut summary = VariantSummary {
             policy: policy.clone(),
-            means: Figure::ALL
-                .into_iter()
-                .filter_map(|figure| Some((figure, Mean::of(&values(variant, figure)?)?)))
-                .collect(),
-            changes: Figure::ALL
-                .into_iter()
-                .filter(|_| variant > 0)
-                .filter_map(|figure| {
-                    let first = values(0, figure)?;
-                    Some((figure, change(&first, &values(variant, figure)?)?))
-                })
-                .collect(),
-        })
-        .collect();
+            means: Vec::new(),
+            changes: Vec::new(),
+        };
+        for figure in Figure::ALL {
+            let Some(own) = values(variant, figure) else {
+                continue;
+            };
+            if let Some(mean) = Mean::of(&own) {
+                summary.means.push((figure, mean));
+            }
+            // Changes are against the first variant.
+            if variant > 0
+                && let Some(first) = values(0, figure)
+                && let Some(change) = change(&first, &own)
+            {
+                summary.changes.push((figure, change));
+            }
+        }
+        policies.push(summary);
+    }
     let runs = &comparison.runs;
     let mut power_modes: Vec<String> = runs
         .iter()

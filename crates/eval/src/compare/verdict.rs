@@ -164,12 +164,18 @@ fn with_half(value: f64, half: Option<f64>) -> String {
 
 /// Computes the energy saved per year from the difference of mean power in each round.
 fn kwh_a_year(comparison: &Comparison, variant: usize) -> Option<Mean> {
-    (comparison.playing.played_rate == Some(comparison.playing.rate)).then_some(())?;
+    // Played faster or slower than the camera, the power is not that of a camera.
+    if comparison.playing.played_rate != Some(comparison.playing.rate) {
+        return None;
+    }
     let watts = |variant: usize| -> Option<Vec<f64>> {
         let runs = comparison.runs.iter().filter(|run| run.variant == variant);
         runs.map(mean_watts).collect()
     };
-    let saved: Vec<f64> = (watts(0)?.iter().zip(watts(variant)?))
+    let first = watts(0)?;
+    let own = watts(variant)?;
+    let rounds = first.iter().zip(&own);
+    let saved: Vec<f64> = rounds
         .map(|(first, own)| (first - own) * SECONDS_PER_YEAR / JOULES_PER_KWH)
         .collect();
     Mean::of(&saved).filter(|mean| mean.half.is_some())

@@ -245,15 +245,17 @@ impl Reading<'_> {
             let Some(Box2d { x1, y1, x2, y2 }) = label.box2d else {
                 continue;
             };
-            let confidence = match label.score.filter(|_| scored) {
-                None if scored => {
+            let confidence = match label.score {
+                // Ground truth may have scores, too, which mean nothing.
+                _ if !scored => 1.0,
+                None => {
                     let what = format!(
                         "frame {}, label {number} has no `score`: is this ground truth?",
                         frame.name
                     );
                     return Err(EvalError::content(file, what));
                 }
-                score => score.unwrap_or(1.0),
+                Some(score) => score,
             };
             let corners = Corners { x1, y1, x2, y2 };
             let place = || format!("{}, frame {}, label {number}", file.display(), frame.name);

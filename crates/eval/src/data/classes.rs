@@ -69,12 +69,15 @@ impl Evaluated {
         if name.is_empty() {
             return Err(LeftOut::UnmappedClass);
         }
+        let mut place = names.iter().position(|own| own.eq_ignore_ascii_case(name));
         let of_six = from_name(name);
-        let place = |is_it: &dyn Fn(&String) -> bool| names.iter().position(is_it);
-        place(&|own| own.eq_ignore_ascii_case(name))
-            .or_else(|| place(&|own| of_six.is_ok() && from_name(own) == of_six))
-            .and_then(|number| u16::try_from(number).ok())
-            .map_or(Err(LeftOut::UnmappedClass), |number| Ok(ClassId(number)))
+        if place.is_none() && of_six.is_ok() {
+            place = names.iter().position(|own| from_name(own) == of_six);
+        }
+        match place.map(u16::try_from) {
+            Some(Ok(number)) => Ok(ClassId(number)),
+            _ => Err(LeftOut::UnmappedClass),
+        }
     }
 
     /// Makes sure that a model with the classes `names` has one of them.

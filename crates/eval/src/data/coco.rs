@@ -285,6 +285,18 @@ fn place(
     })
 }
 
+/// The name of an image's clip: its video's, else that of its folder.
+fn clip_of(image: &Image, videos: &HashMap<u64, &ListedVideo>) -> String {
+    if let Some(id) = image.video_id {
+        let named = videos.get(&id).and_then(|video| video.name.clone());
+        return named.unwrap_or_else(|| format!("video-{id}"));
+    }
+    match Path::new(&image.file_name).parent() {
+        Some(folder) if folder != Path::new("") => folder.to_string_lossy().replace('/', "-"),
+        _ => "images".to_owned(),
+    }
+}
+
 /// Creates the clips without boxes, and finds each image's clip and frame.
 fn frames(
     path: &Path,
@@ -296,18 +308,7 @@ fn frames(
         set.videos.iter().map(|video| (video.id, video)).collect();
     let mut groups: BTreeMap<String, Vec<&Image>> = BTreeMap::new();
     for image in &set.images {
-        let name = match image.video_id {
-            Some(id) => videos
-                .get(&id)
-                .and_then(|video| video.name.clone())
-                .unwrap_or_else(|| format!("video-{id}")),
-            None => Path::new(&image.file_name)
-                .parent()
-                .map(|folder| folder.to_string_lossy().replace('/', "-"))
-                .filter(|folder| !folder.is_empty())
-                .unwrap_or_else(|| "images".to_owned()),
-        };
-        groups.entry(name).or_default().push(image);
+        groups.entry(clip_of(image, &videos)).or_default().push(image);
     }
     let lowest = set.images.iter().filter_map(|image| image.number()).min();
     let first = u64::from(lowest == Some(1));
@@ -334,10 +335,9 @@ fn frames(
             usize::try_from(number).ok().filter(|number| *number < MAX_FRAMES)
         });
         let video = images[0].video_id.and_then(|id| videos.get(&id));
+        let frame_rate = video.and_then(|video| video.fps.or(video.frame_rate));
         clips.push(Clip {
-            frame_rate: video
-                .and_then(|video| video.fps.or(video.frame_rate))
-                .filter(|rate| *rate > 0.0),
+            frame_rate: frame_rate.filter(|rate| *rate > 0.0),
             detections: has_detections.then(|| vec![Vec::new(); images.len()]),
             truth: has_truth.then(|| vec![Vec::new(); images.len()]),
             places: numbers.collect::<Option<_>>().unwrap_or_default(),

@@ -134,14 +134,14 @@ fn read_sequence(folder: &Path, entry: Entry, report: &mut LoadReport) -> Result
     )?;
     let labels = table("groundtruth", TRUTH_HEADER);
     let expected = entry.ground_truth_boxes.is_some_and(|boxes| boxes > 0);
-    let truth = (expected || labels.path.exists())
-        .then(|| {
-            let help = "sequences.json says that this sequence has ground truth";
-            labels.boxes(help, picture, report, |row| {
-                labelled(row, 5, 1.0, row.object(6, "object_id")?)
-            })
-        })
-        .transpose()?;
+    let truth = if expected || labels.path.exists() {
+        let help = "sequences.json says that this sequence has ground truth";
+        Some(labels.boxes(help, picture, report, |row| {
+            labelled(row, 5, 1.0, row.object(6, "object_id")?)
+        })?)
+    } else {
+        None
+    };
     let help = "is the file readable?";
     let path = table_path(folder, "ignore", &entry.name);
     let mut ignored = Vec::new();

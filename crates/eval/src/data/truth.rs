@@ -117,12 +117,14 @@ impl GroundTruth {
                 own.join(", ")
             )));
         }
-        let numbered = names.iter().enumerate();
-        let kept = numbered.map(|(number, name)| {
-            let of_both = Some(name).filter(|_| labelled.contains(&number));
-            of_both.cloned().unwrap_or_default()
-        });
-        self.classes = Evaluated::Own(kept.collect());
+        // The numbers of classes stay: one that only the model has gets an empty name.
+        let mut evaluated = names.to_vec();
+        for (number, name) in evaluated.iter_mut().enumerate() {
+            if !labelled.contains(&number) {
+                name.clear();
+            }
+        }
+        self.classes = Evaluated::Own(evaluated.into());
         Ok(self)
     }
 
@@ -150,8 +152,10 @@ impl GroundTruth {
             });
         }
         // A recording says itself whose classes its numbers are.
-        let recorded = clips.values().next().filter(|_| format == TruthFormat::Recorded);
-        let classes = recorded.map_or(classes, |(_, clip): &(usize, Clip)| &clip.classes).clone();
+        let classes = match clips.values().next() {
+            Some((_, clip)) if format == TruthFormat::Recorded => clip.classes.clone(),
+            _ => classes.clone(),
+        };
         Ok(Self {
             format,
             classes,
@@ -195,14 +199,18 @@ impl GroundTruth {
         if self.clips.contains_key(name) {
             return Some(name);
         }
-        let only = self.clips.keys().next().filter(|_| alone && self.clips.len() == 1);
-        let in_folders = || {
-            let ending = format!("-{name}");
-            let mut ending_so = self.clips.keys().filter(|key| key.ends_with(&ending));
-            let first = ending_so.next().filter(|_| self.format == TruthFormat::Coco);
-            first.filter(|_| ending_so.next().is_none())
-        };
-        only.or_else(in_folders).map(String::as_str)
+        if alone && self.clips.len() == 1 {
+            return self.clips.keys().next().map(String::as_str);
+        }
+        if self.format != TruthFormat::Coco {
+            return None;
+        }
+        let ending = format!("-{name}");
+        let mut ending_so = self.clips.keys().filter(|key| key.ends_with(&ending));
+        match (ending_so.next(), ending_so.next()) {
+            (Some(only), None) => Some(only.as_str()),
+            _ => None,
+        }
     }
 
     /// Takes what was left out of all files, for a report before any clip has it.

@@ -62,7 +62,8 @@ impl Sequence {
             let [left, top, right, bottom] = found.corners.map(f64::from);
             let (width, height) = (right - left, bottom - top);
             // Pixels count from 1.
-            let (left, top) = (left + 1.0, top + 1.0);
+            let left = left + 1.0;
+            let top = top + 1.0;
             let place = format!("{left:.2},{top:.2},{width:.2},{height:.2}");
             // Writing into text cannot fail.
             let _ = match (self.frames, found.object) {

@@ -126,7 +126,8 @@ mod tests {
             let count = frames.len() as f64;
             assert!((count - 100.0 * wanted).abs() <= 1.0, "{wanted}: {count}");
             let gaps: Vec<_> = frames.windows(2).map(|pair| pair[1] - pair[0]).collect();
-            let (least, most) = (gaps.iter().min().unwrap(), gaps.iter().max().unwrap());
+            let least = gaps.iter().min().unwrap();
+            let most = gaps.iter().max().unwrap();
             assert!(most - least <= 1, "{wanted}: {least} to {most}");
         }
     }

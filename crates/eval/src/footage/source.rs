@@ -63,7 +63,10 @@ pub trait FrameSource: Send {
 pub(crate) fn clip_name(path: &Path) -> String {
     let own = path.file_stem().unwrap_or_default();
     let parent = path.parent().and_then(Path::file_name);
-    let stem = parent.filter(|_| own == "img1").unwrap_or(own);
+    let stem = match parent {
+        Some(parent) if own == "img1" => parent,
+        _ => own,
+    };
     // A leading dot would hide the files that are named after the clip.
     plain_name(stem.to_string_lossy().trim_start_matches('.'))
 }

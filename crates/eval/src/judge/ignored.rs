@@ -3,10 +3,10 @@
 //! [`Mark`] has the rules. Those at each IoU threshold, which are COCO's, are part of the matching for average precision;
 //! [`without_ignored`] applies them at IoU 0.5 for every other figure.
 
+use super::Classes;
 use super::assignment::assign;
-use super::average_precision::IOU_THRESHOLDS;
+use super::frame_matching::{self, IOU_THRESHOLDS};
 use super::truth::{Ignored, Mark, Truth};
-use super::{Classes, average_precision};
 use crate::boxes::ScoredBox;
 use std::borrow::Cow;
 
@@ -28,14 +28,13 @@ pub(super) fn without_fixed<'a>(
     {
         return Cow::Borrowed(predictions);
     }
-    let frames = predictions.iter().enumerate();
-    frames
-        .map(|(frame, found)| {
-            let excused = excused(found, truth.objects(frame), truth.ignored(frame), classes);
-            let kept = found.iter().zip(excused).filter(|(_, excused)| !excused);
-            kept.map(|(found, _)| *found).collect()
-        })
-        .collect()
+    let mut judged = Vec::with_capacity(predictions.len());
+    for (frame, found) in predictions.iter().enumerate() {
+        let excused = excused(found, truth.objects(frame), truth.ignored(frame), classes);
+        let kept = found.iter().zip(excused).filter(|(_, excused)| !excused);
+        judged.push(kept.map(|(found, _)| *found).collect());
+    }
+    Cow::Owned(judged)
 }
 
 /// Returns `predictions` without all that cannot be judged at IoU 0.5.
@@ -49,7 +48,7 @@ pub(super) fn without_ignored(
         let ignored = truth.ignored(frame);
         if ignored.iter().any(|ignored| is_of_coco(ignored.mark)) {
             let excused =
-                average_precision::excused_at_50(found, truth.objects(frame), ignored, classes);
+                frame_matching::excused_at_50(found, truth.objects(frame), ignored, classes);
             let mut excused = excused.into_iter();
             found.retain(|_| !excused.next().unwrap_or_default());
         }
@@ -157,7 +156,8 @@ mod tests {
     }
 
     fn kept(found: Vec<ScoredBox>, objects: &[ScoredBox], ignored: Vec<Ignored>) -> Vec<f64> {
-        let (objects, ignored) = ([objects.to_vec()], [ignored]);
+        let objects = [objects.to_vec()];
+        let ignored = [ignored];
         let truth = Truth {
             objects: &objects,
             ignored: &ignored,
@@ -182,7 +182,8 @@ mod tests {
         let judged = kept(found.clone(), &[object], vec![region]);
         assert_eq!(judged, [0.7, 0.6, 0.5]);
         // A region of one frame says nothing about the next.
-        let (objects, ignored) = ([vec![object], vec![]], [vec![region]]);
+        let objects = [vec![object], vec![]];
+        let ignored = [vec![region]];
         let truth = Truth {
             objects: &objects,
             ignored: &ignored,

@@ -21,8 +21,10 @@ const DEFAULT_DECAY_U: f64 = 3e-4;
 
 /// Returns the threshold by which the published code decays confidences.
 pub(crate) fn decay_threshold(policy: &dyn Policy) -> f64 {
-    let u = policy.threshold().filter(|_| takes_u(policy));
-    u.unwrap_or(DEFAULT_DECAY_U)
+    match policy.threshold() {
+        Some(u) if takes_u(policy) => u,
+        _ => DEFAULT_DECAY_U,
+    }
 }
 
 /// Computes the confidence that the published code scores: it falls linearly with the uncertainty.

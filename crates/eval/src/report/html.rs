@@ -212,8 +212,11 @@ fn clips(results: &[ClipResult]) -> Markup {
         .map(|result| (result.clip.as_str(), result))
         .collect();
     let difference = |result: &ClipResult| {
+        if result.policy == BASELINE {
+            return None;
+        }
         let before = baseline.get(result.clip.as_str())?.accuracy?;
-        let own = result.accuracy.filter(|_| result.policy != BASELINE)?;
+        let own = result.accuracy?;
         Some((own.ap50 - before.ap50) * 100.0)
     };
     let column = |head: &str, cell: &dyn Fn(&ClipResult) -> String| {

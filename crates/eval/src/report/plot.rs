@@ -61,7 +61,8 @@ fn tradeoff(summaries: &[PolicySummary], families: &[&str]) -> Result<String, Pl
     };
     let across = range(judged.iter().map(|(_, at)| at.0), 0.09);
     let up = vertical_range(&judged);
-    let (low, high) = (up.start, up.end);
+    let low = up.start;
+    let high = up.end;
     let accuracy = Axis {
         name: "AP@50",
         range: up,

@@ -98,27 +98,27 @@ fn differences(summaries: &[PolicySummary]) -> Vec<(String, Vec<Column>)> {
             others.iter().map(|summary| cell(summary)).collect(),
         )
     };
-    let policy = || column("policy", &|s| short_label(&s.policy).to_owned());
+    let policy = || column("policy", &|summary| short_label(&summary.policy).to_owned());
     let points = |difference: Option<Difference>| {
         or_dash(difference.map(|found| found.scaled(100.0).text(1)))
     };
     let p = |difference: Option<Difference>| or_dash(difference.map(Difference::p_text));
     let as_published = vec![
         policy(),
-        column("AP@50", &|s| points(s.ap50_change)),
-        column("p", &|s| p(s.ap50_change)),
-        column("mAP", &|s| points(s.map_change)),
-        column("p", &|s| p(s.map_change)),
-        column("new, frames", &|s| {
-            or_dash(s.newcomers_change.map(|found| found.text(2)))
+        column("AP@50", &|summary| points(summary.ap50_change)),
+        column("p", &|summary| p(summary.ap50_change)),
+        column("mAP", &|summary| points(summary.map_change)),
+        column("p", &|summary| p(summary.map_change)),
+        column("new, frames", &|summary| {
+            or_dash(summary.newcomers_change.map(|found| found.text(2)))
         }),
     ];
     let all_boxes = vec![
         policy(),
-        column("AP@50", &|s| points(s.ap50_all_change)),
-        column("p", &|s| p(s.ap50_all_change)),
-        column("mAP", &|s| points(s.map_all_change)),
-        column("p", &|s| p(s.map_all_change)),
+        column("AP@50", &|summary| points(summary.ap50_all_change)),
+        column("p", &|summary| p(summary.ap50_all_change)),
+        column("mAP", &|summary| points(summary.map_all_change)),
+        column("p", &|summary| p(summary.map_all_change)),
     ];
     let how = format!(
         "points with 95 % intervals and p (paired t, {})",
@@ -156,36 +156,46 @@ fn ranked(summaries: &[PolicySummary]) -> Vec<(u8, Column)> {
         (rank, Column::new(heads, cells))
     };
     let mut columns = vec![
-        column(["", "policy"], 0, &|s| {
-            let star = if s.on_skip_frontier { "*" } else { "" };
-            format!("{}{star}", short_label(&s.policy))
+        column(["", "policy"], 0, &|summary| {
+            let star = if summary.on_skip_frontier { "*" } else { "" };
+            format!("{}{star}", short_label(&summary.policy))
         }),
-        column(["skip", "%"], 0, &|s| percent(s.skip_rate)),
+        column(["skip", "%"], 0, &|summary| percent(summary.skip_rate)),
     ];
     for (at, state) in FrameState::ALL.into_iter().enumerate() {
-        columns.push(column([state.as_str(), "%"], 0, &|s| percent(s.states[at])));
+        columns.push(column([state.as_str(), "%"], 0, &|summary| {
+            percent(summary.states[at])
+        }));
     }
     columns.extend([
-        column(["AP@50", ""], 0, &|s| three_decimals(s.ap50)),
-        column(["mAP", ""], 0, &|s| three_decimals(s.map)),
-        column(["AP@75", ""], 1, &|s| three_decimals(s.ap75)),
-        column(["F1@50", ">=.3"], 1, &|s| three_decimals(s.f1_50_shown)),
-        column(["new", "frames"], 0, &|s| {
-            two_decimals(s.newcomers.map(|new| new.frames))
+        column(["AP@50", ""], 0, &|summary| three_decimals(summary.ap50)),
+        column(["mAP", ""], 0, &|summary| three_decimals(summary.map)),
+        column(["AP@75", ""], 1, &|summary| three_decimals(summary.ap75)),
+        column(["F1@50", ">=.3"], 1, &|summary| {
+            three_decimals(summary.f1_50_shown)
         }),
-        column(["new", "ms"], 0, &|s| {
-            or_dash(s.newcomers.and_then(|new| Some(format!("{:.0}", new.ms?))))
+        column(["new", "frames"], 0, &|summary| {
+            two_decimals(summary.newcomers.map(|new| new.frames))
         }),
-        column(["never", "%"], 0, &|s| {
-            one_decimal(s.newcomers.map(|new| 100.0 * new.never_found))
+        column(["new", "ms"], 0, &|summary| {
+            or_dash(summary.newcomers.and_then(|new| Some(format!("{:.0}", new.ms?))))
         }),
-        column(["calls", "/s"], 2, &|s| one_decimal(s.calls_a_second)),
-        column(["AP@50", "all"], 2, &|s| three_decimals(s.ap50_all)),
-        column(["mAP", "all"], 3, &|s| three_decimals(s.map_all)),
-        column(["HOTA", ">=.3"], 3, &|s| three_decimals(s.hota)),
-        column(["IDF1", ">=.3"], 4, &|s| three_decimals(s.idf1)),
-        column(["time", "ms"], 4, &|s| {
-            or_dash(s.frame_time_ms.map(|(time, kind)| {
+        column(["never", "%"], 0, &|summary| {
+            one_decimal(summary.newcomers.map(|new| 100.0 * new.never_found))
+        }),
+        column(["calls", "/s"], 2, &|summary| {
+            one_decimal(summary.calls_a_second)
+        }),
+        column(["AP@50", "all"], 2, &|summary| {
+            three_decimals(summary.ap50_all)
+        }),
+        column(["mAP", "all"], 3, &|summary| {
+            three_decimals(summary.map_all)
+        }),
+        column(["HOTA", ">=.3"], 3, &|summary| three_decimals(summary.hota)),
+        column(["IDF1", ">=.3"], 4, &|summary| three_decimals(summary.idf1)),
+        column(["time", "ms"], 4, &|summary| {
+            or_dash(summary.frame_time_ms.map(|(time, kind)| {
                 let mark = match kind {
                     Provenance::Composed => "c",
                     Provenance::Projected => "p",
@@ -193,11 +203,11 @@ fn ranked(summaries: &[PolicySummary]) -> Vec<(u8, Column)> {
                 format!("{time:.1}{mark}")
             }))
         }),
-        column(["energy", "J"], 3, &|s| {
-            or_dash(s.energy.map(|energy| format!("{:.0}p", energy.joules)))
+        column(["energy", "J"], 3, &|summary| {
+            or_dash(summary.energy.map(|energy| format!("{:.0}p", energy.joules)))
         }),
-        column(["EDP", "J·ms"], 4, &|s| {
-            or_dash(s.energy.map(|energy| format!("{:.0}p", energy.edp)))
+        column(["EDP", "J·ms"], 4, &|summary| {
+            or_dash(summary.energy.map(|energy| format!("{:.0}p", energy.edp)))
         }),
     ]);
     columns.retain(|(_, column)| column.cells.iter().any(|cell| cell != "-"));

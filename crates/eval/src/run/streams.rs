@@ -69,50 +69,62 @@ pub fn run<'a>(
     settings: &Settings,
     stream: Stream,
 ) -> Result<StreamResults, EvalError> {
-    let unjudgeable = |clip: &Clip, spec: &PolicySpec| {
-        let what = "frames have no times, as the data has no frame rate: give it with --rate";
-        no_evidence(clip, spec, EvalError::new(what))
-    };
     let results = in_parallel(
         clips,
         policies,
         settings,
         &|| (),
-        &|clip, spec, settings| {
-            let policy = spec.build(clip.frame_rate)?;
-            let rate = clip.frame_rate.filter(|rate| *rate > 0.0);
-            let interval = 1.0 / rate.ok_or_else(|| unjudgeable(clip, spec))?;
-            let published = StoredEvidence::new(clip, settings)
-                .and_then(|mut evidence| publish(policy, &mut evidence, &stream, interval))
-                .map_err(|source| no_evidence(clip, spec, source))?;
-            let min_confidence = settings.min_confidence();
-            let (boxes, all): (Vec<_>, Vec<_>) = published
-                .boxes
-                .iter()
-                .map(|boxes| score_node_boxes(boxes, clip.picture, min_confidence))
-                .unzip();
-            let truth = clip.truth.as_deref().map(|objects| Truth {
-                objects,
-                ignored: &clip.ignored,
-            });
-            let judge = |boxes: &[Vec<ScoredBox>], truth| {
-                accuracy(boxes, truth, settings.classes, settings.interpolation)
-            };
-            Ok(ClipResult {
-                clip: clip.name.clone(),
-                policy: spec.label.clone(),
-                frames: clip.frames,
-                frame_rate: clip.frame_rate,
-                accuracy: truth.and_then(|truth| judge(&boxes, truth)),
-                accuracy_all: truth.and_then(|truth| judge(&all, truth)),
-                newcomers: truth.and_then(|truth| newcomers(&boxes, truth, settings.classes)),
-                detector_frames: published.calls,
-                delay: published.delay as f64 / clip.frames.max(1) as f64,
-                ..ClipResult::default()
-            })
-        },
+        &|clip, spec, settings| run_clip(clip, spec, settings, &stream),
     )?;
     Ok(StreamResults { stream, results })
+}
+
+/// Runs a policy over a clip and judges what it publishes.
+fn run_clip(
+    clip: &Clip,
+    spec: &PolicySpec,
+    settings: &Settings,
+    stream: &Stream,
+) -> Result<ClipResult, EvalError> {
+    let policy = spec.build(clip.frame_rate)?;
+    let Some(rate) = clip.frame_rate.filter(|rate| *rate > 0.0) else {
+        let what = "frames have no times, as the data has no frame rate: give it with --rate";
+        return Err(no_evidence(clip, spec, EvalError::new(what)));
+    };
+    let published = StoredEvidence::new(clip, settings)
+        .and_then(|mut evidence| publish(policy, &mut evidence, stream, 1.0 / rate))
+        .map_err(|source| no_evidence(clip, spec, source))?;
+    let mut result = ClipResult {
+        clip: clip.name.clone(),
+        policy: spec.label.clone(),
+        frames: clip.frames,
+        frame_rate: clip.frame_rate,
+        detector_frames: published.calls,
+        delay: published.delay as f64 / clip.frames.max(1) as f64,
+        ..ClipResult::default()
+    };
+    let Some(objects) = &clip.truth else {
+        return Ok(result);
+    };
+    let truth = Truth {
+        objects,
+        ignored: &clip.ignored,
+    };
+    let min_confidence = settings.min_confidence();
+    // The boxes that a node publishes, and all boxes, however faint.
+    let mut boxes = Vec::with_capacity(clip.frames);
+    let mut all = Vec::with_capacity(clip.frames);
+    for frame in &published.boxes {
+        let (shown, with_faint) = score_node_boxes(frame, clip.picture, min_confidence);
+        boxes.push(shown);
+        all.push(with_faint);
+    }
+    let judge =
+        |boxes: &[Vec<ScoredBox>]| accuracy(boxes, truth, settings.classes, settings.interpolation);
+    result.accuracy = judge(&boxes);
+    result.accuracy_all = judge(&all);
+    result.newcomers = newcomers(&boxes, truth, settings.classes);
+    Ok(result)
 }
 
 /// Publishes the boxes of a clip; `interval` is the time between two frames, seconds.
@@ -303,18 +315,22 @@ impl StreamResults {
         let figures = table(
             &summaries,
             &[
-                ("policy", |s| short_label(&s.policy).to_owned()),
-                ("calls%", |s| format!("{:.1}", 100.0 * s.calls)),
-                ("AP@50", |s| three_decimals(s.ap50)),
-                ("AP@75", |s| three_decimals(s.ap75)),
-                ("F1", |s| three_decimals(s.f1_50_shown)),
-                ("mAP", |s| three_decimals(s.map)),
-                ("all", |s| three_decimals(s.ap50_all)),
-                ("delay", |s| format!("{:.1}", s.delay)),
-                ("new", |s| two_decimals(s.newcomers.map(|new| new.frames))),
-                ("ms", |s| one_decimal(s.newcomers.and_then(|new| new.ms))),
-                ("never%", |s| {
-                    one_decimal(s.newcomers.map(|new| 100.0 * new.never_found))
+                ("policy", |summary| short_label(&summary.policy).to_owned()),
+                ("calls%", |summary| format!("{:.1}", 100.0 * summary.calls)),
+                ("AP@50", |summary| three_decimals(summary.ap50)),
+                ("AP@75", |summary| three_decimals(summary.ap75)),
+                ("F1", |summary| three_decimals(summary.f1_50_shown)),
+                ("mAP", |summary| three_decimals(summary.map)),
+                ("all", |summary| three_decimals(summary.ap50_all)),
+                ("delay", |summary| format!("{:.1}", summary.delay)),
+                ("new", |summary| {
+                    two_decimals(summary.newcomers.map(|new| new.frames))
+                }),
+                ("ms", |summary| {
+                    one_decimal(summary.newcomers.and_then(|new| new.ms))
+                }),
+                ("never%", |summary| {
+                    one_decimal(summary.newcomers.map(|new| 100.0 * new.never_found))
                 }),
             ],
         );
@@ -322,11 +338,11 @@ impl StreamResults {
         let differences = table(
             &summaries,
             &[
-                ("policy", |s| short_label(&s.policy).to_owned()),
-                ("AP@50", |s| points(s.ap50_change)),
-                ("AP@75", |s| points(s.ap75_change)),
-                ("F1", |s| points(s.f1_50_shown_change)),
-                ("new", |s| frames(s.newcomers_change)),
+                ("policy", |summary| short_label(&summary.policy).to_owned()),
+                ("AP@50", |summary| points(summary.ap50_change)),
+                ("AP@75", |summary| points(summary.ap75_change)),
+                ("F1", |summary| points(summary.f1_50_shown_change)),
+                ("new", |summary| frames(summary.newcomers_change)),
             ],
         );
         let legend = text::wrapped(

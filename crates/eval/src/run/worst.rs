@@ -20,7 +20,9 @@ const SHOWN_POLICIES: usize = 10;
 
 /// Chooses the policies whose frames are shown: the first setting of each, then further ones.
 pub(crate) fn shown_policies<'a>(labels: impl IntoIterator<Item = &'a str>) -> Vec<&'a str> {
-    let (mut first, mut further, mut families) = (Vec::new(), Vec::new(), Vec::new());
+    let mut first = Vec::new();
+    let mut further = Vec::new();
+    let mut families = Vec::new();
     for label in labels {
         let (family, _) = split_label(label);
         if !families.contains(&family) {

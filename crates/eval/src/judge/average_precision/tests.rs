@@ -1,4 +1,5 @@
 use super::*;
+use albireo_core::geometry::Corners;
 use proptest::prelude::*;
 
 pub(crate) fn square(x: f64, y: f64, side: f64) -> Corners {
