@@ -48,7 +48,9 @@ pub(super) fn run(arguments: &CheckArguments) -> anyhow::Result<()> {
     }
     let (config, mut findings) = examine::<NodeConfig>(Some(&arguments.file));
     let mut detector = Vec::new();
-    if let Some(config) = config.as_ref().filter(|_| !arguments.file_only) {
+    if let Some(config) = &config
+        && !arguments.file_only
+    {
         let known: Vec<_> = findings.iter().map(|finding| finding.key.clone()).collect();
         let here = config.here();
         let missing = here.missing.into_iter();
@@ -56,12 +58,14 @@ pub(super) fn run(arguments: &CheckArguments) -> anyhow::Result<()> {
         detector = here.detector;
     }
     let file = arguments.file.display().to_string();
-    let tried = match config.as_ref().filter(|_| arguments.online) {
-        Some(config) => block_on(online(config)),
-        None => Ok(()),
+    // Also if something is missing: what else does not work is better known at once.
+    let tried = match &config {
+        Some(config) if arguments.online => block_on(online(config)),
+        _ => Ok(()),
     };
-    let Some(config) = config.filter(|_| findings.is_empty()) else {
-        return Err(ConfigError { file, findings }.into());
+    let config = match config {
+        Some(config) if findings.is_empty() => config,
+        _ => return Err(ConfigError { file, findings }.into()),
     };
     tried?;
     println!(

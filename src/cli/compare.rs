@@ -247,7 +247,9 @@ fn own_truth(
     let files = [file.to_path_buf()];
     let mut truth = GroundTruth::read(&files, TruthFormat::Bdd100k, Rules::default())?;
     let frames = usize::try_from(frames)?;
-    let (mut objects, mut ignored, mut clips) = (Vec::new(), Vec::new(), 0);
+    let mut objects = Vec::new();
+    let mut ignored = Vec::new();
+    let mut clips = 0;
     for part in source.open_clips(None, VideoEncoding::default())? {
         if objects.len() >= frames {
             break;
@@ -323,7 +325,8 @@ fn judge(
         let by_truth = truth.and_then(|truth| {
             let found =
                 played.judged_boxes(first, truth.size.frames, &Evaluated::Road, &mut left_out);
-            let (objects, ignored) = (truth.objects.as_slice(), truth.ignored.as_slice());
+            let objects = truth.objects.as_slice();
+            let ignored = truth.ignored.as_slice();
             agreement_with_truth(&found, Truth { objects, ignored })
         });
         runs.push(Run {

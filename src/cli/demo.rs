@@ -113,11 +113,9 @@ pub(super) async fn run(arguments: DemoArguments) -> anyhow::Result<()> {
         camera(clip, arguments, config, endpoint, banner, shutdown.clone()),
     ));
     let show = tokio::spawn(show.run());
-    let (node, camera, summary) = (
-        node.await.context("node")?,
-        camera.await.context("camera")?,
-        show.await.context("output")?,
-    );
+    let node = node.await.context("node")?;
+    let camera = camera.await.context("camera")?;
+    let summary = show.await.context("output")?;
     // The hub ends last, so that the last clip has arrived.
     stop_hub.cancel();
     let hub = hub.await.context("hub")?;

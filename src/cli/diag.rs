@@ -50,9 +50,8 @@ pub(super) async fn run(arguments: DiagArguments) -> anyhow::Result<()> {
         .await
         .context("the connection ended before the archive was complete")?;
     let shown = file.display();
-    File::create_new(&file)
-        .and_then(|mut opened| opened.write_all(&archive))
-        .with_context(|| format!("{shown} cannot be written"))?;
+    let written = File::create_new(&file).and_then(|mut opened| opened.write_all(&archive));
+    written.with_context(|| format!("{shown} cannot be written"))?;
     println!("{shown}: {} bytes; tar xf {shown}", archive.len());
     Ok(())
 }

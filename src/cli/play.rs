@@ -78,6 +78,13 @@ pub(super) struct Played {
     answers: Vec<Arc<DetectionsMessage>>,
 }
 
+/// The node that a run is played to.
+struct RunningNode<'a> {
+    board: &'a Board,
+    power: PowerHandle,
+    endpoints: Vec<String>,
+}
+
 /// What is measured while the clip is played.
 struct Measured {
     cpu: Duration,
@@ -152,13 +159,14 @@ impl Played {
 
     /// Returns the boxes of the clip's frames, of which the first has the sequence number `first`.
     pub(super) fn boxes(&self, first: u64, classes: &mut ClassNumbers) -> Boxes {
-        self.answers
-            .iter()
-            .filter_map(|answer| {
-                let frame = answer.seq.checked_sub(first)?;
-                Some((frame, classes.boxes(answer)))
-            })
-            .collect()
+        let mut boxes = Boxes::default();
+        for answer in &self.answers {
+            // What is below is a frame of the warm-up.
+            if let Some(frame) = answer.seq.checked_sub(first) {
+                boxes.insert(frame, classes.boxes(answer));
+            }
+        }
+        boxes
     }
 }
 
@@ -203,11 +211,14 @@ impl Player {
         let starting = prepared.start(&config, stop.clone());
         let started = shutdown.run_until_cancelled(starting).await;
         let node = started.context("stopped")??;
-        let endpoints = node.endpoints().await;
-        let power = node.power();
+        let running = RunningNode {
+            board: &board,
+            power: node.power(),
+            endpoints: node.endpoints().await,
+        };
         let stopped = tokio::spawn(node.stopped());
         let played = tokio::select! {
-            played = self.play_to(&config, (&board, power), &endpoints, &progress, shutdown) => played,
+            played = self.play_to(running, &config, &progress, shutdown) => played,
             () = shutdown.cancelled() => Err(anyhow!("stopped")),
         };
         // The clip ends with the node; its report is on the board once the node has stopped.
@@ -216,11 +227,9 @@ impl Player {
         ended.cancel();
         let measured = played?;
         let answers = collecting.await.context("the node's answers")??;
-        let report = board
-            .recent_clips(Some(CAMERA), None, None, usize::MAX)
-            .into_iter()
-            .find(|report| report.clip == MEASURED)
-            .context("the node reported no clip")?;
+        let mut reports = board.recent_clips(Some(CAMERA), None, None, usize::MAX).into_iter();
+        let measured_clip = reports.find(|report| report.clip == MEASURED);
+        let report = measured_clip.context("the node reported no clip")?;
         ensure!(
             report.part == 0,
             "the clip took more than {LONGEST_CLIP_S} s, which one report cannot cover: play less of it"
@@ -238,15 +247,14 @@ impl Player {
     /// Plays warm-up and clip to a running node.
     async fn play_to(
         &self,
+        node: RunningNode<'_>,
         config: &NodeConfig,
-        (board, power): (&Board, PowerHandle),
-        endpoints: &[String],
         progress: &impl Fn(u64, &str),
         shutdown: &CancellationToken,
     ) -> anyhow::Result<Measured> {
         let key = config.keys()?.camera(CAMERA)?.frame();
-        let camera = board.camera(CAMERA).context("the camera is not on the board")?;
-        let session = open_session(endpoints, &[], PATIENCE).await?;
+        let camera = node.board.camera(CAMERA).context("the camera is not on the board")?;
+        let session = open_session(&node.endpoints, &[], PATIENCE).await?;
         let pacing = match self.rate {
             Some(_) => Pacing::WaitForNetwork,
             None => Pacing::WaitForNode,
@@ -272,9 +280,10 @@ impl Player {
             ..PublishOptions::default()
         };
         let before = process_cpu();
-        let forgotten = process::forget_peak_memory();
+        // Where the peak cannot be forgotten, it would be that of an earlier run.
+        let is_peak_own = process::forget_peak_memory();
         let ended = CancellationToken::new();
-        let tracing = tokio::spawn(trace(power, ended.clone()));
+        let tracing = tokio::spawn(trace(node.power, ended.clone()));
         // The trace ends with this function, whatever its end.
         let _ended = ended.clone().drop_guard();
         let report = |sent| progress(warm_up + sent, "playing");
@@ -286,12 +295,14 @@ impl Player {
         self.answered(camera, self.frames_of_a_run()).await?;
         let cpu = process_cpu().saturating_sub(before);
         ended.cancel();
+        let peak_bytes = if is_peak_own {
+            process::peak_memory_bytes()
+        } else {
+            None
+        };
         let measured = Measured {
             cpu,
-            memory_mb: forgotten
-                .then(process::peak_memory_bytes)
-                .flatten()
-                .map(|bytes| bytes as f64 / 1e6),
+            memory_mb: peak_bytes.map(|bytes| bytes as f64 / 1e6),
             traces: tracing.await.context("the power trace")?,
         };
         close(session).await?;

@@ -81,7 +81,8 @@ pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> any
     let total = match (options.frames, source.frames()) {
         (Some(frames), Some(own)) if !options.repeat => Some(frames.min(own)),
         (Some(frames), _) => Some(frames),
-        (None, own) => own.filter(|_| !options.repeat),
+        (None, own) if !options.repeat => own,
+        (None, _) => None,
     };
     let bar = progress::bar(total, "frames  {msg}");
     let progress = |sent: &Sent| {

@@ -334,11 +334,9 @@ fn scheduled<'a>(
 ) -> Vec<(&'a MeasuredClip, &'a PolicySpec)> {
     let mut runs = Vec::new();
     for (number, clip) in clips.iter().enumerate() {
-        let mut of_clip: Vec<_> = policies
-            .iter()
-            .filter(|policy| !file.has(&clip.name, &policy.label))
-            .map(|policy| (clip, policy))
-            .collect();
+        let missing = policies.iter().filter(|policy| !file.has(&clip.name, &policy.label));
+        let mut of_clip: Vec<_> = missing.map(|policy| (clip, policy)).collect();
+        // A machine that warms up must not favour the policy that is always first.
         if number % 2 == 1 {
             of_clip.reverse();
         }
@@ -405,11 +403,11 @@ impl Measuring<'_> {
         let arguments = self.arguments;
         let opened = of.source.open_clips(arguments.rate, VideoEncoding::default())?;
         let source = opened.into_iter().nth(of.number).context("the clip is gone")?;
-        let rate = self
-            .truth
-            .rate(&of.name, self.alone)
-            .filter(|_| arguments.rate.is_none())
-            .unwrap_or_else(|| source.rate());
+        // A rate that the user names is that of the opened source.
+        let rate = match self.truth.rate(&of.name, self.alone) {
+            Some(rate) if arguments.rate.is_none() => rate,
+            _ => source.rate(),
+        };
         let loading = tokio::task::spawn_blocking(move || clip::load(source, LONGEST_S));
         let (pictures, size) = loading.await.context("reading the clip")??;
         let frames = pictures.frames().unwrap_or_default();

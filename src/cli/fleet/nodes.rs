@@ -217,10 +217,13 @@ fn sums(energy: &Energy) -> String {
             EnergyQuality::Unavailable => "-".to_owned(),
             _ => figure(value),
         };
-        let name = Some(group.group.as_str()).filter(|name| !name.is_empty());
+        let name = match group.group.as_str() {
+            "" => "all",
+            name => name,
+        };
         let recall = group.audit.as_ref().and_then(|audit| audit.recall);
         [
-            name.unwrap_or("all").to_owned(),
+            name.to_owned(),
             name_of(&group.quality),
             group.clips.to_string(),
             joules(group.joules),

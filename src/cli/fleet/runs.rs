@@ -390,10 +390,8 @@ fn entry_text(entry: &Entry, begun_ms: i64) -> String {
     let mean = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), figure);
     let rows = entry.gates.iter().map(|result| {
         let measured = result.figure.map(|figure| figure.to_string());
-        let change = result
-            .change
-            .as_ref()
-            .map(|change| interval(change, result.gate.scale == Scale::Relative));
+        let is_relative = result.gate.scale == Scale::Relative;
+        let change = result.change.as_ref().map(|change| interval(change, is_relative));
         [
             format!("   {}", result.gate),
             name_of(&result.verdict),
@@ -428,9 +426,10 @@ fn result(result: &TrialResult) -> String {
             difference.unwrap_or("-".to_owned()),
         ])
     };
-    let rows = Figure::ALL
-        .into_iter()
-        .flat_map(|shown| result.values.iter().filter_map(move |arm| row(shown, arm)));
+    let mut rows = Vec::new();
+    for shown in Figure::ALL {
+        rows.extend(result.values.iter().filter_map(|arm| row(shown, arm)));
+    }
     let headings = "figure|>value|>nodes|>clips|>before|>during|difference";
     let table = table(headings, rows);
     format!(

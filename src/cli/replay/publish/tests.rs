@@ -33,7 +33,8 @@ async fn played(
     let sent = publish(
         source,
         |frame: OutgoingFrame| {
-            let (frames, wait) = (&frames, slow(frame.attachment.seq.unwrap()));
+            let frames = &frames;
+            let wait = slow(frame.attachment.seq.unwrap());
             async move {
                 tokio::time::sleep(wait).await;
                 frames.lock().unwrap().push((start.elapsed(), frame));
