@@ -91,9 +91,11 @@ fn two_frames_late(policy: Box<dyn Policy>, film: &[Frame]) -> Box<Decide<'_>> {
                 let mut known = evidence(offset, &film[offset]);
                 let Ok(evidence) = known.evidence(need);
                 let need = late.deliver(waiting.index, evidence, outcome).unwrap();
-                waits = (need != Need::Nothing).then_some((waiting, need));
                 if need == Need::Nothing {
+                    waits = None;
                     settler.late(waiting.index, outcome, |_| {});
+                } else {
+                    waits = Some((waiting, need));
                 }
             }
         },

@@ -140,7 +140,8 @@ impl Drive {
         let runs = self.finals.values().filter(|message| !message.degraded);
         let mut runs: Vec<_> = runs.map(|message| message.latency_ms.total).collect();
         runs.sort_by(f64::total_cmp);
-        let (answer, run) = (took[took.len() / 2], runs[runs.len() / 2]);
+        let answer = took[took.len() / 2];
+        let run = runs[runs.len() / 2];
         assert!(
             answer < run / 2.0,
             "answers wait: median {answer} ms, of a run {run} ms"

@@ -124,10 +124,8 @@ async fn a_camera_is_turned_cropped_and_masked_for_detector_messages_page_and_re
             panic!("{name}: not one box: {found}");
         };
         let place = |at: usize| only["box"][at].as_f64().unwrap();
-        let (one, other) = (
-            back([place(0), place(1)], size),
-            back([place(2), place(3)], size),
-        );
+        let one = back([place(0), place(1)], size);
+        let other = back([place(2), place(3)], size);
         let sent = [
             one[0].min(other[0]),
             one[1].min(other[1]),

@@ -136,7 +136,8 @@ fn source(address: &str, more: &str) -> String {
 #[ignore = "needs ONNX Runtime and ffmpeg and RTSP server"]
 async fn a_camera_opened_by_the_node_reconnects_and_its_password_never_leaks() {
     let camera = RtspCamera::start("h264", &LOGIN).await;
-    let (port, address) = (camera.port, with_login(&camera));
+    let port = camera.port;
+    let address = with_login(&camera);
     let settings = source(&address, "");
     let mut command = albireo();
     command.envs(ENVIRONMENT);
@@ -179,7 +180,8 @@ async fn a_camera_opened_by_the_node_reconnects_and_its_password_never_leaks() {
 #[ignore = "needs ffmpeg and RTSP server"]
 async fn a_published_camera_reconnects_and_restarts_its_numbering() {
     let camera = RtspCamera::start("h264", &LOGIN).await;
-    let (port, source) = (camera.port, with_login(&camera));
+    let port = camera.port;
+    let source = with_login(&camera);
     let mut publisher = Publisher::start(&[&source], &ENVIRONMENT).await;
     let frames = publisher.take(30).await;
     let first = &frames[0].said;

@@ -20,12 +20,14 @@ fn compared(
     development: &str,
     more: &[&str],
 ) -> (String, String, Value) {
-    let (config, out) = (folder.join("node.toml"), folder.join("out"));
+    let config = folder.join("node.toml");
+    let out = folder.join("out");
     let model = project("models/yolox_nano.onnx");
     let settings = format!("detector.model = {model:?}\n[power]\n{power}\n");
     std::fs::write(&config, settings).unwrap();
     let policies = ["--policy", "vanilla", "--policy", "albireo"];
-    let (config, files) = (config.to_str().unwrap(), out.to_str().unwrap());
+    let config = config.to_str().unwrap();
+    let files = out.to_str().unwrap();
     let files = ["--config", config, "--out", files];
     let ended = compare(development, &[&policies, &files, more].concat());
     let progress = ended.err.clone();
@@ -115,13 +117,15 @@ fn the_boards_own_meter_is_read_in_every_run() {
         let report = report(run);
         assert_eq!(report.frames, 20, "unpaced drops nothing: {report:?}");
         assert_eq!(report.energy.quality, EnergyQuality::Measured);
-        let (joules, seconds) = (report.energy.joules.unwrap(), report.duration_s);
+        let joules = report.energy.joules.unwrap();
+        let seconds = report.duration_s;
         assert!((joules / (21.5 * seconds) - 1.0).abs() < 1e-3, "{report:?}");
         let product = joules * seconds * 1e3 / 20.0;
         // Each of the three has six decimals.
         assert!((report.energy.edp.unwrap() / product - 1.0).abs() < 1e-5);
         let board = report.board.unwrap();
-        let (sensor, mode) = (board.hottest_sensor.unwrap(), board.power_mode.unwrap());
+        let sensor = board.hottest_sensor.unwrap();
+        let mode = board.power_mode.unwrap();
         assert_eq!((&*sensor, &*mode), ("tj-thermal", "MODE_30W"));
     }
 }

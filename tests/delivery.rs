@@ -76,7 +76,8 @@ impl Hub {
 
     /// Acknowledges everything until it has exactly the first `reports` reports, each once and in order.
     async fn stores(&mut self, reports: u64) {
-        let (mut known, mut stored) = (BTreeSet::new(), Vec::new());
+        let mut known = BTreeSet::new();
+        let mut stored = Vec::new();
         while (stored.len() as u64) < reports {
             let (query, mut new) = self.asked().await;
             new.retain(|(id, _)| known.insert(*id));
@@ -189,7 +190,8 @@ async fn a_stalled_subscriber_slows_neither_detections_nor_http() {
     // Two messages per frame, among them a clip report: far more than the buffers in between hold.
     let with = times(&node, &mut camera, 1700).await;
     for (without, with) in without.iter().zip(&with) {
-        let (without, longest) = (median(without), *with.iter().max().unwrap());
+        let without = median(without);
+        let longest = *with.iter().max().unwrap();
         let with = median(&with[1500..]);
         println!("median {without:?} without it, {with:?} with it; maximum {longest:?}");
         assert!(with < without * 10 + Duration::from_millis(50));

@@ -102,7 +102,8 @@ async fn members_with_a_valid_certificate_work_and_every_intruder_is_rejected() 
     assert!(ended.is_err(), "an expired certificate");
 
     let node = fleet.authority().join("node");
-    let (certificate, key) = (node.join("car-7.pem"), node.join("car-8.key"));
+    let certificate = node.join("car-7.pem");
+    let key = node.join("car-8.key");
     let mixed = fleet.opens_with(&certificate, &key).await;
     assert!(mixed.is_err(), "another node's key");
 

@@ -86,7 +86,8 @@ fn after_ten_pictures_that_agree_the_model_runs_at_the_smallest_input_and_finds_
         assert_eq!(prepared.size(), size);
         network.detect(&prepared).unwrap().detections
     };
-    let (wide, square) = (at(WIDE), at(SQUARE));
+    let wide = at(WIDE);
+    let square = at(SQUARE);
     assert_eq!(wide.len(), square.len());
     for (wide, square) in wide.iter().zip(&square) {
         let overlap = wide.bounding_box.intersection_over_union(square.bounding_box);
@@ -212,10 +213,8 @@ async fn cameras_that_share_a_detector_have_each_the_input_of_their_pictures() {
 #[test]
 #[ignore = "needs ../shared and ONNX Runtime and Python"]
 fn shared_the_script_opens_the_published_file_into_ours_which_equals_it_at_its_size() {
-    let (published, ours) = (
-        shared("models/yolox_nano_416.onnx"),
-        project("models/yolox_nano.onnx"),
-    );
+    let published = shared("models/yolox_nano_416.onnx");
+    let ours = project("models/yolox_nano.onnx");
     let folder = tempfile::tempdir().unwrap();
     let opened = folder.path().join("opened.onnx");
     let script = |file: &str| {

@@ -21,18 +21,20 @@ fn network(file: &str) -> DetectorNetwork {
 
 /// Overlap and difference of confidence of each detection in `sure` with the nearest of `others`; `None` if missed.
 fn agreement(sure: &[Detection], others: &[Detection]) -> Vec<Option<(f64, f64)>> {
-    let sure = sure.iter().filter(|found| found.confidence >= SURE);
-    sure.map(|wanted| {
-        let same_class = others.iter().filter(|other| other.class == wanted.class);
-        same_class
-            .map(|other| {
-                let overlap = wanted.bounding_box.intersection_over_union(other.bounding_box);
-                (overlap, (other.confidence - wanted.confidence).abs())
-            })
-            .max_by(|first, second| first.0.total_cmp(&second.0))
-            .filter(|(overlap, _)| *overlap >= 0.5)
-    })
-    .collect()
+    let mut agreements = Vec::new();
+    for wanted in sure.iter().filter(|found| found.confidence >= SURE) {
+        let mut nearest = None;
+        let mut largest = 0.5;
+        for other in others.iter().filter(|other| other.class == wanted.class) {
+            let overlap = wanted.bounding_box.intersection_over_union(other.bounding_box);
+            if overlap >= largest {
+                largest = overlap;
+                nearest = Some((overlap, (other.confidence - wanted.confidence).abs()));
+            }
+        }
+        agreements.push(nearest);
+    }
+    agreements
 }
 
 fn median(values: &mut [f64]) -> f64 {

@@ -133,9 +133,11 @@ fn anchors(page: &Path) -> Vec<String> {
 fn every_linked_or_named_file_exists_with_the_heading_of_the_link() {
     let folders = "crates/ src/ tests/ benches/ config/ deploy/ docs/ models/ web/";
     let folders: Vec<_> = folders.split(' ').collect();
-    let (mut seen, mut missing) = (0, Vec::new());
+    let mut seen = 0;
+    let mut missing = Vec::new();
     for name in pages() {
-        let (text, page) = (text(&name), project(&name));
+        let text = text(&name);
+        let page = project(&name);
         let links = text.split("](").skip(1);
         let links = links.filter_map(|rest| rest.split(')').next());
         for link in links.filter(|link| !link.contains("://")) {

@@ -38,7 +38,8 @@ fn split(folder: &Path) {
     let mut busy = road.open_clips(None, VideoEncoding::Jpeg).unwrap().swap_remove(0);
     let mut frames: Vec<Vec<Value>> = vec![Vec::new(); CLIPS];
     for number in 0..CLIPS * FRAMES {
-        let (clip, frame) = (number / FRAMES, number % FRAMES);
+        let clip = number / FRAMES;
+        let frame = number % FRAMES;
         let name = format!("b1c{clip:05x}-{clip:08x}");
         let picture = format!("{name}-{:07}.jpg", frame + 1);
         let place = folder.join("images/track/val").join(&name);

@@ -21,7 +21,8 @@ fn recording() -> TempDir {
     let mut truth = "frame,x1,y1,x2,y2,class,object_id\n".to_owned();
     for frame in 0..40 {
         let x = 20 + 10 * frame;
-        let (right, wobble) = (x + 80, frame % 3);
+        let right = x + 80;
+        let wobble = frame % 3;
         if frame % 9 != 4 {
             detections.push_str(&format!("{frame},{},200.5,{right},260,0.9,2\n", x + wobble));
         }
@@ -48,7 +49,8 @@ pub(crate) fn eval(command: &str) -> Ended {
 #[test]
 fn one_command_compares_sweeps_traces_and_reports_with_names_escaped() {
     let folder = recording();
-    let (traces, out) = (folder.path().join("traces"), folder.path().join("out"));
+    let traces = folder.path().join("traces");
+    let out = folder.path().join("out");
     let ended = eval(&format!(
         "recorded {} --profile reference --policy albireo --policy fixed-skip:2 --u 3e-4 --sweep u=3e-4,1e-3 \
          --screen detections --confidence 0.5 --energy-model config/energy/agx-thor.toml --traces {} --out {}",
@@ -219,7 +221,8 @@ fn a_box_on_a_distractor_is_judged_by_the_rules_of_motchallenge_and_the_rate_is_
     let folder = tempfile::tempdir().unwrap();
     let info = "[Sequence]\nname=M\nframeRate=25\nseqLength=3\nimWidth=640\nimHeight=480\n";
     write(folder.path(), "seqinfo.ini", info);
-    let (mut truth, mut found) = (String::new(), String::new());
+    let mut truth = String::new();
+    let mut found = String::new();
     for frame in 1..=3 {
         truth += &format!("{frame},1,11,11,40,80,1,1,1\n{frame},2,200,11,40,80,0,8,1\n");
         found +=

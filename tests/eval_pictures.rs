@@ -106,7 +106,8 @@ fn assert_replays_alike(pictured: &Clip, confidence: f64) -> Vec<ClipResult> {
     for (live, replayed) in live.iter().zip(&replayed) {
         let policy = &live.policy;
         assert_eq!(*policy, replayed.policy);
-        let (found, expected) = (&replayed.states_by_frame, &live.states_by_frame);
+        let found = &replayed.states_by_frame;
+        let expected = &live.states_by_frame;
         assert_eq!(found, expected, "{policy}");
         assert_eq!(live.boxes, replayed.boxes, "{policy}");
     }
@@ -261,7 +262,8 @@ fn the_time_of_a_frame_is_composed_of_the_steps_it_needed() {
     for result in &results {
         let time = result.frame_time.unwrap();
         assert_eq!(time.provenance, Provenance::Composed);
-        let (detector, screen) = (result.detector_frames as f64, result.screen_frames as f64);
+        let detector = result.detector_frames as f64;
+        let screen = result.screen_frames as f64;
         let expected = (detector * 1.1e5 + screen * 1e3) / 30.0;
         // The time of the decisions is measured; even on a busy machine it is far below that of the steps.
         let is_right = (expected..expected + 500.0).contains(&time.milliseconds.mean);
@@ -316,7 +318,8 @@ fn shared_a_real_clip_is_decided_alike_live_replayed_and_from_stored_detections(
         ..ScreenConfig::default()
     };
     let clip = shared("media/highway_empty_then_car.mp4");
-    let (clip, jpeg) = (clip.to_str().unwrap(), VideoEncoding::Jpeg);
+    let clip = clip.to_str().unwrap();
+    let jpeg = VideoEncoding::Jpeg;
     let mut clip = Video::open(clip, None, jpeg, Ffmpeg::default()).unwrap();
     // Every second frame: detector runs are slow.
     let rate = clip.rate() / 2.0;

@@ -19,7 +19,8 @@ fn shown(clip: &Clip, asked: &str) -> Vec<Vec<ScoredBox>> {
     let mut outcome = Outcome::default();
     let mut boxes = Vec::new();
     for (index, found) in (0..).zip(detections(clip)) {
-        let (screen, picture) = (Screen::NeverEmpty, clip.picture);
+        let screen = Screen::NeverEmpty;
+        let picture = clip.picture;
         decide_frame(&mut *policy, index, screen, picture, &found, &mut outcome);
         let scored = outcome.boxes.iter().map(|shown| ScoredBox {
             corners: shown.bounding_box.pixel_corners(picture),

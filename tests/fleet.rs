@@ -96,7 +96,9 @@ async fn every_report_once(hub: &HubProcess, mut car: Car) -> u64 {
     let db = rusqlite::Connection::open(file).unwrap();
     let made = "SELECT value FROM counter WHERE name = 'made'";
     let made: i64 = db.query_row(made, [], |row| row.get(0)).unwrap();
-    let (name, made, reported) = (&car.name, made.unsigned_abs(), &car.reported);
+    let name = &car.name;
+    let made = made.unsigned_abs();
+    let reported = &car.reported;
     let clips = hub.has_each_once(name, made).await;
     let clips = clips.iter().map(|clip| clip["clip"].as_str().unwrap());
     let clips: BTreeSet<String> = clips.map(str::to_owned).collect();
@@ -225,7 +227,8 @@ impl Fleet {
 
     /// The process of a car, the hub or the router, and where it answers.
     fn process(&self, part: usize) -> (u32, String) {
-        let (car, hub) = (self.cars.get(part), self.hub.as_ref());
+        let car = self.cars.get(part);
+        let hub = self.hub.as_ref();
         match (car.and_then(|car| car.node.as_ref()), hub) {
             (Some(node), _) => (node.id(), node.http.clone()),
             (None, Some(hub)) if part == HUB => (hub.id(), hub.http.clone()),
@@ -309,10 +312,14 @@ async fn kills_freezes_and_full_disks_in_any_order_lose_and_duplicate_no_report(
         hub: None,
     };
     fleet.heal().await;
-    let (begun, mut killed, mut frozen, mut filled) = (Instant::now(), [0; 5], [0; 4], [0; 3]);
+    let begun = Instant::now();
+    let mut killed = [0; 5];
+    let mut frozen = [0; 4];
+    let mut filled = [0; 3];
     for kill in 0..kills {
         let mut below = |bound: u64| random.next_u64() % bound;
-        let (part, after) = (below(parts) as usize, Duration::from_millis(below(80)));
+        let part = below(parts) as usize;
+        let after = Duration::from_millis(below(80));
         fleet.drive_without(DATABASE).await;
         if below(4) == 0 {
             let part = below(4) as usize;
@@ -343,7 +350,9 @@ async fn kills_freezes_and_full_disks_in_any_order_lose_and_duplicate_no_report(
         car.drive(2).await;
         car.until_delivered().await;
     }
-    let (took, hub, mut stored) = (begun.elapsed(), fleet.hub.take().unwrap(), 0);
+    let took = begun.elapsed();
+    let hub = fleet.hub.take().unwrap();
+    let mut stored = 0;
     for car in std::mem::take(&mut fleet.cars) {
         stored += every_report_once(&hub, car).await;
     }

@@ -177,7 +177,10 @@ fn a_jpeg_that_ends_before_its_last_pixels_is_told_from_one_that_ends_in_grey() 
             for layout in [PixelLayout::Rgb8, PixelLayout::Gray8] {
                 let about = format!("{restarts} {progressive} {layout:?}");
                 assert!(decoded(&whole, layout).is_ok(), "{about}");
-                for share in [0.1, 0.5, 0.9].into_iter().filter(|_| !progressive) {
+                if progressive {
+                    continue;
+                }
+                for share in [0.1, 0.5, 0.9] {
                     let fault = decoded(&ended_after(&whole, share), layout)
                         .map_or_else(|fault| fault.to_string(), |_| "none".to_owned());
                     assert!(fault.contains("cut short"), "{about} {share}: {fault}");

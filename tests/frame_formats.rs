@@ -57,7 +57,8 @@ fn ros2_messages_of_another_library_in_both_byte_orders_are_read_and_numbered_un
         assert_eq!(frame.time_ns, time);
         let [width, height] = ["image_width", "image_height"].map(|key| number(key) as u32);
         assert_eq!(frame.picture.size, PictureSize::new(width, height));
-        let (offset, length) = (number("data_offset") as usize, number("data_len") as usize);
+        let offset = number("data_offset") as usize;
+        let length = number("data_len") as usize;
         assert_eq!(frame.picture.bytes, payload[offset..offset + length]);
         let is_png = message["format"] == "png";
         let format = [PictureFormat::Jpeg, PictureFormat::Png][usize::from(is_png)];
@@ -166,8 +167,10 @@ fn an_inconsistent_ros2_image_is_rejected() {
 fn the_encoding_the_attachment_or_the_first_bytes_tell_what_a_payload_is() {
     let (jpeg, png) = picture_files();
     let sent = r#"{"v":1,"seq":4,"t_ns":9,"clip":"drive","width":3,"height":2,"later":"field"}"#;
-    let (sent, no_height) = (Some(sent), Some(r#"{"v":1,"width":3}"#));
-    let (later_version, no_json) = (Some(r#"{"v":2,"seq":1}"#), Some("seq=1"));
+    let sent = Some(sent);
+    let no_height = Some(r#"{"v":1,"width":3}"#);
+    let later_version = Some(r#"{"v":2,"seq":1}"#);
+    let no_json = Some("seq=1");
     let cases: [(&[u8], &str, Option<&str>, &str); 27] = [
         (&jpeg, "image/jpeg", None, "Jpeg 320x180"),
         (&png, "image/png", None, "Png 320x180"),

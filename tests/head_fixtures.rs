@@ -178,7 +178,8 @@ fn the_input_agrees_with_the_vendors_code_up_to_rounding(
     let ours = letterbox.tensor();
     assert_eq!(ours.len(), fixture.input.values.len());
     let plane = ours.len() / 3;
-    let (mut largest, mut sum) = (0.0_f64, 0.0);
+    let mut largest = 0.0_f64;
+    let mut sum = 0.0;
     for (place, (ours, theirs)) in ours.iter().zip(&fixture.input.values).enumerate() {
         let level = match value_range {
             ValueRange::ImageNet => 255.0 * [0.229, 0.224, 0.225][place / plane],

@@ -60,7 +60,9 @@ async fn a_hub_on_a_full_disk_is_not_ready_until_there_is_space() {
     alone.arg(folder.path()).arg(env!("CARGO_BIN_EXE_albireo"));
     let hub = HubProcess::start_as(alone, &settings);
     hub.until_ready().await;
-    let (session, begun, mut last) = (uplink(&zenoh).await, now_ns(), 0);
+    let session = uplink(&zenoh).await;
+    let begun = now_ns();
+    let mut last = 0;
     loop {
         match send(&session, NODE, last + 1..=last + 100, begun).await {
             Reply::Refused(refusal) => break assert_contains(&refusal.detail, &["full"]),
@@ -92,7 +94,8 @@ async fn reports_wait_while_a_hub_has_a_read_only_database_or_another_prefix() {
     let folder = tempfile::tempdir().unwrap();
     let database = sqlite(folder.path());
     let (zenoh, settings) = settings(&database);
-    let (begun, mut stored) = (now_ns(), 3);
+    let begun = now_ns();
+    let mut stored = 3;
     let mut hub = HubProcess::start(&settings);
     let session = uplink(&zenoh).await;
     deliver(&session, NODE, 1..=stored, begun).await;
@@ -177,11 +180,13 @@ async fn a_flooding_node_costs_the_hub_little_memory_and_delays_nobody() {
     let unlimited = (1_u64 << 40).to_string();
     let unlimited = ("ALBIREO_INGEST__CAMERA_BYTES_PER_DAY", unlimited);
     let (zenoh, hub) = HubProcess::fresh(vec![unlimited]).await;
-    let (stop, mut floods) = (CancellationToken::new(), JoinSet::new());
+    let stop = CancellationToken::new();
+    let mut floods = JoinSet::new();
     for (kind, payload) in hostile_payloads() {
         floods.spawn(flood(uplink(&zenoh).await, kind, payload, stop.clone()));
     }
-    let (session, begun) = (uplink(&zenoh).await, now_ns());
+    let session = uplink(&zenoh).await;
+    let begun = now_ns();
     let mut delays = Vec::new();
     for first in [1, 6] {
         for node in 0..OTHERS {

@@ -18,7 +18,8 @@ async fn node(
     acknowledged: Arc<AtomicU64>,
 ) -> (String, u64) {
     let session = uplink(&zenoh).await;
-    let (begun, mut made) = (now_ns(), 0);
+    let begun = now_ns();
+    let mut made = 0;
     while !stop.is_cancelled() {
         let more = 1 + made % 7;
         deliver(&session, &name, made + 1..=made + more, begun).await;
@@ -36,7 +37,8 @@ async fn a_hub_killed_during_ingest_loses_and_duplicates_no_report(database: &st
     let acknowledged = Arc::new(AtomicU64::new(0));
     let mut nodes = JoinSet::new();
     for index in 0..4 {
-        let (name, stop) = (format!("car-{index}"), stop.clone());
+        let name = format!("car-{index}");
+        let stop = stop.clone();
         nodes.spawn(node(name, zenoh.clone(), stop, Arc::clone(&acknowledged)));
     }
     // More by hand: ALBIREO_KILLS=1000.

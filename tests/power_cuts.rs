@@ -157,7 +157,8 @@ async fn a_hub_has_every_report_and_order_that_it_acknowledged_before_a_power_cu
     let mut random = Pcg64Mcg::seed_from_u64(from_environment("ALBIREO_SEED", 1));
     let mut disk = Disk::new();
     let (zenoh, settings) = settings(&sqlite(&disk.state()));
-    let (begun_ns, mut told) = (now_ns(), Told::default());
+    let begun_ns = now_ns();
+    let mut told = Told::default();
     for _ in 0..cuts {
         let hub = HubProcess::start_as(traced(&disk.trace()), &settings);
         let program = hub.id();
@@ -284,7 +285,8 @@ fn threshold_in(settings: &Value) -> Option<f64> {
 async fn a_node_and_its_hub_keep_every_report_and_setting_through_power_cuts() {
     let cuts = from_environment("ALBIREO_CUTS", 3);
     let mut random = Pcg64Mcg::seed_from_u64(from_environment("ALBIREO_SEED", 1));
-    let (mut disk, mut hub_disk) = (Disk::new(), Disk::new());
+    let mut disk = Disk::new();
+    let mut hub_disk = Disk::new();
     let (zenoh, hub_settings) = settings(&sqlite(&hub_disk.state()));
     let settings = format!(
         "{}node.name = \"{NODE}\"\nnode.state_dir = {:?}\nuplink.connect = [{zenoh:?}]\n\
@@ -292,7 +294,8 @@ async fn a_node_and_its_hub_keep_every_report_and_setting_through_power_cuts() {
         crate::delivery::settings("albireo"),
         disk.state()
     );
-    let (mut made, mut seq) = (Made::default(), 0);
+    let mut made = Made::default();
+    let mut seq = 0;
     for _ in 0..cuts {
         let hub = HubProcess::start_as(traced(&hub_disk.trace()), &hub_settings);
         let folder = tempfile::tempdir().unwrap();

@@ -114,7 +114,8 @@ async fn measured_watts_are_reported_everywhere_and_nothing_waits_for_a_meter_th
     let is_drive = |clip: &str| clip.starts_with("drive");
     let is_drive = |message: &Value| message["clip"].as_str().is_some_and(is_drive);
     let report = next(&mut client, "/clip", is_drive).await;
-    let (energy, seconds) = (&report["energy"], report["duration_s"].as_f64().unwrap());
+    let energy = &report["energy"];
+    let seconds = report["duration_s"].as_f64().unwrap();
     let expected = json!({"quality": "measured", "source": "ina", "total_from": "sum_of_rails"});
     assert_has(energy, &expected);
     assert!(near(&energy["coverage"], 1.0), "{report}");

@@ -41,7 +41,8 @@ fn expected() -> BTreeMap<String, Expected> {
 
 #[test]
 fn every_stored_line_is_read_as_expected() {
-    let (expected, lines) = (expected(), fixture("tegrastats_lines.tsv"));
+    let expected = expected();
+    let lines = fixture("tegrastats_lines.tsv");
     assert_eq!(lines.lines().count(), 26);
     for line in lines.lines() {
         let (name, text) = line.split_once('\t').unwrap();

@@ -101,7 +101,8 @@ async fn a_slow_receiver_slows_down_the_sender_and_loses_nothing() {
     let mut noise = vec![0_u8; 3 * 640 * 480];
     Pcg64Mcg::seed_from_u64(1).fill_bytes(&mut noise);
     std::fs::write(folder.path().join("noise.jpg"), jpeg(&noise, [640, 480])).unwrap();
-    let (more, wait) = ("--rate max --loop --frames 300", Duration::from_millis(2));
+    let more = "--rate max --loop --frames 300";
+    let wait = Duration::from_millis(2);
     let (frames, sent) = replayed(folder.path(), more, wait).await;
     assert_eq!(sent.frames, 300);
     let sequence: Vec<u64> = frames.iter().map(|frame| frame.sequence).collect();

@@ -142,7 +142,8 @@ async fn a_flood_of_valid_thresholds_does_not_fill_the_log() {
     let url = format!("{http}/api/v1/threshold");
     let answers = async || reqwest::get(&url).await.is_ok_and(|answer| answer.status() == 200);
     until("the board is open", answers).await;
-    let (client, begun) = (reqwest::Client::new(), Instant::now());
+    let client = reqwest::Client::new();
+    let begun = Instant::now();
     for number in 1..=300 {
         let put = client.put(&url).body(format!("{{\"u\": {number}e-6}}"));
         assert_eq!(put.send().await.unwrap().status(), 200);

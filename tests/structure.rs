@@ -60,19 +60,24 @@ fn sources_under(folder: &Path) -> Vec<String> {
     texts
 }
 
-/// The first table of the page: each crate with the crates it uses.
-fn table(page: &str) -> BTreeMap<String, BTreeSet<String>> {
-    page.lines()
-        .skip_while(|line| !line.starts_with("| crate |"))
-        .skip(2)
-        .take_while(|line| line.starts_with('|'))
-        .map(|line| {
-            let cells: Vec<&str> = line.split('|').map(str::trim).collect();
-            let uses = cells[cells.len() - 2].split('`').skip(1).step_by(2);
-            let name = cells[1].trim_matches('`').to_owned();
-            (name, uses.map(str::to_owned).collect())
-        })
-        .collect()
+/// A row of a table: a crate or a room, and those it uses.
+type Row = (String, BTreeSet<String>);
+
+/// The rows of the first table on the page whose head begins so.
+fn table(page: &str, head: &str) -> Vec<Row> {
+    let from_head = page.lines().skip_while(|line| !line.starts_with(head));
+    // Below the head is its rule.
+    let rows = from_head.skip(2).take_while(|line| line.starts_with('|'));
+    rows.map(row).collect()
+}
+
+/// The name in the first column, and the names in the last.
+fn row(line: &str) -> Row {
+    let cells: Vec<&str> = line.split('|').map(str::trim).collect();
+    let name = cells[1].trim_matches('`').to_owned();
+    // Every second part is inside of backquotes.
+    let uses = cells[cells.len() - 2].split('`').skip(1).step_by(2);
+    (name, uses.map(str::to_owned).collect())
 }
 
 #[test]
@@ -85,7 +90,7 @@ fn the_architecture_page_has_the_crates_and_dependencies_of_cargo() {
             .collect();
         (short(&package), ours)
     });
-    let page = table(&text("ARCHITECTURE.md"));
+    let page: BTreeMap<_, _> = table(&text("ARCHITECTURE.md"), "| crate |").into_iter().collect();
     assert_eq!(page, there.collect(), "left the page, right cargo");
 }
 
@@ -115,7 +120,8 @@ fn every_dependency_is_used_and_libraries_have_typed_errors() {
     for package in members() {
         let code = sources(&package, &["src", "fuzz_targets"]);
         let tests = sources(&package, &["src", "tests", "benches"]);
-        let (code, tests) = (roots(&code), roots(&tests));
+        let code = roots(&code);
+        let tests = roots(&tests);
         assert!(!code.is_empty(), "{}: no sources", short(&package));
         for used in dependencies(&package) {
             let name = used["rename"].as_str().unwrap_or(word(&used["name"])).replace('-', "_");
@@ -149,29 +155,14 @@ fn every_ignored_test_names_needs_that_run_sh_knows() {
     assert!(seen > 0);
 }
 
-/// A room of a crate, and the rooms it uses.
-type Room = (String, BTreeSet<String>);
-
 /// The tables of floors on the page: for each crate its rooms, from the ground up.
-fn floors(page: &str) -> Vec<(String, Vec<Room>)> {
-    page.split("\n### Floors of `")
-        .skip(1)
-        .map(|section| {
-            let (name, rest) = section.split_once('`').unwrap();
-            let rows = rest
-                .lines()
-                .skip_while(|line| !line.starts_with("| room |"))
-                .skip(2)
-                .take_while(|line| line.starts_with('|'))
-                .map(|line| {
-                    let cells: Vec<&str> = line.split('|').map(str::trim).collect();
-                    let uses = cells[cells.len() - 2].split('`').skip(1).step_by(2);
-                    let room = cells[1].trim_matches('`').to_owned();
-                    (room, uses.map(str::to_owned).collect())
-                });
-            (name.to_owned(), rows.collect())
-        })
-        .collect()
+fn floors(page: &str) -> Vec<(String, Vec<Row>)> {
+    let mut floors = Vec::new();
+    for section in page.split("\n### Floors of `").skip(1) {
+        let (name, rest) = section.split_once('`').unwrap();
+        floors.push((name.to_owned(), table(rest, "| room |")));
+    }
+    floors
 }
 
 /// The product code of a crate, by room: a module of the crate's root with the folder of its name.
@@ -223,6 +214,13 @@ fn crate_paths(code: &str) -> BTreeSet<&str> {
     names
 }
 
+/// The room of a type that the crate's `root` exports.
+fn room_of_export<'a>(root: &'a str, name: &str) -> Option<&'a str> {
+    let ending = format!("::{name};");
+    let mut exports = root.lines().filter_map(|line| line.strip_prefix("pub use "));
+    exports.find(|path| path.ends_with(&ending))?.split("::").next()
+}
+
 #[test]
 fn rooms_use_the_floors_below_them_alone() {
     let page = text("ARCHITECTURE.md");
@@ -237,17 +235,13 @@ fn rooms_use_the_floors_below_them_alone() {
         assert_eq!(listed, there, "{name}: left the page, right the code");
         let mut below = BTreeSet::new();
         for (room, uses) in &table {
-            let found = crate_paths(&code[room]).into_iter().map(|path| {
-                // A type that the crate's root exports is in a room.
-                let line = root.lines().find(|line| {
-                    line.starts_with("pub use")
-                        && line.trim_end_matches(';').ends_with(&format!("::{path}"))
-                });
-                let exported = line.and_then(|line| line["pub use ".len()..].split("::").next());
-                exported.unwrap_or(path).to_owned()
-            });
-            let found: BTreeSet<String> =
-                found.filter(|path| path != room && there.contains(&**path)).collect();
+            let mut found = BTreeSet::new();
+            for path in crate_paths(&code[room]) {
+                let used = room_of_export(&root, path).unwrap_or(path);
+                if used != room && there.contains(used) {
+                    found.insert(used.to_owned());
+                }
+            }
             assert_eq!(
                 uses, &found,
                 "{name}: {room} uses; left the page, right the code"
@@ -264,19 +258,22 @@ fn rooms_use_the_floors_below_them_alone() {
 
 /// The names of the types in a crate's code.
 fn types(code: &str) -> Vec<&str> {
-    let declared = code.lines().filter_map(|line| {
-        let mut words = line.split_whitespace().skip_while(|word| word.starts_with("pub"));
-        let kind = words.next()?;
+    code.lines().filter_map(declared_type).collect()
+}
+
+/// The name of the type that is declared in a line.
+fn declared_type(line: &str) -> Option<&str> {
+    let mut words = line.split_whitespace().skip_while(|word| word.starts_with("pub"));
+    let is_type = match words.next()? {
+        "struct" | "enum" | "trait" => true,
         // An indented `type` is the part of a trait.
-        let is_one = match kind {
-            "struct" | "enum" | "trait" => true,
-            "type" => !line.starts_with(' '),
-            _ => false,
-        };
-        let name = words.next().filter(|_| is_one)?;
-        name.split(|c: char| !c.is_alphanumeric()).next()
-    });
-    declared.collect()
+        "type" => !line.starts_with(' '),
+        _ => false,
+    };
+    if !is_type {
+        return None;
+    }
+    words.next()?.split(|c: char| !c.is_alphanumeric()).next()
 }
 
 #[test]

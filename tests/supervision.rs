@@ -72,7 +72,8 @@ async fn a_panicking_camera_loop_is_counted_reported_and_restarted_and_no_frame_
     let config = configuration();
     // Each policy panics after two frames.
     let policies = move |_: &str, policy: &PolicyConfig| {
-        let (inner, mut good) = (policy.build()?, 2_u32);
+        let inner = policy.build()?;
+        let mut good = 2_u32;
         let before = move || good = good.checked_sub(1).expect("a bug in a policy");
         Ok(Box::new(Before { inner, before }) as Box<dyn Policy>)
     };
@@ -157,7 +158,8 @@ async fn cameras_that_slow_down_their_senders_slow_down_nobody_else() {
             put(&bench.session, tape, &picture, attachment(seq, None, None)).await;
         }
         // As `albireo replay --every` does: each frame after the previous one was accepted.
-        let (session, picture) = (bench.session.clone(), picture.clone());
+        let session = bench.session.clone();
+        let picture = picture.clone();
         senders.push(tokio::spawn(async move {
             for seq in 4..12 {
                 let attached = attachment(seq, None, None);

@@ -103,7 +103,8 @@ fn shared_golden_traces_are_equal_through_the_wheel_to_the_last_bit() {
     let mut jobs = String::new();
     let mut expected = Vec::new();
     for sequence in sequences() {
-        let (picture, recorded) = (sequence.picture, detections(&sequence));
+        let picture = sequence.picture;
+        let recorded = detections(&sequence);
         let corners = |found: &ScoredBox| {
             let (c, class) = (found.corners, found.class.0.into());
             [c.x1, c.y1, c.x2, c.y2, found.confidence, class]

@@ -17,7 +17,8 @@ fn refusal(command: &str) -> String {
 }
 
 fn on_pictures(folder: &Path, more: &str) -> String {
-    let (folder, detector) = (folder.display(), detector("colours.onnx"));
+    let folder = folder.display();
+    let detector = detector("colours.onnx");
     refusal(&format!("pictures {folder} --detector {detector} {more}"))
 }
 
@@ -86,7 +87,8 @@ fn scalabel(folder: &Path, frames: usize, category: &str) -> String {
 /// The report of a run over the pictures in `folder`, and what it printed beside it.
 fn judged(folder: &Path, more: &str) -> (serde_json::Value, String) {
     let out = tempfile::tempdir().unwrap();
-    let (at, drive) = (out.path().display(), folder.display());
+    let at = out.path().display();
+    let drive = folder.display();
     let colours = detector("colours.onnx");
     let ended = eval(&format!(
         "video {drive} --detector {colours} --policy vanilla --out {at} {more}"

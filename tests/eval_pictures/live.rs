@@ -40,7 +40,8 @@ impl Node {
 
     /// The evidence of a camera, as in its loop in the node.
     fn camera(&self) -> LiveEvidence {
-        let (detector, screen) = (self.detector.clone(), self.model.clone());
+        let detector = self.detector.clone();
+        let screen = self.model.clone();
         let empty_run = EmptyRun::new(self.screen.longest_empty_run);
         let preparation = self.detector.preparation().clone();
         let input = screen.as_ref().map(ScreenHandle::input_format);

@@ -124,7 +124,8 @@ fn close(found: f64, expected: f64, at: &str, what: &str) {
 
 /// Replays an excerpt, whose lines include the detections.
 pub(crate) fn compare_excerpt(lines: &str, asked: &str, screen: Screen, picture: PictureSize) {
-    let (mut recorded, mut golden) = (Vec::new(), Vec::new());
+    let mut recorded = Vec::new();
+    let mut golden = Vec::new();
     for line in lines.lines() {
         let frame: ExcerptFrame = serde_json::from_str(line).unwrap();
         let detections = frame.detections.into_iter();

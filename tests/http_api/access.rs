@@ -113,7 +113,8 @@ async fn a_node_open_to_others_needs_protection_or_permission_and_a_token_file_a
     });
     let missing = with_file(&folder.path().join("missing"));
     let anybody = http_config("allow_unauthenticated = true");
-    let (open, local) = ("0.0.0.0:0", "127.0.0.1:0");
+    let open = "0.0.0.0:0";
+    let local = "127.0.0.1:0";
     for (address, config, said) in [
         (open, HttpConfig::default(), "allow_unauthenticated"),
         (open, with_token(), ""),

@@ -40,7 +40,9 @@ fn the_shipped_file_is_exactly_the_defaults() {
 
 #[test]
 fn the_shipped_file_has_exactly_the_accepted_keys_each_with_a_comment() {
-    let (mut section, mut shown, mut commented) = ("", Vec::new(), false);
+    let mut section = "";
+    let mut shown = Vec::new();
+    let mut commented = false;
     for line in SHIPPED.lines() {
         // There is no token or hook by default: their sections are comments too.
         let bare = line.strip_prefix("# ").unwrap_or(line);

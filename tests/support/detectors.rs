@@ -62,7 +62,8 @@ pub(crate) fn assert_the_box(found: &[Detection], class: u16, confidence: f64) {
 
 pub(crate) fn decoded(picture: &EncodedPicture) -> Picture {
     let mut into = Picture::default();
-    let (limits, layout) = (FrameLimits::default(), PixelLayout::Rgb8);
+    let limits = FrameLimits::default();
+    let layout = PixelLayout::Rgb8;
     decode(picture, &limits, layout, None, &mut into).unwrap();
     into
 }

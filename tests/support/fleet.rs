@@ -123,7 +123,8 @@ impl HubProcess {
     }
 
     pub(crate) async fn clips(&self, node: &str) -> Vec<Value> {
-        let (mut clips, mut cursor) = (Vec::new(), String::new());
+        let mut clips = Vec::new();
+        let mut cursor = String::new();
         loop {
             let path = format!("/api/v1/clips?node={node}&limit=1000{cursor}");
             let page = self.until(&path, |page| page["clips"].is_array()).await;

@@ -49,7 +49,8 @@ impl MotionJpegCamera {
         let noted = Arc::clone(&requests);
         tokio::spawn(async move {
             while let Ok((mut client, _)) = listener.accept().await {
-                let (parts, noted) = (parts.clone(), Arc::clone(&noted));
+                let parts = parts.clone();
+                let noted = Arc::clone(&noted);
                 tokio::spawn(async move {
                     let mut request = [0; 4096];
                     let length = client.read(&mut request).await.unwrap_or(0);

@@ -149,7 +149,8 @@ impl Change {
         let Self::Write(at, bytes) = self else {
             return vec![self];
         };
-        let (mut parts, mut from) = (Vec::new(), 0);
+        let mut parts = Vec::new();
+        let mut from = 0;
         while from < bytes.len() {
             let to = bytes.len().min(from + SECTOR - (at + from) % SECTOR);
             parts.push(Self::Write(at + from, bytes[from..to].to_vec()));
@@ -260,12 +261,20 @@ impl Disk {
 
     /// The files with those unsynced sectors and names that are kept. Names reach a disk in their order, sectors in none.
     fn cut(self, mut is_kept: impl FnMut() -> bool) -> Files {
-        let (mut names, mut files) = (self.synced_names, Vec::new());
-        let in_order = self.unsynced_names.into_iter().map(|(_, change)| change);
-        in_order.take_while(|_| is_kept()).for_each(|change| rename(&mut names, change));
+        let mut names = self.synced_names;
+        let mut files = Vec::new();
+        for (_, change) in self.unsynced_names {
+            if !is_kept() {
+                break;
+            }
+            rename(&mut names, change);
+        }
         for mut file in self.files {
-            let parts = file.unsynced.into_iter().flat_map(|(_, change)| change.sectors());
-            parts.filter(|_| is_kept()).for_each(|part| part.apply(&mut file.synced));
+            for sector in file.unsynced.into_iter().flat_map(|(_, change)| change.sectors()) {
+                if is_kept() {
+                    sector.apply(&mut file.synced);
+                }
+            }
             files.push(file.synced);
         }
         let content = |(name, file): (String, usize)| {
@@ -285,7 +294,8 @@ impl Disk {
 fn a_power_cut_takes_what_was_not_synced_and_a_name_whose_folder_was_not() {
     let hex = |text: &str| text.bytes().map(|byte| format!("\\x{byte:02x}")).collect::<String>();
     let [folder, new, file] = ["/d", "/d/new", "/d/file"].map(hex);
-    let (old, next) = (hex("old"), hex("next"));
+    let old = hex("old");
+    let next = hex("next");
     let text = [
         format!(
             r#"openat(AT_FDCWD<{folder}>, "{new}", O_WRONLY|O_CREAT|O_TRUNC, 0666) = 3<{new}>"#

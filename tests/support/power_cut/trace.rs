@@ -38,7 +38,9 @@ pub(super) struct Trace {
 impl Trace {
     pub(super) fn read(text: &str, folder: &Path) -> Self {
         let folder = folder.to_str().unwrap();
-        let (mut calls, mut times_us, mut open) = (Vec::new(), Vec::new(), BTreeMap::new());
+        let mut calls = Vec::new();
+        let mut times_us = Vec::new();
+        let mut open = BTreeMap::new();
         for (line, text) in text.lines().enumerate() {
             let (thread, text) = text.split_once(' ').unwrap();
             let (time, text) = text.trim_start().split_once(' ').unwrap();
@@ -84,8 +86,10 @@ fn call(text: &str, folder: &str, begun: usize, ended: usize) -> Option<Call> {
     let opened = || {
         let (_, rest) = arguments.split_once('<')?;
         let (path, rest) = rest.split_once('>')?;
-        let is_gone = rest.starts_with("(deleted)");
-        in_folder(bytes(path)).filter(|_| !is_gone)
+        if rest.starts_with("(deleted)") {
+            return None;
+        }
+        in_folder(bytes(path))
     };
     let last = || arguments.trim_end_matches([')', ' ']).rsplit_once(", ")?.1.parse().ok();
     let what = match name {
