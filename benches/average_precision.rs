@@ -8,46 +8,48 @@ use albireo_eval::judge::{Classes, Interpolation, accuracy};
 use albireo_scene::{PICTURE, Scene, processor_seconds, quartiles};
 use std::hint::black_box;
 
+/// Numbers of predictions.
 const BOXES: [usize; 3] = [10_000, 100_000, 1_000_000];
 const BOXES_A_FRAME: [usize; 2] = [10, 100];
 const ROUNDS: usize = 7;
 
-fn boxes(count: usize, a_frame: usize) -> (Vec<Vec<ScoredBox>>, Vec<Vec<ScoredBox>>) {
-    let mut scene = Scene::new(a_frame);
-    let truth = scene.film(count / a_frame, 0);
-    let mut scores = Scene::new(0);
-    let found = truth
-        .iter()
-        .map(|frame| {
-            let boxes = frame.iter().map(|detection| {
-                let mut corners = detection.bounding_box.pixel_corners(PICTURE);
-                // Shifted by up to a third of the width, so that some match at every threshold and some at none.
-                let off = scores.between(-0.33, 0.33) * (corners.x2 - corners.x1);
-                corners.x1 += off;
-                corners.x2 += off;
-                ScoredBox {
-                    corners,
-                    class: detection.class,
-                    confidence: scores.between(0.0, 1.0),
-                    object: None,
-                }
-            });
-            boxes.collect()
-        })
-        .collect();
-    let truth = truth
-        .iter()
-        .map(|frame| {
-            let boxes = frame.iter().map(|detection| ScoredBox {
+/// The boxes of a film, frame by frame.
+#[derive(Default)]
+struct Film {
+    found: Vec<Vec<ScoredBox>>,
+    truth: Vec<Vec<ScoredBox>>,
+}
+
+fn film(count: usize, a_frame: usize) -> Film {
+    let mut film = Film::default();
+    let mut noise = Scene::new(0);
+    for frame in Scene::new(a_frame).film(count / a_frame, 0) {
+        let mut found = Vec::with_capacity(a_frame);
+        let mut truth = Vec::with_capacity(a_frame);
+        for detection in &frame {
+            let true_box = ScoredBox {
                 corners: detection.bounding_box.pixel_corners(PICTURE),
                 class: detection.class,
                 confidence: 1.0,
                 object: None,
+            };
+            let mut corners = true_box.corners;
+            // Shifted by up to a third of the width, so that some match at every threshold and some at none.
+            let off = noise.between(-0.33, 0.33) * (corners.x2 - corners.x1);
+            corners.x1 += off;
+            corners.x2 += off;
+            let confidence = noise.between(0.0, 1.0);
+            found.push(ScoredBox {
+                corners,
+                confidence,
+                ..true_box
             });
-            boxes.collect()
-        })
-        .collect();
-    (found, truth)
+            truth.push(true_box);
+        }
+        film.found.push(found);
+        film.truth.push(truth);
+    }
+    film
 }
 
 fn main() {
@@ -56,12 +58,17 @@ fn main() {
         "| boxes a frame | 10⁴ | 10⁵ | 10⁶ | 10⁶ against 10⁵ |\n| --- | --- | --- | --- | --- |"
     );
     for a_frame in BOXES_A_FRAME {
-        let cases = BOXES.map(|count| boxes(count, a_frame));
+        let films = BOXES.map(|count| film(count, a_frame));
         let mut times = BOXES.map(|_| Vec::new());
         for _ in 0..ROUNDS {
-            for ((found, truth), times) in cases.iter().zip(&mut times) {
+            for (film, times) in films.iter().zip(&mut times) {
                 let begin = processor_seconds();
-                let judged = accuracy(found, truth, Classes::Pooled, Interpolation::AllPoints);
+                let judged = accuracy(
+                    &film.found,
+                    &film.truth,
+                    Classes::Pooled,
+                    Interpolation::AllPoints,
+                );
                 times.push(processor_seconds() - begin);
                 assert!(black_box(judged).is_some_and(|judged| judged.ap50 > 0.1));
             }

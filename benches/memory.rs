@@ -170,7 +170,7 @@ fn node(
     );
     text += &match arguments.skip {
         1 => "policy.name = \"vanilla\"\n".to_owned(),
-        n => format!("policy.name = \"fixed-skip\"\npolicy.fixed_skip.n = {n}\n"),
+        of => format!("policy.name = \"fixed-skip\"\npolicy.fixed_skip.n = {of}\n"),
     };
     for camera in 0..cameras {
         text += &format!("[[camera]]\nname = \"camera-{camera}\"\n");

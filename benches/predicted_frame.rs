@@ -36,10 +36,12 @@ const ECHO: &str = "--as-echo";
 
 /// A smooth picture with some noise, whose file is as large as that of a typical camera.
 fn picture() -> EncodedPicture {
-    let (width, height) = (SIZE.width as usize, SIZE.height as usize);
+    let width = SIZE.width as usize;
+    let height = SIZE.height as usize;
     let mut noise = 1_u32;
     let mut pixels: Vec<u8> = (0..width * height)
         .map(|at| {
+            // The generator of Numerical Recipes; its upper two bits are the noise.
             noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
             (at % width * 200 / width) as u8 + (noise >> 30) as u8
         })
@@ -185,8 +187,22 @@ fn processor_time(pid: u32) -> f64 {
     nanoseconds.sum::<u64>() as f64 * 1e-9
 }
 
-/// The sorted times from put to answer, and the processor time per frame, all in milliseconds.
-type Turn = (Vec<f64>, f64);
+/// What one turn took, in milliseconds.
+#[derive(Clone)]
+struct Turn {
+    /// From put to answer, ascending.
+    times: Vec<f64>,
+    /// The processor's time per frame.
+    processor: f64,
+}
+
+impl Turn {
+    /// The time that this share of the answers did not exceed.
+    fn percentile(&self, share: f64) -> f64 {
+        let place = (self.times.len() as f64 * share) as usize;
+        self.times.get(place).copied().unwrap_or(f64::NAN)
+    }
+}
 
 /// A connection to an answerer and back.
 struct Line {
@@ -272,13 +288,14 @@ impl Line {
                 times.push((at - put).as_secs_f64() * 1e3);
             }
         }
-        let used = (processor_time(self.pid) - began) * 1e3 / frames as f64;
+        let processor = (processor_time(self.pid) - began) * 1e3 / frames as f64;
         times.sort_by(f64::total_cmp);
-        (times, used)
+        Turn { times, processor }
     }
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut values: Vec<f64> = values.collect();
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
 }
@@ -331,17 +348,9 @@ async fn main() {
         let mut cells = Vec::new();
         for turns in rates {
             for share in [0.5, 0.99] {
-                cells.push(median(
-                    turns
-                        .iter()
-                        .map(|(times, _)| {
-                            let place = (times.len() as f64 * share) as usize;
-                            times.get(place).copied().unwrap_or(f64::NAN)
-                        })
-                        .collect(),
-                ));
+                cells.push(median(turns.iter().map(|turn| turn.percentile(share))));
             }
-            cells.push(median(turns.iter().map(|(_, used)| *used).collect()));
+            cells.push(median(turns.iter().map(|turn| turn.processor)));
         }
         print!("{name:<22}");
         for (place, cell) in cells.iter().enumerate() {

@@ -89,7 +89,10 @@ impl FromStr for Policy {
 impl std::fmt::Display for Policy {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(&self.name)?;
-        self.threshold.map_or(Ok(()), |threshold| write!(f, " {threshold}"))
+        match self.threshold {
+            Some(threshold) => write!(f, " {threshold}"),
+            None => Ok(()),
+        }
     }
 }
 
@@ -160,16 +163,17 @@ pub(crate) fn without_folder(said: impl std::fmt::Display, model: &Path) -> Stri
 
 /// The ONNX Runtime library from the file or folder in `ORT_DYLIB_PATH`, else from `.cache/onnxruntime`.
 pub(crate) fn library() -> anyhow::Result<PathBuf> {
-    let named = std::env::var_os("ORT_DYLIB_PATH").filter(|name| !name.is_empty());
-    let place = named.map_or_else(|| PathBuf::from(".cache/onnxruntime"), PathBuf::from);
+    let place = match std::env::var_os("ORT_DYLIB_PATH") {
+        Some(named) if !named.is_empty() => PathBuf::from(named),
+        _ => PathBuf::from(".cache/onnxruntime"),
+    };
     if place.is_file() {
         return Ok(place);
     }
-    std::fs::read_dir(&place)
-        .with_context(|| place.display().to_string())?
-        .flatten()
-        .map(|entry| entry.path())
-        .filter(|path| name_of(path).starts_with("libonnxruntime.so"))
-        .max()
-        .with_context(|| format!("no libonnxruntime.so in {}", place.display()))
+    let entries = std::fs::read_dir(&place).with_context(|| place.display().to_string())?;
+    let files = entries.flatten().map(|entry| entry.path());
+    let libraries = files.filter(|path| name_of(path).starts_with("libonnxruntime.so"));
+    // The last by name, which is the newest of several versions.
+    let newest = libraries.max();
+    newest.with_context(|| format!("no libonnxruntime.so in {}", place.display()))
 }

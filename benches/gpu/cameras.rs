@@ -173,8 +173,12 @@ fn next(trials: &[Trial], most: usize) -> Option<usize> {
     let (carried, fewest) = bounds(trials);
     let least = carried.map_or(0, |trial| trial.cameras);
     let Some(fewest) = fewest else {
-        return (least < most).then(|| (least * 2).clamp(1, most));
+        if least >= most {
+            return None;
+        }
+        return Some((least * 2).clamp(1, most));
     };
+    // To one camera in sixteen: the share on time is not known better.
     if fewest.cameras - least <= 1 + least / 16 {
         return None;
     }
@@ -188,10 +192,12 @@ fn next(trials: &[Trial], most: usize) -> Option<usize> {
 /// The number of cameras at which the share of frames on time falls below the limit, by interpolation.
 fn capacity(carried: Option<&Trial>, fewest: Option<&Trial>) -> Option<f64> {
     let fewest = fewest?;
-    let (cameras, on_time) = carried.map_or((0, 1.0), |trial| (trial.cameras, trial.on_time));
     if fewest.sent < ON_TIME {
         return None;
     }
+    // No camera at all is always on time.
+    let cameras = carried.map_or(0, |trial| trial.cameras);
+    let on_time = carried.map_or(1.0, |trial| trial.on_time);
     let part = (on_time - ON_TIME) / (on_time - fewest.on_time);
     let part = part.clamp(0.0, 1.0);
     Some(cameras as f64 + part * (fewest.cameras - cameras) as f64)
@@ -210,10 +216,10 @@ fn carried(model: &Path, policy: &Policy, trials: &[Trial], most: usize) -> Vec<
     let mut cells = vec![name_of(model), policy.to_string()];
     match best {
         Some(best) => {
-            let at_least = capacity.map_or_else(
-                || format!("{} or more", best.cameras),
-                |cameras| format!("{cameras:.1}"),
-            );
+            let at_least = match capacity {
+                Some(cameras) => format!("{cameras:.1}"),
+                None => format!("{} or more", best.cameras),
+            };
             let detected = capacity.unwrap_or(best.cameras as f64) * RATE * (1.0 - best.skipped);
             cells.extend([best.cameras.to_string(), at_least, format!("{detected:.0}")]);
             cells.extend([percent(best.skipped), format!("{:.2}", best.shared)]);
@@ -335,20 +341,23 @@ impl<'a> Bench<'a> {
         let frames = from..self.next_frame;
         let sending: Vec<_> = (0..cameras)
             .map(|camera| {
-                let (node, pictures) = (Arc::clone(&self.node), Arc::clone(&self.pictures));
+                let node = Arc::clone(&self.node);
+                let pictures = Arc::clone(&self.pictures);
                 let frames = frames.clone();
                 tokio::spawn(async move { node.send(camera, pictures, frames, || false).await })
             })
             .collect();
         tokio::time::sleep(Duration::from_secs(1)).await;
-        let (begun, before) = (Instant::now(), self.node.work().await?);
+        let begun = Instant::now();
+        let before = self.node.work().await?;
         let measuring = self.card.as_ref().map(Card::measure);
         let mut put = Vec::new();
         for camera in sending {
             put.push(camera.await??);
         }
         let took = begun.elapsed().as_secs_f64();
-        let (energy, after) = (measuring.map(Measuring::end), self.node.work().await?);
+        let energy = measuring.map(Measuring::end);
+        let after = self.node.work().await?;
         tokio::time::sleep(LAST_ANSWERS).await;
         let mut answers = self.node.answers();
         answers.retain(|answer| answer.message.seq >= counted);

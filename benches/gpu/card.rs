@@ -82,17 +82,21 @@ impl Card {
 
     /// Starts a measurement.
     pub(crate) fn measure(&self) -> Measuring {
-        let (card, over) = (self.clone(), Arc::new(AtomicBool::new(false)));
-        let (begun, before) = (Instant::now(), self.counter());
+        let card = self.clone();
+        let over = Arc::new(AtomicBool::new(false));
+        let begun = Instant::now();
+        let before = self.counter();
         let stop = over.clone();
         let thread = std::thread::spawn(move || {
-            let (mut last, mut at) = (card.watts()?, Instant::now());
+            let mut last = card.watts()?;
+            let mut at = Instant::now();
             let mut joules = 0.0;
             while !stop.load(Ordering::Relaxed) {
                 std::thread::sleep(EVERY);
                 let watts = card.watts()?;
                 joules += (last + watts) / 2.0 * at.elapsed().as_secs_f64();
-                (last, at) = (watts, Instant::now());
+                last = watts;
+                at = Instant::now();
             }
             Some(joules)
         });
@@ -117,11 +121,11 @@ pub(crate) struct Measuring {
 
 impl Measuring {
     pub(crate) fn end(self) -> Energy {
-        let counter = self.card.counter().zip(self.before);
+        let after = self.card.counter();
         let seconds = self.begun.elapsed().as_secs_f64();
         self.over.store(true, Ordering::Relaxed);
         Energy {
-            counter: counter.map(|(after, before)| after - before),
+            counter: after.zip(self.before).map(|(after, before)| after - before),
             integrated: self.thread.join().ok().flatten(),
             seconds,
         }

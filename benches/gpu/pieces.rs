@@ -84,8 +84,10 @@ impl Piece {
         let mut pieces = vec![Self::Machine];
         for model in arguments.camera_models()? {
             for policy in &arguments.policies {
-                let (model, policy) = (model.clone(), policy.clone());
-                pieces.push(Self::Cameras { model, policy });
+                pieces.push(Self::Cameras {
+                    model: model.clone(),
+                    policy: policy.clone(),
+                });
             }
         }
         let of_each = |piece: fn(PathBuf) -> Self| models.iter().cloned().map(piece);

@@ -62,25 +62,22 @@ pub(crate) fn measure(
     whole: &Path,
     half: &Path,
 ) -> anyhow::Result<Vec<Row>> {
-    let (whole_ms, expected) = boxes(arguments, whole)?;
-    let (half_ms, found) = boxes(arguments, half)?;
+    let whole = Answers::of(arguments, whole)?;
+    let found = Answers::of(arguments, half)?;
     let mut comparison = Comparison::default();
-    for ((expected, size), (found, _)) in expected.iter().zip(&found) {
-        comparison.add(expected, found, *size);
+    for (expected, found) in whole.pictures.iter().zip(&found.pictures) {
+        comparison.add(&expected.boxes, &found.boxes, expected.size);
     }
-    let count = |pictures: &[(Vec<Detection>, PictureSize)]| -> usize {
-        pictures.iter().map(|(boxes, _)| boxes.len()).sum()
-    };
-    let ratio = whole_ms.zip(half_ms).map(|(whole, half)| format!("{:.2}", half / whole));
+    let ratio = whole.ms.zip(found.ms).map(|(whole, half)| format!("{:.2}", half / whole));
     Ok(vec![Row {
         table: TableName::Precision,
         cells: vec![
             name_of(half),
-            ms(whole_ms),
-            ms(half_ms),
+            ms(whole.ms),
+            ms(found.ms),
             ratio.unwrap_or_else(|| NONE.to_owned()),
-            count(&expected).to_string(),
-            count(&found).to_string(),
+            whole.boxes().to_string(),
+            found.boxes().to_string(),
             comparison.pairs.to_string(),
             comparison.equal.to_string(),
             format!("{:.2}", comparison.pixels),
@@ -89,25 +86,45 @@ pub(crate) fn measure(
     }])
 }
 
-/// The detections of each picture with its size.
-type Boxes = Vec<(Vec<Detection>, PictureSize)>;
+/// What one file of the model answers.
+struct Answers {
+    /// The median milliseconds of the model.
+    ms: Option<f64>,
+    pictures: Vec<AnsweredPicture>,
+}
 
-/// The median milliseconds of the model, and the boxes of every picture.
-fn boxes(arguments: &Arguments, model: &Path) -> anyhow::Result<(Option<f64>, Boxes)> {
-    let mut network = DetectorNetwork::open(&DetectorConfig {
-        confidence: CONFIDENCE,
-        ..arguments.detector(model)
-    })?;
-    let mut picture = Picture::default();
-    let (mut times, mut all) = (Vec::new(), Vec::new());
-    for encoded in frames()? {
-        decode_for(&network, &encoded, &mut picture)?;
-        let prepared = network.preparation().prepare(&picture)?;
-        let found = network.detect(&prepared)?;
-        times.push(found.model.as_secs_f64() * 1e3);
-        all.push((found.detections, encoded.size));
+struct AnsweredPicture {
+    size: PictureSize,
+    boxes: Vec<Detection>,
+}
+
+impl Answers {
+    fn of(arguments: &Arguments, model: &Path) -> anyhow::Result<Self> {
+        let mut network = DetectorNetwork::open(&DetectorConfig {
+            confidence: CONFIDENCE,
+            ..arguments.detector(model)
+        })?;
+        let mut picture = Picture::default();
+        let mut times = Vec::new();
+        let mut pictures = Vec::new();
+        for encoded in frames()? {
+            decode_for(&network, &encoded, &mut picture)?;
+            let prepared = network.preparation().prepare(&picture)?;
+            let found = network.detect(&prepared)?;
+            times.push(found.model.as_secs_f64() * 1e3);
+            pictures.push(AnsweredPicture {
+                size: encoded.size,
+                boxes: found.detections,
+            });
+        }
+        let ms = median(&times);
+        Ok(Self { ms, pictures })
     }
-    Ok((median(&times), all))
+
+    /// The number of boxes in all pictures.
+    fn boxes(&self) -> usize {
+        self.pictures.iter().map(|picture| picture.boxes.len()).sum()
+    }
 }
 
 #[derive(Default)]
@@ -125,9 +142,15 @@ impl Comparison {
         for one in expected {
             let overlap =
                 |other: &Detection| one.bounding_box.intersection_over_union(other.bounding_box);
-            let best = (0..free.len())
-                .filter(|&place| free[place].class == one.class && overlap(free[place]) > 0.5)
-                .max_by(|&a, &b| overlap(free[a]).total_cmp(&overlap(free[b])));
+            let mut best = None;
+            // Less than half is another object.
+            let mut largest = 0.5;
+            for (place, other) in free.iter().enumerate() {
+                if other.class == one.class && overlap(other) > largest {
+                    best = Some(place);
+                    largest = overlap(other);
+                }
+            }
             let Some(best) = best else { continue };
             let other = free.swap_remove(best);
             let pixels = distance(one, other, size);

@@ -48,7 +48,9 @@ fn section(
     results: &Results,
 ) {
     let table = table(name, arguments);
-    let (mut rows, mut measured, mut missing) = (Vec::new(), Vec::new(), Vec::new());
+    let mut rows = Vec::new();
+    let mut measured = Vec::new();
+    let mut missing = Vec::new();
     for piece in pieces {
         match results.get(piece) {
             Some(Outcome {

@@ -8,7 +8,7 @@ use albireo_eval::footage::{FrameSource, Pictures};
 use albireo_vision::detector::{
     CameraSlot, DetectorConfig, DetectorHandle, DetectorNetwork, Preparation, PreparedPicture,
 };
-use albireo_vision::onnx::{ElementType, OnnxSession};
+use albireo_vision::onnx::OnnxSession;
 use albireo_vision::picture::{EncodedPicture, FrameLimits, Picture, PixelLayout, decode};
 use albireo_vision::screen::decoding_target;
 use anyhow::bail;
@@ -134,19 +134,16 @@ pub(crate) fn stages(arguments: &Arguments, model: &Path) -> anyhow::Result<Vec<
     }
     let processor =
         (processor_seconds_of(std::process::id())? - before) * 1e3 / times[0].len().max(1) as f64;
-    let element = network
-        .signature()
-        .inputs
-        .first()
-        .map_or(ElementType::Other(NONE.to_owned()), |input| {
-            input.element.clone()
-        });
+    let element = match network.signature().inputs.first() {
+        Some(input) => input.element.to_string(),
+        None => NONE.to_owned(),
+    };
     let mut row = vec![
         name_of(model),
         // The provider that the session reports, which may differ from the requested one.
         network.provider().as_str().to_owned(),
         network.input_format().size.to_string(),
-        element.to_string(),
+        element,
         format!("{loading:.2}"),
     ];
     row.extend(times.iter().map(|times| ms(median(times))));
@@ -259,7 +256,8 @@ fn bare(
     for _ in 0..3 {
         session.run(shape, size, &inputs, |_| ()).map_err(anyhow::Error::msg)?;
     }
-    let (start, mut done) = (Instant::now(), 0);
+    let start = Instant::now();
+    let mut done = 0;
     while done < runs && start.elapsed() < longest {
         session.run(shape, size, &inputs, |_| ()).map_err(anyhow::Error::msg)?;
         done += 1;

@@ -43,6 +43,7 @@ pub(crate) async fn measure(arguments: &Arguments, model: &Path) -> anyhow::Resu
     }])
 }
 
+/// Starts a node; returns the seconds to its first detection, and the provider that it uses.
 async fn start(
     arguments: &Arguments,
     model: &Path,
@@ -62,7 +63,8 @@ async fn start(
         folder: folder.path(),
     })
     .await?;
-    let (started, mut provider) = (node.started, None);
+    let started = node.started;
+    let mut provider = None;
     let mut sent = 0;
     let first = loop {
         // Sends 2 s of frames at a time, to notice a node that has exited.

@@ -22,7 +22,7 @@ use python::PythonPath;
 use samples::Samples;
 use std::path::Path;
 use std::sync::Arc;
-use throughput::Throughput;
+use throughput::{MadeReady, Throughput};
 
 fn main() -> anyhow::Result<()> {
     let arguments = Arguments::parse();
@@ -98,15 +98,21 @@ async fn measure(
     };
     let mut path = OurPath::open(&config, line)?;
     let head = path.network.head().as_str();
-    let mut python = arguments
-        .python
-        .as_ref()
-        .map(|python| PythonPath::start(python, model, head, folder, config.threads))
-        .transpose()?;
+    let mut python = match &arguments.python {
+        Some(python) => Some(PythonPath::start(
+            python,
+            model,
+            head,
+            folder,
+            config.threads,
+        )?),
+        None => None,
+    };
     let detector = DetectorHandle::start(&config).await?;
     let pictures = decoded(frames, path.network.input_format())?;
 
-    let (mut ours, mut theirs) = (Samples::default(), Samples::default());
+    let mut ours = Samples::default();
+    let mut theirs = Samples::default();
     let mut throughput = Throughput::default();
     for frame in frames {
         // Warms up: buffers grow here.
@@ -121,8 +127,8 @@ async fn measure(
         }
         throughput.run_loop(&mut path.network, &pictures)?;
         throughput.run_queue(&detector, &pictures).await?;
-        throughput.run_camera(&detector, frames, false).await?;
-        throughput.run_camera(&detector, frames, true).await?;
+        throughput.run_camera(&detector, frames, MadeReady::InTurn).await?;
+        throughput.run_camera(&detector, frames, MadeReady::Ahead).await?;
     }
     detector.stop().await;
 

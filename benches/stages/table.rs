@@ -7,25 +7,7 @@ const MODEL_MS: f64 = 10.0;
 
 /// Prints a line per stage, and the sum of albireo's own stages.
 pub(crate) fn print(ours: &Samples, python: Option<&Samples>) {
-    let model = ours.of(Stage::Model);
-    let line = |title: &str, times: Option<[f64; 2]>, theirs: Option<[f64; 2]>, share: bool| {
-        let Some([median, late]) = times else { return };
-        let mut text = format!("{title:<25}{median:>8.3}{late:>8.3}");
-        let shares = [
-            model.map(|[model, _]| median / model),
-            Some(median / MODEL_MS),
-        ];
-        for value in shares {
-            text += &match value.filter(|_| share) {
-                Some(value) => format!("{:>9.1} %", value * 100.0),
-                None => " ".repeat(11),
-            };
-        }
-        if let Some([median, late]) = theirs {
-            text += &format!("{median:>8.3}{late:>8.3}");
-        }
-        println!("{}", text.trim_end());
-    };
+    let model = ours.of(Stage::Model).map(|[model, _]| model);
     let header = format!(
         "{:<25}{:>8}{:>8}{:>11}{:>11}",
         "milliseconds", "median", "95 %", "of model", "of 10 ms"
@@ -35,9 +17,37 @@ pub(crate) fn print(ours: &Samples, python: Option<&Samples>) {
         None => println!("{header}"),
     }
     for stage in Stage::ALL {
-        let theirs = python.and_then(|python| python.of(stage));
-        let share = stage != Stage::Decode && stage != Stage::Model;
-        line(stage.title(), ours.of(stage), theirs, share);
+        let Some(times) = ours.of(stage) else {
+            continue;
+        };
+        let mut line = beginning(stage.title(), times);
+        match stage {
+            Stage::Decode | Stage::Model => line += &" ".repeat(22),
+            _ => line += &shares(times, model),
+        }
+        if let Some([median, late]) = python.and_then(|python| python.of(stage)) {
+            line += &format!("{median:>8.3}{late:>8.3}");
+        }
+        println!("{}", line.trim_end());
     }
-    line("ours, without decoding", ours.ours(), None, true);
+    if let Some(times) = ours.ours() {
+        println!(
+            "{}{}",
+            beginning("ours, without decoding", times),
+            shares(times, model)
+        );
+    }
+}
+
+fn beginning(title: &str, [median, late]: [f64; 2]) -> String {
+    format!("{title:<25}{median:>8.3}{late:>8.3}")
+}
+
+/// The shares of the model's median, if there is one, and of the 10 ms, in 22 columns.
+fn shares([median, _]: [f64; 2], model: Option<f64>) -> String {
+    let of_goal = format!("{:>9.1} %", median / MODEL_MS * 100.0);
+    match model {
+        Some(model) => format!("{:>9.1} %{of_goal}", median / model * 100.0),
+        None => format!("{:11}{of_goal}", ""),
+    }
 }

@@ -12,6 +12,15 @@ use tokio::task::JoinHandle;
 /// The number of cameras that call at the same time, so that a picture always waits.
 pub(crate) const CAMERAS: usize = 3;
 
+/// When a camera's frame is decoded and prepared.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum MadeReady {
+    /// When its turn comes.
+    InTurn,
+    /// While the model runs on the frame before.
+    Ahead,
+}
+
 /// The frames per second of each round.
 #[derive(Default)]
 pub(crate) struct Throughput {
@@ -73,13 +82,12 @@ impl Throughput {
         Ok(())
     }
 
-    /// Runs all frames of one camera, including decoding. Each frame is prepared when its turn comes or, with `ahead`,
-    /// while the model runs on the previous one.
+    /// Runs all frames of one camera, including decoding.
     pub(crate) async fn run_camera(
         &mut self,
         detector: &DetectorHandle,
         frames: &[EncodedPicture],
-        ahead: bool,
+        made_ready: MadeReady,
     ) -> anyhow::Result<()> {
         let start = Instant::now();
         let mut next = frames.first().map(|frame| make_ready(detector, frame));
@@ -87,19 +95,18 @@ impl Throughput {
             let Some(ready) = next.take() else { break };
             let ready = ready.await??;
             let following = || frames.get(number).map(|frame| make_ready(detector, frame));
-            if ahead {
+            if made_ready == MadeReady::Ahead {
                 next = following();
             }
             detector.detect_prepared(CameraSlot(0), ready).await?;
-            if !ahead {
+            if made_ready == MadeReady::InTurn {
                 next = following();
             }
         }
         let rate = frames.len() as f64 / start.elapsed().as_secs_f64();
-        if ahead {
-            self.ahead.push(rate)
-        } else {
-            self.one_after_the_other.push(rate)
+        match made_ready {
+            MadeReady::Ahead => self.ahead.push(rate),
+            MadeReady::InTurn => self.one_after_the_other.push(rate),
         }
         Ok(())
     }
@@ -140,7 +147,8 @@ fn make_ready(
     detector: &DetectorHandle,
     frame: &EncodedPicture,
 ) -> JoinHandle<anyhow::Result<PreparedPicture>> {
-    let (frame, preparation) = (frame.clone(), detector.preparation().clone());
+    let frame = frame.clone();
+    let preparation = detector.preparation().clone();
     tokio::task::spawn_blocking(move || {
         let mut picture = Picture::default();
         decode_for(preparation.format(), &frame, &mut picture)?;

@@ -27,7 +27,7 @@ pub(crate) fn run(arguments: &Arguments, model: &Path) -> anyhow::Result<Measure
         arguments,
         model,
     };
-    let session = sessions.open(false, false)?;
+    let session = sessions.open(Opened::AsTheNode)?;
     match session.inputs().first().map(|input| input.dtype()) {
         Some(ValueType::Tensor { ty, shape, .. }) => {
             let shape = closed(shape)?;
@@ -45,8 +45,8 @@ pub(crate) fn run(arguments: &Arguments, model: &Path) -> anyhow::Result<Measure
 /// Sets an open batch dimension to 1.
 fn closed(shape: &[i64]) -> anyhow::Result<Vec<i64>> {
     let mut shape = shape.to_vec();
-    if let Some(batch) = shape.first_mut().filter(|batch| **batch == -1) {
-        *batch = 1;
+    if shape.first() == Some(&-1) {
+        shape[0] = 1;
     }
     if shape.iter().any(|side| *side < 1) {
         bail!("its input {shape:?} leaves its size open");
@@ -60,10 +60,19 @@ struct Sessions<'a> {
     model: &'a Path,
 }
 
+/// How a session is opened.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Opened {
+    AsTheNode,
+    /// Recorded as a CUDA graph.
+    AsGraph,
+    /// Fails unless the provider runs all nodes.
+    WithoutFallback,
+}
+
 impl Sessions<'_> {
-    /// Opens a session like the node, as a CUDA graph with `graph`. With `every_node`, fails unless the provider runs
-    /// all nodes.
-    fn open(&self, graph: bool, every_node: bool) -> ort::Result<Session> {
+    fn open(&self, opened: Opened) -> ort::Result<Session> {
+        let graph = opened == Opened::AsGraph;
         let threads =
             std::thread::available_parallelism().map_or(1, |cores| (cores.get() - 1).max(1));
         let mut builder = Session::builder(&self.environment)?
@@ -71,7 +80,7 @@ impl Sessions<'_> {
             .with_intra_threads(threads)?
             .with_inter_threads(1)?
             .with_intra_op_spinning(false)?;
-        if every_node {
+        if opened == Opened::WithoutFallback {
             builder = builder.with_disable_cpu_fallback()?;
         }
         let device = i32::try_from(self.arguments.device).unwrap_or(i32::MAX);
@@ -152,18 +161,14 @@ fn measure<T: Element>(
     shape: Vec<i64>,
 ) -> anyhow::Result<Measured> {
     let elements = usize::try_from(shape.iter().product::<i64>())?;
-    let mut noise = 1_u32;
-    let mut random = || {
-        noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        T::of((noise >> 8) as f32 / f32::from(u16::MAX) / 256.0)
-    };
-    let inputs: Vec<Vec<T>> =
-        (0..INPUTS).map(|_| (0..elements).map(|_| random()).collect()).collect();
-
-    let all_nodes = match (sessions.arguments.is_gpu(), sessions.open(false, true)) {
-        (false, _) => "not asked on the CPU".to_owned(),
-        (true, Ok(_)) => "yes".to_owned(),
-        (true, Err(error)) => format!("no: {error}"),
+    let inputs = random_inputs::<T>(elements);
+    let all_nodes = if sessions.arguments.is_gpu() {
+        match sessions.open(Opened::WithoutFallback) {
+            Ok(_) => "yes".to_owned(),
+            Err(error) => format!("no: {error}"),
+        }
+    } else {
+        "not asked on the CPU".to_owned()
     };
     let [device, pinned] = sessions.allocators(&session)?;
     let mut plain = plain(session, shape.clone());
@@ -171,12 +176,12 @@ fn measure<T: Element>(
     drop(expected);
     let graph = if sessions.arguments.is_gpu() {
         sessions
-            .open(true, false)
+            .open(Opened::AsGraph)
             .and_then(|session| on_the_device(sessions, session, &shape, &inputs[0]))
     } else {
         Err(ort::Error::new("only on a GPU"))
     };
-    let open = || sessions.open(false, false);
+    let open = || sessions.open(Opened::AsTheNode);
     let mut ways: Vec<(&str, ort::Result<Run<'_, T>>)> = vec![
         (PLAIN, Ok(Box::new(plain))),
         ("bound", open().and_then(|session| bound(session, &shape))),
@@ -233,20 +238,32 @@ fn measure<T: Element>(
             usize::try_from(elements).unwrap_or(0) * element.byte_size(1).unwrap_or(0)
         })
         .sum();
-    for (name, bytes, to_the_device) in [
-        ("one", 1, true),
-        ("input", elements * size_of::<T>(), true),
-        ("outputs", outputs, false),
+    for (name, bytes, direction) in [
+        ("one", 1, Direction::ToTheDevice),
+        ("input", elements * size_of::<T>(), Direction::ToTheDevice),
+        ("outputs", outputs, Direction::FromTheDevice),
     ] {
         for (name, host) in [(name, &Allocator::default()), ("", &pinned)] {
             measured.copies.push(Copy {
                 name: name.to_owned(),
                 bytes,
-                times: copy(host, &device, bytes, to_the_device, runs)?,
+                times: copy(host, &device, bytes, direction, runs)?,
             });
         }
     }
     Ok(measured)
+}
+
+/// Inputs of noise.
+fn random_inputs<T: Element>(elements: usize) -> Vec<Vec<T>> {
+    let mut noise = 1_u32;
+    let mut random = || {
+        // The generator of Numerical Recipes, of which the upper 24 bits are from 0 to 1.
+        noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        T::of((noise >> 8) as f32 / f32::from(u16::MAX) / 256.0)
+    };
+    let mut input = || -> Vec<T> { (0..elements).map(|_| random()).collect() };
+    (0..INPUTS).map(|_| input()).collect()
 }
 
 /// Runs a session like the node.
@@ -339,7 +356,7 @@ fn output_shapes<T: Element>(
     shape: &[i64],
     example: &[T],
 ) -> ort::Result<Vec<(TensorElementType, Vec<i64>)>> {
-    let mut session = sessions.open(false, false)?;
+    let mut session = sessions.open(Opened::AsTheNode)?;
     let input = TensorRef::from_array_view((shape, example))?;
     let outputs = session.run(ort::inputs![input])?;
     (0..outputs.len())
@@ -385,12 +402,18 @@ fn difference(expected: &[Vec<f32>], found: &[Vec<f32>]) -> f64 {
     largest
 }
 
+#[derive(Clone, Copy)]
+enum Direction {
+    ToTheDevice,
+    FromTheDevice,
+}
+
 /// Measures the milliseconds to copy `bytes` bytes.
 fn copy(
     host: &Allocator,
     device: &Allocator,
     bytes: usize,
-    to_the_device: bool,
+    direction: Direction,
     runs: usize,
 ) -> ort::Result<Vec<f64>> {
     let mut near = Tensor::<u8>::new(host, [bytes])?;
@@ -403,10 +426,9 @@ fn copy(
     let mut times = Vec::new();
     for number in 0..WARM_UP + runs {
         let start = Instant::now();
-        if to_the_device {
-            near.copy_into(&mut far)?;
-        } else {
-            far.copy_into(&mut near)?;
+        match direction {
+            Direction::ToTheDevice => near.copy_into(&mut far)?,
+            Direction::FromTheDevice => far.copy_into(&mut near)?,
         }
         if number >= WARM_UP {
             times.push(since(start));

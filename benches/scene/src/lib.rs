@@ -17,8 +17,33 @@ pub const PICTURE: PictureSize = PictureSize::new(1280, 720);
 /// A scene with a fixed number of objects, the same in every run.
 #[derive(Debug)]
 pub struct Scene {
-    objects: Vec<(BoundingBox, [f64; 2])>,
+    objects: Vec<Moving>,
     random: Pcg64Mcg,
+}
+
+/// An object, whose centre stays between these shares of the picture.
+#[derive(Debug)]
+struct Moving {
+    place: BoundingBox,
+    /// Shift of the centre per frame, along x and y.
+    velocity: [f64; 2],
+}
+
+const LEAST_CENTER: f64 = 0.05;
+const MOST_CENTER: f64 = 0.95;
+
+impl Moving {
+    /// Moves on by one frame; turns back at the edges.
+    fn advance(&mut self) {
+        let place = &mut self.place;
+        let axes = [&mut place.center_x, &mut place.center_y];
+        for (center, step) in axes.into_iter().zip(&mut self.velocity) {
+            if !(LEAST_CENTER..MOST_CENTER).contains(&(*center + *step)) {
+                *step = -*step;
+            }
+            *center += *step;
+        }
+    }
 }
 
 impl Scene {
@@ -29,11 +54,11 @@ impl Scene {
             random: Pcg64Mcg::seed_from_u64(11),
         };
         for _ in 0..objects {
-            let center = [scene.between(0.05, 0.95), scene.between(0.05, 0.95)];
+            let [x, y] = [(); 2].map(|()| scene.between(LEAST_CENTER, MOST_CENTER));
             let side = scene.between(0.03, 0.12);
-            let velocity = [scene.between(-2e-3, 2e-3), scene.between(-2e-3, 2e-3)];
-            let bounding_box = BoundingBox::new(center[0], center[1], side, side);
-            scene.objects.push((bounding_box, velocity));
+            let velocity = [(); 2].map(|()| scene.between(-2e-3, 2e-3));
+            let place = BoundingBox::new(x, y, side, side);
+            scene.objects.push(Moving { place, velocity });
         }
         scene
     }
@@ -52,24 +77,21 @@ impl Scene {
         let mut seen = Vec::new();
         for index in 0..self.objects.len() {
             let noise = [(); 4].map(|()| self.between(-1e-3, 1e-3));
-            let (b, velocity) = &mut self.objects[index];
-            for (value, step) in [&mut b.center_x, &mut b.center_y].into_iter().zip(velocity) {
-                if !(0.05..0.95).contains(&(*value + *step)) {
-                    *step = -*step;
-                }
-                *value += *step;
-            }
+            let object = &mut self.objects[index];
+            object.advance();
+            let place = object.place;
             seen.push(Detection {
                 bounding_box: BoundingBox::new(
-                    b.center_x + noise[0],
-                    b.center_y + noise[1],
-                    b.width + noise[2],
-                    b.height + noise[3],
+                    place.center_x + noise[0],
+                    place.center_y + noise[1],
+                    place.width + noise[2],
+                    place.height + noise[3],
                 ),
                 class: ClassId((index % 7) as u16),
                 confidence: 0.9,
             });
         }
+        // Shuffled, so that the last ones, which are dropped, are any.
         for index in (1..seen.len()).rev() {
             let other = (self.random.next_u64() % (index as u64 + 1)) as usize;
             seen.swap(index, other);

@@ -22,6 +22,9 @@ const STRIPE: f32 = 6.0;
 /// The minimum number of frames between two turns of a box.
 const CROSSING: u64 = 60;
 
+/// The number of different movements.
+const DRAWS: u64 = 97;
+
 /// A scene computed from the frame number. Each box moves back and forth in a separate lane, so that none hides
 /// another, and is out of sight for a fifth of the time.
 #[derive(Clone, Copy, Debug)]
@@ -49,34 +52,16 @@ impl BoxScene {
 
     /// The frame with the given number.
     pub fn frame(&self, index: u64) -> BoxFrame {
-        let (width, height) = (self.size.width as usize, self.size.height as usize);
-        let boxes: Vec<_> = (0..CLASSES.len())
-            .filter_map(|class| Some((class, self.place(class as u64, index)?)))
-            .collect();
-        let stripe = STRIPE * height as f32 / 360.0;
-        let mut rgb = Vec::with_capacity(3 * width * height);
-        for y in 0..height {
-            for x in 0..width {
-                let inside = boxes.iter().find(|(_, place)| {
-                    let within =
-                        |at: usize, low: f64, high: f64| (low..high).contains(&(at as f64 + 0.5));
-                    within(x, place.x1, place.x2) && within(y, place.y1, place.y2)
-                });
-                let pixel = match inside {
-                    // The stripes move with the box.
-                    Some((class, place)) => {
-                        let shade = shade(
-                            x as f32 - place.x1 as f32,
-                            y as f32 - place.y1 as f32,
-                            stripe,
-                        );
-                        COLOURS[*class].map(|plane| plane * (0.85 + 0.15 * shade))
-                    }
-                    None => {
-                        let light = 0.2 + 0.5 * y as f32 / height as f32;
-                        [light + 0.1 * shade(x as f32, y as f32, 2.0 * stripe); 3]
-                    }
-                };
+        let mut boxes = Vec::new();
+        for class in 0..CLASSES.len() {
+            if let Some(place) = self.place(class as u64, index) {
+                boxes.push((class, place));
+            }
+        }
+        let mut rgb = Vec::with_capacity(3 * self.size.pixels() as usize);
+        for y in 0..self.size.height {
+            for x in 0..self.size.width {
+                let pixel = self.pixel(x, y, &boxes);
                 rgb.extend(pixel.map(|plane| (255.0 * plane) as u8));
             }
         }
@@ -87,22 +72,46 @@ impl BoxScene {
         }
     }
 
+    /// Red, green and blue of a pixel, 0 to 1.
+    fn pixel(&self, x: u32, y: u32, boxes: &[(usize, Corners)]) -> [f32; 3] {
+        let height = self.size.height as f32;
+        let stripe = STRIPE * height / 360.0;
+        // The middle of the pixel decides whether it belongs to a box.
+        let within = |at: u32, low: f64, high: f64| (low..high).contains(&(f64::from(at) + 0.5));
+        let hit = boxes
+            .iter()
+            .find(|(_, place)| within(x, place.x1, place.x2) && within(y, place.y1, place.y2));
+        let (x, y) = (x as f32, y as f32);
+        if let Some((class, place)) = hit {
+            // The stripes move with the box.
+            let shade = shade(x - place.x1 as f32, y - place.y1 as f32, stripe);
+            COLOURS[*class].map(|plane| plane * (0.85 + 0.15 * shade))
+        } else {
+            // A grey that grows brighter downwards.
+            let light = 0.2 + 0.5 * y / height;
+            [light + 0.1 * shade(x, y, 2.0 * stripe); 3]
+        }
+    }
+
     /// The corners of the box of `class`; `None` while it is out of sight.
     fn place(&self, class: u64, index: u64) -> Option<Corners> {
-        // Any value that differs between boxes and seeds.
-        let draw = (self.seed * 31 + class * 17) % 97;
-        let (width, lane) = (
-            f64::from(self.size.width),
-            f64::from(self.size.height) / 6.0,
-        );
+        // Any value that differs between boxes and seeds: primes, so that it seldom repeats.
+        let draw = (self.seed * 31 + class * 17) % DRAWS;
+        let width = f64::from(self.size.width);
+        let lane = f64::from(self.size.height) / CLASSES.len() as f64;
         let period = 2 * (CROSSING + draw);
         let phase = (index + 7 * draw) % period;
+        // Two fifths of its period to the right, two fifths back, one fifth out of sight.
         if phase * 5 >= period * 4 {
             return None;
         }
-        let along = phase as f64 / period as f64 * 2.5;
-        let along = if along > 1.0 { 2.0 - along } else { along };
-        let side = lane * (0.5 + 0.3 * draw as f64 / 97.0);
+        let crossings = phase as f64 / period as f64 * 2.5;
+        let along = if crossings > 1.0 {
+            2.0 - crossings
+        } else {
+            crossings
+        };
+        let side = lane * (0.5 + 0.3 * draw as f64 / DRAWS as f64);
         let long = side * (1.0 + 0.2 * class as f64);
         let x1 = along * (width - long);
         let y1 = lane * class as f64 + (lane - side) * (0.2 + 0.6 * along);
@@ -129,8 +138,8 @@ impl BoxFrame {
         let mut bytes = Vec::new();
         let mut encoder = Encoder::new(&mut bytes, quality);
         encoder.set_sampling_factor(SamplingFactor::F_2_2);
-        let (width, height) = (self.size.width as u16, self.size.height as u16);
-        encoder.encode(&self.rgb, width, height, ColorType::Rgb)?;
+        let PictureSize { width, height } = self.size;
+        encoder.encode(&self.rgb, width as u16, height as u16, ColorType::Rgb)?;
         Ok(bytes)
     }
 }
