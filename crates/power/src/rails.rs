@@ -15,9 +15,9 @@ const UNKNOWN_BOARD: &str = "sum_of_rails of an unknown board";
 pub struct RailTable {
     /// The board's name.
     pub name: String,
-    /// Rails that carry the board's whole power; the first one that is read is the total.
+    /// Rails that carry the board's whole power; the first one that shows power is the total.
     pub input: Vec<String>,
-    /// Rails summed to the total if no input rail is read; all of them must be read.
+    /// Rails summed to the total if no input rail shows power; all of them must be read.
     pub sum: Vec<String>,
     /// Rails summed to the GPU domain; all of them must be read.
     pub gpu: Vec<String>,
@@ -58,10 +58,10 @@ impl RailTable {
             return Some(fault.to_owned());
         }
         let domains = self.domains().into_iter().flat_map(|(_, rails)| rails);
-        let rail = twice(self.sum.iter()).or_else(|| twice(domains))?;
-        Some(format!(
-            "`{rail}` is counted in two of gpu, cpu and io_mem, or twice in one list"
-        ))
+        let listed_twice = twice(self.sum.iter()).or_else(|| twice(domains));
+        listed_twice.map(|rail| {
+            format!("`{rail}` is counted in two of gpu, cpu and io_mem, or twice in one list")
+        })
     }
 }
 
@@ -108,13 +108,8 @@ impl RailMap {
     /// out, never reported too small. A negative rail counts as zero: no rail returns power, so it is the sensor's
     /// offset.
     pub fn reading(&mut self, rails: &[RailWatts]) -> Reading {
-        let known = |table: &RailTable| rails.iter().filter(|rail| table.knows(&rail.name)).count();
-        let tables = self.tables.iter().filter(|table| known(table) > 0);
-        // Of equals the first, which is the last in reverse.
-        let table = tables.rev().max_by_key(|table| known(table));
-        // No machine runs on nothing: an input rail that shows no power is not connected.
-        let shows_power = |name: &&String| watts_of(rails, name) > Some(0.0);
-        let input = table.and_then(|table| table.input.iter().find(shows_power));
+        let table = best_table(&self.tables, rails);
+        let input = table.and_then(|table| live_input(table, rails));
         self.has_input |= input.is_some();
         let (total, total_from) = if self.has_input {
             let watts = input.and_then(|name| watts_of(rails, name));
@@ -137,7 +132,9 @@ impl RailMap {
             name: Arc::clone(&rail.name),
             domain: table.and_then(|table| table.domain_of(&rail.name)),
             in_total: match (input, table) {
-                (Some(input), _) => **input == *rail.name,
+                (Some(input), _) => *input == *rail.name,
+                // The input rail has a gap, so there is no total now.
+                (None, _) if self.has_input => false,
                 (None, Some(table)) => table.sum.iter().any(|name| **name == *rail.name),
                 (None, None) => true,
             },
@@ -150,6 +147,26 @@ impl RailMap {
             rails: listed.collect(),
         }
     }
+}
+
+/// Returns the table that names most of `rails`, of equals the first; `None` if none names any.
+fn best_table<'a>(tables: &'a [RailTable], rails: &[RailWatts]) -> Option<&'a RailTable> {
+    let mut best = None;
+    let mut most = 0;
+    for table in tables {
+        let known = rails.iter().filter(|rail| table.knows(&rail.name)).count();
+        if known > most {
+            best = Some(table);
+            most = known;
+        }
+    }
+    best
+}
+
+/// Returns the first input rail that shows power. No machine runs on nothing: a rail that shows none is not connected.
+fn live_input<'a>(table: &'a RailTable, rails: &[RailWatts]) -> Option<&'a str> {
+    let mut names = table.input.iter().map(String::as_str);
+    names.find(|name| watts_of(rails, name).is_some_and(|watts| watts > 0.0))
 }
 
 /// The power of a rail, if it was read.

@@ -1,4 +1,4 @@
-//! Boxes between NumPy's arrays in pixels and the core's types.
+//! Converts boxes between NumPy's arrays in pixels and the core's types.
 
 use albireo_core::detection::{ClassId, Detection};
 use albireo_core::geometry::{Corners, PictureSize};

@@ -41,13 +41,14 @@ pub(crate) struct Decider {
 
 #[pymethods]
 impl Decider {
-    /// Makes a decider. Its tuples are named where they are taken apart:
+    /// Makes a decider. What belongs together is one tuple, as a function of Rust should have few arguments; the tuples
+    /// are named where they are taken apart:
     ///
     /// - `size`: width and height of the pictures, pixels.
     /// - `audit`: the share of frames that are drawn for an audit, and the seed of the draw.
     /// - `answers`: whether detections come late, and the longest delay of settled frames, if frames are settled.
-    /// - `pause`: the number of frames of which one is looked at on an empty road, and the frames without a detection
-    ///   after which the road is empty.
+    /// - `pause`: on an empty road one frame in this many is looked at; and the frames without a detection after which
+    ///   the road is empty.
     #[new]
     fn new(
         policy: &str,
@@ -62,22 +63,22 @@ impl Decider {
         let (audited_share, audit_seed) = audit;
         let (comes_late, longest_delay) = answers;
         let (every, after) = pause;
-        let mut policy = build(policy, profile)?;
+        let mut built = build(policy, profile)?;
         if let Some(threshold) = threshold {
-            policy.set_threshold(threshold).map_err(wrong)?;
+            built.set_threshold(threshold).map_err(wrong)?;
         }
-        if every > 1 && !policy.takes_pause() {
-            return Err(PyValueError::new_err(no_pause(policy.name())));
+        if every > 1 && !built.takes_pause() {
+            return Err(PyValueError::new_err(no_pause(built.name())));
         }
         let mut policy = if comes_late {
-            LatePolicy::new(policy).map_err(|error| {
+            LatePolicy::new(built).map_err(|error| {
                 PyValueError::new_err(format!(
                     "policy '{}' cannot take late detections: it predicts no boxes",
                     error.policy
                 ))
             })?
         } else {
-            LatePolicy::waiting(policy)
+            LatePolicy::waiting(built)
         };
         policy.set_pause(PauseFrames {
             every,
@@ -133,7 +134,7 @@ impl Decider {
         if wanted && self.policy.waits() {
             self.order.wait(index);
         } else {
-            self.decided(index, wanted);
+            self.finish_frame(index, wanted);
         }
         Ok(wanted)
     }
@@ -218,7 +219,7 @@ impl Decider {
         read(&found, self.size, &mut self.detections)?;
         let evidence = Evidence::Detections(&self.detections);
         self.policy.deliver(frame, evidence, &mut self.outcome).map_err(wrong)?;
-        self.decided(frame, false);
+        self.finish_frame(frame, false);
         Ok(arrays(py, &self.outcome.boxes, self.size))
     }
 
@@ -228,13 +229,13 @@ impl Decider {
         self.policy
             .deliver(frame, Evidence::Unavailable, &mut self.outcome)
             .map_err(wrong)?;
-        self.decided(frame, false);
+        self.finish_frame(frame, false);
         Ok(arrays(py, &self.outcome.boxes, self.size))
     }
 
     /// Returns the boxes of the current frame.
     fn boxes<'py>(&self, py: Python<'py>) -> PyResult<Arrays<'py>> {
-        self.order.decided()?;
+        self.order.require_decided()?;
         Ok(arrays(py, &self.outcome.boxes, self.size))
     }
 
@@ -250,7 +251,7 @@ impl Decider {
         confidence: PyReadonlyArray1<'_, f64>,
         class_id: PyReadonlyArray1<'_, f64>,
     ) -> PyResult<()> {
-        self.order.decided()?;
+        self.order.require_decided()?;
         if !self.outcome.state.is_skipped() {
             return Err(PyRuntimeError::new_err(
                 "the detector has already run on this frame: an audit compares frames that were skipped",
@@ -391,7 +392,7 @@ impl Decider {
     }
 
     /// Makes a frame decided and passes its answer to the settler. `pending` is true if late detections will change it.
-    fn decided(&mut self, frame: u64, pending: bool) {
+    fn finish_frame(&mut self, frame: u64, pending: bool) {
         self.order.decide(frame);
         if let Some(settling) = &mut self.settling {
             settling.frame(frame, &self.outcome, pending);

@@ -68,7 +68,7 @@ impl Order {
     }
 
     /// Refuses a call for a frame that is not decided.
-    pub(crate) fn decided(&self) -> PyResult<()> {
+    pub(crate) fn require_decided(&self) -> PyResult<()> {
         match self.0 {
             Some((_, Stage::Decided)) => Ok(()),
             Some((frame, Stage::WantsDetector)) => Err(PyRuntimeError::new_err(format!(

@@ -16,8 +16,8 @@ use std::fs::{File, OpenOptions};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 
-/// A chunk is written when it is as large as this, and whenever the file is [kept](RecordingFile::keep). It is in
-/// memory until then, and lost in a power cut.
+/// A chunk is written when it is as large as this, and whenever the file is [kept](RecordingFile::keep). Until then it
+/// is in memory. It is certain to survive a power cut only after `keep`, which waits for the disk.
 const CHUNK_BYTES: u64 = 1 << 20;
 
 /// Only the node's user may read recordings: they show people.

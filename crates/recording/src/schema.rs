@@ -102,7 +102,7 @@ const FOXGLOVE: &[(&str, Fields)] = &[
 ];
 
 /// The values of `PointsAnnotation.Type`.
-const POINTS: [&str; 5] = ["UNKNOWN", "POINTS", "LINE_LOOP", "LINE_STRIP", "LINE_LIST"];
+const POINTS_TYPES: [&str; 5] = ["UNKNOWN", "POINTS", "LINE_LOOP", "LINE_STRIP", "LINE_LIST"];
 
 /// The file of the timestamp, which readers know by this name.
 const TIMESTAMP_FILE: &str = "google/protobuf/timestamp.proto";
@@ -161,13 +161,13 @@ fn message(name: &str, fields: Fields) -> DescriptorProto {
     };
     // The only message that declares a type of its own.
     if name == "PointsAnnotation" {
-        message.enum_type.push(points());
+        message.enum_type.push(points_type());
     }
     message
 }
 
 /// The enumeration `PointsAnnotation.Type`.
-fn points() -> EnumDescriptorProto {
+fn points_type() -> EnumDescriptorProto {
     let value = |(number, name): (i32, &str)| EnumValueDescriptorProto {
         name: Some(name.to_owned()),
         number: Some(number),
@@ -175,7 +175,7 @@ fn points() -> EnumDescriptorProto {
     };
     EnumDescriptorProto {
         name: Some("Type".to_owned()),
-        value: (0..).zip(POINTS).map(value).collect(),
+        value: (0..).zip(POINTS_TYPES).map(value).collect(),
         ..EnumDescriptorProto::default()
     }
 }
@@ -210,10 +210,17 @@ fn field(&(name, number, kind): &Field) -> FieldDescriptorProto {
 
 /// The field's name in protobuf's JSON.
 fn camel_case(name: &str) -> String {
-    let mut parts = name.split('_');
-    let first = parts.next().unwrap_or_default().to_owned();
-    parts.fold(first, |whole, part| {
-        let (initial, rest) = part.split_at(part.len().min(1));
-        whole + &initial.to_ascii_uppercase() + rest
-    })
+    let mut whole = String::with_capacity(name.len());
+    let mut follows_underscore = false;
+    for letter in name.chars() {
+        if letter == '_' {
+            follows_underscore = true;
+        } else if follows_underscore {
+            whole.push(letter.to_ascii_uppercase());
+            follows_underscore = false;
+        } else {
+            whole.push(letter);
+        }
+    }
+    whole
 }

@@ -42,7 +42,7 @@ const DRAW_START: u64 = 6;
 /// These two are followed by one number per report.
 const DRAW_REPORT: u64 = 1_000;
 const DRAW_ID: u64 = 2_000_000;
-/// As many as a node's way has parameters.
+/// Followed by one number for each parameter of a node's way.
 pub(crate) const DRAW_WAY: u64 = 3_000_000;
 
 /// The share of frames that a node skips at this `u`, before what is its own and its clip's.
@@ -302,7 +302,7 @@ impl SimNode {
         }
     }
 
-    /// The energy quality to report; no figure comes from a meter.
+    /// The energy quality to report. It is pretended: no figure comes from a meter.
     fn quality(&self) -> EnergyQuality {
         if self.options.measured {
             EnergyQuality::Measured
@@ -311,7 +311,7 @@ impl SimNode {
         }
     }
 
-    /// What report number `number` says of a clip at this `u`.
+    /// What report number `number` says of a clip at this `u`. The deviations are plausible, and fitted to nothing.
     fn draw(&self, number: u64, u: f64) -> Drawn {
         let mut of_clip = Pcg64Mcg::seed_from_u64(mix(self.seed, DRAW_REPORT + number));
         let mut noise = || normal(&mut of_clip);

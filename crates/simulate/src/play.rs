@@ -32,7 +32,7 @@ const PREFIX: &str = "albireo";
 /// The time within which all nodes send their first status.
 const FIRST_STATUSES: Duration = Duration::from_secs(5);
 
-/// The time after the start at which the initial flood of all nodes is over; a third of a short run.
+/// The time after the start at which the initial flood of all nodes is over; at most a third of the run.
 const SETTLED: Duration = Duration::from_secs(20);
 
 /// The answer to a request; else the refusal, if one was received.
@@ -160,8 +160,9 @@ impl Player {
                 () = sleep_until(next_status), if !self.ending => {
                     let status = Duration::from_secs_f64(self.node.heartbeat_s);
                     // All nodes are known soon; from then on, their times are spread over the whole period.
-                    let is_first = next_status < began + FIRST_STATUSES;
-                    let period = if is_first { spread(status, DRAW_SECOND_STATUS) } else { status };
+                    let is_among_first = next_status < began + FIRST_STATUSES;
+                    let period = if is_among_first { spread(status, DRAW_SECOND_STATUS) } else { status };
+                    // A short draw must not lead to two statuses while the first ones of all nodes still come.
                     next_status += period.max(FIRST_STATUSES.min(status));
                     self.status();
                 }

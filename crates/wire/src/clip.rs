@@ -238,8 +238,8 @@ pub struct BoardState {
 }
 
 impl ClipReport {
-    /// Rounds energies and times to six significant digits, latencies and watts to four. Further digits are noise that
-    /// compresses badly.
+    /// Rounds what clips are summed by (energies, times, shares, distances) to six significant digits, and what is only
+    /// read (latencies, watts, speed, an audit's energy) to four. Further digits are noise that compresses badly.
     pub fn round(&mut self) {
         let six = |value: &mut f64| *value = significant(*value, 6);
         let four = |value: &mut f64| *value = significant(*value, 4);

@@ -1,11 +1,11 @@
 //! Conversion of a threshold to the units of the published code.
 //!
 //! The state is in shares of the picture, as are the process noise Q and the covariance P of a new object; but the
-//! published code gives the noise R of a measured box in pixels of the picture. Multiplying P, Q and R by one number
-//! multiplies τ by it and changes no gain and no decision; changing R alone does neither. So no factor on `u` makes the
-//! published filter decide at one picture size as at another, and the profile `paper` gives R as a share of the picture
-//! too: then nothing in the filter depends on the size. For the published code only an equivalent remains: the
-//! threshold that lets it predict a steadily seen object for as many frames.
+//! published code gives the noise R of a measured box in pixels of the picture. If P, Q and R are all multiplied by one
+//! number, so is τ: the gains stay, and with `u` multiplied alike every decision stays. If R alone changes, the gains
+//! change. So no factor on `u` makes the published filter decide at one picture size as at another, and the profile
+//! `paper` gives R as a share of the picture, too: then nothing in the filter depends on the size. For the published
+//! code only an equivalent remains: the threshold that lets it predict a steadily seen object for as many frames.
 
 use super::AlbireoSettings;
 use crate::geometry::{BoundingBox, PictureSize};
@@ -36,6 +36,7 @@ pub fn published_threshold(u: f64, picture: PictureSize) -> f64 {
         paper_before = paper_tau;
         published_before = published_tau;
     }
+    // Above the last of the curve no frame tells: the two thresholds keep the proportion they have there.
     u / paper_before * published_before
 }
 

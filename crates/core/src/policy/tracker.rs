@@ -60,13 +60,14 @@ impl Tracker {
     ) -> Progress {
         self.objects.predict(frame.picture, frame.step.max(1));
         let states = self.objects.states();
-        let taus = states.iter().map(|state| {
+        let mut tau_max: Option<f64> = None;
+        for state in states {
             let tau = state.filter.tau();
             visit(state, tau);
-            tau
-        });
+            tau_max = Some(tau_max.map_or(tau, |most| most.max(tau)));
+        }
         Progress {
-            tau_max: taus.reduce(f64::max),
+            tau_max,
             active: states.len(),
             ..Progress::default()
         }

@@ -36,6 +36,7 @@ fn a_missing_input_rail_is_a_gap_and_keeps_the_rule() {
     map.reading(&rails(&with_input));
     let found = map.reading(&rails(&parts));
     assert_eq!(found.value(Domain::Total), None);
+    assert!(found.rails.iter().all(|rail| !rail.in_total));
     assert_eq!(found.value(Domain::Cpu), Some(Value::Power(6.0)));
     assert_eq!(&*found.total_from, "input_rail");
 }

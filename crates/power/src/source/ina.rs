@@ -1,4 +1,4 @@
-//! The boards' INA3221 and INA238 power monitors, directly from hwmon in sysfs: no root, no child process
+//! Reads the boards' INA3221 and INA238 power monitors, directly from hwmon in sysfs: no root, no child process
 //! (kernel documentation `hwmon/ina3221`, `hwmon/ina238`).
 //!
 //! INA3221: channels 1 to 3 with `inN_label`, `inN_input` (bus voltage, mV) and `currN_input` (mA). There
@@ -48,7 +48,8 @@ impl Ina {
     /// Finds the monitors under `{sysfs}/class/hwmon`, which lists the chips of all hwmon drivers.
     ///
     /// # Errors
-    /// [`MeterError::Missing`] if there is no monitor with a rail; [`MeterError::Failed`] if no rail can be read.
+    /// [`MeterError::Missing`] if there is no monitor with a rail; [`MeterError::Failed`] if no rail can be
+    /// read, or none tells the board's total.
     pub(crate) fn open(config: &PowerConfig) -> Result<Self, MeterError> {
         let chips = sysfs::entries(&config.sysfs.join("class/hwmon"));
         let channels: Vec<Channel> = chips.iter().flat_map(|chip| channels(chip)).collect();

@@ -1,4 +1,4 @@
-//! Energy counters of Intel and AMD processors, through Linux powercap (`/sys/class/powercap`, kernel
+//! Reads the energy counters of Intel and AMD processors, through Linux powercap (`/sys/class/powercap`, kernel
 //! documentation `power/powercap`).
 //!
 //! A package counter includes its subzones `core` and `uncore`, but not `dram`. `psys`, on some client
@@ -43,6 +43,7 @@ impl Zone {
     fn open(directory: &Path, prefix: &str) -> Result<Self, MeterError> {
         let name = sysfs::text(&directory.join("name"))?;
         let energy = directory.join("energy_uj");
+        // Fails here if the counter may not be read, as on most systems without root.
         sysfs::number::<u64>(&energy)?;
         // Without a range, a wrap looks like a reset, which loses one interval and not the zone.
         let range = sysfs::number(&directory.join("max_energy_range_uj")).unwrap_or(u64::MAX);
@@ -189,9 +190,9 @@ fn find(root: &Path) -> Result<Vec<Zone>, MeterError> {
             continue;
         }
         zones.push(zone);
-        let subs = format!("{}:", sysfs::name(&top));
+        let sub_prefix = format!("{}:", sysfs::name(&top));
         for sub in sysfs::entries(&top) {
-            if !sysfs::name(&sub).starts_with(&subs) {
+            if !sysfs::name(&sub).starts_with(&sub_prefix) {
                 continue;
             }
             match Zone::open(&sub, &format!("{name}/")) {

@@ -145,9 +145,9 @@ impl OnnxSession {
         self.provider
     }
 
-    /// Runs the model on `pictures`, each as float32 in `shape`, the shape of one picture, which has `size`; converts
-    /// them if the model takes float16 or bytes. Inputs beside the picture get what they mean for its size. `read` gets
-    /// the outputs in the order of the signature.
+    /// Runs the model on `pictures`, each as float32; converts them if the model takes float16 or bytes. `shape` is that
+    /// of one picture, and `size` its columns and rows. Further inputs of a model, such as the picture's size, are
+    /// filled from `size`. `read` gets the outputs in the order of the signature.
     ///
     /// # Errors
     /// If ONNX Runtime fails: its words.
@@ -295,7 +295,7 @@ fn build(
     builder.commit_from_file(&settings.model)
 }
 
-/// A missing device shows only when the session is created, in words of many kinds, so the model is tried on the CPU,
+/// Returns why the model does not load. A missing device shows only when the session is created, in words of many kinds, so the model is tried on the CPU,
 /// which is always there: what does not load there either is the model's fault, and no provider needs to be installed.
 fn refusal(
     environment: &Environment,

@@ -215,17 +215,19 @@ impl InputFormat {
         let top = (from.top - to.top) as usize;
         let rows = size.height as usize;
         let columns = size.width as usize;
-        let whole = self.size.width as usize;
-        let (planes, step) = match self.layout {
+        let full_width = self.size.width as usize;
+        // Three planes of one colour each, or one of pixels with three values.
+        let (planes, pixel_values) = match self.layout {
             TensorLayout::Nchw => (3, 1),
             TensorLayout::Nhwc => (1, 3),
         };
-        let plane = step * whole * self.size.height as usize;
+        let plane_values = pixel_values * full_width * self.size.height as usize;
         let mut cut = Vec::with_capacity(3 * rows * columns);
-        for number in 0..planes {
+        for plane in 0..planes {
             for row in 0..rows {
-                let start = number * plane + ((top + row) * whole + left) * step;
-                cut.extend_from_slice(&values[start..][..columns * step]);
+                let pixels_before = (top + row) * full_width + left;
+                let start = plane * plane_values + pixels_before * pixel_values;
+                cut.extend_from_slice(&values[start..][..columns * pixel_values]);
             }
         }
         (cut, mapping)
@@ -345,8 +347,7 @@ impl Letterbox {
         let pixels = if fits {
             &picture.pixels
         } else {
-            let resized = self.resize(picture, placement);
-            resized.map_err(|error| {
+            self.resize(picture, placement).map_err(|error| {
                 FrameFault::undecodable(format!("the picture could not be resized: {error}"))
             })?;
             &self.resized
@@ -364,8 +365,9 @@ impl Letterbox {
         let values = self.format.planes().map(|plane| plane.conversion.apply(MARGIN));
         match self.format.layout {
             TensorLayout::Nchw => {
-                let plane = self.tensor.len() / 3;
-                for (plane, value) in self.tensor.chunks_exact_mut(plane.max(1)).zip(values) {
+                let plane_values = self.tensor.len() / 3;
+                let planes = self.tensor.chunks_exact_mut(plane_values.max(1));
+                for (plane, value) in planes.zip(values) {
                     plane.fill(value);
                 }
             }
@@ -392,7 +394,8 @@ impl Letterbox {
     }
 }
 
-/// Converts interleaved bytes to float32: to planes if values of a colour are `STEP` = 1 apart, else interleaved.
+/// Converts interleaved bytes to float32. `STEP` is the distance between two values of one colour in the tensor: 1 if
+/// each colour has a plane, 3 if colours are interleaved.
 fn convert<const STEP: usize>(
     format: &InputFormat,
     size: PictureSize,
@@ -403,15 +406,16 @@ fn convert<const STEP: usize>(
     let columns = size.width as usize;
     let width = placement.width as usize;
     let left = placement.left as usize;
-    let from_color_to_color = match STEP {
+    // The distance between two colours of one pixel: a whole plane, or the next value.
+    let color_distance = match STEP {
         1 => columns * size.height as usize,
         _ => 1,
     };
     let planes = format.planes();
     for (row, pixels) in pixels.chunks_exact(width * 3).enumerate() {
         let start = ((placement.top as usize + row) * columns + left) * STEP;
-        for (place, plane) in planes.iter().enumerate() {
-            let targets = tensor[place * from_color_to_color + start..].chunks_mut(STEP);
+        for (index, plane) in planes.iter().enumerate() {
+            let targets = tensor[index * color_distance + start..].chunks_mut(STEP);
             for (target, pixel) in targets.zip(pixels.chunks_exact(3)) {
                 target[0] = plane.conversion.apply(f32::from(pixel[plane.color]));
             }

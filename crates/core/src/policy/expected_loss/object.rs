@@ -57,8 +57,8 @@ pub(super) struct Object {
     pub offset: Option<AxisValues>,
     /// True if the object was followed since its last detection.
     pub trailing: bool,
-    /// Distance over which sides on the picture's border were held there since the last detection, while the inside
-    /// moved away; along x and y, picture heights.
+    /// Distances over which sides were held at the picture's border since the last detection, while what is inside
+    /// moved away: `held_x` and `held_y` of [`judge`](Self::judge), in picture heights.
     pub border_shift: [f64; 2],
 }
 
@@ -164,6 +164,7 @@ impl Object {
         let border_shift =
             (self.border_shift[0] / width).powi(2) + (self.border_shift[1] / height).powi(2);
         let off = fading(0.125 / (self.alpha * self.filter.relative_variance() + border_shift));
+        // Without a loss of health, π itself: 1 − (1 − π) may differ from it in the last bit.
         self.miss_probability = if self.health < 1.0 {
             1.0 - (1.0 - off) * self.health
         } else {
@@ -211,7 +212,8 @@ impl Object {
         inside(x, width, aspect) * inside(y, height, 1.0)
     }
 
-    /// Returns the box to report, not clipped: if detected, the mean of the detector's box and the filter's.
+    /// Returns the box to report, not clipped: if detected, the mean of the detector's box and the filter's; else the
+    /// followed box, if one is trailed; else the filter's.
     pub(crate) fn bounding_box(&self, aspect: f64) -> BoundingBox {
         let own = self.filter_box(aspect);
         if let Some(detected_box) = self.detected_box {
@@ -236,8 +238,8 @@ impl Object {
     /// Returns the paper's uncertainty τ of this filter: the summed variance of the box in normalised form.
     pub(crate) fn tau(&self, aspect: f64) -> f64 {
         let [x, y, log_width, log_height] = &self.filter.axes;
-        let [width, height] = self.filter.sides();
-        let width = width / aspect;
+        let [width_in_heights, height] = self.filter.sides();
+        let width = width_in_heights / aspect;
         x.p00 / (aspect * aspect)
             + y.p00
             + width * width * log_width.p00
@@ -261,7 +263,7 @@ impl Object {
     }
 }
 
-/// Returns e⁻ˣ for x ≥ 0; zero if it is below 1e-17, which the library computes on a slow path.
+/// Returns e⁻ˣ for x ≥ 0; zero for x above 40, where it is below 1e-17 and the library computes it on a slow path.
 fn fading(x: f64) -> f64 {
     if x > 40.0 { 0.0 } else { (-x).exp() }
 }
@@ -271,7 +273,8 @@ pub(super) fn scale(alpha: f64, n: f64, rate: f64) -> f64 {
     (alpha + rate * (n - alpha)).clamp(LEAST_ALPHA, MOST_ALPHA)
 }
 
-/// Returns `base` to the power of a small number of misses.
+/// Returns `base` to the power of the number of misses.
 fn power(base: f64, misses: u32) -> f64 {
+    // An object is removed long before; the limit only keeps the conversion exact.
     base.powi(misses.min(1000) as i32)
 }
