@@ -62,11 +62,21 @@ fn table(found: &[SourceSurvey]) -> String {
             format!("; reading it takes {:.2} % of one core", share * 100.0)
         });
         let summary = format!("{}{cost}", scope(source));
-        line([&name, "yes", &watts(total.map(|(_, w)| *w)), &summary]);
+        line([
+            &name,
+            "yes",
+            &watts(total.map(|(_, watts)| *watts)),
+            &summary,
+        ]);
         for rail in &source.rails {
             let mut what = rail.name.clone();
-            let in_total = rail.in_total.then_some("in total");
-            let notes: Vec<_> = in_total.into_iter().chain(rail.domain).collect();
+            let mut notes = Vec::new();
+            if rail.in_total {
+                notes.push("in total");
+            }
+            if let Some(domain) = rail.domain {
+                notes.push(domain);
+            }
             if !notes.is_empty() {
                 what.push_str(&format!(" ({})", notes.join(", ")));
             }

@@ -50,32 +50,35 @@ impl Column {
 
 /// Formats `columns` with `gap` between them, the first aligned to the left and the others to the right. A blank header
 /// line is left out.
-pub(crate) fn table<'a>(columns: impl Iterator<Item = &'a Column> + Clone, gap: &str) -> String {
+pub(crate) fn table<'a>(columns: impl Iterator<Item = &'a Column>, gap: &str) -> String {
+    let columns: Vec<(&Column, usize)> = columns.map(|column| (column, column.width())).collect();
     let mut text = String::new();
-    let mut line = |cell: &dyn Fn(&'a Column) -> &'a str| {
-        let mut line = String::new();
-        for (index, column) in columns.clone().enumerate() {
-            let cell = cell(column);
-            let width = column.width();
-            // Writing to a string cannot fail.
-            let _ = match index {
-                0 => write!(line, "{cell:<width$}"),
-                _ => write!(line, "{gap}{cell:>width$}"),
-            };
-        }
-        if !line.trim().is_empty() {
-            text.push_str(line.trim_end());
-            text.push('\n');
-        }
-    };
     for head in 0..2 {
-        line(&|column| &column.heads[head]);
+        let cells = columns.iter().map(|(column, width)| (&*column.heads[head], *width));
+        push_line(&mut text, cells, gap);
     }
-    let rows = columns.clone().next().map_or(0, |first| first.cells.len());
+    let rows = columns.first().map_or(0, |(first, _)| first.cells.len());
     for row in 0..rows {
-        line(&|column| &column.cells[row]);
+        let cells = columns.iter().map(|(column, width)| (&*column.cells[row], *width));
+        push_line(&mut text, cells, gap);
     }
     text
+}
+
+/// Adds a line of cells, each with its width, to `text`, unless all are blank.
+fn push_line<'a>(text: &mut String, cells: impl Iterator<Item = (&'a str, usize)>, gap: &str) {
+    let mut line = String::new();
+    for (index, (cell, width)) in cells.enumerate() {
+        // Writing to a string cannot fail.
+        let _ = match index {
+            0 => write!(line, "{cell:<width$}"),
+            _ => write!(line, "{gap}{cell:>width$}"),
+        };
+    }
+    if !line.trim().is_empty() {
+        text.push_str(line.trim_end());
+        text.push('\n');
+    }
 }
 
 /// Formats a figure with one decimal, or as `-` if there is none.
@@ -88,7 +91,7 @@ pub(crate) fn two_decimals(value: Option<f64>) -> String {
     or_dash(value.map(|value| format!("{value:.2}")))
 }
 
-/// Formats a difference with its sign; one that rounds to zero has none that means anything, and is `+0.0`.
+/// Formats a difference with its sign. A sign of one that rounds to zero means nothing, and is always `+`.
 pub(crate) fn signed(value: f64, decimals: usize) -> String {
     let text = format!("{value:+.decimals$}");
     let is_zero = !text.contains(|digit: char| digit.is_ascii_digit() && digit != '0');

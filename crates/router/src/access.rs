@@ -94,7 +94,7 @@ impl Rules<'_> {
         let queried = self.queried();
         let published = self.published();
         let changed = [self.all.changed()];
-        let mut rules = vec![
+        let mut ids = vec![
             self.allow("to nodes", "egress", &["put"], &changed),
             self.allow("answers to nodes", "egress", &["reply"], &queried),
             // Nodes see only the hub's declarations, which show whether anybody receives their messages.
@@ -107,9 +107,9 @@ impl Rules<'_> {
         ];
         if self.pictures {
             let picture = self.picture();
-            rules.push(self.allow("picture queries", "egress", &["query"], &picture));
+            ids.push(self.allow("picture queries", "egress", &["query"], &picture));
         }
-        rules
+        ids
     }
 
     /// What a hub may send and receive.
@@ -118,7 +118,7 @@ impl Rules<'_> {
         let published = self.published();
         let changed = self.all.changed();
         let alive = self.all.alive();
-        let mut rules = vec![
+        let mut ids = vec![
             self.allow("hub notices", "ingress", &["put"], from_ref(&changed)),
             self.allow("hub answers", "ingress", &ANSWERS, &queried),
             self.allow("hub hears", "ingress", &["declare_subscriber"], &published),
@@ -139,10 +139,10 @@ impl Rules<'_> {
         ];
         if self.pictures {
             let picture = self.picture();
-            rules.push(self.allow("hub asks for pictures", "ingress", &["query"], &picture));
-            rules.push(self.allow("pictures to hubs", "egress", &ANSWERS, &picture));
+            ids.push(self.allow("hub asks for pictures", "ingress", &["query"], &picture));
+            ids.push(self.allow("pictures to hubs", "egress", &ANSWERS, &picture));
         }
-        rules
+        ids
     }
 
     /// What a router may forward.
@@ -169,16 +169,16 @@ impl Rules<'_> {
         let mut may = |what: &str, messages: &[&str], keys: &[String]| {
             self.allow(&format!("{name} {what}"), "ingress", messages, keys)
         };
-        let mut rules = vec![
+        let mut ids = vec![
             may("publishes", &["put"], &[keys.status(), keys.all_counters()]),
             may("asks", &["query"], &[keys.report(), keys.pull()]),
             may("hears", &["declare_subscriber"], &[keys.changed()]),
             may("lives", &["liveliness_token"], &[keys.alive()]),
         ];
         if pictures {
-            rules.push(may("shows pictures", &ANSWERS, &[keys.all_pictures()]));
+            ids.push(may("shows pictures", &ANSWERS, &[keys.all_pictures()]));
         }
-        Ok(rules)
+        Ok(ids)
     }
 }
 

@@ -34,7 +34,7 @@ pub const DAY: Duration = Duration::from_secs(86_400);
 /// The start of a certificate's validity before now, seconds: the clock of a board that just booted may be behind.
 const REACH_BACK: i64 = 86_400;
 
-/// The paths of a new certificate and its key.
+/// A new certificate: its paths and its entry.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Issued {
     /// The certificate.
@@ -249,7 +249,7 @@ pub(crate) fn subject(file: &Path) -> Result<String, RouterError> {
         .ok_or_else(|| at(file)("the certificate has no common name"))
 }
 
-/// Sets the validity to `lasts` from now on. Returns its end in seconds since the Unix epoch.
+/// Sets the validity: from a day ago, see [`REACH_BACK`], until `lasts` from now. Returns its end in seconds since the Unix epoch.
 fn set_validity(params: &mut CertificateParams, lasts: Duration) -> Result<i64, RouterError> {
     let no_time = || RouterError::Other("a certificate cannot contain that time".to_owned());
     let now = unix_milliseconds() / 1000;
@@ -257,7 +257,7 @@ fn set_validity(params: &mut CertificateParams, lasts: Duration) -> Result<i64, 
         .ok()
         .and_then(|lasts| now.checked_add(lasts))
         .ok_or_else(no_time)?;
-    let time = |at| ASN1Time::from_timestamp(at).map_err(|_| no_time());
+    let time = |unix_s| ASN1Time::from_timestamp(unix_s).map_err(|_| no_time());
     params.not_before = time(now - REACH_BACK)?.to_datetime();
     params.not_after = time(ends)?.to_datetime();
     Ok(ends)

@@ -53,9 +53,9 @@ impl RouterOptions {
     /// # Errors
     /// [`RouterError`] if a file cannot be read or Zenoh rejects its contents.
     pub fn zenoh(&self) -> Result<Config, RouterError> {
-        let own = |error| at(&self.config)(plain(&error));
-        let mut config = Config::from_file(&self.config).map_err(own)?;
-        config.insert_json5("mode", "\"router\"").map_err(own)?;
+        let in_config = |error| at(&self.config)(plain(&error));
+        let mut config = Config::from_file(&self.config).map_err(in_config)?;
+        config.insert_json5("mode", "\"router\"").map_err(in_config)?;
         if let Some(file) = &self.access {
             let text = std::fs::read_to_string(file).map_err(at(file))?;
             config
@@ -120,24 +120,21 @@ pub async fn run(
     };
     // Each ends the other: without its HTTP interface a router cannot be monitored, and without a router there is nothing to
     // monitor.
-    let serving = CancellationToken::new();
+    let stop_serving = CancellationToken::new();
     let routes = http::routes(view.clone());
     let methods = [axum::http::Method::GET];
-    let served =
-        albireo_service::http::run(&http, &[], &methods, routes, listener, serving.clone());
+    let stop = stop_serving.clone();
+    let serving = async {
+        let served = albireo_service::http::run(&http, &[], &methods, routes, listener, stop).await;
+        shutdown.cancel();
+        served
+    };
     let routing = async {
         let routed = route(config, options, &view, &shutdown).await;
-        serving.cancel();
+        stop_serving.cancel();
         routed
     };
-    let (served, routed) = tokio::join!(
-        async {
-            let ended = served.await;
-            shutdown.cancel();
-            ended
-        },
-        routing
-    );
+    let (served, routed) = tokio::join!(serving, routing);
     routed?;
     Ok(served?)
 }
@@ -189,8 +186,10 @@ async fn route(
     let _ = notifier.await;
     following.abort();
     watching.abort();
+    // On a thread of its own: a close that does not end then ends with the process.
     let closing = tokio::task::spawn_blocking(move || session.close().wait());
     let closed = tokio::time::timeout(STOP_LIMIT, closing).await;
+    // In time, without a panic, and without an error of Zenoh.
     if !matches!(closed, Ok(Ok(Ok(())))) {
         tracing::warn!("the router's session was not closed cleanly");
     }

@@ -56,6 +56,7 @@ impl MetricsPage {
             "Log lines that were not written, because nobody read standard error fast enough",
             crate::logging::dropped_lines() as f64,
         );
+        // Where the system has no such figures, there are none.
         let _ = process::add(self);
     }
 
@@ -136,7 +137,7 @@ const BOUNDS_S: [f64; 15] = [
     2.5,
 ];
 
-/// The number of latencies between each pair of neighbouring bounds.
+/// The number of latencies between each pair of neighbouring bounds, below the first and above the last, and their sum.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LatencyHistogram {
     within: [u64; BOUNDS_S.len() + 1],

@@ -81,7 +81,7 @@ impl Supervisor {
     }
 
     /// Runs the future that `task` creates, and creates it again if it ends before the shutdown or panics. Until it
-    /// works again, the readiness has a fault with this effect.
+    /// is restarted, the readiness has a fault with this effect; then it is degraded until the task has run for a minute.
     pub fn restarting<F>(
         &mut self,
         name: impl Into<String>,
@@ -155,7 +155,7 @@ impl Supervisor {
         });
     }
 
-    /// Watches the tasks until the shutdown.
+    /// Watches the tasks until the shutdown. Joining never fails: panics are caught inside, and no task is aborted.
     ///
     /// # Errors
     /// [`TaskFailed`] if a task fails that is not restarted; the others still run.
@@ -185,7 +185,7 @@ impl Supervisor {
         Err(TaskFailed { task, reason })
     }
 
-    /// Waits until every task has ended. Call it after the shutdown.
+    /// Waits until every task has ended; as in [`watch`](Self::watch), joining never fails. Call it after the shutdown.
     pub async fn finish(&mut self) {
         while let Some(Ok((name, end))) = self.running.join_next().await {
             // `ended` has logged the error.

@@ -149,20 +149,21 @@ pub(super) async fn run(arguments: &BoardArguments) -> anyhow::Result<()> {
         left_out: BTreeMap::new(),
         loaded: None,
     };
-    let left: u64 = scheduled.iter().map(|run| run.0.frames.unwrap_or(1)).sum();
-    let bar = progress::bar(Some(left), "frames  {msg}");
+    let frames_to_play: u64 = scheduled.iter().map(|(clip, _)| clip.frames.unwrap_or(1)).sum();
+    let bar = progress::bar(Some(frames_to_play), "frames  {msg}");
     let start = Instant::now();
     let mut done = 0;
-    for (number, (of, policy)) in scheduled.iter().enumerate() {
-        let name = format!("{} under {}", of.name, policy.label);
+    for (number, (clip, policy)) in scheduled.iter().enumerate() {
+        let name = format!("{} under {}", clip.name, policy.label);
         bar.set_message(name.clone());
         // Without a terminal for the bar, a line per run shows the progress.
         if bar.is_hidden() {
-            let left = time_left(start.elapsed(), done, left);
+            let left = time_left(start.elapsed(), done, frames_to_play);
             eprintln!("run {} of {}: {name}{left}", number + 1, scheduled.len());
         }
-        let steps = |sent: u64, _: &str| bar.set_position(done + sent.min(of.frames.unwrap_or(1)));
-        let played = measuring.play(of, policy, &file, steps, &shutdown).await;
+        let frames = clip.frames.unwrap_or(1);
+        let steps = |sent: u64, _: &str| bar.set_position(done + sent.min(frames));
+        let played = measuring.play(clip, policy, &file, steps, &shutdown).await;
         if shutdown.is_cancelled() {
             bar.finish_and_clear();
             eprintln!(
@@ -172,7 +173,7 @@ pub(super) async fn run(arguments: &BoardArguments) -> anyhow::Result<()> {
             return Ok(());
         }
         file.add(played.with_context(|| name)?)?;
-        done += of.frames.unwrap_or(1);
+        done += frames;
     }
     bar.finish_and_clear();
     for (class, boxes) in &measuring.left_out {
@@ -188,8 +189,8 @@ pub(super) async fn run(arguments: &BoardArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Reads the ground truth for the classes of the node's model, which is loaded for their names. If it is judged by others than
-/// BDD100K's and the configuration names none, the node reports those that both have.
+/// Reads the ground truth for the classes of the node's model, which is loaded for their names. If the ground truth has
+/// classes of its own, and the configuration names none to report, the node reports those that both have.
 async fn ground_truth(
     arguments: &BoardArguments,
     detector: &mut DetectorConfig,
@@ -202,9 +203,10 @@ async fn ground_truth(
     .context(
         "--ground-truth PATH --truth-format LAYOUT: the boxes have to be judged by something",
     )?;
-    let mut all_classes = detector.clone();
-    all_classes.report_classes.get_or_insert_default();
-    let opening = tokio::task::spawn_blocking(move || DetectorNetwork::open(&all_classes));
+    let mut config = detector.clone();
+    // An empty list reports all.
+    config.report_classes.get_or_insert_default();
+    let opening = tokio::task::spawn_blocking(move || DetectorNetwork::open(&config));
     let network = opening.await.context("loading the detector")??;
     let names = network.class_names();
     let truth = GroundTruth::for_model(&paths, format, arguments.rules, names)?;
@@ -367,10 +369,13 @@ impl Measuring<'_> {
         progress: impl Fn(u64, &str),
         shutdown: &tokio_util::sync::CancellationToken,
     ) -> anyhow::Result<ClipRun> {
-        // The clip before is dropped before the next one is read.
-        let loaded = match self.loaded.take().filter(|(_, clip)| clip.name == of.name) {
-            Some(loaded) => loaded,
-            None => self.load(of).await?,
+        let loaded = match self.loaded.take() {
+            Some((player, clip)) if clip.name == of.name => (player, clip),
+            before => {
+                // Only one clip is in memory.
+                drop(before);
+                self.load(of).await?
+            }
         };
         let (player, clip) = &*self.loaded.insert(loaded);
         let content = content_of(clip);

@@ -9,7 +9,7 @@ use albireo_hub::http::Runs;
 use albireo_hub::tuning::effect::Scale;
 use albireo_hub::tuning::metric::Figure;
 use albireo_hub::tuning::run::{ArmResult, Entry, Kind, Phase, Run, TrialResult};
-use anyhow::Context as _;
+use anyhow::bail;
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -153,12 +153,13 @@ struct Basics {
     why: String,
 }
 
-/// Starts a rollout or a trial with this plan. The hub has defaults for absent fields.
+/// Starts a rollout or a trial with this plan, whose field `name` is `value`. The hub has defaults for absent fields.
 async fn begin(
     context: &Context,
     path: &str,
     plan: &impl Serialize,
-    (name, value): (&str, Value),
+    name: &str,
+    value: Value,
 ) -> anyhow::Result<Run> {
     let mut body = serde_json::to_value(plan)?;
     body[name] = value;
@@ -201,9 +202,9 @@ pub(super) async fn trial(context: &Context, command: TrialCommand) -> anyhow::R
     let client = &context.client;
     let trial: Run = match command {
         TrialCommand::Start(plan) => {
-            let value = |value: &f64| json!({ (plan.basics.threshold.as_str()): value });
-            let values = plan.values.iter().map(value).collect();
-            begin(context, "/api/v1/trials", &plan, ("values", values)).await?
+            let named = |value: &f64| json!({ (plan.basics.threshold.as_str()): value });
+            let values = plan.values.iter().map(named).collect();
+            begin(context, "/api/v1/trials", &plan, "values", values).await?
         }
         TrialCommand::Ls => {
             let trials: Runs = client.get("/api/v1/trials", &[]).await?;
@@ -229,14 +230,16 @@ async fn number(context: &Context, kind: &str, id: Option<i64>) -> anyhow::Resul
     let path = format!("/api/v1/{kind}");
     let newest = [("limit", "1".to_owned())];
     let found: Runs = context.client.get(&path, &newest).await?;
-    let newest = found.runs.first();
-    let id = newest.map(|run| run.id);
-    id.with_context(|| format!("there are no {kind} yet"))
+    match found.runs.first() {
+        Some(run) => Ok(run.id),
+        None => bail!("there are no {kind} yet"),
+    }
 }
 
 async fn start(context: &Context, arguments: RolloutArguments) -> anyhow::Result<Ended> {
-    let value = (arguments.basics.threshold.as_str(), json!(arguments.value));
-    let rollout = begin(context, "/api/v1/rollouts", &arguments, value).await?;
+    let threshold = arguments.basics.threshold.as_str();
+    let value = json!(arguments.value);
+    let rollout = begin(context, "/api/v1/rollouts", &arguments, threshold, value).await?;
     let id = rollout.id;
     if arguments.follow {
         return follow(context, id).await;
@@ -258,15 +261,20 @@ async fn follow(context: &Context, id: i64) -> anyhow::Result<Ended> {
         let run: Run = context.client.get(&path, &[]).await?;
         // The hub keeps only the newest entries, so their positions change.
         let is_last = |entry: &Entry| Some(entry) == last.as_ref();
-        let printed = run.record.iter().rposition(is_last);
-        for entry in run.record.iter().skip(printed.map_or(0, |place| place + 1)) {
+        let first_new = match run.record.iter().rposition(is_last) {
+            Some(last) => last + 1,
+            None => 0,
+        };
+        for entry in &run.record[first_new..] {
             if context.json {
                 println!("{}", serde_json::to_string(entry)?);
             } else {
                 print!("{}", entry_text(entry, run.begun_ms));
             }
         }
-        last = run.record.last().cloned().or(last);
+        if let Some(newest) = run.record.last() {
+            last = Some(newest.clone());
+        }
         if matches!(
             run.phase,
             Phase::Done | Phase::Returned | Phase::Stopped | Phase::Held
@@ -289,7 +297,11 @@ fn judge(rollout: &Run) -> Ended {
 }
 
 fn state(run: &Run) -> String {
-    let paused = run.paused_ms.map_or("", |_| ", paused");
+    let paused = if run.paused_ms.is_some() {
+        ", paused"
+    } else {
+        ""
+    };
     format!("{}{paused}", run.phase)
 }
 

@@ -62,6 +62,7 @@ impl Row<'_> {
             return Ok(value);
         }
         match text.parse::<f64>() {
+            // Up to there every whole number is exact as f64.
             Ok(value) if value.fract() == 0.0 && value.abs() < 1e15 => Ok(value as i64),
             _ => Err(self.broken(format!("`{name}` is `{text}`, which is not a whole number"))),
         }
@@ -110,6 +111,7 @@ impl Table<'_> {
         let mut lines = (1..).zip(text.lines());
         if let Some(header) = self.header {
             let first = lines.next().map_or("", |(_, first)| first.trim());
+            // Some editors begin a file with the mark of the byte order.
             if first.trim_start_matches('\u{feff}') != header {
                 let what = format!("the header is `{first}`, expected `{header}`");
                 return Err(EvalError::line(&self.path, 1, what));
@@ -125,7 +127,9 @@ impl Table<'_> {
                     None => text.split_whitespace().collect(),
                 },
             };
-            if let Some(columns) = columns.filter(|columns| *columns != row.len()) {
+            if let Some(columns) = columns
+                && columns != row.len()
+            {
                 let what = format!("the row has {} columns, expected {columns}", row.len());
                 return Err(row.broken(what));
             }
@@ -147,7 +151,10 @@ impl Table<'_> {
         labelled: impl for<'r> Fn(&'r Row<'_>) -> Result<LabelledBox<'r>, EvalError>,
     ) -> Result<Vec<Vec<ScoredBox>>, EvalError> {
         self.read(help, |row, boxes| {
-            boxes.extend(report.keep(&labelled(row)?, picture, || row.place()));
+            let labelled = labelled(row)?;
+            if let Some(kept) = report.keep(&labelled, picture, || row.place()) {
+                boxes.push(kept);
+            }
             Ok(())
         })
     }
@@ -156,13 +163,19 @@ impl Table<'_> {
     fn frame(&self, row: &Row<'_>) -> Result<usize, EvalError> {
         let number = row.integer(0, "frame")?;
         let frames = self.frames.unwrap_or(MAX_FRAMES);
-        let frame = usize::try_from(number - self.first).ok();
-        frame.filter(|&frame| frame < frames).ok_or_else(|| {
-            row.broken(format!(
-                "frame {number} does not exist: the clip's frames are {} to {}",
-                self.first,
-                self.first + frames as i64 - 1
-            ))
-        })
+        if let Ok(frame) = usize::try_from(number - self.first)
+            && frame < frames
+        {
+            return Ok(frame);
+        }
+        let what = match self.frames {
+            Some(_) => "the clip's frames are",
+            None => "the frames that are read are",
+        };
+        let last = self.first + frames as i64 - 1;
+        let first = self.first;
+        Err(row.broken(format!(
+            "frame {number} does not exist: {what} {first} to {last}"
+        )))
     }
 }

@@ -168,6 +168,7 @@ impl Video {
             output: None,
             process,
         };
+        // Starts ffmpeg.
         video.rewind()?;
         Ok(video)
     }

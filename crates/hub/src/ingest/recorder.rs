@@ -1,4 +1,4 @@
-//! Writes groups of batches, each in one transaction, and builds their answers. It uses no thread, network or clock.
+//! Writes groups of batches, each in one transaction, and builds their answers. It starts no thread and reads no clock.
 
 use super::counters::IngestCounts;
 use super::decode::Batch;
@@ -48,7 +48,7 @@ pub struct Recorded {
     pub(crate) cameras: Vec<usize>,
     /// The additions to the counters.
     pub(crate) counts: IngestCounts,
-    /// What is now stored for certain. Rows that are written anyway do not count: only a report, and the row of a proof.
+    /// What is now stored for certain: a report or the row of a proof. Rows written at every commit say nothing of it.
     pub(super) written: Written,
 }
 
@@ -114,6 +114,7 @@ impl Recorder {
         // After an error the connection is dropped, which rolls the transaction back.
         let mut database = self.store.connect(Access::Write, self.database.take())?;
         database.begin()?;
+        // What nodes newly say of themselves becomes events.
         let mut events = database.write_nodes(nodes)?;
         events.retain(|event| {
             let node = event.node.as_deref().unwrap_or_default();

@@ -41,9 +41,10 @@ impl DatabaseFile {
         let mut path = self.path.clone().into_os_string();
         path.push("-lock");
         // A file beside it: closing a second handle to the database itself would drop SQLite's own locks.
-        let opened = File::options().create(true).truncate(false).write(true).open(path);
+        let lock = File::options().create(true).truncate(false).write(true).open(path);
         // Where none can be created, the folder is read-only or absent, and opening the database says so.
-        let Ok(file) = opened else { return Ok(()) };
+        let Ok(file) = lock else { return Ok(()) };
+        // Other errors are those of file systems without locks, where nothing can be reserved.
         if let Err(TryLockError::WouldBlock) = file.try_lock() {
             return Err(StoreError::Unavailable(format!(
                 "{} is in use by another hub: stop that one, or use PostgreSQL, which several hubs can share",

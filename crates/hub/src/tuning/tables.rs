@@ -131,20 +131,25 @@ impl IntoRow for OutcomeRow<'_> {
 
 impl FromRow for NodeSetting {
     fn from_row(row: &mut Row) -> Result<Self, StoreError> {
+        // In the order of the statement's columns.
         let node = row.take()?;
         let revision = row.take()?;
         let setting = row.take_json()?;
         let from = row.take_json()?;
+        let given_ms = row.take()?;
+        let outcome = row.take_named(Outcome::named)?;
+        let at_ms = row.take()?;
+        let detail = row.take()?;
         Ok(Self {
             node,
             setting,
             from,
             given: Given {
                 revision,
-                given_ms: row.take()?,
-                outcome: row.take_named(Outcome::named)?,
-                at_ms: row.take()?,
-                detail: row.take()?,
+                given_ms,
+                outcome,
+                at_ms,
+                detail,
             },
             set_back: 0,
             drifted_ms: None,
@@ -177,7 +182,7 @@ impl FromRow for ClipSums {
     }
 }
 
-/// Deletes revisions before `day`, at most 1000 rows of each table. Returns the largest number of rows of one table.
+/// Deletes revisions before `day`, counted from the Unix epoch, at most 1000 rows of each table. Returns the largest number of rows of one table.
 pub(crate) fn delete_old(database: &mut dyn Database, day: i64) -> Result<usize, StoreError> {
     let mut most = 0;
     for text in include_str!("sql/delete_old.sql").split(';') {
@@ -246,8 +251,8 @@ impl dyn Database + '_ {
         Ok(())
     }
 
-    /// Stores a rollout or trial, and renews the claim of `driver`, unless another hub drives it; nobody drives one that has
-    /// ended. A new one gets its number, which is returned.
+    /// Stores a rollout or trial, and renews the claim of `driver`, unless another hub drives it; one that has ended may
+    /// be stored by any hub. A new one gets its number, which is returned.
     pub(crate) fn save_run(
         &mut self,
         mut run: Run,
@@ -367,6 +372,29 @@ impl Store {
 
     /// Measures the clips of each node in its two windows.
     pub(crate) async fn measure(&self, windows: &[[Window; 2]]) -> Result<Measured, StoreError> {
+        let nodes = windows.iter().map(|[before, _]| before.node.clone());
+        let mut found: Measured = nodes.map(|node| (node, BeforeAfter::default())).collect();
+        // In chunks, so that a connection for reading is not held for long.
+        for chunk in windows.chunks(500) {
+            for sums in self.clip_sums(chunk.iter().map(|[before, _]| before)).await? {
+                if let Some(node) = found.get_mut(&sums.node) {
+                    node.before = sums.figures;
+                }
+            }
+            for sums in self.clip_sums(chunk.iter().map(|[_, after]| after)).await? {
+                if let Some(node) = found.get_mut(&sums.node) {
+                    node.after = sums.figures;
+                }
+            }
+        }
+        Ok(found)
+    }
+
+    /// Sums the clips of each window.
+    async fn clip_sums(
+        &self,
+        windows: impl Iterator<Item = &Window>,
+    ) -> Result<Vec<ClipSums>, StoreError> {
         let rows = match self.database_kind() {
             DatabaseKind::Sqlite => "json_each($1)",
             DatabaseKind::Postgres => "jsonb_array_elements($1::jsonb)",
@@ -377,26 +405,9 @@ impl Store {
              FROM {rows})\n{}",
             include_str!("sql/clip_sums.sql")
         );
-        let nodes = windows.iter().map(|[before, _]| before.node.clone());
-        let mut found: Measured = nodes.map(|node| (node, BeforeAfter::default())).collect();
-        for side in [0, 1] {
-            // In chunks, so that a connection for reading is not held for long.
-            for windows in windows.chunks(500) {
-                let windows: Vec<_> = windows.iter().map(|both| &both[side]).collect();
-                let values = vec![serde_json::to_string(&windows)?.into()];
-                let sums: Vec<ClipSums> = read_all(self.query(text.clone(), values).await?)?;
-                for ClipSums { node, figures } in sums {
-                    let Some(clips) = found.get_mut(&node) else {
-                        continue;
-                    };
-                    match side {
-                        0 => clips.before = figures,
-                        _ => clips.after = figures,
-                    }
-                }
-            }
-        }
-        Ok(found)
+        let windows: Vec<_> = windows.collect();
+        let values = vec![serde_json::to_string(&windows)?.into()];
+        read_all(self.query(text, values).await?)
     }
 }
 

@@ -1,4 +1,4 @@
-//! Posts sightings to an address, one after the other, until it has taken each.
+//! Posts sightings to an address, one after the other, and each again until it is taken or refused for good.
 
 use super::address::Target;
 use super::config::HookConfig;
@@ -88,13 +88,18 @@ impl Hook {
     /// Posts until `shutdown`; what waits then is lost, and counted.
     pub(crate) async fn run(mut self, shutdown: CancellationToken) {
         while let Some(next) = self.next(&shutdown).await {
-            let outcome = {
-                let posting = timeout(ANSWERED_WITHIN, self.post(&next));
-                shutdown.run_until_cancelled(posting).await
+            let posting = timeout(ANSWERED_WITHIN, self.post(&next));
+            let posted = match shutdown.run_until_cancelled(posting).await {
+                None => break,
+                Some(Ok(posted)) => posted,
+                Some(Err(_)) => {
+                    let within_s = ANSWERED_WITHIN.as_secs();
+                    Err(RefusedPost::for_now(format!(
+                        "did not answer within {within_s} s"
+                    )))
+                }
             };
-            let Some(outcome) = outcome else { break };
-            let silent = |_| Err(RefusedPost::for_now("did not answer within 10 s"));
-            match outcome.unwrap_or_else(silent) {
+            match posted {
                 Ok(()) => {
                     self.waiting.pop_front();
                     self.counts.sent();
@@ -230,7 +235,8 @@ impl Hook {
     }
 }
 
-/// True if the same post will get the same answer: redirects and faults of the request, but not "too many" or "too early".
+/// True if the same post will get the same answer: redirects and faults of the request, but not "timed out", "too
+/// early" or "too many".
 fn is_final(status: StatusCode) -> bool {
     let passing = [
         StatusCode::REQUEST_TIMEOUT,

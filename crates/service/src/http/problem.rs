@@ -123,7 +123,7 @@ impl IntoResponse for Problem {
 /// Turns the framework's errors with a plain text body (wrong method, unreadable query) or without one (unknown path)
 /// into problem documents.
 pub(super) async fn translate(
-    State(limit): State<Duration>,
+    State(time_limit): State<Duration>,
     request: Request,
     next: Next,
 ) -> Response {
@@ -137,6 +137,7 @@ pub(super) async fn translate(
         return response;
     }
     let (mut parts, body) = response.into_parts();
+    // The framework's texts are one line. A longer body is not one of them, and the status alone is told.
     let text = to_bytes(body, 4096).await.unwrap_or_default();
     let allowed: Vec<_> = parts
         .headers
@@ -151,7 +152,9 @@ pub(super) async fn translate(
             let allowed = allowed.join(", ");
             format!("{method} is not allowed here; allowed: {allowed}")
         }
-        ("", StatusCode::REQUEST_TIMEOUT) => format!("the request did not end within {limit:?}"),
+        ("", StatusCode::REQUEST_TIMEOUT) => {
+            format!("the request did not end within {time_limit:?}")
+        }
         (_, StatusCode::PAYLOAD_TOO_LARGE) => {
             format!("the body must have at most {BODY_LIMIT} bytes")
         }

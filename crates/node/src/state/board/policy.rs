@@ -26,7 +26,7 @@ pub(crate) struct NodePolicy {
     pub(crate) threshold: Option<f64>,
     /// True if it takes a pause on an empty road.
     pub(crate) takes_pause: bool,
-    /// True if it can answer frames at once.
+    /// True if it can take back a frame's answer, which answering at once needs.
     pub(crate) can_rewind: bool,
     /// The most frames it lets pass without the detector while objects are tracked.
     pub(super) longest_pause: Option<u32>,
@@ -62,7 +62,7 @@ impl NodePolicy {
     }
 
     /// True if its threshold is a `u` that is independent of the picture size, as with the filter of the profile `paper`.
-    /// The published code, where it is not, then has a different value for it.
+    /// The published code's `u` depends on the size, so its equivalent of this one is another value.
     pub(super) fn has_sizeless_u(&self) -> bool {
         self.config.profile == Profile::Paper && self.spec.is_some_and(|spec| spec.name == "u")
     }
@@ -91,6 +91,7 @@ impl Board {
     pub(crate) fn set_policy(&self, policy: NodePolicy) {
         let policy = Arc::new(policy);
         *self.policy.lock() = Arc::clone(&policy);
+        // The target moves one value for all cameras, and begins with the first one's.
         let first = self.cameras.first().and_then(|camera| camera.configured_under(&policy));
         // The controller moves nothing in between: its value may be that of another threshold.
         self.target.follow(&policy, first, || {
@@ -145,6 +146,7 @@ impl CameraBoard {
                 policy: Arc::clone(policy),
                 threshold,
             };
+            // Within the change, so that announcements have the order of the changes.
             if let Some(threshold) = in_force.named() {
                 self.announce(threshold);
             }
