@@ -8,26 +8,29 @@
 
 mod counters;
 mod error;
+mod handle;
 mod queue;
 mod status;
+mod successor;
 #[cfg(test)]
 mod tests;
 mod thread;
 
 pub use counters::{WorkerCounts, WorkerMeter};
 pub use error::RunError;
+pub(crate) use handle::Worker;
 pub use status::ModelStatus;
 
 use crate::onnx::{ExecutionProvider, StartError, fault};
 use albireo_core::geometry::PictureSize;
 pub(crate) use queue::batch_sizes;
 use queue::{Queue, Request};
-use std::sync::Arc;
 use std::time::Duration;
+use successor::{Successor, Told, told_by};
 use thread::{Command, ModelThread, Outcome};
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::time::{Instant, sleep_until};
-use tokio_util::sync::{CancellationToken, DropGuard};
+use tokio_util::sync::CancellationToken;
 use tracing::{error, info, warn};
 
 /// The pause before the first attempt to rebuild a failed session; doubles with each failure until a run succeeds.
@@ -106,166 +109,6 @@ pub struct Answer<T> {
     pub pictures: u32,
 }
 
-/// A handle to a running worker, which stops when its last handle is dropped.
-pub(crate) struct Worker<I, T> {
-    requests: mpsc::UnboundedSender<Request<I, T>>,
-    /// The worker's status, updated as it changes.
-    pub(crate) status: watch::Receiver<ModelStatus>,
-    idle: watch::Receiver<bool>,
-    /// The start of the build of a successor, until it has ended.
-    pub(crate) building: watch::Receiver<Option<Instant>>,
-    ended: watch::Receiver<Option<Result<(), String>>>,
-    /// Counters for metrics; does not keep the worker running.
-    pub(crate) meter: WorkerMeter,
-    stop: Arc<(CancellationToken, DropGuard)>,
-}
-
-impl<I, T> Clone for Worker<I, T> {
-    fn clone(&self) -> Self {
-        Self {
-            requests: self.requests.clone(),
-            status: self.status.clone(),
-            idle: self.idle.clone(),
-            building: self.building.clone(),
-            ended: self.ended.clone(),
-            meter: self.meter.clone(),
-            stop: Arc::clone(&self.stop),
-        }
-    }
-}
-
-impl<I: WorkerInput, T: Send + 'static> Worker<I, T> {
-    /// Builds the model on its thread and waits for it; also returns the model's facts. Calls `build` again after each
-    /// failure. Counts with `meter`. Needs a tokio runtime with timers.
-    ///
-    /// `successor` builds a better model, which may take long: on another thread, while the first one answers, whose place
-    /// it takes between two runs. If it cannot be built, the log says why and the first one stays.
-    ///
-    /// # Errors
-    /// If the first model cannot be built.
-    pub(crate) async fn start<M: Model<Input = I, Output = T>>(
-        settings: WorkerSettings,
-        meter: WorkerMeter,
-        build: impl Fn() -> Result<M, StartError> + Send + 'static,
-        successor: Option<Build<M>>,
-    ) -> Result<(Self, M::Facts), StartError> {
-        let thread = ModelThread::spawn(settings.name, build)
-            .map_err(|error| StartError::thread(settings.name, error))?;
-        let (requests, received) = mpsc::unbounded_channel();
-        let (status, watched) = watch::channel(ModelStatus::Starting);
-        let (idle, is_idle) = watch::channel(false);
-        let (building, is_building) = watch::channel(None);
-        let (end, ended) = watch::channel(None);
-        let stop = CancellationToken::new();
-        let mut task = Task {
-            settings,
-            thread,
-            successor: None,
-            facts: None,
-            requests: received,
-            queue: Queue::new(settings.batch_size, settings.batch_wait),
-            is_stopping: false,
-            provider: ExecutionProvider::Cpu,
-            status,
-            idle,
-            building,
-            meter: meter.clone(),
-            stop: stop.clone(),
-        };
-        let guard = stop.clone().drop_guard();
-        let worker = Self {
-            requests,
-            status: watched,
-            idle: is_idle,
-            building: is_building,
-            ended,
-            meter,
-            stop: Arc::new((stop, guard)),
-        };
-        let built = task.build().await.unwrap_or_else(|end| {
-            let reason = match end {
-                End::Stuck(reason) => reason,
-                End::Stopped | End::StoppedLate => "it was stopped".to_owned(),
-            };
-            Err(StartError::thread(settings.name, reason))
-        });
-        let facts = built?;
-        if let Some(build) = successor {
-            let successor = Successor::build(settings.name, build)?;
-            task.building.send_replace(Some(successor.begun));
-            task.successor = Some(successor);
-        }
-        tokio::spawn(async move {
-            let served = task.serve().await;
-            end.send_replace(Some(task.finish(served).await));
-        });
-        Ok((worker, facts))
-    }
-
-    /// Checks that a picture would be accepted now; counts a refusal.
-    ///
-    /// # Errors
-    /// The error that [`run`](Self::run) would return at once.
-    pub(crate) fn accepts(&self) -> Result<(), RunError> {
-        if self.stop.0.is_cancelled() {
-            return Err(RunError::Stopped);
-        }
-        let Some(refusal) = self.status.borrow().refusal() else {
-            return Ok(());
-        };
-        self.meter.update(|counts| counts.refused += 1);
-        Err(refusal)
-    }
-
-    /// Runs the model on the `picture` of an asker, or, without one, on a picture when no asker waits. Waits for its turn
-    /// and for the run. When this returns `Ok`, the worker no longer holds the picture. May be cancelled at any time.
-    ///
-    /// # Errors
-    /// See [`RunError`]; a run that takes too long is answered at its deadline, not later.
-    pub(crate) async fn run(
-        &self,
-        asker: Option<Asker>,
-        picture: I,
-    ) -> Result<Answer<T>, RunError> {
-        let (reply, answer) = oneshot::channel();
-        let request = Request {
-            asker,
-            size: picture.size(),
-            picture,
-            requested_at: Instant::now(),
-            reply,
-        };
-        self.requests.send(request).map_err(|_| RunError::Stopped)?;
-        answer.await.unwrap_or(Err(RunError::Stopped))
-    }
-
-    /// Waits until the model has nothing to do; returns `None` once the worker has been stopped.
-    pub(crate) async fn idle(&self) -> Option<()> {
-        let mut idle = self.idle.clone();
-        idle.wait_for(|idle| *idle).await.ok().map(|_| ())
-    }
-
-    /// Accepts no more pictures, refuses those that wait, and returns when the run in progress has ended or exceeded
-    /// its deadline. Safe to call more than once.
-    pub(crate) async fn stop(&self) {
-        self.stop.0.cancel();
-        // A stuck thread is handled by the supervisor.
-        let _ = self.ended().await;
-    }
-
-    /// Returns when the worker has stopped.
-    ///
-    /// # Errors
-    /// If its thread is stuck: only a new process helps.
-    pub(crate) async fn ended(&self) -> Result<(), String> {
-        let mut ended = self.ended.clone();
-        match ended.wait_for(Option::is_some).await {
-            Ok(end) => end.clone().unwrap_or(Ok(())),
-            Err(_) => Err("its task is gone".to_owned()),
-        }
-    }
-}
-
 /// The reason why a worker no longer serves.
 enum End {
     Stopped,
@@ -284,51 +127,6 @@ enum Event<M: Model> {
     Successor,
     /// The time limit of the wait has come.
     Time,
-}
-
-/// A model that is built while another one answers.
-struct Successor<M: Model> {
-    thread: ModelThread<M>,
-    begun: Instant,
-    /// The time after which the log next reports that it is still being built.
-    patience: Duration,
-    /// What runs it, once it is ready.
-    provider: Option<ExecutionProvider>,
-}
-
-impl<M: Model> Successor<M> {
-    fn build(name: &'static str, build: Build<M>) -> Result<Self, StartError> {
-        let thread =
-            ModelThread::spawn(name, build).map_err(|error| StartError::thread(name, error))?;
-        // A thread that is gone is noticed by its outcomes.
-        let _ = thread.commands.send(Command::Build);
-        Ok(Self {
-            thread,
-            begun: Instant::now(),
-            patience: STILL_BUILDING,
-            provider: None,
-        })
-    }
-}
-
-/// What a successor tells.
-enum Told<M: Model> {
-    Outcome(Option<Outcome<M>>),
-    /// It is still being built.
-    Still,
-}
-
-/// What the `successor` tells next; never returns without one that is being built.
-async fn told_by<M: Model>(successor: &mut Option<Successor<M>>) -> Told<M> {
-    match successor {
-        Some(successor) if successor.provider.is_none() => {
-            tokio::select! {
-                outcome = successor.thread.outcomes.recv() => Told::Outcome(outcome),
-                () = sleep_until(successor.begun + successor.patience) => Told::Still,
-            }
-        }
-        _ => std::future::pending().await,
-    }
 }
 
 /// All mutable state, owned by one task.
@@ -511,46 +309,20 @@ impl<M: Model> Task<M> {
         let batch = self.queue.take_batch();
         self.count_waiting();
         let is_spare = batch.iter().all(|request| request.asker.is_none());
-        let (pictures, waiting): (Vec<_>, Vec<_>) = batch
-            .into_iter()
-            .map(|request| (request.picture, (request.reply, request.requested_at)))
-            .unzip();
+        let mut pictures = Vec::with_capacity(batch.len());
+        let mut waiting = Vec::with_capacity(batch.len());
+        for request in batch {
+            pictures.push(request.picture);
+            waiting.push(Waiting {
+                reply: request.reply,
+                requested_at: request.requested_at,
+            });
+        }
         // If the thread is gone, `event` reports it below.
         let _ = self.thread.commands.send(Command::Run(pictures));
-        // None once the askers got the timeout error.
-        let mut waiting = Some(waiting);
-        let mut deadline = started + self.settings.timeout;
-        let result = loop {
-            match self.event(Some(deadline)).await {
-                Ok(Event::Outcome(Outcome::Ran(result))) => break result,
-                Ok(Event::Outcome(Outcome::Built(_)) | Event::Request | Event::Successor) => {}
-                // The run in progress may still end in time.
-                Err(End::Stopped) if waiting.is_some() => {}
-                Err(End::Stopped) => return Err(End::StoppedLate),
-                Ok(Event::Time) => {
-                    let Some(waiting) = waiting.take() else {
-                        let seconds = started.elapsed().as_secs();
-                        return Err(self.stuck(format!("has not come back for {seconds} s")));
-                    };
-                    self.too_late(waiting);
-                    if self.is_stopping {
-                        return Err(End::StoppedLate);
-                    }
-                    deadline += STUCK_AFTER;
-                }
-                Err(stuck) => return Err(stuck),
-            }
-        };
+        let result = self.result_of_run(started, &mut waiting).await?;
         let took = started.elapsed();
         self.queue.ran(took);
-        if waiting.is_none() {
-            info!(
-                worker = self.settings.name,
-                took_ms = took.as_millis(),
-                "the run that took too long has come back"
-            );
-        }
-        let waiting = waiting.unwrap_or_default();
         let pictures = u32::try_from(waiting.len()).unwrap_or(u32::MAX);
         let has_failed = match &result {
             Ok(_) => {
@@ -560,16 +332,16 @@ impl<M: Model> Task<M> {
             Err(error) => self.failed(error),
         };
         let mut outputs = result.map(Vec::into_iter);
-        for (reply, requested_at) in waiting {
+        for asker in waiting {
             let answer = match &mut outputs {
                 // The thread ensures one output per picture.
                 Ok(outputs) => outputs.next().ok_or(RunError::Stopped),
                 Err(error) => Err(error.clone()),
             };
             // The asker may have given up.
-            let _ = reply.send(answer.map(|output| Answer {
+            let _ = asker.reply.send(answer.map(|output| Answer {
                 output,
-                queued: started.saturating_duration_since(requested_at),
+                queued: started.saturating_duration_since(asker.requested_at),
                 took,
                 pictures,
             }));
@@ -578,6 +350,48 @@ impl<M: Model> Task<M> {
             return Err(End::Stopped);
         }
         Ok(has_failed)
+    }
+
+    /// Waits for the run in progress, which began at `started`. If it exceeds its deadline, those who are waiting get the
+    /// error, and nobody is waiting any more when it comes back.
+    async fn result_of_run(
+        &mut self,
+        started: Instant,
+        waiting: &mut Vec<Waiting<M::Output>>,
+    ) -> Result<Result<Vec<M::Output>, RunError>, End> {
+        let mut is_late = false;
+        let mut limit = started + self.settings.timeout;
+        loop {
+            match self.event(Some(limit)).await {
+                Ok(Event::Outcome(Outcome::Ran(result))) => {
+                    if is_late {
+                        info!(
+                            worker = self.settings.name,
+                            took_ms = started.elapsed().as_millis(),
+                            "the run that took too long has come back"
+                        );
+                    }
+                    return Ok(result);
+                }
+                Ok(Event::Outcome(Outcome::Built(_)) | Event::Request | Event::Successor) => {}
+                Ok(Event::Time) if is_late => {
+                    let seconds = started.elapsed().as_secs();
+                    return Err(self.stuck(format!("has not come back for {seconds} s")));
+                }
+                Ok(Event::Time) => {
+                    is_late = true;
+                    self.too_late(std::mem::take(waiting));
+                    if self.is_stopping {
+                        return Err(End::StoppedLate);
+                    }
+                    limit += STUCK_AFTER;
+                }
+                Err(End::Stopped) if is_late => return Err(End::StoppedLate),
+                // The run in progress may still end in time.
+                Err(End::Stopped) => {}
+                Err(stuck) => return Err(stuck),
+            }
+        }
     }
 
     /// Counts and reports a successful run. The pictures of a run that returned too late do not count.
@@ -596,7 +410,7 @@ impl<M: Model> Task<M> {
     }
 
     /// Answers the askers of a run that exceeds its deadline, and refuses others until the run has come back.
-    fn too_late(&mut self, waiting: Vec<Reply<M::Output>>) {
+    fn too_late(&mut self, waiting: Vec<Waiting<M::Output>>) {
         let timeout = self.settings.timeout.as_millis();
         warn!(
             worker = self.settings.name,
@@ -607,9 +421,9 @@ impl<M: Model> Task<M> {
         let error = RunError::TimedOut {
             timeout_ms: u64::try_from(timeout).unwrap_or(u64::MAX),
         };
-        self.degraded(error.to_string(), false);
-        for (reply, _) in waiting {
-            let _ = reply.send(Err(error.clone()));
+        self.degraded(error.to_string());
+        for asker in waiting {
+            let _ = asker.reply.send(Err(error.clone()));
         }
     }
 
@@ -631,7 +445,7 @@ impl<M: Model> Task<M> {
             worker = self.settings.name,
             reason, "the session will be rebuilt"
         );
-        self.degraded(reason, false);
+        self.degraded(reason);
         true
     }
 
@@ -654,8 +468,12 @@ impl<M: Model> Task<M> {
             error!(worker = self.settings.name, %reason, "the session could not be rebuilt");
             self.meter.update(|counts| counts.rebuilds_failed += 1);
             let reason = reason.to_string();
-            let lost = fault::device_is_lost(&reason);
-            self.degraded(reason, lost);
+            if fault::device_is_lost(&reason) {
+                let provider = self.provider;
+                self.refuse_with(ModelStatus::Lost { reason, provider });
+            } else {
+                self.degraded(reason);
+            }
         }
     }
 
@@ -699,18 +517,19 @@ impl<M: Model> Task<M> {
         }
     }
 
-    /// Refuses pictures from now on for this reason, unless the worker is stopping. Sets the status first, so that a
+    /// Refuses pictures from now on for this reason, until a run succeeds or the model is rebuilt.
+    fn degraded(&mut self, reason: String) {
+        let provider = self.provider;
+        self.refuse_with(ModelStatus::Degraded { reason, provider });
+    }
+
+    /// Refuses pictures from now on with this status, unless the worker is stopping. Sets the status first, so that a
     /// caller that gets the error already sees it.
-    fn degraded(&mut self, reason: String, lost: bool) {
+    fn refuse_with(&mut self, status: ModelStatus) {
         if self.is_stopping {
             return;
         }
-        let provider = self.provider;
-        self.status.send_replace(if lost {
-            ModelStatus::Lost { reason, provider }
-        } else {
-            ModelStatus::Degraded { reason, provider }
-        });
+        self.status.send_replace(status);
         self.refuse_waiting();
     }
 
@@ -748,10 +567,13 @@ impl<M: Model> Task<M> {
         let name = self.settings.name;
         let reason = format!("the thread of the {name} {how}; only restarting the program helps");
         error!(worker = name, "{reason}");
-        self.degraded(reason.clone(), false);
+        self.degraded(reason.clone());
         End::Stuck(reason)
     }
 }
 
-/// The channel for the answer to a request, and the time of the request.
-type Reply<T> = (oneshot::Sender<Result<Answer<T>, RunError>>, Instant);
+/// Who waits for the answer to a picture of the run in progress.
+struct Waiting<T> {
+    reply: oneshot::Sender<Result<Answer<T>, RunError>>,
+    requested_at: Instant,
+}

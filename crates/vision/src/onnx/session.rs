@@ -62,7 +62,12 @@ pub struct OnnxSession {
     signature: Signature,
     provider: ExecutionProvider,
     engines: Option<EngineCache>,
-    /// The pictures of a batch, one after another, in the model's element type.
+    buffers: Buffers,
+}
+
+/// The pictures of a batch, one after another, in the model's element type; reused from run to run.
+#[derive(Default)]
+struct Buffers {
     floats: Vec<f32>,
     halves: Vec<f16>,
     bytes: Vec<u8>,
@@ -119,9 +124,7 @@ impl OnnxSession {
             signature,
             provider,
             engines: settings.engines.clone(),
-            floats: Vec::new(),
-            halves: Vec::new(),
-            bytes: Vec::new(),
+            buffers: Buffers::default(),
         })
     }
 
@@ -162,53 +165,19 @@ impl OnnxSession {
         let Self {
             session,
             signature,
-            floats,
-            halves,
-            bytes,
+            buffers,
             ..
         } = self;
         let batch = pictures.len();
         shape[0] = i64::try_from(batch).unwrap_or(i64::MAX);
-        let element = signature.picture().map(|input| input.element.clone());
-        let mut picture = Some(
-            match element {
-                Some(ElementType::Float16) => {
-                    halves.resize(pictures.iter().map(|values| values.len()).sum(), f16::ZERO);
-                    let mut place = 0;
-                    for values in pictures {
-                        // Converts eight at a time if the processor can; a loop over single values does not.
-                        halves[place..][..values.len()].convert_from_f32_slice(values);
-                        place += values.len();
-                    }
-                    TensorRef::from_array_view((shape, halves.as_slice())).map(TensorRef::into_dyn)
-                }
-                Some(ElementType::Uint8) => {
-                    bytes.clear();
-                    let values = pictures.iter().copied().flatten();
-                    bytes.extend(values.map(|&value| value.round() as u8));
-                    TensorRef::from_array_view((shape, bytes.as_slice())).map(TensorRef::into_dyn)
-                }
-                _ => {
-                    // A single picture is not copied.
-                    let values = match pictures {
-                        [one] => one,
-                        several => {
-                            floats.clear();
-                            several.iter().for_each(|values| floats.extend_from_slice(values));
-                            floats.as_slice()
-                        }
-                    };
-                    TensorRef::from_array_view((shape, values)).map(TensorRef::into_dyn)
-                }
-            }
-            .map_err(failed)?,
-        );
+        let element = signature.picture().map(|input| &input.element);
+        let mut picture = Some(buffers.input(element, shape, pictures).map_err(failed)?);
         let mut inputs: Vec<SessionInputValue<'_>> = Vec::with_capacity(signature.inputs.len());
         for input in &signature.inputs {
             match beside(input, size, batch) {
                 Some(numbers) => inputs.push(numbers.map_err(failed)?),
                 // The signature has been checked: there is one picture.
-                None => inputs.extend(picture.take().map(SessionInputValue::from)),
+                None => inputs.extend(picture.take()),
             }
         }
         let outputs = session.run(inputs.as_slice()).map_err(failed)?;
@@ -216,6 +185,50 @@ impl OnnxSession {
         let views: Vec<_> =
             read_out.iter().map(|(shape, values)| TensorView { shape, values }).collect();
         Ok(read(&views))
+    }
+}
+
+impl Buffers {
+    /// The input of `pictures` in these elements. A single picture in float32 is not copied.
+    fn input<'a>(
+        &'a mut self,
+        element: Option<&ElementType>,
+        shape: [i64; 4],
+        pictures: &[&'a [f32]],
+    ) -> ort::Result<SessionInputValue<'a>> {
+        match (element, pictures) {
+            (Some(ElementType::Float16), _) => {
+                let length = pictures.iter().map(|values| values.len()).sum();
+                self.halves.resize(length, f16::ZERO);
+                let mut place = 0;
+                for values in pictures {
+                    // Converts eight at a time if the processor can; a loop over single values does not.
+                    self.halves[place..][..values.len()].convert_from_f32_slice(values);
+                    place += values.len();
+                }
+                let input = TensorRef::from_array_view((shape, self.halves.as_slice()))?;
+                Ok(SessionInputValue::from(input))
+            }
+            (Some(ElementType::Uint8), _) => {
+                self.bytes.clear();
+                let values = pictures.iter().copied().flatten();
+                self.bytes.extend(values.map(|&value| value.round() as u8));
+                let input = TensorRef::from_array_view((shape, self.bytes.as_slice()))?;
+                Ok(SessionInputValue::from(input))
+            }
+            (_, [one]) => {
+                let input = TensorRef::from_array_view((shape, *one))?;
+                Ok(SessionInputValue::from(input))
+            }
+            (_, several) => {
+                self.floats.clear();
+                for values in several {
+                    self.floats.extend_from_slice(values);
+                }
+                let input = TensorRef::from_array_view((shape, self.floats.as_slice()))?;
+                Ok(SessionInputValue::from(input))
+            }
+        }
     }
 }
 

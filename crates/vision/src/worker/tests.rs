@@ -10,6 +10,7 @@ mod successor;
 use super::*;
 use parking_lot::Mutex;
 use std::collections::VecDeque;
+use std::sync::Arc;
 use std::sync::mpsc as blocking;
 use tokio::sync::mpsc;
 use tokio::time::advance;
