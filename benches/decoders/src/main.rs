@@ -21,16 +21,22 @@ use zune_core::options::DecoderOptions;
 
 const ROUNDS: usize = 40;
 
-/// A decoder from a file to pixels. The buffer is reused.
+/// A decoder from a file to pixels.
 struct Way {
     name: &'static str,
     decode: Box<dyn FnMut(&[u8], &mut Vec<u8>)>,
+    /// The buffer, which is reused.
+    pixels: Vec<u8>,
+    /// The milliseconds of each file.
+    times: Vec<f64>,
 }
 
 fn way(name: &'static str, decode: impl FnMut(&[u8], &mut Vec<u8>) + 'static) -> Way {
     Way {
         name,
         decode: Box::new(decode),
+        pixels: Vec::new(),
+        times: Vec::new(),
     }
 }
 
@@ -51,7 +57,8 @@ fn turbo(format: PixelFormat, factor: ScalingFactor) -> impl FnMut(&[u8], &mut V
     move |file, pixels| {
         let header = decompressor.read_header(file).expect("a header");
         decompressor.set_scaling_factor(factor).expect("a scale");
-        let (width, height) = (factor.scale(header.width), factor.scale(header.height));
+        let width = factor.scale(header.width);
+        let height = factor.scale(header.height);
         let pitch = width * format.size();
         pixels.resize(pitch * height, 0);
         let image = Image {
@@ -124,18 +131,18 @@ fn files() -> Vec<(String, Vec<Vec<u8>>)> {
 fn main() {
     let mut ways = ways();
     for (name, files) in files() {
-        let mut times = vec![Vec::new(); ways.len()];
-        let mut pixels = vec![Vec::new(); ways.len()];
+        for way in &mut ways {
+            way.times.clear();
+        }
         for round in 0..=ROUNDS {
             for file in &files {
-                for (way, (times, pixels)) in ways.iter_mut().zip(times.iter_mut().zip(&mut pixels))
-                {
+                for way in &mut ways {
                     let start = Instant::now();
-                    (way.decode)(black_box(file), pixels);
-                    black_box(&pixels);
+                    (way.decode)(black_box(file), &mut way.pixels);
+                    black_box(&way.pixels);
                     // The first round warms up.
                     if round > 0 {
-                        times.push(start.elapsed().as_secs_f64() * 1e3);
+                        way.times.push(start.elapsed().as_secs_f64() * 1e3);
                     }
                 }
             }
@@ -146,10 +153,12 @@ fn main() {
             "{:<32} {:>8} {:>8} {:>8}",
             "milliseconds", "median", "95 %", "ratio"
         );
+        // The first way is ours.
         let mut ours = None;
-        for (way, mut times) in ways.iter().zip(times) {
-            times.sort_by(f64::total_cmp);
-            let (median, high) = (times[times.len() / 2], times[times.len() * 95 / 100]);
+        for way in &mut ways {
+            way.times.sort_by(f64::total_cmp);
+            let median = way.times[way.times.len() / 2];
+            let high = way.times[way.times.len() * 95 / 100];
             let ratio = median / *ours.get_or_insert(median);
             println!("{:<32} {median:>8.3} {high:>8.3} {ratio:>8.2}", way.name);
         }
