@@ -156,6 +156,7 @@ impl NodeConfig {
         findings.above_zero("clip.window_s", self.clip.window_s, DAY_S);
         findings.above_zero("clip.longest_s", self.clip.longest_s, 3600.0);
         findings.above_zero("clip.silence_s", self.clip.silence_s, DAY_S);
+        // More than a day is reported already.
         if self.clip.window_s > self.clip.longest_s && self.clip.window_s <= DAY_S {
             findings.add("clip.window_s", "is above clip.longest_s: raise that too");
         }
@@ -262,9 +263,14 @@ impl NodeConfig {
             let key = |name: &str| format!("camera[{index}].{name}");
             check_camera(camera, &key, findings);
             if let (Some(threshold), Some(spec)) = (camera.threshold, spec) {
-                let none = || format!("policy `{}` has no threshold", self.policy.name);
-                if let Some(spec) = findings.check(key("threshold"), spec.ok_or_else(none)) {
-                    findings.check(key("threshold"), spec.check(threshold));
+                match spec {
+                    Some(spec) => {
+                        findings.check(key("threshold"), spec.check(threshold));
+                    }
+                    None => {
+                        let reason = format!("policy `{}` has no threshold", self.policy.name);
+                        findings.add(key("threshold"), reason);
+                    }
                 }
             }
             if !names.insert(camera.name.as_str()) {
@@ -366,18 +372,18 @@ fn check_source(camera: &CameraConfig, key: &dyn Fn(&str) -> String, findings: &
     let kind = camera.source.as_ref().map(SourceAddress::kind);
     let has_source = kind.is_some();
     let is_pipeline = kind == Some(SourceKind::Pipeline);
-    let rate = camera.max_rate.is_some();
-    let transport = camera.rtsp_transport != RtspTransport::default();
-    let hardware = camera.hardware.is_some();
-    let options = !camera.source_options.0.is_empty();
-    let every = camera.delivery == Delivery::Every;
+    let has_rate = camera.max_rate.is_some();
+    let has_transport = camera.rtsp_transport != RtspTransport::default();
+    let has_hardware = camera.hardware.is_some();
+    let has_options = !camera.source_options.0.is_empty();
+    let takes_every_frame = camera.delivery == Delivery::Every;
     for (name, is_wrong, reason) in [
-        ("max_rate", !has_source && rate, NO_SOURCE),
-        ("rtsp_transport", !has_source && transport, NO_SOURCE),
-        ("hardware", !has_source && hardware, NO_SOURCE),
-        ("source_options", !has_source && options, NO_SOURCE),
-        ("hardware", is_pipeline && hardware, FOR_FFMPEG),
-        ("source_options", is_pipeline && options, FOR_FFMPEG),
+        ("max_rate", !has_source && has_rate, NO_SOURCE),
+        ("rtsp_transport", !has_source && has_transport, NO_SOURCE),
+        ("hardware", !has_source && has_hardware, NO_SOURCE),
+        ("source_options", !has_source && has_options, NO_SOURCE),
+        ("hardware", is_pipeline && has_hardware, FOR_FFMPEG),
+        ("source_options", is_pipeline && has_options, FOR_FFMPEG),
         ("key", has_source && camera.key.is_some(), BESIDE_SOURCE),
         ("topic", has_source && camera.topic.is_some(), BESIDE_SOURCE),
         (
@@ -385,7 +391,7 @@ fn check_source(camera: &CameraConfig, key: &dyn Fn(&str) -> String, findings: &
             camera.key.is_some() && camera.topic.is_some(),
             BESIDE_KEY,
         ),
-        ("delivery", has_source && every, NEVER_WAITS),
+        ("delivery", has_source && takes_every_frame, NEVER_WAITS),
     ] {
         if is_wrong {
             findings.add(key(name), reason);

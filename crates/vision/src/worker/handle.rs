@@ -47,7 +47,7 @@ impl<I, T> Clone for Worker<I, T> {
 
 impl<I: WorkerInput, T: Send + 'static> Worker<I, T> {
     /// Builds the model on its thread and waits for it; also returns the model's facts. Calls `build` again after each
-    /// failure. Counts with `meter`. Needs a tokio runtime with timers.
+    /// failure of a run. Counts with `meter`. Needs a tokio runtime with timers.
     ///
     /// `successor` builds a better model, which may take long: on another thread, while the first one answers, whose place
     /// it takes between two runs. If it cannot be built, the log says why and the first one stays.
@@ -95,14 +95,14 @@ impl<I: WorkerInput, T: Send + 'static> Worker<I, T> {
                 _on_drop: stop.drop_guard(),
             }),
         };
-        let built = task.build().await.unwrap_or_else(|end| {
-            let reason = match end {
-                End::Stuck(reason) => reason,
-                End::Stopped | End::StoppedLate => "it was stopped".to_owned(),
-            };
-            Err(StartError::thread(settings.name, reason))
-        });
-        let facts = built?;
+        let facts = match task.build().await {
+            Ok(built) => built?,
+            Err(End::Stuck(reason)) => return Err(StartError::thread(settings.name, reason)),
+            Err(End::Stopped | End::StoppedLate) => {
+                let reason = "it was stopped".to_owned();
+                return Err(StartError::thread(settings.name, reason));
+            }
+        };
         if let Some(build) = successor {
             let successor = Successor::build(settings.name, build)?;
             task.building.send_replace(Some(successor.begun));
@@ -115,7 +115,7 @@ impl<I: WorkerInput, T: Send + 'static> Worker<I, T> {
         Ok((worker, facts))
     }
 
-    /// Checks that a picture would be accepted now; counts a refusal.
+    /// Checks that a picture would be accepted now; counts a refusal, except by a worker that is stopped.
     ///
     /// # Errors
     /// The error that [`run`](Self::run) would return at once.
@@ -130,8 +130,8 @@ impl<I: WorkerInput, T: Send + 'static> Worker<I, T> {
         Err(refusal)
     }
 
-    /// Runs the model on the `picture` of an asker, or, without one, on a picture when no asker waits. Waits for its turn
-    /// and for the run. When this returns `Ok`, the worker no longer holds the picture. May be cancelled at any time.
+    /// Runs the model on a picture of `asker`; without one, it runs when no asker waits. Waits for its turn and for the
+    /// run. When this returns `Ok`, the worker no longer holds the picture. May be cancelled at any time.
     ///
     /// # Errors
     /// See [`RunError`]; a run that takes too long is answered at its deadline, not later.
