@@ -140,9 +140,15 @@ async fn a_way_that_cannot_be_right_is_set_aside_with_the_reason(database: &str)
             "61 points, not 1 to 60",
         ),
         (|travel| travel.track.clear(), "0 points"),
-        (|travel| travel.track[1][1] = 91.0, "latitude is 91"),
-        (|travel| travel.bounds[0] = -181.0, "longitude is -181"),
-        (|travel| travel.distance_m = -1.0, "travel.distance_m: -1"),
+        (
+            |travel| travel.track[1][1] = 91.0,
+            "latitude of travel.track is 91",
+        ),
+        (
+            |travel| travel.bounds[0] = -181.0,
+            "longitude of travel.box is -181",
+        ),
+        (|travel| travel.distance_m = -1.0, "travel.distance_m is -1"),
     ];
     for (report, (change, _)) in batch.reports.iter_mut().zip(changes) {
         change(report.travel.as_mut().unwrap());

@@ -64,20 +64,18 @@ impl Grey {
         self.size = None;
     }
 
-    /// Returns the picture, halved until it is as small as `width` asks for, or once without a width.
+    /// Returns the picture, halved while at least `width` columns remain, or once without a width.
     pub(crate) fn evidence(&mut self, width: Option<u32>) -> Evidence<'_> {
         let Some(mut size) = self.size else {
             return Evidence::Unavailable;
         };
         let can_be_halved = |size: PictureSize| size.width >= 2 && size.height >= 2;
-        match width.map(|width| width.max(1)) {
-            Some(least) => {
-                while can_be_halved(size) && size.width / 2 >= least {
-                    size = halve(&mut self.pixels, size);
-                }
+        if let Some(width) = width {
+            while can_be_halved(size) && size.width / 2 >= width.max(1) {
+                size = halve(&mut self.pixels, size);
             }
-            None if can_be_halved(size) => size = halve(&mut self.pixels, size),
-            None => {}
+        } else if can_be_halved(size) {
+            size = halve(&mut self.pixels, size);
         }
         // The buffer has been made smaller, so it cannot be used a second time.
         self.size = None;
@@ -113,7 +111,7 @@ fn halve(pixels: &mut Vec<u8>, size: PictureSize) -> PictureSize {
     let half = PictureSize::new(size.width / 2, size.height / 2);
     let row = size.width as usize;
     let half_row = half.width as usize;
-    // A pixel is written where all that comes after it has been read.
+    // A pixel is written at or before the first of those that it is the mean of, so nothing unread is overwritten.
     for y in 0..half.height as usize {
         for x in 0..half_row {
             let first = 2 * y * row + 2 * x;

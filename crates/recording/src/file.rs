@@ -1,4 +1,4 @@
-//! Writes a recording: whole up to its last chunk, whatever happens to the machine.
+//! Writes a recording, which is whole up to its last `keep` whatever happens to the machine.
 
 use crate::annotations::annotations;
 use crate::foxglove::{CompressedImage, Figures, LocationFix, timestamp};
@@ -23,8 +23,8 @@ const CHUNK_BYTES: u64 = 1 << 20;
 /// Only the node's user may read recordings: they show people.
 const OWNER_ONLY: u32 = 0o600;
 
-/// A recording that is being written. Dropping it ends the file as well as [`finish`](Self::finish) does, without
-/// saying whether that worked.
+/// A recording that is being written. Dropping it writes the index, too, but neither waits for the disk, as
+/// [`finish`](Self::finish) does, nor says whether that worked.
 pub struct RecordingFile {
     writer: Writer<NoSeek<File>>,
     /// The same file, to wait for the disk.

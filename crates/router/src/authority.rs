@@ -9,7 +9,7 @@ mod list;
 
 pub use list::{Entry, Role};
 
-use crate::error::{RouterError, at, other};
+use crate::error::{RouterError, about, at, other};
 use albireo_service::clock::unix_milliseconds;
 use list::List;
 use rcgen::{
@@ -95,7 +95,7 @@ impl Authority {
         })
     }
 
-    /// All issued certificates, valid and revoked.
+    /// All issued certificates, revoked or not.
     pub fn entries(&self) -> &[Entry] {
         self.list.entries()
     }
@@ -104,7 +104,7 @@ impl Authority {
     /// for routers and for hubs that act as routers.
     ///
     /// # Errors
-    /// [`RouterError`] if the name is invalid or already has a valid certificate, or if a file cannot be written.
+    /// [`RouterError`] if the name is invalid or already has a certificate that is not revoked, or if a file cannot be written.
     pub fn issue(
         &mut self,
         role: Role,
@@ -115,7 +115,7 @@ impl Authority {
         albireo_wire::check_segment("name", name)?;
         if self.list.good(role, name).is_ok() {
             return other(format!(
-                "{role} `{name}` has a valid certificate; renew it, or revoke it first"
+                "{role} `{name}` has a certificate that is not revoked; renew it, or revoke it first"
             ));
         }
         let entry = Entry {
@@ -178,7 +178,8 @@ impl Authority {
             entry,
         };
         create_folder(&self.folder.join(issued.entry.role.to_string()))?;
-        // The key first: a certificate with the wrong key is worse than a key without its certificate.
+        // The key first: of a new holder, a key without its certificate is better than the contrary. A renewal that
+        // fails between the two must be repeated, for the old certificate does not fit the new key.
         write(&issued.key, &key.serialize_pem(), PRIVATE)?;
         write(&issued.certificate, &certificate.pem(), PUBLIC)?;
         self.list.put(issued.entry.clone())?;
@@ -222,17 +223,21 @@ pub const PUBLIC: u32 = 0o644;
 /// # Errors
 /// [`RouterError`] with the file's name if it cannot be written.
 pub fn write(file: &Path, text: &str, mode: u32) -> Result<(), RouterError> {
-    let folder = file.parent().filter(|folder| *folder != Path::new(""));
-    let written = || {
-        let mut new = tempfile::Builder::new()
-            .permissions(Permissions::from_mode(mode))
-            .tempfile_in(folder.unwrap_or(Path::new(".")))?;
-        new.write_all(text.as_bytes())?;
-        new.as_file().sync_all()?;
-        new.persist(file)?;
-        Ok::<_, std::io::Error>(())
+    write_atomically(file, text, mode).map_err(at(file))
+}
+
+fn write_atomically(file: &Path, text: &str, mode: u32) -> std::io::Result<()> {
+    let folder = match file.parent() {
+        Some(folder) if folder != Path::new("") => folder,
+        _ => Path::new("."),
     };
-    written().map_err(at(file))
+    let mut new = tempfile::Builder::new()
+        .permissions(Permissions::from_mode(mode))
+        .tempfile_in(folder)?;
+    new.write_all(text.as_bytes())?;
+    new.as_file().sync_all()?;
+    new.persist(file)?;
+    Ok(())
 }
 
 /// Returns the common name of the certificate in a file.
@@ -246,7 +251,7 @@ pub(crate) fn subject(file: &Path) -> Result<String, RouterError> {
     let mut names = certificate.subject().iter_common_name();
     let name = names.find_map(|name| name.as_str().ok());
     name.map(str::to_owned)
-        .ok_or_else(|| at(file)("the certificate has no common name"))
+        .ok_or_else(|| about(file, "the certificate has no common name"))
 }
 
 /// Sets the validity: from a day ago, see [`REACH_BACK`], until `lasts` from now. Returns its end in seconds since the Unix epoch.

@@ -27,7 +27,12 @@ pub(crate) fn other<T>(reason: impl Into<String>) -> Result<T, RouterError> {
     Err(RouterError::Other(reason.into()))
 }
 
+/// Returns an error about a file.
+pub(crate) fn about(file: &Path, reason: impl Display) -> RouterError {
+    RouterError::Other(format!("{}: {reason}", file.display()))
+}
+
 /// Converts an error about a file.
 pub(crate) fn at<E: Display>(file: &Path) -> impl Fn(E) -> RouterError + '_ {
-    move |reason| RouterError::Other(format!("{}: {reason}", file.display()))
+    move |reason| about(file, reason)
 }

@@ -1,6 +1,6 @@
 //! Runs a Zenoh router with health and metrics, from start to stop.
 
-use crate::error::{RouterError, at, other};
+use crate::error::{RouterError, about, at, other};
 use crate::http::{self, RouterView};
 use crate::probe::Probes;
 use albireo_service::config::{Finding, HttpConfig};
@@ -53,18 +53,17 @@ impl RouterOptions {
     /// # Errors
     /// [`RouterError`] if a file cannot be read or Zenoh rejects its contents.
     pub fn zenoh(&self) -> Result<Config, RouterError> {
-        let in_config = |error| at(&self.config)(plain(&error));
+        let in_config = |error| about(&self.config, plain(&error));
         let mut config = Config::from_file(&self.config).map_err(in_config)?;
         config.insert_json5("mode", "\"router\"").map_err(in_config)?;
         if let Some(file) = &self.access {
             let text = std::fs::read_to_string(file).map_err(at(file))?;
             config
                 .insert_json5("access_control", &text)
-                .map_err(|error| at(file)(plain(&error)))?;
+                .map_err(|error| about(file, plain(&error)))?;
         }
-        let is = |key: &str| config.get_json(key).is_ok_and(|value| value == "true");
-        if is("transport/link/tls/enable_mtls")
-            && !is("access_control/enabled")
+        if is_true(&config, "transport/link/tls/enable_mtls")
+            && !is_true(&config, "access_control/enabled")
             && !self.no_access_control
         {
             return other(format!(
@@ -139,6 +138,11 @@ pub async fn run(
     Ok(served?)
 }
 
+/// True if the switch at `key` of Zenoh's configuration is on.
+fn is_true(config: &Config, key: &str) -> bool {
+    config.get_json(key).is_ok_and(|value| value == "true")
+}
+
 async fn route(
     config: Config,
     options: &RouterOptions,
@@ -146,8 +150,7 @@ async fn route(
     shutdown: &CancellationToken,
 ) -> Result<(), RouterError> {
     let of_router = config.clone();
-    let access_control =
-        config.get_json("access_control/enabled").is_ok_and(|enabled| enabled == "true");
+    let access_control = is_true(&config, "access_control/enabled");
     let session = session::attempt(config).await.map_err(|reason| {
         let key = format!("listen/endpoints in {}", options.config.display());
         let reason = session::not_listening(&key, &reason).unwrap_or(reason);

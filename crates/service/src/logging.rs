@@ -26,8 +26,8 @@ const QUIET: [&str; 6] = [
 ];
 
 /// Sends the log and panics to standard error, as configured. `RUST_LOG`, common to many programs, takes precedence
-/// over `log.level`. The last lines from level `info` on are kept in memory, even if standard error has
-/// fewer.
+/// over `log.level`. The last lines from level `info` on are kept in memory, even if a single level lets
+/// fewer through to standard error.
 ///
 /// # Errors
 /// [`ServiceError`] if the level is invalid or a log was already set up.
@@ -59,13 +59,14 @@ fn subscriber(level: &str, format: LogFormat) -> impl Subscriber + Send + Sync {
         .with(tail::layer().with_filter(filter(tail_level(level))))
 }
 
-/// The level of the kept lines: never stricter than `info`, so the page has useful lines even if standard error has
-/// fewer.
+/// The level of the kept lines: a level that is stricter than `info` becomes `info`, so that the page has useful lines
+/// even if standard error has fewer. A list of directives stays as it is.
 fn tail_level(level: &str) -> &str {
-    match level.trim() {
-        "off" | "error" | "warn" => "info",
-        other => other,
-    }
+    let level = level.trim();
+    let is_stricter = ["off", "error", "warn"]
+        .iter()
+        .any(|stricter| level.eq_ignore_ascii_case(stricter));
+    if is_stricter { "info" } else { level }
 }
 
 fn filter(level: &str) -> EnvFilter {
@@ -119,6 +120,7 @@ mod tests {
     #[test]
     fn a_plain_tail_level_is_at_least_info() {
         assert_eq!(tail_level(" warn"), "info");
+        assert_eq!(tail_level("WARN"), "info");
         assert_eq!(tail_level("debug"), "debug");
         let directives = "warn,albireo_node=debug";
         assert_eq!(tail_level(directives), directives);

@@ -142,16 +142,18 @@ impl Supervisor {
         self.running.spawn(run.instrument(span));
     }
 
-    /// Like [`essential`](Self::essential), for a part that outlives the other tasks: after the shutdown, `ended` is
+    /// Like [`essential`](Self::essential), for a part that outlives the other tasks: after the shutdown, `part` is
     /// not awaited.
-    pub fn until_shutdown<F>(&mut self, name: impl Into<String>, ended: F)
+    pub fn until_shutdown<F>(&mut self, name: impl Into<String>, part: F)
     where
         F: Future<Output: Into<TaskEnd>> + Send + 'static,
     {
         let shutdown = self.shutdown.clone();
         self.essential(name, async move {
-            let ended = shutdown.run_until_cancelled(ended).await;
-            ended.map_or_else(TaskEnd::default, Into::into)
+            match shutdown.run_until_cancelled(part).await {
+                Some(end) => end.into(),
+                None => TaskEnd::default(),
+            }
         });
     }
 

@@ -348,7 +348,8 @@ impl SimNode {
             count,
             mean: median_ms * 1.05,
             p50: median_ms,
-            p95: median_ms * 1.6,
+            // Below `p99_ms`, also of the detector.
+            p95: median_ms * 1.3,
             p99: drawn.p99_ms,
         };
         let started = self.started_ns + (number as f64 * self.options.clip_s * 1e9) as u64;

@@ -119,7 +119,7 @@ impl Options {
             within("status-seconds", status_s, 0.1, DAY_S)?;
         }
         within("clip-seconds", self.clip_s, 0.1, DAY_S)?;
-        // More would not fit into the largest batch that a hub accepts.
+        // A batch has at most 90 of them in any case; more only delays the reports.
         within("gather", self.gather as f64, 1.0, 500.0)?;
         if !is_on_this_machine(&self.connect) {
             return Err(format!(

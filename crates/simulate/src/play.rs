@@ -97,8 +97,9 @@ pub(crate) struct Player {
     asked: JoinSet<Asked>,
     /// True while a batch is in flight.
     sending: bool,
-    /// The time to resend an unacknowledged batch, and the pause after the next one.
+    /// The time to resend an unacknowledged batch.
     again: Option<Instant>,
+    /// The pause after the next one.
     pause: Duration,
     /// True once no more clips are made: the remaining reports are sent even if there are few.
     ending: bool,
@@ -161,9 +162,12 @@ impl Player {
                     let status = Duration::from_secs_f64(self.node.heartbeat_s);
                     // All nodes are known soon; from then on, their times are spread over the whole period.
                     let is_among_first = next_status < began + FIRST_STATUSES;
-                    let period = if is_among_first { spread(status, DRAW_SECOND_STATUS) } else { status };
-                    // A short draw must not lead to two statuses while the first ones of all nodes still come.
-                    next_status += period.max(FIRST_STATUSES.min(status));
+                    next_status += if is_among_first {
+                        // A short draw must not lead to two statuses while the first ones of all nodes still come.
+                        spread(status, DRAW_SECOND_STATUS).max(FIRST_STATUSES.min(status))
+                    } else {
+                        status
+                    };
                     self.status();
                 }
                 () = sleep_until(next_clip), if !self.ending => {

@@ -154,8 +154,8 @@ impl<M: Model> Task<M> {
         let mut pause = FIRST_PAUSE;
         loop {
             self.next_batch().await?;
-            let has_failed = self.run_batch().await?;
-            if has_failed {
+            let must_rebuild = self.run_batch().await?;
+            if must_rebuild {
                 self.rebuild(&mut pause).await?;
             } else {
                 pause = FIRST_PAUSE;
@@ -180,9 +180,9 @@ impl<M: Model> Task<M> {
         Ok(())
     }
 
-    /// Puts the successor in the place of the model, if it is ready and no run is in progress. The former model is dropped
-    /// on its own thread.
-    fn succeed(&mut self) -> bool {
+    /// Puts the successor in the place of the model; true if it was ready. Call it between two runs. The former model is
+    /// dropped on its own thread.
+    fn promote_successor(&mut self) -> bool {
         let Some(ready) = self.successor.take_if(|successor| successor.provider.is_some()) else {
             return false;
         };
@@ -283,10 +283,10 @@ impl<M: Model> Task<M> {
         self.status.borrow().refusal()
     }
 
-    /// Returns when the next run may begin.
+    /// Waits until the next run may begin.
     async fn next_batch(&mut self) -> Result<(), End> {
         loop {
-            self.succeed();
+            self.promote_successor();
             // What has come together runs together.
             while let Ok(request) = self.requests.try_recv() {
                 self.take(request);
@@ -303,7 +303,8 @@ impl<M: Model> Task<M> {
         }
     }
 
-    /// Runs the next pictures and answers them, at their deadline at the latest; returns true if the model is gone.
+    /// Runs the next pictures and answers them, at their deadline at the latest; returns true if the session must be
+    /// rebuilt.
     async fn run_batch(&mut self) -> Result<bool, End> {
         let started = Instant::now();
         let batch = self.queue.take_batch();
@@ -324,7 +325,7 @@ impl<M: Model> Task<M> {
         let took = started.elapsed();
         self.queue.ran(took);
         let pictures = u32::try_from(waiting.len()).unwrap_or(u32::MAX);
-        let has_failed = match &result {
+        let must_rebuild = match &result {
             Ok(_) => {
                 self.ran_well(pictures, is_spare);
                 false
@@ -349,7 +350,7 @@ impl<M: Model> Task<M> {
         if self.is_stopping {
             return Err(End::Stopped);
         }
-        Ok(has_failed)
+        Ok(must_rebuild)
     }
 
     /// Waits for the run in progress, which began at `started`. If it exceeds its deadline, those who are waiting get the
@@ -427,7 +428,7 @@ impl<M: Model> Task<M> {
         }
     }
 
-    /// Counts and reports a failed run; returns true if the model is lost.
+    /// Counts and reports a failed run; returns true if the session must be rebuilt.
     fn failed(&mut self, error: &RunError) -> bool {
         let reason = error.to_string();
         self.meter.update(|counts| match error {
@@ -457,7 +458,7 @@ impl<M: Model> Task<M> {
             while Instant::now() < over {
                 self.event(Some(over)).await?;
             }
-            if self.succeed() {
+            if self.promote_successor() {
                 return Ok(());
             }
             self.meter.update(|counts| counts.rebuilds += 1);

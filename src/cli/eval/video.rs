@@ -169,9 +169,11 @@ fn ground_truth(
         return Ok(None);
     }
     let places = truth_places(&video.clips, &video.ground_truth, video.truth_format);
-    let read =
-        |(paths, format): (Vec<PathBuf>, _)| GroundTruth::for_model(&paths, format, rules, classes);
-    Ok(places.map(read).transpose()?)
+    let Some((paths, format)) = places else {
+        return Ok(None);
+    };
+    let truth = GroundTruth::for_model(&paths, format, rules, classes)?;
+    Ok(Some(truth))
 }
 
 /// The files of the ground truth that was named, or of the one that belongs to the clips if it belongs to all of them.
@@ -183,9 +185,11 @@ pub(super) fn truth_places(
     if let Some(format) = format {
         return Some((named.to_vec(), format));
     }
-    let own: Option<BTreeSet<PathBuf>> =
-        clips.iter().map(|clip| clip.truth().map(PathBuf::from)).collect();
-    Some((own?.into_iter().collect(), TruthFormat::Bdd100k))
+    let mut own = BTreeSet::new();
+    for clip in clips {
+        own.insert(PathBuf::from(clip.truth()?));
+    }
+    Some((own.into_iter().collect(), TruthFormat::Bdd100k))
 }
 
 /// The names of all clips; results, truth and files are told apart by them.
@@ -280,10 +284,14 @@ impl Evaluation<'_> {
         if let Some(truth) = &mut self.truth {
             // The frames behind a limit were not looked at.
             let looked_at = clip.frames + clip.unusable.len();
-            let is_whole = self.pass_settings.max_frames != Some(looked_at);
-            let all = || source.frames().and_then(|frames| usize::try_from(frames).ok());
-            let whole = if is_whole { Some(looked_at) } else { all() };
-            truth.attach_to(&mut clip, self.names.len() == 1, whole, &mut self.report)?;
+            let was_cut = self.pass_settings.max_frames == Some(looked_at);
+            let frames_of_source = if was_cut {
+                source.frames().and_then(|frames| usize::try_from(frames).ok())
+            } else {
+                Some(looked_at)
+            };
+            let is_alone = self.names.len() == 1;
+            truth.attach_to(&mut clip, is_alone, frames_of_source, &mut self.report)?;
         }
         if self.video.pass.save_detections.is_some() {
             self.kept.push(clip.clone());
@@ -403,6 +411,10 @@ fn times_of_steps(times: &[StepTimes]) -> Vec<(String, String)> {
     ];
     let row = |(step, time): (&str, StepTime)| {
         let spread = Spread::of(times.iter().map(time).collect())?;
+        // The time of a step that was not taken is 0.
+        if spread.mean == 0.0 {
+            return None;
+        }
         let value = format!(
             "mean {:.2} ms, p50 {:.2}, p95 {:.2}, p99 {:.2} (measured on this machine, {})",
             spread.mean,
@@ -411,8 +423,7 @@ fn times_of_steps(times: &[StepTimes]) -> Vec<(String, String)> {
             spread.p99,
             counted(times.len() as u64, "frame", "frames")
         );
-        // The time of a step that was not taken is 0.
-        (spread.mean > 0.0).then(|| (format!("Time of {step}"), value))
+        Some((format!("Time of {step}"), value))
     };
     steps.into_iter().filter_map(row).collect()
 }

@@ -203,7 +203,7 @@ pub(super) async fn trial(context: &Context, command: TrialCommand) -> anyhow::R
     let trial: Run = match command {
         TrialCommand::Start(plan) => {
             let named = |value: &f64| json!({ (plan.basics.threshold.as_str()): value });
-            let values = plan.values.iter().map(named).collect();
+            let values: Value = plan.values.iter().map(named).collect();
             begin(context, "/api/v1/trials", &plan, "values", values).await?
         }
         TrialCommand::Ls => {
@@ -262,7 +262,7 @@ async fn follow(context: &Context, id: i64) -> anyhow::Result<Ended> {
         // The hub keeps only the newest entries, so their positions change.
         let is_last = |entry: &Entry| Some(entry) == last.as_ref();
         let first_new = match run.record.iter().rposition(is_last) {
-            Some(last) => last + 1,
+            Some(position) => position + 1,
             None => 0,
         };
         for entry in &run.record[first_new..] {
@@ -384,13 +384,13 @@ fn whole(run: &Run) -> String {
 /// Formats an entry of a rollout's record, with its time since the rollout began.
 fn entry_text(entry: &Entry, begun_ms: i64) -> String {
     let who = entry.who.as_ref().map(|who| format!(" by {who}"));
-    let text = match entry.text.as_str() {
+    let reason = match entry.text.as_str() {
         "" => String::new(),
         text => format!(": {text}"),
     };
     // The reason a stage failed is never cut short.
     let mut text = format!(
-        "{:>10}  stage {}  {}{}{text}\n",
+        "{:>10}  stage {}  {}{}{reason}\n",
         format!("+{}", span((entry.at_ms - begun_ms) / 1000)),
         entry.stage,
         name_of(&entry.what),

@@ -11,7 +11,7 @@ use albireo_wire::{DesiredSetting, Threshold};
 use serde::Serialize;
 use serde_json::{Value, json};
 
-/// The nodes to give a setting, and how that is followed: the request without its setting.
+/// The nodes to give a setting, and how long they are waited for: the request without its setting.
 #[derive(Debug, clap::Args, Serialize)]
 pub(super) struct GiveArguments {
     /// The nodes to set; may be given several times.
@@ -46,22 +46,30 @@ pub(super) async fn give(
     let mut body = serde_json::to_value(arguments)?;
     body[name] = value;
     let mut last = None;
-    let lines = context.client.put_lines(path, &body, |line: OutcomeLine| {
-        match &line {
-            _ if context.json => println!("{}", serde_json::to_string(&line)?),
-            OutcomeLine::Outcome(line) => println!("{}", outcome(line, to.as_ref())),
-            OutcomeLine::Last(revision) => {
-                let number = revision.number.map(|n| format!("revision {n}: "));
-                println!("{}{}", number.unwrap_or_default(), counts(&revision.counts));
-            }
+    let print = |line: OutcomeLine| {
+        if context.json {
+            println!("{}", serde_json::to_string(&line)?);
+        } else {
+            println!("{}", in_words(&line, to.as_ref()));
         }
-        if let OutcomeLine::Last(line) = line {
-            last = Some(line);
+        if let OutcomeLine::Last(revision) = line {
+            last = Some(revision);
         }
         Ok(())
-    });
-    lines.await?;
+    };
+    context.client.put_lines(path, &body, print).await?;
     Ok(judge(last.as_ref()))
+}
+
+/// Formats a line of the hub's answer: the outcome of one node, or at the end the revision and its counts.
+fn in_words(line: &OutcomeLine, to: Option<&DesiredSetting>) -> String {
+    match line {
+        OutcomeLine::Outcome(node) => outcome(node, to),
+        OutcomeLine::Last(revision) => match revision.number {
+            Some(number) => format!("revision {number}: {}", counts(&revision.counts)),
+            None => counts(&revision.counts),
+        },
+    }
 }
 
 /// Formats the outcome of a node as a line.

@@ -168,7 +168,8 @@ impl Clips<'_> {
         let is_over = |most: f64| seconds - self.since >= most - 0.0005;
         let part = Some(part);
         if self.last != part || options.clip_seconds.is_some_and(is_over) {
-            (self.last, self.since) = (part, seconds);
+            self.last = part;
+            self.since = seconds;
             self.begun += 1;
         }
         Some(if numbered {
@@ -287,10 +288,15 @@ pub async fn publish<F: Future<Output = anyhow::Result<Option<String>>>>(
             }
         };
         // Times count from the first picture: opening the source may take long.
-        let (began, clock) = *begun.get_or_insert_with(|| {
-            pace.due = Instant::now();
-            (pace.due, unix_nanoseconds())
-        });
+        let (began, clock) = match begun {
+            Some(start) => start,
+            None => {
+                pace.due = Instant::now();
+                let start = (pace.due, unix_nanoseconds());
+                begun = Some(start);
+                start
+            }
+        };
         tokio::select! {
             biased;
             () = shutdown.cancelled() => break,

@@ -59,22 +59,36 @@ impl Matcher {
         usable: impl Iterator<Item = bool>,
     ) -> &[Option<u32>] {
         self.pairing.begin(states.len(), detections, usable);
-        let by_overlap = |row: usize| {
+        let reach_by_overlap = |row: usize| {
             let state = &states[row];
+            if state.since_update > settings.iou_frames {
+                return None;
+            }
             let own = state.filter.bounding_box().corners();
-            let is_recent = state.since_update <= settings.iou_frames;
-            is_recent.then(|| by_overlap(own, settings.iou_gate))
+            Some(by_overlap(own, settings.iou_gate))
         };
-        let within = |cost: f64| overlaps(cost, settings.iou_gate);
-        self.stage(settings.gate, detections, by_overlap, within, |cost| cost);
-        let by_distance = |row: usize| {
+        let overlaps_enough = |cost: f64| overlaps(cost, settings.iou_gate);
+        self.stage(
+            settings.gate,
+            detections,
+            reach_by_overlap,
+            overlaps_enough,
+            |cost| cost,
+        );
+        let reach_by_distance = |row: usize| {
             let gauge = states[row].filter.gauge(model);
             let cost = move |other: BoundingBox| gauge.squared_distance(other);
             Some((gauge.reach(settings.mahalanobis_gate), cost))
         };
-        let within = |cost: f64| cost < settings.mahalanobis_gate;
-        let competing = |cost: f64| if within(cost) { cost } else { BEYOND_GATE };
-        self.stage(settings.gate, detections, by_distance, within, competing);
+        let is_near = |cost: f64| cost < settings.mahalanobis_gate;
+        let competing = |cost: f64| if is_near(cost) { cost } else { BEYOND_GATE };
+        self.stage(
+            settings.gate,
+            detections,
+            reach_by_distance,
+            is_near,
+            competing,
+        );
         self.pairing.detection_of()
     }
 

@@ -46,22 +46,25 @@ fn read_sequence(folder: &Path, name: &str, report: &mut LoadReport) -> Result<C
     let pictures = pictures_in(&folder.join("image_02").join(name));
     let first = pictures.first().and_then(|first| read_picture_file(first).ok());
     let picture = first.map_or(USUAL_SIZE, |first| first.size);
+    let frames = if pictures.is_empty() {
+        None
+    } else {
+        Some(pictures.len())
+    };
     let table = |kind: &str| Table {
         path: folder.join(kind).join(format!("{name}.txt")),
         separator: None,
         header: None,
         first: 0,
-        frames: (!pictures.is_empty()).then_some(pictures.len()),
+        frames,
     };
     let labels = table("label_02");
     let is_region = |row: &Row<'_>| Ok::<_, EvalError>(row.text(2, "type")? == "DontCare");
     let mut truth: Vec<Vec<ScoredBox>> = labels.read(GONE, |row, boxes| {
         if !is_region(row)? {
-            let labelled = LabelledBox {
-                object: row.object(1, "id")?,
-                ..labelled(row, 1.0)?
-            };
-            boxes.extend(report.keep(&labelled, picture, || row.place()));
+            let mut object = labelled(row, 1.0)?;
+            object.object = row.object(1, "id")?;
+            boxes.extend(report.keep(&object, picture, || row.place()));
         }
         Ok(())
     })?;
@@ -73,15 +76,11 @@ fn read_sequence(folder: &Path, name: &str, report: &mut LoadReport) -> Result<C
         Ok(())
     })?;
     let found = table("det_02");
-    let mut detections = found
-        .path
-        .exists()
-        .then(|| {
-            found.boxes(GONE, picture, report, |row| {
-                labelled(row, row.number(17, "score")?)
-            })
-        })
-        .transpose()?;
+    let mut detections = None;
+    if found.path.exists() {
+        let scored = |row: &Row<'_>| labelled(row, row.number(17, "score")?);
+        detections = Some(found.boxes(GONE, picture, report, scored)?);
+    }
     let frames = truth.len().max(detections.as_ref().map_or(0, Vec::len));
     truth.resize(frames, Vec::new());
     if let Some(detections) = &mut detections {

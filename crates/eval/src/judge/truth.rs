@@ -4,7 +4,7 @@ use crate::boxes::ScoredBox;
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::Corners;
 
-/// How boxes that lie on a marked place are left out, by the rules of the benchmark that marks it.
+/// How boxes that lie on a marked place are treated, by the rules of the benchmark that marks it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mark {
     /// A region without labels: KITTI's DontCare, the crowds and distractors of BDD100K, VisDrone's ignored regions. Any

@@ -73,8 +73,8 @@ impl NodeLimits {
         share.left = (share.left + most * passed.as_secs_f64() / DAY_S).min(most);
         share.refilled_at = now;
         if share.left <= 0.0 {
-            let wait = (LEAST_COST as f64 - share.left) * DAY_S / most;
-            let wait = Duration::try_from_secs_f64(wait)
+            let wait_s = (LEAST_COST as f64 - share.left) * DAY_S / most;
+            let wait = Duration::try_from_secs_f64(wait_s)
                 .unwrap_or(LONGEST_WAIT)
                 .clamp(BUSY_RETRY, LONGEST_WAIT);
             return Err((wait, "the node has used up its share for today"));
@@ -91,7 +91,7 @@ impl NodeLimits {
     }
 
     /// Notes the number of a node's cameras; each new one adds a camera's share.
-    pub(crate) fn has_cameras(&self, node: &str, cameras: usize) {
+    pub(crate) fn note_cameras(&self, node: &str, cameras: usize) {
         if let Some(share) = self.shares.lock().get_mut(node) {
             let more = cameras as f64 - share.cameras;
             if more > 0.0 {
@@ -125,7 +125,8 @@ impl EntryLimit {
     pub(crate) fn allows(&mut self, node: &str, kind: &'static str, at_ms: i64) -> bool {
         let (most, span_ms) = self.most;
         let span = at_ms.div_euclid(span_ms);
-        if std::mem::replace(&mut self.span, span) != span {
+        if self.span != span {
+            self.span = span;
             self.counts.clear();
         }
         let count = self.counts.entry((node.to_owned(), kind)).or_default();
@@ -165,8 +166,9 @@ impl ClockCheck {
         }
     }
 
-    /// True if most nodes agree with the hub's clock, or if it has run for a day without a jump.
-    pub(crate) fn is_believed(&mut self, now: Instant, now_ms: i64) -> bool {
+    /// True if most nodes agree with the hub's clock, or if it has run for a day without a jump of more than a day. After
+    /// such a jump all begins anew: the start, and what nodes said.
+    pub(crate) fn judge(&mut self, now: Instant, now_ms: i64) -> bool {
         let ran = i64::try_from((now - self.began).as_millis()).unwrap_or(i64::MAX);
         let expected = self.began_ms.saturating_add(ran);
         if now_ms.saturating_sub(expected).saturating_abs() > DAY_MS {
@@ -231,7 +233,7 @@ mod tests {
         assert!((15.0..25.0).contains(&days), "{said}");
         // Another is not held up by it, and each camera has a share of its own.
         drop(limits.admit("b", now).unwrap());
-        limits.has_cameras("a", 4);
+        limits.note_cameras("a", 4);
         drop(limits.admit("a", now).unwrap());
     }
 
@@ -253,19 +255,19 @@ mod tests {
         let hour = |hours: u64| start + Duration::from_secs(3600 * hours);
         let ms = |hours: i64| start_ms + 3_600_000 * hours;
         let mut clock = ClockCheck::new(start, start_ms);
-        assert!(!clock.is_believed(hour(1), ms(1)), "nobody says so yet");
+        assert!(!clock.judge(hour(1), ms(1)), "nobody says so yet");
         clock.note("a", true);
         clock.note("b", false);
         clock.note("c", true);
         clock.note("c", true);
-        assert!(clock.is_believed(hour(1), ms(1)));
+        assert!(clock.judge(hour(1), ms(1)));
         // A hundred days ahead at once.
-        assert!(!clock.is_believed(hour(2), ms(2 + 2400)));
+        assert!(!clock.judge(hour(2), ms(2 + 2400)));
         clock.note("a", false);
-        assert!(!clock.is_believed(hour(3), ms(3 + 2400)));
-        assert!(!clock.is_believed(hour(4), ms(4)), "and back");
+        assert!(!clock.judge(hour(3), ms(3 + 2400)));
+        assert!(!clock.judge(hour(4), ms(4)), "and back");
         // Where no node's clock is right, a day without a step decides.
         clock.note("a", false);
-        assert!(clock.is_believed(hour(29), ms(29)));
+        assert!(clock.judge(hour(29), ms(29)));
     }
 }

@@ -149,7 +149,7 @@ impl Recorder {
     /// Deletes some old rows. Returns true if there are more.
     fn retain(&mut self, now: Now) -> Result<bool, StoreError> {
         let mut database = self.store.connect(Access::Write, self.database.take())?;
-        let is_believed = self.clock.is_believed(now.at, now.unix_ms);
+        let is_believed = self.clock.judge(now.at, now.unix_ms);
         let more = retain(
             &mut *database,
             &self.history,

@@ -131,34 +131,41 @@ impl Comparison {
         unchanged: &[&BeforeAfter],
         fewest: u64,
     ) -> Self {
-        // The means before, the means after, and the changes of the nodes that have all three.
-        let measured = |nodes: &[&BeforeAfter]| -> [Vec<f64>; 3] {
-            let mut all = [Vec::new(), Vec::new(), Vec::new()];
+        let measured = |nodes: &[&BeforeAfter]| {
+            let mut all = Measured::default();
             for node in nodes {
                 if let Some((before, after)) = node.means(figure, fewest)
                     && let Some(change) = scale.change(before, after)
                 {
-                    all[0].push(before);
-                    all[1].push(after);
-                    all[2].push(change);
+                    all.before.push(before);
+                    all.after.push(after);
+                    all.changes.push(change);
                 }
             }
             all
         };
-        let [before, after, own] = measured(changed);
-        let [_, _, others] = measured(unchanged);
-        let means = if own.is_empty() {
+        let own = measured(changed);
+        let others = measured(unchanged);
+        let means = if own.changes.is_empty() {
             None
         } else {
-            Some((before.iter().mean(), after.iter().mean()))
+            Some((own.before.iter().mean(), own.after.iter().mean()))
         };
         Self {
-            nodes: own.len(),
-            compared: others.len(),
+            nodes: own.changes.len(),
+            compared: others.changes.len(),
             means,
-            effect: Effect::of(scale, &own, &others),
+            effect: Effect::of(scale, &own.changes, &others.changes),
         }
     }
+}
+
+/// The means before and after, and the changes, of the nodes that have all three.
+#[derive(Default)]
+struct Measured {
+    before: Vec<f64>,
+    after: Vec<f64>,
+    changes: Vec<f64>,
 }
 
 /// A group's trimmed mean, with the variance of that mean.
@@ -182,6 +189,7 @@ impl Typical {
         let freedom = kept.len() as f64 - 1.0;
         Some(Self {
             mean: kept.mean(),
+            // By the numbers kept: k·(k − 1), of which the degrees of freedom are k − 1.
             variance: pulled_in.variance() * (count as f64 - 1.0) / (freedom * (freedom + 1.0)),
             freedom,
         })

@@ -390,7 +390,7 @@ impl Store {
         Ok(found)
     }
 
-    /// Sums the clips of each window.
+    /// Sums the clips in these windows, of which each node has at most one.
     async fn clip_sums(
         &self,
         windows: impl Iterator<Item = &Window>,

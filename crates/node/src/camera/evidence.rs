@@ -41,7 +41,7 @@ struct Current {
     detected: Option<Detected>,
     times: Times,
     /// The time spent waiting for a decoding place: all cameras share just enough places to keep the detector busy.
-    place: Duration,
+    waited_for_place: Duration,
 }
 
 impl LiveEvidence {
@@ -155,7 +155,7 @@ impl LiveEvidence {
         let Some(prepared) = self.current.frame.prepared.take() else {
             return Ok(None);
         };
-        let preparing = self.current.place + prepared.took();
+        let preparing = self.current.waited_for_place + prepared.took();
         let start = Instant::now();
         let mut answer = tokio::select! {
             biased;
@@ -193,7 +193,7 @@ impl LiveEvidence {
                     place = self.pixels.place() => place,
                     () = self.give_up.cancelled() => return Ok(()),
                 };
-                self.current.place += start.elapsed();
+                self.current.waited_for_place += start.elapsed();
             }
             let frame = std::mem::take(&mut self.current.frame);
             let prepared = self.pixels.prepare(frame, encoded.clone(), stage);

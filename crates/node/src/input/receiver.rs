@@ -27,7 +27,7 @@ use zenoh::sample::Sample;
 /// The time between two log lines about dropped frames of one kind.
 const LOG_PERIOD: Duration = Duration::from_secs(10);
 /// The same for frames replaced by a newer one, when a live camera is faster than its detector.
-const OVERRUN_LOG_PERIOD: Duration = Duration::from_secs(3600);
+const REPLACED_LOG_PERIOD: Duration = Duration::from_secs(3600);
 
 /// The maximum number of answers to queries that wait for the network.
 const MAX_ANSWERS: usize = 64;
@@ -82,6 +82,7 @@ pub(crate) struct FrameReceiver {
     counter: Arc<InputCounter>,
     /// Limits the log, for each kind of dropped frames.
     log_limits: Mutex<BTreeMap<DropKind, RateLimit>>,
+    replaced_limit: RateLimit,
     /// The frames that wait for the camera's loop.
     pub ring: Ring<SequencedFrame>,
     stream: Mutex<StreamState>,
@@ -114,6 +115,7 @@ impl FrameReceiver {
         Self {
             counter,
             log_limits: Mutex::default(),
+            replaced_limit: RateLimit::new(REPLACED_LOG_PERIOD),
             ring: Ring::new(settings.delivery, settings.ring, most_bytes),
             settings,
             stream: Mutex::default(),
@@ -149,11 +151,7 @@ impl FrameReceiver {
             refused: refused.map(str::to_owned),
         };
         self.runtime.spawn_blocking(move || {
-            let sent = serde_json::to_vec(&answer).map_err(zenoh::Error::from).and_then(|answer| {
-                let reply = query.reply(query.key_expr(), answer);
-                reply.encoding(Encoding::APPLICATION_JSON).wait()
-            });
-            if let Err(error) = sent {
+            if let Err(error) = send_answer(&query, &answer) {
                 tracing::debug!(%error, "a frame's sender was not answered");
             }
             drop(place);
@@ -216,8 +214,10 @@ impl FrameReceiver {
         {
             return;
         }
-        let admitted = self.admit(&mut stream, query.clone(), read);
-        let placed = admitted.and_then(|frame| self.push(SequencedFrame { broken, ..frame }));
+        let placed = match self.admit(&mut stream, query.clone(), broken, read) {
+            Ok(frame) => self.push(frame),
+            Err(refused) => Err(refused),
+        };
         // The next frame need not wait for this one's answer.
         drop(stream);
         if let Err(Refused { kind, reason }) = placed {
@@ -234,6 +234,7 @@ impl FrameReceiver {
         &self,
         stream: &mut StreamState,
         query: Option<Query>,
+        broken: bool,
         read: impl FnOnce(u64) -> NumberedFrame,
     ) -> Result<SequencedFrame, Refused> {
         let (number, read) = read(stream.arrivals);
@@ -261,51 +262,60 @@ impl FrameReceiver {
         })?;
         frame.picture = frame.picture.mounted(self.settings.mount.as_ref());
         let sequence = frame.sequence;
-        let (kind, reason) = match arrival {
-            Arrival::New { index, .. } => {
-                let latest = LatestFrame::new(sequence, frame.picture.clone());
-                self.counter.set_latest_frame(latest);
-                return Ok(SequencedFrame {
-                    frame,
-                    index,
-                    epoch: stream.epoch,
-                    broken: false,
-                    query,
-                });
-            }
-            Arrival::Duplicate => (DropKind::Duplicate, "has already arrived"),
-            Arrival::Late => (DropKind::Late, "arrived after a later one"),
-            Arrival::Stray => (
+        let refused = |kind, reason| {
+            Err(Refused {
+                kind,
+                reason: format!("sequence number {sequence} {reason}"),
+            })
+        };
+        match arrival {
+            Arrival::Duplicate => refused(DropKind::Duplicate, "has already arrived"),
+            Arrival::Late => refused(DropKind::Late, "arrived after a later one"),
+            Arrival::Stray => refused(
                 DropKind::Stray,
                 "belongs to a stream other than the camera's current one",
             ),
-        };
-        Err(Refused {
-            kind,
-            reason: format!("sequence number {sequence} {reason}"),
-        })
+            Arrival::New { index, .. } => {
+                let latest = LatestFrame::new(sequence, frame.picture.clone());
+                self.counter.set_latest_frame(latest);
+                Ok(SequencedFrame {
+                    frame,
+                    index,
+                    epoch: stream.epoch,
+                    broken,
+                    query,
+                })
+            }
+        }
     }
 
     /// Counts `number` frames that will not be processed, and logs `reason` at limited intervals.
     pub(crate) fn count_dropped(&self, kind: DropKind, number: u64, reason: &dyn fmt::Display) {
         self.counter.count(kind, number, reason);
-        // A live camera that is faster than its detector is no fault, and neither is a stop.
-        let expected = matches!(kind, DropKind::Overrun | DropKind::Stopped);
-        let period = if kind == DropKind::Overrun {
-            OVERRUN_LOG_PERIOD
-        } else {
-            LOG_PERIOD
-        };
         let mut limits = self.log_limits.lock();
-        let limit = limits.entry(kind).or_insert(RateLimit::new(period));
+        let limit = limits.entry(kind).or_insert(RateLimit::new(LOG_PERIOD));
         let camera = self.settings.camera.as_str();
+        // At a stop frames are dropped as they must be; a loop that has failed is told by its own line.
+        let is_expected = kind == DropKind::Stopped;
         let kind = kind.name();
         limit.log(|held_back| {
-            if expected {
+            if is_expected {
                 tracing::info!(camera, kind, number, held_back, "frame dropped: {reason}");
             } else {
                 tracing::warn!(camera, kind, number, held_back, "frame dropped: {reason}");
             }
+        });
+    }
+
+    /// Counts a frame that a newer one replaced: a live camera that is faster than its detector is no fault.
+    fn count_replaced(&self) {
+        let reason = "a newer frame arrived before its turn (camera.delivery)";
+        let kind = DropKind::Overrun;
+        self.counter.count(kind, 1, &reason);
+        let camera = self.settings.camera.as_str();
+        self.replaced_limit.log(|held_back| {
+            let kind = kind.name();
+            tracing::info!(camera, kind, held_back, "frame dropped: {reason}");
         });
     }
 
@@ -315,27 +325,34 @@ impl FrameReceiver {
     /// [`Refused`] if it is not queued.
     fn push(&self, frame: SequencedFrame) -> Result<(), Refused> {
         let bytes = frame.frame.picture.bytes.len();
-        let (kind, reason) = match self.ring.push(frame, bytes) {
-            Pushed::Queued => return Ok(()),
+        let refused = |kind, reason: &str| {
+            Err(Refused {
+                kind,
+                reason: reason.to_owned(),
+            })
+        };
+        match self.ring.push(frame, bytes) {
+            Pushed::Queued => Ok(()),
             Pushed::Replaced => {
-                let reason = "a newer frame arrived before its turn (camera.delivery)";
-                self.count_dropped(DropKind::Overrun, 1, &reason);
-                return Ok(());
+                self.count_replaced();
+                Ok(())
             }
-            Pushed::Full => (
+            Pushed::Full => refused(
                 DropKind::Overrun,
                 "too many frames are waiting: send them as queries, not as puts, to be held back (camera.delivery)",
             ),
-            Pushed::Closed => (
+            Pushed::Closed => refused(
                 DropKind::Stopped,
                 "the camera's loop is not running: it has failed, or the node is stopping",
             ),
-        };
-        Err(Refused {
-            kind,
-            reason: reason.to_owned(),
-        })
+        }
     }
+}
+
+/// Answers the query of a frame.
+fn send_answer(query: &Query, answer: &FrameAnswer) -> zenoh::Result<()> {
+    let bytes = serde_json::to_vec(answer)?;
+    query.reply(query.key_expr(), bytes).encoding(Encoding::APPLICATION_JSON).wait()
 }
 
 #[cfg(test)]

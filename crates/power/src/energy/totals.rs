@@ -127,14 +127,14 @@ impl History {
 
     /// Adds a value to one domain and returns its power.
     fn advance(&mut self, domain: Domain, at: Instant, value: Value) -> Option<f64> {
-        let Some((then, before)) = self.last[domain].replace((at, value)) else {
+        let Some((last_at, last_value)) = self.last[domain].replace((at, value)) else {
             return value.mean_watts(None, 0.0);
         };
-        let seconds = (at - then).as_secs_f64();
-        let (joules, longest_s) = match (before, value) {
-            (Value::Power(then), Value::Power(now)) => (0.5 * (then + now) * seconds, self.gap_s),
-            (Value::Counter(then), Value::Counter(now)) => {
-                (now - then, self.gap_s.max(LONGEST_COUNTED_S))
+        let seconds = (at - last_at).as_secs_f64();
+        let (joules, longest_s) = match (last_value, value) {
+            (Value::Power(old), Value::Power(new)) => (0.5 * (old + new) * seconds, self.gap_s),
+            (Value::Counter(old), Value::Counter(new)) => {
+                (new - old, self.gap_s.max(LONGEST_COUNTED_S))
             }
             // A source that changes from the one to the other leaves a gap.
             _ => (0.0, 0.0),
@@ -144,7 +144,7 @@ impl History {
             sum.joules += joules;
             sum.seconds += seconds;
         }
-        value.mean_watts(Some(before), seconds)
+        value.mean_watts(Some(last_value), seconds)
     }
 
     /// True if the source has ever read `domain`.
@@ -195,30 +195,34 @@ impl History {
 fn between(before: &Sample, after: &Sample, moment: Instant) -> Totals {
     let whole = (after.at - before.at).as_secs_f64();
     let part = (moment - before.at).as_secs_f64() / whole;
-    let mix = |from: Sum, to: Sum, energy_part: f64| Sum {
-        joules: from.joules + energy_part * (to.joules - from.joules),
-        seconds: from.seconds + part * (to.seconds - from.seconds),
+    let mix = |old: Sum, new: Sum, energy_part: f64| Sum {
+        joules: old.joules + energy_part * (new.joules - old.joules),
+        seconds: old.seconds + part * (new.seconds - old.seconds),
     };
     // Where power rises, less than its part of the energy comes in the first part of the time.
     let energy_part = |domain: Domain| match (before.values[domain], after.values[domain]) {
-        (Some(Value::Power(from)), Some(Value::Power(to))) if from + to > 0.0 => {
-            part * (2.0 * from + (to - from) * part) / (from + to)
+        (Some(Value::Power(old)), Some(Value::Power(new))) if old + new > 0.0 => {
+            part * (2.0 * old + (new - old) * part) / (old + new)
         }
         _ => part,
     };
-    let from = &before.totals;
-    let to = &after.totals;
+    let totals_before = &before.totals;
+    let totals_after = &after.totals;
     // Cameras divide the energy of the whole, whichever domain used it.
     let of_total = energy_part(Domain::Total);
-    let cameras = to.cameras.iter().map(|(number, to)| {
-        let from = from.camera(*number);
-        (*number, mix(from, *to, of_total))
+    let cameras = totals_after.cameras.iter().map(|(number, sum_after)| {
+        let sum_before = totals_before.camera(*number);
+        (*number, mix(sum_before, *sum_after, of_total))
     });
     Totals {
         sums: PerDomain::each(|domain| {
-            mix(from.sums[domain], to.sums[domain], energy_part(domain))
+            mix(
+                totals_before.sums[domain],
+                totals_after.sums[domain],
+                energy_part(domain),
+            )
         }),
-        samples: from.samples,
+        samples: totals_before.samples,
         cameras: cameras.collect(),
     }
 }

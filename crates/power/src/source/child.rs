@@ -14,10 +14,10 @@ use tokio::time::Instant;
 /// The most lines kept for a slow reader; further lines are dropped.
 const MOST_LINES: usize = 256;
 
-/// Longer lines are cut here: none of our sources prints one.
+/// Longer lines are passed over: none of our sources prints one.
 const LONGEST_LINE: u64 = 64 * 1024;
 
-/// The shortest time between a start or a line of a program that never ends by itself and its next start.
+/// Of a program that should never end: the least time from its start, or its newest line, to its next start.
 pub(super) const PAUSE: Duration = Duration::from_secs(1);
 
 /// The time limit for a killed child to end. Another user's child (sudo) cannot be killed.
@@ -37,7 +37,7 @@ pub(crate) struct LineChild {
     last_sign: Instant,
     /// True if the child had ended when its lines were last taken: nothing follows these lines.
     pub ended: bool,
-    /// The reason the child last ended, if it ever did.
+    /// What last went wrong: an end with a fault, a silence, or a failed start; `None` after an end without a fault.
     pub trouble: Option<String>,
 }
 
@@ -113,7 +113,7 @@ impl LineChild {
         }
     }
 
-    /// Waits up to `patience` for the first line.
+    /// Waits up to `patience` for the first line; if none comes, ends the child.
     pub(crate) fn first_line(&mut self, patience: Duration) -> Option<TimedLine> {
         let line = self.lines.recv_timeout(patience);
         if line.is_err() {
@@ -169,6 +169,8 @@ fn spawn(command: &mut Command) -> std::io::Result<(Child, Receiver<TimedLine>)>
 fn read(output: ChildStdout, lines: &SyncSender<TimedLine>) {
     let mut output = BufReader::new(output);
     let mut line = Vec::new();
+    // True until the end of a line whose beginning was too long.
+    let mut is_rest = false;
     loop {
         line.clear();
         let read = output.by_ref().take(LONGEST_LINE).read_until(b'\n', &mut line);
@@ -177,13 +179,15 @@ fn read(output: ChildStdout, lines: &SyncSender<TimedLine>) {
         if !matches!(read, Ok(1..)) {
             return;
         }
-        // A line without a newline was cut off when the child exited; its last number may be incomplete.
-        if line.pop() == Some(b'\n') {
+        // A line without a newline is too long, or was cut off when the child exited; its last number may be incomplete.
+        let is_whole = line.pop() == Some(b'\n');
+        if is_whole && !is_rest {
             let text = String::from_utf8_lossy(&line).into_owned();
             if let Err(TrySendError::Disconnected(_)) = lines.try_send((at, text)) {
                 return;
             }
         }
+        is_rest = !is_whole;
     }
 }
 

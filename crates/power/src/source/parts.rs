@@ -103,9 +103,11 @@ impl Meter for Parts {
 
     /// Fails if either part cannot be read now: half of a sum is no sum.
     fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
-        let processor = self.processor.poll(now).map_err(|error| error.of("rapl"))?;
-        let cards = self.cards.poll(now).map_err(|error| error.of("nvml"))?;
-        let readings = processor.into_iter().zip(cards).map(|(processor, cards)| {
+        let of_processor = self.processor.poll(now).map_err(|error| error.of("rapl"))?;
+        let of_cards = self.cards.poll(now).map_err(|error| error.of("nvml"))?;
+        let mut readings = Vec::new();
+        // Each gives one reading.
+        for (processor, cards) in of_processor.into_iter().zip(of_cards) {
             // As the cards show theirs: only values of one kind can be added.
             let cards_count = matches!(cards.values.total, Some(Value::Counter(_)));
             let values = if cards_count {
@@ -113,7 +115,7 @@ impl Meter for Parts {
             } else {
                 self.mean_power(now, &processor)
             };
-            Reading {
+            readings.push(Reading {
                 at: None,
                 values: PerDomain {
                     total: sum(values.total, cards.values.total),
@@ -123,9 +125,9 @@ impl Meter for Parts {
                 },
                 total_from: format!("{} + {}", self.processor.parts(), cards.total_from).into(),
                 rails: processor.rails.into_iter().chain(cards.rails).collect(),
-            }
-        });
-        Ok(readings.collect())
+            });
+        }
+        Ok(readings)
     }
 
     fn condition(&mut self) -> BoardState {

@@ -1,7 +1,7 @@
 //! Keeps the list of the certificates that an authority has issued.
 
 use super::{PRIVATE, read, write};
-use crate::error::{RouterError, at};
+use crate::error::{RouterError, about, at};
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -97,9 +97,10 @@ impl List {
         };
         if stored.v != VERSION {
             let found = stored.v;
-            return Err(at(&file)(format!(
-                "version {found} is not known, only {VERSION}"
-            )));
+            return Err(about(
+                &file,
+                format!("version {found} is not known, only {VERSION}"),
+            ));
         }
         Ok(Self {
             file,

@@ -46,14 +46,15 @@ const CONTEXT_IS_LOST: [u32; 13] = [
 /// The numbers of the CUDA errors in `message`.
 fn cuda_failures(message: &str) -> Vec<u32> {
     let lower = message.to_lowercase();
-    lower
-        .match_indices(CUDA_FAILURE)
-        .filter_map(|(at, before)| {
-            let rest = &lower[at + before.len()..];
-            let end = rest.find(|sign: char| !sign.is_ascii_digit());
-            rest[..end.unwrap_or(rest.len())].parse().ok()
-        })
-        .collect()
+    let mut numbers = Vec::new();
+    for (at, phrase) in lower.match_indices(CUDA_FAILURE) {
+        let rest = &lower[at + phrase.len()..];
+        let digits = rest.split(|sign: char| !sign.is_ascii_digit()).next();
+        if let Ok(number) = digits.unwrap_or_default().parse() {
+            numbers.push(number);
+        }
+    }
+    numbers
 }
 
 /// Returns true if `message`, from a session that worked before, means that this process has lost its GPU. The message

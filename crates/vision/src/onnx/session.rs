@@ -62,12 +62,12 @@ pub struct OnnxSession {
     signature: Signature,
     provider: ExecutionProvider,
     engines: Option<EngineCache>,
-    buffers: Buffers,
+    buffers: RunBuffers,
 }
 
 /// The pictures of a batch, one after another, in the model's element type; reused from run to run.
 #[derive(Default)]
-struct Buffers {
+struct RunBuffers {
     floats: Vec<f32>,
     halves: Vec<f16>,
     bytes: Vec<u8>,
@@ -124,7 +124,7 @@ impl OnnxSession {
             signature,
             provider,
             engines: settings.engines.clone(),
-            buffers: Buffers::default(),
+            buffers: RunBuffers::default(),
         })
     }
 
@@ -188,7 +188,7 @@ impl OnnxSession {
     }
 }
 
-impl Buffers {
+impl RunBuffers {
     /// The input of `pictures` in these elements. A single picture in float32 is not copied.
     fn input<'a>(
         &'a mut self,

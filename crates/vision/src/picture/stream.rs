@@ -5,33 +5,52 @@ use albireo_core::geometry::PictureSize;
 use bytes::Bytes;
 use std::io::{self, BufRead, Read};
 
+/// The longest line of a head. What is longer is passed over in pieces.
+const LONGEST_HEAD_LINE: u64 = 1024;
+
+/// The most bytes in which a head must come: a stream without heads would be searched without end.
+const HEAD_WITHIN: usize = 64 * 1024;
+
 /// Returns the next part of a multipart stream with a `Content-length` in the head of every part, as ffmpeg's `mpjpeg`
 /// and GStreamer's `multipartmux` write it; `None` at its end.
 ///
 /// # Errors
-/// If it is cut short, has no length, or has more than `most` bytes.
+/// If it is cut short, its head has no length or does not come, or it has more than `most` bytes.
 pub fn read_part(stream: &mut impl BufRead, most: u64) -> io::Result<Option<Vec<u8>>> {
     let mut length = None;
+    let mut in_head = false;
+    let mut searched = 0;
     let mut line = Vec::new();
     loop {
         line.clear();
-        if stream.by_ref().take(1024).read_until(b'\n', &mut line)? == 0 {
-            return if length.is_none() {
-                Ok(None)
-            } else {
+        if stream.by_ref().take(LONGEST_HEAD_LINE).read_until(b'\n', &mut line)? == 0 {
+            return if in_head {
                 Err(io::Error::other("it ends inside a head"))
+            } else {
+                Ok(None)
             };
+        }
+        searched += line.len();
+        if searched > HEAD_WITHIN {
+            return Err(io::Error::other(format!(
+                "{HEAD_WITHIN} bytes without the head of a part: it is no multipart stream; end the pipeline with \
+                 `! jpegenc ! multipartmux`"
+            )));
         }
         let whole = String::from_utf8_lossy(&line);
         let text = whole.trim();
         if let Some((name, value)) = text.split_once(':') {
             let value = value.trim();
             if name.eq_ignore_ascii_case("content-length") {
-                let bytes = value.parse::<u64>();
-                length =
-                    Some(bytes.map_err(|_| {
-                        io::Error::other(format!("`{value}` is not a Content-length"))
-                    })?);
+                let Ok(bytes) = value.parse::<u64>() else {
+                    let what = format!("`{value}` is not a Content-length");
+                    return Err(io::Error::other(what));
+                };
+                in_head = true;
+                length = Some(bytes);
+            }
+            if name.eq_ignore_ascii_case("content-type") {
+                in_head = true;
             }
             if name.eq_ignore_ascii_case("content-type") && value != "image/jpeg" {
                 return Err(io::Error::other(format!(
@@ -39,9 +58,11 @@ pub fn read_part(stream: &mut impl BufRead, most: u64) -> io::Result<Option<Vec<
                 )));
             }
         }
-        if text.is_empty()
-            && let Some(length) = length
-        {
+        // Before a head there may be blank lines: the end of the part before it.
+        if text.is_empty() && in_head {
+            let Some(length) = length else {
+                return Err(io::Error::other("the head of a part has no Content-length"));
+            };
             return read_exactly(stream, length, most).map(Some);
         }
     }
@@ -117,7 +138,7 @@ pub fn read_ppm(
     })))
 }
 
-/// Reads a number and the one blank after it.
+/// Reads a number, of at most ten digits, and the one blank after it.
 fn read_number(stream: &mut impl BufRead) -> io::Result<u32> {
     let mut text = String::new();
     for _ in 0..11 {
@@ -167,6 +188,17 @@ mod tests {
         let mut raw = &b"--b\r\nContent-Type: video/x-raw\r\nContent-Length: 1\r\n\r\nd\r\n"[..];
         let error = read_part(&mut raw, 9).unwrap_err().to_string();
         assert!(error.contains("! jpegenc"), "{error}");
+    }
+
+    /// A stream of another kind would be searched for a head without end, and a person would see no picture and no word.
+    #[test]
+    fn a_stream_without_heads_or_lengths_is_an_error_and_not_an_empty_one() {
+        let no_length = b"--b\r\nContent-Type: image/jpeg\r\n\r\nd\r\n--b\r\n";
+        let error = read_part(&mut &no_length[..], 9).unwrap_err().to_string();
+        assert_eq!(error, "the head of a part has no Content-length");
+        let pictures_alone = [0xff; 2 * HEAD_WITHIN];
+        let error = read_part(&mut &pictures_alone[..], 9).unwrap_err().to_string();
+        assert!(error.contains("no multipart stream"), "{error}");
     }
 
     #[test]

@@ -19,12 +19,11 @@ impl Run {
     pub(super) fn value_of(&self, member: &Member) -> Option<Threshold> {
         match self.phase {
             Phase::Stopped => return None,
-            // A node that was given no value has nothing to return from.
-            Phase::Returning | Phase::Returned => return member.value.map(|_| member.before),
+            Phase::Returning | Phase::Returned => return value_to_return_to(member),
             _ => {}
         }
         match &self.kind {
-            Kind::Trial { .. } if self.phase == Phase::Done => member.value.map(|_| member.before),
+            Kind::Trial { .. } if self.phase == Phase::Done => value_to_return_to(member),
             Kind::Trial { plan } => plan.values.get(member.group).copied(),
             Kind::Rollout { .. } if member.group >= self.stage => None,
             // It would not be judged if it got its value after its deadline.
@@ -81,5 +80,14 @@ impl Run {
             }
         }
         self.members = members;
+    }
+}
+
+/// The value before the run; `None` for a node that was given no value, which has nothing to return from.
+fn value_to_return_to(member: &Member) -> Option<Threshold> {
+    if member.value.is_some() {
+        Some(member.before)
+    } else {
+        None
     }
 }

@@ -52,6 +52,15 @@ fn an_exited_child_is_restarted_and_leaves_no_zombie_and_no_unfinished_line() {
     }
 }
 
+/// What remains of an over-long line must not be taken for a line of its own: a meter would read numbers from its middle.
+#[test]
+fn a_line_that_is_too_long_is_passed_over_whole() {
+    let mut child = shell(
+        "head -c 70000 /dev/zero | tr '\\0' 7; echo ' VDD_IN 49'; echo here; exec sleep 1000",
+    );
+    assert_eq!(texts(&mut child, 1), ["here"]);
+}
+
 #[test]
 fn a_silent_child_is_killed_and_restarted() {
     let mut child = shell("echo here; exec sleep 1000");

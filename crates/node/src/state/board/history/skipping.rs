@@ -2,7 +2,7 @@
 //!
 //! Replays the frames under the other value. Where the detector would have rested longer or shorter than it did, the
 //! recorded uncertainty is scaled by its growth with the time since a call ([`Growth`]). Calls for reasons other than
-//! uncertainty (no objects, the screen) are repeated, and so are calls at the policy's longest pause. It remains an
+//! uncertainty (no objects, the screen) are repeated, and at the policy's longest pause there is a call. It remains an
 //! estimate: other frames would have been matched, so other objects might be tracked.
 
 use super::PastFrame;
@@ -80,7 +80,7 @@ fn skipped_at(u: f64, frames: &[Aged], growth: &Growth, longest_pause: u32) -> u
         pause = pause.saturating_add(aged.step);
         let calls = match (aged.frame.cause, aged.frame.tau_max) {
             // Independent of the threshold.
-            (Some(cause), _) if !of_objects(cause) => true,
+            (Some(cause), _) if !depends_on_threshold(cause) => true,
             (_, None) => false,
             (_, Some(tau)) => {
                 let grown = growth.log(pause) - growth.log(aged.age);
@@ -96,8 +96,9 @@ fn skipped_at(u: f64, frames: &[Aged], growth: &Growth, longest_pause: u32) -> u
     skipped
 }
 
-/// True if the detector was called because of the tracked objects.
-fn of_objects(cause: CallCause) -> bool {
+/// True if another threshold could have moved a call of this cause: one for the tracked objects, or at the longest pause
+/// since the last.
+fn depends_on_threshold(cause: CallCause) -> bool {
     matches!(
         cause,
         CallCause::Uncertain | CallCause::NewObject | CallCause::ObjectCap | CallCause::PeriodicCap
