@@ -78,8 +78,10 @@ fn read_sequence(folder: &Path, name: &str, report: &mut LoadReport) -> Result<C
     let found = table("det_02");
     let mut detections = None;
     if found.path.exists() {
-        let scored = |row: &Row<'_>| labelled(row, row.number(17, "score")?);
-        detections = Some(found.boxes(GONE, picture, report, scored)?);
+        let boxes = found.boxes(GONE, picture, report, |row| {
+            labelled(row, row.number(17, "score")?)
+        })?;
+        detections = Some(boxes);
     }
     let frames = truth.len().max(detections.as_ref().map_or(0, Vec::len));
     truth.resize(frames, Vec::new());

@@ -219,7 +219,7 @@ impl Writer {
         let answers = recorded.answers.into_iter().zip(recorded.cameras);
         for (query, (answer, cameras)) in queries.into_iter().zip(answers) {
             self.fleet.reported(&query.node, unix_milliseconds());
-            self.limits.has_cameras(&query.node, cameras);
+            self.limits.note_cameras(&query.node, cameras);
             self.counters.acknowledged_after.add(query.since.elapsed());
             (query.reply)(Ok(answer));
         }
