@@ -132,7 +132,7 @@ impl Comparison {
         fewest: u64,
     ) -> Self {
         let measured = |nodes: &[&BeforeAfter]| {
-            let mut all = Measured::default();
+            let mut all = MeasuredNodes::default();
             for node in nodes {
                 if let Some((before, after)) = node.means(figure, fewest)
                     && let Some(change) = scale.change(before, after)
@@ -162,7 +162,7 @@ impl Comparison {
 
 /// The means before and after, and the changes, of the nodes that have all three.
 #[derive(Default)]
-struct Measured {
+struct MeasuredNodes {
     before: Vec<f64>,
     after: Vec<f64>,
     changes: Vec<f64>,
