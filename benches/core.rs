@@ -3,47 +3,16 @@
 
 #![allow(clippy::expect_used)]
 
-use albireo_core::detection::Detection;
 use albireo_core::policy::{
-    Albireo, AlbireoSettings, ExpectedLoss, ExpectedLossSettings, FrameEvidence, FrameHead,
-    Outcome, Policy, Profile, Trigger, decide,
+    Albireo, AlbireoSettings, ExpectedLoss, ExpectedLossSettings, Policy, Profile, Trigger,
 };
-use albireo_scene::{PICTURE, Scene};
+use albireo_scene::{Camera, Scene};
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use std::time::{Duration, Instant};
 
 const OBJECTS: [usize; 5] = [1, 10, 30, 100, 300];
 /// Few enough that no uncertainty reaches the highest threshold.
 const PREDICTED_IN_A_ROW: u64 = 15;
-
-/// A policy and its state for one camera.
-struct Camera<P> {
-    policy: P,
-    outcome: Outcome,
-    index: u64,
-}
-
-impl<P: Policy> Camera<P> {
-    fn new(policy: P) -> Self {
-        Self {
-            policy,
-            outcome: Outcome::default(),
-            index: 0,
-        }
-    }
-
-    fn frame(&mut self, detections: &[Detection]) {
-        self.index += 1;
-        let head = FrameHead {
-            // Never a multiple of the periodic cap.
-            index: self.index % 29 + 1,
-            step: 1,
-            picture: PICTURE,
-        };
-        let mut known = FrameEvidence::in_view(detections);
-        let Ok(()) = decide(&mut self.policy, head, &mut known, &mut self.outcome);
-    }
-}
 
 fn frames(criterion: &mut Criterion) {
     for (name, profile) in [("paper", Profile::Paper), ("reference", Profile::Reference)] {

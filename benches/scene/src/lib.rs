@@ -1,8 +1,10 @@
 //! Shares fixtures between benches and tests: slowly moving boxes with noise and some misses, as a detector reports
-//! them; pictures of boxes with their exact places; the processor clock, and the quartiles of many rounds.
+//! them; a camera whose frames a policy decides; pictures of boxes with their exact places; the processor clock, and the quartiles of many rounds.
 
+mod camera;
 mod pictures;
 
+pub use camera::Camera;
 pub use pictures::{BoxFrame, BoxScene, CLASSES};
 
 use albireo_core::detection::{ClassId, Detection};

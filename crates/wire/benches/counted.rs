@@ -11,14 +11,13 @@
 
 #![allow(clippy::expect_used, clippy::print_stdout)]
 
-use albireo_core::detection::Detection;
-use albireo_core::geometry::Corners;
 use albireo_core::policy::{
-    Albireo, AlbireoSettings, ExpectedLoss, ExpectedLossSettings, FrameEvidence, FrameHead,
-    Outcome, Policy, Profile, Trigger, decide,
+    Albireo, AlbireoSettings, ExpectedLoss, ExpectedLossSettings, Outcome, Policy, Profile, Trigger,
 };
-use albireo_scene::{PICTURE, Scene};
-use albireo_wire::{BoxMessage, DetectionsMessage, FrameAttachment, Latency, VERSION};
+use albireo_scene::{Camera, PICTURE, Scene};
+use albireo_wire::{
+    DetectionsMessage, FrameAttachment, Latency, VERSION, box_messages, significant,
+};
 use std::hint::black_box;
 
 /// The frames of a film; a lap is the film forwards and backwards, so that it has no cut.
@@ -26,36 +25,6 @@ const FILM: usize = 50;
 const LAP: usize = 2 * FILM;
 /// Few enough predicted frames in a row that no uncertainty reaches the highest threshold.
 const IN_A_ROW: usize = 10;
-
-/// A policy and its state for one camera.
-#[derive(Clone)]
-struct Camera<P> {
-    policy: P,
-    outcome: Outcome,
-    index: u64,
-}
-
-impl<P: Policy> Camera<P> {
-    fn new(policy: P) -> Self {
-        Self {
-            policy,
-            outcome: Outcome::default(),
-            index: 0,
-        }
-    }
-
-    fn frame(&mut self, detections: &[Detection]) {
-        self.index += 1;
-        let head = FrameHead {
-            // Never a multiple of the periodic cap.
-            index: self.index % 29 + 1,
-            step: 1,
-            picture: PICTURE,
-        };
-        let mut known = FrameEvidence::in_view(detections);
-        let Ok(()) = decide(&mut self.policy, head, &mut known, &mut self.outcome);
-    }
-}
 
 fn albireo(settings: AlbireoSettings) -> Albireo {
     Albireo::new(settings, 1e-9).expect("the settings can be used")
@@ -110,20 +79,9 @@ fn attachment() -> Vec<u8> {
 }
 
 /// Reads the attachment of a frame and writes the answer to it.
-fn answer(attachment: &[u8], outcome: &Outcome) -> Vec<u8> {
+fn answer(attachment: &[u8], outcome: &Outcome, class_names: &[String]) -> Vec<u8> {
     let attachment: FrameAttachment =
         serde_json::from_slice(black_box(attachment)).expect("it is an attachment");
-    let boxes = outcome.boxes.iter().map(|output| {
-        let Corners { x1, y1, x2, y2 } = output.bounding_box.corners();
-        BoxMessage {
-            corners: [x1, y1, x2, y2].map(|value| ((value * 128_000.0).round() / 100.0) as f32),
-            class: "car".to_owned(),
-            confidence: output.confidence as f32,
-            source: output.source,
-            object: output.object,
-            confirmed: output.confirmed,
-        }
-    });
     let message = DetectionsMessage {
         v: VERSION,
         seq: attachment.seq.unwrap_or_default(),
@@ -134,11 +92,11 @@ fn answer(attachment: &[u8], outcome: &Outcome) -> Vec<u8> {
         degraded: outcome.degraded,
         cause: outcome.cause,
         passed: outcome.passed,
-        tau_max: outcome.tau_max,
+        tau_max: outcome.tau_max.map(|tau| significant(tau, 6)),
         threshold: None,
         width: PICTURE.width,
         height: PICTURE.height,
-        boxes: boxes.collect(),
+        boxes: box_messages(&outcome.boxes, PICTURE, class_names),
         latency_ms: Latency::default(),
     };
     serde_json::to_vec(&message).expect("a message is JSON")
@@ -167,8 +125,9 @@ fn main() {
         }),
         "albireo/answered" => {
             let attachment = attachment();
+            let class_names = ["person", "bicycle", "car"].map(str::to_owned);
             predicted_frames(objects, laps, |outcome| {
-                black_box(answer(&attachment, black_box(outcome)));
+                black_box(answer(&attachment, black_box(outcome), &class_names));
             });
         }
         other => {

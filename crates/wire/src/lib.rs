@@ -5,6 +5,7 @@
 //! desired settings that a node pulls from the hub ([`RevisionMessage`], [`Desired`]).
 
 mod audit;
+mod boxes;
 mod clip;
 mod counters;
 mod desired;
@@ -27,6 +28,7 @@ pub use albireo_core::audit::{AuditRate, AuditSquares, AuditSums};
 pub use albireo_core::policy::{CallCause, ThresholdSpec};
 pub use albireo_core::target::{Target, TargetStatus};
 pub use audit::{AuditFigures, AuditReport};
+pub use boxes::box_messages;
 pub use clip::{
     BoardState, ClipEnd, ClipEnergy, ClipReport, DomainEnergy, EnergyQuality, FULL_COVERAGE,
     Percentiles, significant,

@@ -1,11 +1,10 @@
 //! Publishes each frame again, in order, with its boxes interpolated between two detector calls.
 
 use super::CameraParts;
-use super::answer::box_messages;
 use crate::input::receiver::SequencedFrame;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{Outcome, SettledFrame, Settler};
-use albireo_wire::{SettledMessage, VERSION};
+use albireo_wire::{SettledMessage, VERSION, box_messages};
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
