@@ -5,15 +5,18 @@ mod error;
 pub(crate) mod fault;
 mod file_kind;
 mod gpu;
+mod graph;
 mod metadata;
 mod onnxruntime;
 mod provider;
 mod session;
 mod signature;
 
-pub(crate) use engine_cache::{EngineCache, has_half_weights, last_build};
+pub(crate) use engine_cache::{EngineCache, last_build};
 pub use error::{StartError, StartErrorKind};
 pub use gpu::GpuConfig;
+pub use graph::external_files;
+pub(crate) use graph::has_half_weights;
 pub use metadata::Metadata;
 #[cfg(test)]
 pub(crate) use metadata::tests::metadata;

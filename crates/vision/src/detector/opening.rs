@@ -56,7 +56,7 @@ pub(super) fn open(
     let model = std::fs::read(&config.model)
         .map_err(|error| StartError::unreadable(&config.model, &error).because(error))?;
     settings.gpu.fp16 |= has_half_weights(&model);
-    settings.engines = EngineCache::open(&settings)?;
+    settings.engines = EngineCache::open(&settings, &model)?;
     match &settings.engines {
         Some(engines) if engines.is_built() => {}
         Some(engines) => info!(

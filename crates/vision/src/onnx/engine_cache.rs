@@ -4,9 +4,8 @@
 //! the weights (`TRTGenerateId` in `core/providers/tensorrt`): a model that was trained again would get the old engine. Its
 //! own prefix for the names would replace the versions, so each model gets a folder instead.
 
-use super::{SessionSettings, StartError};
+use super::{SessionSettings, StartError, external_files};
 use sha2::{Digest, Sha256};
-use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
@@ -28,21 +27,24 @@ pub(crate) struct EngineCache {
 }
 
 impl EngineCache {
-    /// Finds or creates the folder for the engines of the model and the precision and shapes of `settings`, and removes
-    /// those of models that were not used lately. `None` if the settings name no folder.
+    /// Finds or creates the folder for the engines of `model`, the bytes of the file in `settings`, with their precision and
+    /// shapes, and removes those of models that were not used lately. `None` if the settings name no folder.
     ///
     /// # Errors
-    /// If the model cannot be read or the folder not be created.
-    pub(crate) fn open(settings: &SessionSettings) -> Result<Option<Self>, StartError> {
+    /// If the model's weights cannot be read or the folder not be created.
+    pub(crate) fn open(
+        settings: &SessionSettings,
+        model: &[u8],
+    ) -> Result<Option<Self>, StartError> {
         let Some(root) = &settings.gpu.engine_cache else {
             return Ok(None);
         };
-        let key = key(settings)
+        let key = key(settings, model)
             .map_err(|error| StartError::unreadable(&settings.model, &error).because(error))?;
         let folder = root.join(key);
-        let model = settings.model.display().to_string();
+        let name = settings.model.display().to_string();
         std::fs::create_dir_all(&folder)
-            .and_then(|()| std::fs::write(folder.join(MODEL), model))
+            .and_then(|()| std::fs::write(folder.join(MODEL), name))
             .map_err(|error| {
                 let reason = format!("{} cannot be written: {error}", folder.display());
                 StartError::configuration("detector.gpu.engine_cache", reason)
@@ -129,16 +131,15 @@ fn forget_all_but_the_last(root: &Path, used: &Path) {
 
 /// What an engine is built from, as hexadecimal digits: the bytes of the model and of the files that it keeps its weights
 /// in, the shapes, and the precision. The versions of the libraries and the kind of GPU are in ONNX Runtime's file names.
-fn key(settings: &SessionSettings) -> std::io::Result<String> {
-    let model = std::fs::read(&settings.model)?;
+fn key(settings: &SessionSettings, model: &[u8]) -> std::io::Result<String> {
     let mut digest = Sha256::new();
     let mut add = |part: &[u8]| {
         digest.update((part.len() as u64).to_le_bytes());
         digest.update(part);
     };
-    add(&model);
+    add(model);
     let beside = settings.model.parent().unwrap_or(Path::new(""));
-    for name in external_files(&model) {
+    for name in external_files(model) {
         add(name.as_bytes());
         add(&std::fs::read(beside.join(&name))?);
     }
@@ -152,104 +153,12 @@ fn key(settings: &SessionSettings) -> std::io::Result<String> {
     Ok(text)
 }
 
-/// The files beside a model that hold its weights: the values of `location` wherever a tensor of the graph has its data
-/// outside (`TensorProto.external_data` of ONNX, entries of a key and a value).
-fn external_files(model: &[u8]) -> BTreeSet<String> {
-    // Field 1, the key, of eight bytes; then field 2, the value.
-    const LOCATION: &[u8] = b"\x0a\x08location\x12";
-    let mut found = BTreeSet::new();
-    let mut rest = model;
-    while let Some(place) = rest.windows(LOCATION.len()).position(|bytes| bytes == LOCATION) {
-        rest = &rest[place + LOCATION.len()..];
-        // File names are shorter than 128 bytes nearly always, then the length is one byte; of two bytes, seven bits each.
-        let (length, value) = match rest {
-            [low, high, value @ ..] if *low >= 128 => {
-                (usize::from(low & 127) + 128 * usize::from(*high), value)
-            }
-            [length, value @ ..] => (usize::from(*length), value),
-            [] => break,
-        };
-        let name = value.get(..length).and_then(|name| std::str::from_utf8(name).ok());
-        found.extend(name.map(str::to_owned));
-    }
-    found
-}
-
-/// Returns true if weights of an ONNX model are in half precision, which then is the model's own: an initializer of the
-/// graph has the element type float16.
-pub(crate) fn has_half_weights(model: &[u8]) -> bool {
-    const GRAPH: u64 = 7;
-    const INITIALIZER: u64 = 5;
-    const DATA_TYPE: u64 = 2;
-    const FLOAT16: u64 = 10;
-    let is_half = |tensor: &[u8]| {
-        Fields(tensor).any(|field| matches!(field, (DATA_TYPE, Value::Number(FLOAT16))))
-    };
-    Fields(model).any(|field| match field {
-        (GRAPH, Value::Bytes(graph)) => Fields(graph).any(|field| match field {
-            (INITIALIZER, Value::Bytes(tensor)) => is_half(tensor),
-            _ => false,
-        }),
-        _ => false,
-    })
-}
-
-/// The fields of a message of Protocol Buffers, until its end or what is none.
-struct Fields<'a>(&'a [u8]);
-
-enum Value<'a> {
-    Number(u64),
-    Bytes(&'a [u8]),
-    Other,
-}
-
-impl Fields<'_> {
-    fn number(&mut self) -> Option<u64> {
-        let mut number = 0;
-        for place in 0..10 {
-            let (&byte, rest) = self.0.split_first()?;
-            self.0 = rest;
-            number |= u64::from(byte & 127) << (7 * place);
-            if byte < 128 {
-                return Some(number);
-            }
-        }
-        None
-    }
-}
-
-impl<'a> Fields<'a> {
-    fn bytes(&mut self, length: u64) -> Option<&'a [u8]> {
-        let (bytes, rest) = self.0.split_at_checked(usize::try_from(length).ok()?)?;
-        self.0 = rest;
-        Some(bytes)
-    }
-}
-
-impl<'a> Iterator for Fields<'a> {
-    type Item = (u64, Value<'a>);
-
-    fn next(&mut self) -> Option<Self::Item> {
-        let tag = self.number()?;
-        let value = match tag & 7 {
-            0 => Value::Number(self.number()?),
-            2 => {
-                let length = self.number()?;
-                Value::Bytes(self.bytes(length)?)
-            }
-            1 => self.bytes(8).map(|_| Value::Other)?,
-            5 => self.bytes(4).map(|_| Value::Other)?,
-            _ => return None,
-        };
-        Some((tag >> 3, value))
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::detector::DetectorConfig;
     use crate::onnx::ShapeRange;
+    use std::collections::BTreeSet;
 
     fn fixture(name: &str) -> PathBuf {
         Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -265,6 +174,16 @@ mod tests {
         config.session_settings()
     }
 
+    /// The key and the cache of the model that is in its file now.
+    fn key_now(settings: &SessionSettings) -> std::io::Result<String> {
+        key(settings, &std::fs::read(&settings.model)?)
+    }
+
+    fn cache_now(settings: &SessionSettings) -> EngineCache {
+        let model = std::fs::read(&settings.model).unwrap();
+        EngineCache::open(settings, &model).unwrap().unwrap()
+    }
+
     #[test]
     fn an_engine_belongs_to_weights_precision_and_shapes_and_not_to_a_name() {
         let folder = tempfile::tempdir().unwrap();
@@ -274,16 +193,16 @@ mod tests {
             path
         };
         let first = settings(file("model.onnx", b"first"));
-        let of_first = key(&first).unwrap();
+        let of_first = key_now(&first).unwrap();
         let renamed = settings(file("renamed.onnx", b"first"));
-        assert_eq!(key(&renamed).unwrap(), of_first);
+        assert_eq!(key_now(&renamed).unwrap(), of_first);
         let mut keys = BTreeSet::from([of_first]);
         // Trained again, under the old name.
         file("model.onnx", b"again");
-        assert!(keys.insert(key(&first).unwrap()));
+        assert!(keys.insert(key_now(&first).unwrap()));
         let mut half = first.clone();
         half.gpu.fp16 = true;
-        assert!(keys.insert(key(&half).unwrap()));
+        assert!(keys.insert(key_now(&half).unwrap()));
         for batch in [4, 8] {
             let of_batch = |batch| format!("images:{batch}x3x32x64");
             let shapes = ShapeRange {
@@ -295,7 +214,7 @@ mod tests {
                 shapes: Some(shapes),
                 ..first.clone()
             };
-            assert!(keys.insert(key(&batched).unwrap()));
+            assert!(keys.insert(key_now(&batched).unwrap()));
         }
     }
 
@@ -312,11 +231,11 @@ mod tests {
         bytes[place..][..named.len()].copy_from_slice(weights.as_bytes());
         std::fs::write(&model, bytes).unwrap();
         // One that is not there is said, and nothing is taken for its engine.
-        assert!(key(&settings(model.clone())).is_err());
+        assert!(key_now(&settings(model.clone())).is_err());
         let mut keys = BTreeSet::new();
         for values in ["first", "again"] {
             std::fs::write(folder.path().join(&weights), values).unwrap();
-            assert!(keys.insert(key(&settings(model.clone())).unwrap()));
+            assert!(keys.insert(key_now(&settings(model.clone())).unwrap()));
         }
     }
 
@@ -330,7 +249,7 @@ mod tests {
         let mut caches = Vec::new();
         for weights in 0..6_u64 {
             std::fs::write(&model, weights.to_string()).unwrap();
-            let cache = EngineCache::open(&settings).unwrap().unwrap();
+            let cache = cache_now(&settings);
             assert!(!cache.is_built() && cache.folder().starts_with(&root));
             std::fs::write(cache.folder().join("part_sm87.engine"), "").unwrap();
             let used = SystemTime::UNIX_EPOCH + Duration::from_secs(weights);
@@ -340,16 +259,9 @@ mod tests {
         }
         let kept: Vec<_> = caches.iter().map(|cache| cache.folder().exists()).collect();
         assert_eq!(kept, [false, false, true, true, true, true]);
-        assert!(EngineCache::open(&settings).unwrap().unwrap().is_built());
+        assert!(cache_now(&settings).is_built());
         assert_eq!(caches[5].last_build(), None);
         caches[5].built_in(Duration::from_secs(570));
         assert_eq!(caches[4].last_build(), Some(Duration::from_secs(570)));
-    }
-
-    #[test]
-    fn the_half_precision_of_a_model_is_seen_in_its_weights() {
-        let is_half = |name: &str| has_half_weights(&std::fs::read(fixture(name)).unwrap());
-        assert!(is_half("yolo_float16.onnx"));
-        assert!(!is_half("colours.onnx") && !is_half("truncated.onnx"));
     }
 }

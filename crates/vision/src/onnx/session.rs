@@ -308,8 +308,9 @@ fn build(
     builder.commit_from_file(&settings.model)
 }
 
-/// Returns why the model does not load. A missing device shows only when the session is created, in words of many kinds, so the model is tried on the CPU,
-/// which is always there: what does not load there either is the model's fault, and no provider needs to be installed.
+/// Returns why the model does not load. A missing device shows only when the session is created, in words of many kinds,
+/// so the model is tried on the CPU, which is always there: what does not load there either is the model's fault, and no
+/// provider needs to be installed.
 fn refusal(
     environment: &Environment,
     settings: &SessionSettings,

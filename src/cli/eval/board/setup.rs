@@ -8,12 +8,12 @@ use albireo_eval::data::Rules;
 use albireo_node::config::NodeConfig;
 use albireo_service::config::without_secrets;
 use albireo_vision::detector::{ClassNames, ExecutionProvider};
-use albireo_vision::onnx::find_library;
+use albireo_vision::onnx::{external_files, find_library};
 use anyhow::Context;
 use clap::ValueEnum;
 use serde_json::Value;
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Keys of the node that change no run: what is written where, and the policy, which each run names.
 const WITHOUT_EFFECT: [&str; 4] = [
@@ -101,15 +101,22 @@ fn settings_of(config: &NodeConfig) -> anyhow::Result<BTreeMap<String, String>> 
         _ => None,
     };
     let library = find_library(played.detector.onnxruntime.as_deref()).ok();
-    let files = [
+    let models = [
         ("detector.model", Some(played.detector.model)),
-        ("detector.class_names", names),
         ("screen.model", played.screen.model),
+    ];
+    for (key, file) in models {
+        if let Some(file) = file {
+            settings.insert(key.to_owned(), digest_of_model(&file)?);
+        }
+    }
+    let others = [
+        ("detector.class_names", names),
         ("detector.onnxruntime", library),
     ];
-    for (key, file) in files {
+    for (key, file) in others {
         if let Some(file) = file {
-            settings.insert(key.to_owned(), digest(&file)?);
+            settings.insert(key.to_owned(), digest(&read(&file)?));
         }
     }
     Ok(settings)
@@ -144,19 +151,24 @@ fn flatten(key: String, value: &Value, settings: &mut BTreeMap<String, String>) 
     }
 }
 
-/// CRC-32 and length of a file, and of the weights that an export of PyTorch may keep in a file beside it.
-fn digest(file: &Path) -> anyhow::Result<String> {
-    let mut beside = file.as_os_str().to_owned();
-    beside.push(".data");
-    let beside = PathBuf::from(beside);
-    let mut digests = Vec::new();
-    for part in [file, &beside] {
-        if part == file || part.is_file() {
-            let bytes = std::fs::read(part).with_context(|| part.display().to_string())?;
-            digests.push(format!("{:08x}-{}", crc32fast::hash(&bytes), bytes.len()));
-        }
+/// The digests of a model and of the files beside it that hold its weights.
+fn digest_of_model(file: &Path) -> anyhow::Result<String> {
+    let model = read(file)?;
+    let mut digests = vec![digest(&model)];
+    let folder = file.parent().unwrap_or(Path::new(""));
+    for name in external_files(&model) {
+        digests.push(digest(&read(&folder.join(name))?));
     }
     Ok(digests.join(" + "))
+}
+
+fn read(file: &Path) -> anyhow::Result<Vec<u8>> {
+    std::fs::read(file).with_context(|| file.display().to_string())
+}
+
+/// CRC-32 and length.
+fn digest(bytes: &[u8]) -> String {
+    format!("{:08x}-{}", crc32fast::hash(bytes), bytes.len())
 }
 
 #[cfg(test)]
