@@ -11,9 +11,9 @@ use tokio::time::Instant;
 /// number that it meets has met all of them once the model has been run with each.
 pub(crate) fn batch_sizes(largest: usize) -> impl DoubleEndedIterator<Item = usize> {
     let largest = largest.max(1);
-    let powers = (0..usize::BITS).map(|power| 1 << power);
-    let below: Vec<usize> = powers.take_while(|size| *size < largest).collect();
-    below.into_iter().chain([largest])
+    // As many powers of 2 are below it.
+    let below = largest.next_power_of_two().trailing_zeros();
+    (0..below).map(|power| 1 << power).chain([largest])
 }
 
 /// A picture that waits for its run.
@@ -138,9 +138,9 @@ impl<I, T> Queue<I, T> {
             return self.waiting.first().map(|request| request.requested_at);
         };
         let size = self.waiting[next].size;
-        let of_size = || self.of_askers().filter(|request| request.size == size);
-        let first = of_size().map(|request| request.requested_at).min()?;
-        let waiting: BTreeSet<_> = of_size().filter_map(|request| request.asker).collect();
+        let of_size = self.of_askers().filter(|request| request.size == size);
+        let first = of_size.map(|request| request.requested_at).min()?;
+        let waiting = self.askers_of(size);
         if waiting.len() >= self.batch_size {
             return Some(first);
         }
@@ -151,6 +151,12 @@ impl<I, T> Queue<I, T> {
             .filter(|(asker, rhythm)| rhythm.size == size && !waiting.contains(asker));
         let last = others.filter_map(|(_, rhythm)| rhythm.waited_for_until(first, longest)).max();
         Some(last.map_or(first, |last| last.max(first)))
+    }
+
+    /// Those who wait with pictures of `size`.
+    fn askers_of(&self, size: PictureSize) -> BTreeSet<Asker> {
+        let of_size = self.of_askers().filter(|request| request.size == size);
+        of_size.filter_map(|request| request.asker).collect()
     }
 
     /// The place of the request whose asker is next in turn, among those that `fit`.
@@ -170,9 +176,7 @@ impl<I, T> Queue<I, T> {
         let Some(next) = self.next(|_| true) else {
             return 1;
         };
-        let size = self.waiting[next].size;
-        let of_size = self.of_askers().filter(|request| request.size == size);
-        let waiting = of_size.map(|request| request.asker).collect::<BTreeSet<_>>().len();
+        let waiting = self.askers_of(self.waiting[next].size).len();
         let fitting = batch_sizes(self.batch_size).rev().find(|size| *size <= waiting);
         fitting.unwrap_or(1)
     }
