@@ -120,24 +120,32 @@ pub(super) fn read_as(
     classes: &Evaluated,
 ) -> Result<DataSet, EvalError> {
     let set: Dataset = parse(dataset, "give a COCO file with images and categories")?;
-    let names: HashMap<u64, &str> = set
+    let categories: Categories = set
         .categories
         .iter()
-        .map(|category| (category.id, category.name.as_str()))
+        .map(|category| {
+            (
+                category.id,
+                (category.name.as_str(), class_of(&category.name, classes)),
+            )
+        })
         .collect();
     let has_truth = set.annotations.is_some();
     let (mut drafts, places) = frames(dataset, &set, has_truth, results.is_some())?;
     let mut data = DataSet::default();
     let report = &mut data.report;
     let labelled = |annotation: &Annotation, confidence| {
-        let name = names.get(&annotation.category_id).copied();
+        let (class_name, class) = match categories.get(&annotation.category_id) {
+            Some((name, class)) => ((*name).into(), *class),
+            None => {
+                let name = format!("category {}", annotation.category_id);
+                (name.into(), Err(LeftOut::UnmappedClass))
+            }
+        };
         LabelledBox {
             corners: corners(annotation.bbox),
-            class: name.map_or(Err(LeftOut::UnmappedClass), |name| class_of(name, classes)),
-            class_name: name.map_or_else(
-                || format!("category {}", annotation.category_id).into(),
-                Into::into,
-            ),
+            class,
+            class_name,
             confidence,
             object: annotation.track_id.or(annotation.instance_id),
         }
@@ -179,12 +187,15 @@ pub(super) fn read_as(
             }
         }
     }
-    data.report.partly_labelled = mark_other_classes(&set, &places, &mut drafts, classes);
+    data.report.partly_labelled = mark_other_classes(&set, &places, &mut drafts, &categories);
     for clip in drafts {
         data.push(clip);
     }
     data.nonempty(dataset)
 }
+
+/// Each category's name and class, by its id.
+type Categories<'a> = HashMap<u64, (&'a str, Result<ClassId, LeftOut>)>;
 
 /// The class of a category: by its name, else by the name without what TAO and LVIS add to tell two meanings apart.
 fn class_of(name: &str, classes: &Evaluated) -> Result<ClassId, LeftOut> {
@@ -198,7 +209,7 @@ fn mark_other_classes(
     set: &Dataset,
     places: &Places,
     drafts: &mut [Clip],
-    classes: &Evaluated,
+    categories: &Categories<'_>,
 ) -> usize {
     let mut labelled: HashMap<usize, BTreeSet<u64>> = HashMap::new();
     for annotation in set.annotations.iter().flatten() {
@@ -206,26 +217,25 @@ fn mark_other_classes(
             labelled.entry(*clip).or_default().insert(annotation.category_id);
         }
     }
-    let clip_of = |video: &ListedVideo| {
-        let image = set.images.iter().find(|image| image.video_id == Some(video.id))?;
-        places.get(&image.id).map(|(clip, _)| *clip)
-    };
+    let mut clip_of_video = HashMap::new();
+    for image in &set.images {
+        if let (Some(video), Some((clip, _))) = (image.video_id, places.get(&image.id)) {
+            clip_of_video.insert(video, *clip);
+        }
+    }
+    let class_by_id = |id: &u64| categories.get(id).and_then(|(_, class)| class.ok());
+    let all: BTreeSet<ClassId> = categories.keys().filter_map(class_by_id).collect();
     let mut limited = 0;
     for video in &set.videos {
-        let (Some(absent), Some(place)) = (&video.neg_category_ids, clip_of(video)) else {
+        let (Some(absent), Some(&place)) = (&video.neg_category_ids, clip_of_video.get(&video.id))
+        else {
             continue;
         };
         let mut judged = labelled.remove(&place).unwrap_or_default();
         judged.extend(absent);
         judged.retain(|id| !video.not_exhaustive_category_ids.contains(id));
-        let all = || {
-            let categories = set.categories.iter();
-            categories.filter_map(|of| Some((of.id, class_of(&of.name, classes).ok()?)))
-        };
-        let judged: BTreeSet<ClassId> =
-            all().filter(|(id, _)| judged.contains(id)).map(|(_, class)| class).collect();
-        let others: BTreeSet<ClassId> =
-            all().map(|(_, class)| class).filter(|class| !judged.contains(class)).collect();
+        let judged: BTreeSet<ClassId> = judged.iter().filter_map(class_by_id).collect();
+        let others: BTreeSet<ClassId> = all.difference(&judged).copied().collect();
         let clip = &mut drafts[place];
         let corners = Corners {
             x1: 0.0,
