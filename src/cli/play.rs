@@ -14,6 +14,7 @@ use albireo_eval::footage::{FrameSource, Pictures};
 use albireo_eval::spec::PolicySpec;
 use albireo_node::PreparedNode;
 use albireo_node::camera::AnswerTime;
+use albireo_node::camera::clip::LONGEST_REPORT_S;
 use albireo_node::config::{CameraConfig, NodeConfig};
 use albireo_node::input::Delivery;
 use albireo_node::state::advice::SkipWatch;
@@ -36,9 +37,6 @@ const PATIENCE: Duration = Duration::from_secs(120);
 
 /// The time between two entries of a power trace, as in the paper.
 const TRACE_PERIOD: Duration = Duration::from_millis(100);
-
-/// The longest time that one report can cover, seconds.
-const LONGEST_CLIP_S: f64 = 3600.0;
 
 /// The names of the node, its camera, and the clips of warm-up and measurement.
 const NODE: &str = "compare";
@@ -232,7 +230,7 @@ impl Player {
         let report = measured_clip.context("the node reported no clip")?;
         ensure!(
             report.part == 0,
-            "the clip took more than {LONGEST_CLIP_S} s, which one report cannot cover: play less of it"
+            "the clip took more than {LONGEST_REPORT_S} s, which one report cannot cover: play less of it"
         );
         Ok(Played {
             report: ClipReport::clone(&report),
@@ -388,8 +386,8 @@ pub(super) fn played_of(base: &NodeConfig) -> NodeConfig {
     config.node.answer = AnswerTime::WhenKnown;
     config.zenoh.listen = vec!["tcp/127.0.0.1:0".to_owned()];
     // Neither a pause of the machine nor its slowness may cut the clip.
-    config.clip.silence_s = LONGEST_CLIP_S;
-    config.clip.longest_s = LONGEST_CLIP_S;
+    config.clip.silence_s = LONGEST_REPORT_S;
+    config.clip.longest_s = LONGEST_REPORT_S;
     config
 }
 

@@ -14,6 +14,7 @@ use albireo_eval::footage::{FrameSource, SourceName, VideoEncoding};
 use albireo_eval::judge::{Classes, Interpolation, Truth, accuracy};
 use albireo_eval::settings::ScreenRule;
 use albireo_eval::spec::{PolicySpec, Sweep, resolve_with_pause};
+use albireo_node::camera::clip::LONGEST_REPORT_S;
 use albireo_node::config::NodeConfig;
 use albireo_service::{logging, signals};
 use albireo_vision::detector::{DetectorConfig, DetectorNetwork};
@@ -29,9 +30,6 @@ const PLAYING: &str = "How it is played";
 
 /// The node keeps no reports, and is not ready immediately, on purpose.
 const LOG_LEVEL: &str = "error,albireo_node::outbox=off,albireo_service::readiness=off";
-
-/// Longest clip, seconds: a clip is held in memory while its policies are played.
-const LONGEST_S: f64 = 3600.0;
 
 /// Arguments of `albireo eval board`.
 #[derive(Debug, Args)]
@@ -413,7 +411,8 @@ impl Measuring<'_> {
             Some(rate) if arguments.rate.is_none() => rate,
             _ => source.rate(),
         };
-        let loading = tokio::task::spawn_blocking(move || clip::load(source, LONGEST_S));
+        // A clip is in memory while its policies are played, and one report must cover it.
+        let loading = tokio::task::spawn_blocking(move || clip::load(source, LONGEST_REPORT_S));
         let (pictures, size) = loading.await.context("reading the clip")??;
         let frames = pictures.frames().unwrap_or_default();
         // What is left out was reported before the first run.

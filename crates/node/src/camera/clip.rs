@@ -11,6 +11,9 @@ pub(crate) use tracker::ClipTracker;
 
 use serde::{Deserialize, Serialize};
 
+/// The longest time that one report may cover, seconds: the limit of `clip.longest_s`.
+pub const LONGEST_REPORT_S: f64 = 3600.0;
+
 /// The `[clip]` section: when a clip ends, if the camera does not end it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]

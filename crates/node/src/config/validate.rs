@@ -2,6 +2,7 @@
 
 use super::{CameraConfig, NodeConfig, ros_domain};
 use crate::camera::AnswerTime;
+use crate::camera::clip::LONGEST_REPORT_S;
 use crate::input::source::{RtspTransport, SourceAddress, SourceKind};
 use crate::input::{Delivery, check_topic};
 use crate::recorder::Occasion;
@@ -154,7 +155,7 @@ impl NodeConfig {
         findings.within("report.confidence", confidence, 0.0, 1.0);
         findings.within("audit.share", self.audit.share, 0.0, 1.0);
         findings.above_zero("clip.window_s", self.clip.window_s, DAY_S);
-        findings.above_zero("clip.longest_s", self.clip.longest_s, 3600.0);
+        findings.above_zero("clip.longest_s", self.clip.longest_s, LONGEST_REPORT_S);
         findings.above_zero("clip.silence_s", self.clip.silence_s, DAY_S);
         // More than a day is reported already.
         if self.clip.window_s > self.clip.longest_s && self.clip.window_s <= DAY_S {
