@@ -254,7 +254,8 @@ pub(crate) fn subject(file: &Path) -> Result<String, RouterError> {
         .ok_or_else(|| about(file, "the certificate has no common name"))
 }
 
-/// Sets the validity: from a day ago, see [`REACH_BACK`], until `lasts` from now. Returns its end in seconds since the Unix epoch.
+/// Sets the validity: from a day ago, see [`REACH_BACK`], until `lasts` from now. Returns its end in seconds since the
+/// Unix epoch.
 fn set_validity(params: &mut CertificateParams, lasts: Duration) -> Result<i64, RouterError> {
     let no_time = || RouterError::Other("a certificate cannot contain that time".to_owned());
     let now = unix_milliseconds() / 1000;

@@ -182,7 +182,8 @@ impl FromRow for ClipSums {
     }
 }
 
-/// Deletes revisions before `day`, counted from the Unix epoch, at most 1000 rows of each table. Returns the largest number of rows of one table.
+/// Deletes revisions before `day`, counted from the Unix epoch, at most 1000 rows of each table. Returns the largest
+/// number of rows of one table.
 pub(crate) fn delete_old(database: &mut dyn Database, day: i64) -> Result<usize, StoreError> {
     let mut most = 0;
     for text in include_str!("sql/delete_old.sql").split(';') {

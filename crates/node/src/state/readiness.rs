@@ -80,8 +80,8 @@ pub(crate) const PARTS: [&str; 14] = [
 ];
 
 /// The state for the service manager. A fault of the node itself (not an unreachable router) that has lasted for
-/// `stuck_after_s` seconds counts as stuck, but not a detector that `builds_engine`, so that the service manager restarts the node; the loss of this process's
-/// GPU does so at once.
+/// `stuck_after_s` seconds counts as stuck, so that the service manager restarts the node; the loss of this process's
+/// GPU does so at once. A detector that `builds_engine` is not stuck.
 pub(crate) fn service_state(
     readiness: &Readiness,
     detector: &ModelStatus,
