@@ -3,6 +3,7 @@
 use super::address::Target;
 use super::config::HookConfig;
 use super::connection::Connector;
+use super::{FIRST_PAUSE_MS, LONGEST_PAUSE_MS};
 use crate::backoff::Backoff;
 use crate::state::board::{Board, Forwarded};
 use crate::state::readiness;
@@ -26,10 +27,6 @@ use tokio_util::task::AbortOnDropHandle;
 
 /// The time within which an address must have answered.
 const ANSWERED_WITHIN: Duration = Duration::from_secs(10);
-
-/// The first and the longest pause between attempts, milliseconds.
-const FIRST_PAUSE_MS: u64 = 1000;
-const LONGEST_PAUSE_MS: u64 = 60_000;
 
 /// The most sightings that wait; then the oldest is given up.
 pub(super) const MOST_WAITING: usize = 64;

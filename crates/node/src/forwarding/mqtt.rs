@@ -5,6 +5,7 @@ use super::config::MqttConfig;
 use super::connection::Connector;
 use super::discovery::{Described, MOST_CLASSES, NamedClass, id_of, named};
 use super::mailbox::{Mailbox, WINDOW};
+use super::{FIRST_PAUSE_MS, LONGEST_PAUSE_MS};
 use crate::backoff::Backoff;
 use crate::state::board::{Board, CameraBoard, Forwarded};
 use crate::state::readiness;
@@ -30,10 +31,6 @@ const ROUND: Duration = Duration::from_secs(1);
 
 /// So many rounds to one message with figures.
 const ROUNDS_PER_FIGURES: u32 = 10;
-
-/// The first and the longest pause between attempts to connect, milliseconds.
-const FIRST_PAUSE_MS: u64 = 1000;
-const LONGEST_PAUSE_MS: u64 = 60_000;
 
 /// A connection that lasted this long was a good one: the next attempt follows soon.
 const LASTED: Duration = Duration::from_secs(60);
