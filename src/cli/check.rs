@@ -2,6 +2,7 @@
 
 use super::block_on;
 use super::progress::spinner;
+use super::values::counted;
 use albireo_node::config::NodeConfig;
 use albireo_node::online::try_all;
 use albireo_service::config::{ConfigError, examine};
@@ -69,10 +70,9 @@ pub(super) fn run(arguments: &CheckArguments) -> anyhow::Result<()> {
     };
     tried?;
     println!(
-        "{file} can be used: node `{}`, {} camera{}",
+        "{file} can be used: node `{}`, {}",
         config.node.name,
-        config.cameras.len(),
-        if config.cameras.len() == 1 { "" } else { "s" },
+        counted(config.cameras.len() as u64, "camera", "cameras"),
     );
     if let [reads, notes @ ..] = detector.as_slice() {
         println!("the detector {}: {reads}", config.detector.model.display());

@@ -1,5 +1,6 @@
 //! Reads and formats times and numbers for people.
 
+use crate::cli::values::counted;
 use albireo_core::policy::short;
 use albireo_hub::tuning::effect::Interval;
 use albireo_hub::tuning::outcome::Outcome;
@@ -67,8 +68,7 @@ pub(super) fn interval(change: &Interval, relative: bool) -> String {
 
 /// Formats a number of nodes: `1 node`, `20 nodes`.
 pub(super) fn nodes(count: u64) -> String {
-    let noun = if count == 1 { "node" } else { "nodes" };
-    format!("{count} {noun}")
+    counted(count, "node", "nodes")
 }
 
 /// Formats a number of seconds in its largest unit.

@@ -2,7 +2,7 @@
 
 use crate::spec::{BASELINE, short_label};
 use crate::summary::PolicySummary;
-use crate::text::signed;
+use crate::text::{counted, signed};
 
 /// Loss of AP@50 up to which a policy counts as keeping it: the interval of its change must not reach below this loss.
 const MARGIN: f64 = 0.01;
@@ -63,11 +63,11 @@ pub fn conclusion(summaries: &[PolicySummary]) -> Vec<String> {
 /// Says that there are too few clips to choose a policy by, if there are.
 fn too_short(baseline: &PolicySummary) -> Option<String> {
     let judged = baseline.clips;
-    let noun = if judged == 1 { "clip" } else { "clips" };
     (judged < ENOUGH_CLIPS).then(|| {
         format!(
-            "{judged} {noun}, {} frames: too short to choose a policy by, whatever an interval says. What follows describes these \
+            "{}, {} frames: too short to choose a policy by, whatever an interval says. What follows describes these \
              clips only.",
+            counted(judged, "clip"),
             baseline.frames
         )
     })
