@@ -76,7 +76,7 @@ async fn move_database(from: &str, to: &str) -> anyhow::Result<()> {
     let bar = progress::bar(Some(0), "rows, {msg}");
     let shown = bar.clone();
     let rows = transfer::to_postgres(from, &to, move |progress| {
-        shown.set_length(progress.of);
+        shown.set_length(progress.total);
         shown.set_position(progress.rows);
         shown.set_message(progress.table);
     })

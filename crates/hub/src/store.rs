@@ -18,7 +18,7 @@ pub mod transfer;
 pub(crate) use database::Database;
 pub use error::StoreError;
 pub(crate) use events::EventRow;
-pub(crate) use partitions::{DAILY, keep_days};
+pub(crate) use partitions::{CLIPS, FIVE_MINUTE_SUMS, REPORT_IDS, keep_days};
 
 use crate::config::DatabaseConfig;
 use parking_lot::Mutex;
@@ -85,10 +85,13 @@ impl Store {
     /// does not help. [`StoreError::Unavailable`] when it cannot be reached now.
     pub async fn open(config: &DatabaseConfig) -> Result<Self, StoreError> {
         let kind = DatabaseKind::of(&config.url);
-        let file = (kind == DatabaseKind::Sqlite).then(|| {
-            let path = sqlite::file(&config.url);
-            file::DatabaseFile::new(path)
-        });
+        let file = match kind {
+            DatabaseKind::Sqlite => {
+                let path = sqlite::file(&config.url);
+                Some(file::DatabaseFile::new(path))
+            }
+            DatabaseKind::Postgres => None,
+        };
         let store = Self(Arc::new(Shared {
             kind,
             file,
@@ -101,10 +104,12 @@ impl Store {
         }));
         let opened = store.clone();
         blocking(move || {
-            let file = opened.0.file.as_ref();
-            file.map_or(Ok(()), file::DatabaseFile::reserve)?;
-            migrate::migrate(&mut *opened.connect(Access::Create, None)?)?;
-            if let Some(file) = file {
+            if let Some(file) = &opened.0.file {
+                file.reserve()?;
+            }
+            let mut database = opened.connect(Access::Create, None)?;
+            migrate::migrate(&mut *database)?;
+            if let Some(file) = &opened.0.file {
                 file.opened();
             }
             Ok(())
@@ -167,8 +172,8 @@ impl Store {
     ) -> Result<Vec<Row>, StoreError> {
         let text = text.into();
         let limit = Duration::from_millis(self.0.timeout_ms);
-        let waited = tokio::time::timeout(limit, Arc::clone(&self.0.readers).acquire_owned());
-        let Ok(Ok(permit)) = waited.await else {
+        let readers = Arc::clone(&self.0.readers);
+        let Ok(Ok(permit)) = tokio::time::timeout(limit, readers.acquire_owned()).await else {
             return Err(StoreError::Unavailable(format!(
                 "no connection to the database was free within {} ms",
                 self.0.timeout_ms
@@ -202,8 +207,11 @@ impl Store {
     /// Closes the connections once nothing uses them.
     pub async fn close(&self) {
         let _all = self.0.readers.acquire_many(READERS as u32).await;
-        let writer = self.0.writer.lock().await.take();
-        let open = (std::mem::take(&mut *self.0.idle.lock()), writer);
+        let mut open = std::mem::take(&mut *self.0.idle.lock());
+        if let Some(writer) = self.0.writer.lock().await.take() {
+            open.push(writer);
+        }
+        // Closing a connection may block.
         let closed = blocking(move || {
             drop(open);
             Ok(())

@@ -2,7 +2,9 @@
 //! long.
 
 use crate::config::HistoryConfig;
-use crate::store::{DAILY, Database, DatabaseKind, StoreError, keep_days};
+use crate::store::{
+    CLIPS, Database, DatabaseKind, FIVE_MINUTE_SUMS, REPORT_IDS, StoreError, keep_days,
+};
 use albireo_service::clock::DAY_MS;
 use albireo_wire::IDENTITY_DAYS;
 
@@ -40,7 +42,7 @@ pub(crate) fn retain(
     if database.kind() == DatabaseKind::Postgres {
         // Creating or dropping a partition locks its table for a moment. Each table has its own transaction, so that
         // none waits for one table while holding another.
-        for (table, first) in DAILY.into_iter().zip([clips, ids, sums]) {
+        for (table, first) in [(CLIPS, clips), (REPORT_IDS, ids), (FIVE_MINUTE_SUMS, sums)] {
             database.begin()?;
             // A long read delays the drop of a partition, and a waiting drop blocks everything else.
             database.query("SET LOCAL lock_timeout TO '1s'", &[])?;
@@ -50,20 +52,32 @@ pub(crate) fn retain(
     }
     let events = first(history.events_days);
     let aside = first(history.set_aside_days);
-    let bounds = [clips, ids, ids, sums, events, aside];
     let days = match database.kind() {
         DatabaseKind::Sqlite => include_str!("sql/delete_days_sqlite.sql"),
         DatabaseKind::Postgres => include_str!("sql/delete_days_postgres.sql"),
     };
-    let texts = days.split(';').chain(include_str!("sql/delete_old.sql").split(';'));
+    let others = include_str!("sql/delete_old.sql");
     database.begin()?;
-    let mut most = 0;
-    for (text, bound) in texts.zip(bounds) {
-        most = most.max(database.query(text, &[bound.into()])?.len());
-    }
-    if let Some(delete) = delete_more {
-        most = most.max(delete(database, events)?);
+    let in_days = delete(database, days, &[clips, ids, ids, sums])?;
+    let in_others = delete(database, others, &[events, aside])?;
+    let mut most = in_days.max(in_others);
+    if let Some(delete_more) = delete_more {
+        most = most.max(delete_more(database, events)?);
     }
     database.commit()?;
     Ok(most >= STEP)
+}
+
+/// Runs the statements of a file, each with its first day to keep. Returns the largest number of rows that one deleted.
+fn delete(
+    database: &mut dyn Database,
+    statements: &str,
+    first_days: &[i64],
+) -> Result<usize, StoreError> {
+    let mut most = 0;
+    for (statement, first) in statements.split(';').zip(first_days) {
+        let gone = database.query(statement, &[(*first).into()])?;
+        most = most.max(gone.len());
+    }
+    Ok(most)
 }

@@ -36,7 +36,8 @@ pub(crate) trait Database: Send {
     fn prove_writing(&mut self, now_ms: i64) -> Result<(), StoreError> {
         let text = "INSERT INTO hub_meta (key, value) VALUES ('written_ms', $1) \
                     ON CONFLICT (key) DO UPDATE SET value = excluded.value";
-        self.query(text, &[now_ms.to_string().into()]).map(drop)
+        self.query(text, &[now_ms.to_string().into()])?;
+        Ok(())
     }
 
     /// Runs a query for one column of text, and returns it.
@@ -47,8 +48,10 @@ pub(crate) trait Database: Send {
 
     /// Runs a statement and returns the whole number in its first row, if any.
     fn number(&mut self, text: &str, values: &[Param]) -> Result<Option<i64>, StoreError> {
-        let first = self.query(text, values)?.into_iter().next();
-        first.map(|mut row| row.take()).transpose()
+        match self.query(text, values)?.first_mut() {
+            Some(row) => row.take().map(Some),
+            None => Ok(None),
+        }
     }
 }
 

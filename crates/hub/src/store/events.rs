@@ -44,6 +44,7 @@ impl IntoRow for EventRow {
 impl dyn Database + '_ {
     /// Inserts events, in order.
     pub(crate) fn insert_events(&mut self, events: &[EventRow]) -> Result<(), StoreError> {
-        self.insert(events, "").map(drop)
+        self.insert(events, "")?;
+        Ok(())
     }
 }

@@ -7,13 +7,20 @@ use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-/// Device and inode number of a file.
-pub(super) type FileIdentity = (u64, u64);
+/// What a file keeps for as long as it exists, under any path.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct FileIdentity {
+    device: u64,
+    inode: u64,
+}
 
 /// The identity of the file at a path; `None` if there is none.
 pub(super) fn identity(path: &Path) -> Option<FileIdentity> {
     let metadata = fs::metadata(path).ok()?;
-    Some((metadata.dev(), metadata.ino()))
+    Some(FileIdentity {
+        device: metadata.dev(),
+        inode: metadata.ino(),
+    })
 }
 
 /// The database file of a hub.
@@ -41,9 +48,9 @@ impl DatabaseFile {
         let mut path = self.path.clone().into_os_string();
         path.push("-lock");
         // A file beside it: closing a second handle to the database itself would drop SQLite's own locks.
-        let lock = File::options().create(true).truncate(false).write(true).open(path);
+        let opened = File::options().create(true).truncate(false).write(true).open(path);
         // Where none can be created, the folder is read-only or absent, and opening the database says so.
-        let Ok(file) = lock else { return Ok(()) };
+        let Ok(file) = opened else { return Ok(()) };
         // Other errors are those of file systems without locks, where nothing can be reserved.
         if let Err(TryLockError::WouldBlock) = file.try_lock() {
             return Err(StoreError::Unavailable(format!(

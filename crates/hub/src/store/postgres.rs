@@ -74,8 +74,10 @@ impl Database for PostgresServer {
     }
 
     fn query(&mut self, text: &str, values: &[Param]) -> Result<Vec<Row>, StoreError> {
-        let query = sqlx::query(AssertSqlSafe(text.to_owned()));
-        let query = values.iter().fold(query, bound);
+        let mut query = sqlx::query(AssertSqlSafe(text.to_owned()));
+        for value in values {
+            query = bind(query, value);
+        }
         let found = wait(
             &self.runtime,
             self.limit,
@@ -89,12 +91,13 @@ impl Database for PostgresServer {
     }
 
     fn script(&mut self, text: &'static str) -> Result<(), StoreError> {
-        let done = self.connection.execute(sqlx::raw_sql(text));
-        wait(&self.runtime, self.limit, done).map(drop)
+        let request = self.connection.execute(sqlx::raw_sql(text));
+        wait(&self.runtime, self.limit, request)?;
+        Ok(())
     }
 }
 
-fn bound<'q>(
+fn bind<'q>(
     query: Query<'q, Postgres, PgArguments>,
     value: &Param,
 ) -> Query<'q, Postgres, PgArguments> {
@@ -142,8 +145,8 @@ fn digits(bytes: &[u8]) -> String {
 }
 
 fn read(row: &PgRow) -> Result<Row, StoreError> {
-    let cells = (0..row.len()).map(|at| cell(row, at));
-    Ok(Row::new(cells.collect::<Result<_, _>>()?))
+    let cells = (0..row.len()).map(|at| cell(row, at)).collect::<Result<_, _>>()?;
+    Ok(Row::new(cells))
 }
 
 fn cell(row: &PgRow, at: usize) -> Result<Cell, StoreError> {

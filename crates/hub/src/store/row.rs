@@ -88,6 +88,14 @@ impl Cell {
     pub(crate) fn json(value: &impl Serialize) -> Result<Self, StoreError> {
         Ok(Self::Text(serde_json::to_string(value)?))
     }
+
+    /// A text that holds JSON; null without a value.
+    pub(crate) fn json_or_null<T: Serialize>(value: Option<&T>) -> Result<Self, StoreError> {
+        match value {
+            Some(value) => Self::json(value),
+            None => Ok(Self::Null),
+        }
+    }
 }
 
 /// A type that a column can be read as.
@@ -210,11 +218,13 @@ impl Row {
     /// The next column, a text that holds JSON; a null is read as JSON's.
     pub(crate) fn take_json<T: DeserializeOwned>(&mut self) -> Result<T, StoreError> {
         let text: Option<String> = self.take()?;
-        match text {
+        let value = match text {
             Some(text) => serde_json::from_str(&text),
             None => serde_json::from_value(Value::Null),
-        }
-        .map_err(|error| StoreError::Statement(format!("JSON in a row cannot be read: {error}")))
+        };
+        value.map_err(|error| {
+            StoreError::Statement(format!("JSON in a row cannot be read: {error}"))
+        })
     }
 }
 
@@ -268,7 +278,7 @@ mod tests {
             error.contains("seven") && error.contains("a whole number"),
             "{error}"
         );
-        // A null is no 0.
+        // A null is not read as 0.
         let error = row.take::<f64>().unwrap_err().to_string();
         assert!(error.contains("Null"), "{error}");
         let error = row.take::<Option<i64>>().unwrap_err().to_string();

@@ -59,12 +59,15 @@ impl Sqlite {
                 "PRAGMA journal_mode=WAL; PRAGMA cache_size=-32768; PRAGMA wal_autocheckpoint=4000;"
             }
         })?;
-        let limit = Duration::from_millis(timeout_ms.saturating_mul(4));
+        let limit = match access {
+            Access::Read => Some(Duration::from_millis(timeout_ms.saturating_mul(4))),
+            Access::Create | Access::Write => None,
+        };
         Ok(Self {
             connection,
             log: format!("{}-wal", file(url)).into(),
             used_log: None,
-            limit: (access == Access::Read).then_some(limit),
+            limit,
         })
     }
 
@@ -88,9 +91,11 @@ impl Sqlite {
     ) -> Result<Vec<Row>, StoreError> {
         let mut statement = self.connection.prepare_cached(text)?;
         // `$2` is the second parameter, wherever it is; a `?` is the next one.
-        let place = |at| Ok(statement.parameter_index(&format!("${at}"))?.unwrap_or(at));
-        let places: Vec<usize> =
-            (1..=statement.parameter_count()).map(place).collect::<rusqlite::Result<_>>()?;
+        let mut places = Vec::with_capacity(statement.parameter_count());
+        for number in 1..=statement.parameter_count() {
+            let named = statement.parameter_index(&format!("${number}"))?;
+            places.push(named.unwrap_or(number));
+        }
         let mut returned = Vec::new();
         for values in lists {
             for (value, place) in values.into_iter().zip(&places) {
@@ -156,8 +161,10 @@ fn for_each_row(
     let columns = statement.column_count();
     let mut rows = statement.raw_query();
     while let Some(row) = rows.next()? {
-        let cells = (0..columns).map(|at| read(row.get_ref(at)?));
-        take(Row::new(cells.collect::<Result<_, StoreError>>()?))?;
+        let cells = (0..columns)
+            .map(|at| read(row.get_ref(at)?))
+            .collect::<Result<_, StoreError>>()?;
+        take(Row::new(cells))?;
     }
     Ok(())
 }

@@ -3,7 +3,10 @@
 use super::migrate::{tables, upgrade};
 use super::row::{Cell, Columns, Param};
 use super::sqlite::Sqlite;
-use super::{Access, DAILY, Database, DatabaseKind, Store, StoreError, keep_days};
+use super::{
+    Access, CLIPS, Database, DatabaseKind, FIVE_MINUTE_SUMS, REPORT_IDS, Store, StoreError,
+    keep_days,
+};
 use crate::config::DatabaseConfig;
 use albireo_service::clock::{DAY_MS, unix_milliseconds};
 
@@ -18,7 +21,7 @@ pub struct Progress {
     /// Rows copied so far, over all tables.
     pub rows: u64,
     /// Rows to copy, over all tables.
-    pub of: u64,
+    pub total: u64,
 }
 
 /// Copies everything in the file `from` into the database `to`, which must be empty: history, identities of reports
@@ -51,8 +54,8 @@ pub async fn to_postgres(
         // Locks the file against writers.
         source.begin()?;
         let text = "SELECT 1 FROM hub_meta WHERE key = 'version' AND value BETWEEN '3' AND '5'";
-        let is_of_0_1 = source.number(text, &[]);
-        if is_of_0_1.is_ok_and(|found| found.is_some()) {
+        let is_of_0_1 = matches!(source.number(text, &[]), Ok(Some(_)));
+        if is_of_0_1 {
             source.script(include_str!("sql/read_0_1.sql"))?;
         } else {
             // Within the transaction, which is never committed: the file keeps its version.
@@ -78,13 +81,13 @@ fn copy(
 ) -> Result<u64, StoreError> {
     target.begin()?;
     let known = tables(target)?;
-    let mut tables = tables(&mut source)?;
+    let mut moved = tables(&mut source)?;
     // Tables of other programs in the file stay there; `hub_meta` is the same in both.
-    tables.retain(|table| known.contains(table) && table != "hub_meta");
-    let mut of = 0;
-    for table in &tables {
+    moved.retain(|table| known.contains(table) && table != "hub_meta");
+    let mut total = 0;
+    for table in &moved {
         let count = format!("SELECT count(*) FROM {table}");
-        of += source.number(&count, &[])?.unwrap_or(0).unsigned_abs();
+        total += source.number(&count, &[])?.unwrap_or(0).unsigned_abs();
         if table != "counters" && target.number(&count, &[])? > Some(0) {
             return Err(StoreError::Refused(format!(
                 "{shown} already holds a hub's history (its table {table} has rows); nothing was changed: move to an \
@@ -94,37 +97,41 @@ fn copy(
     }
     target.query("DELETE FROM counters", &[])?;
     let today = unix_milliseconds().div_euclid(DAY_MS);
-    for table in DAILY {
+    for table in [CLIPS, REPORT_IDS, FIVE_MINUTE_SUMS] {
         keep_days(target, table, 0, today)?;
     }
     let mut rows = 0;
-    for table in &tables {
-        let mut batch: Vec<Vec<Cell>> = Vec::with_capacity(BATCH);
-        let mut names: Vec<String> = Vec::new();
-        let mut send = |names: &[String], batch: &mut Vec<Vec<Cell>>| {
-            rows += batch.len() as u64;
-            let named = |cells: Vec<Cell>| -> Columns<'_> {
-                names.iter().map(String::as_str).zip(cells).collect()
-            };
-            target.insert_columns(table, batch.drain(..).map(named).collect(), "")?;
-            let table = table.clone();
-            progress(Progress { table, rows, of });
-            Ok(())
+    for table in &moved {
+        let mut batch = Batch {
+            table,
+            names: Vec::new(),
+            rows: Vec::with_capacity(BATCH),
         };
-        source.stream(&format!("SELECT * FROM {table}"), |columns, row| {
-            if names.is_empty() {
-                names = columns.to_vec();
+        let mut send = |batch: &mut Batch<'_>| {
+            rows += batch.send(target)?;
+            progress(Progress {
+                table: table.clone(),
+                rows,
+                total,
+            });
+            Ok::<_, StoreError>(())
+        };
+        source.stream(&format!("SELECT * FROM {table}"), |names, row| {
+            if batch.names.is_empty() {
+                batch.names = names.to_vec();
             }
-            batch.push(row.into_cells());
-            match batch.len() {
-                BATCH => send(&names, &mut batch),
-                _ => Ok(()),
+            batch.rows.push(row.into_cells());
+            if batch.rows.len() == BATCH {
+                send(&mut batch)?;
             }
+            Ok(())
         })?;
-        send(&names, &mut batch)?;
+        send(&mut batch)?;
         // No id is assigned twice, not even the id of a deleted row.
-        let last = format!("SELECT seq FROM sqlite_sequence WHERE name = '{table}'");
-        if let Some(last) = source.number(&last, &[])?.filter(|last| *last > 0) {
+        let sequence = format!("SELECT seq FROM sqlite_sequence WHERE name = '{table}'");
+        if let Some(last) = source.number(&sequence, &[])?
+            && last > 0
+        {
             let values: [Param; 2] = [table.as_str().into(), last.into()];
             target.query(
                 "SELECT setval(pg_get_serial_sequence($1, 'id'), $2)",
@@ -136,18 +143,39 @@ fn copy(
     Ok(rows)
 }
 
+/// Rows that one statement inserts.
+struct Batch<'a> {
+    table: &'a str,
+    /// The names of the columns.
+    names: Vec<String>,
+    rows: Vec<Vec<Cell>>,
+}
+
+impl Batch<'_> {
+    /// Inserts the rows, and empties the batch. Returns their number.
+    fn send(&mut self, target: &mut dyn Database) -> Result<u64, StoreError> {
+        let mut rows: Vec<Columns<'_>> = Vec::with_capacity(self.rows.len());
+        for cells in self.rows.drain(..) {
+            rows.push(self.names.iter().map(String::as_str).zip(cells).collect());
+        }
+        let sent = rows.len() as u64;
+        target.insert_columns(self.table, rows, "")?;
+        Ok(sent)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     #[test]
     fn every_table_of_both_databases_is_moved() {
-        let tables = |schema: &'static str| {
-            let lines = schema.lines();
-            let tables =
-                lines.filter_map(|line| line.strip_prefix("CREATE TABLE ")?.strip_suffix(" ("));
-            tables.collect::<Vec<_>>()
-        };
+        fn tables(schema: &str) -> Vec<&str> {
+            schema
+                .lines()
+                .filter_map(|line| line.strip_prefix("CREATE TABLE ")?.strip_suffix(" ("))
+                .collect()
+        }
         let sqlite = tables(include_str!("schema/sqlite.sql"));
         assert_eq!(sqlite, tables(include_str!("schema/postgres.sql")));
-        assert_eq!(sqlite.len(), 15);
+        assert_eq!(sqlite.len(), 15, "every table was found in its schema");
     }
 }
