@@ -34,7 +34,7 @@ pub(crate) struct Clip {
     pub(crate) setup: SetupRow,
     pub(crate) row: ClipRow,
     /// True if the node's clock is believed.
-    pub(crate) clock: bool,
+    pub(crate) is_clock_believed: bool,
 }
 
 /// The columns of a setup: what the clips of one configuration share. A missing text is empty.
@@ -164,15 +164,20 @@ pub(crate) fn clip(
     let now_ms = present.hub_ms;
     let started_ms = i64::try_from(report.started_ns / 1_000_000).unwrap_or(i64::MAX);
     let believable = now_ms - PAST_MS..=now_ms.saturating_add(FUTURE_MS);
-    let clock = present.clocks_agree() && believable.contains(&started_ms);
-    let set_since = behind_ms.filter(|behind_ms| behind_ms.saturating_abs() >= LEAST_STEP_MS);
-    let begun_ms = started_ms.saturating_add(set_since.unwrap_or(0));
-    let is_known = (set_since.is_some() || clock) && believable.contains(&begun_ms);
+    let is_clock_believed = present.clocks_agree() && believable.contains(&started_ms);
+    let step_ms = behind_ms.filter(|behind_ms| behind_ms.saturating_abs() >= LEAST_STEP_MS);
+    let begun_ms = started_ms.saturating_add(step_ms.unwrap_or(0));
+    let is_begin_known = step_ms.is_some() || is_clock_believed;
+    let at_ms = if is_begin_known && believable.contains(&begun_ms) {
+        begun_ms
+    } else {
+        now_ms
+    };
     Ok(Clip {
         camera: name("camera", &report.camera)?,
         setup: setup(report)?,
-        row: row(report, if is_known { begun_ms } else { now_ms }, now_ms)?,
-        clock,
+        row: row(report, at_ms, now_ms)?,
+        is_clock_believed,
     })
 }
 
@@ -185,8 +190,9 @@ fn check(report: &ClipReport) -> Result<(), String> {
             "frames is {frames}, but the five states add up to {added}"
         ));
     }
-    let sums = report.audit.as_ref().map(|audit| &audit.sums);
-    if sums.is_some_and(|sums| sums.paired > sums.detected.min(sums.shown)) {
+    if let Some(audit) = &report.audit
+        && audit.sums.paired > audit.sums.detected.min(audit.sums.shown)
+    {
         return Err("audit: more pairs than boxes".to_owned());
     }
     let coverage = report.energy.coverage;
@@ -201,7 +207,7 @@ fn setup(report: &ClipReport) -> Result<SetupRow, String> {
     let (threshold, value) = match (report.target, &report.threshold) {
         (Some(target), _) => (target.name().to_owned(), target.value().to_string()),
         (None, Some(threshold)) => (threshold.name.to_string(), threshold.value.to_string()),
-        (None, None) => Default::default(),
+        (None, None) => (String::new(), String::new()),
     };
     Ok(SetupRow {
         policy: name("policy", &report.policy)?,
@@ -222,12 +228,14 @@ fn row(report: &ClipReport, at_ms: i64, received_ms: i64) -> Result<ClipRow, Str
     let skipped = states.e.saturating_add(states.p);
     let avoided_calls = skipped.saturating_sub(report.degraded_frames);
     // If the node does not know the cost of a call, the avoided energy is known only without avoided calls: it is 0.
-    let none_avoided = (avoided_calls == 0).then_some(0.0);
-    let dropped = report
-        .dropped
-        .by_kind()
-        .iter()
-        .fold(0_u64, |sum, (_, frames)| sum.saturating_add(*frames));
+    let avoided_joules = match energy.saved_joules_estimated {
+        None if avoided_calls == 0 => Some(0.0),
+        saved => saved,
+    };
+    let mut dropped = 0_u64;
+    for (_, frames) in report.dropped.by_kind() {
+        dropped = dropped.saturating_add(frames);
+    }
     Ok(ClipRow {
         report_id: report.id,
         count: report.count.and_then(|count| i64::try_from(count).ok()),
@@ -252,7 +260,7 @@ fn row(report: &ClipReport, at_ms: i64, received_ms: i64) -> Result<ClipRow, Str
         detector_mean_us: microseconds("detector_mean_us", detector.mean)?,
         detector_us: microseconds("detector_us", detector.mean * detector.count as f64)?,
         avoided_calls: counted("avoided_calls", avoided_calls)?,
-        avoided_uj: microjoules("avoided_uj", energy.saved_joules_estimated.or(none_avoided))?,
+        avoided_uj: microjoules("avoided_uj", avoided_joules)?,
         quality: energy.quality as i64,
         energy_uj: microjoules("energy_uj", energy.joules)?,
         node_uj: microjoules("node_uj", energy.node_joules)?,
@@ -285,13 +293,12 @@ fn audit(audit: &AuditReport) -> Result<AuditRow, String> {
     })
 }
 
-/// Converts a figure to whole units of its column, and checks that it is from 0 to `most`.
+/// Converts a figure to the whole units of its column, of which it has `units` each, and checks that it is from 0 to `most`.
 pub(super) fn whole(column: &str, value: f64, most: f64, units: f64) -> Result<i64, String> {
-    if (0.0..=most).contains(&value) {
-        Ok((value * units).round() as i64)
-    } else {
-        Err(format!("{column}: {value} is not from 0 to {most}"))
+    if !(0.0..=most).contains(&value) {
+        return Err(format!("{column}: {value} is not from 0 to {most}"));
     }
+    Ok((value * units).round() as i64)
 }
 
 fn counted(column: &str, count: u64) -> Result<i64, String> {

@@ -125,11 +125,11 @@ impl IngestCounters {
 
     pub(crate) fn refuse(&self, reason: RefusalReason) {
         let mut counts = self.counts.lock();
-        *match reason {
-            RefusalReason::Busy => &mut counts.refused_busy,
-            RefusalReason::Unavailable => &mut counts.refused_unavailable,
-            RefusalReason::Unreadable => &mut counts.refused_unreadable,
-        } += 1;
+        match reason {
+            RefusalReason::Busy => counts.refused_busy += 1,
+            RefusalReason::Unavailable => counts.refused_unavailable += 1,
+            RefusalReason::Unreadable => counts.refused_unreadable += 1,
+        }
     }
 
     /// Notes when the batch being written arrived; `None` once all are written.
@@ -140,13 +140,14 @@ impl IngestCounters {
     /// Takes the places of one more batch: itself and its bytes. Returns `None` if there is no place, or if the batch being
     /// written has waited so long that another would be answered too late.
     pub(crate) fn queue(&self, bytes: usize) -> Option<[Place; 2]> {
-        let since = *self.writing_since.lock();
-        if since.is_some_and(|since| since.elapsed() > BUSY_AFTER) {
+        if let Some(since) = *self.writing_since.lock()
+            && since.elapsed() > BUSY_AFTER
+        {
             return None;
         }
         let batch = Arc::clone(&self.batches).try_acquire_owned().ok()?;
-        let bytes = Arc::clone(&self.bytes).try_acquire_many_owned(bytes as u32);
-        Some([batch, bytes.ok()?])
+        let room = Arc::clone(&self.bytes).try_acquire_many_owned(bytes as u32).ok()?;
+        Some([batch, room])
     }
 }
 

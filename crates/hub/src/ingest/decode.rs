@@ -35,12 +35,28 @@ pub(crate) struct Received {
     pub(crate) doubt: Option<Doubt>,
 }
 
+impl Received {
+    const fn rejected(id: Option<Uuid>, count: Option<u64>, rejected: Rejected) -> Self {
+        Self {
+            id,
+            count,
+            content: Err(rejected),
+            doubt: None,
+        }
+    }
+}
+
 /// The reason that a report is not stored.
 #[derive(Debug)]
-pub(crate) struct Rejected {
-    pub(crate) reason: String,
-    /// The beginning of its text if it is invalid; `None` if it is older than the identities that the hub keeps.
-    pub(crate) text: Option<String>,
+pub(crate) enum Rejected {
+    /// It is older than the identities that the hub keeps.
+    TooOld { reason: String },
+    /// It is invalid.
+    Invalid {
+        reason: String,
+        /// The beginning of its text.
+        text: String,
+    },
 }
 
 /// A batch with unparsed reports, so that an invalid one does not make its batch invalid.
@@ -67,9 +83,9 @@ pub fn decode(node: &str, payload: &[u8], hub_ms: i64) -> Result<Batch, String> 
         .map_err(|error| error.to_string())?;
     check_version(batch.v).map_err(|error| error.to_string())?;
     if batch.node != node {
-        let of = batch.node;
+        let other = batch.node;
         return Err(format!(
-            "the batch was sent on the key of node `{node}` but names node `{of}`"
+            "the batch was sent on the key of node `{node}` but names node `{other}`"
         ));
     }
     match batch.reports.len() {
@@ -87,16 +103,16 @@ pub fn decode(node: &str, payload: &[u8], hub_ms: i64) -> Result<Batch, String> 
     } else {
         Vec::new()
     };
+    let mut reports = Vec::with_capacity(batch.reports.len());
+    for (index, raw) in batch.reports.iter().enumerate() {
+        let age = ages.get(index).copied();
+        reports.push(parse(node, raw.get(), present, age));
+    }
     Ok(Batch {
         node: batch.node,
         bytes: json.len(),
         clocks_agree: present.clocks_agree(),
-        reports: batch
-            .reports
-            .iter()
-            .enumerate()
-            .map(|(index, raw)| parse(node, raw.get(), present, ages.get(index).copied()))
-            .collect(),
+        reports,
     })
 }
 
@@ -112,35 +128,38 @@ fn parse(node: &str, raw: &str, present: Present, age: Option<ReportAge>) -> Rec
         Ok(report) => report,
         Err(error) => {
             let known: Known = serde_json::from_str(raw).unwrap_or_default();
-            return Received {
-                id: known.id,
-                count: known.count,
-                content: Err(invalid(&error.to_string(), raw)),
-                doubt: None,
-            };
+            let invalid = invalid(&error.to_string(), raw);
+            return Received::rejected(known.id, known.count, invalid);
         }
     };
+    let id = Some(report.id);
     let behind_ms = present.behind_when_made(report.id, age);
-    let present = present.when_made(report.id, age);
-    let clip = check(node, &report).and_then(|()| clip(&report, present, behind_ms));
-    let mut doubt = None;
-    let content = match (clip, key(report.id, present, age)) {
-        (Err(reason), _) => Err(invalid(&reason, raw)),
-        (_, Err(reason)) => Err(Rejected { reason, text: None }),
-        (Ok(clip), Ok((key, found))) => {
-            doubt = found;
-            Ok((key, Box::new(clip)))
+    let present_then = present.when_made(report.id, age);
+    let clip = match checked_clip(node, &report, present_then, behind_ms) {
+        Ok(clip) => clip,
+        Err(reason) => return Received::rejected(id, report.count, invalid(&reason, raw)),
+    };
+    let (key, doubt) = match key(report.id, present_then, age) {
+        Ok(found) => found,
+        Err(reason) => {
+            return Received::rejected(id, report.count, Rejected::TooOld { reason });
         }
     };
     Received {
-        id: Some(report.id),
+        id,
         count: report.count,
-        content,
+        content: Ok((key, Box::new(clip))),
         doubt,
     }
 }
 
-fn check(node: &str, report: &ClipReport) -> Result<(), String> {
+/// The clip of a report of `node`; an error is the reason that the report is invalid.
+fn checked_clip(
+    node: &str,
+    report: &ClipReport,
+    present: Present,
+    behind_ms: Option<i64>,
+) -> Result<Clip, String> {
     if report.v != VERSION {
         return Err(format!("version {} is not known, only {VERSION}", report.v));
     }
@@ -150,12 +169,13 @@ fn check(node: &str, report: &ClipReport) -> Result<(), String> {
             "the report names node `{other}`, in a batch of node `{node}`"
         ));
     }
-    check_segment("camera name", &report.camera).map_err(|error| error.to_string())
+    check_segment("camera name", &report.camera).map_err(|error| error.to_string())?;
+    clip(report, present, behind_ms)
 }
 
 fn invalid(reason: &str, raw: &str) -> Rejected {
-    Rejected {
+    Rejected::Invalid {
         reason: beginning(reason),
-        text: Some(beginning(raw)),
+        text: beginning(raw),
     }
 }

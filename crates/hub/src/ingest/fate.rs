@@ -52,16 +52,13 @@ impl<'a> Fate<'a> {
     ) -> Self {
         let (key, clip) = match &report.content {
             Ok((key, clip)) => (*key, clip),
-            Err(Rejected { reason, text: None }) => {
+            Err(Rejected::TooOld { reason }) => {
                 return Self::TooOld {
                     reason,
                     noted: None,
                 };
             }
-            Err(Rejected {
-                reason,
-                text: Some(text),
-            }) => {
+            Err(Rejected::Invalid { reason, text }) => {
                 return Self::Invalid {
                     reason: reason.clone(),
                     text,
@@ -100,13 +97,19 @@ impl<'a> Fate<'a> {
     }
 }
 
+/// An event of the node of a batch.
+#[derive(Debug, PartialEq)]
+pub(super) struct BatchEvent {
+    pub(super) kind: &'static str,
+    pub(super) detail: Value,
+}
+
 /// What the reports of one batch add up to.
 #[derive(Debug, Default)]
 pub(super) struct BatchResult {
     pub(super) answer: ReportAnswer,
     pub(super) counts: IngestCounts,
-    /// The kinds and details of the events.
-    pub(super) events: Vec<(&'static str, Value)>,
+    pub(super) events: Vec<BatchEvent>,
     /// The reason of the first report that is too old.
     too_old: Option<String>,
 }
@@ -117,14 +120,16 @@ impl BatchResult {
         match fate {
             Fate::Stored(_, clip) => {
                 self.counts += clip.row.counted();
-                self.counts.clock_off += u64::from(!clip.clock);
+                self.counts.clock_off += u64::from(!clip.is_clock_believed);
                 node.totals.stored += 1;
             }
             Fate::Again => self.counts.again += 1,
             Fate::TooOld { reason, .. } => {
                 self.counts.too_old += 1;
                 node.totals.refused += 1;
-                self.too_old.get_or_insert_with(|| (*reason).to_owned());
+                if self.too_old.is_none() {
+                    self.too_old = Some((*reason).to_owned());
+                }
             }
             Fate::Invalid { .. } => {
                 self.counts.set_aside += 1;
@@ -132,13 +137,16 @@ impl BatchResult {
             }
         }
         if let Some(reason) = fate.refusal() {
-            let reason = reason.to_owned();
-            self.answer.refused.extend(report.id.map(|id| RefusedReport { id, reason }));
+            if let Some(id) = report.id {
+                let reason = reason.to_owned();
+                self.answer.refused.push(RefusedReport { id, reason });
+            }
             // Its running count is not followed: a report that is not stored counts as missing.
             return;
         }
         if let Some(count) = report.count {
-            let seen = node.counts.see(count, matches!(fate, Fate::Stored(..)));
+            let is_new = matches!(fate, Fate::Stored(..));
+            let seen = node.counts.see(count, is_new);
             self.follow(seen, count, node);
         }
     }
@@ -146,33 +154,35 @@ impl BatchResult {
     fn follow(&mut self, seen: Seen, count: u64, node: &mut ReportCountsRow) {
         match seen {
             Seen::Expected => {}
-            Seen::Gap(first, last) => {
+            Seen::Gap { first, last } => {
                 let missing = (last - first + 1).min(LARGEST_GAP);
                 self.counts.missing += missing;
                 let detail = json!({ "first": first, "last": last, "missing": missing });
-                self.events.push(("gap", detail));
+                self.note("gap", detail);
             }
             Seen::Reset => {
                 self.counts.resets += 1;
                 node.totals.resets += 1;
-                self.events.push(("reset", json!({ "count": count })));
+                self.note("reset", json!({ "count": count }));
             }
         }
+    }
+
+    fn note(&mut self, kind: &'static str, detail: Value) {
+        self.events.push(BatchEvent { kind, detail });
     }
 
     /// Ends the batch, received at `now_ms`: what concerns all of its reports.
     pub(super) fn end(&mut self, node: &mut ReportCountsRow, now_ms: i64) {
         if let Some(reason) = self.too_old.take() {
             let detail = json!({ "reports": self.counts.too_old, "reason": reason });
-            self.events.push(("refused", detail));
+            self.note("refused", detail);
         }
-        for (kind, what, count) in [
-            ("set_aside", "reports", self.counts.set_aside),
-            ("clock_off", "clips", self.counts.clock_off),
-        ] {
-            if count > 0 {
-                self.events.push((kind, json!({ what: count })));
-            }
+        if self.counts.set_aside > 0 {
+            self.note("set_aside", json!({ "reports": self.counts.set_aside }));
+        }
+        if self.counts.clock_off > 0 {
+            self.note("clock_off", json!({ "clips": self.counts.clock_off }));
         }
         node.totals.last_ms = now_ms.max(node.totals.last_ms);
         node.totals.missing = node.counts.missing().min(MOST_MISSING);
@@ -229,10 +239,22 @@ mod tests {
         received(Ok((key, Box::new(clip()))), count)
     }
 
-    fn rejected(text: Option<&str>) -> Received {
+    fn too_old() -> Received {
         let reason = "a reason".to_owned();
-        let text = text.map(str::to_owned);
-        received(Err(Rejected { reason, text }), 1)
+        received(Err(Rejected::TooOld { reason }), 1)
+    }
+
+    fn invalid() -> Received {
+        let rejected = Rejected::Invalid {
+            reason: "a reason".to_owned(),
+            text: "{}".to_owned(),
+        };
+        received(Err(rejected), 1)
+    }
+
+    /// The fate of a report without a doubt, whose node may have its camera.
+    fn fate(report: &Received, identity: Identity) -> Fate<'_> {
+        Fate::of(report, identity, None, |_| true)
     }
 
     fn node() -> ReportCountsRow {
@@ -252,73 +274,81 @@ mod tests {
             reason: "a doubt".to_owned(),
             first: false,
         };
-        let fate =
-            |identity, doubt, has_place: bool| Fate::of(&given, identity, doubt, |_| has_place);
-        assert!(matches!(fate(New, None, true), Fate::Stored(..)));
+        let may_have = |_: &str| true;
+        let has_too_many = |_: &str| false;
+        assert!(matches!(fate(&given, New), Fate::Stored(..)));
         for doubt in [None, Some(&doubt)] {
-            assert_eq!(fate(Known, doubt, false), Fate::Again);
+            let found = Fate::of(&given, Known, doubt, has_too_many);
+            assert_eq!(found, Fate::Again);
         }
         for identity in [New, Refused] {
-            let found = fate(identity, Some(&doubt), true);
-            let refused = matches!(
-                found,
-                Fate::TooOld {
-                    reason: "a doubt",
-                    noted: Some(_)
-                }
-            );
-            assert!(refused, "{found:?}");
+            let found = Fate::of(&given, identity, Some(&doubt), may_have);
+            let Fate::TooOld { reason, noted } = found else {
+                panic!("{found:?}");
+            };
+            assert_eq!(reason, "a doubt");
+            assert!(noted.is_some(), "its identity is to be forgotten");
         }
-        let Fate::Invalid { reason, text } = fate(New, None, false) else {
-            panic!("no place")
+        let one_too_many = Fate::Invalid {
+            reason: "the node has 64 cameras already".to_owned(),
+            text: "",
         };
-        assert_eq!(
-            (reason.as_str(), text),
-            ("the node has 64 cameras already", "")
-        );
-        let old = rejected(None);
-        let found = Fate::of(&old, New, None, |_| true);
-        let refused = matches!(
-            found,
-            Fate::TooOld {
-                reason: "a reason",
-                noted: None
-            }
-        );
-        assert!(refused, "{found:?}");
-        let wrong = rejected(Some("{}"));
-        let found = Fate::of(&wrong, New, None, |_| true);
-        assert!(
-            matches!(found, Fate::Invalid { text: "{}", .. }),
-            "{found:?}"
-        );
+        assert_eq!(Fate::of(&given, New, None, has_too_many), one_too_many);
+        let old = Fate::TooOld {
+            reason: "a reason",
+            noted: None,
+        };
+        assert_eq!(fate(&too_old(), New), old);
+        let wrong = Fate::Invalid {
+            reason: "a reason".to_owned(),
+            text: "{}",
+        };
+        assert_eq!(fate(&invalid(), New), wrong);
     }
 
     #[test]
     fn each_report_is_counted_once_and_only_what_is_not_stored_is_refused() {
-        let given = [stored(1), stored(1), rejected(None), rejected(Some("{}"))];
         let mut result = BatchResult::default();
         let mut node = node();
-        let identities = [Identity::New, Identity::Known, Identity::New, Identity::New];
-        for (report, identity) in given.iter().zip(identities) {
-            let fate = Fate::of(report, identity, None, |_| true);
-            result.add(report, &fate, &mut node);
+        for (report, identity) in [
+            (stored(1), Identity::New),
+            (stored(1), Identity::Known),
+            (too_old(), Identity::New),
+            (invalid(), Identity::New),
+        ] {
+            let fate = fate(&report, identity);
+            result.add(&report, &fate, &mut node);
         }
         result.end(&mut node, 7);
-        let counts = result.counts;
-        let found = (counts.clips, counts.again, counts.too_old, counts.set_aside);
-        assert_eq!(found, (1, 1, 1, 1));
-        assert_eq!(
-            (counts.frames, counts.frames_skipped, counts.energy_uj),
-            (9, 2, 10_000_000)
-        );
-        let totals = &node.totals;
-        assert_eq!((totals.stored, totals.refused, totals.set_aside), (1, 1, 1));
-        assert_eq!(totals.last_ms, 7);
+        let expected = IngestCounts {
+            clips: 1,
+            again: 1,
+            too_old: 1,
+            set_aside: 1,
+            frames: 9,
+            frames_skipped: 2,
+            energy_uj: 10_000_000,
+            ..IngestCounts::default()
+        };
+        assert_eq!(result.counts, expected);
+        let expected = ReportCounts {
+            stored: 1,
+            refused: 1,
+            set_aside: 1,
+            last_ms: 7,
+            ..ReportCounts::default()
+        };
+        assert_eq!(node.totals, expected);
         assert_eq!(result.answer.refused.len(), 2);
-        let refused = json!({"reports": 1, "reason": "a reason"});
-        let aside = json!({"reports": 1});
-        assert_eq!(result.events, [("refused", refused), ("set_aside", aside)]);
+        let refused = BatchEvent {
+            kind: "refused",
+            detail: json!({"reports": 1, "reason": "a reason"}),
+        };
+        let set_aside = BatchEvent {
+            kind: "set_aside",
+            detail: json!({"reports": 1}),
+        };
+        assert_eq!(result.events, [refused, set_aside]);
     }
 
     #[test]
@@ -327,13 +357,13 @@ mod tests {
         let mut node = node();
         for count in [1, 5, 1 << 53] {
             let report = stored(count);
-            let fate = Fate::of(&report, Identity::New, None, |_| true);
+            let fate = fate(&report, Identity::New);
             result.add(&report, &fate, &mut node);
         }
         result.end(&mut node, 7);
         assert_eq!(result.counts.missing, 3 + LARGEST_GAP);
         assert_eq!(node.totals.missing, MOST_MISSING);
-        let kinds: Vec<_> = result.events.iter().map(|(kind, _)| *kind).collect();
+        let kinds: Vec<_> = result.events.iter().map(|event| event.kind).collect();
         assert_eq!(kinds, ["gap", "gap"]);
         assert_eq!(result.answer.missing.len(), 2);
     }

@@ -57,24 +57,24 @@ impl Group {
         batches: &[Batch],
         now_ms: i64,
     ) -> Result<Self, StoreError> {
-        let names: BTreeSet<&str> = batches.iter().map(|batch| batch.node.as_str()).collect();
-        let names: Vec<&str> = names.into_iter().collect();
+        let mut names: Vec<&str> = batches.iter().map(|batch| batch.node.as_str()).collect();
+        names.sort_unstable();
+        names.dedup();
         let nodes = database.reporting_nodes(&names, now_ms)?;
         let cameras = database.cameras(&names)?;
         let valid = batches
             .iter()
             .flat_map(|batch| &batch.reports)
             .filter_map(|report| report.content.as_ref().ok());
-        let new = database.new_reports(&valid.clone().map(|(key, _)| *key).collect())?;
-        let setups = valid
-            .filter(|(key, _)| new.contains(&key.id))
-            .map(|(_, clip)| &clip.setup)
-            .collect();
+        let keys = valid.clone().map(|(key, _)| *key).collect();
+        let new = database.new_reports(&keys)?;
+        let new_clips = valid.filter(|(key, _)| new.contains(&key.id));
+        let setups = database.setups(new_clips.map(|(_, clip)| &clip.setup).collect())?;
         Ok(Self {
             now_ms,
             nodes,
             cameras,
-            setups: database.setups(setups)?,
+            setups,
             new,
             refused: BTreeSet::new(),
             clips: Vec::new(),
@@ -82,13 +82,13 @@ impl Group {
         })
     }
 
-    /// Decides on each report of a batch, and collects its rows. Returns the result, and the number of the node's cameras.
+    /// Decides on each report of a batch, and collects its rows.
     pub(super) fn add(
         &mut self,
         database: &mut dyn Database,
         batch: &Batch,
         aside_limit: &mut EntryLimit,
-    ) -> Result<(BatchResult, usize), StoreError> {
+    ) -> Result<BatchResult, StoreError> {
         let mut result = BatchResult::default();
         let mut node = self.nodes.remove(&batch.node).ok_or_else(|| lost("a node"))?;
         for report in &batch.reports {
@@ -104,27 +104,39 @@ impl Group {
             match &fate {
                 Fate::Stored(key, clip) => self.store(database, node.node_id, *key, clip)?,
                 Fate::TooOld { noted, .. } => self.refused.extend(noted),
-                Fate::Invalid { reason, text }
-                    if aside_limit.allows(&batch.node, "", self.now_ms) =>
-                {
-                    self.set_aside(node.node_id, report, reason, text);
+                Fate::Invalid { reason, text } => {
+                    if aside_limit.allows(&batch.node, "", self.now_ms) {
+                        self.set_aside(node.node_id, report, reason, text);
+                    }
                 }
-                Fate::Again | Fate::Invalid { .. } => {}
+                Fate::Again => {}
             }
             result.add(report, &fate, &mut node);
         }
         result.end(&mut node, self.now_ms);
-        let cameras = self.cameras.get(&node.node_id).map_or(0, HashMap::len);
         self.nodes.insert(batch.node.clone(), node);
-        Ok((result, cameras))
+        Ok(result)
     }
 
-    /// What is known of the identity of a report, which no later report of this group can have as a new one.
+    /// The number of cameras of a batch's node.
+    pub(super) fn cameras_of(&self, batch: &Batch) -> usize {
+        let node = self.nodes.get(&batch.node);
+        let cameras = node.and_then(|node| self.cameras.get(&node.node_id));
+        cameras.map_or(0, HashMap::len)
+    }
+
+    /// What is known of the identity of a report. An identity is new only for the first report of this group that has it.
     fn identity(&mut self, report: &Received) -> Identity {
-        match &report.content {
-            Ok((key, _)) if self.new.remove(&key.id) => Identity::New,
-            Ok((key, _)) if self.refused.contains(key) => Identity::Refused,
-            _ => Identity::Known,
+        let Ok((key, _)) = &report.content else {
+            return Identity::Known;
+        };
+        let was_new = self.new.remove(&key.id);
+        if was_new {
+            Identity::New
+        } else if self.refused.contains(key) {
+            Identity::Refused
+        } else {
+            Identity::Known
         }
     }
 

@@ -16,7 +16,7 @@ const LARGEST_PAYLOAD: usize = 1 << 20;
 /// The reason for a refusal when the queue is full.
 const FULL: &str = "too many batches wait to be written";
 
-/// The reason that a batch was not stored.
+/// The reason that a batch was not stored, or a pull not answered.
 #[derive(Debug)]
 pub(crate) struct Refusal {
     pub(crate) reason: RefusalReason,
@@ -36,8 +36,8 @@ impl Refusal {
         }
     }
 
-    /// The refusal of a batch that nobody can read; it would be refused again.
-    pub(super) fn unreadable(why: String) -> Self {
+    /// The refusal of what nobody can read; it would be refused again.
+    pub(crate) fn unreadable(why: String) -> Self {
         Self {
             reason: RefusalReason::Unreadable,
             why,
@@ -102,7 +102,7 @@ impl Inbox {
         let own = self
             .limits
             .admit(node, Instant::now())
-            .map_err(|(wait, why)| Refusal::busy(why, wait))?;
+            .map_err(|busy| Refusal::busy(busy.why, busy.retry_after))?;
         let [batch, bytes] = self
             .counters
             .queue(payload.len())

@@ -19,12 +19,30 @@ pub(super) const BUSY_RETRY: Duration = Duration::from_secs(2);
 /// The longest wait for a node that has used up its share.
 const LONGEST_WAIT: Duration = Duration::from_secs(3600);
 
-/// Most events of a node and kind, and in how many milliseconds; further ones are only counted.
-pub(super) const EVENTS: (u32, i64) = (1, 60_000);
+/// Most entries that are written about a node; further ones are only counted.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct EntryRate {
+    /// Most entries of one kind in each span of time.
+    most: u32,
+    /// The length of a span, milliseconds.
+    span_ms: i64,
+}
+
+/// Most events of a node and kind.
+pub(super) const EVENTS: EntryRate = EntryRate {
+    most: 1,
+    span_ms: 60_000,
+};
 /// Most events of a node's state, which changes often where the connection is bad.
-pub(super) const PRESENCE: (u32, i64) = (60, 3_600_000);
+pub(super) const PRESENCE: EntryRate = EntryRate {
+    most: 60,
+    span_ms: 3_600_000,
+};
 /// Most invalid reports of a node that are kept.
-pub(super) const SET_ASIDE: (u32, i64) = (100, DAY_MS);
+pub(super) const SET_ASIDE: EntryRate = EntryRate {
+    most: 100,
+    span_ms: DAY_MS,
+};
 
 /// The share of each node: the bytes that it may still send.
 #[derive(Debug)]
@@ -44,6 +62,14 @@ struct Share {
     refilled_at: Instant,
 }
 
+/// The reason that a batch has no place now.
+#[derive(Debug)]
+pub(crate) struct Busy {
+    pub(crate) why: &'static str,
+    /// The time to wait before the next attempt.
+    pub(crate) retry_after: Duration,
+}
+
 impl NodeLimits {
     pub(crate) fn new(camera_bytes: u64) -> Self {
         Self {
@@ -56,12 +82,8 @@ impl NodeLimits {
     /// Takes a place for a batch of `node`.
     ///
     /// # Errors
-    /// The time to wait before the next attempt, and the reason.
-    pub(crate) fn admit(
-        &self,
-        node: &str,
-        now: Instant,
-    ) -> Result<Place, (Duration, &'static str)> {
+    /// When the node has used up its share, or has batches waiting already.
+    pub(crate) fn admit(&self, node: &str, now: Instant) -> Result<Place, Busy> {
         let mut shares = self.shares.lock();
         let share = shares.entry(node.to_owned()).or_insert(Share {
             cameras: 1.0,
@@ -74,13 +96,16 @@ impl NodeLimits {
         share.refilled_at = now;
         if share.left <= 0.0 {
             let wait_s = (LEAST_COST as f64 - share.left) * DAY_S / most;
-            let wait = Duration::try_from_secs_f64(wait_s)
-                .unwrap_or(LONGEST_WAIT)
-                .clamp(BUSY_RETRY, LONGEST_WAIT);
-            return Err((wait, "the node has used up its share for today"));
+            let wait = Duration::try_from_secs_f64(wait_s).unwrap_or(LONGEST_WAIT);
+            return Err(Busy {
+                why: "the node has used up its share for today",
+                retry_after: wait.clamp(BUSY_RETRY, LONGEST_WAIT),
+            });
         }
-        let place = self.waiting.place(node);
-        place.ok_or((BUSY_RETRY, "batches of this node are waiting already"))
+        self.waiting.place(node).ok_or(Busy {
+            why: "batches of this node are waiting already",
+            retry_after: BUSY_RETRY,
+        })
     }
 
     /// Charges a batch to the share of `node`.
@@ -105,17 +130,17 @@ impl NodeLimits {
 /// Limits what is written about each node.
 #[derive(Debug)]
 pub(crate) struct EntryLimit {
-    /// Most entries of a kind per span of time, and its length in milliseconds.
-    most: (u32, i64),
-    /// The number of the present span, and the entries of nodes in it, by kind.
+    rate: EntryRate,
+    /// The number of the present span of time since the Unix epoch.
     span: i64,
+    /// The entries in it, by node and kind.
     counts: HashMap<(String, &'static str), u32>,
 }
 
 impl EntryLimit {
-    pub(crate) fn new(most: (u32, i64)) -> Self {
+    pub(crate) fn new(rate: EntryRate) -> Self {
         Self {
-            most,
+            rate,
             span: 0,
             counts: HashMap::new(),
         }
@@ -123,15 +148,14 @@ impl EntryLimit {
 
     /// Counts one more entry of a node, and returns true if it may be written.
     pub(crate) fn allows(&mut self, node: &str, kind: &'static str, at_ms: i64) -> bool {
-        let (most, span_ms) = self.most;
-        let span = at_ms.div_euclid(span_ms);
+        let span = at_ms.div_euclid(self.rate.span_ms);
         if self.span != span {
             self.span = span;
             self.counts.clear();
         }
         let count = self.counts.entry((node.to_owned(), kind)).or_default();
         *count = count.saturating_add(1);
-        *count <= most
+        *count <= self.rate.most
     }
 }
 
@@ -141,8 +165,15 @@ impl EntryLimit {
 pub(crate) struct ClockCheck {
     began: Instant,
     began_ms: i64,
-    /// The most recent nodes, with true if their clock agrees with the hub's.
-    votes: VecDeque<(String, bool)>,
+    /// The most recent nodes, one vote each.
+    votes: VecDeque<Vote>,
+}
+
+/// What a node's clock says about the hub's.
+#[derive(Debug)]
+struct Vote {
+    node: String,
+    agrees: bool,
 }
 
 /// The number of nodes whose clocks are compared.
@@ -159,15 +190,18 @@ impl ClockCheck {
 
     /// Notes whether a node's clock agrees.
     pub(crate) fn note(&mut self, node: &str, agrees: bool) {
-        self.votes.retain(|(name, _)| name != node);
-        self.votes.push_back((node.to_owned(), agrees));
+        self.votes.retain(|vote| vote.node != node);
+        self.votes.push_back(Vote {
+            node: node.to_owned(),
+            agrees,
+        });
         if self.votes.len() > CLOCKS {
             self.votes.pop_front();
         }
     }
 
-    /// True if most nodes agree with the hub's clock, or if it has run for a day without a jump of more than a day. After
-    /// such a jump all begins anew: the start, and what nodes said.
+    /// True if most nodes agree with the hub's clock, or if it has run for a day without a jump of more than a day. Such a
+    /// jump starts that day again, and what the nodes said before it is forgotten.
     pub(crate) fn judge(&mut self, now: Instant, now_ms: i64) -> bool {
         let ran = i64::try_from((now - self.began).as_millis()).unwrap_or(i64::MAX);
         let expected = self.began_ms.saturating_add(ran);
@@ -175,7 +209,7 @@ impl ClockCheck {
             *self = Self::new(now, now_ms);
             return false;
         }
-        let agree = self.votes.iter().filter(|(_, agrees)| *agrees).count();
+        let agree = self.votes.iter().filter(|vote| vote.agrees).count();
         agree * 2 > self.votes.len() || ran >= DAY_MS
     }
 }
@@ -185,6 +219,7 @@ mod tests {
     use super::*;
 
     const MB: u64 = 1_000_000;
+    const DAY: Duration = Duration::from_secs(86_400);
 
     fn limits() -> NodeLimits {
         NodeLimits::new(10 * MB)
@@ -204,16 +239,18 @@ mod tests {
 
     #[test]
     fn above_its_allowance_a_node_waits_and_a_backlog_of_weeks_drains_completely() {
+        // One camera makes half of its allowance, a little at a time, and has three weeks of reports to send.
+        const MADE_PER_DAY: u64 = 5 * MB;
+        const TIMES_PER_DAY: u64 = 25;
+        let between = DAY / TIMES_PER_DAY as u32;
         let limits = limits();
         let start = Instant::now();
-        // Three weeks of one camera, five megabytes a day, and what is made meanwhile.
-        let day = Duration::from_secs(86_400);
-        let mut backlog = 3 * 7 * 5 * MB;
+        let mut backlog = 3 * 7 * MADE_PER_DAY;
         let mut now = start;
         let mut requests = 0;
-        let mut made = now;
+        let mut last_made = now;
         while backlog > 0 {
-            assert!(now < start + day * 40, "{backlog} left");
+            assert!(now < start + DAY * 40, "{backlog} left");
             requests += 1;
             match limits.admit("a", now) {
                 Ok(_place) => {
@@ -221,17 +258,19 @@ mod tests {
                     limits.charge("a", batch as usize);
                     backlog -= batch;
                 }
-                Err((wait, _)) => now += wait,
+                Err(busy) => now += busy.retry_after,
             }
-            while now >= made + Duration::from_secs(3456) {
-                made += Duration::from_secs(3456);
-                backlog += 5 * MB / 25;
+            while now >= last_made + between {
+                last_made += between;
+                backlog += MADE_PER_DAY / TIMES_PER_DAY;
             }
         }
         let days = (now - start).as_secs_f64() / DAY_S;
-        let said = format!("{days} days, asked {requests} times");
-        assert!((15.0..25.0).contains(&days), "{said}");
-        // Another is not held up by it, and each camera has a share of its own.
+        assert!(
+            (15.0..25.0).contains(&days),
+            "{days} days, asked {requests} times"
+        );
+        // Another node is not held up by it, and each camera has a share of its own.
         drop(limits.admit("b", now).unwrap());
         limits.note_cameras("a", 4);
         drop(limits.admit("a", now).unwrap());
@@ -241,11 +280,13 @@ mod tests {
     fn many_small_batches_cost_more_than_their_bytes() {
         let limits = limits();
         let now = Instant::now();
-        let batches = (0..100_000).take_while(|_| {
+        let mut batches = 0;
+        while batches < 100_000 && limits.admit("a", now).is_ok() {
             limits.charge("a", 10);
-            limits.admit("a", now).is_ok()
-        });
-        assert!(batches.count() < 11_000);
+            batches += 1;
+        }
+        // The share would hold a million batches of ten bytes.
+        assert!((9_000..11_000).contains(&batches), "{batches}");
     }
 
     #[test]

@@ -34,9 +34,23 @@ struct Failure {
     reason: String,
     at: Instant,
     /// True if it had reports.
-    of_reports: bool,
+    had_reports: bool,
     /// True if the same transaction may succeed later.
-    passes: bool,
+    is_temporary: bool,
+}
+
+impl Failure {
+    /// True if a commit at `now` shows that the hub stores reports again.
+    fn is_overcome_by(&self, written: Written, now: Instant) -> bool {
+        match written {
+            Written::Nothing => false,
+            Written::Reports => true,
+            Written::Rows => {
+                let has_settled = now.saturating_duration_since(self.at) >= SETTLED;
+                !self.had_reports || (self.is_temporary && has_settled)
+            }
+        }
+    }
 }
 
 /// The outcomes of the writer's transactions.
@@ -58,8 +72,11 @@ impl Outcomes {
     pub(super) fn begin(&self, now: Instant) -> bool {
         let mut state = self.0.lock();
         state.begun = Some(now);
-        let is_due = |written| now.saturating_duration_since(written) >= PROVE_EVERY;
-        state.failure.is_some() || state.written.is_none_or(is_due)
+        let is_due = match state.written {
+            Some(written) => now.saturating_duration_since(written) >= PROVE_EVERY,
+            None => true,
+        };
+        state.failure.is_some() || is_due
     }
 
     /// Notes that the transaction was committed.
@@ -70,25 +87,25 @@ impl Outcomes {
             return;
         }
         state.written = Some(now);
-        let is_overcome = |failure: &mut Failure| {
-            let settled = now.saturating_duration_since(failure.at) >= SETTLED;
-            written == Written::Reports || !failure.of_reports || (failure.passes && settled)
-        };
-        state.failure.take_if(is_overcome);
+        if let Some(failure) = &state.failure
+            && failure.is_overcome_by(written, now)
+        {
+            state.failure = None;
+        }
     }
 
-    /// Notes that the transaction failed.
-    pub(super) fn failed(&self, error: &StoreError, of_reports: bool, now: Instant) {
+    /// Notes that the transaction failed, and whether it had reports.
+    pub(super) fn failed(&self, error: &StoreError, had_reports: bool, now: Instant) {
         let mut state = self.0.lock();
         state.begun = None;
-        let before = state.failure.take();
+        let earlier = state.failure.take();
         // A later failure without reports does not make an earlier one with reports easier to overcome.
-        let had_reports = before.is_some_and(|failure| failure.of_reports);
+        let earlier_had_reports = earlier.is_some_and(|failure| failure.had_reports);
         state.failure = Some(Failure {
             reason: error.to_string(),
             at: now,
-            of_reports: of_reports || had_reports,
-            passes: error.is_temporary(),
+            had_reports: had_reports || earlier_had_reports,
+            is_temporary: error.is_temporary(),
         });
     }
 
@@ -98,13 +115,14 @@ impl Outcomes {
         if let Some(failure) = &state.failure {
             return Some(Fault::not_ready(failure.reason.as_str()));
         }
-        let is_slow = |begun| now.saturating_duration_since(begun) >= SLOW;
-        state.begun.is_some_and(is_slow).then(|| {
-            Fault::not_ready(format!(
-                "a transaction waits for the database for more than {} s",
-                SLOW.as_secs()
-            ))
-        })
+        let begun = state.begun?;
+        if now.saturating_duration_since(begun) < SLOW {
+            return None;
+        }
+        Some(Fault::not_ready(format!(
+            "a transaction waits for the database for more than {} s",
+            SLOW.as_secs()
+        )))
     }
 }
 

@@ -58,8 +58,10 @@ impl Present {
 /// The present by the clock with which a report was made: its time, and what a clock that nobody sets has counted since.
 fn present_when_made(id: Uuid, age: Option<ReportAge>) -> Option<i64> {
     let made_s = i64::try_from(age?.made_s?).ok()?;
-    let has_time = id.get_version_num() == 7;
-    has_time.then(|| made_ms(id).saturating_add(made_s.saturating_mul(1000)))
+    if id.get_version_num() != 7 {
+        return None;
+    }
+    Some(made_ms(id).saturating_add(made_s.saturating_mul(1000)))
 }
 
 /// The time in an identity: the first 48 bits of a UUID of version 7.
@@ -98,8 +100,9 @@ pub(crate) fn key(
     let own_day = made_ms.div_euclid(DAY_MS);
     let node_today = present.node_ms.div_euclid(DAY_MS);
     let latest = today.max(FIRST_MS / DAY_MS) + MOST_BEHIND_DAYS;
+    let received_day = today.max(node_today.min(latest));
     let undated = ReportKey {
-        day: -today.max(node_today.min(latest)),
+        day: -received_day,
         id,
         own_day,
     };
@@ -119,18 +122,24 @@ pub(crate) fn key(
     let reason = format!(
         "made {claimed} days ago: the hub no longer knows whether a report older than {IDENTITY_DAYS} days was stored before"
     );
-    let agree = present.clocks_agree();
+    let clocks_agree = present.clocks_agree();
     let Some(ReportAge { made_s, first }) = age else {
-        return if agree {
-            Err(reason)
-        } else {
-            Ok((undated, None))
-        };
+        if clocks_agree {
+            return Err(reason);
+        }
+        return Ok((undated, None));
     };
-    let days = made_s.map(|made_s| i64::try_from(made_s.div_ceil(86_400)).unwrap_or(i64::MAX));
-    let is_recent = days.is_some_and(|days| days <= kept && claimed - days > kept);
-    let is_clear = is_recent || (first && !agree);
-    Ok((undated, (!is_clear).then_some(Doubt { reason, first })))
+    let is_recent = match made_s {
+        Some(made_s) => {
+            let days = i64::try_from(made_s.div_ceil(86_400)).unwrap_or(i64::MAX);
+            days <= kept && claimed - days > kept
+        }
+        None => false,
+    };
+    if is_recent || (first && !clocks_agree) {
+        return Ok((undated, None));
+    }
+    Ok((undated, Some(Doubt { reason, first })))
 }
 
 /// The meaning of a report's running count.
@@ -138,8 +147,8 @@ pub(crate) fn key(
 pub(crate) enum Seen {
     /// It is the next count, or one that was missing.
     Expected,
-    /// Reports are missing: the first and the last of their counts.
-    Gap(u64, u64),
+    /// Reports with these counts are missing.
+    Gap { first: u64, last: u64 },
     /// Another report has the same count: the node's state is new, older or a copy. Missing reports are counted from
     /// here.
     Reset,
@@ -202,8 +211,8 @@ impl Counts {
         }
     }
 
-    /// Notes the count of a report, which was `new` or stored already.
-    pub(crate) fn see(&mut self, count: u64, new: bool) -> Seen {
+    /// Notes the count of a report, which is new or was stored already.
+    pub(crate) fn see(&mut self, count: u64, is_new: bool) -> Seen {
         if count == 0 || count > LARGEST_COUNT {
             return Seen::Expected;
         }
@@ -216,28 +225,28 @@ impl Counts {
             return Seen::Expected;
         }
         if count > self.highest {
-            let gap = (self.highest + 1, count - 1);
+            let first = self.highest + 1;
+            let last = count - 1;
             self.highest = count;
-            if gap.0 > gap.1 {
+            if first > last {
                 return Seen::Expected;
             }
             if self.ranges.len() == MOST_RANGES {
                 self.ranges.remove(0);
             }
-            self.ranges.push(gap);
-            return Seen::Gap(gap.0, gap.1);
+            self.ranges.push((first, last));
+            return Seen::Gap { first, last };
         }
         let mut ranges = self.ranges.iter();
         if let Some(place) = ranges.position(|(first, last)| (*first..=*last).contains(&count)) {
             let (first, last) = self.ranges.remove(place);
-            let rest = [(first, count - 1), (count + 1, last)]
-                .into_iter()
-                .filter(|(first, last)| first <= last);
+            let mut rest = vec![(first, count - 1), (count + 1, last)];
+            rest.retain(|(first, last)| first <= last);
             self.ranges.splice(place..place, rest);
             self.ranges.truncate(MOST_RANGES);
             return Seen::Expected;
         }
-        if !new || count < self.base {
+        if !is_new || count < self.base {
             return Seen::Expected;
         }
         *self = Self {

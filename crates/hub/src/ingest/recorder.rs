@@ -104,11 +104,14 @@ impl Recorder {
         now: Now,
     ) -> Result<Recorded, StoreError> {
         if self.retention_due <= now.at {
-            let more = self.retain(now).unwrap_or_else(|error| {
-                tracing::warn!(%error, "old rows were not deleted; trying again in a minute");
-                false
-            });
-            let pause = if more { Duration::ZERO } else { RETENTION };
+            let has_more = match self.retain(now) {
+                Ok(has_more) => has_more,
+                Err(error) => {
+                    tracing::warn!(%error, "old rows were not deleted; trying again in a minute");
+                    false
+                }
+            };
+            let pause = if has_more { Duration::ZERO } else { RETENTION };
             self.retention_due = now.at + pause;
         }
         // After an error the connection is dropped, which rolls the transaction back.
@@ -121,9 +124,10 @@ impl Recorder {
             self.presence_limit.allows(node, "node", now.unix_ms)
         });
         events.extend_from_slice(&self.events);
-        let mut recorded = match batches {
-            [] => Recorded::default(),
-            _ => self.write(&mut *database, batches, now.unix_ms, &mut events)?,
+        let mut recorded = if batches.is_empty() {
+            Recorded::default()
+        } else {
+            self.write(&mut *database, batches, now.unix_ms, &mut events)?
         };
         database.insert_events(&events)?;
         if self.proves_writing {
@@ -150,7 +154,7 @@ impl Recorder {
     fn retain(&mut self, now: Now) -> Result<bool, StoreError> {
         let mut database = self.store.connect(Access::Write, self.database.take())?;
         let is_believed = self.clock.judge(now.at, now.unix_ms);
-        let more = retain(
+        let has_more = retain(
             &mut *database,
             &self.history,
             self.delete_more,
@@ -158,7 +162,7 @@ impl Recorder {
             is_believed,
         )?;
         self.database = Some(database);
-        Ok(more)
+        Ok(has_more)
     }
 
     /// Writes `batches` into the transaction: identities of reports, clips, sums, counts, and invalid reports.
@@ -172,15 +176,15 @@ impl Recorder {
         let mut group = Group::load(database, batches, now_ms)?;
         let mut recorded = Recorded::default();
         for batch in batches {
-            let (result, cameras) = group.add(database, batch, &mut self.aside_limit)?;
-            for (kind, detail) in result.events {
-                if self.event_limit.allows(&batch.node, kind, now_ms) {
-                    events.push(EventRow::of(now_ms, kind, &batch.node, detail));
+            let result = group.add(database, batch, &mut self.aside_limit)?;
+            for event in result.events {
+                if self.event_limit.allows(&batch.node, event.kind, now_ms) {
+                    events.push(EventRow::of(now_ms, event.kind, &batch.node, event.detail));
                 }
             }
             recorded.counts += result.counts;
             recorded.answers.push(result.answer);
-            recorded.cameras.push(cameras);
+            recorded.cameras.push(group.cameras_of(batch));
         }
         group.write(database)?;
         Ok(recorded)

@@ -9,16 +9,22 @@ use std::collections::{BTreeSet, HashMap, HashSet};
 use utoipa::ToSchema;
 use uuid::Uuid;
 
-/// The statements that add clips to sums, with the length of their spans in seconds.
-const ADD_SUMS: [(&str, i64); 2] = [
-    (
-        concat!("INSERT INTO sums_5m", include_str!("sql/add_sums.sql")),
-        300,
-    ),
-    (
-        concat!("INSERT INTO sums_hour", include_str!("sql/add_sums.sql")),
-        3600,
-    ),
+/// A statement that adds clips to sums.
+struct AddSums {
+    text: &'static str,
+    /// The length of the spans of time that are summed.
+    span_s: i64,
+}
+
+const ADD_SUMS: [AddSums; 2] = [
+    AddSums {
+        text: concat!("INSERT INTO sums_5m", include_str!("sql/add_sums.sql")),
+        span_s: 300,
+    },
+    AddSums {
+        text: concat!("INSERT INTO sums_hour", include_str!("sql/add_sums.sql")),
+        span_s: 3600,
+    },
 ];
 
 /// The largest sum. Sums saturate there, so that none is too large for its column.
@@ -169,22 +175,22 @@ impl dyn Database + '_ {
         now_ms: i64,
     ) -> Result<HashMap<String, ReportCountsRow>, StoreError> {
         let text = include_str!("sql/reporting_nodes.sql");
-        let mut nodes = self.among(text, names)?;
-        if nodes.len() < names.len() {
+        let mut rows = self.among(text, names)?;
+        if rows.len() < names.len() {
             let add = "INSERT INTO nodes (name, state, since_ms, why) \
                        VALUES ($1, 'silent', $2, 'no status was received yet') ON CONFLICT (name) DO NOTHING";
             for name in names {
                 self.query(add, &[(*name).into(), now_ms.into()])?;
             }
-            nodes = self.among(text, names)?;
+            rows = self.among(text, names)?;
         }
-        let nodes: Vec<ReportCountsRow> = read_all(nodes)?;
-        let nodes = nodes.into_iter().map(|mut node| {
-            // Only of a new row; that of an old one is not changed.
+        let mut nodes = HashMap::new();
+        for mut node in read_all::<ReportCountsRow>(rows)? {
+            // It is written with a new row; an update leaves the one of an old row.
             node.totals.first_ms = now_ms;
-            (node.name.clone(), node)
-        });
-        Ok(nodes.collect())
+            nodes.insert(node.name.clone(), node);
+        }
+        Ok(nodes)
     }
 
     /// Returns the ids of the cameras of these nodes, by node id and name.
@@ -252,7 +258,8 @@ impl dyn Database + '_ {
             }
         };
         let rows = keys.iter().map(ReportKey::columns).collect();
-        self.each(text, rows).map(drop)
+        self.each(text, rows)?;
+        Ok(())
     }
 
     /// Writes the report counts of nodes.
@@ -264,7 +271,8 @@ impl dyn Database + '_ {
                         stored = excluded.stored, set_aside = excluded.set_aside, refused = excluded.refused, \
                         resets = excluded.resets, base = excluded.base, highest = excluded.highest, \
                         missing = excluded.missing, ranges = excluded.ranges";
-        self.insert(rows, conflict).map(drop)
+        self.insert(rows, conflict)?;
+        Ok(())
     }
 
     /// Inserts clips, and adds them to the sums of their cameras and of the fleet.
@@ -273,8 +281,9 @@ impl dyn Database + '_ {
             .number("SELECT COALESCE(max(id), 0) + 1 FROM clips", &[])?
             .ok_or_else(|| StoreError::Statement("clips have no next id".to_owned()))?;
         self.insert(clips, "")?;
-        for (text, seconds) in ADD_SUMS {
-            self.query(text, &[first.into(), seconds.into(), LARGEST_SUM.into()])?;
+        for add in ADD_SUMS {
+            let values = [first.into(), add.span_s.into(), LARGEST_SUM.into()];
+            self.query(add.text, &values)?;
         }
         Ok(())
     }

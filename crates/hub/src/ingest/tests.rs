@@ -74,7 +74,8 @@ fn a_report_is_too_old_only_if_the_clocks_agree_and_a_wrong_clock_of_the_hub_los
 #[test]
 fn a_clip_made_before_the_clock_was_set_is_stored_under_the_time_when_it_began() {
     const HOUR_MS: i64 = 3_600_000;
-    // Of a clip that began an hour before it was sent, by a clock that was so far ahead, and is so far ahead now.
+    // A clip that began an hour before it was sent, by a clock that was `then_ms` ahead and is `now_ms` ahead: how far from
+    // the present it is stored, and whether the clock is believed.
     let stored = |then_ms: i64, now_ms: i64, made_s: Option<u64>| {
         let by_its_clock = NOW_MS + then_ms - HOUR_MS;
         let id = id(by_its_clock + 40_000);
@@ -90,9 +91,10 @@ fn a_clip_made_before_the_clock_was_set_is_stored_under_the_time_when_it_began()
         });
         let behind_ms = present.behind_when_made(id, age);
         let clip = clip(&report, present.when_made(id, age), behind_ms).unwrap();
-        (clip.row.at_ms - NOW_MS, clip.clock)
+        (clip.row.at_ms - NOW_MS, clip.is_clock_believed)
     };
-    let made_s = Some(3_560);
+    // It was made when its 40 seconds had passed.
+    let made_s = Some(3_600 - 40);
     let year = 365 * DAY_MS;
     for then_ms in [
         -56 * year,
@@ -101,12 +103,19 @@ fn a_clip_made_before_the_clock_was_set_is_stored_under_the_time_when_it_began()
         2 * HOUR_MS,
         3 * year,
     ] {
-        let is_off = then_ms.abs() > DAY_MS;
-        assert_eq!(stored(then_ms, 0, made_s), (-HOUR_MS, !is_off), "{then_ms}");
+        let is_believed = then_ms.abs() <= DAY_MS;
         assert_eq!(
-            stored(then_ms, then_ms, made_s).0,
-            if is_off { -HOUR_MS } else { then_ms - HOUR_MS }
+            stored(then_ms, 0, made_s),
+            (-HOUR_MS, is_believed),
+            "{then_ms}"
         );
+        let (at_ms, _) = stored(then_ms, then_ms, made_s);
+        let expected_ms = if is_believed {
+            then_ms - HOUR_MS
+        } else {
+            -HOUR_MS
+        };
+        assert_eq!(at_ms, expected_ms, "{then_ms}");
     }
     assert_eq!(stored(0, 0, made_s), (-HOUR_MS, true));
     assert_eq!(
@@ -119,67 +128,138 @@ fn a_clip_made_before_the_clock_was_set_is_stored_under_the_time_when_it_began()
     assert_eq!(stored(0, 0, None), (-HOUR_MS, true));
 }
 
+/// A report by its age.
+#[derive(Clone, Copy)]
+struct Aged {
+    /// Days since the time in its identity.
+    days: i64,
+    /// Days since it was made, as the node knows without its clock.
+    made_days: Option<u64>,
+    /// How far the node's clock is behind now, days.
+    behind_days: i64,
+}
+
+impl Aged {
+    /// Of a node whose clock is right now.
+    fn new(days: i64, made_days: Option<u64>) -> Self {
+        Self {
+            days,
+            made_days,
+            behind_days: 0,
+        }
+    }
+
+    /// True if the hub doubts whether it was stored before, where the node may have sent it before.
+    fn is_doubted(self) -> bool {
+        let first = false;
+        self.has_doubt(first)
+    }
+
+    /// True if the hub doubts that even where the node says that it never sent it.
+    fn is_doubted_if_first(self) -> bool {
+        let first = true;
+        self.has_doubt(first)
+    }
+
+    fn has_doubt(self, first: bool) -> bool {
+        let id = id(NOW_MS - self.days * DAY_MS);
+        let made_s = self.made_days.map(|days| days * 86_400);
+        let age = Some(ReportAge { made_s, first });
+        let present = present(-self.behind_days * DAY_MS).when_made(id, age);
+        let (key, doubt) = super::plan::key(id, present, age).unwrap();
+        let own_or_received_day = if self.days <= 30 {
+            20_780 - self.days
+        } else {
+            -20_780
+        };
+        assert_eq!(key.day, own_or_received_day);
+        if let Some(doubt) = &doubt {
+            assert_eq!(doubt.first, first);
+        }
+        doubt.is_some()
+    }
+}
+
 #[test]
 fn what_a_node_knows_without_its_clock_decides_whether_a_report_is_too_old() {
-    let doubt = |days: i64, made_days: Option<u64>, first: bool, ahead_days: i64| {
-        let id = id(NOW_MS - days * DAY_MS);
-        let made_s = made_days.map(|days| days * 86_400);
-        let age = Some(ReportAge { made_s, first });
-        let present = present(ahead_days * DAY_MS).when_made(id, age);
-        let (key, doubt) = super::plan::key(id, present, age).unwrap();
-        assert_eq!(key.day, if days <= 30 { 20_780 - days } else { -20_780 });
-        doubt.map(|doubt| doubt.first)
-    };
-    // Made an hour or a week ago, by a clock that was behind and is right now.
+    // Made an hour ago, by a clock that was behind and is right now.
     for days in [31, 45, 100, 331] {
-        assert_eq!(doubt(days, Some(0), false, 0), None, "{days}");
+        assert!(!Aged::new(days, Some(0)).is_doubted(), "{days}");
     }
-    assert_eq!(doubt(45, Some(7), false, 0), None);
+    // Made a week ago, by such a clock.
+    assert!(!Aged::new(45, Some(7)).is_doubted());
     // Really old, or perhaps stored under its own day, which was deleted since.
     for made_days in [None, Some(45)] {
-        assert_eq!(doubt(45, made_days, false, 0), Some(false));
-        assert_eq!(doubt(45, made_days, true, 0), Some(true));
+        assert!(Aged::new(45, made_days).is_doubted());
+        assert!(Aged::new(45, made_days).is_doubted_if_first());
     }
-    // Perhaps it was stored under its own day, which was deleted since; but not if it was never sent.
-    assert_eq!(doubt(45, Some(20), false, 0), Some(false));
-    assert_eq!(doubt(45, Some(20), true, 0), None);
+    assert!(!Aged::new(30, None).is_doubted());
+    // Of that age it may have been stored under its own day, which was deleted since; but not if it was never sent.
+    let perhaps_stored = Aged::new(45, Some(20));
+    assert!(perhaps_stored.is_doubted());
+    assert!(!perhaps_stored.is_doubted_if_first());
     // A clock that is behind still: a report that was sent before may have been stored.
-    assert_eq!(doubt(45, None, true, -45), None);
-    assert_eq!(doubt(45, None, false, -45), Some(false));
-    assert_eq!(doubt(30, None, false, 0), None);
+    let behind = Aged {
+        behind_days: 45,
+        ..Aged::new(45, None)
+    };
+    assert!(behind.is_doubted());
+    assert!(!behind.is_doubted_if_first());
+}
 
+#[test]
+fn running_counts_know_which_reports_never_arrived() {
     let mut counts = Counts::default();
-    for (first, wanted) in [(true, true), (false, false)] {
+    for is_first in [true, false] {
         assert_eq!(
-            counts.lack(Some(7), first),
-            wanted,
+            counts.lack(Some(7), is_first),
+            is_first,
             "the node's first reports"
         );
-        assert_eq!(counts.lack(None, first), wanted, "a report without a count");
+        assert_eq!(
+            counts.lack(None, is_first),
+            is_first,
+            "a report without a count"
+        );
     }
     see(&mut counts, &[5, 9]);
-    let lacks = [4, 5, 6, 8, 9, 10].map(|count| counts.lack(Some(count), true));
-    assert_eq!(lacks, [true, false, true, true, false, true]);
+    for arrived in [5, 9] {
+        assert!(!counts.lack(Some(arrived), true), "{arrived}");
+    }
+    for absent in [4, 6, 8, 10] {
+        assert!(counts.lack(Some(absent), true), "{absent}");
+    }
 }
 
 /// The results for counts of new reports.
 fn see(counts: &mut Counts, given: &[u64]) -> Vec<Seen> {
-    given.iter().map(|count| counts.see(*count, true)).collect()
+    given.iter().map(|count| see_new(counts, *count)).collect()
+}
+
+fn see_new(counts: &mut Counts, count: u64) -> Seen {
+    let is_new = true;
+    counts.see(count, is_new)
+}
+
+/// The result for the count of a report that was stored already.
+fn see_again(counts: &mut Counts, count: u64) -> Seen {
+    let is_new = false;
+    counts.see(count, is_new)
 }
 
 #[test]
 fn a_known_count_under_a_new_id_is_a_reset_and_misses_nothing_earlier() {
     let mut counts = Counts::default();
     let seen = see(&mut counts, &[1, 2, 3, 9]);
-    assert_eq!(seen[2..], [Seen::Expected, Seen::Gap(4, 8)]);
+    assert_eq!(seen[2..], [Seen::Expected, Seen::Gap { first: 4, last: 8 }]);
     // The same report again is not another report.
-    assert_eq!(counts.see(2, false), Seen::Expected);
+    assert_eq!(see_again(&mut counts, 2), Seen::Expected);
     assert_eq!(counts.wanted(), [(4, 8)]);
     assert_eq!(see(&mut counts, &[2, 2]), [Seen::Reset; 2]);
     // 1 is of the time before the reset.
     assert_eq!(see(&mut counts, &[1, 3, 4]), [Seen::Expected; 3]);
     assert!(counts.wanted().is_empty());
-    assert_eq!(counts.see(6, true), Seen::Gap(5, 5));
+    assert_eq!(see_new(&mut counts, 6), Seen::Gap { first: 5, last: 5 });
 }
 
 #[test]
@@ -197,9 +277,9 @@ fn two_boards_with_copies_of_one_state_cause_no_missing_reports() {
     let mut counts = Counts::default();
     see(&mut counts, &[100]);
     for more in 1..50 {
-        for (count, new) in [(100 + more, true), (100 + more, true), (100 + more, false)] {
-            counts.see(count, new);
-        }
+        // Both boards send a report with this count, and one of them sends it once more.
+        see(&mut counts, &[100 + more, 100 + more]);
+        see_again(&mut counts, 100 + more);
         assert_eq!(counts.missing(), 0);
     }
 }
@@ -208,11 +288,11 @@ fn two_boards_with_copies_of_one_state_cause_no_missing_reports() {
 fn invented_counts_fill_no_memory() {
     let mut counts = Counts::default();
     for count in 1..10_000 {
-        counts.see(count * 3, true);
+        see_new(&mut counts, count * 3);
     }
     assert!(counts.wanted().len() <= 32);
     for count in [0, u64::MAX] {
-        assert_eq!(counts.see(count, true), Seen::Expected);
+        assert_eq!(see_new(&mut counts, count), Seen::Expected);
     }
 }
 
@@ -223,8 +303,9 @@ proptest! {
         let mut known = BTreeSet::new();
         let base = came[0];
         for count in came {
-            // No count has two ids.
-            let seen = counts.see(count, known.insert(count));
+            // No count has two ids, so a known count is of the same report.
+            let is_new = known.insert(count);
+            let seen = counts.see(count, is_new);
             prop_assert!(seen != Seen::Reset);
         }
         let highest = known.last().copied().unwrap_or(0);

@@ -64,32 +64,39 @@ pub(crate) fn start(
     (inbox, writing.map(drop))
 }
 
-/// Batches, each parsed, or with the reason that it cannot be read.
-type ParsedGroup = Vec<(Waiting, Result<Batch, String>)>;
+/// A batch that waits, parsed, or with the reason that it cannot be read.
+struct Parsed {
+    waiting: Waiting,
+    batch: Result<Batch, String>,
+}
 
 /// Parses batches and hands them over in groups, at most one in each `pause`, until the queue is dropped and empty. Without
 /// batches it hands over empty groups, with which changes of presence are written.
-fn gather(queue: &Receiver<Waiting>, groups: &SyncSender<ParsedGroup>, pause: Duration) {
+fn gather(queue: &Receiver<Waiting>, groups: &SyncSender<Vec<Parsed>>, pause: Duration) {
     let mut due = Instant::now();
-    let mut ended = false;
-    while !ended {
+    loop {
         let mut next = queue.recv_timeout(IDLE.max(pause));
-        ended = matches!(next, Err(RecvTimeoutError::Disconnected));
-        let mut group = ParsedGroup::new();
+        let is_last = matches!(next, Err(RecvTimeoutError::Disconnected));
+        let mut group = Vec::new();
         let mut reports = 0;
         let mut bytes = 0;
         while let Ok(waiting) = next {
             let batch = decode(&waiting.node, &waiting.payload, unix_milliseconds());
-            reports += batch.as_ref().map_or(0, |batch| batch.reports.len());
-            bytes += batch.as_ref().map_or(0, |batch| batch.bytes);
-            group.push((waiting, batch));
+            if let Ok(batch) = &batch {
+                reports += batch.reports.len();
+                bytes += batch.bytes;
+            }
+            group.push(Parsed { waiting, batch });
             if reports >= COMMIT_REPORTS || bytes >= COMMIT_BYTES {
                 break;
             }
             next = queue.recv_timeout(due.saturating_duration_since(Instant::now()));
         }
+        let sent = groups.send(group);
         // Without a writer the hub is stopping.
-        ended |= groups.send(group).is_err();
+        if is_last || sent.is_err() {
+            return;
+        }
         due = Instant::now() + pause;
     }
 }
@@ -104,21 +111,23 @@ struct Writer {
 
 impl Writer {
     /// Runs until no more groups come.
-    fn run(mut self, groups: &Receiver<ParsedGroup>) {
+    fn run(mut self, groups: &Receiver<Vec<Parsed>>) {
         for group in groups {
-            let first = group.first();
-            let since = first.map_or_else(Instant::now, |(oldest, _)| oldest.since);
+            let since = match group.first() {
+                Some(oldest) => oldest.waiting.since,
+                None => Instant::now(),
+            };
             self.counters.writing(Some(since));
             let mut waiting = Vec::new();
             let mut batches = Vec::new();
-            for (one, batch) in group {
-                match batch {
+            for one in group {
+                match one.batch {
                     Ok(batch) => {
-                        self.limits.charge(&one.node, batch.bytes);
-                        waiting.push(one);
+                        self.limits.charge(&one.waiting.node, batch.bytes);
+                        waiting.push(one.waiting);
                         batches.push(batch);
                     }
-                    Err(error) => self.unreadable(one, error),
+                    Err(error) => self.unreadable(one.waiting, error),
                 }
             }
             self.commit(waiting, &batches);
@@ -141,13 +150,18 @@ impl Writer {
     /// noticed. If the database refuses the group, commits each batch separately.
     fn commit(&mut self, waiting: Vec<Waiting>, batches: &[Batch]) {
         let error = match self.record(batches) {
-            Ok(recorded) => return self.acknowledge(waiting, recorded),
+            Ok(recorded) => {
+                self.acknowledge(waiting, recorded);
+                return;
+            }
             Err(error) => error,
         };
-        let outcomes = &self.counters.outcomes;
         if error.is_temporary() || batches.len() < 2 {
-            outcomes.failed(&error, !batches.is_empty(), Instant::now());
-            return self.unavailable(waiting, &error);
+            let had_reports = !batches.is_empty();
+            let outcomes = &self.counters.outcomes;
+            outcomes.failed(&error, had_reports, Instant::now());
+            self.unavailable(waiting, &error);
+            return;
         }
         let mut is_any_stored = false;
         for (waiting, batch) in waiting.into_iter().zip(batches) {
@@ -158,8 +172,9 @@ impl Writer {
                     self.acknowledge(vec![waiting], recorded);
                 }
                 Err(error) => {
+                    let had_reports = true;
                     let outcomes = &self.counters.outcomes;
-                    outcomes.failed(&error, true, Instant::now());
+                    outcomes.failed(&error, had_reports, Instant::now());
                     self.unavailable(vec![waiting], &error);
                 }
             }
@@ -196,32 +211,33 @@ impl Writer {
     }
 
     /// Refuses batches that were not stored, and pauses if the database is not available.
-    fn unavailable(&self, queries: Vec<Waiting>, error: &StoreError) {
-        for query in queries {
+    fn unavailable(&self, waiting: Vec<Waiting>, error: &StoreError) {
+        for one in waiting {
             let refusal = Refusal {
                 reason: RefusalReason::Unavailable,
                 why: error.to_string(),
                 wait: Some(UNAVAILABLE_RETRY),
             };
-            self.refuse(query, refusal);
+            self.refuse(one, refusal);
         }
         if error.is_temporary() {
             std::thread::sleep(DATABASE_PAUSE);
         }
     }
 
-    fn acknowledge(&self, queries: Vec<Waiting>, recorded: Recorded) {
+    fn acknowledge(&self, waiting: Vec<Waiting>, recorded: Recorded) {
         self.counters.count(|counts| {
             *counts += recorded.counts;
             counts.commits += 1;
-            counts.batches += queries.len() as u64;
+            counts.batches += waiting.len() as u64;
         });
-        let answers = recorded.answers.into_iter().zip(recorded.cameras);
-        for (query, (answer, cameras)) in queries.into_iter().zip(answers) {
-            self.fleet.reported(&query.node, unix_milliseconds());
-            self.limits.note_cameras(&query.node, cameras);
-            self.counters.acknowledged_after.add(query.since.elapsed());
-            (query.reply)(Ok(answer));
+        for (one, cameras) in waiting.iter().zip(recorded.cameras) {
+            self.limits.note_cameras(&one.node, cameras);
+        }
+        for (one, answer) in waiting.into_iter().zip(recorded.answers) {
+            self.fleet.reported(&one.node, unix_milliseconds());
+            self.counters.acknowledged_after.add(one.since.elapsed());
+            (one.reply)(Ok(answer));
         }
     }
 }

@@ -48,30 +48,31 @@ fn hostile(random: &mut Pcg64Mcg) -> Value {
         "x".repeat(2000), [], { "threshold": { "name": "u", "value": "NaN" } }, true, "../../*/**",
         random.next_u64() % 50,
     ]);
-    values[random.next_u64() as usize % 14].clone()
+    let count = values.as_array().unwrap().len();
+    values[random.next_u64() as usize % count].clone()
 }
 
 fn corrupt(value: &mut Value, random: &mut Pcg64Mcg) {
     // Rarely at the outermost level: a batch that is no object is rejected at once.
-    let deeper = !random.next_u64().is_multiple_of(4);
-    let here = random.next_u64().is_multiple_of(12);
+    let goes_deeper = !random.next_u64().is_multiple_of(4);
+    let changes_members = random.next_u64().is_multiple_of(12);
     let place = random.next_u64() as usize;
     match value {
-        Value::Object(members) if deeper && !members.is_empty() => {
-            let place = place % members.len();
-            let name = members.keys().nth(place).unwrap().clone();
-            if here {
+        Value::Object(members) if goes_deeper && !members.is_empty() => {
+            let name = members.keys().nth(place % members.len()).unwrap().clone();
+            if changes_members {
                 members.remove(&name);
             } else {
                 corrupt(&mut members[&name], random);
             }
         }
-        Value::Array(values) if deeper && here && !values.is_empty() => {
-            values.push(hostile(random));
-        }
-        Value::Array(values) if deeper && !values.is_empty() => {
-            let place = place % values.len();
-            corrupt(&mut values[place], random);
+        Value::Array(values) if goes_deeper && !values.is_empty() => {
+            if changes_members {
+                values.push(hostile(random));
+            } else {
+                let place = place % values.len();
+                corrupt(&mut values[place], random);
+            }
         }
         value => *value = hostile(random),
     }
@@ -81,8 +82,8 @@ fn payload(random: &mut Pcg64Mcg) -> Vec<u8> {
     let mut batch = batch(random);
     // A fault in the batch itself rejects it whole; most faults should get further.
     for _ in 0..random.next_u64() % 3 {
-        let whole = random.next_u64().is_multiple_of(4) || batch["reports"][0].is_null();
-        let part = if whole {
+        let is_of_batch = random.next_u64().is_multiple_of(4) || batch["reports"][0].is_null();
+        let part = if is_of_batch {
             &mut batch
         } else {
             &mut batch["reports"][0]
@@ -148,8 +149,9 @@ async fn what_a_node_can_repeat_fills_no_table_with_events() {
         recorder.record(&[], &[node], now).unwrap();
     }
     let events = store.events_after(0, 1000).await.unwrap();
-    let of = |kind: &str| events.iter().filter(|event| event.kind == kind).count();
-    assert_eq!((of("node"), of("refused")), (60, 1));
+    let count = |kind: &str| events.iter().filter(|event| event.kind == kind).count();
+    assert_eq!(count("node"), 60, "an hour's states");
+    assert_eq!(count("refused"), 1, "one a minute");
     assert!(events.iter().all(|event| event.detail.to_string().len() < 3000));
     store.close().await;
 }
@@ -191,16 +193,18 @@ async fn hostile_batches_break_nothing_and_every_acknowledged_report_is_accounte
         assert_eq!(done.answers.len(), group.len());
         for (batch, answer) in group.iter().zip(&done.answers) {
             refused += answer.refused.len() as u64;
-            let no: BTreeSet<Uuid> = answer.refused.iter().map(|report| report.id).collect();
-            let read = batch.reports.iter().filter(|report| report.content.is_ok());
-            let ids = read.filter_map(|report| report.id);
-            stored.extend(ids.filter(|id| !no.contains(id)));
+            let refused_ids: BTreeSet<Uuid> =
+                answer.refused.iter().map(|report| report.id).collect();
+            let valid = batch.reports.iter().filter(|report| report.content.is_ok());
+            let ids = valid.filter_map(|report| report.id);
+            stored.extend(ids.filter(|id| !refused_ids.contains(id)));
         }
     }
     println!(
         "{batches} batches: {unreadable} not read, {clips} clips, {again} again, {aside} reports set aside, \
          {refused} refused by name"
     );
+    // Each way that a report can take was taken.
     assert!(unreadable > batches / 20 && clips > 0 && again > 0 && aside > 0 && refused > 0);
     assert_eq!(stored.len() as u64, clips);
     let counts = store.report_counts("car-1").await.unwrap().unwrap();
@@ -212,18 +216,19 @@ async fn hostile_batches_break_nothing_and_every_acknowledged_report_is_accounte
 
 #[test]
 fn an_empty_batch_and_an_oversized_one_are_rejected_whole() {
-    let of = |node: &str, reports: Value| {
+    // A batch of car-1 on the key of `node`.
+    let decoded = |node: &str, reports: Value| {
         let batch = json!({ "v": VERSION, "node": "car-1", "t_ms": NOW_MS, "reports": reports });
         decode(node, &zstd(batch.to_string().as_bytes()), NOW_MS)
     };
-    let why = |reports| of("car-1", reports).unwrap_err();
-    assert_eq!(why(json!([])), "the batch has no reports");
-    let many = why(json!(vec![0; 200_000]));
+    let none = decoded("car-1", json!([])).unwrap_err();
+    assert_eq!(none, "the batch has no reports");
+    let many = decoded("car-1", json!(vec![0; 200_000])).unwrap_err();
     assert_eq!(many, "200000 reports, more than 1000");
     let mut other = report(1);
     other["node"] = "car-2".into();
-    let batch = of("car-1", json!([other])).unwrap();
+    let batch = decoded("car-1", json!([other])).unwrap();
     assert!(batch.reports[0].content.is_err(), "another node's report");
-    let decoded = of("car-2", json!([report(1)]));
-    assert!(decoded.is_err(), "another node's batch");
+    let batch = decoded("car-2", json!([report(1)]));
+    assert!(batch.is_err(), "another node's batch");
 }
