@@ -36,13 +36,13 @@ pub(crate) struct Hub {
     /// Cancelled when the hub stops.
     pub(crate) shutdown: CancellationToken,
     /// The tuner, once the database is open.
-    pub(crate) opened: Arc<OnceLock<Arc<Tuner>>>,
+    pub(crate) tuner: Arc<OnceLock<Arc<Tuner>>>,
     /// The Zenoh session, once it is open.
     pub(crate) session: Arc<OnceLock<Session>>,
     /// The prefix of all keys.
     pub(crate) prefix: Arc<str>,
     /// Limits the number of readers that watch nodes at a time.
-    pub(crate) live: Arc<Semaphore>,
+    pub(crate) live_readers: Arc<Semaphore>,
     /// Days that five-minute sums are kept.
     pub(crate) five_minutes_days: u32,
     /// The configuration without its secrets.
@@ -59,9 +59,9 @@ impl Hub {
     ) -> Self {
         let readiness = Readiness::default();
         let certificates = Certificates::read(config.zenoh.tls_files("certificate"));
-        let read = certificates.clone();
+        let probed = certificates.clone();
         readiness.probe(identity::PART, "", move || {
-            read.fault().map(Fault::degraded)
+            probed.fault().map(Fault::degraded)
         });
         Self {
             readiness,
@@ -70,10 +70,10 @@ impl Hub {
             desired: Arc::new(desired),
             ingest: Arc::default(),
             shutdown,
-            opened: Arc::default(),
+            tuner: Arc::default(),
             session: Arc::default(),
             prefix: config.hub.prefix.as_str().into(),
-            live: Arc::new(Semaphore::new(MOST_LIVE)),
+            live_readers: Arc::new(Semaphore::new(MOST_LIVE)),
             five_minutes_days: config.history.five_minutes_days,
             config: Arc::new(without_secrets(config)),
             started: Instant::now(),
@@ -85,7 +85,7 @@ impl Hub {
     /// # Errors
     /// A problem document while the database is not open yet.
     pub(crate) fn tuner(&self) -> Result<&Arc<Tuner>, Problem> {
-        attached(&self.opened, "the database")
+        attached(&self.tuner, "the database")
     }
 
     /// The database.

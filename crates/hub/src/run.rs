@@ -8,7 +8,7 @@ use crate::hub::Hub;
 use crate::ingest::{self, Recorder};
 use crate::presence::follow_today;
 use crate::store::{Store, StoreError};
-use crate::tuning::{self, DesiredSettings, Tuner};
+use crate::tuning::{self, DesiredSettings, Notice, Tuner};
 use albireo_service::clock::Now;
 use albireo_service::config::ZenohMode;
 use albireo_service::notify;
@@ -48,7 +48,9 @@ pub async fn run(
     shutdown: CancellationToken,
 ) -> Result<(), HubError> {
     let address = listener.local_addr().map_err(HubError::at("the listener has no address"))?;
-    config.database.passwords().for_each(logging::conceal);
+    for password in config.database.passwords() {
+        logging::conceal(password);
+    }
     let (desired, notices) = DesiredSettings::new();
     let hub = Hub::new(config, desired, shutdown.clone());
     hub.readiness.part("zenoh").not_ready("the session is not open yet");
@@ -91,27 +93,36 @@ pub async fn run(
 /// Returns the hub's state for the service manager: not ready while the router or the database is absent, and stuck if
 /// the writer does nothing while batches wait.
 fn service_state(hub: Hub) -> impl Fn() -> (HealthStatus, Option<String>) {
-    let moved = Mutex::new((0, Instant::now()));
+    /// The last time when the writer was seen to work, or to have nothing to do.
+    struct Progress {
+        transactions: u64,
+        at: Instant,
+    }
+    let last = Mutex::new(Progress {
+        transactions: 0,
+        at: Instant::now(),
+    });
     move || {
-        let health = hub.readiness.health();
+        let status = hub.readiness.health().status();
         let all = hub.ingest.counts();
-        let tried = all.commits + all.database_errors;
-        let mut moved = moved.lock();
-        if hub.ingest.queued() == 0 || tried != moved.0 {
-            *moved = (tried, Instant::now());
+        let transactions = all.commits + all.database_errors;
+        let mut last = last.lock();
+        if hub.ingest.queued() == 0 || transactions != last.transactions {
+            *last = Progress {
+                transactions,
+                at: Instant::now(),
+            };
         }
-        let is_stuck = moved.1.elapsed() >= STUCK_AFTER;
-        let why = is_stuck.then(|| "batches wait and the writer does nothing".to_owned());
-        (health.status(), why)
+        if last.at.elapsed() < STUCK_AFTER {
+            return (status, None);
+        }
+        let why = "batches wait and the writer does nothing".to_owned();
+        (status, Some(why))
     }
 }
 
 /// Starts the parts in order, waits for the shutdown, and stops them in reverse order.
-async fn parts(
-    config: &HubConfig,
-    hub: &Hub,
-    notices: Receiver<(String, u64)>,
-) -> Result<(), HubError> {
+async fn parts(config: &HubConfig, hub: &Hub, notices: Receiver<Notice>) -> Result<(), HubError> {
     let Some(tuner) = open_database(config, hub).await? else {
         return Ok(());
     };
@@ -122,8 +133,8 @@ async fn parts(
     };
     let mut running = start(config, hub, &tuner, &session, notices).await?;
     let locators = session.info().locators().await;
-    let locators: Vec<_> = locators.iter().map(ToString::to_string).collect();
-    tracing::info!(zenoh = locators.join(" "), "ready");
+    let addresses: Vec<_> = locators.iter().map(ToString::to_string).collect();
+    tracing::info!(zenoh = addresses.join(" "), "ready");
     let watched = running.tasks.watch().await;
 
     // After a failure the other tasks have to stop.
@@ -147,7 +158,7 @@ async fn open_database(config: &HubConfig, hub: &Hub) -> Result<Option<Arc<Tuner
             Err(error) => error,
         };
         if !error.is_temporary() {
-            return Err(HubError::at(&format!("[database] {shown}"))(error));
+            return Err(HubError::of(format!("[database] {shown}: {error}")));
         }
         tracing::warn!(%error, database = shown, "trying again");
         database.not_ready(error.to_string());
@@ -157,7 +168,7 @@ async fn open_database(config: &HubConfig, hub: &Hub) -> Result<Option<Arc<Tuner
         }
     };
     tracing::info!(database = tuner.store.kind(), "database opened");
-    let _ = hub.opened.set(Arc::clone(&tuner));
+    let _ = hub.tuner.set(Arc::clone(&tuner));
     // From now on the outcome of the transactions decides.
     let ingest = Arc::clone(&hub.ingest);
     hub.readiness.probe("database", "", move || {
@@ -202,12 +213,18 @@ async fn open_session(config: &HubConfig, hub: &Hub) -> Result<Option<Session>, 
 /// What a hub does while it runs.
 struct Running {
     tasks: Supervisor,
-    /// What the session declared, but for the queryable of reports.
-    listening: (Subscriber<()>, Subscriber<()>, Queryable<()>),
+    listening: Listening,
     /// Dropping it drops the inbox: the writer commits the waiting batches and ends.
     reports: Queryable<()>,
     /// Ends when the last answer is sent.
     replier: JoinHandle<()>,
+}
+
+/// What the session declared, but for the queryable of reports; dropping it undeclares all.
+struct Listening {
+    _statuses: Subscriber<()>,
+    _tokens: Subscriber<()>,
+    _pulls: Queryable<()>,
 }
 
 /// Starts everything between the session and the database, reports last: they are taken once all else works.
@@ -216,7 +233,7 @@ async fn start(
     hub: &Hub,
     tuner: &Arc<Tuner>,
     session: &Session,
-    notices: Receiver<(String, u64)>,
+    notices: Receiver<Notice>,
 ) -> Result<Running, HubError> {
     let store = &tuner.store;
     // A hub that lost a task would look healthy and do half of its work. So the hub stops when a task ends, and the
@@ -243,17 +260,20 @@ async fn start(
         counters: Arc::clone(&hub.ingest),
         replies,
     };
-    let listening = (
-        answers.hear_statuses(&keys, session).await?,
-        answers.hear_tokens(&keys, session).await?,
-        answers.answer_pulls(&keys, session).await?,
-    );
+    let listening = Listening {
+        _statuses: answers.hear_statuses(&keys, session).await?,
+        _tokens: answers.hear_tokens(&keys, session).await?,
+        _pulls: answers.answer_pulls(&keys, session).await?,
+    };
     let notified = session.clone();
     let prefix = config.hub.prefix.clone();
     spawn_blocking(move || send_notices(&notified, &prefix, &notices));
 
     // Presence: nodes become silent, unless the hub itself is cut off.
-    let router = (config.zenoh.mode == ZenohMode::Client).then(|| session.clone());
+    let router = match config.zenoh.mode {
+        ZenohMode::Client => Some(session.clone()),
+        ZenohMode::Router | ZenohMode::Peer => None,
+    };
     let connection = hub.readiness.part_of("zenoh", "router");
     let sweeping = follow_router(Arc::clone(&hub.fleet), connection, router);
     tasks.until_shutdown("presence", sweeping);

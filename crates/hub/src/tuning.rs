@@ -17,7 +17,7 @@ pub mod selector;
 mod tables;
 pub mod tuner;
 
-pub use desired::DesiredSettings;
+pub use desired::{DesiredSettings, Notice};
 pub(crate) use tables::delete_old;
 pub use tuner::Tuner;
 pub(crate) use tuner::follow;

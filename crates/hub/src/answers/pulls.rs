@@ -2,7 +2,8 @@
 
 use super::Answers;
 use crate::HubError;
-use albireo_wire::{NodeKeys, RefusalReason, RevisionMessage};
+use crate::ingest::Refusal;
+use albireo_wire::{NodeKeys, RevisionMessage};
 use zenoh::Session;
 use zenoh::query::{Query, Queryable};
 
@@ -24,17 +25,17 @@ impl Answers {
 
     fn pulled(&self, mut query: Query) {
         self.counters.count(|counts| counts.pulls += 1);
-        // The query waits for its answer without it.
-        let payload = query.payload_mut().map(std::mem::take);
-        match albireo_wire::read::<RevisionMessage>(&payload.unwrap_or_default().to_bytes()) {
+        // The query waits for its answer, and must not hold its payload meanwhile.
+        let payload = query.payload_mut().map(std::mem::take).unwrap_or_default();
+        match albireo_wire::read::<RevisionMessage>(&payload.to_bytes()) {
             Ok(_) => {
-                let node = NodeKeys::node_of(query.key_expr().as_str());
-                let desired = self.desired(node.unwrap_or_default());
+                let node = NodeKeys::node_of(query.key_expr().as_str()).unwrap_or_default();
+                let desired = self.desired(node);
                 self.replies.answer(query, &desired);
             }
             Err(error) => {
-                let reason = RefusalReason::Unreadable;
-                self.replies.refuse(query, reason, &error.to_string(), None);
+                let refusal = Refusal::unreadable(error.to_string());
+                self.replies.refuse(query, &refusal);
             }
         }
     }

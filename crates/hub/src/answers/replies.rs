@@ -1,13 +1,12 @@
 //! Sends answers on a separate thread, because a reply over a slow network may block for seconds.
 
-use crate::ingest::IngestCounters;
+use crate::ingest::{IngestCounters, Refusal};
 use crate::per_node::{PerNode, Place};
 use crate::store::row::beginning;
-use albireo_wire::{NodeKeys, RefusalReason, ReportRefusal, VERSION};
+use albireo_wire::{NodeKeys, ReportRefusal, VERSION};
 use serde::Serialize;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
-use std::time::Duration;
 use tokio::task::{JoinHandle, spawn_blocking};
 use zenoh::Wait;
 use zenoh::query::Query;
@@ -17,8 +16,19 @@ const QUEUE: usize = 16_384;
 /// Most answers that may wait per node: a node that does not read its answers cannot fill the queue.
 const MOST_OF_A_NODE: usize = 16;
 
-/// A query, the answer or refusal to it, and its place.
-type Reply = (Query, Result<Vec<u8>, Vec<u8>>, Place);
+/// What a query is answered with, as JSON.
+enum Answer {
+    Success(Vec<u8>),
+    Refusal(Vec<u8>),
+}
+
+/// A query with its answer.
+struct Reply {
+    query: Query,
+    answer: Answer,
+    /// Among the answers to its node; freed when the answer is sent.
+    _place: Place,
+}
 
 /// Queues answers to nodes.
 #[derive(Clone, Debug)]
@@ -44,43 +54,48 @@ impl Replies {
 
     /// Answers a query.
     pub(crate) fn answer(&self, query: Query, answer: &impl Serialize) {
-        self.hand_over(query, serde_json::to_vec(answer).map(Ok));
+        let json = serde_json::to_vec(answer);
+        self.hand_over(query, json.map(Answer::Success));
     }
 
-    /// Refuses a query; the node may retry after `wait`.
-    pub(crate) fn refuse(
-        &self,
-        query: Query,
-        reason: RefusalReason,
-        why: &str,
-        wait: Option<Duration>,
-    ) {
-        let refusal = ReportRefusal {
+    /// Refuses a query.
+    pub(crate) fn refuse(&self, query: Query, refusal: &Refusal) {
+        let wait = refusal.wait;
+        let json = serde_json::to_vec(&ReportRefusal {
             v: VERSION,
-            reason,
-            detail: beginning(why),
+            reason: refusal.reason,
+            detail: beginning(&refusal.why),
             retry_after_ms: wait.and_then(|wait| u64::try_from(wait.as_millis()).ok()),
-        };
-        self.hand_over(query, serde_json::to_vec(&refusal).map(Err));
+        });
+        self.hand_over(query, json.map(Answer::Refusal));
     }
 
-    fn hand_over(&self, query: Query, payload: serde_json::Result<Result<Vec<u8>, Vec<u8>>>) {
-        let queue = || {
-            let node = NodeKeys::node_of(query.key_expr().as_str()).unwrap_or_default();
-            let place = self.places.place(node)?;
-            self.sender.try_send((query, payload.ok()?, place)).ok()
-        };
-        if queue().is_none() {
+    fn hand_over(&self, query: Query, answer: serde_json::Result<Answer>) {
+        let queued = self.queue(query, answer);
+        if queued.is_none() {
             self.counters.count(|counts| counts.answers_lost += 1);
         }
+    }
+
+    /// Queues an answer. Returns `None` if it is lost.
+    fn queue(&self, query: Query, answer: serde_json::Result<Answer>) -> Option<()> {
+        let node = NodeKeys::node_of(query.key_expr().as_str()).unwrap_or_default();
+        let place = self.places.place(node)?;
+        let reply = Reply {
+            query,
+            answer: answer.ok()?,
+            _place: place,
+        };
+        self.sender.try_send(reply).ok()
     }
 }
 
 fn send(replies: &Receiver<Reply>, counters: &IngestCounters) {
-    while let Ok((query, payload, _place)) = replies.recv() {
-        let sent = match payload {
-            Ok(answer) => query.reply(query.key_expr().clone(), answer).wait(),
-            Err(refusal) => query.reply_err(refusal).wait(),
+    for reply in replies {
+        let query = &reply.query;
+        let sent = match reply.answer {
+            Answer::Success(json) => query.reply(query.key_expr().clone(), json).wait(),
+            Answer::Refusal(json) => query.reply_err(json).wait(),
         };
         if let Err(error) = sent {
             counters.count(|counts| counts.answers_lost += 1);

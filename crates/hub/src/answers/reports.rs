@@ -30,7 +30,8 @@ impl Answers {
         let payload = query.payload_mut().map(std::mem::take);
         let (Some(node), Some(payload)) = (node, payload) else {
             // The sender is not a node, and gets no answer.
-            return self.counters.refuse(RefusalReason::Unreadable);
+            self.counters.refuse(RefusalReason::Unreadable);
+            return;
         };
         let answers = self.clone();
         let sender = node.clone();
@@ -44,7 +45,7 @@ impl Answers {
                 let desired = Some(self.desired(node));
                 self.replies.answer(query, &ReportAnswer { desired, ..answer });
             }
-            Err(Refusal { reason, why, wait }) => self.replies.refuse(query, reason, &why, wait),
+            Err(refusal) => self.replies.refuse(query, &refusal),
         }
     }
 }

@@ -14,12 +14,14 @@ use futures_util::{Stream, StreamExt, stream};
 use serde::Deserialize;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::time::MissedTickBehavior;
+use tokio::sync::OwnedSemaphorePermit;
+use tokio::time::{Interval, MissedTickBehavior};
 use utoipa::IntoParams;
 use zenoh::Session;
-use zenoh::handlers::{IntoHandler, RingChannel};
+use zenoh::handlers::{IntoHandler, RingChannel, RingChannelHandler};
+use zenoh::pubsub::Subscriber;
 use zenoh::qos::{CongestionControl, Priority};
-use zenoh::query::{Reply, ReplyError};
+use zenoh::query::Reply;
 use zenoh::sample::Sample;
 
 /// The duration of a lease.
@@ -59,7 +61,8 @@ pub(super) async fn live(
     Path(node): Path<String>,
 ) -> Result<Sse<impl Stream<Item = Result<sse::Event, axum::Error>>>, Problem> {
     let (session, keys) = hub.way_to(&node)?;
-    let place = Arc::clone(&hub.live).try_acquire_owned().map_err(|_| {
+    let readers = Arc::clone(&hub.live_readers);
+    let place = readers.try_acquire_owned().map_err(|_| {
         let detail = format!("{MOST_LIVE} nodes are being watched; close one and try again");
         Problem::new(StatusCode::SERVICE_UNAVAILABLE, detail)
     })?;
@@ -77,26 +80,48 @@ pub(super) async fn live(
     let mut renew = tokio::time::interval(RENEW);
     renew.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let shutdown = hub.shutdown.clone().cancelled_owned();
-    let watching = (hub, node, renew, counters, place);
+    let watching = Watching {
+        hub,
+        node,
+        renew,
+        counters,
+        _place: place,
+    };
     let events = stream::unfold(watching, |mut watching| async move {
-        let (hub, node, renew, counters, _place) = &mut watching;
-        loop {
-            let sample = tokio::select! {
-                _ = renew.tick() => {
-                    hub.desired.watch(node, LEASE);
-                    continue;
-                }
-                sample = counters.recv_async() => sample.ok()?,
-            };
-            let message = albireo_wire::read::<CountersMessage>(&sample.payload().to_bytes());
-            if let Ok(message) = message {
-                let event = sse::Event::default().event("counters");
-                return Some((event.json_data(message), watching));
-            }
-        }
+        let message = watching.next().await?;
+        let event = sse::Event::default().event("counters").json_data(message);
+        Some((event, watching))
     })
     .take_until(shutdown);
     Ok(Sse::new(events).keep_alive(KeepAlive::new().interval(Duration::from_secs(15))))
+}
+
+/// A reader of the live counters of one node.
+struct Watching {
+    hub: Hub,
+    node: String,
+    renew: Interval,
+    counters: Subscriber<RingChannelHandler<Sample>>,
+    /// Its place among the readers of all nodes.
+    _place: OwnedSemaphorePermit,
+}
+
+impl Watching {
+    /// The next counters that can be read; renews the lease meanwhile. `None` once the session is closed.
+    async fn next(&mut self) -> Option<CountersMessage> {
+        loop {
+            let sample = tokio::select! {
+                _ = self.renew.tick() => {
+                    self.hub.desired.watch(&self.node, LEASE);
+                    continue;
+                }
+                sample = self.counters.recv_async() => sample.ok()?,
+            };
+            if let Ok(message) = albireo_wire::read(&sample.payload().to_bytes()) {
+                return Some(message);
+            }
+        }
+    }
 }
 
 /// The problem document of a Zenoh error.
@@ -106,8 +131,10 @@ fn unavailable(error: zenoh::Error) -> Problem {
 
 /// Returns true if Zenoh itself ended the query because it got no reply in time.
 fn timed_out(reply: &Reply) -> bool {
-    let ended = |error: &ReplyError| &*error.payload().to_bytes() == b"Timeout";
-    reply.result().is_err_and(ended)
+    match reply.result() {
+        Ok(_) => false,
+        Err(error) => &*error.payload().to_bytes() == b"Timeout",
+    }
 }
 
 /// What is drawn on a picture.

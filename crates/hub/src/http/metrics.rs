@@ -55,26 +55,30 @@ pub(super) async fn page(hub: &Hub) -> MetricsPage {
 
 fn presence(page: &mut MetricsPage, hub: &Hub) {
     let mut missing = 0;
-    let mut behind = 0;
+    let mut behind = 0_u32;
     let mut waiting = 0;
     let mut targets = [0; TargetStatus::ALL.len()];
     let now_s = unix_milliseconds().div_euclid(1000);
-    let mut ending = [("7d", 7, 0_u32), ("30d", 30, 0)];
+    let mut within_7_days = 0_u32;
+    let mut within_30_days = 0_u32;
     hub.fleet.each(|node| {
         waiting += node.waiting;
-        let ends = node.status.iter().flat_map(|status| &status.certificates);
-        if let Some(first_s) = ends.map(|one| one.until_s).min() {
-            for (_, days, nodes) in &mut ending {
-                *nodes += u32::from(first_s.saturating_sub(now_s) < *days * DAY_S);
-            }
+        let certificates = node.status.iter().flat_map(|status| &status.certificates);
+        if let Some(first_s) = certificates.map(|one| one.until_s).min() {
+            let left_s = first_s.saturating_sub(now_s);
+            within_7_days += u32::from(left_s < 7 * DAY_S);
+            within_30_days += u32::from(left_s < 30 * DAY_S);
         }
         if !node.is_reachable() {
             let expected = node.labels().get("expected");
             missing += u32::from(expected.is_some_and(|when| when == "always"));
             return;
         }
-        let desired = hub.desired.get(&node.node);
-        behind += u32::from(desired.is_some_and(|desired| node.revision < desired.given.revision));
+        if let Some(desired) = hub.desired.get(&node.node)
+            && node.revision < desired.given.revision
+        {
+            behind += 1;
+        }
         if let Some(target) = node.status.as_ref().and_then(|status| status.target) {
             targets[target.status.unwrap_or(TargetStatus::Measuring) as usize] += 1;
         }
@@ -87,9 +91,10 @@ fn presence(page: &mut MetricsPage, hub: &Hub) {
     page.gauges(
         "albireo_hub_nodes_certificate_ending",
         "Nodes with a certificate that ends within this time, or has ended, by their last status",
-        ending
-            .iter()
-            .map(|(within, _, nodes)| ([("within", *within)], f64::from(*nodes))),
+        [
+            ([("within", "7d")], f64::from(within_7_days)),
+            ([("within", "30d")], f64::from(within_30_days)),
+        ],
     );
     page.gauge(
         "albireo_hub_nodes_behind",
@@ -106,13 +111,13 @@ fn presence(page: &mut MetricsPage, hub: &Hub) {
         "Names that more than one node uses",
         hub.fleet.twins() as f64,
     );
-    let (names, statuses) = hub.fleet.refused();
+    let dropped = hub.fleet.dropped_statuses();
     page.counters(
         "albireo_hub_statuses_dropped_total",
         "Statuses that were not kept: of too many names that never sent a report, or too large for the memory of all",
         [
-            ([("reason", "names")], names as f64),
-            ([("reason", "memory")], statuses as f64),
+            ([("reason", "names")], dropped.names as f64),
+            ([("reason", "memory")], dropped.memory as f64),
         ],
     );
     page.gauge(
@@ -152,20 +157,18 @@ fn ingest(page: &mut MetricsPage, hub: &Hub) {
             ([("result", "missed")], counts.audit_missed as f64),
         ],
     );
-    let sides = [
-        ("detected", counts.audit_detected),
-        ("shown", counts.audit_shown),
-    ];
+    let paired = counts.audit_paired;
+    let boxes = |side, result, boxes: u64| ([("side", side), ("result", result)], boxes as f64);
     page.counters(
         "albireo_hub_audit_boxes_total",
         "Boxes of the audited frames of the clips written, by side (detected: the detector's; shown: the published) and by \
          result (paired with a box of the other side, or unpaired). Against the detector, not the truth",
-        sides.into_iter().flat_map(|(side, all)| {
-            let paired = counts.audit_paired;
-            let rest = all.saturating_sub(counts.audit_paired);
-            [("paired", paired), ("unpaired", rest)]
-                .map(|(result, boxes)| ([("side", side), ("result", result)], boxes as f64))
-        }),
+        [
+            boxes("detected", "paired", paired),
+            boxes("detected", "unpaired", counts.audit_detected.saturating_sub(paired)),
+            boxes("shown", "paired", paired),
+            boxes("shown", "unpaired", counts.audit_shown.saturating_sub(paired)),
+        ],
     );
     page.counters(
         "albireo_hub_batches_refused_total",

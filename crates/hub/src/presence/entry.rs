@@ -32,10 +32,10 @@ pub(crate) struct NodeEntry {
     pub(super) token_gone: bool,
     /// The number of the present run of its process; `None` until its first status.
     pub(super) run: Option<u32>,
-    /// The run before the present one, and when its last status was received.
-    other: Option<(u32, Instant)>,
-    /// The reason to assume that several nodes use the name, and the end of that assumption.
-    pub(super) identity: Option<(String, Instant)>,
+    /// The run before the present one.
+    before: Option<EarlierRun>,
+    /// Present while several nodes seem to use the name.
+    pub(super) twin: Option<Twin>,
     pub(super) seq: u64,
     pub(super) health: HealthState,
     pub(super) needs_full: bool,
@@ -44,6 +44,22 @@ pub(crate) struct NodeEntry {
     /// Bytes of its full status, as JSON.
     pub(super) status_bytes: usize,
     pub(super) notified: Option<Instant>,
+}
+
+/// A run that another one replaced.
+#[derive(Clone, Copy, Debug)]
+struct EarlierRun {
+    run: u32,
+    /// When its last status was received.
+    heard: Instant,
+}
+
+/// The assumption that several nodes use one name.
+#[derive(Clone, Debug)]
+pub(super) struct Twin {
+    pub(super) why: String,
+    /// When the assumption ends.
+    pub(super) until: Instant,
 }
 
 impl NodeEntry {
@@ -63,44 +79,52 @@ impl NodeEntry {
 
     /// Creates the entry of a node that was read from the database.
     pub(super) fn remembered(node: NodeView, now: Instant) -> Self {
-        let status = node.status.as_ref();
+        let status = node.status.as_deref();
         Self {
             heard: node.is_reachable().then_some(now),
             health: status.map_or(HealthState::Ready, |status| status.health.state),
             needs_full: true,
             has_reported: node.has_reported,
-            status_bytes: node.status.as_deref().map_or(0, json_bytes),
+            status_bytes: status.map_or(0, json_bytes),
             node,
             ..Self::default()
         }
     }
 
-    /// Notes the number of a message of the present run. Returns `None` if a later one overtook it; after a gap, a full
+    /// Notes the number of a message of the present run. Returns false if a later one overtook it; after a gap, a full
     /// status may be lost.
-    pub(super) fn note_seq(&mut self, seq: u64) -> Option<()> {
+    pub(super) fn note_seq(&mut self, seq: u64) -> bool {
         if seq <= self.seq && !self.needs_full {
-            return None;
+            return false;
         }
-        self.needs_full |= self.seq.checked_add(1) != Some(seq);
+        let is_next = self.seq.checked_add(1) == Some(seq);
+        if !is_next {
+            self.needs_full = true;
+        }
         self.seq = seq;
-        Some(())
+        true
     }
 
     /// Notes a run that differs from the present one. A new run is a restart; a run that comes back after another one
     /// means that two nodes have this name.
     pub(super) fn another_run(&mut self, run: u32, now: Instant, silent: Duration) {
         self.needs_full = true;
-        let Some(before) = self.run.replace(run) else {
+        let Some(last) = self.run.replace(run) else {
             return;
         };
-        if let Some((other, heard)) = self.other
-            && other == run
-            && now.saturating_duration_since(heard) < silent
+        if let Some(before) = self.before
+            && before.run == run
+            && now.saturating_duration_since(before.heard) < silent
         {
-            let what = format!("two nodes have this name: runs {run} and {before}");
-            self.identity = Some((what, now + silent * 2));
+            self.twin = Some(Twin {
+                why: format!("two nodes have this name: runs {run} and {last}"),
+                until: now + silent * 2,
+            });
         }
-        self.other = Some((before, self.heard.unwrap_or(now)));
+        self.before = Some(EarlierRun {
+            run: last,
+            heard: self.heard.unwrap_or(now),
+        });
     }
 
     /// Returns its state if its last status is that old, and the reason. Without a status the time is `None`.
@@ -127,8 +151,8 @@ impl NodeEntry {
                 return (state, format!("no status for {limit_s} s"));
             }
         }
-        if let Some((why, _)) = &self.identity {
-            return (PresenceState::Degraded, why.clone());
+        if let Some(twin) = &self.twin {
+            return (PresenceState::Degraded, twin.why.clone());
         }
         if self.health == HealthState::Ready {
             return (PresenceState::Online, String::new());

@@ -18,8 +18,10 @@ const NOTIFY_EVERY: Duration = Duration::from_secs(5);
 const MOST_WRITTEN: usize = 2000;
 /// A fleet sends about this many heartbeats per second, as far as that is possible with the times below.
 const HEARTBEATS_PER_S: usize = 200;
-/// Shortest and longest time between two heartbeats of a node, seconds. The time limits of `[presence]` are for the shortest.
-const HEARTBEAT_S: (u32, u32) = (30, 120);
+/// Shortest time between two heartbeats of a node, seconds: the time limits of `[presence]` are for this one.
+const SHORTEST_HEARTBEAT_S: u32 = 30;
+/// Longest time between two heartbeats of a node, seconds.
+const LONGEST_HEARTBEAT_S: u32 = 120;
 
 /// Most names that have sent a status and never a report; a status under a further name is dropped and counted. Without access
 /// control anybody can invent names.
@@ -33,12 +35,31 @@ const STATUS_BYTES_PER_NODE: usize = 16 << 10;
 
 /// The time between two heartbeats of a node in a fleet of so many nodes, seconds.
 fn heartbeat_s(nodes: usize) -> u32 {
-    ((nodes / HEARTBEATS_PER_S) as u32).clamp(HEARTBEAT_S.0, HEARTBEAT_S.1)
+    let wanted_s = (nodes / HEARTBEATS_PER_S) as u32;
+    wanted_s.clamp(SHORTEST_HEARTBEAT_S, LONGEST_HEARTBEAT_S)
 }
 
-/// How many times longer than usual that is: the time limits grow with it.
-fn slower(nodes: usize) -> f64 {
-    f64::from(heartbeat_s(nodes)) / f64::from(HEARTBEAT_S.0)
+/// How many times longer than the shortest that is: the time limits grow with it.
+fn slowdown(nodes: usize) -> f64 {
+    f64::from(heartbeat_s(nodes)) / f64::from(SHORTEST_HEARTBEAT_S)
+}
+
+/// What a message says of its node.
+enum News {
+    /// Nothing: it is not of the known run, or a later one overtook it.
+    Nothing,
+    /// That the node lives; its row stays as it is.
+    Alive,
+    /// Something that has to be written into its row.
+    Changed,
+}
+
+/// The statuses that were dropped.
+pub(crate) struct DroppedStatuses {
+    /// Under too many names that never sent a report.
+    pub(crate) names: u64,
+    /// Too large for the memory of all.
+    pub(crate) memory: u64,
 }
 
 /// All nodes.
@@ -70,15 +91,16 @@ struct Sums {
 impl Sums {
     fn add(&mut self, entry: &NodeEntry) {
         self.status_bytes += entry.status_bytes;
-        *self.kind_of(entry) += 1;
+        *self.count_of(entry) += 1;
     }
 
     fn remove(&mut self, entry: &NodeEntry) {
         self.status_bytes -= entry.status_bytes;
-        *self.kind_of(entry) -= 1;
+        *self.count_of(entry) -= 1;
     }
 
-    fn kind_of(&mut self, entry: &NodeEntry) -> &mut usize {
+    /// The count of the nodes that are like this one.
+    fn count_of(&mut self, entry: &NodeEntry) -> &mut usize {
         if entry.has_reported {
             &mut self.reporting
         } else {
@@ -125,20 +147,27 @@ impl Fleet {
 
     /// Applies a status. Returns true if the node should be asked for a full status.
     pub fn apply_status(&self, node: &str, message: StatusMessage, now: Now) -> bool {
-        let silent_s = self.config.silent_after_s * slower(self.nodes.read().len());
+        let silent_s = self.config.silent_after_s * slowdown(self.nodes.read().len());
         self.heard(node, now, |entry| {
             if entry.run != Some(message.run) {
                 entry.another_run(message.run, now.at, Duration::from_secs_f64(silent_s));
             } else if message.full.is_none() {
-                entry.note_seq(message.seq)?;
+                let is_later = entry.note_seq(message.seq);
+                if !is_later {
+                    return News::Nothing;
+                }
             }
-            let mut changed = entry.node.revision != message.revision;
+            let mut news = News::Alive;
+            if entry.node.revision != message.revision {
+                news = News::Changed;
+            }
             if let Some(full) = message.full {
                 entry.needs_full = false;
                 if entry.node.status.as_deref() != Some(&*full) {
                     let bytes = json_bytes(&full);
-                    if self.sums.lock().replace_status(entry.status_bytes, bytes) {
-                        changed = true;
+                    let fits = self.sums.lock().replace_status(entry.status_bytes, bytes);
+                    if fits {
+                        news = News::Changed;
                         entry.status_bytes = bytes;
                         entry.node.status = Some(Arc::from(full));
                     }
@@ -148,7 +177,7 @@ impl Fleet {
             entry.node.revision = message.revision;
             entry.seq = message.seq;
             entry.node.waiting = message.waiting;
-            Some(changed)
+            news
         })
     }
 
@@ -159,24 +188,21 @@ impl Fleet {
             if entry.run != Some(heartbeat.run) {
                 // The hub has just started, or messages were lost: the heartbeat is not of the known run.
                 entry.needs_full = true;
-                return None;
+                return News::Nothing;
             }
-            entry.note_seq(heartbeat.seq)?;
+            let is_later = entry.note_seq(heartbeat.seq);
+            if !is_later {
+                return News::Nothing;
+            }
             entry.node.waiting = heartbeat.waiting;
-            Some(false)
+            News::Alive
         })
     }
 
-    /// Updates a node's entry by `take`, which returns whether the row has to be written, or `None` if the message says
-    /// nothing new of a known run. Returns true if the node should be asked for a full status.
-    fn heard(
-        &self,
-        node: &str,
-        now: Now,
-        take: impl FnOnce(&mut NodeEntry) -> Option<bool>,
-    ) -> bool {
+    /// Updates a node's entry by `take`, which applies a message. Returns true if the node should be asked for a full status.
+    fn heard(&self, node: &str, now: Now, take: impl FnOnce(&mut NodeEntry) -> News) -> bool {
         let mut nodes = self.nodes.write();
-        let slower = slower(nodes.len());
+        let slowdown = slowdown(nodes.len());
         if !nodes.contains_key(node) {
             let mut sums = self.sums.lock();
             if sums.strangers >= MOST_STRANGERS {
@@ -190,21 +216,25 @@ impl Fleet {
         let Some(entry) = nodes.get_mut(node) else {
             return false;
         };
-        if let Some(changed) = take(entry) {
+        let news = take(entry);
+        if matches!(news, News::Alive | News::Changed) {
             entry.heard = Some(now.at);
             entry.node.heard_ms = Some(now.unix_ms);
             entry.token_gone = false;
-            if changed {
+            if matches!(news, News::Changed) {
                 self.dirty.lock().insert(node.to_owned());
             }
-            self.settle(entry, slower, now);
+            self.settle(entry, slowdown, now);
         }
-        let is_due = |notified| now.at.saturating_duration_since(notified) >= NOTIFY_EVERY;
-        let ask = entry.needs_full && entry.notified.is_none_or(is_due);
-        if ask {
+        let is_due = match entry.notified {
+            Some(notified) => now.at.saturating_duration_since(notified) >= NOTIFY_EVERY,
+            None => true,
+        };
+        let is_to_be_asked = entry.needs_full && is_due;
+        if is_to_be_asked {
             entry.notified = Some(now.at);
         }
-        ask
+        is_to_be_asked
     }
 
     /// Notes that a liveliness token appeared or disappeared, for the next [`sweep`](Self::sweep).
@@ -239,7 +269,9 @@ impl Fleet {
         };
         entry.has_reported = true;
         // Its status may have been dropped, as that of a name that somebody invented.
-        entry.needs_full |= entry.node.status.is_none();
+        if entry.node.status.is_none() {
+            entry.needs_full = true;
+        }
         sums.add(&entry);
         nodes.insert(node.to_owned(), entry);
     }
@@ -258,10 +290,13 @@ impl Fleet {
         strangers.map(|entry| entry.node.node.clone()).collect()
     }
 
-    /// The statuses that were dropped: under too many names without a report, and too large for the memory of all.
-    pub(crate) fn refused(&self) -> (u64, u64) {
+    /// The statuses that were dropped.
+    pub(crate) fn dropped_statuses(&self) -> DroppedStatuses {
         let sums = self.sums.lock();
-        (sums.names_refused, sums.statuses_refused)
+        DroppedStatuses {
+            names: sums.names_refused,
+            memory: sums.statuses_refused,
+        }
     }
 
     /// The fault of the fleet, if names or statuses do not fit.
@@ -292,9 +327,9 @@ impl Fleet {
     /// Finds the nodes that have become silent or offline.
     pub fn sweep(&self, now: Now) {
         let mut nodes = self.nodes.write();
-        let slower = slower(nodes.len());
+        let slowdown = slowdown(nodes.len());
         for entry in nodes.values_mut() {
-            self.settle(entry, slower, now);
+            self.settle(entry, slowdown, now);
         }
     }
 
@@ -313,9 +348,13 @@ impl Fleet {
     }
 
     /// Judges a node's state, and notes a change.
-    fn settle(&self, entry: &mut NodeEntry, slower: f64, now: Now) {
-        let silent_s = self.config.silent_after_s * slower;
-        entry.identity.take_if(|(_, until)| *until <= now.at);
+    fn settle(&self, entry: &mut NodeEntry, slowdown: f64, now: Now) {
+        let silent_s = self.config.silent_after_s * slowdown;
+        if let Some(twin) = &entry.twin
+            && twin.until <= now.at
+        {
+            entry.twin = None;
+        }
         let heard_ago = match (entry.heard, entry.node.heard_ms) {
             (Some(heard), _) => Some(now.at.saturating_duration_since(heard)),
             (None, None) => None,
@@ -327,13 +366,13 @@ impl Fleet {
                 Some(ago.max(Duration::from_secs_f64(silent_s)))
             }
         };
-        let offline_s = self.config.offline_after_s * slower;
+        let offline_s = self.config.offline_after_s * slowdown;
         let (state, why) = entry.judge(heard_ago, silent_s, offline_s);
         let node = &mut entry.node;
         if state != node.state {
             node.since_ms = now.unix_ms;
         }
-        if (state, why.as_str()) != (node.state, node.why.as_str()) {
+        if state != node.state || why != node.why {
             node.state = state;
             node.why = why;
             self.dirty.lock().insert(node.node.clone());
@@ -350,9 +389,16 @@ impl Fleet {
     pub fn take_dirty(&self) -> Vec<NodeView> {
         let nodes = self.nodes.read();
         let mut dirty = self.dirty.lock();
-        let names = std::iter::from_fn(|| dirty.pop_first()).take(MOST_WRITTEN);
-        let node = |name| Some(nodes.get(&name)?.node.clone());
-        names.filter_map(node).collect()
+        let mut taken = Vec::new();
+        while taken.len() < MOST_WRITTEN
+            && let Some(name) = dirty.pop_first()
+        {
+            // A node that was forgotten since then has no entry.
+            if let Some(entry) = nodes.get(&name) {
+                taken.push(entry.node.clone());
+            }
+        }
+        taken
     }
 
     /// Queues nodes again that were not written.
@@ -370,8 +416,8 @@ impl Fleet {
 
     /// The number of names that more than one node uses.
     pub(crate) fn twins(&self) -> usize {
-        let has_twin = |entry: &&NodeEntry| entry.identity.is_some();
-        self.nodes.read().values().filter(has_twin).count()
+        let nodes = self.nodes.read();
+        nodes.values().filter(|entry| entry.twin.is_some()).count()
     }
 
     /// One node.
@@ -392,7 +438,9 @@ impl Fleet {
     }
 
     /// Calls `each` for every node, in the order of their names.
-    pub(crate) fn each(&self, each: impl FnMut(&NodeView)) {
-        self.nodes.read().values().map(|entry| &entry.node).for_each(each);
+    pub(crate) fn each(&self, mut each: impl FnMut(&NodeView)) {
+        for entry in self.nodes.read().values() {
+            each(&entry.node);
+        }
     }
 }

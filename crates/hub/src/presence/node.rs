@@ -90,19 +90,23 @@ impl NodeView {
 
     /// True if it reported that setting. A threshold does not count while a target moves it.
     pub(crate) fn has(&self, setting: DesiredSetting) -> bool {
-        self.status.is_some()
-            && match setting {
-                DesiredSetting::Threshold(wanted) => {
-                    self.threshold() == Some(wanted) && self.target().is_none()
-                }
-                DesiredSetting::Target(wanted) => self.target() == wanted,
+        if self.status.is_none() {
+            return false;
+        }
+        match setting {
+            DesiredSetting::Threshold(wanted) => {
+                self.threshold() == Some(wanted) && self.target().is_none()
             }
+            DesiredSetting::Target(wanted) => self.target() == wanted,
+        }
     }
 
     /// Its target, or its threshold if it holds no target.
     pub(crate) fn setting(&self) -> Option<DesiredSetting> {
-        let target = self.target().map(|target| DesiredSetting::Target(Some(target)));
-        target.or_else(|| self.threshold().map(DesiredSetting::Threshold))
+        match self.target() {
+            Some(target) => Some(DesiredSetting::Target(Some(target))),
+            None => self.threshold().map(DesiredSetting::Threshold),
+        }
     }
 
     /// The reason that it cannot have the setting, as far as its status shows; `None` if it can.
@@ -138,28 +142,35 @@ pub(crate) mod tests {
         serde_json::from_value(status).unwrap()
     });
 
-    /// A node with one value on all of its cameras, which refused the setting of one revision or none.
-    pub(crate) fn reported(
-        reachable: bool,
-        revision: u64,
-        threshold: Threshold,
-        refused: Option<u64>,
-    ) -> NodeView {
+    /// A node that is online, with one value on all of its cameras.
+    pub(crate) fn reported(revision: u64, threshold: Threshold) -> NodeView {
         let mut status = STATUS.clone();
         status.cameras[0].threshold = Some(threshold);
-        status.refused = refused.map(|revision| RefusedRevision {
-            revision,
-            reason: "range".to_owned(),
-        });
         NodeView {
-            state: if reachable {
-                PresenceState::Online
-            } else {
-                PresenceState::Silent
-            },
+            state: PresenceState::Online,
             revision,
             status: Some(Arc::new(status)),
             ..NodeView::default()
+        }
+    }
+
+    impl NodeView {
+        /// The same node once it is out of reach.
+        pub(crate) fn silent(self) -> Self {
+            Self {
+                state: PresenceState::Silent,
+                ..self
+            }
+        }
+
+        /// The same node once it has refused the setting of a revision.
+        pub(crate) fn refusing(mut self, revision: u64) -> Self {
+            let status = self.status.as_mut().map(Arc::make_mut).unwrap();
+            status.refused = Some(RefusedRevision {
+                revision,
+                reason: "range".to_owned(),
+            });
+            self
         }
     }
 }

@@ -31,7 +31,7 @@ impl IntoRow for NodeRow<'_> {
             ("why", self.why.into()),
             ("heard_ms", self.heard_ms.into()),
             ("revision", self.revision.into()),
-            ("status", self.status.map_or(Ok(Cell::Null), Cell::json)?),
+            ("status", Cell::json_or_null(self.status)?),
         ])
     }
 }
@@ -100,15 +100,19 @@ impl dyn Database + '_ {
         }
         let names: Vec<&str> = nodes.iter().map(|node| node.node.as_str()).collect();
         let text = "SELECT name, state, since_ms FROM nodes WHERE name IN";
-        let before: Vec<StateBefore> = read_all(self.among(text, &names)?)?;
-        let before: HashMap<&str, &StateBefore> =
-            before.iter().map(|node| (node.name.as_str(), node)).collect();
+        let mut before = HashMap::new();
+        for row in read_all::<StateBefore>(self.among(text, &names)?)? {
+            before.insert(row.name.clone(), row);
+        }
         let mut rows = Vec::new();
         let mut events = Vec::new();
         for node in nodes {
-            let row = before.get(node.node.as_str());
+            let row = before.get(&node.node);
             // A node that was forgotten since then stays forgotten.
-            if row.is_some_and(|row| row.state == "forgotten" && row.since_ms >= node.since_ms) {
+            if let Some(row) = row
+                && row.state == "forgotten"
+                && row.since_ms >= node.since_ms
+            {
                 continue;
             }
             rows.push(NodeRow {
@@ -120,7 +124,10 @@ impl dyn Database + '_ {
                 revision: i64::try_from(node.revision).unwrap_or(i64::MAX),
                 status: node.status.as_deref(),
             });
-            let from = row.map_or(PresenceState::Silent.name(), |row| &row.state);
+            let from = match row {
+                Some(row) => row.state.as_str(),
+                None => PresenceState::Silent.name(),
+            };
             if from != node.state.name() {
                 let detail = json!({ "from": from, "to": node.state, "why": node.why });
                 events.push(EventRow::of(node.since_ms, "node", &node.node, detail));
@@ -186,8 +193,9 @@ impl Store {
         &self,
         since_s: i64,
     ) -> Result<HashMap<String, TodaysEnergy>, StoreError> {
-        let rows = self.query(include_str!("sql/today.sql"), vec![since_s.into()]);
-        let used: Vec<UsedToday> = read_all(rows.await?)?;
+        let text = include_str!("sql/today.sql");
+        let rows = self.query(text, vec![since_s.into()]).await?;
+        let used: Vec<UsedToday> = read_all(rows)?;
         Ok(used.into_iter().map(|one| (one.node, one.today)).collect())
     }
 }

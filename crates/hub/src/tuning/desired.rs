@@ -52,6 +52,15 @@ impl NodeSetting {
     }
 }
 
+/// Says that a node may pull its desired setting.
+#[derive(Debug)]
+pub struct Notice {
+    /// The node.
+    pub node: String,
+    /// The revision that it may pull.
+    pub revision: u64,
+}
+
 /// Most notices that may wait. Further ones are dropped: later notices, and the answers to reports, have the same
 /// effect.
 const NOTICES: usize = 65_536;
@@ -61,13 +70,12 @@ const NOTICES: usize = 65_536;
 pub struct DesiredSettings {
     nodes: RwLock<BTreeMap<String, NodeSetting>>,
     watched: RwLock<HashMap<String, Instant>>,
-    /// Queues notices: a node, and the revision that it may pull.
-    notifier: SyncSender<(String, u64)>,
+    notifier: SyncSender<Notice>,
 }
 
 impl DesiredSettings {
     /// Creates it without a desired setting. Also returns the notices to send.
-    pub fn new() -> (Self, Receiver<(String, u64)>) {
+    pub fn new() -> (Self, Receiver<Notice>) {
         let (notifier, notices) = sync_channel(NOTICES);
         let desired = Self {
             nodes: RwLock::default(),
@@ -77,20 +85,19 @@ impl DesiredSettings {
         (desired, notices)
     }
 
-    /// Replaces the desired setting of a node by one with a higher revision. With `keeps_drift` the node stays listed as
-    /// drifted until it has its setting again.
-    pub(crate) fn set(&self, mut desired: NodeSetting, keeps_drift: bool) {
+    /// Replaces the desired setting of a node by one with a higher revision.
+    pub(crate) fn set(&self, desired: NodeSetting) {
+        replace(&mut self.nodes.write(), desired);
+    }
+
+    /// Does the same as [`set`](Self::set), and the node stays listed as drifted until it has its setting again.
+    pub(crate) fn set_keeping_drift(&self, mut desired: NodeSetting) {
         let mut nodes = self.nodes.write();
         if let Some(present) = nodes.get(&desired.node) {
-            if present.given.revision >= desired.given.revision {
-                return;
-            }
-            if keeps_drift {
-                desired.set_back += present.set_back;
-                desired.drifted_ms = present.drifted_ms;
-            }
+            desired.set_back += present.set_back;
+            desired.drifted_ms = present.drifted_ms;
         }
-        nodes.insert(desired.node.clone(), desired);
+        replace(&mut nodes, desired);
     }
 
     /// Stores what became of a setting, unless another one replaced it meanwhile.
@@ -134,8 +141,10 @@ impl DesiredSettings {
 
     /// Notifies `node` that it should pull. If too many notices wait, drops it.
     pub(crate) fn notify(&self, node: &str) {
-        let notice = (node.to_owned(), self.of(node).revision);
-        let _ = self.notifier.try_send(notice);
+        let _ = self.notifier.try_send(Notice {
+            node: node.to_owned(),
+            revision: self.of(node).revision,
+        });
     }
 
     /// Marks `node` as watched for `time`, during which it sends counters once per second, and notifies it.
@@ -149,6 +158,15 @@ impl DesiredSettings {
     }
 }
 
+fn replace(nodes: &mut BTreeMap<String, NodeSetting>, desired: NodeSetting) {
+    if let Some(present) = nodes.get(&desired.node)
+        && present.given.revision >= desired.given.revision
+    {
+        return;
+    }
+    nodes.insert(desired.node.clone(), desired);
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -158,26 +176,27 @@ mod tests {
     proptest! {
         #[test]
         fn a_lower_revision_never_replaces_a_higher(revisions in prop::collection::vec(0u64..20, 1..30)) {
-            let (values, _notices) = DesiredSettings::new();
-            let mut highest = None;
+            let (settings, _notices) = DesiredSettings::new();
+            let mut highest: Option<NodeSetting> = None;
             for revision in revisions {
                 let value = revision as f64;
-                // A value of the threshold and a target take turns: there is one revision for both.
-                let setting = match revision % 2 {
-                    0 => DesiredSetting::Threshold(Threshold::new("u", value)),
-                    _ => DesiredSetting::Target(Some(Target::Watts(value))),
+                // Thresholds and targets take turns: they have one series of revisions.
+                let setting = if revision.is_multiple_of(2) {
+                    DesiredSetting::Threshold(Threshold::new("u", value))
+                } else {
+                    DesiredSetting::Target(Some(Target::Watts(value)))
                 };
                 let mut desired =
                     NodeSetting::new("n".to_owned(), setting, None, Outcome::Pending, 0);
                 desired.given.revision = revision;
-                values.set(desired, false);
-                if highest.is_none_or(|(highest, _)| revision > highest) {
-                    highest = Some((revision, setting));
+                settings.set(desired.clone());
+                match &highest {
+                    Some(before) if before.given.revision >= revision => {}
+                    _ => highest = Some(desired),
                 }
-                let found = values.get("n").map(|found| (found.given.revision, found.setting));
-                prop_assert_eq!(found, highest);
+                prop_assert_eq!(settings.get("n"), highest.clone());
             }
-            prop_assert_eq!(values.of("other"), Desired::nothing());
+            prop_assert_eq!(settings.of("other"), Desired::nothing());
         }
     }
 }

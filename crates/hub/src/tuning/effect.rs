@@ -18,7 +18,7 @@
 //! With fewer than [`FEWEST_NODES`] measured nodes in a group there is no estimate, because the variance between nodes is not
 //! known.
 
-use super::metric::{BeforeAfter, Figure};
+use super::metric::{BeforeAfter, Figure, Means};
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, DiscreteCDF, Hypergeometric, StudentsT};
 use statrs::statistics::Statistics;
@@ -116,8 +116,8 @@ pub(crate) struct Comparison {
     pub(crate) nodes: usize,
     /// The number of unchanged nodes with enough clips over the same hours.
     pub(crate) compared: usize,
-    /// Means over the changed nodes, before and after.
-    pub(crate) means: Option<(f64, f64)>,
+    /// Means over the changed nodes.
+    pub(crate) means: Option<Means>,
     /// The effect; `None` with too few nodes.
     pub(crate) effect: Option<Effect>,
 }
@@ -134,11 +134,11 @@ impl Comparison {
         let measured = |nodes: &[&BeforeAfter]| {
             let mut all = MeasuredNodes::default();
             for node in nodes {
-                if let Some((before, after)) = node.means(figure, fewest)
-                    && let Some(change) = scale.change(before, after)
+                if let Some(means) = node.means(figure, fewest)
+                    && let Some(change) = scale.change(means.before, means.after)
                 {
-                    all.before.push(before);
-                    all.after.push(after);
+                    all.before.push(means.before);
+                    all.after.push(means.after);
                     all.changes.push(change);
                 }
             }
@@ -149,7 +149,10 @@ impl Comparison {
         let means = if own.changes.is_empty() {
             None
         } else {
-            Some((own.before.iter().mean(), own.after.iter().mean()))
+            Some(Means {
+                before: own.before.iter().mean(),
+                after: own.after.iter().mean(),
+            })
         };
         Self {
             nodes: own.changes.len(),

@@ -52,15 +52,24 @@ impl Gate {
         let fail = effect.interval(rates.fail);
         let pass = effect.interval(rates.pass);
         let bound = self.bound();
-        let (beyond, inside) = if self.metric.more_is_worse() {
-            (fail.lower > bound, pass.upper <= bound)
+        let more_is_worse = self.metric.more_is_worse();
+        let is_beyond = if more_is_worse {
+            fail.lower > bound
         } else {
-            (fail.upper < bound, pass.lower >= bound)
+            fail.upper < bound
         };
-        match (beyond, inside) {
-            (true, _) => Verdict::Failed,
-            (_, true) => Verdict::Passed,
-            _ => Verdict::Undecided,
+        if is_beyond {
+            return Verdict::Failed;
+        }
+        let is_within = if more_is_worse {
+            pass.upper <= bound
+        } else {
+            pass.lower >= bound
+        };
+        if is_within {
+            Verdict::Passed
+        } else {
+            Verdict::Undecided
         }
     }
 }
@@ -74,29 +83,31 @@ impl FromStr for Gate {
                 "`{text}` is not a gate: {reason}; write for example `joules<=+5%` or `skip_rate>=-0.05`"
             )
         };
-        let rest = text.trim();
-        let (rest, where_measured) = match rest.strip_suffix('?') {
-            Some(rest) => (rest, true),
-            None => (rest, false),
-        };
+        let trimmed = text.trim();
+        let condition = trimmed.strip_suffix('?');
+        let change = condition.unwrap_or(trimmed);
         let found = Metric::ALL.into_iter().find_map(|metric| {
-            let rest = rest.strip_prefix(metric.name())?.trim_start();
-            Some((metric, rest.strip_prefix(metric.sign())?.trim()))
+            let behind_name = change.strip_prefix(metric.name())?.trim_start();
+            let bound = behind_name.strip_prefix(metric.sign())?.trim();
+            Some((metric, bound))
         });
         let (metric, bound) = found.ok_or_else(|| {
             let begin = Metric::ALL.map(|metric| format!("{metric}{}", metric.sign()));
             fault(format!("it must begin with one of {}", begin.join(", ")))
         })?;
-        let (number, scale) = match bound.strip_suffix('%') {
+        let (digits, scale) = match bound.strip_suffix('%') {
             Some(percent) => (percent.trim_end(), Scale::Relative),
             None => (bound, Scale::Absolute),
         };
-        let number = number.parse().ok().filter(|number: &f64| number.is_finite());
+        let number = match digits.parse::<f64>() {
+            Ok(number) if number.is_finite() => number,
+            _ => return Err(fault(format!("`{bound}` is not a number"))),
+        };
         Ok(Self {
             metric,
-            number: number.ok_or_else(|| fault(format!("`{bound}` is not a number")))?,
+            number,
             scale,
-            where_measured,
+            where_measured: condition.is_some(),
         })
     }
 }
@@ -180,23 +191,27 @@ pub(crate) fn judge(
             figures.push(None);
         }
         for figure in figures {
-            let compare =
-                |figure| Comparison::of(figure, gate.scale, changed, unchanged, fewest_clips);
-            let found = figure.map(compare).unwrap_or_default();
+            let found = match figure {
+                Some(figure) => {
+                    Comparison::of(figure, gate.scale, changed, unchanged, fewest_clips)
+                }
+                None => Comparison::default(),
+            };
+            let verdict = match (found.effect, figure) {
+                (Some(effect), _) => gate.judge(&effect, rates),
+                (None, Some(_)) => Verdict::NotMeasured,
+                (None, None) if gate.where_measured => Verdict::Passed,
+                (None, None) => Verdict::Undecided,
+            };
             results.push(GateResult {
                 gate: *gate,
                 figure,
                 nodes: found.nodes,
                 compared: found.compared,
-                before: found.means.map(|(before, _)| before),
-                after: found.means.map(|(_, after)| after),
+                before: found.means.map(|means| means.before),
+                after: found.means.map(|means| means.after),
                 change: found.effect.map(|effect| effect.interval(rates.fail)),
-                verdict: match (found.effect, figure) {
-                    (Some(effect), _) => gate.judge(&effect, rates),
-                    (None, Some(_)) => Verdict::NotMeasured,
-                    (None, None) if gate.where_measured => Verdict::Passed,
-                    (None, None) => Verdict::Undecided,
-                },
+                verdict,
             });
         }
     }

@@ -99,14 +99,27 @@ pub struct BeforeAfter {
     pub after: Figures,
 }
 
+/// The means of one figure before and after a change.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Means {
+    pub(crate) before: f64,
+    pub(crate) after: f64,
+}
+
 impl BeforeAfter {
-    /// The means of `figure` before and after, if both windows have at least `fewest` clips.
-    pub(crate) fn means(&self, figure: Figure, fewest: u64) -> Option<(f64, f64)> {
-        let mean = |figures: &Figures| {
-            let mean = figures.get(&figure).filter(|mean| mean.clips >= fewest)?;
+    /// The means of `figure`, if both windows have at least `fewest` clips.
+    pub(crate) fn means(&self, figure: Figure, fewest: u64) -> Option<Means> {
+        let mean_in = |figures: &Figures| {
+            let mean = figures.get(&figure)?;
+            if mean.clips < fewest {
+                return None;
+            }
             Some(mean.sum / mean.clips as f64)
         };
-        Some((mean(&self.before)?, mean(&self.after)?))
+        Some(Means {
+            before: mean_in(&self.before)?,
+            after: mean_in(&self.after)?,
+        })
     }
 
     /// True if the node made clips before the change and none since.

@@ -102,11 +102,12 @@ impl Given {
         } else {
             Outcome::TimedOut
         };
-        let is_new = std::mem::replace(&mut self.outcome, next) != next;
-        if is_new {
-            self.at_ms = now;
+        if self.outcome == next {
+            return false;
         }
-        is_new
+        self.outcome = next;
+        self.at_ms = now;
+        true
     }
 }
 
@@ -136,18 +137,19 @@ mod tests {
 
     #[test]
     fn a_setting_is_applied_once_the_node_reports_it() {
-        let no = None;
+        let none = reported(6, old());
+        let value = reported(7, new());
         for (what, node, at, expected) in [
-            ("nothing yet", reported(true, 6, old(), no), 10, "pending"),
-            ("the value", reported(true, 7, new(), no), 10, "applied"),
-            ("a later one", reported(true, 8, new(), no), 10, "applied"),
-            ("another value", reported(true, 7, old(), no), 10, "pending"),
-            ("too early", reported(true, 6, new(), no), 10, "pending"),
-            ("too late", reported(true, 6, old(), no), 100, "timed_out"),
-            ("away", reported(false, 6, old(), no), 100, "waiting"),
-            ("left since", reported(false, 7, new(), no), 100, "applied"),
-            ("refused", reported(true, 6, old(), Some(7)), 10, "refused"),
-            ("an older", reported(true, 6, old(), Some(6)), 10, "pending"),
+            ("nothing yet", none.clone(), 10, "pending"),
+            ("too late", none.clone(), 100, "timed_out"),
+            ("away", none.clone().silent(), 100, "waiting"),
+            ("refused", none.clone().refusing(7), 10, "refused"),
+            ("refused an older", none.refusing(6), 10, "pending"),
+            ("the value", value.clone(), 10, "applied"),
+            ("left since", value.silent(), 100, "applied"),
+            ("a later revision", reported(8, new()), 10, "applied"),
+            ("another value", reported(7, old()), 10, "pending"),
+            ("the value by itself", reported(6, new()), 10, "pending"),
         ] {
             assert_eq!(observe(&mut new_value(), &node, at), expected, "{what}");
         }
@@ -156,16 +158,17 @@ mod tests {
     #[test]
     fn a_node_that_was_offline_has_its_full_time_after_its_return() {
         let mut given = new_value();
-        for (reachable, at, expected) in [
-            (false, 50, "waiting"),
-            (true, 5_000, "pending"),
-            (true, 5_099, "pending"),
-            (true, 5_100, "timed_out"),
+        let online = reported(6, old());
+        let silent = online.clone().silent();
+        for (node, at, expected) in [
+            (&silent, 50, "waiting"),
+            (&online, 5_000, "pending"),
+            (&online, 5_099, "pending"),
+            (&online, 5_100, "timed_out"),
         ] {
-            let node = reported(reachable, 6, old(), None);
-            assert_eq!(observe(&mut given, &node, at), expected, "{at}");
+            assert_eq!(observe(&mut given, node, at), expected, "{at}");
         }
-        let node = reported(true, 7, new(), None);
+        let node = reported(7, new());
         assert_eq!(observe(&mut given, &node, 9_000), "applied");
         assert_eq!(given.at_ms, 9_000);
     }

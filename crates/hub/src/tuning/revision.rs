@@ -78,35 +78,39 @@ impl Tuner {
         now: Millis,
     ) -> Result<Revision, StoreError> {
         let mut nodes = Vec::new();
-        let mut add = |node: String, from, outcome, detail: String| {
-            let mut desired = NodeSetting::new(node, setting, from, outcome, now);
-            desired.given.detail = detail;
-            nodes.push(desired);
-        };
         let taken = self.taken().await?;
         let is_selected = |node: &NodeView| request.select.selects(&node.node, node.labels());
         for node in self.fleet.views(is_selected) {
-            let taken = taken
-                .get(&node.node)
-                .map(|other| format!("takes part in {other}: end or return that first"));
-            let refused = taken.or_else(|| self.implausible(node.revision));
-            let (outcome, detail) = match refused.or_else(|| node.unable(setting)) {
-                Some(detail) => (Outcome::Refused, detail),
-                None if self.has_it(&node, setting) => (Outcome::Unchanged, String::new()),
-                None if !request.dry_run => (Outcome::Pending, String::new()),
-                None if node.is_reachable() => (Outcome::WouldChange, String::new()),
-                None => (
-                    Outcome::WouldChange,
-                    "out of reach: it would change when it returns".to_owned(),
-                ),
+            let refusal = match taken.get(&node.node) {
+                Some(other) => Some(format!("takes part in {other}: end or return that first")),
+                None => self.refusal(&node, setting),
+            };
+            let outcome = if refusal.is_some() {
+                Outcome::Refused
+            } else if self.has_it(&node, setting) {
+                Outcome::Unchanged
+            } else if request.dry_run {
+                Outcome::WouldChange
+            } else {
+                Outcome::Pending
             };
             let from = node.setting();
-            add(node.node, from, outcome, detail);
+            let is_reachable = node.is_reachable();
+            let mut desired = NodeSetting::new(node.node, setting, from, outcome, now);
+            if let Some(reason) = refusal {
+                desired.given.detail = reason;
+            } else if outcome == Outcome::WouldChange && !is_reachable {
+                let detail = "out of reach: it would change when it returns";
+                desired.given.detail = detail.to_owned();
+            }
+            nodes.push(desired);
         }
         for name in request.select.named() {
             if self.fleet.view(name).is_none() {
-                let detail = "no node has that name".to_owned();
-                add(name.to_owned(), None, Outcome::Refused, detail);
+                let outcome = Outcome::Refused;
+                let mut desired = NodeSetting::new(name.to_owned(), setting, None, outcome, now);
+                desired.given.detail = "no node has that name".to_owned();
+                nodes.push(desired);
             }
         }
         let mut revision = Revision {
@@ -170,14 +174,21 @@ impl Tuner {
         }
     }
 
+    /// The reason that the node cannot be given the setting; `None` if it can.
+    fn refusal(&self, node: &NodeView, setting: DesiredSetting) -> Option<String> {
+        if let Some(reason) = self.implausible(node.revision) {
+            return Some(reason);
+        }
+        node.unable(setting)
+    }
+
     /// True if the node has the setting, and no other setting is desired that would replace it. "No target" is compatible with
     /// any desired threshold.
     fn has_it(&self, node: &NodeView, setting: DesiredSetting) -> bool {
         let desired = self.desired.get(&node.node).map(|desired| desired.setting);
+        let holds_target = matches!(desired, Some(DesiredSetting::Target(Some(_))));
         let is_desired = match setting {
-            DesiredSetting::Target(None) => {
-                !matches!(desired, Some(DesiredSetting::Target(Some(_))))
-            }
+            DesiredSetting::Target(None) => !holds_target,
             _ => desired == Some(setting),
         };
         is_desired && node.has(setting)

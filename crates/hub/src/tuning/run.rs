@@ -22,7 +22,7 @@ pub use kind::Kind;
 pub use measured::{ArmFigure, ArmResult, TrialResult};
 pub use phase::Phase;
 pub use record::{Entry, LeftOut, StageView, What};
-pub(crate) use window::{Measured, Window};
+pub(crate) use window::{BeforeAfterWindows, Measured, Window};
 
 use super::effect::FEWEST_NODES;
 use super::gate::Verdict;
@@ -99,6 +99,15 @@ pub struct Run {
     /// True if it changed since it was saved.
     #[serde(skip)]
     pub(crate) unsaved: bool,
+}
+
+/// What ends the measurements of a trial.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum EndedBy<'a> {
+    /// Its duration is over.
+    Time,
+    /// Somebody ended it before its time.
+    Person(&'a str),
 }
 
 impl Run {
@@ -210,13 +219,16 @@ impl Run {
             member.reachable = node.is_reachable();
             if let Some(value) = member.value {
                 let setting = DesiredSetting::Threshold(value);
-                self.unsaved |= member.given.observe(&node, setting, patience, now);
+                let has_changed = member.given.observe(&node, setting, patience, now);
+                if has_changed {
+                    self.unsaved = true;
+                }
             }
         }
     }
 
-    /// Lets time pass. Returns the windows to measure, before and after, if it is time.
-    pub(crate) fn tick(&mut self, now: Millis) -> Option<Vec<[Window; 2]>> {
+    /// Lets time pass. Returns the windows to measure if it is time.
+    pub(crate) fn tick(&mut self, now: Millis) -> Option<Vec<BeforeAfterWindows>> {
         if self.paused_ms.is_some() || self.phase.has_ended() {
             return None;
         }
@@ -248,9 +260,9 @@ impl Run {
         if outcomes.contains(&Outcome::Pending) && waited < 2 * self.patience() {
             return;
         }
-        let count = |of: &[Outcome]| outcomes.iter().filter(|one| of.contains(one)).count();
-        let applied = count(&[Outcome::Applied]);
-        let failed = count(&[Outcome::Refused, Outcome::TimedOut]);
+        let count = |wanted: Outcome| outcomes.iter().filter(|one| **one == wanted).count();
+        let applied = count(Outcome::Applied);
+        let failed = count(Outcome::Refused) + count(Outcome::TimedOut);
         let away = outcomes.len() - applied - failed;
         let counts =
             format!("{applied} applied, {failed} refused or timed out, {away} out of reach");
@@ -314,18 +326,19 @@ impl Run {
     pub(crate) fn measured(&mut self, found: &Measured, now: Millis) {
         self.failed_attempts = 0;
         let Kind::Rollout { plan, .. } = &self.kind else {
-            return self.end_trial(found, None, now);
+            self.end_trial(found, EndedBy::Time, now);
+            return;
         };
-        let (verdict, text, gates) = self.judge(plan, found);
+        let judgement = self.judge(plan, found);
         self.looks += 1;
+        let reason = format!("stage {}: {}", self.stage, judgement.text);
         self.add_entry(Entry {
-            text: text.clone(),
-            verdict: Some(verdict),
-            gates,
+            text: judgement.text,
+            verdict: Some(judgement.verdict),
+            gates: judgement.gates,
             ..self.entry(now, What::Judged)
         });
-        let reason = format!("stage {}: {text}", self.stage);
-        match verdict {
+        match judgement.verdict {
             Verdict::Failed => self.fail(&reason, now),
             Verdict::Passed | Verdict::NotMeasured if self.looks >= 2 => self.advance(now),
             Verdict::Undecided if self.looks >= LOOKS => self.hold(&reason, now),
@@ -334,15 +347,20 @@ impl Run {
     }
 
     /// Ends a trial with the measurements of its [`windows`](Self::windows); the old values return.
-    pub(crate) fn end_trial(&mut self, found: &Measured, who: Option<&str>, now: Millis) {
+    pub(crate) fn end_trial(&mut self, found: &Measured, by: EndedBy<'_>, now: Millis) {
         let Kind::Trial { plan } = &self.kind else {
             return;
         };
-        if matches!(self.phase, Phase::Applying | Phase::Running) {
-            self.result = Some(self.compare(plan, found, now));
-            self.ended_by = who.map(str::to_owned);
-            let by = who.map(|who| format!("by hand: {who}"));
-            self.go_back(by.as_deref().unwrap_or("the time is over"), now);
+        if !matches!(self.phase, Phase::Applying | Phase::Running) {
+            return;
+        }
+        self.result = Some(self.compare(plan, found, now));
+        match by {
+            EndedBy::Time => self.go_back("the time is over", now),
+            EndedBy::Person(who) => {
+                self.ended_by = Some(who.to_owned());
+                self.go_back(&format!("by hand: {who}"), now);
+            }
         }
     }
 
@@ -423,10 +441,9 @@ impl Run {
         self.unsaved = true;
     }
 
-    /// Leaves out the nodes for which `changed_since` is true: they keep the value that somebody else gave them since
-    /// then.
-    pub(crate) fn leave_out(&mut self, changed_since: impl Fn(&Member) -> bool) {
-        for member in self.members.iter_mut().filter(|member| changed_since(member)) {
+    /// Leaves out the nodes for which `was_changed` is true: they keep the value that somebody else gave them.
+    pub(crate) fn leave_out(&mut self, was_changed: impl Fn(&Member) -> bool) {
+        for member in self.members.iter_mut().filter(|member| was_changed(member)) {
             member.value = None;
         }
     }

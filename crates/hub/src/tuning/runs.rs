@@ -2,7 +2,7 @@
 
 use super::member::{Member, Millis};
 use super::revision::Revision;
-use super::run::{Command, Kind, LeftOut, Run};
+use super::run::{Command, EndedBy, Kind, LeftOut, Run};
 use super::tuner::Tuner;
 use crate::presence::NodeView;
 use crate::store::{EventRow, StoreError};
@@ -116,9 +116,8 @@ impl Tuner {
         let mut left_out = Vec::new();
         let select = &kind.basics().select;
         for node in self.fleet.views(|node| select.selects(&node.node, node.labels())) {
-            let able = able(&node, &kind, &taken);
             let reachable = node.is_reachable();
-            match able {
+            match able(&node, &kind, &taken) {
                 Ok(before) => candidates.push(Member::new(node.node, before, reachable)),
                 Err(why) => left_out.push(LeftOut {
                     node: node.node,
@@ -165,10 +164,11 @@ impl Tuner {
         } else if run.ended_ms.is_some() && is_rollout && command == Command::Return {
             let taken = self.taken().await?;
             run.leave_out(|member| {
-                let desired = self.desired.get(&member.node);
-                taken.contains_key(&member.node)
-                    || desired
-                        .is_some_and(|desired| desired.given.revision != member.given.revision)
+                let was_changed_since = match self.desired.get(&member.node) {
+                    Some(desired) => desired.given.revision != member.given.revision,
+                    None => false,
+                };
+                was_changed_since || taken.contains_key(&member.node)
             });
         } else {
             return Err(conflict(format!(
@@ -179,14 +179,15 @@ impl Tuner {
             run.command(command, who, now).map_err(conflict)?;
         } else {
             let found = self.store.measure(&run.windows(now)).await?;
-            run.end_trial(&found, Some(who), now);
+            run.end_trial(&found, EndedBy::Person(who), now);
         }
         // One commit: a hub that is killed must not leave a rollout that is stopped and has not ended.
         self.save(&mut run, now).await?;
-        match run.ended_ms {
-            Some(_) => runs.running.remove(&run.key()),
-            None => runs.running.insert(run.key(), run),
-        };
+        if run.ended_ms.is_some() {
+            runs.running.remove(&run.key());
+        } else {
+            runs.running.insert(run.key(), run);
+        }
         Ok(())
     }
 
@@ -199,7 +200,7 @@ impl Tuner {
         if now - runs.claimed_ms >= CLAIM_EVERY_MS {
             self.claim(&mut runs, now).await?;
         }
-        let mut failed = None;
+        let mut result = Ok(());
         for run in runs.running.values_mut() {
             // A failed run does not stop the others; its progress is saved.
             let advanced = self.advance(run, now).await;
@@ -208,10 +209,12 @@ impl Tuner {
             } else {
                 Ok(())
             };
-            failed = advanced.and(saved).err().or(failed);
+            if advanced.is_err() || saved.is_err() {
+                result = advanced.and(saved);
+            }
         }
         runs.running.retain(|_, run| run.unsaved || run.ended_ms.is_none());
-        failed.map_or(Ok(()), Err)
+        result
     }
 
     async fn claim(&self, runs: &mut DrivenRuns, now: Millis) -> Result<(), StoreError> {
@@ -241,7 +244,7 @@ impl Tuner {
                 number: None,
                 at_ms: now,
                 who: run.who.clone(),
-                // While old values return, the reason of that.
+                // While old values return: why they do.
                 why: match run.reason.as_str() {
                     "" => run.kind.basics().why.clone(),
                     reason => reason.to_owned(),
@@ -271,7 +274,11 @@ impl Tuner {
     /// Stores a run, with the time of its end.
     async fn save(&self, run: &mut Run, now: Millis) -> Result<(), StoreError> {
         let has_ended = run.phase.has_ended() && run.due().is_empty();
-        run.ended_ms = has_ended.then(|| run.ended_ms.unwrap_or(now));
+        run.ended_ms = if has_ended {
+            Some(run.ended_ms.unwrap_or(now))
+        } else {
+            None
+        };
         run.count_stages();
         let row = run.clone();
         let driver = self.driver.clone();

@@ -42,14 +42,15 @@ impl Selector {
         if terms.len() > MOST_TERMS {
             return Err(fault("…", "it has more than 1000 terms"));
         }
-        let read = |term: &T| {
+        let mut checked = Vec::with_capacity(terms.len());
+        for term in terms {
             let term = term.as_ref().trim();
-            parts(term)
-                .try_for_each(|part| part.check())
-                .map_err(|reason| fault(term, reason))?;
-            Ok(term.to_owned())
-        };
-        Ok(Self(terms.iter().map(read).collect::<Result<_, String>>()?))
+            for part in parts(term) {
+                part.check().map_err(|reason| fault(term, reason))?;
+            }
+            checked.push(term.to_owned());
+        }
+        Ok(Self(checked))
     }
 
     /// True if it selects a node with that name and those labels.
@@ -59,7 +60,7 @@ impl Selector {
                 Some(key) => labels.get(key).is_some_and(|has| glob(part.pattern, has)),
                 None => part.pattern == "all" || glob(part.pattern, name),
             };
-            found != part.negated
+            found != part.is_negated
         };
         self.0.iter().any(|term| parts(term).all(holds))
     }
@@ -73,7 +74,7 @@ impl Selector {
 
 /// One of the parts of a term that must all match.
 struct Part<'a> {
-    negated: bool,
+    is_negated: bool,
     /// The name of a label; `None` if the pattern is for nodes' names.
     key: Option<&'a str>,
     pattern: &'a str,
@@ -82,13 +83,14 @@ struct Part<'a> {
 fn parts(term: &str) -> impl Iterator<Item = Part<'_>> {
     term.split('&').map(|text| {
         let text = text.trim();
-        let rest = text.strip_prefix('!');
-        let (key, pattern) = match rest.unwrap_or(text).split_once('=') {
+        let negated = text.strip_prefix('!');
+        let wanted = negated.unwrap_or(text);
+        let (key, pattern) = match wanted.split_once('=') {
             Some((key, value)) => (Some(key.trim()), value),
-            None => (None, rest.unwrap_or(text)),
+            None => (None, wanted),
         };
         Part {
-            negated: rest.is_some(),
+            is_negated: negated.is_some(),
             key,
             pattern: pattern.trim(),
         }
@@ -118,11 +120,16 @@ fn glob(pattern: &str, text: &str) -> bool {
     matches[0] = true;
     for wanted in pattern.bytes() {
         if wanted == b'*' {
-            let first = matches.iter().position(|matched| *matched);
-            matches[first.unwrap_or(text.len() + 1)..].fill(true);
+            // It also matches whatever follows the shortest match.
+            if let Some(first) = matches.iter().position(|matched| *matched) {
+                matches[first..].fill(true);
+            }
         } else {
-            let one = |(before, found): (&bool, &u8)| *before && [b'?', *found].contains(&wanted);
-            matches = std::iter::once(false).chain(matches.iter().zip(text).map(one)).collect();
+            let mut longer = vec![false; text.len() + 1];
+            for (n, byte) in text.iter().enumerate() {
+                longer[n + 1] = matches[n] && (wanted == b'?' || wanted == *byte);
+            }
+            matches = longer;
         }
     }
     matches[text.len()]

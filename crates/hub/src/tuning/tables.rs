@@ -4,7 +4,7 @@ use super::desired::NodeSetting;
 use super::metric::{BeforeAfter, Figure, Figures, Mean};
 use super::outcome::{Given, Outcome};
 use super::revision::Revision;
-use super::run::{Measured, Run, Window};
+use super::run::{BeforeAfterWindows, Measured, Run, Window};
 use super::runs::RunKey;
 use crate::store::row::{Cell, Columns, FromRow, IntoRow, Param, Row, read_all};
 use crate::store::{Database, DatabaseKind, Store, StoreError};
@@ -117,10 +117,7 @@ impl IntoRow for OutcomeRow<'_> {
         Ok(vec![
             ("revision", given.revision.cast_signed().into()),
             ("node", desired.node.as_str().into()),
-            (
-                "setting_before",
-                desired.from.as_ref().map_or(Ok(Cell::Null), Cell::json)?,
-            ),
+            ("setting_before", Cell::json_or_null(desired.from.as_ref())?),
             ("given_ms", given.given_ms.into()),
             ("outcome", given.outcome.name().into()),
             ("at_ms", given.at_ms.into()),
@@ -193,8 +190,9 @@ pub(crate) fn delete_old(database: &mut dyn Database, day: i64) -> Result<usize,
 }
 
 impl dyn Database + '_ {
-    fn next(&mut self, statement: &str, with: Param) -> Result<i64, StoreError> {
-        let value = self.number(statement, &[with])?;
+    /// Advances a counter by a statement with one parameter, and returns its new value.
+    fn advance_counter(&mut self, statement: &str, parameter: Param) -> Result<i64, StoreError> {
+        let value = self.number(statement, &[parameter])?;
         value.ok_or_else(|| StoreError::Statement("there is no such counter".to_owned()))
     }
 
@@ -206,12 +204,12 @@ impl dyn Database + '_ {
         mut nodes: Vec<NodeSetting>,
         above: u64,
     ) -> Result<(u64, Vec<NodeSetting>), StoreError> {
-        let number = self.next(
+        let advanced = self.advance_counter(
             "UPDATE counters SET value = CASE WHEN value < $1 THEN $1 ELSE value END + 1 \
              WHERE name = 'revision' RETURNING value",
             above.cast_signed().into(),
         )?;
-        let number = number.unsigned_abs();
+        let number = advanced.unsigned_abs();
         for node in &mut nodes {
             node.given.revision = number;
         }
@@ -238,7 +236,8 @@ impl dyn Database + '_ {
         let conflict = "ON CONFLICT (revision, node) DO UPDATE SET outcome = excluded.outcome, \
                         at_ms = excluded.at_ms, detail = excluded.detail \
                         WHERE revision_nodes.outcome IN ('pending', 'waiting', 'timed_out')";
-        self.insert(&rows, conflict).map(drop)
+        self.insert(&rows, conflict)?;
+        Ok(())
     }
 
     /// Drops the desired setting of a node, and ends the revisions that it has not answered.
@@ -263,7 +262,7 @@ impl dyn Database + '_ {
         let kind = run.kind.name();
         if run.id == 0 {
             let text = "UPDATE counters SET value = value + 1 WHERE name = $1 RETURNING value";
-            run.id = self.next(text, kind.into())?;
+            run.id = self.advance_counter(text, kind.into())?;
         }
         let row = RunRow {
             kind,
@@ -372,17 +371,24 @@ impl Store {
     }
 
     /// Measures the clips of each node in its two windows.
-    pub(crate) async fn measure(&self, windows: &[[Window; 2]]) -> Result<Measured, StoreError> {
-        let nodes = windows.iter().map(|[before, _]| before.node.clone());
-        let mut found: Measured = nodes.map(|node| (node, BeforeAfter::default())).collect();
+    pub(crate) async fn measure(
+        &self,
+        windows: &[BeforeAfterWindows],
+    ) -> Result<Measured, StoreError> {
+        let mut found = Measured::new();
+        for one in windows {
+            found.insert(one.before.node.clone(), BeforeAfter::default());
+        }
         // In chunks, so that a connection for reading is not held for long.
         for chunk in windows.chunks(500) {
-            for sums in self.clip_sums(chunk.iter().map(|[before, _]| before)).await? {
+            let before = chunk.iter().map(|one| &one.before).collect();
+            for sums in self.clip_sums(before).await? {
                 if let Some(node) = found.get_mut(&sums.node) {
                     node.before = sums.figures;
                 }
             }
-            for sums in self.clip_sums(chunk.iter().map(|[_, after]| after)).await? {
+            let after = chunk.iter().map(|one| &one.after).collect();
+            for sums in self.clip_sums(after).await? {
                 if let Some(node) = found.get_mut(&sums.node) {
                     node.after = sums.figures;
                 }
@@ -392,10 +398,7 @@ impl Store {
     }
 
     /// Sums the clips in these windows, of which each node has at most one.
-    async fn clip_sums(
-        &self,
-        windows: impl Iterator<Item = &Window>,
-    ) -> Result<Vec<ClipSums>, StoreError> {
+    async fn clip_sums(&self, windows: Vec<&Window>) -> Result<Vec<ClipSums>, StoreError> {
         let rows = match self.database_kind() {
             DatabaseKind::Sqlite => "json_each($1)",
             DatabaseKind::Postgres => "jsonb_array_elements($1::jsonb)",
@@ -406,7 +409,6 @@ impl Store {
              FROM {rows})\n{}",
             include_str!("sql/clip_sums.sql")
         );
-        let windows: Vec<_> = windows.collect();
         let values = vec![serde_json::to_string(&windows)?.into()];
         read_all(self.query(text, values).await?)
     }

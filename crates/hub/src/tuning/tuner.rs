@@ -75,7 +75,7 @@ const DRIFT_EVERY: u64 = 20;
 pub(crate) async fn follow(tuner: Arc<Tuner>, part: Part, shutdown: CancellationToken) {
     let mut every = tokio::time::interval(FOLLOW_EVERY);
     every.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let mut failing = false;
+    let mut is_failing = false;
     for round in 0_u64.. {
         tokio::select! {
             _ = every.tick() => {}
@@ -96,14 +96,14 @@ pub(crate) async fn follow(tuner: Arc<Tuner>, part: Part, shutdown: Cancellation
         };
         match worked.await {
             Ok(()) => {
-                failing = false;
+                is_failing = false;
                 part.works();
             }
-            Err(error) if failing => tracing::debug!(%error, "settings cannot be followed"),
+            Err(error) if is_failing => tracing::debug!(%error, "settings cannot be followed"),
             Err(error) => {
                 tracing::warn!(%error, "settings cannot be followed; trying again");
                 part.degraded(format!("settings cannot be given or followed: {error}"));
-                failing = true;
+                is_failing = true;
             }
         }
     }
@@ -137,12 +137,13 @@ impl Tuner {
     /// The reason that a node that reports `revision` is given no setting; `None` if it can.
     pub(super) fn implausible(&self, revision: u64) -> Option<String> {
         let most = self.learned.load(Ordering::Relaxed).saturating_add(FARTHEST_AHEAD);
-        (revision > most).then(|| {
-            format!(
-                "it reports revision {revision}, but no hub gave one above {most}: \
-                 empty its state directory so that it accepts settings again"
-            )
-        })
+        if revision <= most {
+            return None;
+        }
+        Some(format!(
+            "it reports revision {revision}, but no hub gave one above {most}: \
+             empty its state directory so that it accepts settings again"
+        ))
     }
 
     /// Reads the desired settings that this hub does not know yet: all of them at first, then those of other hubs on the same
@@ -155,7 +156,7 @@ impl Tuner {
         for desired in self.store.desired_after(after).await? {
             let revision = desired.given.revision;
             self.learned.fetch_max(revision, Ordering::Relaxed);
-            self.desired.set(desired, true);
+            self.desired.set_keeping_drift(desired);
         }
         Ok(())
     }
@@ -192,7 +193,11 @@ impl Tuner {
         let (number, given) = written.await?;
         for desired in given {
             let node = desired.node.clone();
-            self.desired.set(desired, is_set_back);
+            if is_set_back {
+                self.desired.set_keeping_drift(desired);
+            } else {
+                self.desired.set(desired);
+            }
             self.desired.notify(&node);
         }
         Ok(number)
@@ -264,24 +269,30 @@ impl Tuner {
         for desired in &drifted {
             self.desired.update(desired.clone());
         }
-        if self.config.local_change == LocalChange::SetBack {
-            drifted.retain(|desired| desired.set_back < SET_BACK_TIMES);
-            drifted.sort_by_cached_key(|desired| format!("{:?}", desired.setting));
-            for alike in drifted.chunk_by(|a, b| a.setting == b.setting) {
-                let revision = Revision {
-                    number: None,
-                    at_ms: now,
-                    who: "hub".to_owned(),
-                    why: "changed at the node".to_owned(),
-                    origin: SET_BACK.to_owned(),
-                    selector: String::new(),
-                    setting: alike[0].setting,
-                    counts: BTreeMap::new(),
-                    nodes: Vec::new(),
-                };
-                let nodes = alike.iter().map(|desired| desired.node.clone());
-                self.give(revision, nodes.collect()).await?;
-            }
+        match self.config.local_change {
+            LocalChange::SetBack => self.set_back(drifted, now).await,
+            LocalChange::Wins => Ok(()),
+        }
+    }
+
+    /// Sets drifted nodes back, under one revision for each setting.
+    async fn set_back(&self, mut drifted: Vec<NodeSetting>, now: Millis) -> Result<(), StoreError> {
+        drifted.retain(|desired| desired.set_back < SET_BACK_TIMES);
+        drifted.sort_by_cached_key(|desired| format!("{:?}", desired.setting));
+        for alike in drifted.chunk_by(|a, b| a.setting == b.setting) {
+            let revision = Revision {
+                number: None,
+                at_ms: now,
+                who: "hub".to_owned(),
+                why: "changed at the node".to_owned(),
+                origin: SET_BACK.to_owned(),
+                selector: String::new(),
+                setting: alike[0].setting,
+                counts: BTreeMap::new(),
+                nodes: Vec::new(),
+            };
+            let nodes = alike.iter().map(|desired| desired.node.clone());
+            self.give(revision, nodes.collect()).await?;
         }
         Ok(())
     }

@@ -6,11 +6,17 @@ const RATES: ErrorRates = ErrorRates {
     pass: 0.05,
 };
 
-/// A node with five clips of that mean before and after.
+/// Fewest clips of a node before and after.
+const FEWEST_CLIPS: u64 = 5;
+
+/// A node with just enough clips of that mean before and after.
 fn node(figure: Figure, before: f64, after: f64) -> BeforeAfter {
     let clips = |mean: f64| {
-        let sum = 5.0 * mean;
-        [(figure, Mean { clips: 5, sum })].into()
+        let enough = Mean {
+            clips: FEWEST_CLIPS,
+            sum: FEWEST_CLIPS as f64 * mean,
+        };
+        [(figure, enough)].into()
     };
     BeforeAfter {
         before: clips(before),
@@ -31,7 +37,8 @@ fn fleet(figure: Figure, count: usize, factor: f64) -> Vec<BeforeAfter> {
 fn judged(gate: &str, changed: &[BeforeAfter], unchanged: &[BeforeAfter]) -> Vec<GateResult> {
     let changed: Vec<_> = changed.iter().collect();
     let unchanged: Vec<_> = unchanged.iter().collect();
-    judge(&[gate.parse().unwrap()], &changed, &unchanged, 5, RATES)
+    let gates = [gate.parse().unwrap()];
+    judge(&gates, &changed, &unchanged, FEWEST_CLIPS, RATES)
 }
 
 fn verdict(gate: &str, changed: &[BeforeAfter], unchanged: &[BeforeAfter]) -> Verdict {
@@ -51,14 +58,21 @@ fn a_gate_is_read_back_as_written() {
     ] {
         let gate: Gate = text.parse().unwrap();
         let is_relative = gate.scale == Scale::Relative;
-        let found = (gate.metric, is_relative, gate.where_measured);
-        let expected = (metric, text.contains('%'), text.contains('?'));
-        assert_eq!(found, expected, "{text}");
+        assert_eq!(gate.metric, metric, "{text}");
+        assert_eq!(is_relative, text.contains('%'), "{text}");
+        assert_eq!(gate.where_measured, text.contains('?'), "{text}");
         assert!((gate.bound() - bound).abs() < 1e-15 * bound.abs(), "{text}");
         assert_eq!(gate.to_string().parse::<Gate>().unwrap(), gate);
     }
-    let wrong = "joules|joules>=5%|skip_rate<=0.1|watts<=1|joules<=much|joules<=nan|";
-    for wrong in wrong.split('|') {
+    for wrong in [
+        "joules",
+        "joules>=5%",
+        "skip_rate<=0.1",
+        "watts<=1",
+        "joules<=much",
+        "joules<=nan",
+        "",
+    ] {
         assert!(wrong.parse::<Gate>().is_err(), "{wrong}");
     }
 }
@@ -130,20 +144,22 @@ fn nodes_with_too_few_clips_do_not_count_and_fewer_than_eight_nodes_measure_noth
     let mut changed = fleet(Figure::JoulesMeasured, 8, 2.0);
     let gate = "joules<=+5%";
     assert_eq!(verdict(gate, &changed, &rest), Verdict::Failed);
-    let mean = Mean {
-        clips: 4,
+    let too_few = Mean {
+        clips: FEWEST_CLIPS - 1,
         sum: 80.0,
     };
-    changed[0].after = [(Figure::JoulesMeasured, mean)].into();
-    let results = judged("joules<=+5%", &changed, &rest);
-    assert_eq!((results[0].nodes, results[0].compared), (7, 40));
+    changed[0].after = [(Figure::JoulesMeasured, too_few)].into();
+    let results = judged(gate, &changed, &rest);
+    assert_eq!(results[0].nodes, 7);
+    assert_eq!(results[0].compared, 40);
     assert_eq!(overall(&results), Verdict::NotMeasured);
     let against_seven = verdict(gate, &rest, &rest[..7]);
     assert_eq!(against_seven, Verdict::NotMeasured);
     // Eight that changed alike leave no doubt.
     let alike = vec![node(Figure::JoulesMeasured, 1.0, 1.0); 8];
     let change = judged(gate, &alike, &alike)[0].change.unwrap();
-    assert_eq!((change.lower, change.upper), (0.0, 0.0));
+    assert_eq!(change.lower, 0.0);
+    assert_eq!(change.upper, 0.0);
 }
 
 #[test]
@@ -154,6 +170,7 @@ fn an_unreported_metric_leaves_its_gate_undecided_unless_the_gate_applies_where_
         ("recall>=-0.02?", Verdict::Passed),
     ] {
         let results = judged(text, &nodes, &nodes);
-        assert_eq!((results.len(), results[0].verdict), (1, expected));
+        assert_eq!(results.len(), 1);
+        assert_eq!(results[0].verdict, expected);
     }
 }

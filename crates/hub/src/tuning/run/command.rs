@@ -33,18 +33,18 @@ impl Run {
         now: Millis,
     ) -> Result<(), String> {
         use Phase::{Finishing, Held, Returned, Returning};
-        let returning = matches!(self.phase, Returning | Returned);
-        let ended = self.phase.has_ended();
+        let returns = matches!(self.phase, Returning | Returned);
+        let goes_on = !self.phase.has_ended() && !returns;
         let is_held = self.phase == Held;
         let is_paused = self.paused_ms.is_some();
-        let (what, possible) = match command {
-            Command::Pause => (What::Paused, !ended && !returning && !is_paused),
-            Command::Resume => (What::Resumed, is_paused || is_held),
-            Command::Next => (What::Next, !ended && !returning && self.phase != Finishing),
-            Command::Return => (What::Return, !returning),
-            Command::Stop => (What::Stopped, !ended),
+        let is_possible = match command {
+            Command::Pause => goes_on && !is_paused,
+            Command::Resume => is_paused || is_held,
+            Command::Next => goes_on && self.phase != Finishing,
+            Command::Return => !returns,
+            Command::Stop => !self.phase.has_ended(),
         };
-        if !possible {
+        if !is_possible {
             let phase = if is_paused {
                 "paused"
             } else {
@@ -54,6 +54,13 @@ impl Run {
                 "a rollout that is {phase} does not accept `{command}`"
             ));
         }
+        let what = match command {
+            Command::Pause => What::Paused,
+            Command::Resume => What::Resumed,
+            Command::Next => What::Next,
+            Command::Return => What::Return,
+            Command::Stop => What::Stopped,
+        };
         self.noted_by(now, what, who);
         if command != Command::Pause {
             self.wake(now);

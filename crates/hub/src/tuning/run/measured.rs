@@ -56,115 +56,123 @@ pub struct TrialResult {
     pub values: Vec<ArmResult>,
 }
 
+/// The verdict on a stage.
+pub(super) struct Judgement {
+    pub(super) verdict: Verdict,
+    /// The verdict in words.
+    pub(super) text: String,
+    /// The result of each gate.
+    pub(super) gates: Vec<GateResult>,
+}
+
+/// The members on one side of a comparison.
+#[derive(Default)]
+struct Side<'a> {
+    /// The figures of their clips.
+    figures: Vec<&'a BeforeAfter>,
+    silence: Silence,
+}
+
 impl Run {
-    /// The verdict on the stage, its text, and the result of each gate.
-    pub(super) fn judge(
-        &self,
-        plan: &RolloutPlan,
-        found: &Measured,
-    ) -> (Verdict, String, Vec<GateResult>) {
+    /// Judges the stage.
+    pub(super) fn judge(&self, plan: &RolloutPlan, found: &Measured) -> Judgement {
         let rates = self.error_rates(plan);
-        let (clips, changed) = self.side(found, |member| {
+        let changed = self.side(found, |member| {
             self.is_in_stage(member) && member.applied_ms().is_some()
         });
-        let (others, unchanged) = self.side(found, |member| self.is_later(member));
-        let results = judge(
+        let unchanged = self.side(found, |member| self.is_later(member));
+        let gates = judge(
             &plan.gates,
-            &clips,
-            &others,
+            &changed.figures,
+            &unchanged.figures,
             plan.basics.fewest_clips,
             rates,
         );
-        let lost = changed.by_chance(unchanged) < rates.fail;
+        let own = changed.silence;
+        let others = unchanged.silence;
+        let is_lost = own.by_chance(others) < rates.fail;
         // If too few nodes can be measured, a stage passes when its nodes applied the value and at most half fell silent.
-        let alive = 2 * changed.silent <= changed.nodes && changed.silent < changed.nodes;
-        let verdict = match overall(&results) {
-            _ if lost => Verdict::Failed,
-            Verdict::Passed | Verdict::NotMeasured if !alive => Verdict::Undecided,
-            verdict => verdict,
+        let is_alive = 2 * own.silent <= own.nodes && own.silent < own.nodes;
+        let verdict = if is_lost {
+            Verdict::Failed
+        } else {
+            match overall(&gates) {
+                Verdict::Passed | Verdict::NotMeasured if !is_alive => Verdict::Undecided,
+                verdict => verdict,
+            }
         };
         let silent = format!(
             "{} of {} nodes fell silent, {} of {} of the others",
-            changed.silent, changed.nodes, unchanged.silent, unchanged.nodes
+            own.silent, own.nodes, others.silent, others.nodes
         );
         let text = match verdict {
             Verdict::Passed => "all gates passed".to_owned(),
             Verdict::NotMeasured => {
                 format!("the nodes applied the value and are alive, too few to measure; {silent}")
             }
-            _ if lost || !alive => format!("{verdict}: {silent}"),
-            _ => format!("{verdict}: {}", named(&results, verdict)),
+            _ if is_lost || !is_alive => format!("{verdict}: {silent}"),
+            _ => format!("{verdict}: {}", named(&gates, verdict)),
         };
-        (verdict, text, results)
+        Judgement {
+            verdict,
+            text,
+            gates,
+        }
     }
 
-    /// The clips of the members on one side of a comparison, and how many of them are silent, of those that were in reach
-    /// when the stage began: out of reach now, or with clips before and none since.
-    fn side<'a>(
-        &self,
-        found: &'a Measured,
-        is: impl Fn(&Member) -> bool,
-    ) -> (Vec<&'a BeforeAfter>, Silence) {
-        let mut side = Vec::new();
-        let mut silence = Silence::default();
-        for member in self.members.iter().filter(|member| is(member)) {
-            let Some(clips) = found.get(&member.node) else {
+    /// The members on one side of a comparison. Of those that were in reach when the stage began, a node is silent that is out
+    /// of reach now, or that had clips before and has none since.
+    fn side<'a>(&self, found: &'a Measured, is_on_it: impl Fn(&Member) -> bool) -> Side<'a> {
+        let mut side = Side::default();
+        for member in self.members.iter().filter(|member| is_on_it(member)) {
+            let Some(figures) = found.get(&member.node) else {
                 continue;
             };
-            side.push(clips);
+            side.figures.push(figures);
             if member.was_reachable {
-                silence.nodes += 1;
-                silence.silent += u64::from(!member.reachable || clips.fell_silent());
+                side.silence.nodes += 1;
+                if !member.reachable || figures.fell_silent() {
+                    side.silence.silent += 1;
+                }
             }
         }
-        (side, silence)
+        side
     }
 
     /// Compares the groups of a trial with the first.
     pub(super) fn compare(&self, plan: &TrialPlan, found: &Measured, now: Millis) -> TrialResult {
-        let intervals = (Figure::ALL.len() * (plan.values.len() - 1)) as f64;
-        let miss = (1.0 - plan.basics.confidence) / intervals / 2.0;
-        let nodes = |arm: usize| {
-            let (applied, _) = self.side(found, |member| {
-                member.group == arm && member.applied_ms().is_some()
-            });
-            applied
-        };
-        let first = nodes(0);
-        let arm = |(arm, value): (usize, &Threshold)| {
-            let own = nodes(arm);
-            let figure = |figure: Figure| {
-                let fewest = plan.basics.fewest_clips;
-                let found = Comparison::of(figure, figure.scale(), &own, &first, fewest);
-                let clips = own.iter().filter_map(|node| node.after.get(&figure));
-                let (before, mean) = found.means?;
-                Some(ArmFigure {
-                    figure,
-                    nodes: found.nodes,
-                    clips: clips.map(|mean| mean.clips).sum(),
-                    before,
-                    mean,
-                    // The first group is what the others are compared with.
-                    difference: match found.effect {
-                        Some(effect) if arm > 0 => Some(effect.interval(miss)),
-                        _ => None,
-                    },
-                })
-            };
-            ArmResult {
+        let first = self.applied_in(0, found);
+        let mut values = Vec::new();
+        for (arm, value) in plan.values.iter().enumerate() {
+            let own = self.applied_in(arm, found);
+            let mut figures = Vec::new();
+            for figure in Figure::ALL {
+                if let Some(found) = arm_figure(plan, figure, arm, &own, &first) {
+                    figures.push(found);
+                }
+            }
+            values.push(ArmResult {
                 value: *value,
                 nodes: self.members.iter().filter(|member| member.group == arm).count(),
                 applied: own.len(),
                 silent: own.iter().filter(|clips| clips.fell_silent()).count(),
-                figures: Figure::ALL.into_iter().filter_map(figure).collect(),
-            }
-        };
+                figures,
+            });
+        }
         TrialResult {
             from_ms: self.since_ms,
             until_ms: now,
             confidence: plan.basics.confidence,
-            values: plan.values.iter().enumerate().map(arm).collect(),
+            values,
         }
+    }
+
+    /// The figures of the members of a group that reported its value.
+    fn applied_in<'a>(&self, arm: usize, found: &'a Measured) -> Vec<&'a BeforeAfter> {
+        let applied = self.side(found, |member| {
+            member.group == arm && member.applied_ms().is_some()
+        });
+        applied.figures
     }
 
     /// The error rates of one look at one figure. The plan's error of failing without cause is divided among all stages, gates
@@ -182,6 +190,35 @@ impl Run {
     }
 }
 
+/// A figure of a group of a trial; `None` if no node has enough clips.
+fn arm_figure(
+    plan: &TrialPlan,
+    figure: Figure,
+    arm: usize,
+    own: &[&BeforeAfter],
+    first: &[&BeforeAfter],
+) -> Option<ArmFigure> {
+    let intervals = (Figure::ALL.len() * (plan.values.len() - 1)) as f64;
+    let miss = (1.0 - plan.basics.confidence) / intervals / 2.0;
+    let fewest = plan.basics.fewest_clips;
+    let found = Comparison::of(figure, figure.scale(), own, first, fewest);
+    let means = found.means?;
+    let clips = own.iter().filter_map(|node| node.after.get(&figure));
+    Some(ArmFigure {
+        figure,
+        nodes: found.nodes,
+        clips: clips.map(|mean| mean.clips).sum(),
+        before: means.before,
+        mean: means.after,
+        // The first group is what the others are compared with.
+        difference: match found.effect {
+            Some(effect) if arm > 0 => Some(effect.interval(miss)),
+            _ => None,
+        },
+    })
+}
+
+/// Names the gates with that verdict.
 fn named(results: &[GateResult], verdict: Verdict) -> String {
     let names: Vec<String> = results
         .iter()

@@ -67,6 +67,7 @@ impl Run {
     /// Notes that the value was given, with that revision.
     pub(crate) fn given(&mut self, due: &DueValue, revision: u64, now: Millis) {
         self.unsaved = true;
+        // The members are taken out of the run, because `due_value` reads the rest of it.
         let mut members = std::mem::take(&mut self.members);
         for member in &mut members {
             if self.due_value(member) == Some(due.threshold) {

@@ -31,22 +31,26 @@ impl Window {
     }
 }
 
+/// The windows of a node before a change and since; of a node that did not change, over the same hours.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct BeforeAfterWindows {
+    pub(crate) before: Window,
+    pub(crate) after: Window,
+}
+
 /// Measurements, by node.
 pub(crate) type Measured = HashMap<String, BeforeAfter>;
 
 impl Run {
     /// The windows to measure: of the nodes with their new value, before they were given it and since; of the nodes that were not
     /// given it yet, over the same hours.
-    pub(crate) fn windows(&self, now: Millis) -> Vec<[Window; 2]> {
+    pub(crate) fn windows(&self, now: Millis) -> Vec<BeforeAfterWindows> {
         let baseline = milliseconds(self.kind.basics().baseline_s);
         let since = self.since_ms;
         let in_stage = self.members.iter().filter(|member| self.is_in_stage(member));
         let stage_given_ms = in_stage.map(|member| member.given.given_ms).min().unwrap_or(since);
-        let before_and_after = |member: &Member, given: Millis, value: Threshold, from: Millis| {
-            [
-                Window::new(&member.node, member.before, given - baseline, given),
-                Window::new(&member.node, value, from, now),
-            ]
+        let before = |member: &Member, given_ms: Millis| {
+            Window::new(&member.node, member.before, given_ms - baseline, given_ms)
         };
         let mut windows = Vec::new();
         for member in &self.members {
@@ -56,15 +60,16 @@ impl Run {
                 if let Some(value) = member.value {
                     // After a resumption only later clips count.
                     let from = applied.max(since);
-                    windows.push(before_and_after(member, member.given.given_ms, value, from));
+                    windows.push(BeforeAfterWindows {
+                        before: before(member, member.given.given_ms),
+                        after: Window::new(&member.node, value, from, now),
+                    });
                 }
             } else if self.is_later(member) {
-                windows.push(before_and_after(
-                    member,
-                    stage_given_ms,
-                    member.before,
-                    since,
-                ));
+                windows.push(BeforeAfterWindows {
+                    before: before(member, stage_given_ms),
+                    after: Window::new(&member.node, member.before, since, now),
+                });
             }
         }
         windows

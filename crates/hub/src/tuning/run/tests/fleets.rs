@@ -23,9 +23,9 @@ const PARKED: f64 = 0.2;
 const LIARS: f64 = 0.05;
 
 /// Evenly spread numbers from 0 to 1 that depend on their arguments alone.
-fn chance(seed: u64, of: [u64; 3]) -> f64 {
+fn chance(seed: u64, key: [u64; 3]) -> f64 {
     let mut hash = seed;
-    for part in of {
+    for part in key {
         // Steele, Lea and Flood 2014: the mixer of SplitMix64.
         hash = hash.wrapping_add(part).wrapping_add(0x9e37_79b9_7f4a_7c15);
         hash = (hash ^ (hash >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -35,10 +35,12 @@ fn chance(seed: u64, of: [u64; 3]) -> f64 {
     (hash >> 11) as f64 / (1_u64 << 53) as f64
 }
 
-fn normal(seed: u64, of: [u64; 2]) -> f64 {
-    let [a, b] = [1, 2].map(|part| chance(seed, [of[0], of[1], part]));
-    let a = 1.0 - a;
-    (-2.0 * a.ln()).sqrt() * (std::f64::consts::TAU * b).cos()
+/// Normally distributed numbers with deviation 1, by the method of Box and Muller.
+fn normal(seed: u64, node: u64, hour: u64) -> f64 {
+    // Above 0, for the logarithm.
+    let radius = 1.0 - chance(seed, [node, hour, 1]);
+    let angle = chance(seed, [node, hour, 2]);
+    (-2.0 * radius.ln()).sqrt() * (std::f64::consts::TAU * angle).cos()
 }
 
 /// A fleet whose nodes apply requested values at once.
@@ -77,8 +79,8 @@ impl Fleet {
             let noise = |what: u64| {
                 let hour = hour as u64;
                 let each = 8 * what;
-                SIGMA * normal(self.seed + each, [node, hour])
-                    + WITHIN * normal(self.seed + each + 1, [node, hour])
+                SIGMA * normal(self.seed + each, node, hour)
+                    + WITHIN * normal(self.seed + each + 1, node, hour)
             };
             let invented = 30.0 * (chance(self.seed, [node, hour as u64, 5]) - 0.5);
             let level = |what| {
@@ -112,8 +114,12 @@ impl Fleet {
         }
         rollout.observe(self.now, |node| {
             let number = Self::number(node);
-            let reachable = !self.is_parked(number, self.now);
-            Some(reported(reachable, 1, self.has[number as usize], None))
+            let view = reported(1, self.has[number as usize]);
+            if self.is_parked(number, self.now) {
+                Some(view.silent())
+            } else {
+                Some(view)
+            }
         });
         if let Some(windows) = rollout.tick(self.now) {
             let found = in_windows(&windows, |window| self.clips(window));
@@ -130,7 +136,26 @@ struct Ends {
     undecided: u32,
 }
 
-fn run(nodes: usize, stages: &[&str], driving_hours: f64, change: f64, rollouts: u64) -> Ends {
+/// Rollouts of one plan on fleets of one size.
+struct Study<'a> {
+    nodes: usize,
+    stages: &'a [&'a str],
+    /// Hours of driving in which a stage soaks.
+    driving_hours: f64,
+    /// The relative increase of a clip's energy with the new value.
+    change: f64,
+    rollouts: u64,
+}
+
+/// Runs the rollouts, and prints their row of the table.
+fn run(study: &Study<'_>) -> Ends {
+    let Study {
+        nodes,
+        stages,
+        driving_hours,
+        change,
+        rollouts,
+    } = *study;
     let soak = driving_hours / (1.0 - PARKED) * 3600.0;
     let plan = RolloutPlan {
         stages: stages.iter().map(|size| (*size).to_owned()).collect(),
@@ -190,15 +215,22 @@ fn count(usual: u64) -> u64 {
     std::env::var("ALBIREO_ROLLOUTS").map_or(usual, |text| text.parse().unwrap())
 }
 
+/// Half of the nodes are left to compare with.
+const HALF_OF_ALL: &[&str] = &["1", "10%", "50%"];
+const ALL_NODES: &[&str] = &["1", "10%", "50%", "100%"];
+
 #[test]
 fn whole_rollouts_without_any_effect_are_judged_failed_at_most_one_time_in_twenty() {
     for (nodes, rollouts) in [(8, 100), (30, 60), (100, 60), (1000, 6), (5000, 1)] {
         let rollouts = count(rollouts);
-        for (stages, hours) in [
-            (&["1", "10%", "50%"][..], 8.0),
-            (&["1", "10%", "50%", "100%"], 24.0),
-        ] {
-            let ends = run(nodes, stages, hours, 0.0, rollouts);
+        for (stages, driving_hours) in [(HALF_OF_ALL, 8.0), (ALL_NODES, 24.0)] {
+            let ends = run(&Study {
+                nodes,
+                stages,
+                driving_hours,
+                change: 0.0,
+                rollouts,
+            });
             let most = 0.05 * rollouts as f64;
             assert!(f64::from(ends.failed) <= most.max(1.0), "{nodes}: {ends:?}");
         }
@@ -208,11 +240,19 @@ fn whole_rollouts_without_any_effect_are_judged_failed_at_most_one_time_in_twent
 #[test]
 fn whole_rollouts_of_a_value_that_costs_a_quarter_more_undo_it() {
     let rollouts = count(40);
-    let ends = run(100, &["1", "10%", "50%"], 8.0, 0.25, rollouts);
+    let quarter_more = Study {
+        nodes: 100,
+        stages: HALF_OF_ALL,
+        driving_hours: 8.0,
+        change: 0.25,
+        rollouts,
+    };
+    let ends = run(&quarter_more);
     let most = 0.05 * rollouts as f64;
     assert!(f64::from(ends.in_force) <= most, "{ends:?}");
+    // The other rows of the table in docs/fleet.md.
     if rollouts >= 100 {
-        for (nodes, hours, change) in [
+        for (nodes, driving_hours, change) in [
             (30, 8.0, 0.25),
             (100, 24.0, 0.25),
             (100, 24.0, 0.10),
@@ -222,7 +262,12 @@ fn whole_rollouts_of_a_value_that_costs_a_quarter_more_undo_it() {
             (1000, 24.0, -0.10),
             (100, 72.0, 0.0),
         ] {
-            run(nodes, &["1", "10%", "50%"], hours, change, rollouts);
+            run(&Study {
+                nodes,
+                driving_hours,
+                change,
+                ..quarter_more
+            });
         }
     }
 }
