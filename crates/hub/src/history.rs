@@ -17,7 +17,7 @@ struct AuditColumns(AuditReport);
 
 impl FromRow for AuditColumns {
     fn from_row(row: &mut Row) -> Result<Self, StoreError> {
-        // Without an audit nothing was counted.
+        // In the order of the statements' columns. Without an audit nothing was counted.
         let mut count = || Ok::<_, StoreError>(row.take::<Option<f64>>()?.unwrap_or(0.0) as u64);
         let mut audit = AuditReport::default();
         audit.sums.frames = count()?;
@@ -51,5 +51,8 @@ fn quality(name: &str) -> Option<EnergyQuality> {
 
 /// The audit's figures; `None` if no frame was drawn.
 pub(crate) fn audit_figures(audit: &AuditReport) -> Option<AuditFigures> {
-    (!audit.sums.is_empty()).then(|| audit.figures())
+    if audit.sums.is_empty() {
+        return None;
+    }
+    Some(audit.figures())
 }

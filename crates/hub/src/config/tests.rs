@@ -21,7 +21,7 @@ fn a_missing_key_has_the_hubs_default_and_not_the_nodes() {
 
 #[test]
 fn an_impossible_value_is_rejected_with_its_key() {
-    // With the key of the finding, if it is not the one that is set.
+    // Behind an arrow stands the key of the finding, where it is another one than the one that is set.
     for case in [
         r#"hub.prefix = "a//b""#,
         r#"zenoh.mode = "boss""#,

@@ -115,14 +115,14 @@ impl Store {
         until_ms: i64,
     ) -> Result<usize, StoreError> {
         self.write(move |database| {
-            let text = "UPDATE clips SET distance_mm = NULL, travel = NULL \
+            let delete_ways = "UPDATE clips SET distance_mm = NULL, travel = NULL \
                         WHERE distance_mm IS NOT NULL AND at_ms < $2 AND camera_id IN \
                         (SELECT c.id FROM cameras c JOIN nodes n ON n.id = c.node_id WHERE n.name = $1) RETURNING 1 AS gone";
             let values = [node.into(), until_ms.into()];
-            let gone = database.query(text, &values)?;
-            let text = "UPDATE set_aside SET body = '' WHERE received_ms < $2 AND body LIKE '%\"travel\"%' \
+            let gone = database.query(delete_ways, &values)?;
+            let empty_texts = "UPDATE set_aside SET body = '' WHERE received_ms < $2 AND body LIKE '%\"travel\"%' \
                         AND node_id IN (SELECT id FROM nodes WHERE name = $1)";
-            database.query(text, &values)?;
+            database.query(empty_texts, &values)?;
             Ok(gone.len())
         })
         .await

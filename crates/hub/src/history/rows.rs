@@ -245,8 +245,10 @@ impl Store {
     /// When the database cannot be read.
     pub(crate) async fn last_event(&self) -> Result<i64, StoreError> {
         let text = "SELECT COALESCE(max(id), 0) FROM events";
-        let first = self.query(text, Vec::new()).await?.into_iter().next();
-        first.map_or(Ok(0), |mut row| row.take())
+        match self.query(text, Vec::new()).await?.first_mut() {
+            Some(row) => row.take(),
+            None => Ok(0),
+        }
     }
 
     /// Events with numbers above `id`, in order.

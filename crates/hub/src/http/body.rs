@@ -33,11 +33,9 @@ where
     let known = serde_json::to_value(T::default()).unwrap_or_default();
     let (own, others): (Map<_, _>, Map<_, _>) =
         object.into_iter().partition(|(name, _)| known.get(name).is_some());
-    let request = serde_json::from_value(Value::Object(own));
-    Ok((
-        request.map_err(|error| unusable(error.to_string()))?,
-        others,
-    ))
+    let request =
+        serde_json::from_value(Value::Object(own)).map_err(|error| unusable(error.to_string()))?;
+    Ok((request, others))
 }
 
 /// Reads the threshold that is the only field: `"u": 5e-4`.
@@ -74,7 +72,7 @@ pub(super) fn name_threshold(written: &mut Value) -> Result<(), Problem> {
 }
 
 /// Reads a request and rejects unknown fields.
-pub(super) fn rest<T>(object: Map<String, Value>) -> Result<T, Problem>
+pub(super) fn known_fields<T>(object: Map<String, Value>) -> Result<T, Problem>
 where
     T: DeserializeOwned + Serialize + Default,
 {
@@ -85,12 +83,12 @@ where
     }
 }
 
-/// Cuts `found` to `limit` rows. Returns the cursor of the next page if there is one.
-pub(super) fn next<T>(found: &mut Vec<T>, limit: i64, id: impl Fn(&T) -> i64) -> Option<i64> {
-    let more = found.len() as i64 > limit;
-    found.truncate(usize::try_from(limit).unwrap_or(usize::MAX));
-    match found.last() {
-        Some(last) if more => Some(id(last)),
+/// Cuts rows, of which one more than `limit` was asked for, to a page. Returns the cursor of the next page if there is one.
+pub(super) fn cut_page<T>(rows: &mut Vec<T>, limit: i64, id: impl Fn(&T) -> i64) -> Option<i64> {
+    let has_next = rows.len() as i64 > limit;
+    rows.truncate(usize::try_from(limit).unwrap_or(usize::MAX));
+    match rows.last() {
+        Some(last) if has_next => Some(id(last)),
         _ => None,
     }
 }

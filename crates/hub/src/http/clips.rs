@@ -1,9 +1,9 @@
 //! Serves clips, as pages of JSON and as CSV, and the reports that were set aside.
 
-use super::body::next;
+use super::body::cut_page;
 use crate::history::{ClipQuery, StoredClip, StoredSetAside};
 use crate::hub::Hub;
-use crate::store::StoreError;
+use crate::store::{Store, StoreError};
 use albireo_service::http::{Problem, within};
 use axum::body::Body;
 use axum::extract::{Query, State};
@@ -41,7 +41,7 @@ pub(super) async fn list(
     check(&wanted)?;
     let limit = within("limit", wanted.limit.unwrap_or(100), 1..=MOST)?;
     let mut clips = hub.store()?.clips(&wanted, limit + 1).await?;
-    let next = next(&mut clips, limit, |clip| clip.id);
+    let next = cut_page(&mut clips, limit, |clip| clip.id);
     Ok(Json(ClipPage { clips, next }))
 }
 
@@ -67,26 +67,49 @@ pub(super) async fn csv(
 ) -> Result<Response, Problem> {
     check(&wanted)?;
     let left = within("limit", wanted.limit.unwrap_or(i64::MAX), 1..=i64::MAX)?;
-    let begin = (hub.store()?.clone(), wanted, left);
-    let pages = stream::try_unfold(begin, |(store, mut wanted, left)| async move {
-        let clips = store.clips(&wanted, left.min(MOST)).await?;
-        let Some(last) = clips.last() else {
-            return Ok::<_, StoreError>(None);
-        };
-        wanted.cursor = Some(last.id);
-        let left = left - clips.len() as i64;
-        Ok(Some((clips, (store, wanted, left))))
-    });
+    let rows = CsvRows {
+        store: hub.store()?.clone(),
+        wanted,
+        left,
+    };
+    let mut pages = Box::pin(stream::try_unfold(rows, |mut rows| async move {
+        let page = rows.next_page().await?;
+        Ok::<_, StoreError>(page.map(|clips| (clips, rows)))
+    }));
     // The first page is read before the answer begins, so that the answer to an error has its status.
-    let mut pages = Box::pin(pages);
     let first = pages.try_next().await?;
-    let pages = stream::iter(first.map(Ok)).chain(pages).enumerate();
-    let texts = pages.map(|(number, clips)| written(clips?, number == 0));
+    let all_pages = stream::iter(first.map(Ok)).chain(pages);
+    let texts = all_pages.enumerate().map(|(number, clips)| {
+        let has_headers = number == 0;
+        written(clips?, has_headers)
+    });
     let headers = [
         (CONTENT_TYPE, "text/csv; charset=utf-8"),
         (CONTENT_DISPOSITION, "attachment; filename=\"clips.csv\""),
     ];
     Ok((headers, Body::from_stream(texts)).into_response())
+}
+
+/// The clips of a CSV file that are not read yet.
+struct CsvRows {
+    store: Store,
+    /// Selects them; its cursor is the last one that was read.
+    wanted: ClipQuery,
+    /// Most clips that are still to be read.
+    left: i64,
+}
+
+impl CsvRows {
+    /// Reads the next page; `None` if there are no more clips.
+    async fn next_page(&mut self) -> Result<Option<Vec<StoredClip>>, StoreError> {
+        let clips = self.store.clips(&self.wanted, self.left.min(MOST)).await?;
+        let Some(last) = clips.last() else {
+            return Ok(None);
+        };
+        self.wanted.cursor = Some(last.id);
+        self.left -= clips.len() as i64;
+        Ok(Some(clips))
+    }
 }
 
 fn written(clips: Vec<StoredClip>, has_headers: bool) -> Result<Vec<u8>, BoxError> {
@@ -137,6 +160,6 @@ pub(super) async fn set_aside(
     let store = hub.store()?;
     let node = selection.node.as_deref();
     let mut reports = store.set_aside(node, selection.cursor, limit + 1).await?;
-    let next = next(&mut reports, limit, |report| report.id);
+    let next = cut_page(&mut reports, limit, |report| report.id);
     Ok(Json(AsidePage { reports, next }))
 }

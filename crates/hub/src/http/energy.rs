@@ -44,22 +44,29 @@ pub(super) async fn sums(
     Query(mut wanted): Query<EnergyQuery>,
 ) -> Result<Json<Energy>, Problem> {
     let now_s = unix_milliseconds().div_euclid(1000);
-    let asked = [wanted.since_ms, wanted.until_ms].map(|ms| Some(ms?.div_euclid(1000)));
-    let mut times = asked.iter().flatten();
-    let whole_hours = times.all(|time| time.rem_euclid(HOUR) == 0);
+    let wanted_since_s = wanted.since_ms.map(|ms| ms.div_euclid(1000));
+    let wanted_until_s = wanted.until_ms.map(|ms| ms.div_euclid(1000));
+    let is_whole_hour = |time: Option<i64>| time.is_none_or(|time| time.rem_euclid(HOUR) == 0);
     let kept_s = now_s - i64::from(hub.five_minutes_days) * DAY;
-    let (resolution, span) = if whole_hours || asked[0].is_some_and(|since| since < kept_s) {
-        (Resolution::Hour, HOUR)
+    let is_too_old = wanted_since_s.is_some_and(|since| since < kept_s);
+    let are_whole_hours = is_whole_hour(wanted_since_s) && is_whole_hour(wanted_until_s);
+    let resolution = if are_whole_hours || is_too_old {
+        Resolution::Hour
     } else {
-        (Resolution::FiveMinutes, FIVE_MINUTES)
+        Resolution::FiveMinutes
     };
-    let down = |time: i64| time.div_euclid(span).saturating_mul(span);
-    let since_s = down(asked[0].unwrap_or(now_s - 7 * DAY));
-    let until_s = down(asked[1].unwrap_or(now_s + DAY).saturating_add(span - 1));
+    let span = match resolution {
+        Resolution::Hour => HOUR,
+        Resolution::FiveMinutes => FIVE_MINUTES,
+    };
+    let round_down = |time: i64| time.div_euclid(span).saturating_mul(span);
+    let since_s = round_down(wanted_since_s.unwrap_or(now_s - 7 * DAY));
+    let until_s = wanted_until_s.unwrap_or(now_s + DAY);
+    let end_s = round_down(until_s.saturating_add(span - 1));
     let limit = within("limit", wanted.limit.unwrap_or(1000), 1..=10_000)?;
     wanted.limit = Some(limit);
-    let sums = hub.store()?.energy(&wanted, resolution, since_s..until_s);
-    let groups = sums.await?;
+    let store = hub.store()?;
+    let groups = store.energy(&wanted, resolution, since_s..end_s).await?;
     let mut audit = AuditReport::default();
     for group in &groups {
         audit.merge(&group.audit_counts);
@@ -68,7 +75,7 @@ pub(super) async fn sums(
         audit: audit_figures(&audit),
         resolution,
         since_ms: since_s.saturating_mul(1000),
-        until_ms: until_s.saturating_mul(1000),
+        until_ms: end_s.saturating_mul(1000),
         groups,
     }))
 }

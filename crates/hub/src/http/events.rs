@@ -2,6 +2,7 @@
 
 use crate::history::StoredEvent;
 use crate::hub::Hub;
+use crate::store::Store;
 use albireo_service::http::Problem;
 use axum::extract::{Query, State};
 use axum::http::{HeaderMap, StatusCode};
@@ -18,7 +19,7 @@ const MOST_REPLAYED: i64 = 5000;
 /// Most events that are read from the database at a time.
 const STEP: i64 = 500;
 /// Time between two reads of the database, to which other hubs may write too.
-const LOOK: Duration = Duration::from_millis(500);
+const READ_PAUSE: Duration = Duration::from_millis(500);
 
 /// Selects events.
 #[derive(Deserialize, IntoParams)]
@@ -45,56 +46,80 @@ pub(super) async fn stream(
     headers: HeaderMap,
     Query(selection): Query<EventSelection>,
 ) -> Result<Sse<impl Stream<Item = Result<sse::Event, axum::Error>>>, Problem> {
-    let last_id = match headers.get("last-event-id") {
+    let reader_has = match number_in(&headers)? {
+        Some(number) => Some(number),
         None => selection.last_event_id,
-        Some(value) => {
-            let number = value.to_str().ok().and_then(|text| text.parse().ok());
-            Some(number.ok_or_else(|| {
-                let detail = "Last-Event-ID must be the number of an event";
-                Problem::new(StatusCode::BAD_REQUEST, detail)
-            })?)
-        }
     };
     let store = hub.store()?.clone();
     let newest = store.last_event().await?;
-    let last = last_id.unwrap_or(newest);
+    let mut last = reader_has.unwrap_or(newest);
     let missed = match newest.saturating_sub(last) {
         ..0 => Some("the event is from another database".to_owned()),
         0..=MOST_REPLAYED => None,
         behind => Some(format!("{behind} events were missed")),
     };
-    let last = if missed.is_some() { newest } else { last };
+    if missed.is_some() {
+        last = newest;
+    }
     let resync = missed.map(|reason| {
         let event = sse::Event::default().event("resync");
         event.json_data(json!({ "reason": reason }))
     });
-    let steps = stream::unfold((store, last), |(store, last)| async move {
-        let events = match store.events_after(last, STEP).await {
+    let news = EventsAfter { store, last };
+    let types = selection.types;
+    let is_wanted = move |event: &StoredEvent| match &types {
+        Some(types) => types.split(',').any(|kind| kind == event.kind),
+        None => true,
+    };
+    let sent = stream::unfold(news, |mut news| async move {
+        let events = news.next().await;
+        Some((stream::iter(events), news))
+    })
+    .flatten()
+    .filter(move |event| ready(is_wanted(event)))
+    .map(|event| {
+        let written = sse::Event::default().event(&event.kind);
+        written.id(event.id.to_string()).json_data(&event)
+    })
+    .take_until(hub.shutdown.cancelled_owned());
+    let events = stream::iter(resync).chain(sent);
+    Ok(Sse::new(events).keep_alive(KeepAlive::new().interval(Duration::from_secs(15))))
+}
+
+/// The number in the header `Last-Event-ID`, if it is there.
+fn number_in(headers: &HeaderMap) -> Result<Option<i64>, Problem> {
+    let Some(value) = headers.get("last-event-id") else {
+        return Ok(None);
+    };
+    match value.to_str().ok().and_then(|text| text.parse().ok()) {
+        Some(number) => Ok(Some(number)),
+        None => Err(Problem::new(
+            StatusCode::BAD_REQUEST,
+            "Last-Event-ID must be the number of an event",
+        )),
+    }
+}
+
+/// The events after the last one that was read.
+struct EventsAfter {
+    store: Store,
+    last: i64,
+}
+
+impl EventsAfter {
+    /// Reads the next events; if there are none yet, returns none after a pause.
+    async fn next(&mut self) -> Vec<StoredEvent> {
+        let events = match self.store.events_after(self.last, STEP).await {
             Ok(events) => events,
             Err(error) => {
                 tracing::debug!(%error, "events cannot be read");
                 Vec::new()
             }
         };
-        if events.is_empty() {
-            tokio::time::sleep(LOOK).await;
+        match events.last() {
+            Some(event) => self.last = event.id,
+            None => tokio::time::sleep(READ_PAUSE).await,
         }
-        let last = events.last().map_or(last, |event| event.id);
-        Some((stream::iter(events), (store, last)))
-    });
-    let types = selection.types;
-    let is_wanted = move |event: &StoredEvent| match &types {
-        Some(types) => types.split(',').any(|kind| kind == event.kind),
-        None => true,
-    };
-    let news = steps
-        .flatten()
-        .filter(move |event| ready(is_wanted(event)))
-        .map(|event| {
-            let written = sse::Event::default().event(&event.kind);
-            written.id(event.id.to_string()).json_data(&event)
-        })
-        .take_until(hub.shutdown.cancelled_owned());
-    let events = stream::iter(resync).chain(news);
-    Ok(Sse::new(events).keep_alive(KeepAlive::new().interval(Duration::from_secs(15))))
+        events
+    }
 }

@@ -120,11 +120,13 @@ pub(super) async fn list(
     let mut found = Vec::new();
     hub.fleet.each(|node| {
         waiting += node.waiting;
-        let is_wanted = (wanted.is_empty() || wanted.contains(&node.state))
-            && node.node.contains(&search)
-            && select.as_ref().is_none_or(|it| it.selects(&node.node, node.labels()));
-        if is_wanted {
-            let key = match selection.sort {
+        let has_state = wanted.is_empty() || wanted.contains(&node.state);
+        let is_selected = match &select {
+            Some(selector) => selector.selects(&node.node, node.labels()),
+            None => true,
+        };
+        if has_state && is_selected && node.node.contains(&search) {
+            let sort_key = match selection.sort {
                 NodeSort::Name => found.len() as i64,
                 NodeSort::State => node.state as i64,
                 NodeSort::Since => node.since_ms,
@@ -132,14 +134,17 @@ pub(super) async fn list(
                 NodeSort::Joules => node.today.largest_uj(),
                 NodeSort::Waiting => i64::try_from(node.waiting).unwrap_or(i64::MAX),
             };
-            found.push((key, node.node.clone()));
+            found.push(FoundNode {
+                sort_key,
+                name: node.node.clone(),
+            });
         }
     });
     // The nodes are in the order of their names, which the sort keeps among equal ones.
     if selection.down {
-        found.sort_by_key(|(key, _)| Reverse(*key))
+        found.sort_by_key(|node| Reverse(node.sort_key));
     } else {
-        found.sort_by_key(|(key, _)| *key)
+        found.sort_by_key(|node| node.sort_key);
     }
     let limit = within("limit", selection.limit.unwrap_or(100), 0..=MOST)?;
     let nodes = found.iter().skip(selection.offset).take(limit);
@@ -148,8 +153,14 @@ pub(super) async fn list(
         waiting,
         total: found.len(),
         offset: selection.offset,
-        nodes: nodes.filter_map(|(_, name)| hub.fleet.view(name)).collect(),
+        nodes: nodes.filter_map(|node| hub.fleet.view(&node.name)).collect(),
     }))
+}
+
+/// A node that is selected: only those on the page are read in full.
+struct FoundNode {
+    sort_key: i64,
+    name: String,
 }
 
 /// A node with the counts of its reports.

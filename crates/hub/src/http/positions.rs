@@ -1,6 +1,6 @@
 //! Serves where clips were made, as GeoJSON (RFC 7946), and deletes it.
 
-use super::body::next;
+use super::body::cut_page;
 use crate::history::{PositionQuery, PositionedClip};
 use crate::hub::Hub;
 use albireo_service::clock::{DAY_MS, unix_milliseconds};
@@ -78,7 +78,7 @@ pub(super) async fn geojson(
     let since_ms = wanted.since_ms.unwrap_or(now_ms - DAY_MS);
     let times = since_ms..wanted.until_ms.unwrap_or(i64::MAX);
     let mut clips = hub.store()?.positions(&wanted, times, limit + 1).await?;
-    let truncated = next(&mut clips, limit, |clip| clip.id).is_some();
+    let truncated = cut_page(&mut clips, limit, |clip| clip.id).is_some();
     let collection = Positions {
         r#type: "FeatureCollection",
         features: clips.into_iter().map(feature).collect(),

@@ -81,18 +81,19 @@ pub(super) async fn set_target(
     bytes: Bytes,
 ) -> Result<Response, Problem> {
     let mut object = body::object(&bytes)?;
-    let names = |detail: String| body::unusable(detail).allowing(Target::NAMES);
-    let target = object.remove("target").ok_or_else(|| {
-        names("the body must have a target, such as \"target\": {\"skip_rate\": 0.5}, or null for none".to_owned())
-    })?;
+    let refused = |detail: String| body::unusable(detail).allowing(Target::NAMES);
+    let Some(value) = object.remove("target") else {
+        let detail = r#"the body must have a target, such as "target": {"skip_rate": 0.5}, or null for none"#;
+        return Err(refused(detail.to_owned()));
+    };
     let target: Option<Target> =
-        serde_json::from_value(target).map_err(|error| names(format!("target: {error}")))?;
-    let target = target
-        .map(Target::check)
-        .transpose()
-        .map_err(|error| names(error.to_string()))?;
-    let request = body::rest(object)?;
-    let setting = DesiredSetting::Target(target);
+        serde_json::from_value(value).map_err(|error| refused(format!("target: {error}")))?;
+    let checked = match target {
+        Some(target) => Some(target.check().map_err(|error| refused(error.to_string()))?),
+        None => None,
+    };
+    let request = body::known_fields(object)?;
+    let setting = DesiredSetting::Target(checked);
     give(&hub, &caller, &headers, setting, request).await
 }
 
@@ -107,8 +108,8 @@ async fn give(
 ) -> Result<Response, Problem> {
     check_why(&request.why).map_err(body::unusable)?;
     let accepted = headers.get(ACCEPT).and_then(|value| value.to_str().ok());
-    let streams = accepted.is_some_and(|accept| accept.contains(LINES));
-    let most = if streams {
+    let is_stream = accepted.is_some_and(|accept| accept.contains(LINES));
+    let most = if is_stream {
         LONGEST_STREAM_S
     } else {
         LONGEST_WAIT_S
@@ -129,7 +130,7 @@ async fn give(
         ));
     }
     let until = Instant::now() + Duration::from_secs_f64(wait);
-    if !streams {
+    if !is_stream {
         let mut nodes = Vec::new();
         while !revision.nodes.is_empty() {
             nodes.extend(tuner.outcomes(&mut revision, until).await);
@@ -191,7 +192,7 @@ pub(super) async fn revisions(
     let before = which.before.unwrap_or(i64::MAX);
     let node = which.node.as_deref();
     let mut revisions = hub.store()?.revisions(before, node, limit + 1).await?;
-    let next = body::next(&mut revisions, limit, |found| {
+    let next = body::cut_page(&mut revisions, limit, |found| {
         found.number.map_or(0, u64::cast_signed)
     });
     Ok(Json(Revisions { revisions, next }))

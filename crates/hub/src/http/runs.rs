@@ -42,7 +42,7 @@ async fn page(hub: &Hub, kind: &str, which: &Which) -> Result<Json<Runs>, Proble
     let limit = within("limit", which.limit.unwrap_or(20), 1..=MOST)?;
     let before = which.before.unwrap_or(i64::MAX);
     let mut runs = hub.store()?.runs(kind, before, limit + 1).await?;
-    let next = body::next(&mut runs, limit, |run| run.id);
+    let next = body::cut_page(&mut runs, limit, |run| run.id);
     for run in &mut runs {
         run.record.clear();
         run.members.clear();
@@ -146,9 +146,11 @@ pub(super) async fn begin_trial(
 ) -> Result<(StatusCode, Json<Run>), Problem> {
     let mut object = body::object(&bytes)?;
     if let Some(values) = object.get_mut("values").and_then(Value::as_array_mut) {
-        values.iter_mut().try_for_each(body::name_threshold)?;
+        for value in values {
+            body::name_threshold(value)?;
+        }
     }
-    let plan: TrialPlan = body::rest(object)?;
+    let plan: TrialPlan = body::known_fields(object)?;
     begin(&hub, Kind::Trial { plan }, &caller).await
 }
 
