@@ -62,9 +62,9 @@ impl RunsFile {
             std::fs::write(&before, &bytes).map_err(|error| EvalError::write(&before, error))?;
             bytes.clear();
         }
-        let whole = bytes.iter().rposition(|byte| *byte == b'\n').map_or(0, |end| end + 1);
-        let text = String::from_utf8_lossy(&bytes[..whole]);
-        file.set_len(whole as u64).map_err(failed)?;
+        let length = bytes.iter().rposition(|byte| *byte == b'\n').map_or(0, |end| end + 1);
+        let text = String::from_utf8_lossy(&bytes[..length]);
+        file.set_len(length as u64).map_err(failed)?;
         file.seek(SeekFrom::End(0)).map_err(failed)?;
         let mut opened = Self {
             path: path.clone(),
@@ -102,16 +102,14 @@ impl RunsFile {
     /// Both contents in words, and the way out.
     pub fn check_clip(&self, clip: &str, content: &str) -> Result<(), EvalError> {
         let mut of_clip = self.runs.iter().filter(|run| run.clip == clip);
-        match of_clip.find(|run| run.content != content) {
-            Some(run) => Err(EvalError::content(
-                &self.path,
-                format!(
-                    "its runs of the clip {clip} were of {}, and now it is of {content}\n{WAY_OUT}",
-                    run.content
-                ),
-            )),
-            None => Ok(()),
+        if let Some(run) = of_clip.find(|run| run.content != content) {
+            let what = format!(
+                "its runs of the clip {clip} were of {}, and now it is of {content}\n{WAY_OUT}",
+                run.content
+            );
+            return Err(EvalError::content(&self.path, what));
         }
+        Ok(())
     }
 
     /// True if the clip was played under the policy.
@@ -140,6 +138,14 @@ impl RunsFile {
     }
 }
 
+impl Drop for RunsFile {
+    fn drop(&mut self) {
+        // Closing it would not free the file while a program that is being started, such as ffmpeg, has a copy of the handle. If
+        // this fails, the file is free once they are all closed.
+        let _ = self.file.unlock();
+    }
+}
+
 /// Parses the lines of a file; `None` if there are none.
 fn parse(path: &Path, text: &str) -> Result<Option<SetupRuns>, EvalError> {
     let mut found: Option<SetupRuns> = None;
@@ -147,28 +153,27 @@ fn parse(path: &Path, text: &str) -> Result<Option<SetupRuns>, EvalError> {
         let wrong = |what: String| EvalError::line(path, number, what);
         let line = serde_json::from_str::<Line>(line)
             .map_err(|_| wrong("this is not a line of `albireo eval board`".to_owned()))?;
-        match (line, &mut found) {
-            (Line::Setup { v, setup }, none @ None) => {
-                if v != VERSION {
-                    let what =
-                        format!("its form has version {v}, and this albireo reads {VERSION}");
-                    return Err(wrong(what));
-                }
-                *none = Some(SetupRuns {
+        match line {
+            Line::Setup { .. } if found.is_some() => {
+                let what = "a second setup in one file: join the files instead";
+                return Err(wrong(what.to_owned()));
+            }
+            Line::Setup { v, .. } if v != VERSION => {
+                let what = format!("its form has version {v}, and this albireo reads {VERSION}");
+                return Err(wrong(what));
+            }
+            Line::Setup { setup, .. } => {
+                found = Some(SetupRuns {
                     setup: *setup,
                     runs: Vec::new(),
                 });
             }
-            (Line::Run { run }, Some(of)) => of.runs.push(*run),
-            (Line::Setup { .. }, Some(_)) => {
-                return Err(wrong(
-                    "a second setup in one file: join the files instead".to_owned(),
-                ));
-            }
-            (Line::Run { .. }, None) => {
-                return Err(wrong(
-                    "a run before the setup: the file's beginning is missing".to_owned(),
-                ));
+            Line::Run { run } => {
+                let Some(before) = &mut found else {
+                    let what = "a run before the setup: the file's beginning is missing";
+                    return Err(wrong(what.to_owned()));
+                };
+                before.runs.push(*run);
             }
         }
     }
@@ -191,4 +196,26 @@ pub fn read(path: &Path) -> Result<SetupRuns, EvalError> {
     };
     let found = found.filter(|found| !found.runs.is_empty());
     found.ok_or_else(|| EvalError::content(path, format!("it has no rows; {help}")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_is_free_after_its_use_although_a_child_process_still_has_its_handle() {
+        let folder = tempfile::tempdir().unwrap();
+        let setup = Setup {
+            detector: "yolo".to_owned(),
+            precision: "fp16".to_owned(),
+            power_mode: String::new(),
+            machine: "board".to_owned(),
+            settings: [].into(),
+        };
+        let restart = false;
+        let first = RunsFile::open(folder.path(), &setup, restart).unwrap();
+        let _copy = first.file.try_clone().unwrap();
+        drop(first);
+        RunsFile::open(folder.path(), &setup, restart).unwrap();
+    }
 }
