@@ -13,7 +13,7 @@ use albireo_eval::data::classes::Evaluated;
 use albireo_eval::data::{GroundTruth, LoadReport, Rules, TruthFormat};
 use albireo_eval::footage::{FrameSource, SourceName, VideoEncoding};
 use albireo_eval::judge::{Ignored, Truth};
-use albireo_eval::spec::{BASELINE, PolicySpec};
+use albireo_eval::spec::{BASELINE, Base, PolicySpec};
 use albireo_node::config::NodeConfig;
 use albireo_service::{logging, signals};
 use albireo_vision::detector::HeadSetting;
@@ -180,7 +180,10 @@ fn prepare(arguments: &CompareArguments) -> anyhow::Result<(NodeConfig, Vec<Poli
     if let Some(screen) = &arguments.screen_model {
         config.screen.model = Some(screen.clone());
     }
-    let base = (&config.policy, config.screen.empty_road());
+    let base = Base {
+        config: &config.policy,
+        empty_road: config.screen.empty_road(),
+    };
     let variants = variants(&arguments.policy, &arguments.u, base)?;
     Ok((config, variants))
 }

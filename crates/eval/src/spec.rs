@@ -6,7 +6,6 @@ use crate::settings::ScreenRule;
 use albireo_core::policy::{
     Albireo, Ctd, EmptyRoad, FixedSkip, Policy, PolicyConfig, Statues, Vanilla, WithPause, no_pause,
 };
-use std::collections::BTreeSet;
 
 /// Name and label of the policy with which all others are compared.
 pub const BASELINE: &str = "vanilla";
@@ -68,6 +67,15 @@ impl PolicySpec {
     }
 }
 
+/// The settings that a policy has where the command line names none of its own.
+#[derive(Clone, Copy, Debug)]
+pub struct Base<'a> {
+    /// Those of all policies.
+    pub config: &'a PolicyConfig,
+    /// The pause on an empty road.
+    pub empty_road: EmptyRoad,
+}
+
 /// Values of a setting to try one after the other: `u=3e-4,5e-4`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sweep {
@@ -111,7 +119,11 @@ pub fn resolve(
     screen: ScreenRule,
     pixels: bool,
 ) -> Result<Vec<PolicySpec>, EvalError> {
-    resolve_with_pause(asked, sweeps, (base, EmptyRoad::default()), screen, pixels)
+    let base = Base {
+        config: base,
+        empty_road: EmptyRoad::default(),
+    };
+    resolve_with_pause(asked, sweeps, base, screen, pixels)
 }
 
 /// [`resolve`], where a policy that names no pause of its own has that of `base`.
@@ -121,30 +133,35 @@ pub fn resolve(
 pub fn resolve_with_pause(
     asked: &[String],
     sweeps: &[Sweep],
-    base: (&PolicyConfig, EmptyRoad),
+    base: Base<'_>,
     screen: ScreenRule,
     pixels: bool,
 ) -> Result<Vec<PolicySpec>, EvalError> {
-    let asked = asked.iter().flat_map(|asked| match asked.as_str() {
-        "all" => ALL
-            .iter()
+    let mut named = vec![BASELINE];
+    for asked in asked {
+        if asked == "all" {
             // Statues looks at pixels.
-            .filter(|name| pixels || !name.starts_with(Statues::NAME))
-            .copied()
-            .collect(),
-        asked => vec![asked],
-    });
-    let asked: Vec<&str> = std::iter::once(BASELINE).chain(asked).collect();
-    swept(&asked, sweeps, base, |policy, empty_road| {
+            let usable = |name: &&str| pixels || !name.starts_with(Statues::NAME);
+            named.extend(ALL.into_iter().filter(usable));
+        } else {
+            named.push(asked);
+        }
+    }
+    swept(&named, sweeps, base, |policy, empty_road| {
         label(policy, empty_road, screen)
     })
 }
 
 /// A policy, and what it was built from.
-type Built = (PolicyConfig, EmptyRoad, Box<dyn Policy>);
+struct Built {
+    config: PolicyConfig,
+    empty_road: EmptyRoad,
+    policy: Box<dyn Policy>,
+}
 
-/// Returns the policies `asked` for (`NAME[:ARGUMENT][,pause_s=…][,after_s=…]` each) in order, without repetitions, with everything else as in
-/// `base`. A policy whose threshold is swept occurs once for each value, unless it has an argument of its own.
+/// Returns the policies `asked` for (`NAME[:ARGUMENT][,pause_s=…][,after_s=…]` each) in order, without repetitions, with
+/// everything else as in `base`. A policy whose threshold is swept occurs once for each value, unless it has an argument of its
+/// own.
 ///
 /// # Errors
 /// [`EvalError`] for an unknown policy, an argument it does not take, a value out of range, or a sweep
@@ -152,14 +169,14 @@ type Built = (PolicyConfig, EmptyRoad, Box<dyn Policy>);
 pub(crate) fn swept(
     asked: &[&str],
     sweeps: &[Sweep],
-    base: (&PolicyConfig, EmptyRoad),
+    base: Base<'_>,
     label: impl Fn(&dyn Policy, EmptyRoad) -> String,
 ) -> Result<Vec<PolicySpec>, EvalError> {
     let mut found = Vec::new();
     let mut applied = vec![false; sweeps.len()];
     for asked in asked {
         let one = build(asked, base)?;
-        let spec = one.2.threshold_spec();
+        let spec = one.policy.threshold_spec();
         let (name, pause) = asked.split_at(asked.find(',').unwrap_or(asked.len()));
         let sweep =
             sweeps.iter().position(|sweep| spec.is_some_and(|spec| spec.name == sweep.name));
@@ -173,44 +190,47 @@ pub(crate) fn swept(
             _ => found.push(one),
         }
     }
-    match applied.iter().position(|applied| !applied) {
-        Some(unused) => Err(EvalError::new(format!(
+    if let Some(unused) = applied.iter().position(|applied| !applied) {
+        return Err(EvalError::new(format!(
             "no policy of this run has a setting `{}` left to try values of: add one that has it, such as --policy albireo",
             sweeps[unused].name
-        ))),
-        None => {
-            let mut seen = BTreeSet::new();
-            let mut specs: Vec<PolicySpec> = found
-                .into_iter()
-                .map(|(config, empty_road, policy)| PolicySpec {
-                    label: label(policy.as_ref(), empty_road),
-                    config,
-                    empty_road,
-                })
-                .collect();
-            specs.retain(|spec| seen.insert(spec.label.clone()));
-            Ok(specs)
+        )));
+    }
+    let mut specs: Vec<PolicySpec> = Vec::new();
+    for built in found {
+        let label = label(built.policy.as_ref(), built.empty_road);
+        if specs.iter().all(|spec| spec.label != label) {
+            specs.push(PolicySpec {
+                label,
+                config: built.config,
+                empty_road: built.empty_road,
+            });
         }
     }
+    Ok(specs)
 }
 
 /// Reads `NAME[:ARGUMENT][,pause_s=…][,after_s=…]` and makes sure that the policy can be built.
-fn build(asked: &str, base: (&PolicyConfig, EmptyRoad)) -> Result<Built, EvalError> {
-    let refused = |error: EvalError| error.context(format!("--policy {asked}"));
+fn build(asked: &str, base: Base<'_>) -> Result<Built, EvalError> {
+    let refused = |reason: String| EvalError::new(reason).context(format!("--policy {asked}"));
     let mut parts = asked.split(',');
-    let mut config = base.0.clone();
+    let mut config = base.config.clone();
     let name = parts.next().unwrap_or_default();
-    config.select(name).map_err(|error| refused(EvalError::new(error)))?;
-    let asked_for = asked.contains(',');
-    let empty_road = read_pause(parts, base.1).map_err(|reason| refused(EvalError::new(reason)))?;
-    let policy = config.build().map_err(|error| refused(EvalError::new(error)))?;
-    if policy.takes_pause() {
-        return Ok((config, empty_road, policy));
+    config.select(name).map_err(|error| refused(error.to_string()))?;
+    let names_pause = asked.contains(',');
+    let mut empty_road = read_pause(parts, base.empty_road).map_err(refused)?;
+    let policy = config.build().map_err(|error| refused(error.to_string()))?;
+    if !policy.takes_pause() {
+        if names_pause {
+            return Err(refused(no_pause(config.name.as_str())));
+        }
+        empty_road = EmptyRoad::default();
     }
-    if asked_for {
-        return Err(refused(EvalError::new(no_pause(config.name.as_str()))));
-    }
-    Ok((config, EmptyRoad::default(), policy))
+    Ok(Built {
+        config,
+        empty_road,
+        policy,
+    })
 }
 
 /// Reads `pause_s=…` and `after_s=…` in place of those of `base`.
@@ -243,10 +263,12 @@ pub(crate) fn pause_label(empty_road: EmptyRoad) -> String {
     let EmptyRoad {
         pause_s, after_s, ..
     } = empty_road;
-    match pause_s {
-        0.0 => String::new(),
-        _ if after_s == EmptyRoad::default().after_s => format!("+pause{pause_s}"),
-        _ => format!("+pause{pause_s}after{after_s}"),
+    if pause_s == 0.0 {
+        String::new()
+    } else if after_s == EmptyRoad::default().after_s {
+        format!("+pause{pause_s}")
+    } else {
+        format!("+pause{pause_s}after{after_s}")
     }
 }
 
@@ -274,11 +296,11 @@ fn label(policy: &dyn Policy, empty_road: EmptyRoad, screen: ScreenRule) -> Stri
     };
     let setting = setting + &pause_label(empty_road);
     // The screen is part of the label of policies that use it.
-    let screened = !matches!(
+    let is_screened = !matches!(
         policy.name(),
         Vanilla::NAME | FixedSkip::NAME | Ctd::NAME | Statues::NAME
     );
-    if screened {
+    if is_screened {
         format!("{name}{setting}-erd-{}", screen.as_str())
     } else {
         format!("{name}{setting}")
@@ -314,13 +336,24 @@ pub(crate) fn split_label(label: &str) -> (&str, String) {
 mod tests {
     use super::*;
 
-    fn labels(asked: &[&str], sweeps: &[&str], pixels: bool) -> Result<Vec<String>, EvalError> {
+    /// The labels on pictures, if there are any (`pixels`).
+    fn labels_with(
+        asked: &[&str],
+        sweeps: &[&str],
+        pixels: bool,
+    ) -> Result<Vec<String>, EvalError> {
         let asked: Vec<String> = asked.iter().map(|&name| name.to_owned()).collect();
-        let sweeps = sweeps.iter().map(|text| text.parse::<Sweep>());
-        let sweeps: Vec<Sweep> = sweeps.collect::<Result<_, _>>()?;
+        let sweeps: Vec<Sweep> =
+            sweeps.iter().map(|text| text.parse()).collect::<Result<_, _>>()?;
         let base = PolicyConfig::default();
         let specs = resolve(&asked, &sweeps, &base, ScreenRule::Nonempty, pixels)?;
         Ok(specs.into_iter().map(|spec| spec.label).collect())
+    }
+
+    /// The labels on stored detections.
+    fn labels(asked: &[&str], sweeps: &[&str]) -> Result<Vec<String>, EvalError> {
+        let pixels = false;
+        labels_with(asked, sweeps, pixels)
     }
 
     #[test]
@@ -365,20 +398,20 @@ mod tests {
         .into_iter()
         .unzip();
         for asked in [&asked[..], &asked[1..]] {
-            assert_eq!(labels(asked, &[], false).unwrap(), expected);
+            assert_eq!(labels(asked, &[]).unwrap(), expected);
         }
     }
 
     #[test]
     fn all_is_every_policy_and_setting_that_the_data_allows() {
         for (pixels, count) in [(false, 19), (true, 23)] {
-            assert_eq!(labels(&["all"], &[], pixels).unwrap().len(), count);
+            assert_eq!(labels_with(&["all"], &[], pixels).unwrap().len(), count);
         }
     }
 
     #[test]
     fn a_sweep_runs_every_value_once_and_leaves_the_others_alone() {
-        let labels = labels(&["albireo", "vanilla"], &["u=3e-4,7e-4,3e-4"], false).unwrap();
+        let labels = labels(&["albireo", "vanilla"], &["u=3e-4,7e-4,3e-4"]).unwrap();
         let [three, seven] = ["albireo-u3e-4-erd-nonempty", "albireo-u7e-4-erd-nonempty"];
         assert_eq!(labels, ["vanilla", three, seven]);
     }
@@ -386,7 +419,7 @@ mod tests {
     #[test]
     fn a_pause_is_part_of_a_policy_and_keeps_its_sweep() {
         let asked = ["albireo,pause_s=0.16", "albireo:1e-3,pause_s=0.2,after_s=2"];
-        let labels = labels(&asked, &["u=3e-4,7e-4"], false).unwrap();
+        let labels = labels(&asked, &["u=3e-4,7e-4"]).unwrap();
         let [three, seven] = [
             "albireo-u3e-4+pause0.16-erd-nonempty",
             "albireo-u7e-4+pause0.16-erd-nonempty",
@@ -405,12 +438,13 @@ mod tests {
             ("vanilla,pause_s=0.1", "takes no pause"),
             ("expected-loss:0.1,pause_s=0.1", "takes no pause"),
         ] {
-            let refused = labels(&[asked], &[], false).unwrap_err().to_string();
+            let refused = labels(&[asked], &[]).unwrap_err().to_string();
             assert!(refused.contains(part), "{refused}");
         }
         let base = PolicyConfig::default();
         let asked = ["albireo,pause_s=0.1".to_owned()];
-        let specs = resolve(&asked, &[], &base, ScreenRule::Nonempty, false).unwrap();
+        let pixels = false;
+        let specs = resolve(&asked, &[], &base, ScreenRule::Nonempty, pixels).unwrap();
         let refused = specs[1].build(None).map(|_| ()).unwrap_err().to_string();
         assert!(refused.contains("--rate"), "{refused}");
     }
@@ -421,7 +455,7 @@ mod tests {
             ("u", "NAME=VALUE"),
             ("u=1e-3,zwei", "`zwei` is not a number"),
         ] {
-            let refused = labels(&["albireo"], &[sweep], false).unwrap_err();
+            let refused = labels(&["albireo"], &[sweep]).unwrap_err();
             assert!(refused.to_string().contains(part), "{refused}");
         }
     }

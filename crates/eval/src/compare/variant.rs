@@ -1,8 +1,8 @@
 //! Lists the variants of a comparison: policies with the values of their thresholds.
 
 use crate::error::EvalError;
-use crate::spec::{PolicySpec, Sweep, pause_label, swept};
-use albireo_core::policy::{Albireo, EmptyRoad, Policy, PolicyConfig};
+use crate::spec::{Base, PolicySpec, Sweep, pause_label, swept};
+use albireo_core::policy::{Albireo, EmptyRoad, Policy};
 
 /// Returns the variants of `asked` (`NAME[:ARGUMENT][,pause_s=…][,after_s=…]` each) in order, without repetitions. A policy
 /// with the threshold `u` and without an argument of its own occurs once for each value of `thresholds`; everything else is
@@ -14,7 +14,7 @@ use albireo_core::policy::{Albireo, EmptyRoad, Policy, PolicyConfig};
 pub fn variants(
     asked: &[String],
     thresholds: &[f64],
-    base: (&PolicyConfig, EmptyRoad),
+    base: Base<'_>,
 ) -> Result<Vec<PolicySpec>, EvalError> {
     let asked: Vec<&str> = asked.iter().map(String::as_str).collect();
     let sweep = (!thresholds.is_empty()).then(|| Sweep {
@@ -22,13 +22,13 @@ pub fn variants(
         values: thresholds.to_vec(),
     });
     let found = swept(&asked, sweep.as_slice(), base, label)?;
-    match found.as_slice() {
-        [alone] => Err(EvalError::new(format!(
+    if let [alone] = found.as_slice() {
+        return Err(EvalError::new(format!(
             "`{}` is the only policy: name a second one, such as --policy vanilla --policy albireo",
             alone.label
-        ))),
-        _ => Ok(found),
+        )));
     }
+    Ok(found)
 }
 
 fn label(policy: &dyn Policy, empty_road: EmptyRoad) -> String {
@@ -46,16 +46,18 @@ fn label(policy: &dyn Policy, empty_road: EmptyRoad) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use albireo_core::policy::PolicyConfig;
 
     fn labels(asked: &[&str], thresholds: &[f64]) -> Result<Vec<String>, String> {
         let asked: Vec<_> = asked.iter().map(|name| (*name).to_owned()).collect();
-        variants(
-            &asked,
-            thresholds,
-            (&PolicyConfig::default(), EmptyRoad::default()),
-        )
-        .map(|found| found.into_iter().map(|variant| variant.label).collect())
-        .map_err(|error| error.to_string())
+        let config = PolicyConfig::default();
+        let base = Base {
+            config: &config,
+            empty_road: EmptyRoad::default(),
+        };
+        variants(&asked, thresholds, base)
+            .map(|found| found.into_iter().map(|variant| variant.label).collect())
+            .map_err(|error| error.to_string())
     }
 
     #[test]
@@ -73,6 +75,7 @@ mod tests {
         let refused = |asked: &[&str], thresholds: &[f64]| labels(asked, thresholds).unwrap_err();
         assert!(refused(&["vanilla", "fixed-skip"], &[3e-4]).contains("--policy albireo"));
         assert!(refused(&["albireo"], &[]).contains("name a second one"));
-        assert!(refused(&["vanilla", "albireo"], &[7.0]).contains("u"));
+        let reason = refused(&["vanilla", "albireo"], &[7.0]);
+        assert!(reason.contains("--policy albireo:7e0"), "{reason}");
     }
 }
