@@ -1,6 +1,6 @@
 //! Makes the tables across setups: detectors and machines, power modes, and whether savings multiply.
 
-use super::run::SetupRuns;
+use super::run::{Differing, Setup, SetupRuns};
 use super::summary::{Changes, Composition, PolicyFigures, SetupSummary, compositions};
 use super::table::{JoinedTable, column, percent, whole};
 use crate::spec::short_label;
@@ -32,13 +32,14 @@ impl AcrossSetups {
 
 /// Names the settings, beside the detector, in which the measured setups differ: their rows are then not alike in all else.
 fn differing_settings(setups: &[SetupRuns]) -> Option<String> {
-    // The published rows tell no settings.
-    let measured = || setups.iter().map(|of| &of.setup).filter(|of| of.settings.len() > 2);
+    // The published rows have only the two settings that all have.
+    let measured =
+        || setups.iter().map(|runs| &runs.setup).filter(|setup| setup.settings.len() > 2);
     let first = measured().next()?;
     let mut values: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
     for other in measured() {
-        for (key, own, others) in first.differing_settings(other) {
-            values.entry(key).or_default().extend([own, others]);
+        for Differing { key, own, other } in first.differing_settings(other) {
+            values.entry(key).or_default().extend([own, other]);
         }
     }
     values.remove("detector.model");
@@ -53,18 +54,23 @@ fn differing_settings(setups: &[SetupRuns]) -> Option<String> {
 }
 
 /// A policy in a setup.
-type PolicyRow<'a> = (&'a SetupRuns, &'a PolicyFigures);
+struct PolicyRow<'a> {
+    setup: &'a Setup,
+    figures: &'a PolicyFigures,
+}
 
 fn rows<'a>(
     setups: &'a [SetupRuns],
     summaries: &'a [SetupSummary],
 ) -> impl Iterator<Item = PolicyRow<'a>> {
-    let both = setups.iter().zip(summaries);
-    both.flat_map(|(setup, summary)| summary.policies.iter().map(move |of| (setup, of)))
+    setups.iter().zip(summaries).flat_map(|(SetupRuns { setup, .. }, summary)| {
+        let policies = summary.policies.iter();
+        policies.map(move |figures| PolicyRow { setup, figures })
+    })
 }
 
 fn change<'a>(row: &PolicyRow<'a>) -> Option<&'a Changes> {
-    row.1.change.as_ref()
+    row.figures.change.as_ref()
 }
 
 /// The figures of each row, and their changes against vanilla of the same setup.
@@ -72,22 +78,25 @@ fn figures(rows: &[PolicyRow<'_>]) -> Vec<Column> {
     let mean = |found: Option<Difference>| or_dash(found.map(|found| signed(found.mean, 1)));
     vec![
         column("", "policy", rows, |row| {
-            short_label(&row.1.policy).to_owned()
+            short_label(&row.figures.policy).to_owned()
         }),
-        column("AP@50", "", rows, |row| three_decimals(row.1.ap50)),
+        column("AP@50", "", rows, |row| three_decimals(row.figures.ap50)),
         column("change", "points", rows, |row| {
-            mean(change(row).and_then(|of| of.ap50))
+            mean(change(row).and_then(|change| change.ap50))
         }),
-        column("energy", "J", rows, |row| one_decimal(row.1.joules)),
+        column("energy", "J", rows, |row| one_decimal(row.figures.joules)),
         column("change", "%", rows, |row| {
-            mean(change(row).and_then(|of| of.joules))
+            mean(change(row).and_then(|change| change.joules))
         }),
-        column("time", "ms", rows, |row| format!("{:.1}", row.1.frame_ms)),
-        column("EDP", "J·ms", rows, |row| whole(row.1.edp)),
+        column("time", "ms", rows, |row| {
+            format!("{:.1}", row.figures.frame_ms)
+        }),
+        column("EDP", "J·ms", rows, |row| whole(row.figures.edp)),
         column("change", "%", rows, |row| {
-            or_dash(change(row).and_then(|of| of.edp).map(|edp| signed(edp, 1)))
+            let edp = change(row).and_then(|change| change.edp);
+            or_dash(edp.map(|edp| signed(edp, 1)))
         }),
-        column("skip", "%", rows, |row| percent(row.1.skip_rate)),
+        column("skip", "%", rows, |row| percent(row.figures.skip_rate)),
     ]
 }
 
@@ -98,15 +107,15 @@ fn without_empty(mut columns: Vec<Column>) -> Vec<Column> {
 
 /// A row for each detector and machine under each policy; none with only one of them.
 fn detectors(setups: &[SetupRuns], summaries: &[SetupSummary]) -> Option<JoinedTable> {
-    let machine = |of: &SetupRuns| (of.setup.detector.clone(), of.setup.machine.clone());
-    let different: BTreeSet<_> = setups.iter().map(machine).collect();
+    let machine = |runs: &SetupRuns| [&runs.setup.detector, &runs.setup.machine].map(String::clone);
+    let different: BTreeSet<[String; 2]> = setups.iter().map(machine).collect();
     let rows: Vec<PolicyRow<'_>> = rows(setups, summaries).collect();
     let mut columns = vec![
-        column("", "detector", &rows, |row| row.0.setup.detector.clone()),
-        column("", "machine", &rows, |row| row.0.setup.machine.clone()),
+        column("", "detector", &rows, |row| row.setup.detector.clone()),
+        column("", "machine", &rows, |row| row.setup.machine.clone()),
     ];
     let detail = |row: &PolicyRow<'_>| {
-        let setup = &row.0.setup;
+        let PolicyRow { setup, .. } = row;
         format!("{} {}", setup.precision, setup.power_mode).trim().to_owned()
     };
     let details: BTreeSet<String> = rows.iter().map(detail).collect();
@@ -124,31 +133,32 @@ fn detectors(setups: &[SetupRuns], summaries: &[SetupSummary]) -> Option<JoinedT
 
 /// A row for each policy in each power mode of a detector on a machine; none without two modes of one.
 fn modes(setups: &[SetupRuns], summaries: &[SetupSummary]) -> Option<JoinedTable> {
-    let has_another = |of: &SetupRuns| {
-        setups.iter().any(|other| {
-            let [own, other] = [&of.setup, &other.setup];
-            let [a, b] = [own, other].map(|of| (&of.detector, &of.precision, &of.machine));
-            a == b && own.power_mode != other.power_mode
+    let has_another = |own: &Setup| {
+        setups.iter().any(|SetupRuns { setup: other, .. }| {
+            own.detector == other.detector
+                && own.precision == other.precision
+                && own.machine == other.machine
+                && own.power_mode != other.power_mode
         })
     };
     let mut rows: Vec<PolicyRow<'_>> =
-        rows(setups, summaries).filter(|(setup, _)| has_another(setup)).collect();
+        rows(setups, summaries).filter(|row| has_another(row.setup)).collect();
     // The modes of a policy are beside each other; the sort is stable, so they stay in the order of the files.
     let key = |row: &PolicyRow<'_>| {
-        let setup = &row.0.setup;
+        let PolicyRow { setup, figures } = row;
         let of_machine = [&setup.machine, &setup.detector, &setup.precision].map(String::clone);
-        let policies = summaries.iter().flat_map(|summary| &summary.policies);
-        let place = policies.into_iter().position(|of| of.policy == row.1.policy);
+        let place = summaries
+            .iter()
+            .flat_map(|summary| &summary.policies)
+            .position(|other| other.policy == figures.policy);
         (of_machine, place)
     };
     rows.sort_by_cached_key(key);
     let mut columns = vec![
         column("", "detector", &rows, |row| {
-            format!("{} {}", row.0.setup.detector, row.0.setup.precision)
+            format!("{} {}", row.setup.detector, row.setup.precision)
         }),
-        column("", "power mode", &rows, |row| {
-            row.0.setup.power_mode.clone()
-        }),
+        column("", "power mode", &rows, |row| row.setup.power_mode.clone()),
     ];
     columns.extend(figures(&rows));
     (!rows.is_empty()).then(|| JoinedTable {

@@ -8,7 +8,7 @@ use crate::chart::{
 use crate::spec::{BASELINE, short_label};
 use albireo_core::policy::FrameState;
 use plotters::prelude::*;
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 
 /// Draws the figures for which there are runs.
 pub(super) fn figures(
@@ -16,8 +16,8 @@ pub(super) fn figures(
     summaries: &[SetupSummary],
 ) -> Result<Vec<Plot>, PlotError> {
     let mut figures = Vec::new();
-    let pareto = points(summaries, |of| Some((of.edp?, of.ap50?)));
-    if pareto.iter().any(|(_, points)| points.len() > 1) {
+    let pareto = points(summaries, |policy| Some((policy.edp?, policy.ap50?)));
+    if pareto.iter().any(|series| series.points.len() > 1) {
         figures.push(Plot {
             name: "ap50-against-edp",
             title: "Accuracy against the energy-delay product",
@@ -33,24 +33,36 @@ pub(super) fn figures(
                   I: detector; AI: detector and a rescue.",
         svg: states(summaries)?,
     });
-    let (parts, rows) = domains(summaries);
-    if parts.len() > 1 {
-        let parts: Vec<BarPart<'_>> = parts
+    let domains = domains(summaries);
+    if domains.len() > 1 {
+        let parts: Vec<BarPart<'_>> = domains
             .iter()
             .enumerate()
-            .map(|(at, name)| (name.as_str(), color_of(at, name), WHITE))
+            .map(|(index, name)| BarPart {
+                name,
+                fill: color_of(index, name),
+                ink: WHITE,
+            })
             .collect();
         figures.push(Plot {
             name: "energy-by-domain",
             title: "Energy by domain",
             caption: "Joules of a clip, mean over the clips.",
-            svg: stacked(&rows, &parts, &|joules| format!("{joules:.0}"))?,
+            svg: stacked(&joules_by_domain(summaries, &domains), &parts, &|joules| {
+                format!("{joules:.0}")
+            })?,
         });
     }
-    for (name, [title, axis], states) in CHANGES {
+    for ChangeFigure {
+        name,
+        title,
+        axis,
+        states,
+    } in CHANGES
+    {
         let changes = changes(setups, states);
         // Without a screen no frame is in E.
-        if changes.iter().flat_map(|(_, points)| points).any(|(share, _)| *share > 0.0) {
+        if all_points(&changes).any(|(share, _)| *share > 0.0) {
             figures.push(Plot {
                 name,
                 title,
@@ -90,10 +102,13 @@ fn traces(
     setups: &[SetupRuns],
     policies: usize,
     is_drawn: &dyn Fn(&str) -> bool,
-) -> Vec<(String, Vec<Series>)> {
-    let is_traced = |of: &&SetupRuns| of.runs.iter().any(|run| !run.traces.is_empty());
+) -> Vec<ClipTrace> {
+    let is_traced = |setup: &&SetupRuns| setup.runs.iter().any(|run| !run.traces.is_empty());
+    let Some(setup) = setups.iter().find(is_traced) else {
+        return Vec::new();
+    };
     let mut clips: Vec<(&str, Vec<&ClipRun>)> = Vec::new();
-    for run in setups.iter().find(is_traced).iter().flat_map(|of| &of.runs) {
+    for run in &setup.runs {
         if !run.traces.keys().any(|domain| is_drawn(domain)) {
             continue;
         }
@@ -102,84 +117,105 @@ fn traces(
             None => clips.push((&run.clip, vec![run])),
         }
     }
-    let drawn = clips.into_iter().map(|(clip, mut runs)| {
+    let mut drawn = Vec::new();
+    for (clip, mut runs) in clips {
         runs.sort_by_key(|run| run.policy != BASELINE);
-        let series = runs.into_iter().take(policies).flat_map(|run| {
-            let domains = run.traces.iter().filter(|(domain, _)| is_drawn(domain));
-            domains.map(|(domain, trace)| {
-                let policy = short_label(&run.policy);
+        let mut series = Vec::new();
+        for run in runs.into_iter().take(policies) {
+            let policy = short_label(&run.policy);
+            for (domain, trace) in run.traces.iter().filter(|(domain, _)| is_drawn(domain)) {
                 let name = match domain.as_str() {
                     "total" => policy.to_owned(),
                     part => format!("{policy} {part}"),
                 };
-                let points = trace.iter().map(|[seconds, watts]| (*seconds, *watts));
-                (name, points.collect())
-            })
-        });
-        (clip.to_owned(), series.collect())
-    });
-    drawn.collect()
+                let points = trace.iter().map(|[seconds, watts]| (*seconds, *watts)).collect();
+                series.push(Series { name, points });
+            }
+        }
+        let clip = clip.to_owned();
+        drawn.push(ClipTrace { clip, series });
+    }
+    drawn
+}
+
+/// The power over a clip.
+struct ClipTrace {
+    clip: String,
+    series: Vec<Series>,
 }
 
 /// Draws a line per series.
-fn powers((clip, series): &(String, Vec<Series>)) -> Result<String, PlotError> {
-    let all = || series.iter().flat_map(|(_, points)| points);
+fn powers(ClipTrace { clip, series }: &ClipTrace) -> Result<String, PlotError> {
     let name = format!("Seconds of {clip}");
     let seconds = Axis {
         name: &name,
-        range: range(all().map(|at| at.0).chain([0.0]), 0.02),
+        range: range(
+            all_points(series).map(|(seconds, _)| *seconds).chain([0.0]),
+            0.02,
+        ),
         label: &|seconds| format!("{seconds:.1}"),
     };
     let watts = Axis {
         name: "Watts",
-        range: range(all().map(|at| at.1).chain([0.0]), 0.06),
+        range: range(
+            all_points(series).map(|(_, watts)| *watts).chain([0.0]),
+            0.06,
+        ),
         label: &|watts| format!("{watts:.1}"),
     };
     chart(seconds, watts, &names(series), |plane| {
-        for (index, (policy, points)) in series.iter().enumerate() {
-            let color = color_of(index, policy);
+        for (index, Series { name, points }) in series.iter().enumerate() {
+            let color = color_of(index, name);
             plane.draw_series(LineSeries::new(points.iter().copied(), color))?;
         }
         Ok(())
     })
 }
 
-/// Points of a series, and its name.
-type Series = (String, Vec<(f64, f64)>);
+/// Points that belong together.
+struct Series {
+    name: String,
+    points: Vec<(f64, f64)>,
+}
 
+fn all_points(series: &[Series]) -> impl Iterator<Item = &(f64, f64)> {
+    series.iter().flat_map(|series| &series.points)
+}
+
+/// A point for each policy of a setup, from left to right; a series for each setup.
 fn points(
     summaries: &[SetupSummary],
     point: impl Fn(&PolicyFigures) -> Option<(f64, f64)>,
 ) -> Vec<Series> {
-    summaries
-        .iter()
-        .map(|summary| {
-            let mut points: Vec<_> = summary.policies.iter().filter_map(&point).collect();
-            points.sort_by(|a, b| a.0.total_cmp(&b.0));
-            (summary.title.clone(), points)
-        })
-        .collect()
+    let series = |summary: &SetupSummary| {
+        let mut points: Vec<_> = summary.policies.iter().filter_map(&point).collect();
+        points.sort_by(|(left, _), (other, _)| left.total_cmp(other));
+        Series {
+            name: summary.title.clone(),
+            points,
+        }
+    };
+    summaries.iter().map(series).collect()
 }
 
 fn names(series: &[Series]) -> Vec<(usize, &str)> {
-    series.iter().map(|(name, _)| name.as_str()).enumerate().collect()
+    series.iter().map(|series| series.name.as_str()).enumerate().collect()
 }
 
 /// Draws AP@50 against EDP, a series per setup.
 fn plane(series: &[Series]) -> Result<String, PlotError> {
-    let all = || series.iter().flat_map(|(_, points)| points);
     let edp = Axis {
         name: "Energy-delay product, J·ms/frame",
-        range: range(all().map(|at| at.0), 0.08),
+        range: range(all_points(series).map(|(edp, _)| *edp), 0.08),
         label: &|edp| format!("{edp:.0}"),
     };
     let ap50 = Axis {
         name: "AP@50",
-        range: range(all().map(|at| at.1), 0.1),
+        range: range(all_points(series).map(|(_, ap50)| *ap50), 0.1),
         label: &|ap50| format!("{ap50:.3}"),
     };
     chart(edp, ap50, &names(series), |plane| {
-        for (index, (name, points)) in series.iter().enumerate() {
+        for (index, Series { name, points }) in series.iter().enumerate() {
             let color = color_of(index, name);
             plane.draw_series(LineSeries::new(points.iter().copied(), color))?;
             mark(plane, points, index, color.filled())?;
@@ -191,7 +227,7 @@ fn plane(series: &[Series]) -> Result<String, PlotError> {
 /// Draws a bar for each setup and policy.
 fn states(summaries: &[SetupSummary]) -> Result<String, PlotError> {
     let rows: Vec<(String, Vec<f64>)> =
-        each(summaries).map(|(name, of)| (name, of.states.to_vec())).collect();
+        each(summaries).map(|(name, figures)| (name, figures.states.to_vec())).collect();
     stacked(&rows, &state_parts(), &|share| {
         format!("{:.0} %", share * 100.0)
     })
@@ -199,76 +235,81 @@ fn states(summaries: &[SetupSummary]) -> Result<String, PlotError> {
 
 /// Each policy of each setup, with a name: that of the policy if there is one setup only.
 fn each(summaries: &[SetupSummary]) -> impl Iterator<Item = (String, &PolicyFigures)> {
-    let one = summaries.len() == 1;
+    let has_one_setup = summaries.len() == 1;
     summaries.iter().flat_map(move |summary| {
-        summary.policies.iter().map(move |of| {
-            let policy = short_label(&of.policy);
-            let name = if one {
+        summary.policies.iter().map(move |figures| {
+            let policy = short_label(&figures.policy);
+            let name = if has_one_setup {
                 policy.to_owned()
             } else {
                 format!("{}: {policy}", summary.title)
             };
-            (name, of)
+            (name, figures)
         })
     })
 }
 
-/// The names of all domains but the total, and the joules of each in each setup under each policy.
-fn domains(summaries: &[SetupSummary]) -> (Vec<String>, Vec<(String, Vec<f64>)>) {
-    let mut names: Vec<String> = each(summaries)
-        .flat_map(|(_, of)| of.domains.keys().cloned().collect::<Vec<_>>())
-        .filter(|name| name != "total")
-        .collect();
-    names.sort();
-    names.dedup();
-    let joules = |of: &PolicyFigures| {
-        let of_each = names.iter().map(|name| of.domains.get(name).copied().unwrap_or(0.0));
-        of_each.collect()
-    };
-    let rows = each(summaries)
-        .filter(|(_, of)| !of.domains.is_empty())
-        .map(|(name, of)| (name, joules(of)))
-        .collect();
-    (names, rows)
+/// The names of all domains but the total.
+fn domains(summaries: &[SetupSummary]) -> Vec<&str> {
+    let policies = summaries.iter().flat_map(|summary| &summary.policies);
+    let names: BTreeSet<&str> =
+        policies.flat_map(|policy| policy.domains.keys()).map(String::as_str).collect();
+    names.into_iter().filter(|name| *name != "total").collect()
 }
 
-/// The frames without the detector against which changes are drawn: the figure's name, the words of title and axis, and the
-/// states.
-const CHANGES: [(&str, [&str; 2], &[FrameState]); 3] = [
-    (
-        "clips-ap50-change",
-        [
-            "Change of accuracy clip by clip, by frames in E or P",
-            "Frames in E or P, %",
-        ],
-        &[FrameState::E, FrameState::P],
-    ),
-    (
-        "clips-ap50-change-e",
-        [
-            "Change of accuracy clip by clip, by frames in E",
-            "Frames in E, %",
-        ],
-        &[FrameState::E],
-    ),
-    (
-        "clips-ap50-change-p",
-        [
-            "Change of accuracy clip by clip, by frames in P",
-            "Frames in P, %",
-        ],
-        &[FrameState::P],
-    ),
+/// The joules of each of `domains`, in each setup under each policy.
+fn joules_by_domain(summaries: &[SetupSummary], domains: &[&str]) -> Vec<(String, Vec<f64>)> {
+    let joules = |figures: &PolicyFigures| {
+        let in_domain = |name: &&str| figures.domains.get(*name).copied().unwrap_or(0.0);
+        domains.iter().map(in_domain).collect()
+    };
+    each(summaries)
+        .filter(|(_, figures)| !figures.domains.is_empty())
+        .map(|(name, figures)| (name, joules(figures)))
+        .collect()
+}
+
+/// A figure of changes against the share of frames without the detector.
+struct ChangeFigure {
+    name: &'static str,
+    title: &'static str,
+    /// The words at the axis of the share.
+    axis: &'static str,
+    /// The states whose share it is.
+    states: &'static [FrameState],
+}
+
+const CHANGES: [ChangeFigure; 3] = [
+    ChangeFigure {
+        name: "clips-ap50-change",
+        title: "Change of accuracy clip by clip, by frames in E or P",
+        axis: "Frames in E or P, %",
+        states: &[FrameState::E, FrameState::P],
+    },
+    ChangeFigure {
+        name: "clips-ap50-change-e",
+        title: "Change of accuracy clip by clip, by frames in E",
+        axis: "Frames in E, %",
+        states: &[FrameState::E],
+    },
+    ChangeFigure {
+        name: "clips-ap50-change-p",
+        title: "Change of accuracy clip by clip, by frames in P",
+        axis: "Frames in P, %",
+        states: &[FrameState::P],
+    },
 ];
 
 /// The share of frames (percent) and change of AP@50 (points) of every clip, by setup and policy.
 fn changes(setups: &[SetupRuns], states: &[FrameState]) -> Vec<Series> {
     let mut series: Vec<Series> = Vec::new();
-    for of in setups {
-        let baseline = of.runs.iter().filter(|run| run.policy == BASELINE);
-        let baseline: HashMap<&str, f64> =
-            baseline.filter_map(|run| Some((run.clip.as_str(), run.ap50?))).collect();
-        for run in of.runs.iter().filter(|run| run.policy != BASELINE) {
+    for SetupRuns { setup, runs } in setups {
+        let baseline: HashMap<&str, f64> = runs
+            .iter()
+            .filter(|run| run.policy == BASELINE)
+            .filter_map(|run| Some((run.clip.as_str(), run.ap50?)))
+            .collect();
+        for run in runs.iter().filter(|run| run.policy != BASELINE) {
             let (Some(own), Some(before)) = (run.ap50, baseline.get(run.clip.as_str())) else {
                 continue;
             };
@@ -276,14 +317,17 @@ fn changes(setups: &[SetupRuns], states: &[FrameState]) -> Vec<Series> {
             let name = if setups.len() == 1 {
                 policy.to_owned()
             } else {
-                format!("{}: {policy}", of.setup.title())
+                format!("{}: {policy}", setup.title())
             };
             let frames: u64 = states.iter().map(|state| run.states.get(*state)).sum();
             let share = frames as f64 / run.states.frames().max(1) as f64;
-            let at = (share * 100.0, (own - before) * 100.0);
-            match series.iter_mut().find(|(other, _)| *other == name) {
-                Some((_, points)) => points.push(at),
-                None => series.push((name, vec![at])),
+            let point = (share * 100.0, (own - before) * 100.0);
+            match series.iter_mut().find(|other| other.name == name) {
+                Some(known) => known.points.push(point),
+                None => series.push(Series {
+                    name,
+                    points: vec![point],
+                }),
             }
         }
     }
@@ -292,12 +336,14 @@ fn changes(setups: &[SetupRuns], states: &[FrameState]) -> Vec<Series> {
 
 /// Draws a marker per clip, across the share that `name` describes.
 fn clips(series: &[Series], name: &str) -> Result<String, PlotError> {
-    let all = || series.iter().flat_map(|(_, points)| points);
-    let across = range(all().map(|at| at.0), 0.05);
+    let across = range(all_points(series).map(|(share, _)| *share), 0.05);
     let signed = |value: &f64| format!("{value:+.0}").replace('-', "−");
     let change = Axis {
         name: "Change of AP@50, percentage points",
-        range: range(all().map(|at| at.1).chain([0.0]), 0.06),
+        range: range(
+            all_points(series).map(|(_, points)| *points).chain([0.0]),
+            0.06,
+        ),
         label: &signed,
     };
     let shares = Axis {
@@ -308,7 +354,7 @@ fn clips(series: &[Series], name: &str) -> Result<String, PlotError> {
     chart(shares, change, &names(series), |plane| {
         let ends = [(across.start, 0.0), (across.end, 0.0)];
         plane.draw_series(LineSeries::new(ends, SOFT_INK))?;
-        for (index, (name, points)) in series.iter().enumerate() {
+        for (index, Series { name, points }) in series.iter().enumerate() {
             let color = color_of(index, name).mix(0.6);
             mark(plane, points, index, color.filled())?;
         }

@@ -60,12 +60,16 @@ impl Setup {
         let mut changes: Vec<String> =
             differing.map(|(own, others)| format!("{own} → {others}")).collect();
         if changes.is_empty() {
-            let settings = self.differing_settings(other).into_iter();
-            changes.extend(settings.map(|(key, own, others)| format!("{key} {own} → {others}")));
+            for Differing { key, own, other } in self.differing_settings(other) {
+                changes.push(format!("{key} {own} → {other}"));
+            }
         }
-        let detector = Some(&self.detector).filter(|own| **own == other.detector);
-        let of = detector.map_or_else(String::new, |detector| format!("{detector}: "));
-        format!("{of}{}", changes.join(", "))
+        let changes = changes.join(", ");
+        if self.detector == other.detector {
+            format!("{}: {changes}", self.detector)
+        } else {
+            changes
+        }
     }
 
     /// Names the file of the setup's runs.
@@ -75,16 +79,18 @@ impl Setup {
         format!("{}.jsonl", plain.collect::<Vec<_>>().join("."))
     }
 
-    /// The settings that differ in `other`: key, own value, other value.
-    pub(super) fn differing_settings<'a>(
-        &'a self,
-        other: &'a Self,
-    ) -> Vec<(&'a str, &'a str, &'a str)> {
+    /// The settings that differ in `other`.
+    pub(super) fn differing_settings<'a>(&'a self, other: &'a Self) -> Vec<Differing<'a>> {
         let keys: BTreeSet<&String> = self.settings.keys().chain(other.settings.keys()).collect();
-        let value = |of: &'a Self, key: &str| of.settings.get(key).map_or(UNSET, String::as_str);
+        let value =
+            |setup: &'a Self, key: &str| setup.settings.get(key).map_or(UNSET, String::as_str);
         keys.into_iter()
-            .map(|key| (key.as_str(), value(self, key), value(other, key)))
-            .filter(|(_, own, others)| own != others)
+            .map(|key| Differing {
+                key,
+                own: value(self, key),
+                other: value(other, key),
+            })
+            .filter(|setting| setting.own != setting.other)
             .collect()
     }
 
@@ -102,20 +108,26 @@ impl Setup {
             ("power mode", &self.power_mode, &now.power_mode),
             ("machine", &self.machine, &now.machine),
         ];
-        let named = named.map(|(name, own, others)| (name, own.as_str(), others.as_str()));
-        let lines: Vec<String> = named
-            .into_iter()
-            .filter(|(_, own, others)| own != others)
-            .chain(self.differing_settings(now))
-            .map(|(key, before, now)| format!("  {key} was {before}, and now is {now}"))
-            .collect();
-        (!lines.is_empty()).then(|| {
-            format!(
-                "its runs were measured with other settings:\n{}",
-                lines.join("\n")
-            )
-        })
+        let mut differing: Vec<Differing<'_>> =
+            named.map(|(key, own, other)| Differing { key, own, other }).into();
+        differing.retain(|name| name.own != name.other);
+        differing.extend(self.differing_settings(now));
+        if differing.is_empty() {
+            return None;
+        }
+        let mut text = "its runs were measured with other settings:".to_owned();
+        for Differing { key, own, other } in differing {
+            text.push_str(&format!("\n  {key} was {own}, and now is {other}"));
+        }
+        Some(text)
     }
+}
+
+/// A setting, or another part of a setup, in which two setups differ.
+pub(super) struct Differing<'a> {
+    pub key: &'a str,
+    pub own: &'a str,
+    pub other: &'a str,
 }
 
 /// The figures of one clip under one policy.

@@ -5,7 +5,7 @@ use crate::spec::BASELINE;
 use crate::statistics::mean;
 use crate::summary::{Difference, by_policy, of_baseline};
 use albireo_core::policy::FrameState;
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 /// The figures of a setup.
 pub(super) struct SetupSummary {
@@ -74,43 +74,60 @@ pub(super) struct ClipsOfAp {
 }
 
 /// Summarises a setup's runs, the baseline first, the other policies in the order in which they first occur.
-pub(super) fn summarise(of: &SetupRuns) -> SetupSummary {
-    let mut by_policy = by_policy(&of.runs, |run| &run.policy);
+pub(super) fn summarise(setup_runs: &SetupRuns) -> SetupSummary {
+    let SetupRuns { setup, runs } = setup_runs;
+    let mut by_policy = by_policy(runs, |run| &run.policy);
     by_policy.sort_by_key(|(policy, _)| *policy != BASELINE);
     let baseline = of_baseline(&by_policy, |run| &run.clip);
     let policies = by_policy.iter().map(|(policy, runs)| {
-        let change = (*policy != BASELINE).then(|| changes(runs, &baseline)).flatten();
+        let change = if *policy == BASELINE {
+            None
+        } else {
+            changes(runs, &baseline)
+        };
         figures(policy, runs, change)
     });
-    let estimated = of.runs.iter().any(|run| run.estimated);
-    let measured = of.runs.iter().find(|run| run.joules.is_some());
     SetupSummary {
-        title: of.setup.title(),
-        energy_of: measured.map_or_else(String::new, |run| {
-            let how = if estimated { "estimated" } else { "measured" };
-            match run.energy_of.strip_prefix("estimated: ") {
-                Some(formula) => format!("{how}: {formula}"),
-                None => format!("{how}: {}", run.energy_of),
-            }
-        }),
+        title: setup.title(),
+        energy_of: energy_of(runs),
         policies: policies.collect(),
     }
 }
 
+/// What the joules of these runs include, and whether they are measured; empty without energy.
+fn energy_of(runs: &[ClipRun]) -> String {
+    let Some(run) = runs.iter().find(|run| run.joules.is_some()) else {
+        return String::new();
+    };
+    let is_estimated = runs.iter().any(|run| run.estimated);
+    let how = if is_estimated {
+        "estimated"
+    } else {
+        "measured"
+    };
+    let what = run.energy_of.strip_prefix("estimated: ").unwrap_or(&run.energy_of);
+    format!("{how}: {what}")
+}
+
 fn figures(policy: &str, runs: &[&ClipRun], change: Option<Changes>) -> PolicyFigures {
-    let over =
+    let mean_if_known =
         |figure: &dyn Fn(&ClipRun) -> Option<f64>| mean(runs.iter().filter_map(|run| figure(run)));
     // A mean over only some of the clips would not be that of the others.
-    let if_all = |figure: &dyn Fn(&ClipRun) -> Option<f64>| {
-        let is_known = runs.iter().all(|run| figure(run).is_some());
-        is_known.then(|| over(figure)).flatten()
+    let mean_if_all_known = |figure: &dyn Fn(&ClipRun) -> Option<f64>| {
+        if runs.iter().all(|run| figure(run).is_some()) {
+            mean_if_known(figure)
+        } else {
+            None
+        }
     };
-    let all = |figure: &dyn Fn(&ClipRun) -> f64| over(&|run| Some(figure(run))).unwrap_or_default();
-    let joules = if_all(&|run| run.joules);
-    let frame_ms = all(&|run| run.frame_ms);
+    let mean_of = |figure: &dyn Fn(&ClipRun) -> f64| {
+        mean(runs.iter().map(|run| figure(run))).unwrap_or_default()
+    };
+    let joules = mean_if_all_known(&|run| run.joules);
+    let frame_ms = mean_of(&|run| run.frame_ms);
     let mut domains = BTreeMap::new();
     for name in runs.iter().flat_map(|run| run.domains.keys()) {
-        if let Some(joules) = if_all(&|run| run.domains.get(name).copied()) {
+        if let Some(joules) = mean_if_all_known(&|run| run.domains.get(name).copied()) {
             domains.insert(name.clone(), joules);
         }
     }
@@ -120,21 +137,21 @@ fn figures(policy: &str, runs: &[&ClipRun], change: Option<Changes>) -> PolicyFi
         frames: runs.iter().map(|run| run.frames).sum(),
         dropped: runs.iter().map(|run| run.dropped).sum(),
         unlabelled: runs.iter().map(|run| run.unlabelled).sum(),
-        ap50: over(&|run| run.ap50),
-        map: over(&|run| run.map),
+        ap50: mean_if_known(&|run| run.ap50),
+        map: mean_if_known(&|run| run.map),
         joules,
         frame_ms,
         edp: joules.map(|joules| joules * frame_ms),
-        edp_of_clips: if_all(&|run| run.edp()),
-        skip_rate: all(&|run| run.skip_rate()),
+        edp_of_clips: mean_if_all_known(&|run| run.edp()),
+        skip_rate: mean_of(&|run| run.skip_rate()),
         states: FrameState::ALL.map(|state| {
-            all(&|run| run.states.get(state) as f64 / run.states.frames().max(1) as f64)
+            mean_of(&|run| run.states.get(state) as f64 / run.states.frames().max(1) as f64)
         }),
-        detector_calls: all(&|run| run.detector_calls as f64),
+        detector_calls: mean_of(&|run| run.detector_calls as f64),
         domains,
-        cores: if_all(&|run| run.cores()),
-        gpu_utilisation: if_all(&|run| run.gpu_utilisation),
-        memory_mb: if_all(&|run| run.memory_mb),
+        cores: mean_if_all_known(&|run| run.cores()),
+        gpu_utilisation: mean_if_all_known(&|run| run.gpu_utilisation),
+        memory_mb: mean_if_all_known(&|run| run.memory_mb),
         throttled: runs.iter().filter(|run| run.throttled).count(),
         change,
     }
@@ -143,16 +160,24 @@ fn figures(policy: &str, runs: &[&ClipRun], change: Option<Changes>) -> PolicyFi
 impl SetupSummary {
     /// True for each policy that no other beats in both AP@50 and EDP; for none without both figures.
     pub(super) fn on_frontier(&self) -> Vec<bool> {
-        let figures = |of: &PolicyFigures| Some((of.ap50?, of.edp?));
+        let figures = |policy: &PolicyFigures| Some((policy.ap50?, policy.edp?));
         let known: Vec<(f64, f64)> = self.policies.iter().filter_map(figures).collect();
         let is_best = |(ap50, edp): (f64, f64)| {
             !known.iter().any(|(other, less)| {
                 (*other >= ap50 && *less < edp) || (*other > ap50 && *less <= edp)
             })
         };
-        let policies = self.policies.iter();
-        policies.map(|of| figures(of).is_some_and(is_best)).collect()
+        self.policies
+            .iter()
+            .map(|policy| figures(policy).is_some_and(is_best))
+            .collect()
     }
+}
+
+/// A figure of a clip under a policy, and under the baseline.
+struct Pair {
+    own: f64,
+    before: f64,
 }
 
 /// Compares runs with the baseline's on the same clips; `None` if there are no such clips.
@@ -164,37 +189,38 @@ fn changes(runs: &[&ClipRun], baseline: &HashMap<&str, &ClipRun>) -> Option<Chan
     if pairs.is_empty() {
         return None;
     }
-    // Every pair of a figure that both runs have.
-    let both = |figure: &dyn Fn(&ClipRun) -> Option<f64>| -> Vec<(f64, f64)> {
-        pairs
-            .iter()
-            .filter_map(|(run, before)| Some((figure(run)?, figure(before)?)))
-            .collect()
+    let both = |figure: &dyn Fn(&ClipRun) -> Option<f64>| -> Vec<Pair> {
+        let pairs = pairs.iter().filter_map(|(run, before)| {
+            Some(Pair {
+                own: figure(run)?,
+                before: figure(before)?,
+            })
+        });
+        pairs.collect()
     };
-    let points = |values: &[(f64, f64)]| {
+    let points = |pairs: &[Pair]| {
         let differences: Vec<f64> =
-            values.iter().map(|(own, before)| 100.0 * (own - before)).collect();
+            pairs.iter().map(|pair| 100.0 * (pair.own - pair.before)).collect();
         Difference::of(&differences)
     };
-    let percent = |values: &[(f64, f64)]| {
-        let base = mean(values.iter().map(|(_, before)| *before)).filter(|base| *base > 0.0)?;
-        let differences: Vec<f64> = values.iter().map(|(own, before)| own - before).collect();
+    let percent = |pairs: &[Pair]| {
+        let base = mean(pairs.iter().map(|pair| pair.before)).filter(|base| *base > 0.0)?;
+        let differences: Vec<f64> = pairs.iter().map(|pair| pair.own - pair.before).collect();
         Some(Difference::of(&differences)?.scaled(100.0 / base))
     };
     let ap50 = both(&|run| run.ap50);
     let joules = both(&|run| run.joules);
     let times = both(&|run| Some(run.frame_ms));
-    let edp = |which: fn(&(f64, f64)) -> f64| {
-        Some(mean(joules.iter().map(which))? * mean(times.iter().map(which))?)
+    let edp = |figure: fn(&Pair) -> f64| {
+        Some(mean(joules.iter().map(figure))? * mean(times.iter().map(figure))?)
     };
-    let saving = joules.iter().filter(|(own, before)| own < before).count();
+    let edps = edp(|pair| pair.own).zip(edp(|pair| pair.before));
+    let saving = joules.iter().filter(|pair| pair.own < pair.before).count();
     Some(Changes {
         map: points(&both(&|run| run.map)),
         joules: percent(&joules),
         frame_ms: percent(&times),
-        edp: edp(|pair| pair.0)
-            .zip(edp(|pair| pair.1))
-            .map(|(own, before)| 100.0 * (own / before - 1.0)),
+        edp: edps.map(|(own, before)| 100.0 * (own / before - 1.0)),
         clips_that_save: (!joules.is_empty()).then(|| saving as f64 / joules.len() as f64),
         clips: clips_of(&ap50),
         ap50: points(&ap50),
@@ -202,10 +228,10 @@ fn changes(runs: &[&ClipRun], baseline: &HashMap<&str, &ClipRun>) -> Option<Chan
 }
 
 /// Counts the clips whose AP@50 did not fall.
-fn clips_of(ap50: &[(f64, f64)]) -> Option<ClipsOfAp> {
+fn clips_of(ap50: &[Pair]) -> Option<ClipsOfAp> {
     let mut drops: Vec<f64> = ap50
         .iter()
-        .map(|(own, before)| 100.0 * (before - own))
+        .map(|pair| 100.0 * (pair.before - pair.own))
         .filter(|drop| *drop > 0.0)
         .collect();
     drops.sort_by(f64::total_cmp);
@@ -239,61 +265,90 @@ pub(super) fn compositions(setups: &[SetupRuns]) -> Vec<Composition> {
     let mut found = Vec::new();
     for from in setups {
         for to in setups {
-            let same_machine = from.setup.machine == to.setup.machine;
-            // The setup that uses more without skipping is where the savings start.
-            if same_machine && from.setup != to.setup {
-                let policies = from.runs.iter().map(|run| run.policy.as_str());
-                let mut policies: Vec<&str> =
-                    policies.filter(|policy| *policy != BASELINE).collect();
-                policies.sort_unstable();
-                policies.dedup();
-                found.extend(policies.into_iter().filter_map(|policy| compose(from, to, policy)));
+            if from.setup.machine != to.setup.machine || from.setup == to.setup {
+                continue;
             }
+            let policies: BTreeSet<&str> = from
+                .runs
+                .iter()
+                .map(|run| run.policy.as_str())
+                .filter(|policy| *policy != BASELINE)
+                .collect();
+            found.extend(policies.into_iter().filter_map(|policy| compose(from, to, policy)));
         }
     }
     found
 }
 
-fn compose(from: &SetupRuns, to: &SetupRuns, policy: &str) -> Option<Composition> {
-    let joules = |of: &SetupRuns, policy: &str| -> BTreeMap<String, f64> {
-        let runs = of.runs.iter().filter(|run| run.policy == policy);
+/// The joules of a clip in two setups, under the baseline and under a policy.
+struct ClipJoules {
+    /// In the first setup under the baseline.
+    base: f64,
+    /// In the first setup under the policy.
+    skipping: f64,
+    /// In the second setup under the baseline.
+    other: f64,
+    /// In the second setup under the policy.
+    both: f64,
+}
+
+/// The clips of which all four energies are known and above zero.
+fn joules_of_clips(from: &SetupRuns, to: &SetupRuns, policy: &str) -> Vec<ClipJoules> {
+    let joules = |setup: &SetupRuns, policy: &str| -> BTreeMap<String, f64> {
+        let runs = setup.runs.iter().filter(|run| run.policy == policy);
         runs.filter_map(|run| Some((run.clip.clone(), run.joules?))).collect()
     };
-    let all = [
-        joules(from, BASELINE),
-        joules(from, policy),
-        joules(to, BASELINE),
-        joules(to, policy),
-    ];
-    let clips: Vec<[f64; 4]> = all[0]
-        .iter()
-        .filter_map(|(clip, first)| {
-            let [second, third, fourth] = [1, 2, 3].map(|at| all[at].get(clip).copied());
-            Some([*first, second?, third?, fourth?])
-        })
-        .filter(|figures| figures.iter().all(|joules| *joules > 0.0))
-        .collect();
-    let total = |at: usize| clips.iter().map(|figures| figures[at]).sum::<f64>();
-    let [base, skipped, other, both] = [0, 1, 2, 3].map(total);
-    if clips.is_empty() || other >= base {
+    let skipping = joules(from, policy);
+    let other = joules(to, BASELINE);
+    let both = joules(to, policy);
+    let mut clips = Vec::new();
+    for (clip, base) in joules(from, BASELINE) {
+        let (Some(&skipping), Some(&other), Some(&both)) =
+            (skipping.get(&clip), other.get(&clip), both.get(&clip))
+        else {
+            continue;
+        };
+        // The logarithm of their quotients is taken.
+        if [base, skipping, other, both].iter().all(|joules| *joules > 0.0) {
+            clips.push(ClipJoules {
+                base,
+                skipping,
+                other,
+                both,
+            });
+        }
+    }
+    clips
+}
+
+fn compose(from: &SetupRuns, to: &SetupRuns, policy: &str) -> Option<Composition> {
+    let clips = joules_of_clips(from, to, policy);
+    let total = |figure: fn(&ClipJoules) -> f64| clips.iter().map(figure).sum::<f64>();
+    let base = total(|clip| clip.base);
+    let saving = |figure: fn(&ClipJoules) -> f64| 1.0 - total(figure) / base;
+    // The savings start at the setup that uses more without skipping.
+    if clips.is_empty() || total(|clip| clip.other) >= base {
         return None;
     }
     let logs: Vec<f64> = clips
         .iter()
-        .map(|[base, skipped, other, both]| {
-            (both / base).ln() - (skipped / base).ln() - (other / base).ln()
+        .map(|clip| {
+            let skipping = (clip.skipping / clip.base).ln();
+            let other = (clip.other / clip.base).ln();
+            (clip.both / clip.base).ln() - skipping - other
         })
         .collect();
     let log = Difference::of(&logs)?;
-    let [skipping, alone, together] = [skipped, other, both].map(|joules| 1.0 - joules / base);
+    let skipping = saving(|clip| clip.skipping);
+    let other = saving(|clip| clip.other);
     Some(Composition {
         setups: from.setup.change_to(&to.setup),
         policy: policy.to_owned(),
         clips: clips.len(),
         skipping,
-        other: alone,
-        together,
-        expected: 1.0 - (1.0 - skipping) * (1.0 - alone),
+        other,
+        together: saving(|clip| clip.both),
+        expected: 1.0 - (1.0 - skipping) * (1.0 - other),
         factor: log.mean.exp(),
         interval: log.interval.map(|ends| ends.map(f64::exp)),
     })

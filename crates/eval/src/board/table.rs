@@ -44,20 +44,19 @@ pub fn render(setups: &[SetupRuns]) -> String {
 /// Makes all tables: those of each setup, those across setups, and a list of those that have no rows.
 pub(super) fn tables(setups: &[SetupRuns], summaries: &[SetupSummary]) -> Vec<JoinedTable> {
     let mut tables = Vec::new();
-    let mut is_swept = false;
-    let mut has_domains = false;
+    let mut own = OwnTables::default();
     for (setup, summary) in setups.iter().zip(summaries) {
         let sweep = sweep(summary);
         let domains = domains(summary);
-        is_swept |= sweep.is_some();
-        has_domains |= domains.is_some();
+        own.is_swept |= sweep.is_some();
+        own.has_domains |= domains.is_some();
         tables.push(figures(setup, summary));
         tables.extend(differences(summary));
         tables.extend(sweep);
         tables.extend(domains);
     }
     let across = AcrossSetups::new(setups, summaries);
-    let missing = without_rows(setups, summaries, [is_swept, has_domains], &across);
+    let missing = without_rows(setups, summaries, own, &across);
     tables.extend(across.detectors);
     tables.extend(across.modes);
     tables.extend(across.savings);
@@ -65,21 +64,32 @@ pub(super) fn tables(setups: &[SetupRuns], summaries: &[SetupSummary]) -> Vec<Jo
     tables
 }
 
+/// The tables of single setups that have rows.
+#[derive(Clone, Copy, Default)]
+struct OwnTables {
+    is_swept: bool,
+    has_domains: bool,
+}
+
 /// Names what the paper has and there are no runs for, and what it needs.
 fn without_rows(
     setups: &[SetupRuns],
     summaries: &[SetupSummary],
-    [is_swept, has_domains]: [bool; 2],
+    own: OwnTables,
     across: &AcrossSetups,
 ) -> Option<JoinedTable> {
-    let runs = || setups.iter().flat_map(|of| &of.runs);
+    let runs = || setups.iter().flat_map(|setup| &setup.runs);
     let policies = || summaries.iter().flat_map(|summary| &summary.policies);
-    let changes = || policies().filter_map(|of| of.change.as_ref());
-    let has_edp = policies().any(|of| of.edp.is_some() && of.ap50.is_some());
-    let is_tested = |of: Option<Difference>| of.is_some_and(|of| of.p.is_some());
+    let changes = || policies().filter_map(|policy| policy.change.as_ref());
+    let has_edp = policies().any(|policy| policy.edp.is_some() && policy.ap50.is_some());
+    let is_tested = |change: Option<Difference>| change.is_some_and(|change| change.p.is_some());
+    let has_empty = |policy: &PolicyFigures| {
+        let [empty, ..] = policy.states;
+        policy.change.is_some() && empty > 0.0
+    };
     let needs = [
         (
-            is_swept,
+            own.is_swept,
             "sweep: several settings of one policy, --sweep u=3e-4,5e-4,7e-4,1e-3,3e-3",
         ),
         (
@@ -87,7 +97,7 @@ fn without_rows(
             "AP@50 against EDP: runs with a meter and ground truth",
         ),
         (
-            has_domains,
+            own.has_domains,
             "energy by domain: a meter that tells domains apart",
         ),
         (
@@ -95,7 +105,7 @@ fn without_rows(
             "change of AP@50 clip by clip: another policy beside vanilla, and ground truth",
         ),
         (
-            policies().any(|of| of.change.is_some() && of.states[0] > 0.0),
+            policies().any(has_empty),
             "the same against frames in E: an empty-scene screen ([screen] model), or a pause",
         ),
         (
@@ -137,8 +147,8 @@ pub(super) fn column<R>(head: &str, unit: &str, rows: &[R], cell: impl Fn(&R) ->
 }
 
 fn named(policies: &[PolicyFigures]) -> Column {
-    column("", "policy", policies, |of| {
-        short_label(&of.policy).to_owned()
+    column("", "policy", policies, |row| {
+        short_label(&row.policy).to_owned()
     })
 }
 
@@ -162,32 +172,33 @@ fn figures(setup: &SetupRuns, summary: &SetupSummary) -> JoinedTable {
     let is_marked = names.cells.iter().any(|name| name.ends_with('*'));
     let mut columns = vec![
         names,
-        column("AP@50", "", rows, |of| three_decimals(of.ap50)),
-        column("mAP", "", rows, |of| three_decimals(of.map)),
-        column("energy", "J", rows, |of| one_decimal(of.joules)),
-        column("time", "ms", rows, |of| format!("{:.1}", of.frame_ms)),
-        column("EDP", "J·ms", rows, |of| whole(of.edp)),
-        column("skip", "%", rows, |of| percent(of.skip_rate)),
+        column("AP@50", "", rows, |row| three_decimals(row.ap50)),
+        column("mAP", "", rows, |row| three_decimals(row.map)),
+        column("energy", "J", rows, |row| one_decimal(row.joules)),
+        column("time", "ms", rows, |row| format!("{:.1}", row.frame_ms)),
+        column("EDP", "J·ms", rows, |row| whole(row.edp)),
+        column("skip", "%", rows, |row| percent(row.skip_rate)),
     ];
-    for (at, state) in FrameState::ALL.into_iter().enumerate() {
-        columns.push(column(state.as_str(), "%", rows, |of| {
-            percent(of.states[at])
+    for (place, state) in FrameState::ALL.into_iter().enumerate() {
+        columns.push(column(state.as_str(), "%", rows, |row| {
+            percent(row.states[place])
         }));
     }
-    columns.push(column("CPU", "cores", rows, |of| {
-        or_dash(of.cores.map(|cores| format!("{cores:.2}")))
+    columns.push(column("CPU", "cores", rows, |row| {
+        or_dash(row.cores.map(|cores| format!("{cores:.2}")))
     }));
-    columns.push(column("GPU", "%", rows, |of| {
-        whole(of.gpu_utilisation.map(|share| share * 100.0))
+    columns.push(column("GPU", "%", rows, |row| {
+        whole(row.gpu_utilisation.map(|share| share * 100.0))
     }));
-    columns.push(column("memory", "MB", rows, |of| whole(of.memory_mb)));
+    columns.push(column("memory", "MB", rows, |row| whole(row.memory_mb)));
+    // The last three are read by the system, and not everywhere.
     let unread: Vec<String> = columns[columns.len() - 3..]
         .iter()
         .filter(|column| column.cells.iter().all(|cell| cell == "-"))
         .map(|column| column.heads[0].clone())
         .collect();
     columns.retain(|column| column.cells.iter().any(|cell| cell != "-"));
-    let clips = rows.iter().map(|of| of.clips).max().unwrap_or_default();
+    let clips = rows.iter().map(|row| row.clips).max().unwrap_or_default();
     let mut notes = vec![
         "Unweighted means over the clips. EDP is mean energy times mean time of a frame, as the paper's tables have it; \
          policies.csv also has the mean over clips of energy times duration over frames."
@@ -225,32 +236,31 @@ fn figures(setup: &SetupRuns, summary: &SetupSummary) -> JoinedTable {
 /// What a reader has to know before believing a row.
 fn cautions(rows: &[PolicyFigures], clips: usize) -> Vec<String> {
     let mut cautions = Vec::new();
-    let sparse = rows.iter().find(|of| of.unlabelled > 0);
-    cautions.extend(sparse.map(|of| {
-        let all = of.frames + of.dropped;
-        format!(
+    if let Some(sparse) = rows.iter().find(|row| row.unlabelled > 0) {
+        let all = sparse.frames + sparse.dropped;
+        cautions.push(format!(
             "Accuracy is that of {} of {all} frames: nobody labelled the others, which count for everything else.",
-            all.saturating_sub(of.unlabelled)
-        )
-    }));
-    for of in rows {
-        let name = short_label(&of.policy);
-        if of.clips < clips {
+            all.saturating_sub(sparse.unlabelled)
+        ));
+    }
+    for row in rows {
+        let name = short_label(&row.policy);
+        if row.clips < clips {
             cautions.push(format!(
                 "{name} was measured on {} of the {clips} clips only.",
-                of.clips
+                row.clips
             ));
         }
-        if of.dropped > 0 {
+        if row.dropped > 0 {
             cautions.push(format!(
                 "Under {name} {} frames were not answered, and count as frames without boxes.",
-                of.dropped
+                row.dropped
             ));
         }
-        if of.throttled > 0 {
+        if row.throttled > 0 {
             cautions.push(format!(
                 "Under {name} the clocks were throttled in {}.",
-                counted(of.throttled, "run")
+                counted(row.throttled, "run")
             ));
         }
     }
@@ -262,14 +272,14 @@ fn differences(summary: &SetupSummary) -> Option<JoinedTable> {
     let rows: Vec<(&PolicyFigures, &Changes)> = summary
         .policies
         .iter()
-        .filter_map(|of| Some((of, of.change.as_ref()?)))
+        .filter_map(|row| Some((row, row.change.as_ref()?)))
         .collect();
     let figure = |found: Option<Difference>| or_dash(found.map(|found| found.text(1)));
     let p = |found: Option<Difference>| or_dash(found.map(Difference::p_text));
     let mean = |found: Option<Difference>| or_dash(found.map(|found| signed(found.mean, 1)));
     let mut columns = vec![
-        column("", "policy", &rows, |(of, _)| {
-            short_label(&of.policy).to_owned()
+        column("", "policy", &rows, |(row, _)| {
+            short_label(&row.policy).to_owned()
         }),
         column("AP@50", "points", &rows, |(_, change)| figure(change.ap50)),
         column("", "p", &rows, |(_, change)| p(change.ap50)),
@@ -283,22 +293,20 @@ fn differences(summary: &SetupSummary) -> Option<JoinedTable> {
     ];
     columns.retain(|column| column.cells.iter().any(|cell| cell != "-"));
     let clips = rows.iter().filter_map(|(_, change)| Some(change.ap50?.clips)).max();
-    let notes = rows.iter().flat_map(|(of, change)| sentences(of, change)).collect();
+    let notes = rows.iter().flat_map(|(row, change)| sentence(row, change)).collect();
+    let with_truth = match clips {
+        Some(clips) => format!(", {} with ground truth", counted(clips, "clip")),
+        None => String::new(),
+    };
     (!rows.is_empty()).then(|| JoinedTable {
-        title: format!(
-            "Differences to vanilla with 95 % intervals and p (paired t{})",
-            clips.map_or_else(String::new, |clips| format!(
-                ", {} with ground truth",
-                counted(clips, "clip")
-            ))
-        ),
+        title: format!("Differences to vanilla with 95 % intervals and p (paired t{with_truth})"),
         columns,
         notes,
     })
 }
 
 /// `albireo: less energy on 89 % of the clips; AP@50 as good or better on 144 of 200 clips, median drop of the others 1.7 points.`
-fn sentences(of: &PolicyFigures, change: &Changes) -> Option<String> {
+fn sentence(row: &PolicyFigures, change: &Changes) -> Option<String> {
     let mut parts = Vec::new();
     if let Some(share) = change.clips_that_save {
         parts.push(format!(
@@ -307,58 +315,61 @@ fn sentences(of: &PolicyFigures, change: &Changes) -> Option<String> {
         ));
     }
     if let Some(clips) = &change.clips {
-        let drop = clips.median_drop.map_or_else(String::new, |drop| {
-            format!(", median drop of the others {drop:.1} points")
-        });
+        let drop = match clips.median_drop {
+            Some(drop) => format!(", median drop of the others {drop:.1} points"),
+            None => String::new(),
+        };
         parts.push(format!(
             "AP@50 as good or better on {} of {} clips{drop}",
             clips.as_good, clips.all
         ));
     }
-    (!parts.is_empty()).then(|| format!("{}: {}.", short_label(&of.policy), parts.join("; ")))
+    (!parts.is_empty()).then(|| format!("{}: {}.", short_label(&row.policy), parts.join("; ")))
 }
 
 /// The settings of each policy of which several were measured, in order; none if there is no such policy.
 fn sweep(summary: &SetupSummary) -> Option<JoinedTable> {
-    let mut families: BTreeMap<&str, Vec<(String, f64, &PolicyFigures)>> = BTreeMap::new();
-    for of in &summary.policies {
-        let (family, setting) = split_label(&of.policy);
-        let number = setting.trim_start_matches("u = ").parse();
-        if let Ok(number) = number {
-            families.entry(family).or_default().push((setting, number, of));
+    struct SweptRow<'a> {
+        name: String,
+        value: f64,
+        figures: &'a PolicyFigures,
+    }
+    let mut families: BTreeMap<&str, Vec<SweptRow<'_>>> = BTreeMap::new();
+    for figures in &summary.policies {
+        let (family, setting) = split_label(&figures.policy);
+        if let Ok(value) = setting.trim_start_matches("u = ").parse() {
+            families.entry(family).or_default().push(SweptRow {
+                name: format!("{family} {setting}"),
+                value,
+                figures,
+            });
         }
     }
-    families.retain(|_, settings| settings.len() > 1);
-    for settings in families.values_mut() {
-        settings.sort_by(|a, b| a.1.total_cmp(&b.1));
+    let mut rows: Vec<SweptRow<'_>> = Vec::new();
+    for mut settings in families.into_values().filter(|settings| settings.len() > 1) {
+        settings.sort_by(|a, b| a.value.total_cmp(&b.value));
+        rows.extend(settings);
     }
-    let rows: Vec<(&str, &str, &PolicyFigures)> = families
-        .iter()
-        .flat_map(|(family, settings)| {
-            settings.iter().map(|(setting, _, of)| (*family, setting.as_str(), *of))
-        })
-        .collect();
-    let change = |of: &PolicyFigures, figure: fn(&Changes) -> Option<f64>| {
-        or_dash(of.change.as_ref().and_then(figure).map(|value| signed(value, 1)))
+    let change = |row: &SweptRow<'_>, figure: fn(&Changes) -> Option<f64>| {
+        let change = row.figures.change.as_ref().and_then(figure);
+        or_dash(change.map(|value| signed(value, 1)))
     };
     let mut columns = vec![
-        column("", "policy", &rows, |row| format!("{} {}", row.0, row.1)),
-        column("skip", "%", &rows, |row| percent(row.2.skip_rate)),
+        column("", "policy", &rows, |row| row.name.clone()),
+        column("skip", "%", &rows, |row| percent(row.figures.skip_rate)),
         column("calls", "a clip", &rows, |row| {
-            one_decimal(Some(row.2.detector_calls))
+            one_decimal(Some(row.figures.detector_calls))
         }),
-        column("AP@50", "", &rows, |row| three_decimals(row.2.ap50)),
+        column("AP@50", "", &rows, |row| three_decimals(row.figures.ap50)),
         column("change", "points", &rows, |row| {
-            change(row.2, |change| Some(change.ap50?.mean))
+            change(row, |change| Some(change.ap50?.mean))
         }),
-        column("energy", "J", &rows, |row| one_decimal(row.2.joules)),
+        column("energy", "J", &rows, |row| one_decimal(row.figures.joules)),
         column("change", "%", &rows, |row| {
-            change(row.2, |change| Some(change.joules?.mean))
+            change(row, |change| Some(change.joules?.mean))
         }),
-        column("EDP", "J·ms", &rows, |row| whole(row.2.edp)),
-        column("change", "%", &rows, |row| {
-            change(row.2, |change| change.edp)
-        }),
+        column("EDP", "J·ms", &rows, |row| whole(row.figures.edp)),
+        column("change", "%", &rows, |row| change(row, |change| change.edp)),
     ];
     columns.retain(|column| column.cells.iter().any(|cell| cell != "-"));
     (!rows.is_empty()).then(|| JoinedTable {
@@ -371,13 +382,13 @@ fn sweep(summary: &SetupSummary) -> Option<JoinedTable> {
 /// Energy by domain; none if the machine has no domains.
 fn domains(summary: &SetupSummary) -> Option<JoinedTable> {
     let rows = &summary.policies;
-    let mut names: Vec<&String> = rows.iter().flat_map(|of| of.domains.keys()).collect();
+    let mut names: Vec<&String> = rows.iter().flat_map(|row| row.domains.keys()).collect();
     names.sort();
     names.dedup();
     let mut columns = vec![named(rows)];
     columns.extend(names.iter().map(|name| {
-        column(name, "J", rows, |of| {
-            one_decimal(of.domains.get(*name).copied())
+        column(name, "J", rows, |row| {
+            one_decimal(row.domains.get(*name).copied())
         })
     }));
     (columns.len() > 2).then(|| JoinedTable {

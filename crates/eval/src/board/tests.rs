@@ -2,7 +2,7 @@ use super::*;
 use crate::spec::BASELINE;
 use albireo_wire::{BoardState, ClipReport, FrameStates};
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 fn setup() -> Setup {
     Setup {
@@ -18,6 +18,12 @@ fn setup() -> Setup {
         .map(|(key, value)| (key.to_owned(), value.to_owned()))
         .into(),
     }
+}
+
+/// Opens the file of the runs of `setup`, as a second command does that goes on where the first was stopped.
+fn opened(folder: &Path, setup: &Setup) -> Result<RunsFile, EvalError> {
+    let restart = false;
+    RunsFile::open(folder, setup, restart)
 }
 
 fn run(clip: &str, policy: &str, joules: f64, ap50: f64) -> ClipRun {
@@ -61,7 +67,7 @@ fn run(clip: &str, policy: &str, joules: f64, ap50: f64) -> ClipRun {
 #[test]
 fn a_run_survives_a_stop_and_a_line_cut_off_by_it_is_played_again() {
     let folder = tempfile::tempdir().unwrap();
-    let mut file = RunsFile::open(folder.path(), &setup(), false).unwrap();
+    let mut file = opened(folder.path(), &setup()).unwrap();
     for clip in ["a", "b"] {
         file.add(run(clip, BASELINE, 10.0, 0.5)).unwrap();
     }
@@ -72,7 +78,7 @@ fn a_run_survives_a_stop_and_a_line_cut_off_by_it_is_played_again() {
     let second = whole[..whole.len() - 1].iter().rposition(|byte| *byte == b'\n').unwrap() + 1;
     for cut in second..whole.len() {
         fs::write(&path, &whole[..cut]).unwrap();
-        let mut file = RunsFile::open(folder.path(), &setup(), false).unwrap();
+        let mut file = opened(folder.path(), &setup()).unwrap();
         assert!(
             file.has("a", BASELINE) && !file.has("b", BASELINE),
             "cut at {cut}"
@@ -118,7 +124,7 @@ fn changed(key: &str, value: Option<&str>) -> Setup {
 #[test]
 fn runs_with_other_settings_are_not_added_to_a_file() {
     let folder = tempfile::tempdir().unwrap();
-    drop(RunsFile::open(folder.path(), &setup(), false).unwrap());
+    drop(opened(folder.path(), &setup()).unwrap());
     for (key, value, expected) in [
         (
             "detector.model",
@@ -133,7 +139,7 @@ fn runs_with_other_settings_are_not_added_to_a_file() {
         ),
     ] {
         let other = changed(key, value);
-        let refused = RunsFile::open(folder.path(), &other, false).unwrap_err().to_string();
+        let refused = opened(folder.path(), &other).unwrap_err().to_string();
         for words in [expected, "--out", "--restart"] {
             assert!(refused.contains(words), "{refused}");
         }
@@ -144,32 +150,33 @@ fn runs_with_other_settings_are_not_added_to_a_file() {
         ..setup()
     };
     assert_ne!(half.file_name(), setup().file_name());
-    drop(RunsFile::open(folder.path(), &half, false).unwrap());
+    drop(opened(folder.path(), &half).unwrap());
 }
 
 #[test]
 fn a_restart_keeps_the_runs_before_in_a_file_beside() {
     let folder = tempfile::tempdir().unwrap();
-    let mut file = RunsFile::open(folder.path(), &setup(), false).unwrap();
+    let mut file = opened(folder.path(), &setup()).unwrap();
     file.add(run("a", BASELINE, 10.0, 0.5)).unwrap();
     let path = file.path().to_owned();
     drop(file);
     let before = fs::read(&path).unwrap();
     let other = changed(FRAMES, Some("paced"));
-    let file = RunsFile::open(folder.path(), &other, true).unwrap();
+    let restart = true;
+    let file = RunsFile::open(folder.path(), &other, restart).unwrap();
     assert!(file.runs().is_empty());
     drop(file);
     assert_eq!(
         fs::read(path.with_extension("jsonl.before")).unwrap(),
         before
     );
-    drop(RunsFile::open(folder.path(), &other, false).unwrap());
+    drop(opened(folder.path(), &other).unwrap());
 }
 
 #[test]
 fn a_clip_whose_pictures_or_labels_have_changed_is_not_added_to_its_runs() {
     let folder = tempfile::tempdir().unwrap();
-    let mut file = RunsFile::open(folder.path(), &setup(), false).unwrap();
+    let mut file = opened(folder.path(), &setup()).unwrap();
     file.add(run("a", BASELINE, 10.0, 0.5)).unwrap();
     file.check_clip("a", "1280x720").unwrap();
     file.check_clip("b", "640x360").unwrap();
@@ -183,8 +190,8 @@ fn a_clip_whose_pictures_or_labels_have_changed_is_not_added_to_its_runs() {
 #[test]
 fn two_commands_do_not_write_one_file() {
     let folder = tempfile::tempdir().unwrap();
-    let _first = RunsFile::open(folder.path(), &setup(), false).unwrap();
-    let refused = RunsFile::open(folder.path(), &setup(), false).unwrap_err().to_string();
+    let _first = opened(folder.path(), &setup()).unwrap();
+    let refused = opened(folder.path(), &setup()).unwrap_err().to_string();
     assert!(refused.contains("stop that one first"), "{refused}");
 }
 
@@ -230,26 +237,20 @@ fn differences_are_paired_over_the_clips_that_both_played() {
 
 #[test]
 fn savings_that_multiply_have_the_factor_one() {
-    let of =
-        |mode: &str, factor: f64| {
-            let setup = Setup {
-                power_mode: mode.to_owned(),
-                ..setup()
-            };
-            let runs = ["a", "b", "c"].into_iter().zip([100.0, 200.0, 300.0]).flat_map(
-                |(clip, joules)| {
-                    [
-                        run(clip, BASELINE, joules * factor, 0.5),
-                        run(clip, "albireo", joules * factor * 0.8, 0.5),
-                    ]
-                },
-            );
-            SetupRuns {
-                setup,
-                runs: runs.collect(),
-            }
+    // In each mode the policy saves a fifth.
+    let in_mode = |mode: &str, factor: f64| {
+        let mut runs = Vec::new();
+        for (clip, joules) in [("a", 100.0), ("b", 200.0), ("c", 300.0)] {
+            runs.push(run(clip, BASELINE, joules * factor, 0.5));
+            runs.push(run(clip, "albireo", joules * factor * 0.8, 0.5));
+        }
+        let setup = Setup {
+            power_mode: mode.to_owned(),
+            ..setup()
         };
-    let found = summary::compositions(&[of("MAXN", 1.0), of("15W", 0.5)]);
+        SetupRuns { setup, runs }
+    };
+    let found = summary::compositions(&[in_mode("MAXN", 1.0), in_mode("15W", 0.5)]);
     assert_eq!(found.len(), 1);
     let only = &found[0];
     assert!((only.factor - 1.0).abs() < 1e-12);
@@ -258,17 +259,20 @@ fn savings_that_multiply_have_the_factor_one() {
 
 #[test]
 fn a_run_has_the_gpus_utilisation_of_its_report_and_none_where_nothing_read_it() {
-    let with = |board: Option<BoardState>| ClipReport {
-        board,
-        ..ClipReport::default()
+    let utilisation = |board: Option<BoardState>| {
+        let report = ClipReport {
+            board,
+            ..ClipReport::default()
+        };
+        ClipRun::of(&report, "a", BASELINE).gpu_utilisation
     };
     let busy = BoardState {
         gpu_utilisation: Some(0.437),
         ..BoardState::default()
     };
-    let of = |board| ClipRun::of(&with(board), "a", BASELINE).gpu_utilisation;
-    assert_eq!(of(Some(busy)), Some(0.437));
-    assert_eq!([of(Some(BoardState::default())), of(None)], [None, None]);
+    assert_eq!(utilisation(Some(busy)), Some(0.437));
+    assert_eq!(utilisation(Some(BoardState::default())), None);
+    assert_eq!(utilisation(None), None);
 }
 
 #[test]
@@ -340,10 +344,12 @@ fn three_setups() -> [SetupRuns; 3] {
 #[test]
 fn setups_that_differ_in_a_setting_are_not_compared_in_silence() {
     let mut setups = three_setups();
-    for (of, confidence) in setups.iter_mut().zip(["0.5", "0.5", "0.3"]) {
-        let settings = &mut of.setup.settings;
+    for (runs, confidence) in setups.iter_mut().zip(["0.5", "0.5", "0.3"]) {
+        let Setup {
+            detector, settings, ..
+        } = &mut runs.setup;
         settings.insert("detector.confidence".to_owned(), confidence.to_owned());
-        settings.insert("detector.model".to_owned(), of.setup.detector.clone());
+        settings.insert("detector.model".to_owned(), detector.clone());
     }
     let text = render(&setups);
     assert!(
@@ -361,6 +367,7 @@ fn each_table_of_the_paper_has_its_rows_in_order() {
         "Do savings multiply?",
         "yolo: MAXN → 15W",
         "Accuracy is that of 120 of 300 frames",
+        // The GPU's utilisation, percent.
         " 44 ",
     ] {
         assert!(text.contains(what), "{what}: {text}");
@@ -375,14 +382,14 @@ fn each_table_of_the_paper_has_its_rows_in_order() {
         "{text}"
     );
     let place = |start: &str| lines.iter().position(|line| line.starts_with(start)).unwrap();
-    let settings = [place("albireo u = 3e-4"), place("albireo u = 3e-3")];
-    assert_eq!(settings[0] + 1, settings[1], "{text}");
+    let low = place("albireo u = 3e-4");
+    let high = place("albireo u = 3e-3");
+    assert_eq!(low + 1, high, "{text}");
     // The modes of a policy are beside each other.
     let modes = &lines[place("Power modes") + 1..];
-    let of_vanilla = modes.iter().filter(|line| line.contains("vanilla"));
-    let of_vanilla: Vec<&str> = of_vanilla.take(2).copied().collect();
-    assert!(of_vanilla[0].contains("MAXN"), "{text}");
-    assert!(of_vanilla[1].contains("15W"), "{text}");
+    let mut of_vanilla = modes.iter().filter(|line| line.contains("vanilla"));
+    assert!(of_vanilla.next().unwrap().contains("MAXN"), "{text}");
+    assert!(of_vanilla.next().unwrap().contains("15W"), "{text}");
 }
 
 #[test]
