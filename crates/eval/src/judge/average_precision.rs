@@ -90,7 +90,8 @@ pub fn accuracy<'a>(
             if by_class.is_empty() {
                 return None;
             }
-            let mean = |of: fn(&Accuracy) -> f64| by_class.values().map(of).sum::<f64>() / count;
+            let mean =
+                |figure: fn(&Accuracy) -> f64| by_class.values().map(figure).sum::<f64>() / count;
             Some(Accuracy {
                 ap50: mean(|class| class.ap50),
                 ap75: mean(|class| class.ap75),
@@ -222,7 +223,7 @@ impl Matching {
     /// Ranks predictions, given in order of frames.
     fn ranked(mut ranked: Vec<(f64, Outcome)>, truths: usize) -> Self {
         // The sort is stable: equal confidences stay in order of frames, as in the published evaluator and COCO's.
-        ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
+        ranked.sort_by(|(a, _), (b, _)| b.total_cmp(a));
         let (confidences, outcomes): (Vec<f64>, _) = ranked.into_iter().unzip();
         Self {
             shown: confidences.partition_point(|confidence| *confidence >= SHOWN_CONFIDENCE),
@@ -254,16 +255,17 @@ impl Matching {
         }
         let hits = self.hits();
         let judged = judged_at_50(&self.outcomes);
+        let precision = if judged == 0 {
+            0.0
+        } else {
+            hits as f64 / judged as f64
+        };
         Some(Accuracy {
             ap50,
             ap75,
             map: sum / IOU_THRESHOLDS.len() as f64,
             f1_50_shown: self.f1_shown(),
-            precision: if judged == 0 {
-                0.0
-            } else {
-                hits as f64 / judged as f64
-            },
+            precision,
             recall: hits as f64 / self.truths as f64,
             predictions: judged,
             truths: self.truths,

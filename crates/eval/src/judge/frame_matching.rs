@@ -170,7 +170,7 @@ impl FrameMatcher {
         self.by_left.clear();
         self.by_left
             .extend(self.truths.iter().enumerate().map(|(index, truth)| (truth.x1, index)));
-        self.by_left.sort_by(|a, b| a.0.total_cmp(&b.0));
+        self.by_left.sort_by(|(left, _), (other, _)| left.total_cmp(other));
         let widest = self.truths.iter().map(|truth| truth.x2 - truth.x1).fold(0.0, f64::max);
         for Prediction {
             corners: prediction,

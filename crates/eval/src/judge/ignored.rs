@@ -21,20 +21,21 @@ pub(super) fn without_fixed<'a>(
     classes: Classes,
 ) -> Cow<'a, [Vec<ScoredBox>]> {
     // Most data marks nothing, and a million boxes need not be copied then.
-    if truth
-        .ignored
-        .iter()
-        .all(|marks| marks.iter().all(|ignored| is_of_coco(ignored.mark)))
-    {
+    if truth.ignored.iter().flatten().all(|ignored| is_of_coco(ignored.mark)) {
         return Cow::Borrowed(predictions);
     }
     let mut judged = Vec::with_capacity(predictions.len());
     for (frame, found) in predictions.iter().enumerate() {
         let excused = excused(found, truth.objects(frame), truth.ignored(frame), classes);
-        let kept = found.iter().zip(excused).filter(|(_, excused)| !excused);
-        judged.push(kept.map(|(found, _)| *found).collect());
+        judged.push(not_excused(found, &excused));
     }
     Cow::Owned(judged)
+}
+
+/// Returns the boxes of a frame that are not `excused`.
+fn not_excused(found: &[ScoredBox], excused: &[bool]) -> Vec<ScoredBox> {
+    let kept = found.iter().zip(excused).filter(|(_, excused)| !**excused);
+    kept.map(|(found, _)| *found).collect()
 }
 
 /// Returns `predictions` without all that cannot be judged at IoU 0.5.
@@ -49,8 +50,7 @@ pub(super) fn without_ignored(
         if ignored.iter().any(|ignored| is_of_coco(ignored.mark)) {
             let excused =
                 frame_matching::excused_at_50(found, truth.objects(frame), ignored, classes);
-            let mut excused = excused.into_iter();
-            found.retain(|_| !excused.next().unwrap_or_default());
+            *found = not_excused(found, &excused);
         }
     }
     kept
@@ -79,9 +79,10 @@ fn excused(
             are_comparable(object, found, classes)
                 && own.intersection_over_union(object.corners) >= SAME_OBJECT
         };
-        *excused = regions().any(|region| {
+        let is_inside = |region: &Ignored| {
             region.concerns(found.class) && 2.0 * own.shared_area(region.corners) >= own.area()
-        }) && !objects.iter().any(is_object);
+        };
+        *excused = regions().any(is_inside) && !objects.iter().any(is_object);
     }
     if ignored.iter().any(|ignored| ignored.mark == Mark::Distractor) {
         for index in on_distractors(found, objects, ignored, classes) {
@@ -124,14 +125,19 @@ fn on_distractors(
             .iter()
             .map(|found| overlap(found, labelled.corners, labelled.concerns(found.class)))
     });
+    // A row for each object, then one for each of the labelled; a column for each box.
     let scores: Vec<f64> = of_objects.chain(of_labelled).collect();
-    assign(objects.len() + labelled.len(), found.len(), &scores)
-        .filter(|(row, column)| scores[row * found.len() + column] > 0.0)
-        .filter_map(|(row, column)| {
-            let labelled = labelled.get(row.checked_sub(objects.len())?)?;
-            (labelled.mark == Mark::Distractor).then_some(column)
-        })
-        .collect()
+    let mut on_distractors = Vec::new();
+    for (row, column) in assign(objects.len() + labelled.len(), found.len(), &scores) {
+        // The assignment also pairs what does not overlap.
+        if scores[row * found.len() + column] <= 0.0 || row < objects.len() {
+            continue;
+        }
+        if labelled[row - objects.len()].mark == Mark::Distractor {
+            on_distractors.push(column);
+        }
+    }
+    on_distractors
 }
 
 /// True if a box can be that of an object.
@@ -155,6 +161,18 @@ mod tests {
         }
     }
 
+    /// The accuracy with all classes pooled.
+    fn judged(
+        found: &[Vec<ScoredBox>],
+        objects: &[Vec<ScoredBox>],
+        ignored: &[Vec<Ignored>],
+    ) -> Accuracy {
+        let truth = Truth { objects, ignored };
+        let area = Interpolation::AllPoints;
+        accuracy(found, truth, Classes::Pooled, area).expect("there is ground truth")
+    }
+
+    /// The confidences of the boxes of a frame that are judged.
     fn kept(found: Vec<ScoredBox>, objects: &[ScoredBox], ignored: Vec<Ignored>) -> Vec<f64> {
         let objects = [objects.to_vec()];
         let ignored = [ignored];
@@ -179,8 +197,10 @@ mod tests {
             scored(square(400.0, 50.0, 40.0), 0.5),
         ];
         let object = scored(square(150.0, 50.0, 40.0), 1.0);
-        let judged = kept(found.clone(), &[object], vec![region]);
-        assert_eq!(judged, [0.7, 0.6, 0.5]);
+        assert_eq!(
+            kept(found.clone(), &[object], vec![region]),
+            [0.7, 0.6, 0.5]
+        );
         // A region of one frame says nothing about the next.
         let objects = [vec![object], vec![]];
         let ignored = [vec![region]];
@@ -197,15 +217,8 @@ mod tests {
         let object = at(0.0, 1.0);
         let found = vec![vec![at(0.0, 0.5)], vec![at(0.0, 0.9)], vec![at(0.0, 0.8)]];
         let objects = [vec![object], vec![], vec![]];
-        let judged = |ignored: &[Vec<Ignored>]| {
-            let truth = Truth {
-                objects: &objects,
-                ignored,
-            };
-            let area = Interpolation::AllPoints;
-            accuracy(&found, truth, Classes::Pooled, area).unwrap()
-        };
-        let [all, sparse] = [judged(&[]), judged(&[vec![], vec![Ignored::UNLABELLED]])];
+        let all = judged(&found, &objects, &[]);
+        let sparse = judged(&found, &objects, &[vec![], vec![Ignored::UNLABELLED]]);
         // Two boxes of higher confidence on frames without objects, or one.
         assert!((all.ap50 - 1.0 / 3.0).abs() < 1e-12, "{all:?}");
         assert!((sparse.ap50 - 0.5).abs() < 1e-12, "{sparse:?}");
@@ -247,22 +260,17 @@ mod tests {
             at(8.0, 0.97),
             at(0.0, 0.5),
         ]];
-        let objects = [vec![at(0.0, 1.0)]];
-        let ignored = [vec![marked(
-            Corners {
-                x1: 0.0,
-                y1: 0.0,
-                x2: 110.0,
-                y2: 10.0,
-            },
-            mark,
-        )]];
-        let truth = Truth {
-            objects: &objects,
-            ignored: &ignored,
+        let all_boxes = Corners {
+            x1: 0.0,
+            y1: 0.0,
+            x2: 110.0,
+            y2: 10.0,
         };
-        let area = Interpolation::AllPoints;
-        accuracy(&found, truth, Classes::Pooled, area).unwrap()
+        judged(
+            &found,
+            &[vec![at(0.0, 1.0)]],
+            &[vec![marked(all_boxes, mark)]],
+        )
     }
 
     #[test]
@@ -279,12 +287,7 @@ mod tests {
         assert!(object.ap50 < 1.0 && object.predictions == 4, "{object:?}");
         let doubled = [vec![at(50.0, 0.9), at(50.0, 0.8), at(0.0, 0.7)]];
         let ignored = [vec![marked(square(50.0, 0.0, 10.0), Mark::Object)]];
-        let truth = Truth {
-            objects: &objects,
-            ignored: &ignored,
-        };
-        let area = Interpolation::AllPoints;
-        let judged = accuracy(&doubled, truth, Classes::Pooled, area).unwrap();
-        assert_eq!([judged.ap50, judged.precision], [0.5, 0.5]);
+        let found = judged(&doubled, &objects, &ignored);
+        assert_eq!([found.ap50, found.precision], [0.5, 0.5]);
     }
 }

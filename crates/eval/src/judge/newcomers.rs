@@ -26,7 +26,7 @@ pub struct Newcomers {
     pub delay_frames: f64,
 }
 
-/// An object in view.
+/// An object that has come into view, with the numbers of frames.
 struct InView {
     first: usize,
     last: usize,
@@ -52,14 +52,14 @@ pub fn newcomers<'a>(
         for object in known {
             let number = object.object?;
             let is_high = object.corners.y2 - object.corners.y1 >= MIN_HEIGHT;
-            let in_view = match objects.entry(number) {
-                std::collections::btree_map::Entry::Vacant(_) if !is_high => continue,
-                entry => entry.or_insert(InView {
-                    first: frame,
-                    last: frame,
-                    found: None,
-                }),
-            };
+            if !is_high && !objects.contains_key(&number) {
+                continue;
+            }
+            let in_view = objects.entry(number).or_insert(InView {
+                first: frame,
+                last: frame,
+                found: None,
+            });
             in_view.last = frame;
             let shows = |shown: &ScoredBox| {
                 (classes == Classes::Pooled || shown.class == object.class)

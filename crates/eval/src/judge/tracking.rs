@@ -9,7 +9,6 @@ use super::average_precision::SHOWN_CONFIDENCE;
 use super::ignored::without_ignored;
 use super::truth::Truth;
 use crate::boxes::ScoredBox;
-use albireo_core::geometry::Corners;
 use serde::Serialize;
 use std::collections::{BTreeMap, HashMap};
 
@@ -34,6 +33,7 @@ struct Appearances {
 }
 
 impl Appearances {
+    /// Counts an appearance, and returns the number of the track or object.
     fn add(&mut self, object: u64) -> usize {
         let number = *self.numbers.entry(object).or_insert(self.counts.len());
         self.counts.resize(self.numbers.len(), 0.0);
@@ -46,7 +46,8 @@ impl Appearances {
     }
 }
 
-/// The objects and tracks of one frame, and their overlaps.
+/// The numbers of the objects and tracks of one frame, and their overlaps.
+#[derive(Default)]
 struct Overlaps {
     truths: Vec<usize>,
     tracks: Vec<usize>,
@@ -79,24 +80,20 @@ pub fn tracking<'a>(
     let mut tracks = Appearances::default();
     let mut frames = Vec::new();
     for index in 0..predictions.len().max(truth.objects.len()) {
-        let mut known_boxes: Vec<(usize, Corners)> = Vec::new();
-        for known in truth.objects(index) {
-            known_boxes.push((objects.add(known.object?), known.corners));
+        let known = truth.objects(index);
+        let found = predictions.get(index).map_or(&[][..], Vec::as_slice);
+        let mut frame = Overlaps::default();
+        for object in known {
+            frame.truths.push(objects.add(object.object?));
         }
-        let mut shown: Vec<(usize, Corners)> = Vec::new();
-        for found in predictions.get(index).into_iter().flatten() {
-            shown.push((tracks.add(found.object?), found.corners));
+        for shown in found {
+            frame.tracks.push(tracks.add(shown.object?));
         }
-        let with_all = |known: &(usize, Corners)| {
-            let known = known.1;
-            let iou = |found: &(usize, Corners)| known.intersection_over_union(found.1);
-            shown.iter().map(iou).collect::<Vec<f64>>()
-        };
-        frames.push(Overlaps {
-            iou: known_boxes.iter().flat_map(with_all).collect(),
-            truths: known_boxes.iter().map(|known| known.0).collect(),
-            tracks: shown.iter().map(|found| found.0).collect(),
-        });
+        for object in known {
+            let iou = |shown: &ScoredBox| object.corners.intersection_over_union(shown.corners);
+            frame.iou.extend(found.iter().map(iou));
+        }
+        frames.push(frame);
     }
     (!objects.counts.is_empty()).then(|| Tracking {
         hota: hota(&frames, &objects, &tracks),

@@ -91,40 +91,47 @@ fn slow_average_precision(
     truth: &[Vec<ScoredBox>],
     threshold: f64,
 ) -> f64 {
-    let mut ranked = Vec::new();
+    struct Ranked {
+        confidence: f64,
+        is_hit: bool,
+    }
+    let mut ranked: Vec<Ranked> = Vec::new();
     for (boxes, truth) in predictions.iter().zip(truth) {
         let mut boxes = boxes.clone();
         boxes.sort_by(|a, b| b.confidence.total_cmp(&a.confidence));
         let mut free: Vec<Corners> = truth.iter().map(|truth| truth.corners).collect();
         for found in boxes {
             let overlap = |index: usize| found.corners.intersection_over_union(free[index]);
-            // The last of equals, so the first of the boxes.
-            let best = (0..free.len()).rev();
-            let best = best.max_by(|a, b| overlap(*a).total_cmp(&overlap(*b)));
-            let hit = best.filter(|best| overlap(*best) >= threshold);
-            ranked.push((found.confidence, hit.is_some()));
-            if let Some(index) = hit {
+            // `max_by` takes the last of equals, which in reverse is the first of the boxes.
+            let best = (0..free.len()).rev().max_by(|a, b| overlap(*a).total_cmp(&overlap(*b)));
+            let matched = best.filter(|best| overlap(*best) >= threshold);
+            ranked.push(Ranked {
+                confidence: found.confidence,
+                is_hit: matched.is_some(),
+            });
+            if let Some(index) = matched {
                 free.remove(index);
             }
         }
     }
-    ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let hits_until = |rank: usize| ranked[..=rank].iter().filter(|(_, hit)| *hit).count();
+    ranked.sort_by(|a, b| b.confidence.total_cmp(&a.confidence));
+    let hits_until = |rank: usize| ranked[..=rank].iter().filter(|found| found.is_hit).count();
     let precision = |rank: usize| hits_until(rank) as f64 / (rank + 1) as f64;
     let best_from = |rank: usize| (rank..ranked.len()).map(precision).fold(0.0, f64::max);
-    let hits = (0..ranked.len()).filter(|rank| ranked[*rank].1);
+    let hits = (0..ranked.len()).filter(|rank| ranked[*rank].is_hit);
     let boxes: usize = truth.iter().map(Vec::len).sum();
     hits.map(best_from).sum::<f64>() / boxes as f64
 }
 
 fn some_boxes() -> impl Strategy<Value = Vec<ScoredBox>> {
-    let corners = (0..12u8, 0..12u8, 1..9u8, 1..9u8).prop_map(|(x, y, w, h)| Corners {
+    let corners = (0..12u8, 0..12u8, 1..9u8, 1..9u8).prop_map(|(x, y, width, height)| Corners {
         x1: f64::from(x),
         y1: f64::from(y),
-        x2: f64::from(x + w),
-        y2: f64::from(y + h),
+        x2: f64::from(x + width),
+        y2: f64::from(y + height),
     });
-    let scored = (corners, 0..6u8).prop_map(|(b, c)| scored(b, f64::from(c) / 8.0));
+    let scored =
+        (corners, 0..6u8).prop_map(|(corners, eighths)| scored(corners, f64::from(eighths) / 8.0));
     proptest::collection::vec(scored, 0..8)
 }
 
@@ -133,9 +140,10 @@ proptest! {
     fn the_fast_algorithm_equals_the_definition(
         frames in proptest::collection::vec((some_boxes(), some_boxes()), 1..5),
     ) {
-        let (predictions, there): (Vec<_>, Vec<_>) = frames.into_iter().unzip();
-        let truths = there.iter().map(|boxes| boxes.iter().map(|b| scored(b.corners, 1.0)).collect());
-        let truths: Vec<Vec<ScoredBox>> = truths.collect();
+        let (predictions, mut truths): (Vec<_>, Vec<_>) = frames.into_iter().unzip();
+        for object in truths.iter_mut().flatten() {
+            object.confidence = 1.0;
+        }
         prop_assume!(truths.iter().any(|frame| !frame.is_empty()));
         let fast = pooled(&predictions, &truths);
         let slow = IOU_THRESHOLDS.map(|t| slow_average_precision(&predictions, &truths, t));
@@ -163,7 +171,7 @@ fn spread_over_frames(count: usize) -> (Vec<Vec<ScoredBox>>, Vec<Vec<ScoredBox>>
 /// Apart from sorting, the work is in the compared pairs.
 #[test]
 fn a_million_boxes_need_a_linear_number_of_comparisons() {
-    let pairs = [10_000, 100_000, 1_000_000].map(|count| {
+    let compared = [10_000, 100_000, 1_000_000].map(|count| {
         let (predictions, truth) = spread_over_frames(count);
         let matching = Matching::new(&predictions, (&truth).into(), None);
         assert_eq!((matching.outcomes.len(), matching.truths), (count, count));
@@ -171,8 +179,8 @@ fn a_million_boxes_need_a_linear_number_of_comparisons() {
         assert!(hits * 2 > count && hits < count, "{hits} of {count}");
         matching.compared
     });
-    assert!(pairs[1] < 11 * pairs[0], "{pairs:?}");
-    assert!(pairs[2] < 11 * pairs[1], "{pairs:?}");
+    assert!(compared[1] < 11 * compared[0], "{compared:?}");
+    assert!(compared[2] < 11 * compared[1], "{compared:?}");
     // Boxes beside each other are not compared: far fewer than the 20 of a frame.
-    assert!(pairs[2] < 5 * 1_000_000, "{pairs:?}");
+    assert!(compared[2] < 5 * 1_000_000, "{compared:?}");
 }
