@@ -21,6 +21,20 @@ pub mod visdrone;
 pub use pass::{Pass, StepTimes};
 pub use truth::{GroundTruth, TruthFormat, vanilla_as_truth};
 
+use crate::boxes::ScoredBox;
+use crate::data::classes::Evaluated;
+use crate::error::EvalError;
+use crate::footage::FrameSelection;
+use crate::judge::{Ignored, Mark, only_unlabelled, unlabelled};
+use crate::text::counted;
+use albireo_core::detection::ClassId;
+use albireo_core::geometry::{Corners, PictureSize};
+use albireo_vision::picture::picture_files;
+use serde::Serialize;
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
 /// The rules by which boxes on marked places are judged.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
@@ -41,20 +55,6 @@ impl Rules {
         }
     }
 }
-
-use crate::boxes::ScoredBox;
-use crate::data::classes::Evaluated;
-use crate::error::EvalError;
-use crate::footage::FrameSelection;
-use crate::judge::{Ignored, Mark, only_unlabelled, unlabelled};
-use crate::text::counted;
-use albireo_core::detection::ClassId;
-use albireo_core::geometry::{Corners, PictureSize};
-use albireo_vision::picture::picture_files;
-use serde::Serialize;
-use std::borrow::Cow;
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
 
 /// A clip of a data set.
 #[derive(Clone, Debug, PartialEq)]
@@ -116,13 +116,13 @@ impl Clip {
         let Some(own) = self.frame_rate.filter(|own| *own > rate) else {
             return self;
         };
-        let selection = FrameSelection::new(own, rate);
-        let taken: Vec<bool> =
-            (0..self.frames).map(|frame| selection.takes(frame as u64)).collect();
         fn kept<T>(frames: Vec<T>, taken: &[bool]) -> Vec<T> {
             let frames = frames.into_iter().zip(taken).filter(|(_, taken)| **taken);
             frames.map(|(frame, _)| frame).collect()
         }
+        let selection = FrameSelection::new(own, rate);
+        let taken: Vec<bool> =
+            (0..self.frames).map(|frame| selection.takes(frame as u64)).collect();
         self.detections = self.detections.map(|frames| kept(frames, &taken));
         self.screen = self.screen.map(|frames| kept(frames, &taken));
         self.truth = self.truth.map(|frames| kept(frames, &taken));
@@ -213,8 +213,8 @@ pub struct LoadReport {
 impl LoadReport {
     /// Counts a row that is left out; `place` is called only for the first one with this reason.
     pub(crate) fn leave_out(&mut self, reason: LeftOut, place: impl FnOnce() -> String) {
-        let counted = self.left_out.entry(reason);
-        counted.or_insert_with(|| (0, place())).0 += 1;
+        let (count, _) = self.left_out.entry(reason).or_insert_with(|| (0, place()));
+        *count += 1;
     }
 
     /// Counts a row of a class outside the mapping.
@@ -432,10 +432,8 @@ impl DataSet {
 
 fn has_extension(path: &Path, wanted: &[&str]) -> bool {
     let extension = path.extension().and_then(|extension| extension.to_str());
-    extension.is_some_and(|extension| {
-        let mut wanted = wanted.iter();
-        wanted.any(|wanted| extension.eq_ignore_ascii_case(wanted))
-    })
+    extension
+        .is_some_and(|extension| wanted.iter().any(|wanted| extension.eq_ignore_ascii_case(wanted)))
 }
 
 /// Lists the JPEG and PNG files of a folder in order; none if the folder does not exist.

@@ -129,8 +129,14 @@ pub(super) fn read_as(source: &Source<'_>, classes: &Evaluated) -> Result<DataSe
         classes,
     };
     let report = &mut data.report;
-    let mut truths = source.truth.map(|path| reading.videos(path, false, report)).transpose()?;
-    let mut found = source.detections.map(|path| reading.videos(path, true, report)).transpose()?;
+    let mut truths = match source.truth {
+        Some(path) => Some(reading.videos(path, Kind::Truth, report)?),
+        None => None,
+    };
+    let mut found = match source.detections {
+        Some(path) => Some(reading.videos(path, Kind::Predictions, report)?),
+        None => None,
+    };
     let names: BTreeSet<String> = truths
         .iter()
         .flat_map(BTreeMap::keys)
@@ -150,11 +156,14 @@ pub(super) fn read_as(source: &Source<'_>, classes: &Evaluated) -> Result<DataSe
                 clip.places = truth.keys().copied().collect();
             }
             if truth.len() < length(Some(&truth)) {
-                let unlisted = (0..frames).filter(|frame| !truth.contains_key(frame));
-                unlisted.for_each(|frame| clip.ignore(frame, Ignored::UNLABELLED));
+                for unlisted in (0..frames).filter(|frame| !truth.contains_key(frame)) {
+                    clip.ignore(unlisted, Ignored::UNLABELLED);
+                }
             }
             for (frame, labelled) in &truth {
-                labelled.regions.iter().for_each(|region| clip.ignore(*frame, *region));
+                for region in &labelled.regions {
+                    clip.ignore(*frame, *region);
+                }
             }
             clip.truth = Some(spread(truth, frames));
         }
@@ -178,6 +187,14 @@ fn spread(by_index: BTreeMap<usize, Labelled>, frames: usize) -> Vec<Vec<ScoredB
     spread
 }
 
+/// What a file of labels contains.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    Truth,
+    /// Each label has a score.
+    Predictions,
+}
+
 /// What the reader of a file has to know beside it.
 #[derive(Clone, Copy)]
 struct Reading<'a> {
@@ -187,12 +204,7 @@ struct Reading<'a> {
 }
 
 impl Reading<'_> {
-    fn videos(
-        self,
-        path: &Path,
-        scored: bool,
-        report: &mut LoadReport,
-    ) -> Result<Videos, EvalError> {
+    fn videos(self, path: &Path, kind: Kind, report: &mut LoadReport) -> Result<Videos, EvalError> {
         let mut videos = Videos::new();
         for file in json_files(path)? {
             let text = read_text(&file, "give a JSON file of frames or a folder of them")?;
@@ -207,7 +219,11 @@ impl Reading<'_> {
             })?;
             let stem = file.file_stem().unwrap_or("clip".as_ref()).to_string_lossy();
             for (position, frame) in frames.into_iter().enumerate() {
-                let (video, index, is_by_name) = frame.place(&stem, position);
+                let FramePlace {
+                    video,
+                    index,
+                    is_by_name,
+                } = frame.place(&stem, position);
                 let place = videos.entry(video).or_default().entry(index);
                 let btree_map::Entry::Vacant(place) = place else {
                     let what = format!(
@@ -225,7 +241,7 @@ impl Reading<'_> {
                 }
                 place.insert(Labelled {
                     is_by_name,
-                    ..self.boxes(&file, &frame, scored, report)?
+                    ..self.boxes(&file, &frame, kind, report)?
                 });
             }
         }
@@ -237,7 +253,7 @@ impl Reading<'_> {
         self,
         file: &Path,
         frame: &Frame,
-        scored: bool,
+        kind: Kind,
         report: &mut LoadReport,
     ) -> Result<Labelled, EvalError> {
         let mut read = Labelled::default();
@@ -245,21 +261,21 @@ impl Reading<'_> {
             let Some(Box2d { x1, y1, x2, y2 }) = label.box2d else {
                 continue;
             };
-            let confidence = match label.score {
+            let confidence = match (kind, label.score) {
                 // Ground truth may have scores, too, which mean nothing.
-                _ if !scored => 1.0,
-                None => {
+                (Kind::Truth, _) => 1.0,
+                (Kind::Predictions, Some(score)) => score,
+                (Kind::Predictions, None) => {
                     let what = format!(
                         "frame {}, label {number} has no `score`: is this ground truth?",
                         frame.name
                     );
                     return Err(EvalError::content(file, what));
                 }
-                Some(score) => score,
             };
             let corners = Corners { x1, y1, x2, y2 };
             let place = || format!("{}, frame {}, label {number}", file.display(), frame.name);
-            if !scored && label.is_region(self.rules) {
+            if kind == Kind::Truth && label.is_region(self.rules) {
                 let region = report.mark(corners, None, Mark::Region, self.picture, place);
                 read.regions.extend(region);
                 continue;
@@ -277,22 +293,34 @@ impl Reading<'_> {
     }
 }
 
+/// The place of a frame.
+struct FramePlace {
+    video: String,
+    index: usize,
+    /// True if both are from the name of its picture.
+    is_by_name: bool,
+}
+
 impl Frame {
-    /// The video and the index of the frame, and true if both are from its picture's name. A file that names neither, such as the label file of the paper's authors, has
-    /// them in the names of its pictures: `<video>-<7 digits>.jpg`, counted from 1. Any other file is one video.
-    fn place(&self, file_stem: &str, position: usize) -> (String, usize, bool) {
+    /// Finds the place of the frame. A file that names neither video nor index, such as the label file of the paper's authors,
+    /// has them in the names of its pictures: `<video>-<7 digits>.jpg`, counted from 1. Any other file is one video.
+    fn place(&self, file_stem: &str, position: usize) -> FramePlace {
         let of_picture = self.name.rsplit_once('.').map_or(self.name.as_str(), |(stem, _)| stem);
         let by_name = of_picture.rsplit_once('-').and_then(|(video, number)| {
             let number = Some(number).filter(|number| number.len() == 7)?.parse::<usize>().ok()?;
             Some((video, number.checked_sub(1)?))
         });
         match (&self.video, by_name) {
-            (Some(video), _) => (video.clone(), self.index.unwrap_or(position), false),
-            (None, Some((video, number))) => {
-                let index = self.index.unwrap_or(number);
-                (video.to_owned(), index, self.index.is_none())
-            }
-            (None, None) => (file_stem.to_owned(), self.index.unwrap_or(position), false),
+            (None, Some((video, number))) => FramePlace {
+                video: video.to_owned(),
+                index: self.index.unwrap_or(number),
+                is_by_name: self.index.is_none(),
+            },
+            (video, _) => FramePlace {
+                video: video.as_deref().unwrap_or(file_stem).to_owned(),
+                index: self.index.unwrap_or(position),
+                is_by_name: false,
+            },
         }
     }
 }

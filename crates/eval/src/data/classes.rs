@@ -48,12 +48,12 @@ pub enum Evaluated {
 }
 
 impl Evaluated {
-    /// Returns what is evaluated of a model without ground truth: its own classes, but the six of COCO's eighty, and of a
-    /// model that has no others.
+    /// Returns what is evaluated of a model without ground truth: its own classes, except that a model with COCO's eighty, or
+    /// with no class beside the six, is evaluated with these six.
     pub fn of_model(names: &[String]) -> Self {
-        let named = || names.iter().filter(|name| !name.is_empty());
-        let are_all_six = named().all(|name| from_name(name).is_ok());
-        if are_of_coco(names) || are_all_six && named().next().is_some() {
+        let named: Vec<&String> = names.iter().filter(|name| !name.is_empty()).collect();
+        let are_all_six = !named.is_empty() && named.iter().all(|name| from_name(name).is_ok());
+        if are_of_coco(names) || are_all_six {
             Self::Road
         } else {
             Self::Own(names.into())

@@ -120,70 +120,64 @@ pub(super) fn read_as(
     classes: &Evaluated,
 ) -> Result<DataSet, EvalError> {
     let set: Dataset = parse(dataset, "give a COCO file with images and categories")?;
-    let categories: Categories = set
-        .categories
-        .iter()
-        .map(|category| {
-            (
-                category.id,
-                (category.name.as_str(), class_of(&category.name, classes)),
-            )
-        })
-        .collect();
+    let mut categories = Categories::new();
+    for Category { id, name } in &set.categories {
+        let class = class_of(name, classes);
+        categories.insert(*id, KnownCategory { name, class });
+    }
     let has_truth = set.annotations.is_some();
     let (mut drafts, places) = frames(dataset, &set, has_truth, results.is_some())?;
     let mut data = DataSet::default();
     let report = &mut data.report;
     let labelled = |annotation: &Annotation, confidence| {
-        let (class_name, class) = match categories.get(&annotation.category_id) {
-            Some((name, class)) => ((*name).into(), *class),
-            None => {
-                let name = format!("category {}", annotation.category_id);
-                (name.into(), Err(LeftOut::UnmappedClass))
-            }
-        };
+        let category = categories.get(&annotation.category_id);
         LabelledBox {
             corners: corners(annotation.bbox),
-            class,
-            class_name,
+            class: category.map_or(Err(LeftOut::UnmappedClass), |category| category.class),
+            class_name: match category {
+                Some(category) => category.name.into(),
+                None => format!("category {}", annotation.category_id).into(),
+            },
             confidence,
             object: annotation.track_id.or(annotation.instance_id),
         }
     };
     for (number, annotation) in set.annotations.iter().flatten().enumerate() {
-        let spot = || format!("{}, annotation {number}", dataset.display());
-        let (clip, frame) = place(dataset, &places, annotation, number)?;
-        let clip = &mut drafts[clip];
+        let entry = || format!("{}, annotation {number}", dataset.display());
+        let place = place(dataset, &places, annotation, number)?;
+        let clip = &mut drafts[place.clip];
         let labelled = labelled(annotation, 1.0);
-        let mark = match (annotation.iscrowd, annotation.ignore) {
-            (true, _) => Some(Mark::Crowd),
-            (false, true) => Some(Mark::Object),
-            (false, false) => None,
+        let mark = if annotation.iscrowd {
+            Some(Mark::Crowd)
+        } else if annotation.ignore {
+            Some(Mark::Object)
+        } else {
+            None
         };
         if let (Some(mark), Ok(class)) = (mark, labelled.class) {
-            let marked = report.mark(labelled.corners, Some(class), mark, clip.picture, spot);
+            let marked = report.mark(labelled.corners, Some(class), mark, clip.picture, entry);
             if let Some(marked) = marked {
-                clip.ignore(frame, marked);
+                clip.ignore(place.frame, marked);
             }
         } else {
-            let kept = report.keep(&labelled, clip.picture, spot);
+            let kept = report.keep(&labelled, clip.picture, entry);
             if let Some(truth) = &mut clip.truth {
-                truth[frame].extend(kept);
+                truth[place.frame].extend(kept);
             }
         }
     }
     if let Some(path) = results {
         let found: Vec<Annotation> = parse(path, "give a COCO list of results")?;
         for (number, result) in found.iter().enumerate() {
-            let spot = || format!("{}, result {number}", path.display());
-            let (clip, frame) = place(path, &places, result, number)?;
-            let clip = &mut drafts[clip];
+            let entry = || format!("{}, result {number}", path.display());
+            let place = place(path, &places, result, number)?;
+            let clip = &mut drafts[place.clip];
             let confidence = result.score.ok_or_else(|| {
                 EvalError::content(path, format!("result {number} has no `score`"))
             })?;
-            let kept = report.keep(&labelled(result, confidence), clip.picture, spot);
+            let kept = report.keep(&labelled(result, confidence), clip.picture, entry);
             if let Some(detections) = &mut clip.detections {
-                detections[frame].extend(kept);
+                detections[place.frame].extend(kept);
             }
         }
     }
@@ -194,10 +188,16 @@ pub(super) fn read_as(
     data.nonempty(dataset)
 }
 
-/// Each category's name and class, by its id.
-type Categories<'a> = HashMap<u64, (&'a str, Result<ClassId, LeftOut>)>;
+/// A category, and the class that it is.
+struct KnownCategory<'a> {
+    name: &'a str,
+    class: Result<ClassId, LeftOut>,
+}
 
-/// The class of a category: by its name, else by the name without what TAO and LVIS add to tell two meanings apart.
+/// The categories by their ids.
+type Categories<'a> = HashMap<u64, KnownCategory<'a>>;
+
+/// The class of a category: by its name, else by the name without the meaning that TAO and LVIS add in brackets.
 fn class_of(name: &str, classes: &Evaluated) -> Result<ClassId, LeftOut> {
     let plain = || name.split("_(").next().unwrap_or_default().replace('_', " ");
     classes.find(name).or_else(|_| classes.find(&plain()))
@@ -213,30 +213,30 @@ fn mark_other_classes(
 ) -> usize {
     let mut labelled: HashMap<usize, BTreeSet<u64>> = HashMap::new();
     for annotation in set.annotations.iter().flatten() {
-        if let Some((clip, _)) = places.get(&annotation.image_id) {
-            labelled.entry(*clip).or_default().insert(annotation.category_id);
+        if let Some(place) = places.get(&annotation.image_id) {
+            labelled.entry(place.clip).or_default().insert(annotation.category_id);
         }
     }
     let mut clip_of_video = HashMap::new();
     for image in &set.images {
-        if let (Some(video), Some((clip, _))) = (image.video_id, places.get(&image.id)) {
-            clip_of_video.insert(video, *clip);
+        if let (Some(video), Some(place)) = (image.video_id, places.get(&image.id)) {
+            clip_of_video.insert(video, place.clip);
         }
     }
-    let class_by_id = |id: &u64| categories.get(id).and_then(|(_, class)| class.ok());
+    let class_by_id = |id: &u64| categories.get(id)?.class.ok();
     let all: BTreeSet<ClassId> = categories.keys().filter_map(class_by_id).collect();
     let mut limited = 0;
     for video in &set.videos {
-        let (Some(absent), Some(&place)) = (&video.neg_category_ids, clip_of_video.get(&video.id))
+        let (Some(absent), Some(&clip)) = (&video.neg_category_ids, clip_of_video.get(&video.id))
         else {
             continue;
         };
-        let mut judged = labelled.remove(&place).unwrap_or_default();
+        let mut judged = labelled.remove(&clip).unwrap_or_default();
         judged.extend(absent);
         judged.retain(|id| !video.not_exhaustive_category_ids.contains(id));
         let judged: BTreeSet<ClassId> = judged.iter().filter_map(class_by_id).collect();
         let others: BTreeSet<ClassId> = all.difference(&judged).copied().collect();
-        let clip = &mut drafts[place];
+        let clip = &mut drafts[clip];
         let corners = Corners {
             x1: 0.0,
             y1: 0.0,
@@ -275,15 +275,22 @@ fn corners([x, y, width, height]: [f64; 4]) -> Corners {
     }
 }
 
-/// The clip and frame of each image, by the image's id.
-type Places = HashMap<u64, (usize, usize)>;
+/// The place of an image: the clip by its index, and the frame.
+#[derive(Clone, Copy)]
+struct Place {
+    clip: usize,
+    frame: usize,
+}
+
+/// The place of each image, by the image's id.
+type Places = HashMap<u64, Place>;
 
 fn place(
     path: &Path,
     places: &Places,
     annotation: &Annotation,
     number: usize,
-) -> Result<(usize, usize), EvalError> {
+) -> Result<Place, EvalError> {
     places.get(&annotation.image_id).copied().ok_or_else(|| {
         EvalError::content(
             path,
@@ -338,7 +345,8 @@ fn frames(
                     ),
                 ));
             }
-            places.insert(image.id, (clips.len(), frame));
+            let clip = clips.len();
+            places.insert(image.id, Place { clip, frame });
         }
         let numbers = images.iter().map(|image| {
             let number = image.number()?.checked_sub(first)?;

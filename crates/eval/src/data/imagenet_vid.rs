@@ -156,10 +156,9 @@ fn labelled_box<'a>(
     file: &Path,
 ) -> Result<LabelledBox<'a>, EvalError> {
     let written = child(object, "name", file)?.text().unwrap_or_default().trim();
-    let known = CLASSES.iter().find(|(number, name, _)| [*number, *name].contains(&written));
-    let names = known.map_or([written, written, written], |(number, name, coco)| {
-        [number, name, coco]
-    });
+    let known = CLASSES.iter().find(|(wordnet, name, _)| [*wordnet, *name].contains(&written));
+    // A name that the data set does not have can still be a class of the user's own model.
+    let (wordnet, name, coco) = known.copied().unwrap_or((written, written, ""));
     let place = child(object, "bndbox", file)?;
     Ok(LabelledBox {
         corners: Corners {
@@ -168,12 +167,12 @@ fn labelled_box<'a>(
             x2: number(place, "xmax", file)?,
             y2: number(place, "ymax", file)?,
         },
-        class: names
-            .iter()
+        class: [wordnet, name, coco]
+            .into_iter()
             .filter(|name| !name.is_empty())
             .find_map(|name| classes.find(name).ok())
             .ok_or(LeftOut::UnmappedClass),
-        class_name: names[1].into(),
+        class_name: name.into(),
         confidence: 1.0,
         object: child(object, "trackid", file)?.text().and_then(|id| id.trim().parse().ok()),
     })

@@ -76,9 +76,8 @@ fn read_sequence(folder: &Path, report: &mut LoadReport) -> Result<Clip, EvalErr
             for label in labels {
                 match label {
                     TruthLine::Object(object) => truth[frame].extend(object),
-                    TruthLine::Marked(marked) => {
-                        marked.into_iter().for_each(|marked| clip.ignore(frame, marked));
-                    }
+                    TruthLine::Marked(Some(marked)) => clip.ignore(frame, marked),
+                    TruthLine::Marked(None) => {}
                 }
             }
         }

@@ -29,6 +29,7 @@ const DETECTION_HEADER: &str = "frame,x1,y1,x2,y2,score,class";
 const TRUTH_HEADER: &str = "frame,x1,y1,x2,y2,class,object_id";
 const REGION_HEADER: &str = "frame,x1,y1,x2,y2";
 const IGNORED_HEADER: &str = "frame,x1,y1,x2,y2,class,mark";
+const SCREEN_HEADER: &str = "frame,empty";
 
 /// The rules by their names in a table.
 const MARKS: [(Mark, &str); 6] = [
@@ -39,7 +40,6 @@ const MARKS: [(Mark, &str); 6] = [
     (Mark::Unjudged, "unjudged"),
     (Mark::Unlabelled, "unlabelled"),
 ];
-const SCREEN_HEADER: &str = "frame,empty";
 
 #[derive(Serialize, Deserialize)]
 struct Index {
@@ -161,17 +161,16 @@ fn read_sequence(folder: &Path, entry: Entry, report: &mut LoadReport) -> Result
         })?;
     }
     let verdicts = table("screen", SCREEN_HEADER);
-    let screen = verdicts
-        .path
-        .exists()
-        .then(|| verdicts.read(help, screen_verdict))
-        .transpose()?;
+    let mut screen = None;
+    if verdicts.path.exists() {
+        let frames = verdicts.read(help, screen_verdict)?;
+        screen = Some(frames.iter().map(|verdict| verdict.first().copied()).collect());
+    }
     Ok(Clip {
         frame_rate: entry.fps,
         detections: Some(detections),
         truth,
-        screen: screen
-            .map(|frames| frames.iter().map(|verdict| verdict.first().copied()).collect()),
+        screen,
         ignored,
         camera: entry.camera,
         ..Clip::new(entry.name, picture, entry.frames)
@@ -223,11 +222,11 @@ fn marked(row: &Row<'_>, has_mark: bool) -> Result<Ignored, EvalError> {
 fn ignored_table(ignored: &[Vec<Ignored>]) -> String {
     let is_plain = |ignored: &Ignored| ignored.mark == Mark::Region && ignored.class.is_none();
     if ignored.iter().flatten().all(is_plain) {
-        return table(REGION_HEADER, ignored, |region: &Ignored| {
+        return formatted(REGION_HEADER, ignored, |region: &Ignored| {
             cells(region.corners)
         });
     }
-    table(IGNORED_HEADER, ignored, |place: &Ignored| {
+    formatted(IGNORED_HEADER, ignored, |place: &Ignored| {
         let class = place.class.map_or(-1, |class| i32::from(class.0));
         let mark = MARKS.iter().find(|(mark, _)| *mark == place.mark);
         format!(
@@ -305,32 +304,32 @@ fn write_index(folder: &Path, clips: &[Clip]) -> Result<(), EvalError> {
 
 /// Writes what a clip has, a table of each kind.
 fn write_tables(folder: &Path, clip: &Clip) -> Result<(), EvalError> {
-    let put = |kind: &str, text| put(&table_path(folder, kind, &clip.name), text);
+    let replace = |kind: &str, text| replace_file(&table_path(folder, kind, &clip.name), text);
     let found = clip.detections.as_deref().unwrap_or_default();
-    let detections = table(DETECTION_HEADER, found, |found| {
+    let detections = formatted(DETECTION_HEADER, found, |found| {
         let corners = cells(found.corners);
         format!("{corners},{},{}", found.confidence, found.class.0)
     });
-    put("detections", Some(detections))?;
+    replace("detections", Some(detections))?;
     let truth = clip.truth.as_deref().map(|truth| {
-        table(TRUTH_HEADER, truth, |known| {
+        formatted(TRUTH_HEADER, truth, |known| {
             let object = known.object.map_or(-1, |object| object as i64);
             format!("{},{},{object}", cells(known.corners), known.class.0)
         })
     });
-    put("groundtruth", truth)?;
+    replace("groundtruth", truth)?;
     let ignored = (!clip.ignored.is_empty()).then(|| ignored_table(&clip.ignored));
-    put("ignore", ignored)?;
+    replace("ignore", ignored)?;
     let verdicts = clip.screen.as_deref().map(|verdicts| {
-        table(SCREEN_HEADER, verdicts, |empty| {
+        formatted(SCREEN_HEADER, verdicts, |empty| {
             u8::from(*empty).to_string()
         })
     });
-    put("screen", verdicts)
+    replace("screen", verdicts)
 }
 
 /// Formats a table with one row per entry: the frame's number, then what `row` returns for the entry.
-fn table<'a, T: 'a, F>(header: &str, frames: &'a [F], row: impl Fn(&T) -> String) -> String
+fn formatted<'a, T: 'a, F>(header: &str, frames: &'a [F], row: impl Fn(&T) -> String) -> String
 where
     &'a F: IntoIterator<Item = &'a T>,
 {
@@ -342,12 +341,12 @@ where
     std::iter::once(format!("{header}\n")).chain(rows).collect()
 }
 
-fn cells(b: Corners) -> String {
-    format!("{},{},{},{}", b.x1, b.y1, b.x2, b.y2)
+fn cells(Corners { x1, y1, x2, y2 }: Corners) -> String {
+    format!("{x1},{y1},{x2},{y2}")
 }
 
 /// Writes a table, or removes that of an earlier run, which would otherwise be read as this clip's.
-fn put(path: &Path, text: Option<String>) -> Result<(), EvalError> {
+fn replace_file(path: &Path, text: Option<String>) -> Result<(), EvalError> {
     let Some(text) = text else {
         return match std::fs::remove_file(path) {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => {

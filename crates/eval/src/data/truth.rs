@@ -43,9 +43,17 @@ const UNKNOWN_SIZE: PictureSize = PictureSize::new(u32::MAX, u32::MAX);
 pub struct GroundTruth {
     format: TruthFormat,
     classes: Evaluated,
-    /// The ground truth by the clip's name, and the number of its file.
-    clips: BTreeMap<String, (usize, Clip)>,
+    /// The ground truth by the clip's name.
+    clips: BTreeMap<String, ClipTruth>,
     files: Vec<TruthFile>,
+}
+
+/// The ground truth of a clip.
+#[derive(Clone, Debug)]
+struct ClipTruth {
+    /// The index of its file.
+    file: usize,
+    clip: Clip,
 }
 
 /// A file or folder of ground truth.
@@ -101,7 +109,7 @@ impl GroundTruth {
     /// wrong. Refuses ground truth of which no box has a class of the model.
     fn of_both(mut self, names: &[String]) -> Result<Self, EvalError> {
         let mut labelled: BTreeSet<usize> = BTreeSet::new();
-        for (_, clip) in self.clips.values() {
+        for ClipTruth { clip, .. } in self.clips.values() {
             let objects = clip.truth.iter().flatten().flatten().map(|object| object.class);
             let marks = clip.ignored.iter().flatten().filter_map(|ignored| ignored.class);
             labelled.extend(objects.chain(marks).map(|class| usize::from(class.0)));
@@ -144,7 +152,8 @@ impl GroundTruth {
         for path in paths {
             let data = read(path, format, rules, classes)?.judged_by(rules, None);
             for clip in data.clips {
-                clips.entry(clip.name.clone()).or_insert((files.len(), clip));
+                let file = files.len();
+                clips.entry(clip.name.clone()).or_insert(ClipTruth { file, clip });
             }
             files.push(TruthFile {
                 path: path.clone(),
@@ -153,7 +162,7 @@ impl GroundTruth {
         }
         // A recording says itself whose classes its numbers are.
         let classes = match clips.values().next() {
-            Some((_, clip)) if format == TruthFormat::Recorded => clip.classes.clone(),
+            Some(first) if format == TruthFormat::Recorded => first.clip.classes.clone(),
             _ => classes.clone(),
         };
         Ok(Self {
@@ -169,8 +178,8 @@ impl GroundTruth {
     /// # Errors
     /// [`EvalError`] when it is for none of them.
     pub fn check(&self, names: &[String]) -> Result<(), EvalError> {
-        let alone = self.clips.len() == 1 && names.len() == 1;
-        if alone || names.iter().any(|name| self.has(name, false)) {
+        let alone = names.len() == 1;
+        if names.iter().any(|name| self.has(name, alone)) {
             return Ok(());
         }
         let truths: Vec<&str> = self.clips.keys().map(String::as_str).take(8).collect();
@@ -189,8 +198,8 @@ impl GroundTruth {
     /// The frames per second of the clip `name`, if the ground truth knows them; `alone` as for
     /// [`attach_to`](Self::attach_to).
     pub fn rate(&self, name: &str, alone: bool) -> Option<f64> {
-        let (_, clip) = &self.clips[self.name_of(name, alone)?];
-        clip.frame_rate
+        let found = &self.clips[self.name_of(name, alone)?];
+        found.clip.frame_rate
     }
 
     /// The name under which the ground truth of the clip `name` is stored: COCO's files name a clip by its folder and the
@@ -206,9 +215,10 @@ impl GroundTruth {
             return None;
         }
         let ending = format!("-{name}");
-        let mut ending_so = self.clips.keys().filter(|key| key.ends_with(&ending));
-        match (ending_so.next(), ending_so.next()) {
-            (Some(only), None) => Some(only.as_str()),
+        let with_ending: Vec<&String> =
+            self.clips.keys().filter(|key| key.ends_with(&ending)).collect();
+        match with_ending.as_slice() {
+            [only] => Some(only.as_str()),
             _ => None,
         }
     }
@@ -238,7 +248,7 @@ impl GroundTruth {
         let Some(name) = self.name_of(&clip.name, alone).map(str::to_owned) else {
             return Ok(());
         };
-        let (file, found) = &self.clips[&name];
+        let ClipTruth { file, clip: found } = &self.clips[&name];
         let file = &mut self.files[*file];
         let wrong = |what: String| {
             let path = file.path.display();
@@ -292,14 +302,15 @@ impl GroundTruth {
         objects.resize(pictures, Vec::new());
         let mut truth = usable(objects, &clip.unusable);
         if !knows_its_pictures(self.format) {
-            for (frame, known) in truth.iter_mut().enumerate() {
-                known.retain(|known| {
-                    let reason = report.check(known.corners, clip.picture);
-                    if let Some(reason) = reason {
-                        report.leave_out(reason, || format!("ground truth, frame {frame}"));
+            for (frame, objects) in truth.iter_mut().enumerate() {
+                for object in std::mem::take(objects) {
+                    match report.check(object.corners, clip.picture) {
+                        Some(reason) => {
+                            report.leave_out(reason, || format!("ground truth, frame {frame}"));
+                        }
+                        None => objects.push(object),
                     }
-                    reason.is_none()
-                });
+                }
             }
         }
         clip.truth = Some(truth);
@@ -407,7 +418,8 @@ fn read(
 /// Adds the counts of a reader of ground truth. Its notes are about detections, which ground truth does not have.
 fn merge(report: &mut LoadReport, other: LoadReport) {
     for (reason, (count, place)) in other.left_out {
-        report.left_out.entry(reason).or_insert((0, place)).0 += count;
+        let (total, _) = report.left_out.entry(reason).or_insert((0, place));
+        *total += count;
     }
     for (class, count) in other.unmapped_classes {
         *report.unmapped_classes.entry(class).or_default() += count;

@@ -1,0 +1,258 @@
+//! Ground truth belongs to the right frames and classes of a clip, or is refused.
+
+use super::super::*;
+use super::{assert_refused, folder};
+use crate::judge::{Classes, Interpolation, Truth, accuracy};
+use tempfile::TempDir;
+
+/// The truth of `files` in this layout for a model with these classes.
+fn for_model(
+    files: &TempDir,
+    path: &str,
+    format: TruthFormat,
+    names: &[&str],
+) -> Result<GroundTruth, EvalError> {
+    let names: Vec<String> = names.iter().map(|&name| name.to_owned()).collect();
+    GroundTruth::for_model(&[files.path().join(path)], format, Rules::Benchmark, &names)
+}
+
+/// A clip with its ground truth, of which nothing says that it is the only one.
+fn attached(
+    truth: &mut GroundTruth,
+    name: &str,
+    size: [u32; 2],
+    pictures: usize,
+) -> Result<Clip, EvalError> {
+    let [width, height] = size;
+    let picture = PictureSize::new(width, height);
+    let mut clip = Clip::new(name.to_owned(), picture, pictures);
+    let alone = false;
+    let mut report = LoadReport::default();
+    truth.attach_to(&mut clip, alone, Some(pictures), &mut report)?;
+    Ok(clip)
+}
+
+/// The frames that somebody labelled.
+fn labelled_frames(clip: &Clip) -> Vec<usize> {
+    let is_labelled = |frame: &usize| {
+        clip.ignored
+            .get(*frame)
+            .is_none_or(|marks| !marks.contains(&Ignored::UNLABELLED))
+    };
+    (0..clip.frames).filter(is_labelled).collect()
+}
+
+/// The labels of a frame of ImageNet-VID, with these objects: their class and left edge.
+fn imagenet_vid(objects: &[(&str, u32)]) -> String {
+    let object = |(name, left): &(&str, u32)| {
+        format!(
+            "<object><trackid>3</trackid><name>{name}</name><bndbox><xmax>{}</xmax><xmin>{left}</xmin>\
+             <ymax>90</ymax><ymin>20</ymin></bndbox><occluded>0</occluded><generated>0</generated></object>",
+            left + 50
+        )
+    };
+    let objects: String = objects.iter().map(object).collect();
+    format!(
+        "<annotation><folder>a</folder><filename>000000</filename><source><database>ILSVRC_2015</database></source>\
+         <size><width>640</width><height>360</height></size>{objects}</annotation>"
+    )
+}
+
+#[test]
+fn imagenet_vid_tells_unlabelled_frames_from_empty_ones_and_knows_wordnets_numbers() {
+    let cat_and_antelope = imagenet_vid(&[("n02121808", 10), ("n02419796", 200)]);
+    let nothing = imagenet_vid(&[]);
+    let zebra = imagenet_vid(&[("n02391049", 10)]);
+    let files = folder(&[
+        ("val/a/000000.xml", &cat_and_antelope),
+        ("val/a/000002.xml", &nothing),
+        ("val/b/000000.xml", &zebra),
+    ]);
+    let names = ["zebra", "cat", "kite"];
+    let mut truth = for_model(&files, "val", TruthFormat::ImageNetVid, &names).unwrap();
+    assert_eq!(
+        truth.take_report().unmapped_classes,
+        [("antelope".to_owned(), 1)].into()
+    );
+    // No label is a kite, so no box of one can be right.
+    let kite = truth.classes().find("kite");
+    assert_eq!(kite, Err(LeftOut::UnmappedClass));
+    let clip = attached(&mut truth, "a", [640, 360], 5).unwrap();
+    let objects = clip.truth.as_ref().unwrap();
+    let [cat] = objects[0].as_slice() else {
+        panic!("{objects:?}");
+    };
+    assert_eq!(cat.class, ClassId(1));
+    assert_eq!(cat.object, Some(3));
+    assert_eq!(cat.corners.x2, 60.0);
+    // The second frame has no file, the third has one without objects, and the last two have none either.
+    assert_eq!(labelled_frames(&clip), [0, 2]);
+    let refused = attached(&mut truth, "a", [640, 360], 2).unwrap_err().to_string();
+    assert!(refused.contains("3 frames, the clip has 2"), "{refused}");
+    let refused = attached(&mut truth, "a", [64, 36], 5).unwrap_err().to_string();
+    assert!(refused.contains("640x360"), "{refused}");
+    let refused = for_model(&files, "val", TruthFormat::ImageNetVid, &["helmet"])
+        .unwrap_err()
+        .to_string();
+    assert!(
+        refused.contains("antelope") && refused.contains("helmet"),
+        "{refused}"
+    );
+    for (text, part) in [
+        ("<annotation>", "000000.xml"),
+        ("<annotation/>", "no <size>"),
+    ] {
+        let files = folder(&[("val/a/000000.xml", text)]);
+        assert_refused(imagenet_vid::read(&files.path().join("val")), &[part]);
+    }
+}
+
+#[test]
+fn labels_of_a_video_that_list_some_frames_leave_the_others_unjudged() {
+    let frame = |index: usize| {
+        format!(
+            r#"{{"name": "{index}", "videoName": "drive", "frameIndex": {index}, "labels": [
+            {{"category": "car", "box2d": {{"x1": 1, "y1": 2, "x2": 30, "y2": 40}}}}]}}"#
+        )
+    };
+    let list = |frames: &[usize]| {
+        let frames: Vec<String> = frames.iter().map(|index| frame(*index)).collect();
+        format!("[{}]", frames.join(","))
+    };
+    let read = |text: &str, pictures| {
+        let files = folder(&[("drive.json", text)]);
+        let mut truth = for_model(&files, "drive.json", TruthFormat::Bdd100k, &["car"]).unwrap();
+        attached(&mut truth, "drive", [640, 360], pictures)
+    };
+    let sparse = list(&[0, 30, 60]);
+    assert_eq!(labelled_frames(&read(&sparse, 90).unwrap()), [0, 30, 60]);
+    // The authors' labels name pictures, and leave out those without objects, the last ones, too.
+    let named = |place: usize| format!(r#"{{"name": "drive-{place:07}.jpg", "labels": []}}"#);
+    let named = format!("[{}, {}]", named(1), named(2));
+    assert_eq!(labelled_frames(&read(&named, 4).unwrap()), [0, 1]);
+    // Labels of all frames say how many there are.
+    let all = list(&[0, 1, 2]);
+    assert_eq!(labelled_frames(&read(&all, 3).unwrap()), [0, 1, 2]);
+    let refused = read(&all, 4).unwrap_err().to_string();
+    assert!(refused.contains("3 frames, the clip has 4"), "{refused}");
+}
+
+#[test]
+fn images_of_coco_are_frames_of_their_video_by_their_number_if_it_has_more() {
+    let set = |with_numbers: bool| {
+        let image = |id: usize, place: usize| {
+            let number = if with_numbers {
+                format!(r#""frame_index": {place},"#)
+            } else {
+                String::new()
+            };
+            let file = format!("train/YFCC/v_1/frame{:04}.jpg", place + 1);
+            format!(
+                r#"{{"id": {id}, "video_id": 7, {number} "file_name": "{file}", "width": 100, "height": 50}}"#
+            )
+        };
+        format!(
+            r#"{{"images": [{}, {}], "videos": [{{"id": 7, "name": "train/YFCC/v_1"}}],
+            "categories": [{{"id": 3, "name": "car"}}, {{"id": 4, "name": "bus"}}],
+            "annotations": [{{"image_id": 2, "category_id": 3, "track_id": 5, "instance_id": 5,
+                "bbox": [1, 2, 10, 20]}}]}}"#,
+            image(1, 0),
+            image(2, 30)
+        )
+    };
+    let files = folder(&[("set.json", &set(true)), ("unnumbered.json", &set(false))]);
+    let truth = |file| for_model(&files, file, TruthFormat::Coco, &["car", "bus"]).unwrap();
+    let clip = attached(&mut truth("set.json"), "v_1", [100, 50], 40).unwrap();
+    assert_eq!(labelled_frames(&clip), [0, 30]);
+    assert_eq!(clip.truth.as_ref().unwrap()[30].len(), 1);
+    // A folder with the labelled pictures alone has them in their order.
+    let clip = attached(&mut truth("set.json"), "v_1", [100, 50], 2).unwrap();
+    assert_eq!((labelled_frames(&clip), clip.unlabelled()), (vec![0, 1], 0));
+    let refused = attached(&mut truth("set.json"), "v_1", [100, 50], 20).unwrap_err();
+    assert!(
+        refused.to_string().contains("31 frames, the clip has 20"),
+        "{refused}"
+    );
+    let refused = attached(&mut truth("unnumbered.json"), "v_1", [100, 50], 40).unwrap_err();
+    assert!(refused.to_string().contains("no frame_id"), "{refused}");
+}
+
+#[test]
+fn a_video_of_tao_is_judged_by_the_classes_that_it_is_labelled_for() {
+    let set = r#"{"images": [{"id": 1, "video_id": 7, "width": 100, "height": 50},
+        {"id": 2, "video_id": 8, "width": 100, "height": 50}],
+        "videos": [{"id": 7, "name": "a", "neg_category_ids": [5], "not_exhaustive_category_ids": [4]},
+        {"id": 8, "name": "b"}],
+        "categories": [{"id": 3, "name": "car_(automobile)"}, {"id": 4, "name": "person"},
+        {"id": 5, "name": "bus_(vehicle)"}, {"id": 6, "name": "dog"}],
+        "annotations": [{"image_id": 1, "category_id": 3, "bbox": [1, 2, 10, 20]},
+        {"image_id": 1, "category_id": 4, "bbox": [50, 2, 10, 20]}]}"#;
+    let files = folder(&[("set.json", set)]);
+    let names = ["car", "person", "bus", "dog"];
+    let mut truth = for_model(&files, "set.json", TruthFormat::Coco, &names).unwrap();
+    let said = truth.clone().take_report().lines().join("\n");
+    assert!(
+        said.contains("labelled for some classes only: 1 clip;"),
+        "{said}"
+    );
+    let clip = attached(&mut truth, "a", [100, 50], 1).unwrap();
+    let marked: Vec<_> = clip.ignored[0].iter().filter_map(|ignored| ignored.class).collect();
+    // Persons are not all labelled, and nobody looked for dogs.
+    assert_eq!(marked, [ClassId(1), ClassId(3)]);
+    assert_eq!(clip.truth.as_ref().unwrap()[0].len(), 2);
+    // AP@50 of the right boxes and a surer one of this class beside them.
+    let judged = |class: u16| {
+        let beside = ScoredBox {
+            corners: Corners {
+                x1: 80.0,
+                y1: 30.0,
+                x2: 95.0,
+                y2: 45.0,
+            },
+            class: ClassId(class),
+            confidence: 0.99,
+            object: None,
+        };
+        let mut found = clip.truth.clone().unwrap();
+        for found in &mut found[0] {
+            found.confidence = 0.5;
+        }
+        found[0].push(beside);
+        let truth = Truth {
+            objects: clip.truth.as_deref().unwrap(),
+            ignored: &clip.ignored,
+        };
+        accuracy(&found, truth, Classes::Pooled, Interpolation::AllPoints).unwrap().ap50
+    };
+    let is_excused = [0, 1, 2, 3].map(|class| judged(class) == 1.0);
+    assert_eq!(is_excused, [false, true, false, true]);
+    let clip = attached(&mut truth, "b", [100, 50], 1).unwrap();
+    assert!(clip.ignored.iter().all(Vec::is_empty));
+}
+
+#[test]
+fn a_model_without_any_class_of_the_ground_truth_is_refused_in_every_layout() {
+    let files = folder(&[
+        ("annotations/uav.txt", "1,1,10,20,30,40,1,5,0,0\n"),
+        (
+            "label_02/0007.txt",
+            "0 1 Van 0 0 -1.5 10 20 60 80 1 1 1 1 1 1 0\n",
+        ),
+        (
+            "l.json",
+            r#"[{"name": "a", "labels": [{"category": "car", "box2d": {"x1": 1, "y1": 2, "x2": 30, "y2": 40}}]}]"#,
+        ),
+    ]);
+    for (path, format) in [
+        ("", TruthFormat::VisDrone),
+        ("", TruthFormat::Kitti),
+        ("l.json", TruthFormat::Bdd100k),
+    ] {
+        let refused = for_model(&files, path, format, &["helmet", "vest"]).unwrap_err().to_string();
+        assert!(
+            refused.contains("person, bicycle") && refused.contains("helmet"),
+            "{refused}"
+        );
+        for_model(&files, path, format, &["helmet", "car"]).unwrap();
+    }
+}

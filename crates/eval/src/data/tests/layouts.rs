@@ -1,0 +1,227 @@
+//! Each layout of a benchmark is read with its own counting, classes and marks.
+
+use super::super::*;
+use super::{assert_refused, folder};
+use crate::data::classes::{CAR, PERSON};
+
+const SEQINFO: &str =
+    "[Sequence]\nname=M\nimDir=img1\nframeRate=30\nseqLength=2\nimWidth=640\nimHeight=480\n";
+
+#[test]
+fn mot_challenge_counts_frames_and_pixels_from_one_and_knows_both_releases() {
+    let truth = "1,4,11,21,10,20,1,1,1.0\n2,4,11,21,10,20,0,1,1.0\n2,5,11,21,10,20,1,8,1\n2,6,1,1,5,5,1,6,1\n\
+                 1,7,11,21,10,20,1,3.5,4.5,-1\n";
+    let files = folder(&[
+        ("train/M/seqinfo.ini", SEQINFO),
+        ("train/M/gt/gt.txt", truth),
+        ("train/M/det/det.txt", "2,-1,11,21,10,20,0.8,-1,-1,-1\n"),
+        ("train/M/img1/000002.jpg", ""),
+        ("train/M/img1/000001.jpg", ""),
+    ]);
+    let clips = mot_challenge::read(&files.path().join("train")).unwrap();
+    let clip = &clips.clips[0];
+    assert_eq!((clip.name.as_str(), clip.frames), ("M", 2));
+    assert_eq!(clip.frame_rate, Some(30.0));
+    assert!(clip.pictures[0].ends_with("000001.jpg"));
+    let truth = clip.truth.as_ref().unwrap();
+    let objects: Vec<_> = truth[0].iter().map(|b| (b.object, b.class)).collect();
+    assert_eq!(objects, [(Some(4), PERSON), (Some(7), PERSON)]);
+    let c = truth[0][0].corners;
+    assert_eq!([c.x1, c.y1, c.x2, c.y2], [10.0, 20.0, 20.0, 40.0]);
+    assert!(truth[1].is_empty());
+    let marks: Vec<_> = clip.ignored[1].iter().map(|ignored| ignored.mark).collect();
+    assert_eq!(marks, [Mark::Unjudged, Mark::Distractor]);
+    assert_eq!(clips.report.left_out[&LeftOut::IgnoredRegion].0, 1);
+    assert_eq!(clips.report.left_out[&LeftOut::Unjudged].0, 1);
+    assert_eq!(clips.report.unmapped_classes["6"], 1);
+    assert_eq!(clip.detections.as_ref().unwrap()[1][0].confidence, 0.8);
+    let broken = folder(&[("seqinfo.ini", SEQINFO), ("gt/gt.txt", "1,4,11\n")]);
+    assert_refused(mot_challenge::read(broken.path()), &["gt.txt:1: "]);
+}
+
+#[test]
+fn mot_challenge_excuses_its_distractors_and_vehicles_only_for_vehicles() {
+    // Classes 1 to 13, each marked as the benchmark's own files do.
+    let rows: String = (1..=13)
+        .map(|class| {
+            format!(
+                "1,{class},11,21,10,20,{},{class},1\n",
+                i32::from(class == 1)
+            )
+        })
+        .collect();
+    let read = |name: &str| {
+        let info = SEQINFO.replace("name=M", &format!("name={name}"));
+        let files = folder(&[("seqinfo.ini", &info), ("gt/gt.txt", &rows)]);
+        let data = mot_challenge::read(files.path()).unwrap();
+        let clip = data.clips.into_iter().next().unwrap();
+        assert_eq!(clip.truth.unwrap()[0].len(), 1);
+        let marks = clip.ignored[0].iter().map(|ignored| (ignored.mark, ignored.class));
+        marks.collect::<Vec<_>>()
+    };
+    let vehicles = |number| (Mark::Distractor, Some(ClassId(number)));
+    let any = (Mark::Distractor, None);
+    let unjudged = (Mark::Unjudged, None);
+    // Person on a vehicle, car, bicycle, motorcycle; static person, distractor, three occluders, reflection, crowd.
+    let [car, bicycle, motorcycle] = [2, 1, 3].map(vehicles);
+    let expected = [
+        any, car, bicycle, motorcycle, any, any, unjudged, unjudged, unjudged, any, unjudged,
+    ];
+    assert_eq!(read("MOT17-02"), expected);
+    // Since 2020 vehicles without motor are distractors, too.
+    let with_vehicles = [&expected[..4], &[any], &expected[4..]].concat();
+    assert_eq!(read("MOT20-01"), with_vehicles);
+}
+
+#[test]
+fn visdrone_marks_regions_others_and_objects_of_score_zero() {
+    let rows = "1,0,0,0,100,50,0,0,0,0\n1,1,10,20,30,40,1,5,0,0\n2,2,10,20,30,40,0,1,0,0\n\
+                2,3,10,20,30,40,1,11,0,0\n2,4,10,20,30,40,1,7,0,0\n";
+    let files = folder(&[("annotations/uav.txt", rows)]);
+    let data = visdrone::read(files.path(), PictureSize::new(640, 360)).unwrap();
+    let clip = &data.clips[0];
+    assert_eq!((clip.name.as_str(), clip.frames), ("uav", 2));
+    let truth = clip.truth.as_ref().unwrap();
+    assert_eq!((truth[0][0].class, truth[0][0].object), (CAR, Some(1)));
+    assert_eq!(truth[0][0].corners.x2, 40.0);
+    assert!(truth[1].is_empty());
+    let regions: Vec<usize> = clip.ignored.iter().map(Vec::len).collect();
+    assert_eq!(regions, [1, 2]);
+    assert_eq!(data.report.unmapped_classes["tricycle"], 1);
+}
+
+#[test]
+fn kitti_tracking_maps_its_types_and_counts_dropped_ones() {
+    let label = "0 1 Van 0 0 -1.5 10 20 60 80 1 1 1 1 1 1 0\n\
+                 0 -1 DontCare -1 -1 -10 1 1 5 5 -1 -1 -1 -1 -1 -1 -1\n\
+                 2 2 Tram 0 0 -1.5 10 20 60 80 1 1 1 1 1 1 0\n\
+                 2 3 Cyclist 0 0 -1.5 10 20 60 80 1 1 1 1 1 1 0\n";
+    let found = "3 -1 Car 0 0 0 10 20 60 80 1 1 1 1 1 1 0 0.75\n";
+    let files = folder(&[("label_02/0007.txt", label), ("det_02/0007.txt", found)]);
+    let clips = kitti::read(files.path()).unwrap();
+    let clip = &clips.clips[0];
+    assert_eq!((clip.name.as_str(), clip.frames), ("0007", 4));
+    let truth = clip.truth.as_ref().unwrap();
+    assert_eq!(truth[0][0].class, CAR);
+    assert_eq!(truth[2].len(), 1);
+    assert_eq!(clip.detections.as_ref().unwrap()[3][0].confidence, 0.75);
+    let regions: Vec<_> = clip.ignored.iter().map(Vec::len).collect();
+    assert_eq!((regions[0], clip.ignored[0][0].corners.x2), (1, 5.0));
+    assert!(regions[1..].iter().all(|&count| count == 0));
+    assert_eq!(clips.report.unmapped_classes["Tram"], 1);
+}
+
+#[test]
+fn bdd100k_reads_both_spellings_and_maps_seven_classes_to_six() {
+    let old = r#"[{"name": "v-1.jpg", "video_name": "v", "index": 0, "labels": [
+        {"id": "00122062", "category": "rider", "attributes": {"Crowd": true},
+         "box2d": {"x1": 1, "y1": 2, "x2": 30, "y2": 40}},
+        {"id": "3", "category": "trailer", "box2d": {"x1": 1, "y1": 2, "x2": 30, "y2": 40}}]},
+        {"name": "v-3.jpg", "video_name": "v", "index": 2, "labels": null},
+        {"name": "w-1.jpg", "video_name": "w", "index": 0, "labels": null}]"#;
+    let new = r#"{"frames": [{"name": "v-2.jpg", "videoName": "v", "frameIndex": 1, "labels": [
+        {"category": "car", "score": 0.5, "box2d": {"x1": 1, "y1": 2, "x2": 30, "y2": 40}}]}]}"#;
+    let files = folder(&[("gt.json", old), ("pred.json", new)]);
+    let [truth, found] = ["gt.json", "pred.json"].map(|name| files.path().join(name));
+    let source = |truth, detections| bdd100k::Source {
+        truth,
+        detections,
+        picture: PictureSize::new(1280, 720),
+        frame_rate: Some(bdd100k::BDD100K_FRAME_RATE),
+        rules: Rules::Paper,
+    };
+    // The benchmark judges neither crowds nor trailers.
+    let judged = bdd100k::Source {
+        rules: Rules::Benchmark,
+        ..source(Some(&truth), Some(&found))
+    };
+    let judged = bdd100k::read(&judged).unwrap();
+    assert!(judged.clips[0].truth.as_ref().unwrap()[0].is_empty());
+    let regions: Vec<usize> = judged.clips[0].ignored.iter().map(Vec::len).collect();
+    assert_eq!(
+        regions,
+        [2, 1, 0],
+        "the labels do not list the second frame"
+    );
+    assert_eq!(judged.clips[0].unlabelled(), 1);
+    // The paper's evaluator takes a crowd for an object, and does not know trailers.
+    let clips = bdd100k::read(&source(Some(&truth), Some(&found))).unwrap();
+    assert_eq!(clips.clips[0].ignored.iter().flatten().count(), 1);
+    let clip = &clips.clips[0];
+    assert_eq!((clip.name.as_str(), clip.frames), ("v", 3));
+    let rider = clip.truth.as_ref().unwrap()[0][0];
+    assert_eq!((rider.class, rider.object), (PERSON, Some(122_062)));
+    assert_eq!(clip.detections.as_ref().unwrap()[1].len(), 1);
+    assert_eq!(clips.clips[1].detections, None, "no predictions for `w`");
+    assert_eq!(clips.report.unmapped_classes["trailer"], 1);
+    // Ground truth in place of predictions is an error, and so is a repeated frame.
+    let swapped = bdd100k::read(&source(None, Some(&truth)));
+    assert_refused(swapped, &["has no `score`"]);
+    let twice = folder(&[("gt.json", &old.replace("\"index\": 2", "\"index\": 0"))]);
+    let repeated = bdd100k::read(&source(Some(&twice.path().join("gt.json")), None));
+    assert_refused(repeated, &["occurs twice"]);
+}
+
+#[test]
+fn labels_without_videos_are_divided_by_the_names_of_their_pictures() {
+    let frame = |name: &str| format!(r#"{{"name": "{name}", "labels": []}}"#);
+    let names = ["b1c6-0000002.jpg", "b1c6-0000001.jpg", "b1ca-0000001.jpg"];
+    let text = format!("[{}]", names.map(frame).join(","));
+    let files = folder(&[
+        ("val_gt.json", &text),
+        ("other.json", &text.replace("-000000", "-")),
+    ]);
+    let read = |name: &str| {
+        let truth = files.path().join(name);
+        let source = bdd100k::Source {
+            truth: Some(&truth),
+            detections: None,
+            picture: PictureSize::new(1280, 720),
+            frame_rate: None,
+            rules: Rules::Benchmark,
+        };
+        let clips = bdd100k::read(&source).unwrap().clips;
+        let lengths = clips.into_iter().map(|clip| (clip.name, clip.frames));
+        lengths.collect::<Vec<_>>()
+    };
+    let expected = [("b1c6".to_owned(), 2), ("b1ca".to_owned(), 1)];
+    assert_eq!(read("val_gt.json"), expected);
+    // Names that are not BDD100K's say nothing: the file is one video.
+    assert_eq!(read("other.json"), [("other".to_owned(), 3)]);
+}
+
+#[test]
+fn coco_groups_images_into_clips_and_marks_crowds_and_ignored_objects() {
+    let set = r#"{"images": [
+        {"id": 5, "file_name": "v/2.jpg", "width": 100, "height": 50},
+        {"id": 4, "file_name": "v/1.jpg", "width": 100, "height": 50}],
+        "categories": [{"id": 3, "name": "car"}, {"id": 9, "name": "boat"}],
+        "annotations": [
+        {"id": 1, "image_id": 5, "category_id": 3, "bbox": [1, 2, 10, 20], "iscrowd": 0, "track_id": 8},
+        {"id": 2, "image_id": 5, "category_id": 3, "bbox": [1, 2, 10, 20], "iscrowd": 1},
+        {"id": 5, "image_id": 5, "category_id": 3, "bbox": [1, 2, 10, 20], "ignore": true},
+        {"id": 6, "image_id": 5, "category_id": 9, "bbox": [1, 2, 10, 20], "iscrowd": 1},
+        {"id": 3, "image_id": 4, "category_id": 9, "bbox": [1, 2, 10, 20]},
+        {"id": 4, "image_id": 4, "category_id": 3, "bbox": [1, 2, -10, 20]}]}"#;
+    let found = r#"[{"image_id": 4, "category_id": 3, "bbox": [1, 2, 10, 20], "score": 0.5}]"#;
+    let files = folder(&[("set.json", set), ("results.json", found)]);
+    let [set, results] = ["set.json", "results.json"].map(|name| files.path().join(name));
+    let clips = coco::read(&set, Some(&results)).unwrap();
+    let clip = &clips.clips[0];
+    assert_eq!((clip.name.as_str(), clip.frames), ("v", 2));
+    let truth = clip.truth.as_ref().unwrap();
+    assert_eq!(truth[1][0].object, Some(8));
+    assert_eq!(truth[1][0].corners.x2, 11.0);
+    assert!(truth[0].is_empty());
+    assert_eq!(clip.detections.as_ref().unwrap()[0].len(), 1);
+    let marks: Vec<_> =
+        clip.ignored[1].iter().map(|ignored| (ignored.mark, ignored.class)).collect();
+    let car = Some(CAR);
+    assert_eq!(marks, [(Mark::Crowd, car), (Mark::Object, car)]);
+    assert_eq!(clips.report.left_out[&LeftOut::IgnoredRegion].0, 2);
+    assert_eq!(clips.report.left_out[&LeftOut::EmptyBox].0, 1);
+    assert_eq!(clips.report.unmapped_classes["boat"], 2);
+    let lost = found.replace("\"image_id\": 4", "\"image_id\": 77");
+    std::fs::write(&results, lost).unwrap();
+    assert_refused(coco::read(&set, Some(&results)), &["image 77"]);
+}

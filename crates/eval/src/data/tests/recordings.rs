@@ -1,0 +1,166 @@
+//! Recorded detections are read and written back, and a broken file is named.
+
+use super::super::*;
+use super::{assert_refused, folder};
+use crate::data::classes::CAR;
+
+// Recordings describe their classes for people, too; only `class_names` is read.
+const INDEX: &str = r#"{"classes": {"2": "car"},
+    "sequences": [{"name": "a", "width": 100, "height": 50, "fps": 10, "frames": 3}]}"#;
+const HEADER: &str = "frame,x1,y1,x2,y2,score,class\n";
+const TRUTH_HEADER: &str = "frame,x1,y1,x2,y2,class,object_id\n";
+
+fn recorded(index: &str, rows: Option<&str>, truth: Option<&str>) -> Result<DataSet, EvalError> {
+    let detections = rows.map(|rows| format!("{HEADER}{rows}"));
+    let truth = truth.map(|rows| format!("{TRUTH_HEADER}{rows}"));
+    let mut files = vec![("sequences.json", index)];
+    files.extend(detections.as_deref().map(|text| ("detections/a.csv", text)));
+    files.extend(truth.as_deref().map(|text| ("groundtruth/a.csv", text)));
+    recorded::read(folder(&files).path())
+}
+
+#[test]
+fn recorded_detections_truth_and_ignored_regions_are_read_frame_by_frame_and_written_back() {
+    let rows = "0,0.1,0.30000000000000004,3.5,4,0.9,2\n2,1,1,9,9,0.3333333333333333,0\n";
+    let truth = format!("{TRUTH_HEADER}1,0,0,5,5,2,7\n");
+    let files = folder(&[
+        ("sequences.json", INDEX),
+        ("detections/a.csv", &format!("{HEADER}{rows}")),
+        ("groundtruth/a.csv", &truth),
+        ("ignore/a.csv", "frame,x1,y1,x2,y2\n1,0,0,50,20.5\n"),
+    ]);
+    let read = recorded::read(files.path()).unwrap();
+    assert_eq!(read.report, LoadReport::default());
+    let clip = &read.clips[0];
+    let detections = clip.detections.as_ref().unwrap();
+    let counts: Vec<usize> = detections.iter().map(Vec::len).collect();
+    assert_eq!(counts, [1, 0, 1]);
+    assert_eq!(detections[0][0].corners.x2, 3.5);
+    assert_eq!(detections[0][0].class, CAR);
+    assert_eq!(clip.truth.as_ref().unwrap()[1][0].object, Some(7));
+    let regions: Vec<usize> = clip.ignored.iter().map(Vec::len).collect();
+    assert_eq!(
+        (regions, clip.ignored[1][0].corners.y2),
+        (vec![0, 1, 0], 20.5)
+    );
+    let copy = tempfile::tempdir().unwrap();
+    recorded::write(copy.path(), &read.clips).unwrap();
+    let again = recorded::read(copy.path()).unwrap();
+    assert_eq!(again.clips, read.clips, "to the last bit");
+}
+
+#[test]
+fn clips_that_are_written_one_by_one_are_there_after_each() {
+    let clip = |name: &str| Clip {
+        detections: Some(vec![Vec::new(); 3]),
+        ..Clip::new(name.to_owned(), PictureSize::new(100, 50), 3)
+    };
+    let clips = [clip("a"), clip("b")];
+    let folder = tempfile::tempdir().unwrap();
+    for done in 1..=clips.len() {
+        recorded::write_last(folder.path(), &clips[..done]).unwrap();
+        assert_eq!(recorded::read(folder.path()).unwrap().clips, clips[..done]);
+    }
+}
+
+#[test]
+fn every_mark_of_a_recording_is_written_and_read_back() {
+    let mark = |class: Option<u16>, mark| Ignored {
+        corners: Corners {
+            x1: 0.1,
+            y1: 0.0,
+            x2: 50.0,
+            y2: 20.5,
+        },
+        class: class.map(ClassId),
+        mark,
+    };
+    let clip = Clip {
+        detections: Some(vec![Vec::new(); 3]),
+        truth: Some(vec![Vec::new(); 3]),
+        ignored: vec![
+            vec![
+                mark(Some(2), Mark::Crowd),
+                mark(None, Mark::Distractor),
+                mark(None, Mark::Unjudged),
+            ],
+            vec![mark(Some(0), Mark::Object), mark(None, Mark::Region)],
+            vec![Ignored::UNLABELLED],
+        ],
+        ..Clip::new("a".to_owned(), PictureSize::new(100, 50), 3)
+    };
+    let folder = tempfile::tempdir().unwrap();
+    recorded::write(folder.path(), std::slice::from_ref(&clip)).unwrap();
+    assert_eq!(recorded::read(folder.path()).unwrap().clips, [clip]);
+    let file = folder.path().join("ignore/a.csv");
+    let text = std::fs::read_to_string(&file).unwrap().replace("crowd", "cloud");
+    std::fs::write(file, text).unwrap();
+    assert_refused(recorded::read(folder.path()), &["a.csv:2: ", "`cloud`"]);
+}
+
+#[test]
+fn a_broken_row_is_named_with_file_and_line() {
+    for (row, part) in [
+        ("0,1,2,3,4,0.9", "the row has 6 columns"),
+        ("0,1,2,x,4,0.9,2", "`x2` is `x`"),
+        ("3,1,2,3,4,0.9,2", "frame 3 does not exist"),
+        ("-1,1,2,3,4,0.9,2", "frame -1 does not exist"),
+        ("0.5,1,2,3,4,0.9,2", "`frame` is `0.5`"),
+        ("0,1,2,3,4,0.9,-2", "`class` is `-2`"),
+    ] {
+        let rows = format!("0,1,2,3,4,0.9,2\n{row}\n");
+        let parts = ["detections/a.csv:3: ", part];
+        assert_refused(recorded(INDEX, Some(&rows), None), &parts);
+    }
+    let files = folder(&[("sequences.json", INDEX), ("detections/a.csv", "frame,x\n")]);
+    let parts = ["detections/a.csv", "needs its detections"];
+    assert_refused(recorded(INDEX, None, None), &parts);
+    let header = "a.csv:1: the header is `frame,x`";
+    assert_refused(recorded::read(files.path()), &[header]);
+    let index = "{\n\"sequences\": [{]}";
+    assert_refused(recorded(index, Some(""), None), &["sequences.json:2: "]);
+}
+
+#[test]
+fn an_impossible_description_is_rejected() {
+    let outside = INDEX.replace("\"a\"", "\"../a\"");
+    for (index, part) in [
+        (outside, "cannot be a sequence's name"),
+        (INDEX.replace("100", "0"), "pictures of 0x50"),
+        (INDEX.replace("10,", "-1,"), "frame rate"),
+    ] {
+        assert_refused(recorded(&index, Some(""), None), &[part]);
+    }
+}
+
+#[test]
+fn meaningless_rows_are_dropped_counted_and_named() {
+    let rows = "0,1,2,3,4,NaN,2\n0,inf,2,3,4,0.9,2\n0,5,2,3,4,0.9,2\n0,1,4,3,4,0.9,2\n\
+                0,200,2,300,4,0.9,2\n0,1,2,3,4,1.5,2\n1,-5,2,3,4,0.9,2\n";
+    let clips = recorded(INDEX, Some(rows), Some("0,9,9,5,5,2,1\n")).unwrap();
+    let report = &clips.report;
+    let counted = |reason| report.left_out.get(&reason).map_or(0, |(count, _)| *count);
+    assert_eq!(counted(LeftOut::NotFinite), 2);
+    assert_eq!(counted(LeftOut::EmptyBox), 3);
+    assert_eq!(counted(LeftOut::OutsidePicture), 1);
+    assert_eq!(counted(LeftOut::ConfidenceRange), 1);
+    assert_eq!(report.reaching_outside, 1);
+    let kept = clips.clips[0].detections.iter().flatten().flatten();
+    assert_eq!(kept.count(), 1);
+    let lines = report.lines().join("\n");
+    assert!(lines.contains("detections/a.csv:2"), "{lines}");
+}
+
+#[test]
+fn missing_parts_of_a_clip_are_named_and_an_empty_clip_is_counted() {
+    let clips = recorded(INDEX, Some(""), Some("0,1,1,5,5,2,1\n")).unwrap();
+    let lines = clips.report.lines().join("\n");
+    assert!(lines.contains("no detections"), "{lines}");
+    let clips = recorded(INDEX, Some("0,1,2,3,4,0.9,2\n"), None).unwrap();
+    assert!(clips.report.lines()[0].contains("no ground truth"));
+    // The index counts boxes.
+    let counted = INDEX.replace("\"frames\"", "\"ground_truth_boxes\": 4, \"frames\"");
+    assert_refused(recorded(&counted, Some(""), None), &["groundtruth/a.csv"]);
+    let empty = INDEX.replace("\"frames\": 3", "\"frames\": 0");
+    assert_refused(recorded(&empty, Some(""), None), &["clip without frames"]);
+}
