@@ -56,9 +56,9 @@ impl FromStr for SourceName {
         if path.extension().is_some_and(|extension| extension == "tar") {
             return Ok(Self::Archive(path.to_path_buf()));
         }
-        if (holds(path, is_video_file) && !holds(path, is_picture_file))
-            || (are_several(text) && !path.is_dir())
-        {
+        let holds_only_videos = holds(path, is_video_file) && !holds(path, is_picture_file);
+        let is_pattern = are_several(text) && !path.is_dir();
+        if holds_only_videos || is_pattern {
             return Ok(Self::VideoFiles(path.to_path_buf()));
         }
         if path.is_dir() || is_picture_file(path) {
@@ -68,7 +68,7 @@ impl FromStr for SourceName {
     }
 }
 
-const BOTH: &str = "it holds pictures and videos: name the videos by a pattern, such as FOLDER/*.mp4, or put the pictures into a \
+const HOLDS_BOTH: &str = "it holds pictures and videos: name the videos by a pattern, such as FOLDER/*.mp4, or put the pictures into a \
     folder of their own";
 
 /// True for a folder with such files.
@@ -87,10 +87,10 @@ impl SourceName {
         encoding: VideoEncoding,
     ) -> Result<Box<dyn FrameSource>, EvalError> {
         let path = self.existing()?;
+        if matches!(self, Self::Pictures(_)) && holds(path, is_video_file) {
+            return Err(EvalError::content(path, HOLDS_BOTH));
+        }
         Ok(match self {
-            Self::Pictures(_) if holds(path, is_video_file) => {
-                return Err(EvalError::content(path, BOTH));
-            }
             Self::VideoFiles(_) => {
                 let text = path.to_string_lossy();
                 Box::new(VideoFiles::open(&text, rate, encoding, Ffmpeg::default())?)
@@ -114,10 +114,11 @@ impl SourceName {
 
     /// Returns `rate`, or the frames per second that pictures are taken to have.
     fn pictures_rate(&self, rate: Option<f64>) -> f64 {
-        rate.unwrap_or(match self {
+        let own = match self {
             Self::Demo => ROAD_RATE,
             _ => Pictures::DEFAULT_RATE,
-        })
+        };
+        rate.unwrap_or(own)
     }
 
     fn path(&self) -> &Path {
@@ -131,8 +132,9 @@ impl SourceName {
         }
     }
 
-    /// Returns each folder of pictures in a folder that has no picture itself, such as that of a whole data set; any other
-    /// source is returned as it is. So is each topic of pictures in a recording that has several. A MOTChallenge sequence has its pictures in `img1`.
+    /// Splits a folder that has no picture itself, such as that of a whole data set, into the folders of pictures in it (those
+    /// of a MOTChallenge sequence are in its `img1`), and a recording into its topics of pictures. Any other source is returned
+    /// as it is.
     ///
     /// # Errors
     /// When the folder cannot be read.

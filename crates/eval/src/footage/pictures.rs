@@ -15,7 +15,8 @@ use std::sync::Arc;
 pub struct Pictures {
     name: String,
     pictures: Vec<Member>,
-    at: usize,
+    /// The number of pictures that were read.
+    passed: usize,
     rate: f64,
 }
 
@@ -32,11 +33,18 @@ enum Location {
     File(PathBuf),
     /// In an archive.
     Archive {
-        archive: Arc<(PathBuf, File)>,
+        archive: Arc<ArchiveFile>,
         offset: u64,
         length: usize,
     },
     Memory(EncodedPicture),
+}
+
+/// An archive that is open for reading.
+#[derive(Debug)]
+struct ArchiveFile {
+    path: PathBuf,
+    file: File,
 }
 
 impl Pictures {
@@ -47,7 +55,7 @@ impl Pictures {
         Self {
             name,
             pictures,
-            at: 0,
+            passed: 0,
             rate,
         }
     }
@@ -81,10 +89,13 @@ impl Pictures {
     pub fn of_archive(path: &Path, rate: f64) -> Result<Self, EvalError> {
         let unreadable = |error: std::io::Error| EvalError::content(path, error);
         let file = File::open(path).map_err(unreadable)?;
-        let archive = Arc::new((path.to_path_buf(), file));
+        let archive = Arc::new(ArchiveFile {
+            path: path.to_path_buf(),
+            file,
+        });
         let name = clip_name(path);
         let mut pictures: Vec<Member> = Vec::new();
-        let mut members = tar::Archive::new(&archive.1);
+        let mut members = tar::Archive::new(&archive.file);
         for entry in members.entries_with_seek().map_err(unreadable)? {
             let entry = entry.map_err(unreadable)?;
             let inside = entry.path().map_err(unreadable)?.into_owned();
@@ -97,11 +108,15 @@ impl Pictures {
                 return Err(EvalError::content(path, what));
             }
             let folder = inside.parent().and_then(Path::file_name);
-            let clip =
-                folder.map_or_else(|| name.clone(), |own| plain_name(&own.to_string_lossy()));
+            let clip_name = match folder {
+                Some(folder) => plain_name(&folder.to_string_lossy()),
+                None => name.clone(),
+            };
             // Pictures of one clip share the memory of its name.
-            let last = pictures.last().and_then(|last| last.clip.clone());
-            let clip = last.filter(|last| **last == *clip).unwrap_or_else(|| clip.into());
+            let clip = match pictures.last().and_then(|last| last.clip.as_ref()) {
+                Some(last) if **last == *clip_name => Arc::clone(last),
+                _ => clip_name.into(),
+            };
             pictures.push(Member {
                 clip: Some(clip),
                 location: Location::Archive {
@@ -136,19 +151,18 @@ impl FrameSource for Pictures {
     }
 
     fn clip(&self) -> Option<&str> {
-        self.pictures.get(self.at.checked_sub(1)?)?.clip.as_deref()
+        self.pictures.get(self.passed.checked_sub(1)?)?.clip.as_deref()
     }
 
     fn picture_name(&self) -> Option<String> {
-        Some(
-            match &self.pictures.get(self.at.checked_sub(1)?)?.location {
-                Location::File(file) => file.display().to_string(),
-                Location::Archive { archive, .. } => {
-                    format!("{}, picture {}", archive.0.display(), self.at)
-                }
-                Location::Memory(_) => format!("{}, picture {}", self.name, self.at),
-            },
-        )
+        let last = self.pictures.get(self.passed.checked_sub(1)?)?;
+        Some(match &last.location {
+            Location::File(file) => file.display().to_string(),
+            Location::Archive { archive, .. } => {
+                format!("{}, picture {}", archive.path.display(), self.passed)
+            }
+            Location::Memory(_) => format!("{}, picture {}", self.name, self.passed),
+        })
     }
 
     fn rate(&self) -> f64 {
@@ -160,10 +174,10 @@ impl FrameSource for Pictures {
     }
 
     fn next(&mut self) -> Result<Option<EncodedPicture>, EvalError> {
-        let Some(member) = self.pictures.get(self.at) else {
+        let Some(member) = self.pictures.get(self.passed) else {
             return Ok(None);
         };
-        self.at += 1;
+        self.passed += 1;
         Ok(Some(match &member.location {
             Location::Memory(picture) => picture.clone(),
             Location::File(file) => read_picture_file(file)?,
@@ -172,22 +186,23 @@ impl FrameSource for Pictures {
                 offset,
                 length,
             } => {
-                let (path, file) = &**archive;
+                let ArchiveFile { path, file } = &**archive;
                 let mut bytes = vec![0; *length];
-                let read = file.read_exact_at(&mut bytes, *offset);
-                read.map_err(|error| EvalError::content(path, error))?;
-                let picture = picture_of_file(bytes.into(), &FrameLimits::default());
-                picture.map_err(|fault| {
-                    let number = self.at;
-                    let what = format!("a frame cannot be sent: {fault}");
-                    EvalError::new(format!("{}, picture {number}: {what}", path.display()))
+                file.read_exact_at(&mut bytes, *offset)
+                    .map_err(|error| EvalError::content(path, error))?;
+                picture_of_file(bytes.into(), &FrameLimits::default()).map_err(|fault| {
+                    EvalError::new(format!(
+                        "{}, picture {}: a frame cannot be sent: {fault}",
+                        path.display(),
+                        self.passed
+                    ))
                 })?
             }
         }))
     }
 
     fn rewind(&mut self) -> Result<(), EvalError> {
-        self.at = 0;
+        self.passed = 0;
         Ok(())
     }
 }
@@ -211,8 +226,7 @@ mod tests {
         for (name, bytes) in members {
             let mut header = tar::Header::new_gnu();
             header.set_size(bytes.len() as u64);
-            let added = builder.append_data(&mut header, name, bytes.as_slice());
-            added.unwrap();
+            builder.append_data(&mut header, name, bytes.as_slice()).unwrap();
         }
         builder.finish().unwrap();
         file

@@ -23,44 +23,59 @@ pub(super) struct Recording {
     rate: f64,
     frames: u64,
     messages: Messages,
-    /// The number of pictures read.
-    at: u64,
+    /// The number of the last picture, from 1.
+    number: u64,
     /// True if the file ends early, which was told when it was opened.
     is_cut: bool,
     /// True once the end was reached.
     is_over: bool,
 }
 
-/// The channels of pictures in a file, each with its number of pictures.
-struct Found {
-    overview: Overview,
-    pictures: Vec<(String, u64)>,
+/// A topic with pictures.
+#[derive(Clone)]
+struct PictureTopic {
+    name: String,
+    pictures: u64,
 }
 
-impl Found {
+/// What is in a file.
+struct Contents {
+    overview: Overview,
+    topics: Vec<PictureTopic>,
+}
+
+impl Contents {
     fn read(path: &Path) -> Result<Self, EvalError> {
         let overview = Overview::read(path).map_err(|error| {
             EvalError::content(path, format!("it cannot be read as an MCAP file: {error}"))
         })?;
-        let is_audit = |topic: &str| matches!(Topic::parse(topic), Some((_, Topic::AuditImage)));
-        let found = overview
-            .channels
-            .iter()
-            .filter(|(channel, count)| *count > 0 && PictureKind::of(channel).is_some());
-        let named = found.map(|(channel, count)| (channel.topic.clone(), *count));
-        let (audit, mut pictures): (Vec<_>, Vec<_>) = named.partition(|(topic, _)| is_audit(topic));
-        // Pictures of the audit are no sequence: they are read if there is nothing else.
-        if pictures.is_empty() {
-            pictures = audit;
+        let mut topics = Vec::new();
+        let mut audited = Vec::new();
+        for (channel, count) in &overview.channels {
+            if *count == 0 || PictureKind::of(channel).is_none() {
+                continue;
+            }
+            let topic = PictureTopic {
+                name: channel.topic.clone(),
+                pictures: *count,
+            };
+            match Topic::parse(&topic.name) {
+                Some((_, Topic::AuditImage)) => audited.push(topic),
+                _ => topics.push(topic),
+            }
         }
-        if pictures.is_empty() {
+        // Pictures of the audit are no sequence: they are read if there is nothing else.
+        if topics.is_empty() {
+            topics = audited;
+        }
+        if topics.is_empty() {
             let what = format!(
                 "it has no pictures: {READABLE}; it has {}",
                 listed(&overview)
             );
             return Err(EvalError::content(path, what));
         }
-        Ok(Self { overview, pictures })
+        Ok(Self { overview, topics })
     }
 }
 
@@ -87,8 +102,8 @@ impl Recording {
     /// # Errors
     /// When the file cannot be read or has no pictures.
     pub(super) fn topics(path: &Path) -> Result<Vec<String>, EvalError> {
-        let found = Found::read(path)?.pictures.into_iter();
-        Ok(found.map(|(topic, _)| topic).collect())
+        let topics = Contents::read(path)?.topics.into_iter();
+        Ok(topics.map(|topic| topic.name).collect())
     }
 
     /// Opens the pictures on `topic`, or on the only topic that has some.
@@ -96,11 +111,11 @@ impl Recording {
     /// # Errors
     /// When the file cannot be read, has no pictures, or has several topics with pictures and none is named.
     pub(super) fn open(path: &Path, topic: Option<&str>) -> Result<Self, EvalError> {
-        let Found { overview, pictures } = Found::read(path)?;
-        let found = match (topic, pictures.as_slice()) {
+        let Contents { overview, topics } = Contents::read(path)?;
+        let found = match (topic, topics.as_slice()) {
             (None, [only]) => Some(only),
             (None, several) => {
-                let topics: Vec<_> = several.iter().map(|(topic, _)| topic.as_str()).collect();
+                let topics: Vec<_> = several.iter().map(|topic| topic.name.as_str()).collect();
                 let what = format!(
                     "it has pictures on several topics: name one, {}:{}; the others are {}",
                     path.display(),
@@ -109,9 +124,13 @@ impl Recording {
                 );
                 return Err(EvalError::content(path, what));
             }
-            (Some(topic), _) => pictures.iter().find(|(known, _)| known == topic),
+            (Some(name), topics) => topics.iter().find(|topic| topic.name == name),
         };
-        let Some((topic, frames)) = found.cloned() else {
+        let Some(PictureTopic {
+            name: topic,
+            pictures: frames,
+        }) = found.cloned()
+        else {
             let what = format!(
                 "it has no pictures on this topic; it has {}",
                 listed(&overview)
@@ -126,23 +145,22 @@ impl Recording {
         }
         let seconds = overview.times_ns.map_or(0.0, |(first, last)| (last - first) as f64 / 1e9);
         // As exact as such a clock, and as a person reads it.
-        let rate = ((frames.saturating_sub(1)) as f64 / seconds * 1e3).round() / 1e3;
+        let mut rate = (frames.saturating_sub(1) as f64 / seconds * 1e3).round() / 1e3;
+        if !(0.01..=1000.0).contains(&rate) {
+            rate = Pictures::DEFAULT_RATE;
+        }
         let mut name = clip_name(path);
-        if pictures.len() > 1 {
+        if topics.len() > 1 {
             name = plain_name(&format!("{name}{}", topic.replace('/', "_")));
         }
         Ok(Self {
             messages: opened(path)?,
             path: path.to_owned(),
             name,
-            rate: if (0.01..=1000.0).contains(&rate) {
-                rate
-            } else {
-                Pictures::DEFAULT_RATE
-            },
+            rate,
             frames,
             topic,
-            at: 0,
+            number: 0,
             is_cut: overview.damage.is_some(),
             is_over: false,
         })
@@ -153,7 +171,7 @@ impl Recording {
         let named = |fault: &dyn std::fmt::Display| {
             EvalError::content(
                 &self.path,
-                format!("{}, picture {}: {fault}", self.topic, self.at),
+                format!("{}, picture {}: {fault}", self.topic, self.number),
             )
         };
         let file = |read: Result<Bytes, RecordingError>| {
@@ -181,7 +199,7 @@ impl FrameSource for Recording {
     }
 
     fn picture_name(&self) -> Option<String> {
-        Some(format!("{}, picture {}", self.path.display(), self.at))
+        Some(format!("{}, picture {}", self.path.display(), self.number))
     }
 
     fn rate(&self) -> f64 {
@@ -198,7 +216,7 @@ impl FrameSource for Recording {
         }
         while let Some(message) = self.messages.next() {
             if message.channel.topic == self.topic {
-                self.at += 1;
+                self.number += 1;
                 return self.read(&message.channel, &message.data).map(Some);
             }
         }
@@ -214,7 +232,7 @@ impl FrameSource for Recording {
 
     fn rewind(&mut self) -> Result<(), EvalError> {
         self.messages = opened(&self.path)?;
-        self.at = 0;
+        self.number = 0;
         self.is_over = false;
         Ok(())
     }

@@ -75,8 +75,8 @@ pub(crate) fn clip_name(path: &Path) -> String {
 pub(super) fn plain_name(text: &str) -> String {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
     let name: String = text.chars().take(100).collect();
-    match name.replace(|c: char| !is_plain(c), "_") {
-        empty if empty.is_empty() => "clip".to_owned(),
-        plain => plain,
+    if name.is_empty() {
+        return "clip".to_owned();
     }
+    name.replace(|c: char| !is_plain(c), "_")
 }

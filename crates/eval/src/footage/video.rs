@@ -143,9 +143,9 @@ impl Video {
             ));
         }
         let file = no_option(file);
-        let (rate, frames) = probe(&file, default_rate, &programs)?;
-        let mut video = Self::open_probed(Arc::default(), &file, rate, encoding, programs)?;
-        video.frames = frames;
+        let found = probe(&file, default_rate, &programs)?;
+        let mut video = Self::open_probed(Arc::default(), &file, found.rate, encoding, programs)?;
+        video.frames = found.frames;
         Ok(video)
     }
 
@@ -211,12 +211,20 @@ pub(super) fn no_rate(file: &str) -> EvalError {
     ))
 }
 
-/// Reads the frame rate of a file and, if known, its number of frames.
+/// What ffprobe says about a file.
+struct Properties {
+    /// Frames per second.
+    rate: f64,
+    /// The number of frames, if the file says it.
+    frames: Option<u64>,
+}
+
+/// Asks ffprobe about a file.
 fn probe(
     file: &str,
     default_rate: Option<f64>,
     programs: &Ffmpeg,
-) -> Result<(f64, Option<u64>), EvalError> {
+) -> Result<Properties, EvalError> {
     let mut command = Command::new(&programs.ffprobe);
     let probed = command
         .args(PROBE)
@@ -241,7 +249,7 @@ fn probe(
         .or(default_rate)
         .ok_or_else(|| no_rate(file))?;
     let frames = stream.nb_frames.as_ref().and_then(|text| text.parse().ok());
-    Ok((rate, frames))
+    Ok(Properties { rate, frames })
 }
 
 fn not_started(program: &Path, error: std::io::Error) -> EvalError {
@@ -289,12 +297,16 @@ impl FrameSource for Video {
             VideoEncoding::Png => read_png(&mut output.pictures, MAX_PICTURE_BYTES),
         };
         match picture {
-            Ok(Some(picture)) => picture_of_file(Bytes::from(picture), &FrameLimits::default())
-                .map(Some)
-                .map_err(|fault| {
+            Ok(Some(picture)) => {
+                let picture = picture_of_file(Bytes::from(picture), &FrameLimits::default());
+                picture.map(Some).map_err(|fault| {
                     EvalError::new(format!("{}: a frame cannot be sent: {fault}", self.file))
-                }),
-            Ok(None) => self.wait().map(|()| None),
+                })
+            }
+            Ok(None) => {
+                self.wait()?;
+                Ok(None)
+            }
             Err(cut) => {
                 if self.process.lock().stopped {
                     return Ok(None);

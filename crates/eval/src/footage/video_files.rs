@@ -69,7 +69,8 @@ impl VideoFiles {
                     let fault = first_fault.unwrap_or_else(|| EvalError::new("there is none"));
                     return Err(fault.context(format!("{text}: none of its files can be played")));
                 }
-                Err(fault) => drop(first_fault.get_or_insert(fault)),
+                Err(fault) if first_fault.is_none() => first_fault = Some(fault),
+                Err(_) => {}
             }
         }
         source.rate = source.playing.as_ref().map_or(0.0, |playing| playing.video.rate());
