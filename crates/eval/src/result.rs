@@ -1,4 +1,4 @@
-//! Computes the figures of one policy on one clip.
+//! Defines the figures of one policy on one clip.
 
 use crate::judge::{Accuracy, Matches, Newcomers, Tracking};
 use crate::statistics::quantile;

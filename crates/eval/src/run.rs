@@ -34,6 +34,13 @@ pub fn run<'a>(
     in_parallel(clips, policies, settings, done, &run_policy)
 }
 
+/// A policy on a clip, by their indices.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct Step {
+    policy: usize,
+    clip: usize,
+}
+
 /// Calls `work` for every policy on every clip, on as many threads as `settings` say.
 ///
 /// # Errors
@@ -46,27 +53,29 @@ fn in_parallel<'a>(
     work: &(dyn Fn(&'a Clip, &PolicySpec, &Settings) -> Result<ClipResult, EvalError> + Sync),
 ) -> Result<Vec<ClipResult>, EvalError> {
     let clips: Vec<&Clip> = clips.into_iter().collect();
-    let mut steps: Vec<(usize, usize)> = (0..policies.len())
-        .flat_map(|policy| (0..clips.len()).map(move |clip| (policy, clip)))
+    let mut steps: Vec<Step> = (0..policies.len())
+        .flat_map(|policy| (0..clips.len()).map(move |clip| Step { policy, clip }))
         .collect();
     // The longest clips come first, so that no thread is left with one at the end.
-    steps.sort_by_key(|&(_, clip)| std::cmp::Reverse(clips[clip].frames));
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(settings.threads).build().map_err(
-        |error| {
-            EvalError::new(format!(
-                "the threads of the evaluation cannot be started: {error}; try fewer with --threads"
-            ))
-        },
-    )?;
+    steps.sort_by_key(|step| std::cmp::Reverse(clips[step.clip].frames));
+    let no_threads = |error| {
+        EvalError::new(format!(
+            "the threads of the evaluation cannot be started: {error}; try fewer with --threads"
+        ))
+    };
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(settings.threads)
+        .build()
+        .map_err(no_threads)?;
     // The bridge hands the steps out in this order; their results come back in any.
     let mut results = pool.install(|| {
         steps
             .iter()
             .par_bridge()
-            .map(|&(policy, clip)| {
-                let result = work(clips[clip], &policies[policy], settings);
+            .map(|step| {
+                let result = work(clips[step.clip], &policies[step.policy], settings);
                 done();
-                Ok(((policy, clip), result?))
+                Ok((*step, result?))
             })
             .collect::<Result<Vec<_>, EvalError>>()
     })?;

@@ -62,7 +62,7 @@ pub fn run_pass(
         if settings.max_frames.is_some_and(|most| frame >= most) {
             break;
         }
-        let (encoded, decoding) = match next_decoded(source, models) {
+        let decoded = match next_decoded(source, models) {
             Ok(None) => break,
             Ok(Some(decoded)) => decoded,
             Err(fault) => {
@@ -71,15 +71,15 @@ pub fn run_pass(
                 continue;
             }
         };
-        let first = *size.get_or_insert(encoded.size);
-        if encoded.size != first {
+        let own = decoded.encoded.size;
+        let first = *size.get_or_insert(own);
+        if own != first {
             return Err(EvalError::new(format!(
-                "{name}, frame {frame}: the picture is {}, those before it are {first}: all pictures of a clip must have the same size",
-                encoded.size
+                "{name}, frame {frame}: the picture is {own}, those before it are {first}: all pictures of a clip must have the same size"
             )));
         }
         let results = kept
-            .run(&encoded, decoding, models, settings)
+            .run(&decoded, models, settings)
             .map_err(|error| error.context(format!("{name}, frame {frame}")))?;
         kept.detections.push(stored(&results, first, &name, frame, report));
         progress();
@@ -128,18 +128,17 @@ struct Kept {
 }
 
 impl Kept {
-    /// Runs the models on a decoded picture, and keeps the verdict, the grey pictures and the times, with the milliseconds that
-    /// decoding took.
+    /// Runs the models on a decoded picture, and keeps the verdict, the grey pictures and the times.
     fn run(
         &mut self,
-        encoded: &EncodedPicture,
-        decoding: f64,
+        decoded: &Decoded,
         models: &mut ModelRunner,
         settings: &PassSettings,
     ) -> Result<ModelResults, EvalError> {
+        let encoded = &decoded.encoded;
         let results = models.run()?;
         let mut step = StepTimes {
-            decode: decoding,
+            decode: decoded.milliseconds,
             ..results.times
         };
         if settings.keep_grey {
@@ -158,16 +157,26 @@ impl Kept {
     }
 }
 
-/// The next picture, which `models` then have decoded, and the milliseconds that decoding took.
+/// A picture that the models have decoded.
+struct Decoded {
+    encoded: EncodedPicture,
+    /// The time that decoding took.
+    milliseconds: f64,
+}
+
+/// Reads the next picture, and has `models` decode it.
 fn next_decoded(
     source: &mut dyn FrameSource,
     models: &mut ModelRunner,
-) -> Result<Option<(EncodedPicture, f64)>, EvalError> {
+) -> Result<Option<Decoded>, EvalError> {
     let Some(encoded) = source.next()? else {
         return Ok(None);
     };
-    let time = models.decode(&encoded)?;
-    Ok(Some((encoded, time)))
+    let milliseconds = models.decode(&encoded)?;
+    Ok(Some(Decoded {
+        encoded,
+        milliseconds,
+    }))
 }
 
 /// The pictures of a clip that cannot be used.
@@ -179,10 +188,10 @@ struct Faults {
 }
 
 impl Faults {
-    /// So many are named.
+    /// The most faults that are kept by name.
     const MOST_NAMED: usize = 20;
 
-    /// Counts a picture, if the next one can still be had.
+    /// Counts a picture, if the one behind it can still be read.
     fn add(
         &mut self,
         place: usize,
@@ -196,11 +205,12 @@ impl Faults {
         if self.named.len() < Self::MOST_NAMED {
             // What reads a file names it already.
             let is_named = fault.to_string().contains(&picture);
-            self.named.push(if is_named {
+            let fault = if is_named {
                 fault
             } else {
                 fault.context(picture)
-            });
+            };
+            self.named.push(fault);
         }
         Ok(())
     }

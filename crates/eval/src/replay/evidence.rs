@@ -77,9 +77,10 @@ impl<'a> StoredEvidence<'a> {
             (Need::Screen, ScreenRule::Recorded) => {
                 let verdicts = self.clip.screen.as_deref().unwrap_or_default();
                 let empty = verdicts.get(frame).copied().flatten();
-                empty.map_or(Evidence::Unavailable, |empty| {
-                    verdict(self.run.limit(empty))
-                })
+                match empty {
+                    Some(empty) => verdict(self.run.limit(empty)),
+                    None => Evidence::Unavailable,
+                }
             }
             (Need::Detections, _) => {
                 self.run.detector_ran();

@@ -26,11 +26,13 @@ pub fn against_detector(
         let outcome = decided.outcome;
         let skipped = outcome.state.is_skipped() && !outcome.degraded;
         let found = detected.next().unwrap_or_default();
-        compared.push(skipped.then(|| {
+        if skipped {
             let mut sums = Box::<AuditSums>::default();
             sums.add(&outcome.boxes, &found);
-            sums
-        }));
+            compared.push(Some(sums));
+        } else {
+            compared.push(None);
+        }
     })?;
     Ok(compared)
 }

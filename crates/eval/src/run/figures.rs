@@ -14,7 +14,9 @@ use albireo_wire::FrameStates;
 pub(super) fn of_replay(clip: &Clip, policy: &str, replayed: &Replay) -> ClipResult {
     let frames = &replayed.frames;
     let mut states = FrameStates::default();
-    frames.iter().for_each(|frame| states.count(frame.state));
+    for frame in frames {
+        states.count(frame.state);
+    }
     let count = |test: fn(&FrameRecord) -> bool| frames.iter().filter(|frame| test(frame)).count();
     let decisions = frames.iter().map(|frame| frame.decision.as_secs_f64() * 1e6);
     ClipResult {
@@ -46,23 +48,23 @@ pub(super) fn judge(
     classes: &Evaluated,
     settings: &Settings,
 ) {
-    let judge =
+    let accuracy_of =
         |boxes: &[Vec<ScoredBox>]| accuracy(boxes, truth, settings.classes, settings.interpolation);
     if settings.classes == Classes::Pooled {
         let matches = Matches::of(&replayed.boxes, truth, settings.interpolation);
         result.accuracy = matches.accuracy();
         result.matches = Some(matches);
     } else {
-        result.accuracy = judge(&replayed.boxes);
+        result.accuracy = accuracy_of(&replayed.boxes);
     }
     result.tracking = tracking(&replayed.boxes, truth);
     result.newcomers = newcomers(&replayed.boxes, truth, settings.classes);
     if let Some(all) = &replayed.boxes_all {
-        result.accuracy_all = judge(all);
+        result.accuracy_all = accuracy_of(all);
         result.tracking_all = tracking(all, truth);
     }
     if let Some(last) = &replayed.boxes_last_confidence {
-        result.accuracy_last_confidence = judge(last);
+        result.accuracy_last_confidence = accuracy_of(last);
     }
     result.classes = accuracy_by_class(&replayed.boxes, truth, settings.interpolation)
         .into_iter()

@@ -119,10 +119,10 @@ fn run_clip(
         boxes.push(shown);
         all.push(with_faint);
     }
-    let judge =
+    let accuracy_of =
         |boxes: &[Vec<ScoredBox>]| accuracy(boxes, truth, settings.classes, settings.interpolation);
-    result.accuracy = judge(&boxes);
-    result.accuracy_all = judge(&all);
+    result.accuracy = accuracy_of(&boxes);
+    result.accuracy_all = accuracy_of(&all);
     result.newcomers = newcomers(&boxes, truth, settings.classes);
     Ok(result)
 }
@@ -135,11 +135,9 @@ fn publish(
     interval: f64,
 ) -> Result<Published, EvalError> {
     let Stream::AtArrival { detector } = stream else {
-        return settled(
-            &mut *policy,
-            source,
-            Duration::from_secs_f64(interval.min(10.0)),
-        );
+        // Longer than any delay of a settled frame, and short enough for a `Duration`.
+        let interval = Duration::from_secs_f64(interval.min(10.0));
+        return settled(&mut *policy, source, interval);
     };
     let timing = Timing { interval, detector };
     if policy.can_rewind() {
@@ -159,11 +157,34 @@ struct Timing<'a> {
 
 impl Timing<'_> {
     /// The seconds that it takes to fetch `need` after `calls` detector runs.
-    fn of(self, need: Need, calls: usize) -> f64 {
+    fn seconds_for(self, need: Need, calls: usize) -> f64 {
         match need {
-            Need::Detections => self.detector.of(calls),
+            Need::Detections => self.detector.seconds_of(calls),
             _ => 0.0,
         }
+    }
+}
+
+/// A frame that waits for what it needs.
+#[derive(Clone, Copy)]
+struct Waiting {
+    frame: usize,
+    need: Need,
+    /// The time at which the need is met, seconds.
+    met_at: f64,
+}
+
+impl Waiting {
+    /// A frame that asks for `need` at the time `now`, after `calls` detector runs; `None` if it needs nothing.
+    fn new(frame: usize, need: Need, now: f64, timing: Timing<'_>, calls: usize) -> Option<Self> {
+        if need == Need::Nothing {
+            return None;
+        }
+        Some(Self {
+            frame,
+            need,
+            met_at: now + timing.seconds_for(need, calls),
+        })
     }
 }
 
@@ -178,25 +199,23 @@ fn at_once(
     let mut outcome = Outcome::default();
     // What the frame that waits is answered with, too late to be published.
     let mut unused = Outcome::default();
-    // The frame that waits, its need, and the time at which that is met.
-    let mut waits: Option<(usize, Need, f64)> = None;
+    let mut waiting: Option<Waiting> = None;
     for frame in 0..source.frames() {
         let now = frame as f64 * timing.interval;
-        while let Some((waiting_frame, need, at)) = waits
-            && at <= now + TIME_TOLERANCE
+        while let Some(earlier) = waiting
+            && earlier.met_at <= now + TIME_TOLERANCE
         {
-            let mut stored = ClipFrame::new(source, waiting_frame);
-            let evidence = stored.evidence(need)?;
-            let next = late
-                .deliver(waiting_frame as u64, evidence, &mut unused)
+            let mut stored = ClipFrame::new(source, earlier.frame);
+            let evidence = stored.evidence(earlier.need)?;
+            let need = late
+                .deliver(earlier.frame as u64, evidence, &mut unused)
                 .map_err(EvalError::new)?;
-            let took = timing.of(next, published.calls);
-            published.calls += usize::from(next == Need::Detections);
-            waits = (next != Need::Nothing).then_some((waiting_frame, next, at + took));
+            waiting = Waiting::new(earlier.frame, need, earlier.met_at, timing, published.calls);
+            published.calls += usize::from(need == Need::Detections);
         }
         let need = late.frame(head(frame, 1, source.picture()), &mut outcome);
         if need != Need::Nothing {
-            waits = Some((frame, need, now + timing.of(need, published.calls)));
+            waiting = Waiting::new(frame, need, now, timing, published.calls);
         }
         published.calls += usize::from(need == Need::Detections);
         published.boxes.push(outcome.boxes.clone());
@@ -212,6 +231,7 @@ fn when_known(
 ) -> Result<Published, EvalError> {
     let mut published = Published::default();
     let mut outcome = Outcome::default();
+    // The time at which the detector is free again, seconds.
     let mut free = 0.0;
     let mut next = 0;
     let mut last = Vec::new();
@@ -228,7 +248,7 @@ fn when_known(
         decide(policy, head, &mut stored, &mut outcome)?;
         free = start;
         if stored.detector {
-            free += timing.detector.of(published.calls);
+            free += timing.detector.seconds_of(published.calls);
             published.calls += 1;
         }
         next = frame + 1;
@@ -250,7 +270,6 @@ fn settled(
     source: &mut StoredEvidence<'_>,
     interval: Duration,
 ) -> Result<Published, EvalError> {
-    let mut published = Published::default();
     let mut settler = Settler::new(MAX_DELAY);
     let mut calls = 0;
     let mut boxes = Vec::new();
@@ -259,16 +278,19 @@ fn settled(
         calls += usize::from(decided.record.detector);
         let now = decided.head.index;
         let time = interval.saturating_mul(u32::try_from(now).unwrap_or(u32::MAX));
-        settler.frame(now, time, decided.outcome, false, |frame| {
+        // The answer is final: the detector takes no time.
+        let is_pending = false;
+        settler.frame(now, time, decided.outcome, is_pending, |frame| {
             delay += now - frame.index;
             boxes.push(frame.boxes.to_vec());
         });
     })?;
     settler.flush(|frame| boxes.push(frame.boxes.to_vec()));
-    published.boxes = boxes;
-    published.calls = calls;
-    published.delay = delay;
-    Ok(published)
+    Ok(Published {
+        boxes,
+        calls,
+        delay,
+    })
 }
 
 fn head(frame: usize, step: u32, picture: PictureSize) -> FrameHead {

@@ -53,7 +53,7 @@ impl RunTimes {
     }
 
     /// The time of run number `run`, seconds.
-    pub(super) fn of(&self, run: usize) -> f64 {
+    pub(super) fn seconds_of(&self, run: usize) -> f64 {
         self.seconds[run % self.seconds.len()]
     }
 
@@ -81,12 +81,12 @@ mod tests {
     #[test]
     fn a_number_or_a_file_of_measured_runs_is_read_and_used_in_turn() {
         let always = RunTimes::read("113").unwrap();
-        assert_eq!((always.of(0), always.of(7)), (0.113, 0.113));
+        assert_eq!((always.seconds_of(0), always.seconds_of(7)), (0.113, 0.113));
         assert_eq!(always.describe(), "113 ms");
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), "20\n100.5\n\n40\n").unwrap();
         let measured = RunTimes::read(file.path().to_str().unwrap()).unwrap();
-        let runs: Vec<_> = (0..4).map(|run| measured.of(run)).collect();
+        let runs: Vec<_> = (0..4).map(|run| measured.seconds_of(run)).collect();
         assert_eq!(runs, [0.02, 0.1005, 0.04, 0.02]);
         let described = "20 to 100 ms (3 measured runs, median 40)";
         assert_eq!(measured.describe(), described);

@@ -53,10 +53,9 @@ fn published(clip: &Clip, policy: &str, stream: Stream) -> Published {
 
 /// The left edge of the box of each frame; 0 for a frame without one.
 fn left_edges(published: &Published) -> Vec<i64> {
-    let boxes = published.boxes.iter();
     let x1 = |found: &OutputBox| found.bounding_box.pixel_corners(PICTURE).x1.round() as i64;
     let left = |boxes: &Vec<OutputBox>| boxes.first().map_or(0, x1);
-    boxes.map(left).collect()
+    published.boxes.iter().map(left).collect()
 }
 
 #[test]
@@ -113,10 +112,8 @@ fn settled_boxes_equal_the_detectors_if_it_runs_on_every_frame() {
 fn the_table_compares_with_vanilla_and_a_clip_without_times_is_rejected() {
     let specs = policies(&["expected-loss:0"]);
     let clips = [drive_by(40, 6.0), drive_by(40, 7.0)];
-    let table = run(&clips, &specs, &Settings::default(), at_arrival("113"));
-    let table = table.unwrap().table();
-    let rows = table.lines();
-    let mut rows = rows.filter(|line| line.starts_with("expected-loss-0"));
+    let table = run(&clips, &specs, &Settings::default(), at_arrival("113")).unwrap().table();
+    let mut rows = table.lines().filter(|line| line.starts_with("expected-loss-0"));
     assert!(rows.next().unwrap().contains(" 50.0 "), "{table}");
     assert!(rows.next().unwrap().contains(" +"), "{table}");
     assert!(table.lines().all(|line| line.len() <= 80), "{table}");
