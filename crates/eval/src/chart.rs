@@ -83,26 +83,37 @@ impl Axis<'_> {
 /// The height of a line of the legend, pixels.
 const LEGEND_LINE: i32 = 20;
 
-/// The places of a legend's markers, in lines above a chart, where no data are, and the height of these lines.
-fn legend(names: &[(usize, &str)]) -> (Vec<(i32, i32)>, i32) {
-    let left = 24;
-    let right = SIZE.0 as i32 - 12;
-    let mut at = (left, 12 + LEGEND_LINE / 2);
-    let mut places = Vec::new();
-    for (_, name) in names {
-        let width = 26 + 8 * name.chars().count() as i32;
-        if at.0 + width > right && at.0 > left {
-            at = (left, at.1 + LEGEND_LINE);
+/// The lines of a legend above a chart, where no data are.
+struct Legend {
+    /// The places of the markers.
+    places: Vec<(i32, i32)>,
+    /// The height of all lines.
+    height: i32,
+}
+
+impl Legend {
+    fn new(names: &[(usize, &str)]) -> Self {
+        let left = 24;
+        let right = SIZE.0 as i32 - 12;
+        let mut x = left;
+        let mut y = 12 + LEGEND_LINE / 2;
+        let mut places = Vec::new();
+        for (_, name) in names {
+            let width = 26 + 8 * name.chars().count() as i32;
+            if x + width > right && x > left {
+                x = left;
+                y += LEGEND_LINE;
+            }
+            places.push((x, y));
+            x += width;
         }
-        places.push(at);
-        at.0 += width;
+        let height = if names.is_empty() {
+            0
+        } else {
+            y + LEGEND_LINE / 2
+        };
+        Self { places, height }
     }
-    let height = if names.is_empty() {
-        0
-    } else {
-        at.1 + LEGEND_LINE / 2
-    };
-    (places, height)
 }
 
 /// Draws a chart with a legend of the families at `names`, by index, above it; `draw` adds the series.
@@ -112,7 +123,7 @@ pub(crate) fn chart(
     names: &[(usize, &str)],
     draw: impl FnOnce(&mut Plane<'_>) -> Result<(), PlotError>,
 ) -> Result<String, PlotError> {
-    let (places, height) = legend(names);
+    let Legend { places, height } = Legend::new(names);
     let size = (SIZE.0, SIZE.1 + height as u32);
     let mut svg = String::new();
     {
@@ -170,14 +181,14 @@ pub(crate) fn color_of(index: usize, family: &str) -> RGBColor {
 
 /// The marker of the `index`th family. Families differ in shape and colour.
 fn marker<'a>(
-    at: (i32, i32),
+    (x, y): (i32, i32),
     index: usize,
     style: ShapeStyle,
 ) -> DynElement<'a, SVGBackend<'a>, (i32, i32)> {
     match index % 3 {
-        0 => Circle::new(at, 4, style).into_dyn(),
-        1 => TriangleMarker::new(at, 5, style).into_dyn(),
-        _ => Rectangle::new([(at.0 - 4, at.1 - 4), (at.0 + 4, at.1 + 4)], style).into_dyn(),
+        0 => Circle::new((x, y), 4, style).into_dyn(),
+        1 => TriangleMarker::new((x, y), 5, style).into_dyn(),
+        _ => Rectangle::new([(x - 4, y - 4), (x + 4, y + 4)], style).into_dyn(),
     }
 }
 
@@ -199,14 +210,23 @@ pub(crate) fn mark(
     drawn.map(drop)
 }
 
-/// A part of stacked bars: its name, its fill, and the colour of text on it.
-pub(crate) type BarPart<'a> = (&'a str, RGBColor, RGBColor);
+/// A part of stacked bars.
+pub(crate) struct BarPart<'a> {
+    pub name: &'a str,
+    pub fill: RGBColor,
+    /// The colour of text on it.
+    pub ink: RGBColor,
+}
 
 /// The parts of bars of frame states.
 pub(crate) fn state_parts() -> [BarPart<'static>; 5] {
     FrameState::ALL.map(|state| {
         let (fill, ink) = state_colors(state);
-        (state.as_str(), fill, ink)
+        BarPart {
+            name: state.as_str(),
+            fill,
+            ink,
+        }
     })
 }
 
@@ -256,7 +276,7 @@ pub(crate) fn stacked(
                 text(14, INK, HPos::Right),
             ))?;
             let mut from = 0.0;
-            for ((_, fill, ink), value) in parts.iter().zip(values) {
+            for (BarPart { fill, ink, .. }, value) in parts.iter().zip(values) {
                 let corners = [(from, middle - 0.36), (from + value, middle + 0.36)];
                 plane.draw_series([Rectangle::new(corners, fill.filled())])?;
                 if *value >= 0.045 * longest {
@@ -267,8 +287,8 @@ pub(crate) fn stacked(
                 from += value;
             }
         }
-        let mut x = plane.backend_coord(&(0.0, 0.0)).0;
-        for (name, fill, _) in parts {
+        let (mut x, _) = plane.backend_coord(&(0.0, 0.0));
+        for BarPart { name, fill, .. } in parts {
             root.draw(&Rectangle::new([(x, 12), (x + 10, 22)], fill.filled()))?;
             root.draw(&Text::new(
                 (*name).to_owned(),
@@ -302,21 +322,21 @@ mod tests {
     fn a_legend_lies_above_the_chart_and_in_the_picture_whatever_the_names() {
         let long = "x".repeat(40);
         let names: Vec<_> = (0..12).map(|index| (index, long.as_str())).collect();
-        let (places, height) = legend(&names);
+        let Legend { places, height } = Legend::new(&names);
         assert_eq!(places.len(), 12);
+        let width = 8 * 40;
         for pair in places.windows(2) {
-            assert!(
-                pair[0].1 < pair[1].1 || pair[0].0 + 26 + 8 * 40 <= pair[1].0,
-                "{pair:?}"
-            );
+            let (x, y) = pair[0];
+            let (next_x, next_y) = pair[1];
+            assert!(y < next_y || x + 26 + width <= next_x, "{pair:?}");
         }
         for (x, y) in places {
-            assert!(
-                x + 10 + 8 * 40 < SIZE.0 as i32 && y + LEGEND_LINE / 2 <= height,
-                "{x} {y}"
-            );
+            assert!(x + 10 + width < SIZE.0 as i32, "{x}");
+            assert!(y + LEGEND_LINE / 2 <= height, "{y}");
         }
-        assert_eq!(legend(&[]), (Vec::new(), 0));
+        let empty = Legend::new(&[]);
+        assert!(empty.places.is_empty());
+        assert_eq!(empty.height, 0);
     }
 
     #[test]

@@ -55,9 +55,12 @@ pub struct Pooled {
 impl Pooled {
     /// Pools clips; `None` for fewer than two, and without ground truth.
     fn of(results: &[&ClipResult]) -> Option<Self> {
+        if results.len() < 2 {
+            return None;
+        }
         let matches: Option<Vec<&Matches>> =
             results.iter().map(|result| result.matches.as_ref()).collect();
-        let accuracy = Matches::joined(matches.filter(|clips| clips.len() > 1)?)?.accuracy()?;
+        let accuracy = Matches::joined(matches?)?.accuracy()?;
         let sum = |count: &dyn Fn(&ClipResult) -> usize| -> usize {
             results.iter().map(|result| count(result)).sum()
         };
@@ -226,14 +229,14 @@ pub(crate) fn of_baseline<'a, T>(
 
 /// Summarises `results`, in the order in which the policies first occur.
 pub fn summarise(results: &[ClipResult]) -> Vec<PolicySummary> {
-    let judged = results.iter().any(|result| result.accuracy.is_some());
+    let is_any_judged = results.iter().any(|result| result.accuracy.is_some());
     let by_policy = by_policy(results, |result| &result.policy);
     let baseline = of_baseline(&by_policy, |result| &result.clip);
     let mut summaries: Vec<PolicySummary> = by_policy
         .iter()
         .map(|(policy, of_policy)| {
             let mut counted = of_policy.clone();
-            counted.retain(|result| !judged || result.accuracy.is_some());
+            counted.retain(|result| !is_any_judged || result.accuracy.is_some());
             let left_out = of_policy.len() - counted.len();
             summarise_policy(policy, &counted, left_out, &baseline)
         })

@@ -8,7 +8,7 @@ use crate::chart::Plot;
 use crate::result::ClipResult;
 use crate::spec::{BASELINE, short_label};
 use crate::summary::PolicySummary;
-use crate::text::{Column, or_dash};
+use crate::text::{Column, counted, or_dash};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use std::collections::{BTreeSet, HashMap};
 
@@ -116,7 +116,7 @@ fn settings(report: &Report) -> Markup {
         @if !lines.is_empty() {
             details.note {
                 summary {
-                    "About the data: " (lines.len()) " remark" @if lines.len() != 1 { "s" }
+                    "About the data: " (counted(lines.len(), "remark"))
                 }
                 ul {
                     @for line in &lines { li { (line) } }
@@ -188,8 +188,8 @@ fn classes(summaries: &[PolicySummary]) -> Markup {
         policies.map(str::to_owned).collect(),
     )];
     columns.extend(names.into_iter().map(|name| {
-        let of = |summary: &PolicySummary| figure(summary.ap50_by_class.get(name).copied(), 4);
-        Column::new([name, ""], summaries.iter().map(of).collect())
+        let cell = |summary: &PolicySummary| figure(summary.ap50_by_class.get(name).copied(), 4);
+        Column::new([name, ""], summaries.iter().map(cell).collect())
     }));
     html! {
         section {

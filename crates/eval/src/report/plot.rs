@@ -47,19 +47,40 @@ pub(super) fn figures(report: &super::Report) -> Result<Vec<Plot>, PlotError> {
     Ok(figures)
 }
 
+/// A policy whose boxes were judged.
+struct JudgedPolicy<'a> {
+    summary: &'a PolicySummary,
+    percent_skipped: f64,
+    ap50: f64,
+}
+
+impl JudgedPolicy<'_> {
+    /// Its place in the figure.
+    fn place(&self) -> (f64, f64) {
+        (self.percent_skipped, self.ap50)
+    }
+}
+
 /// Draws accuracy against skip rate: a marker per policy, a line per family, and the Pareto frontier.
 fn tradeoff(summaries: &[PolicySummary], families: &[&str]) -> Result<String, PlotError> {
-    let judged: Vec<(&PolicySummary, (f64, f64))> = summaries
-        .iter()
-        .filter_map(|summary| Some((summary, (summary.skip_rate * 100.0, summary.ap50?))))
-        .collect();
+    let mut judged: Vec<JudgedPolicy<'_>> = Vec::new();
+    for summary in summaries {
+        if let Some(ap50) = summary.ap50 {
+            let percent_skipped = summary.skip_rate * 100.0;
+            judged.push(JudgedPolicy {
+                summary,
+                percent_skipped,
+                ap50,
+            });
+        }
+    }
     let places = |wanted: &dyn Fn(&PolicySummary) -> bool| {
-        let wanted = judged.iter().filter(|(summary, _)| wanted(summary));
-        let mut places: Vec<(f64, f64)> = wanted.map(|(_, at)| *at).collect();
-        places.sort_by(|a, b| a.0.total_cmp(&b.0));
-        places
+        let mut wanted: Vec<&JudgedPolicy<'_>> =
+            judged.iter().filter(|policy| wanted(policy.summary)).collect();
+        wanted.sort_by(|a, b| a.percent_skipped.total_cmp(&b.percent_skipped));
+        wanted.into_iter().map(JudgedPolicy::place).collect::<Vec<(f64, f64)>>()
     };
-    let across = range(judged.iter().map(|(_, at)| at.0), 0.09);
+    let across = range(judged.iter().map(|policy| policy.percent_skipped), 0.09);
     let up = vertical_range(&judged);
     let low = up.start;
     let high = up.end;
@@ -76,9 +97,9 @@ fn tradeoff(summaries: &[PolicySummary], families: &[&str]) -> Result<String, Pl
             let ends = [(across.start, *ap50), (across.end, *ap50)];
             plane.draw_series(LineSeries::new(ends, SOFT_INK))?;
         }
-        let whiskers = judged.iter().filter_map(|(summary, (x, _))| {
-            let (from, to) = interval(summary)?;
-            let ends = [from, to].map(|end| (*x, end.clamp(low, high)));
+        let whiskers = judged.iter().filter_map(|policy| {
+            let ends = interval(policy.summary)?;
+            let ends = ends.map(|end| (policy.percent_skipped, end.clamp(low, high)));
             Some(PathElement::new(ends.to_vec(), SOFT_INK.mix(0.5)))
         });
         plane.draw_series(whiskers)?;
@@ -96,20 +117,20 @@ fn tradeoff(summaries: &[PolicySummary], families: &[&str]) -> Result<String, Pl
 }
 
 /// Returns the 95 % interval of a policy's AP@50.
-fn interval(summary: &PolicySummary) -> Option<(f64, f64)> {
+fn interval(summary: &PolicySummary) -> Option<[f64; 2]> {
     let ap50 = summary.ap50?;
     let change = summary.ap50_change?;
-    let [from, to] = change.interval?;
-    Some((ap50 - change.mean + from, ap50 - change.mean + to))
+    let ends = change.interval?;
+    Some(ends.map(|end| ap50 - change.mean + end))
 }
 
 /// Returns the vertical range: all points, and as much of the intervals as leaves the points distinguishable. The
 /// interval over two clips can be wider than the whole range of accuracies.
-fn vertical_range(judged: &[(&PolicySummary, (f64, f64))]) -> Range<f64> {
-    let points = range(judged.iter().map(|(_, at)| at.1), 0.0);
+fn vertical_range(judged: &[JudgedPolicy<'_>]) -> Range<f64> {
+    let points = range(judged.iter().map(|policy| policy.ap50), 0.0);
     let room = (points.end - points.start).max(0.02);
-    let ends = judged.iter().flat_map(|(summary, (_, ap50))| {
-        let (low, high) = interval(summary).unwrap_or((*ap50, *ap50));
+    let ends = judged.iter().flat_map(|policy| {
+        let [low, high] = interval(policy.summary).unwrap_or([policy.ap50; 2]);
         [low.max(points.start - room), high.min(points.end + room)]
     });
     let all = range(ends, 0.08);
@@ -117,27 +138,26 @@ fn vertical_range(judged: &[(&PolicySummary, (f64, f64))]) -> Range<f64> {
 }
 
 /// Writes each setting beside its marker, where there is still room.
-fn settings(
-    plane: &mut Plane<'_>,
-    judged: &[(&PolicySummary, (f64, f64))],
-) -> Result<(), PlotError> {
+fn settings(plane: &mut Plane<'_>, judged: &[JudgedPolicy<'_>]) -> Result<(), PlotError> {
     let style = (FONT, 13).into_font().color(&SOFT_INK);
-    let mut taken: Vec<(i32, i32)> = judged.iter().map(|(_, at)| plane.backend_coord(at)).collect();
-    for (summary, at) in judged {
-        let (_, setting) = split_label(&summary.policy);
-        let (x, y) = plane.backend_coord(at);
+    let mut taken: Vec<(i32, i32)> =
+        judged.iter().map(|policy| plane.backend_coord(&policy.place())).collect();
+    for policy in judged {
+        let (_, setting) = split_label(&policy.summary.policy);
+        let (x, y) = plane.backend_coord(&policy.place());
         let width = 6 * setting.len() as i32;
+        let middle = |(right, down): (i32, i32)| (x + right + width / 2, y + down + 6);
         let is_free = |offset: &(i32, i32)| {
-            let middle = (x + offset.0 + width / 2, y + offset.1 + 6);
+            let (middle_x, middle_y) = middle(*offset);
             let apart = |(other_x, other_y): &(i32, i32)| {
-                (other_x - middle.0).abs() > width / 2 + 6 || (other_y - middle.1).abs() > 10
+                (other_x - middle_x).abs() > width / 2 + 6 || (other_y - middle_y).abs() > 10
             };
             taken.iter().all(apart)
         };
         let offsets = [(8, -17), (8, 6), (-8 - width, -17), (-8 - width, 6)];
         if let Some(offset) = offsets.into_iter().find(is_free) {
-            taken.push((x + offset.0 + width / 2, y + offset.1 + 6));
-            let text = EmptyElement::at(*at) + Text::new(setting, offset, style.clone());
+            taken.push(middle(offset));
+            let text = EmptyElement::at(policy.place()) + Text::new(setting, offset, style.clone());
             plane.draw_series([text])?;
         }
     }
@@ -147,10 +167,8 @@ fn settings(
 /// Draws a bar per policy with the shares of its frame states.
 fn states(summaries: &[PolicySummary]) -> Result<String, PlotError> {
     let row = |summary: &PolicySummary| {
-        (
-            short_label(&summary.policy).to_owned(),
-            summary.states.to_vec(),
-        )
+        let label = short_label(&summary.policy).to_owned();
+        (label, summary.states.to_vec())
     };
     let rows: Vec<_> = summaries.iter().map(row).collect();
     stacked(&rows, &state_parts(), &|share| {
@@ -181,8 +199,8 @@ fn changes(results: &[ClipResult], families: &[&str]) -> Vec<Vec<(f64, f64)>> {
 /// Draws the change of AP@50 against the skip rate, with a marker per clip.
 fn clips(changes: &[Vec<(f64, f64)>], families: &[&str]) -> Result<String, PlotError> {
     let all = || changes.iter().flatten();
-    let across = range(all().map(|change| change.0), 0.05);
-    let up = range(all().map(|change| change.1).chain([0.0]), 0.06);
+    let across = range(all().map(|(percent_skipped, _)| *percent_skipped), 0.05);
+    let up = range(all().map(|(_, points)| *points).chain([0.0]), 0.06);
     let signed = |value: &f64| {
         if *value == 0.0 {
             "0".to_owned()
@@ -195,15 +213,15 @@ fn clips(changes: &[Vec<(f64, f64)>], families: &[&str]) -> Result<String, PlotE
         range: up,
         label: &signed,
     };
-    let of_families = families.iter().copied().zip(changes).enumerate();
-    let shown: Vec<_> = of_families.filter(|(_, (_, some))| !some.is_empty()).collect();
-    let names: Vec<_> = shown.iter().map(|(index, (family, _))| (*index, *family)).collect();
+    let is_shown = |index: &usize| !changes[*index].is_empty();
+    let shown: Vec<usize> = (0..families.len()).filter(is_shown).collect();
+    let names: Vec<_> = shown.iter().map(|index| (*index, families[*index])).collect();
     chart(Axis::skip_rate(across.clone()), change, &names, |plane| {
         let ends = [(across.start, 0.0), (across.end, 0.0)];
         plane.draw_series(LineSeries::new(ends, SOFT_INK))?;
-        for (index, (family, changes)) in shown {
-            let color = color_of(index, family).mix(0.6);
-            mark(plane, changes, index, color.filled())?;
+        for index in shown {
+            let color = color_of(index, families[index]).mix(0.6);
+            mark(plane, &changes[index], index, color.filled())?;
         }
         Ok(())
     })

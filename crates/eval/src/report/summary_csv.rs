@@ -34,10 +34,12 @@ fn row(result: &ClipResult, baseline: Option<&ClipResult>) -> Vec<(&'static str,
     // Only the published scoring has both definitions.
     let decayed = last.and(accuracy);
     let before = baseline.and_then(|baseline| baseline.accuracy);
-    let of =
+    let judged =
         |accuracy: Option<Accuracy>, figure: AccuracyFigure| cell(accuracy.as_ref().map(figure));
-    let delta =
-        |figure: AccuracyFigure| cell(accuracy.zip(before).map(|(a, b)| figure(&a) - figure(&b)));
+    let delta = |figure: AccuracyFigure| {
+        let both = accuracy.zip(before);
+        cell(both.map(|(own, before)| figure(&own) - figure(&before)))
+    };
     let time = result.frame_time.map(|time| time.milliseconds);
     let source = result.frame_time.map(|time| time.provenance.as_str());
     let tracks = result.tracking;
@@ -58,22 +60,22 @@ fn row(result: &ClipResult, baseline: Option<&ClipResult>) -> Vec<(&'static str,
         ("share_I", i.to_string()),
         ("share_AI", ai.to_string()),
         ("boxes", result.boxes.to_string()),
-        ("ap50_decayed", of(decayed, |a| a.ap50)),
-        ("map_decayed", of(decayed, |a| a.map)),
-        ("ap50_lastconf", of(last, |a| a.ap50)),
-        ("map_lastconf", of(last, |a| a.map)),
-        ("ap50", of(accuracy, |a| a.ap50)),
-        ("map", of(accuracy, |a| a.map)),
-        ("ap75", of(accuracy, |a| a.ap75)),
-        ("f1_50_shown", of(accuracy, |a| a.f1_50_shown)),
+        ("ap50_decayed", judged(decayed, |a| a.ap50)),
+        ("map_decayed", judged(decayed, |a| a.map)),
+        ("ap50_lastconf", judged(last, |a| a.ap50)),
+        ("map_lastconf", judged(last, |a| a.map)),
+        ("ap50", judged(accuracy, |a| a.ap50)),
+        ("map", judged(accuracy, |a| a.map)),
+        ("ap75", judged(accuracy, |a| a.ap75)),
+        ("f1_50_shown", judged(accuracy, |a| a.f1_50_shown)),
         ("hota", cell(tracks.map(|tracks| tracks.hota))),
         ("idf1", cell(tracks.map(|tracks| tracks.idf1))),
-        ("precision", of(accuracy, |a| a.precision)),
-        ("recall", of(accuracy, |a| a.recall)),
-        ("ap50_all", of(all, |a| a.ap50)),
-        ("ap75_all", of(all, |a| a.ap75)),
-        ("map_all", of(all, |a| a.map)),
-        ("f1_50_shown_all", of(all, |a| a.f1_50_shown)),
+        ("precision", judged(accuracy, |a| a.precision)),
+        ("recall", judged(accuracy, |a| a.recall)),
+        ("ap50_all", judged(all, |a| a.ap50)),
+        ("ap75_all", judged(all, |a| a.ap75)),
+        ("map_all", judged(all, |a| a.map)),
+        ("f1_50_shown_all", judged(all, |a| a.f1_50_shown)),
         ("hota_all", cell(tracks_all.map(|tracks| tracks.hota))),
         ("idf1_all", cell(tracks_all.map(|tracks| tracks.idf1))),
         ("newcomers", cell(newcomers.map(|new| new.objects))),
@@ -119,7 +121,8 @@ mod tests {
         let rows = rows(&[of_states("clip, one", "vanilla", &[FrameState::I])]);
         let cell = |name: &str| {
             let found = rows[0].iter().find(|(column, _)| *column == name);
-            found.expect("the column is there").1.as_str()
+            let (_, cell) = found.expect("the column is there");
+            cell.as_str()
         };
         assert_eq!(cell("sequence"), "clip, one");
         assert_eq!(cell("skip_rate"), "0");

@@ -27,14 +27,16 @@ pub fn render(summaries: &[PolicySummary]) -> String {
 fn figures(summaries: &[PolicySummary]) -> String {
     let mut columns = ranked(summaries);
     let mut left_out = Vec::new();
-    let width = |(_, column): &(u8, Column)| column.width() + 1;
+    let width = |ranked: &RankedColumn| ranked.column.width() + 1;
     while columns.iter().map(width).sum::<usize>() > WIDTH + 1 {
-        let Some(index) = (1..columns.len()).max_by_key(|&index| (columns[index].0, index)) else {
+        // Of equal ranks the last; the names of the policies stay.
+        let last = (1..columns.len()).max_by_key(|&index| (columns[index].rank, index));
+        let Some(index) = last else {
             break;
         };
-        left_out.push(columns.remove(index).1.heads.join(" "));
+        left_out.push(columns.remove(index).column.heads.join(" "));
     }
-    let mut text = text::table(columns.iter().map(|(_, column)| column), " ");
+    let mut text = text::table(columns.iter().map(|ranked| &ranked.column), " ");
     let mut notes = notes(summaries);
     if !left_out.is_empty() {
         let names: Vec<_> = left_out.iter().map(|name| name.trim()).collect();
@@ -145,16 +147,22 @@ fn differences(summaries: &[PolicySummary]) -> Vec<(String, Vec<Column>)> {
 /// Returns the columns for which at least one policy has a figure. The first one names the policies, with `*` for those on
 /// the Pareto frontier of AP@50 and skip rate.
 pub(crate) fn columns(summaries: &[PolicySummary]) -> Vec<Column> {
-    let ranked = ranked(summaries).into_iter();
-    ranked.map(|(_, column)| column).collect()
+    ranked(summaries).into_iter().map(|ranked| ranked.column).collect()
 }
 
-/// Returns the same columns with ranks; the highest rank is left out first if the table is too wide.
-fn ranked(summaries: &[PolicySummary]) -> Vec<(u8, Column)> {
-    let column = |heads: [&str; 2], rank: u8, cell: &dyn Fn(&PolicySummary) -> String| {
-        let cells = summaries.iter().map(cell).collect();
-        (rank, Column::new(heads, cells))
-    };
+/// A column, and its rank: if the table is too wide, those of the highest rank are left out first.
+struct RankedColumn {
+    rank: u8,
+    column: Column,
+}
+
+/// Returns the same columns with ranks.
+fn ranked(summaries: &[PolicySummary]) -> Vec<RankedColumn> {
+    let column =
+        |heads: [&str; 2], rank: u8, cell: &dyn Fn(&PolicySummary) -> String| RankedColumn {
+            rank,
+            column: Column::new(heads, summaries.iter().map(cell).collect()),
+        };
     let mut columns = vec![
         column(["", "policy"], 0, &|summary| {
             let star = if summary.on_skip_frontier { "*" } else { "" };
@@ -162,9 +170,9 @@ fn ranked(summaries: &[PolicySummary]) -> Vec<(u8, Column)> {
         }),
         column(["skip", "%"], 0, &|summary| percent(summary.skip_rate)),
     ];
-    for (at, state) in FrameState::ALL.into_iter().enumerate() {
+    for (place, state) in FrameState::ALL.into_iter().enumerate() {
         columns.push(column([state.as_str(), "%"], 0, &|summary| {
-            percent(summary.states[at])
+            percent(summary.states[place])
         }));
     }
     columns.extend([
@@ -210,7 +218,7 @@ fn ranked(summaries: &[PolicySummary]) -> Vec<(u8, Column)> {
             or_dash(summary.energy.map(|energy| format!("{:.0}p", energy.edp)))
         }),
     ]);
-    columns.retain(|(_, column)| column.cells.iter().any(|cell| cell != "-"));
+    columns.retain(|ranked| ranked.column.cells.iter().any(|cell| cell != "-"));
     columns
 }
 

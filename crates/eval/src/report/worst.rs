@@ -57,28 +57,30 @@ pub(super) fn frames(results: &[ClipResult], truth: &str) -> Markup {
 fn frames_of(results: &[ClipResult], policy: &str) -> Markup {
     html! {
         div.frames {
-            @for (of, worst) in worst_of(results, policy) {
-                (picture(&place_of(of, worst), worst))
+            @for (result, worst) in worst_of(results, policy) {
+                (picture(&place_of(result, worst), worst))
             }
         }
     }
 }
 
 /// Says where the frame is: `drive, frame 120 (4.8 s)`.
-fn place_of(of: &ClipResult, worst: &WorstFrame) -> String {
-    let seconds = of.frame_rate.map(|rate| format!(" ({:.1} s)", worst.frame as f64 / rate));
+fn place_of(result: &ClipResult, worst: &WorstFrame) -> String {
+    let seconds = result.frame_rate.map(|rate| format!(" ({:.1} s)", worst.frame as f64 / rate));
     format!(
         "{}, frame {}{}",
-        of.clip,
+        result.clip,
         worst.frame,
         seconds.unwrap_or_default()
     )
 }
 
+/// The worst frames of a policy, each with the result of its clip.
 fn worst_of<'a>(results: &'a [ClipResult], policy: &str) -> Vec<(&'a ClipResult, &'a WorstFrame)> {
-    let own = results.iter().filter(|result| result.policy == policy);
-    let worst = own.flat_map(|result| result.worst.iter().map(move |worst| (result, worst)));
-    let mut worst: Vec<_> = worst.collect();
+    let mut worst = Vec::new();
+    for result in results.iter().filter(|result| result.policy == policy) {
+        worst.extend(result.worst.iter().map(|worst| (result, worst)));
+    }
     worst.sort_by_key(|(_, worst)| std::cmp::Reverse(worst.lost));
     worst.truncate(SHOWN);
     worst

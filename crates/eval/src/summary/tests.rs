@@ -1,4 +1,5 @@
 use super::*;
+use crate::boxes::ScoredBox;
 use crate::judge::Accuracy;
 use crate::judge::average_precision::tests::{at, pooled};
 use crate::judge::{Interpolation, Newcomers, Truth};
@@ -12,13 +13,17 @@ pub(crate) fn of_states(clip: &str, policy: &str, states: &[FrameState]) -> Clip
         frames: states.len(),
         ..ClipResult::default()
     };
-    states.iter().for_each(|state| result.states.count(*state));
+    for state in states {
+        result.states.count(*state);
+    }
     result
 }
 
+/// The result of a policy on a clip of ten frames.
 fn result(clip: &str, policy: &str, ap50: Option<f64>, skipped: usize) -> ClipResult {
-    let states = [[FrameState::P; 10], [FrameState::I; 10]].concat();
-    let mut result = of_states(clip, policy, &states[10 - skipped..][..10]);
+    let mut states = [FrameState::I; 10];
+    states[..skipped].fill(FrameState::P);
+    let mut result = of_states(clip, policy, &states);
     let boxes = [vec![at(0.0, 1.0)]];
     let perfect = pooled(&boxes, &boxes);
     result.accuracy = ap50.map(|ap50| Accuracy { ap50, ..perfect });
@@ -55,8 +60,8 @@ fn the_skip_frontier_contains_every_unbeaten_policy() {
         result("a", "bad", Some(0.5), 4),
     ];
     let summaries = summarise(&results);
-    let on = summaries.iter().map(|summary| summary.on_skip_frontier);
-    assert_eq!(on.collect::<Vec<_>>(), [true, true, false]);
+    let on_frontier: Vec<_> = summaries.iter().map(|summary| summary.on_skip_frontier).collect();
+    assert_eq!(on_frontier, [true, true, false]);
 }
 
 #[test]
@@ -67,24 +72,22 @@ fn pooled_figures_are_those_of_the_clips_as_one() {
         vec![vec![at(50.0, 0.9)], vec![at(0.0, 0.8)]],
         vec![vec![at(0.0, 0.7)]; 6],
     ];
-    let results: Vec<ClipResult> = (["a", "b"].into_iter().zip(&found))
-        .map(|(clip, found)| {
-            let objects = truth(found.len());
-            let truth = Truth::from(&objects);
-            let matches = Matches::of(found, truth, Interpolation::AllPoints);
-            let states = vec![FrameState::P; found.len()];
-            ClipResult {
-                accuracy: matches.accuracy(),
-                matches: Some(matches),
-                newcomers: Some(Newcomers {
-                    objects: found.len(),
-                    never_found: 1,
-                    delay_frames: found.len() as f64,
-                }),
-                ..of_states(clip, "vanilla", &states)
-            }
-        })
-        .collect();
+    let result_of = |clip: &str, found: &[Vec<ScoredBox>]| {
+        let objects = truth(found.len());
+        let matches = Matches::of(found, Truth::from(&objects), Interpolation::AllPoints);
+        let states = vec![FrameState::P; found.len()];
+        ClipResult {
+            accuracy: matches.accuracy(),
+            matches: Some(matches),
+            newcomers: Some(Newcomers {
+                objects: found.len(),
+                never_found: 1,
+                delay_frames: found.len() as f64,
+            }),
+            ..of_states(clip, "vanilla", &states)
+        }
+    };
+    let results = [result_of("a", &found[0]), result_of("b", &found[1])];
     let summary = &summarise(&results)[0];
     let as_one = pooled(&found.concat(), &truth(8));
     let pooled = summary.pooled.expect("two clips");
