@@ -90,15 +90,17 @@ pub fn export(
             match format {
                 ExportFormat::Coco => coco.add(path, &frame, out),
                 ExportFormat::Mot => {
-                    let sequence = sequences.entry(frame.camera.clone());
-                    let sequence =
-                        sequence.or_insert_with(|| mot::Sequence::new(path, &frame, frames, out));
+                    let sequence = sequences
+                        .entry(frame.camera.clone())
+                        .or_insert_with(|| mot::Sequence::new(path, &frame, frames, out));
                     sequence.add(&frame)
                 }
             }
         });
         exported.left_out.extend(read?);
-        sequences.into_values().try_for_each(mot::Sequence::finish)?;
+        for sequence in sequences.into_values() {
+            sequence.finish()?;
+        }
         exported.recordings += u64::from(exported.pictures > before);
         done(&exported);
     }
@@ -126,14 +128,14 @@ pub fn export(
 
 /// The place of a name among `names`, to which it is added if it is new.
 fn place_of(names: &mut Vec<String>, name: &str) -> usize {
-    let known = names.iter().position(|known| known == name);
-    known.unwrap_or_else(|| {
-        names.push(name.to_owned());
-        names.len() - 1
-    })
+    if let Some(place) = names.iter().position(|known| known == name) {
+        return place;
+    }
+    names.push(name.to_owned());
+    names.len() - 1
 }
 
-/// The name of a camera's frames: a node has named its recordings for time and camera.
+/// The name of a camera's frames. The names of a node's own recordings already end with the camera.
 fn sequence_name(recording: &Path, camera: &str) -> String {
     let name = clip_name(recording);
     let ending = format!("_{camera}");

@@ -29,16 +29,17 @@ pub(crate) fn entries(
 /// # Errors
 /// When the folder or the file cannot be written.
 pub fn write(path: &Path, content: impl AsRef<[u8]>) -> Result<(), EvalError> {
-    path.parent()
-        .map_or(Ok(()), std::fs::create_dir_all)
-        .and_then(|()| std::fs::write(path, content))
-        .map_err(|error| EvalError::write(path, error))
+    let failed = |error| EvalError::write(path, error);
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder).map_err(failed)?;
+    }
+    std::fs::write(path, content).map_err(failed)
 }
 
 /// Writes `value` as indented JSON.
 pub(crate) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), EvalError> {
-    let json = serde_json::to_vec_pretty(value);
-    write(path, json.map_err(|error| EvalError::content(path, error))?)
+    let json = serde_json::to_vec_pretty(value).map_err(|error| EvalError::content(path, error))?;
+    write(path, json)
 }
 
 /// Writes rows of named cells as CSV; the names in the first row are the header.

@@ -5,34 +5,43 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 /// Half the width of the 95 % confidence interval of the mean of `values`, by Student's t. `None` for fewer than two values,
 /// for one that is not finite, or when all are zero (t is 0/0 then).
 pub(crate) fn half_interval(values: &[f64]) -> Option<f64> {
-    let (_, standard_error, t) = students_t(values)?;
-    Some(t.inverse_cdf(0.975) * standard_error)
+    let mean = MeanEstimate::of(values)?;
+    Some(mean.t.inverse_cdf(0.975) * mean.standard_error)
 }
 
 /// The two-sided p of the hypothesis that the mean of `values` is zero, by Student's t; `None` as for [`half_interval`].
 pub(crate) fn p_value(values: &[f64]) -> Option<f64> {
-    let (mean, standard_error, t) = students_t(values)?;
-    Some(2.0 * t.cdf(-(mean / standard_error).abs()))
+    let mean = MeanEstimate::of(values)?;
+    Some(2.0 * mean.t.cdf(-(mean.value / mean.standard_error).abs()))
 }
 
-/// Returns the mean of `values`, its standard error, and the distribution of their quotient.
-fn students_t(values: &[f64]) -> Option<(f64, f64, StudentsT)> {
-    let count = values.len() as f64;
-    if values.len() < 2 || values.iter().any(|value| !value.is_finite()) {
-        return None;
+/// A mean that is estimated from a sample.
+struct MeanEstimate {
+    value: f64,
+    standard_error: f64,
+    /// The distribution of the value divided by its standard error, if the true mean is zero.
+    t: StudentsT,
+}
+
+impl MeanEstimate {
+    fn of(values: &[f64]) -> Option<Self> {
+        let count = values.len() as f64;
+        if values.len() < 2 || values.iter().any(|value| !value.is_finite()) {
+            return None;
+        }
+        let value = values.iter().sum::<f64>() / count;
+        let squares = values.iter().map(|one| (one - value).powi(2));
+        let variance = squares.sum::<f64>() / (count - 1.0);
+        let standard_error = (variance / count).sqrt();
+        if standard_error == 0.0 && value == 0.0 {
+            return None;
+        }
+        Some(Self {
+            value,
+            standard_error,
+            t: StudentsT::new(0.0, 1.0, count - 1.0).ok()?,
+        })
     }
-    let mean = values.iter().sum::<f64>() / count;
-    let squares = values.iter().map(|value| (value - mean).powi(2));
-    let variance = squares.sum::<f64>() / (count - 1.0);
-    let standard_error = (variance / count).sqrt();
-    if standard_error == 0.0 && mean == 0.0 {
-        return None;
-    }
-    Some((
-        mean,
-        standard_error,
-        StudentsT::new(0.0, 1.0, count - 1.0).ok()?,
-    ))
 }
 
 /// The mean of `values`; `None` if there are none.

@@ -120,19 +120,17 @@ pub fn advise(
         search.propose()
     };
     let mut proposals = screens.into_iter().map(propose).collect::<Result<Vec<_>, _>>()?;
-    let worth = |proposal: &Proposal| {
+    // What a proposal gains beside the target that it has to meet.
+    let gain = |proposal: &Proposal| {
         let figure = match target {
             Target::Recall(_) => proposal.skip_rate,
             Target::SkipRate(_) => proposal.recall,
         };
-        (
-            proposal.meets_target,
-            figure.map_or(0.0, |figure| figure.value),
-        )
+        figure.map_or(0.0, |figure| figure.value)
     };
     proposals.sort_by(|a, b| {
-        let ((a_meets, a), (b_meets, b)) = (worth(a), worth(b));
-        b_meets.cmp(&a_meets).then(b.total_cmp(&a))
+        let by_target = b.meets_target.cmp(&a.meets_target);
+        by_target.then(gain(b).total_cmp(&gain(a)))
     });
     Ok(Advice {
         target,

@@ -37,11 +37,14 @@ pub fn render(advice: &Advice) -> String {
     );
     let cells = |cell: &dyn Fn(&Proposal) -> String| advice.proposals.iter().map(cell).collect();
     let policies = advice.proposals.iter().enumerate().map(|(index, proposal)| {
-        match (index, proposal.meets_target) {
-            (0, true) => format!("* {}", proposal.policy),
-            (_, true) => format!("  {}", proposal.policy),
-            (_, false) => format!("- {}", proposal.policy),
-        }
+        let sign = if !proposal.meets_target {
+            '-'
+        } else if index == 0 {
+            '*'
+        } else {
+            ' '
+        };
+        format!("{sign} {}", proposal.policy)
     });
     let columns = [
         Column::new(["  policy", ""], policies.collect()),
@@ -94,9 +97,13 @@ fn sentences(advice: &Advice) -> Vec<String> {
         }
     }
     if advice.clips < FEW_CLIPS {
+        let clips = if advice.clips == 1 {
+            "one clip"
+        } else {
+            "two clips"
+        };
         sentences.push(format!(
-            "Only {} of {} frames: record other roads, hours and weather, too, before you rely on it.",
-            if advice.clips == 1 { "one clip" } else { "two clips" },
+            "Only {clips} of {} frames: record other roads, hours and weather, too, before you rely on it.",
             advice.frames
         ));
     }
@@ -114,35 +121,35 @@ fn skips(proposal: &Proposal) -> bool {
 }
 
 fn proposed(best: &Proposal) -> String {
+    let screen = match best.screen {
+        ScreenRule::Recorded => " and the screen `model`",
+        _ => "",
+    };
     format!(
-        "Proposed: {} with {} = {}{}. The detector is skipped on {} of the frames, and {} of its boxes on these frames are shown.",
+        "Proposed: {} with {} = {}{screen}. The detector is skipped on {} of the frames, and {} of its boxes on these frames are shown.",
         best.policy,
         best.threshold,
         digits(best.value),
-        match best.screen {
-            ScreenRule::Recorded => " and the screen `model`",
-            _ => "",
-        },
         percent(best.skip_rate),
         percent(best.recall),
     )
 }
 
 fn checked(held_out: &HeldOut, target: Target) -> String {
-    let held = match target {
+    let is_reached = match target {
         Target::Recall(least) => held_out.recall.is_none_or(|recall| recall.value >= least),
-        _ => true,
+        Target::SkipRate(_) => true,
+    };
+    let warning = if is_reached {
+        ""
+    } else {
+        ": below the target, so record more before you rely on it"
     };
     format!(
         "Chosen on every second part of the recording and tried on the others, a value gives a recall of {} at {} \
-         skipped{}.",
+         skipped{warning}.",
         share(held_out.recall),
         percent(held_out.skip_rate),
-        if held {
-            ""
-        } else {
-            ": below the target, so record more before you rely on it"
-        }
     )
 }
 
@@ -168,9 +175,10 @@ fn share(estimate: Option<Estimate>) -> String {
         let text = format!("{value:.3}");
         // `.953` for a share, and `1` for all.
         let short = text.strip_suffix(".000").unwrap_or(&text);
-        short
-            .strip_prefix("0.")
-            .map_or_else(|| short.to_owned(), |rest| format!(".{rest}"))
+        match short.strip_prefix("0.") {
+            Some(digits) => format!(".{digits}"),
+            None => short.to_owned(),
+        }
     };
     or_dash(estimate.map(|Estimate { value, low, high }| {
         format!("{} [{}, {}]", bare(value), bare(low), bare(high))

@@ -53,9 +53,11 @@ pub(super) struct Trial {
 impl Trial {
     /// Returns the trial with only the blocks whose index is `parity` modulo 2.
     pub(super) fn half(&self, parity: usize) -> Self {
-        let blocks = self.blocks.iter().enumerate();
         Self {
-            blocks: blocks
+            blocks: self
+                .blocks
+                .iter()
+                .enumerate()
                 .filter(|(index, _)| index % 2 == parity)
                 .map(|(_, block)| *block)
                 .collect(),
@@ -84,13 +86,13 @@ impl Trial {
     /// True if this meets `target`, and the detector confirms at least a share of `least_precision` of the boxes shown.
     pub(super) fn meets(&self, target: Target, least_precision: f64) -> bool {
         // If nothing was shown on the skipped frames, nothing was wrong.
-        let confirmed = self.precision().is_none_or(|precision| precision.low >= least_precision);
-        confirmed
-            && match target {
-                // If the detector found nothing on the skipped frames, nothing was lost.
-                Target::Recall(least) => self.recall().is_none_or(|recall| recall.low >= least),
-                Target::SkipRate(least) => self.skip_rate().is_some_and(|rate| rate.value >= least),
-            }
+        let is_precise = self.precision().is_none_or(|precision| precision.low >= least_precision);
+        let reaches_target = match target {
+            // If the detector found nothing on the skipped frames, nothing was lost.
+            Target::Recall(least) => self.recall().is_none_or(|recall| recall.low >= least),
+            Target::SkipRate(least) => self.skip_rate().is_some_and(|rate| rate.value >= least),
+        };
+        is_precise && reaches_target
     }
 }
 

@@ -55,11 +55,14 @@ impl ClassNumbers {
 /// Judges `boxes` against `reference` over the frames that are in both; `None` if the reference has no box in any of
 /// them.
 pub fn agreement(boxes: &Boxes, reference: &Boxes) -> Option<Agreement> {
-    let both = boxes
-        .iter()
-        .filter_map(|(frame, found)| Some((found.clone(), reference.get(frame)?)));
-    let (found, truth): (Vec<_>, Vec<_>) =
-        both.map(|(found, expected)| (found, expected.clone())).unzip();
+    let mut found = Vec::new();
+    let mut truth = Vec::new();
+    for (frame, own) in boxes {
+        if let Some(expected) = reference.get(frame) {
+            found.push(own.clone());
+            truth.push(expected.clone());
+        }
+    }
     let judged = accuracy(&found, &truth, Classes::Pooled, Interpolation::AllPoints)?;
     Some(Agreement {
         ap50: judged.ap50,

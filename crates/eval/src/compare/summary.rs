@@ -128,13 +128,13 @@ pub struct VariantSummary {
 impl VariantSummary {
     /// The mean of a figure.
     pub(super) fn mean(&self, figure: Figure) -> Option<Mean> {
-        let found = self.means.iter().find(|(of, _)| *of == figure);
+        let found = self.means.iter().find(|(known, _)| *known == figure);
         found.map(|(_, mean)| *mean)
     }
 
     /// The change of a figure.
     pub(super) fn change(&self, figure: Figure) -> Option<Change> {
-        let found = self.changes.iter().find(|(of, _)| *of == figure);
+        let found = self.changes.iter().find(|(known, _)| *known == figure);
         found.map(|(_, change)| *change)
     }
 }
@@ -204,9 +204,7 @@ pub fn summarise(comparison: &Comparison) -> Summary {
     power_modes.dedup();
     Summary {
         energy: quality(runs),
-        energy_source: runs
-            .first()
-            .map_or_else(String::new, |run| run.report.energy.source.clone()),
+        energy_source: runs.first().map(|run| run.report.energy.source.clone()).unwrap_or_default(),
         coverage: runs.iter().map(|run| run.report.energy.coverage).fold(1.0, f64::min),
         rounds: runs.iter().map(|run| run.round + 1).max().unwrap_or(0),
         meter_share_of_core: runs
@@ -240,11 +238,11 @@ fn change(first: &[f64], other: &[f64]) -> Option<Change> {
 
 /// Returns the lowest quality of all runs: one estimate among measurements makes the whole an estimate.
 fn quality(runs: &[Run]) -> EnergyQuality {
-    let of = |run: &Run| match run.report.energy.joules {
+    let quality_of = |run: &Run| match run.report.energy.joules {
         Some(_) => run.report.energy.quality,
         None => EnergyQuality::Unavailable,
     };
-    runs.iter().map(of).max().unwrap_or_default()
+    runs.iter().map(quality_of).max().unwrap_or_default()
 }
 
 #[cfg(test)]

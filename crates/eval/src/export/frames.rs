@@ -34,7 +34,7 @@ pub(super) fn read(
     let mut messages = Messages::open(path).map_err(|error| EvalError::content(path, error))?;
     // The newest picture of each camera: its boxes follow it.
     let mut pictures = BTreeMap::new();
-    let mut without = 0;
+    let mut incomplete = 0;
     for message in messages.by_ref() {
         let Some((camera, topic)) = Topic::parse(&message.channel.topic) else {
             continue;
@@ -47,17 +47,19 @@ pub(super) fn read(
                 Some((time, picture)) if time == message.time_ns => picture,
                 _ => None,
             };
-            match picture.and_then(|picture| frame(camera, frames, picture, &message.data)) {
+            let labelled =
+                picture.and_then(|picture| frame(camera, frames, picture, &message.data));
+            match labelled {
                 Some(frame) => each(frame)?,
-                None => without += 1,
+                None => incomplete += 1,
             }
         }
     }
     let mut left_out = Vec::new();
     let file = path.display();
-    if without > 0 {
+    if incomplete > 0 {
         left_out.push(format!(
-            "{file}: {without} frames have no picture or no boxes"
+            "{file}: {incomplete} frames have no picture or no boxes"
         ));
     }
     if let Some(damage) = messages.damage() {

@@ -15,10 +15,14 @@ fn recording(name: &str, speed: f64, frames: usize) -> Clip {
         50.0 + way.min(800.0 - way)
     };
     let boxes = |frame: usize| {
-        let mut boxes = vec![found(swing(frame, 0.0), 50.0)];
-        boxes.push(found(swing(frame, 130.0), 150.0));
+        let mut boxes = vec![
+            found(swing(frame, 0.0), 50.0),
+            found(swing(frame, 130.0), 150.0),
+        ];
         let since = frame % 40;
-        boxes.extend((since < 25).then(|| found(300.0 + since as f64, 300.0)));
+        if since < 25 {
+            boxes.push(found(300.0 + since as f64, 300.0));
+        }
         boxes
     };
     Clip {
@@ -32,9 +36,19 @@ fn recordings() -> Vec<Clip> {
     vec![recording("slow", 3.0, 600), recording("fast", 11.0, 600)]
 }
 
+/// A least precision that every value has.
+const ANY_PRECISION: f64 = 0.0;
+
 fn advice(policy: &str, target: &str) -> Advice {
     let target = target.parse().unwrap();
-    advise(&recordings(), target, 0.0, policy, &Settings::default()).unwrap()
+    advise(
+        &recordings(),
+        target,
+        ANY_PRECISION,
+        policy,
+        &Settings::default(),
+    )
+    .unwrap()
 }
 
 #[test]
@@ -76,7 +90,14 @@ fn a_recorded_screen_is_tried_as_well_as_none() {
         clip.screen = Some(boxes.map(|boxes| Some(boxes.is_empty())).collect());
     }
     let target = "skip_rate=0.1".parse().unwrap();
-    let advice = advise(&clips, target, 0.0, "albireo", &Settings::default()).unwrap();
+    let advice = advise(
+        &clips,
+        target,
+        ANY_PRECISION,
+        "albireo",
+        &Settings::default(),
+    )
+    .unwrap();
     let screens: Vec<_> = advice.proposals.iter().map(|found| found.screen).collect();
     assert_eq!(screens.len(), 2);
     assert!(screens.contains(&ScreenRule::Recorded) && screens.contains(&ScreenRule::Nonempty));
@@ -94,8 +115,10 @@ fn an_unreachable_target_is_reported_without_a_proposal() {
 #[test]
 fn a_recording_without_boxes_and_a_policy_without_a_threshold_are_rejected() {
     let refused = |policy: &str, settings: &Settings| {
-        let error = advise(&recordings(), Target::Recall(0.9), 0.0, policy, settings);
-        error.unwrap_err().to_string()
+        let target = Target::Recall(0.9);
+        advise(&recordings(), target, ANY_PRECISION, policy, settings)
+            .unwrap_err()
+            .to_string()
     };
     let sure = Settings {
         confidence: 0.9,
@@ -124,14 +147,15 @@ fn the_proposed_lines_are_a_valid_node_configuration() {
 
 #[test]
 fn values_have_two_digits_and_stay_where_a_controller_would() {
-    for (policy, spec, ends) in [
-        (ExpectedLoss::NAME, ExpectedLoss::THRESHOLD, (0.05, 1.2)),
-        ("albireo", Albireo::THRESHOLD, (1.5e-4, 2e-3)),
+    for (policy, spec, lowest, highest) in [
+        (ExpectedLoss::NAME, ExpectedLoss::THRESHOLD, 0.05, 1.2),
+        ("albireo", Albireo::THRESHOLD, 1.5e-4, 2e-3),
     ] {
         let values = values(policy, &spec);
         assert!(values.is_sorted(), "{values:?}");
         assert!(values.len() > VALUES / 2, "{values:?}");
-        assert_eq!(values.first().zip(values.last()), Some((&ends.0, &ends.1)));
+        assert_eq!(values.first(), Some(&lowest));
+        assert_eq!(values.last(), Some(&highest));
         for value in values {
             assert_eq!(format!("{value:.1e}").parse(), Ok(value));
         }
@@ -145,7 +169,7 @@ fn a_value_must_also_have_the_precision_and_few_clips_are_called_few() {
         let clips = &recordings()[..1];
         advise(clips, target, least, "expected-loss", &Settings::default()).unwrap()
     };
-    let loose = advice(0.0);
+    let loose = advice(ANY_PRECISION);
     let found = loose.best().expect("it can be met").precision.unwrap();
     // A little more than it has: another value, or none.
     let strict = advice(found.low + 1e-6);

@@ -53,10 +53,12 @@ pub(crate) fn round(round: usize, joules: [f64; 2], calls: u64) -> [Run; 2] {
 
 /// Three rounds whose joules differ slightly.
 pub(crate) fn rounds(joules: [f64; 2], calls: u64) -> impl Iterator<Item = Run> {
-    let noise = [0.0, 0.5, -0.5].into_iter().enumerate();
-    noise.flat_map(move |(number, noise)| {
-        round(number, [joules[0] + noise, joules[1] - noise], calls)
-    })
+    let [vanilla, other] = joules;
+    let noises = [0.0, 0.5, -0.5];
+    noises
+        .into_iter()
+        .enumerate()
+        .flat_map(move |(number, noise)| round(number, [vanilla + noise, other - noise], calls))
 }
 
 pub(crate) fn comparison(policies: &[&str], runs: Vec<Run>) -> Comparison {

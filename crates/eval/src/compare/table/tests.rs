@@ -62,7 +62,8 @@ fn an_estimate_is_never_called_a_measurement_and_without_energy_there_is_no_colu
     assert!(!found.contains("measured by"), "{found}");
     let mut comparison = played(EnergyQuality::Unavailable);
     for run in &mut comparison.runs {
-        (run.report.energy.joules, run.report.energy.edp) = (None, None);
+        run.report.energy.joules = None;
+        run.report.energy.edp = None;
     }
     let found = text(&comparison);
     for column in ["energy J", "EDP"] {
