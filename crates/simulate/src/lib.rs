@@ -5,6 +5,7 @@ mod error;
 mod node;
 mod options;
 mod play;
+mod random;
 mod summary;
 mod totals;
 mod travel;
@@ -63,7 +64,7 @@ pub async fn run(
         tokio::select! {
             () = tokio::time::sleep_until(until) => break,
             () = shutdown.cancelled() => break,
-            _ = every.tick() => progress(line(began, &totals)),
+            _ = every.tick() => progress(progress_line(began, &totals)),
         }
     }
     let played_s = began.elapsed().as_secs_f64();
@@ -131,7 +132,7 @@ fn start_players(
     Ok(playing)
 }
 
-/// Waits until every node has sent its rest.
+/// Waits until every node has sent its remaining reports.
 async fn all_ended(playing: &mut Playing) -> Result<(), SimulateError> {
     while let Some(ended) = playing.join_next().await {
         ended.map_err(SimulateError::at("a simulated session failed"))??;
@@ -139,8 +140,8 @@ async fn all_ended(playing: &mut Playing) -> Result<(), SimulateError> {
     Ok(())
 }
 
-/// A progress line.
-fn line(began: Instant, totals: &Totals) -> String {
+/// Formats the counts so far as a line.
+fn progress_line(began: Instant, totals: &Totals) -> String {
     let counts = *totals.counts.lock();
     let answers = totals.answers.summary();
     format!(

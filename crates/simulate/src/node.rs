@@ -1,25 +1,21 @@
-//! Simulates one node, its reports and its reactions to desired settings, without network or clock.
+//! Simulates one node and its reactions to desired settings, without network or clock.
+
+mod report;
 
 use super::options::Options;
-use super::travel::travel;
+use super::random::mix;
 use albireo_wire::{
-    CameraState, CameraStatus, ClipEnd, ClipEnergy, ClipReport, Desired, DesiredSetting,
-    DomainEnergy, DroppedFrames, EnergyQuality, FrameStates, HealthState, HealthStatus, Heartbeat,
-    NodeStatus, NodeTarget, OutboxStatus, Percentiles, RefusedRevision, ReportBatch, SettingSource,
+    CameraState, CameraStatus, Desired, DesiredSetting, EnergyQuality, HealthState, HealthStatus,
+    Heartbeat, NodeStatus, NodeTarget, OutboxStatus, RefusedRevision, ReportBatch, SettingSource,
     StatusMessage, Target, TargetStatus, Threshold, VERSION,
 };
-use rand_core::{RngCore, SeedableRng};
-use rand_pcg::Pcg64Mcg;
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use uuid::{Builder, Uuid};
 
 /// The initial value of every node.
 pub(crate) const FIRST_U: f64 = 3e-4;
 /// The node's only camera.
 const CAMERA: &str = "front";
-/// Frames per second.
-const FRAMES_PER_S: f64 = 30.0;
 /// The range of `u`, as in the policy.
 const RANGE: std::ops::RangeInclusive<f64> = 1e-9..=1.0;
 /// The range within which a target moves `u`.
@@ -28,10 +24,6 @@ const HELD_WITHIN: std::ops::RangeInclusive<f64> = 1.5e-4..=2e-3;
 const FIRST_SKIP: f64 = 0.55;
 /// The increase of the skip rate per decade of `u`.
 const SKIP_PER_DECADE: f64 = 0.2;
-/// The power that a detector on every frame adds, watts.
-const DETECTOR_WATTS: f64 = 9.0;
-/// The power of the rest of the node, watts.
-const OTHER_WATTS: f64 = 6.0;
 /// Seconds between two heartbeats while the hub has not said another number.
 const HEARTBEAT_S: f64 = 30.0;
 
@@ -77,7 +69,7 @@ pub(crate) struct SimNode {
     /// The target it holds, with its status.
     target: Option<NodeTarget>,
     seq: u64,
-    full_due: bool,
+    is_full_due: bool,
     /// Seconds between two heartbeats.
     pub(crate) heartbeat_s: f64,
 }
@@ -108,7 +100,7 @@ impl SimNode {
             refused: None,
             target: None,
             seq: 0,
-            full_due: true,
+            is_full_due: true,
             heartbeat_s: options.status_s.unwrap_or(HEARTBEAT_S),
             seed,
         }
@@ -136,15 +128,15 @@ impl SimNode {
     }
 
     /// Marks the oldest `reports` waiting reports as acknowledged.
-    pub(crate) fn answered(&mut self, reports: u64) {
+    pub(crate) fn acknowledge(&mut self, reports: u64) {
         self.acknowledged = (self.acknowledged + reports).min(self.made);
     }
 
     /// Applies a desired setting. Returns true if the status must be sent immediately.
-    pub(crate) fn take(&mut self, desired: &Desired) -> bool {
-        self.full_due |= desired.send_full_status;
-        let wanted_s = desired.heartbeat_s.map_or(HEARTBEAT_S, f64::from);
-        self.heartbeat_s = self.options.status_s.unwrap_or(wanted_s);
+    pub(crate) fn apply(&mut self, desired: &Desired) -> bool {
+        self.is_full_due |= desired.send_full_status;
+        let hub_wants_s = desired.heartbeat_s.map_or(HEARTBEAT_S, f64::from);
+        self.heartbeat_s = self.options.status_s.unwrap_or(hub_wants_s);
         let refused_revision = self.refused.as_ref().map_or(0, |refused| refused.revision);
         if desired.revision <= self.revision.max(refused_revision) {
             return desired.send_full_status;
@@ -152,8 +144,8 @@ impl SimNode {
         let Some(setting) = desired.setting else {
             return desired.send_full_status;
         };
-        self.full_due = true;
-        match self.apply(setting) {
+        self.is_full_due = true;
+        match self.put_in_force(setting) {
             Ok(()) => {
                 self.refused = None;
                 self.revision = desired.revision;
@@ -168,22 +160,25 @@ impl SimNode {
         true
     }
 
-    /// Puts a setting in force, or says why not.
-    fn apply(&mut self, setting: DesiredSetting) -> Result<(), &'static str> {
+    /// Puts a setting in force.
+    ///
+    /// # Errors
+    /// The reason why it cannot be in force.
+    fn put_in_force(&mut self, setting: DesiredSetting) -> Result<(), &'static str> {
         match setting {
             DesiredSetting::Target(target) => {
                 self.target = target.map(|target| self.hold(target));
             }
-            DesiredSetting::Threshold(wanted) => {
-                if wanted.name.as_str() != "u" {
+            DesiredSetting::Threshold(threshold) => {
+                if threshold.name.as_str() != "u" {
                     return Err("the threshold of the policy in use is `u`");
                 }
-                if !RANGE.contains(&wanted.value) {
+                if !RANGE.contains(&threshold.value) {
                     return Err("`u` must be a number from 1e-9 to 1");
                 }
                 self.source = SettingSource::Hub;
                 self.target = None;
-                self.set_u(wanted.value);
+                self.set_u(threshold.value);
             }
         }
         Ok(())
@@ -251,8 +246,8 @@ impl SimNode {
 
     /// The next status; a full one at first, after a change, and on request.
     pub(crate) fn status(&mut self, now_ns: u64) -> StatusMessage {
-        let full_is_due = std::mem::take(&mut self.full_due);
-        let full = full_is_due.then(|| Box::new(self.full()));
+        let is_full_due = std::mem::take(&mut self.is_full_due);
+        let full = is_full_due.then(|| Box::new(self.full()));
         let seq = self.seq;
         self.seq += 1;
         StatusMessage {
@@ -310,150 +305,12 @@ impl SimNode {
             EnergyQuality::Estimated
         }
     }
-
-    /// What report number `number` says of a clip at this `u`. The deviations are plausible, and fitted to nothing.
-    fn draw(&self, number: u64, u: f64) -> Drawn {
-        let mut of_clip = Pcg64Mcg::seed_from_u64(mix(self.seed, DRAW_REPORT + number));
-        let mut noise = || normal(&mut of_clip);
-        let mut of_node = Pcg64Mcg::seed_from_u64(mix(self.seed, DRAW_OWN_SKIP));
-        // Nodes differ more than the clips of one node.
-        let own = 0.08 * normal(&mut of_node);
-        let skip_rate = (skip_rate(u) + own + 0.03 * noise()).clamp(0.0, 0.99);
-        let is_worse = self.options.worse_above.is_some_and(|limit| u > limit);
-        let worse = if is_worse { self.options.worse_by } else { 1.0 };
-        let watts = OTHER_WATTS + DETECTOR_WATTS * (1.0 - skip_rate) + 0.2 * noise();
-        Drawn {
-            skip_rate,
-            joules: (watts * worse * self.options.clip_s).max(0.1),
-            saved_watts: DETECTOR_WATTS * skip_rate * worse,
-            p99_ms: (28.0 * worse + noise()).max(1.0),
-        }
-    }
-
-    /// Report number `number`, from 0, drawn from the node's seed.
-    fn report(&self, number: u64) -> ClipReport {
-        let u = self.u_of(number);
-        let frames = (self.options.clip_s * FRAMES_PER_S).round().max(1.0);
-        let drawn = self.draw(number, u);
-        let skipped = (drawn.skip_rate * frames).round() as u64;
-        let detected = frames as u64 - skipped;
-        let states = FrameStates {
-            e: skipped / 5,
-            p: skipped - skipped / 5,
-            ei: detected / 20,
-            i: detected - detected / 20,
-            ai: 0,
-        };
-        let latency = |median_ms: f64, count: u64| Percentiles {
-            count,
-            mean: median_ms * 1.05,
-            p50: median_ms,
-            // Below `p99_ms`, also of the detector.
-            p95: median_ms * 1.3,
-            p99: drawn.p99_ms,
-        };
-        let started = self.started_ns + (number as f64 * self.options.clip_s * 1e9) as u64;
-        ClipReport {
-            v: VERSION,
-            id: self.report_id(number, started),
-            count: Some(number + 1),
-            node: self.name.clone(),
-            camera: CAMERA.to_owned(),
-            clip: format!("window-{number}"),
-            part: 0,
-            ended_by: ClipEnd::Window,
-            started_ns: started,
-            duration_s: self.options.clip_s,
-            frames: frames as u64,
-            skip_rate: states.skip_rate(0),
-            states,
-            degraded_frames: 0,
-            dropped: DroppedFrames::default(),
-            policy: "albireo".to_owned(),
-            threshold: Some(Threshold::new("u", u)),
-            target: None,
-            threshold_changes: vec![albireo_wire::ThresholdChange {
-                seq: number * frames as u64,
-                threshold: Threshold::new("u", u),
-            }],
-            model: "simulated".to_owned(),
-            provider: "simulated".to_owned(),
-            total_latency_ms: latency(TOTAL_MS, frames as u64),
-            detector_latency_ms: latency(DETECTOR_MS, detected),
-            detector_used_ms: DETECTOR_MS * detected as f64,
-            energy: self.energy(drawn.joules, drawn.saved_watts, frames),
-            board: None,
-            audit: None,
-            travel: self.options.positions.then(|| travel(self.seed, number, self.options.clip_s)),
-        }
-    }
-
-    /// The energy of a clip of `frames` frames that used `joules` and saved so many watts.
-    fn energy(&self, joules: f64, saved_watts: f64, frames: f64) -> ClipEnergy {
-        let seconds = self.options.clip_s;
-        ClipEnergy {
-            joules: Some(joules),
-            node_joules: Some(joules),
-            saved_joules_estimated: Some(saved_watts * seconds),
-            edp: Some(joules * seconds * 1e3 / frames),
-            quality: self.quality(),
-            source: "simulated".to_owned(),
-            total_from: "simulated".to_owned(),
-            samples: (seconds * 10.0) as u64,
-            coverage: 1.0,
-            domains: vec![DomainEnergy {
-                domain: "total".to_owned(),
-                joules,
-                mean_watts: joules / seconds,
-                peak_watts: Some(joules / seconds * 1.3),
-            }],
-        }
-    }
-
-    /// The id of the report of a clip that began at `started_ns`, drawn from the node's seed and the clip's time.
-    fn report_id(&self, number: u64, started_ns: u64) -> Uuid {
-        let drawn = mix(self.seed, DRAW_ID + number).to_le_bytes();
-        let mut random = [0; 10];
-        random[..8].copy_from_slice(&drawn);
-        let made_ms = (started_ns as f64 / 1e6 + self.options.clip_s * 1e3) as u64;
-        Builder::from_unix_timestamp_millis(made_ms, &random).into_uuid()
-    }
-}
-
-/// What is random in a clip.
-struct Drawn {
-    skip_rate: f64,
-    joules: f64,
-    /// The power that the detector would have added on the skipped frames.
-    saved_watts: f64,
-    p99_ms: f64,
-}
-
-/// Median latencies of a frame and of the detector, milliseconds.
-const TOTAL_MS: f64 = 4.0;
-const DETECTOR_MS: f64 = 18.0;
-
-/// Mixes two numbers to one (splitmix64's finalizer).
-pub(crate) const fn mix(a: u64, b: u64) -> u64 {
-    let mut z = a ^ b.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
-}
-
-/// Maps a hash to a number from 0 to 1, by as many of its bits as such a number holds.
-pub(crate) fn unit(hash: u64) -> f64 {
-    (hash >> 11) as f64 / (1u64 << 53) as f64
-}
-
-/// An approximately normal number: the sum of twelve uniform numbers, less six.
-fn normal(random: &mut Pcg64Mcg) -> f64 {
-    (0..12).map(|_| unit(random.next_u64())).sum::<f64>() - 6.0
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use albireo_wire::ClipReport;
     use proptest::prelude::*;
     use std::collections::BTreeSet;
 
@@ -473,16 +330,16 @@ mod tests {
     #[test]
     fn an_older_revision_is_ignored_and_a_rejection_is_reported_once() {
         let mut node = node(Options::default());
-        assert!(node.take(&desired(5, 1e-3)));
-        assert!(!node.take(&desired(5, 1e-3)) && !node.take(&desired(4, 1e-4)));
+        assert!(node.apply(&desired(5, 1e-3)));
+        assert!(!node.apply(&desired(5, 1e-3)) && !node.apply(&desired(4, 1e-4)));
         assert_eq!((node.u(), node.revision), (1e-3, 5));
-        assert!(node.take(&desired(6, 7.0)));
+        assert!(node.apply(&desired(6, 7.0)));
         assert_eq!((node.u(), node.revision), (1e-3, 5));
         let full = node.status(0).full.unwrap();
         assert_eq!(full.refused.unwrap().revision, 6);
-        assert!(!node.take(&desired(6, 7.0)));
+        assert!(!node.apply(&desired(6, 7.0)));
         assert_eq!(node.status(0).full, None, "nothing has changed since");
-        assert!(node.take(&desired(7, 2e-3)));
+        assert!(node.apply(&desired(7, 2e-3)));
         assert_eq!(node.status(0).full.unwrap().refused, None);
     }
 
@@ -492,7 +349,7 @@ mod tests {
             backlog: 3,
             ..Options::default()
         });
-        node.take(&desired(1, 1e-2));
+        node.apply(&desired(1, 1e-2));
         node.made += 2;
         let batch = node.batch(10, 0).unwrap();
         let values = batch.reports.iter().map(|report| report.threshold.unwrap().value);
@@ -526,16 +383,16 @@ mod tests {
             let mut node = node(Options::default());
             let mut sent = BTreeSet::new();
             let mut acknowledged = 0;
-            for (more, most, answered) in steps {
+            for (more, most, is_answered) in steps {
                 node.made += more;
                 if let Some(batch) = node.batch(most, 1_000_000_000_000_000_000) {
                     let counts: Vec<_> = batch.reports.iter().filter_map(|report| report.count).collect();
                     let wanted: Vec<_> = (acknowledged + 1..).take(counts.len()).collect();
                     prop_assert_eq!(&counts, &wanted);
                     sent.extend(batch.reports.iter().map(|report| report.id));
-                    if answered {
+                    if is_answered {
                         acknowledged += counts.len() as u64;
-                        node.answered(counts.len() as u64);
+                        node.acknowledge(counts.len() as u64);
                     }
                     prop_assert!(node.acknowledged == acknowledged && acknowledged <= node.made);
                 }

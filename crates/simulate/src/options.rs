@@ -119,7 +119,7 @@ impl Options {
             within("status-seconds", status_s, 0.1, DAY_S)?;
         }
         within("clip-seconds", self.clip_s, 0.1, DAY_S)?;
-        // A batch has at most 90 of them in any case; more only delays the reports.
+        // A batch has fewer reports in any case; gathering more only delays them.
         within("gather", self.gather as f64, 1.0, 500.0)?;
         if !is_on_this_machine(&self.connect) {
             return Err(format!(
@@ -150,21 +150,27 @@ mod tests {
 
     #[test]
     fn only_local_endpoints_and_sizes_within_limits_are_accepted() {
-        let with = |change: &dyn Fn(&mut Options)| {
+        let checked = |change: &dyn Fn(&mut Options)| {
             let mut options = Options::default();
             change(&mut options);
             options.check()
         };
-        assert_eq!(with(&|_| {}), Ok(()));
-        assert_eq!(with(&|o| o.connect = "tls/localhost:7447".into()), Ok(()));
+        assert_eq!(checked(&|_| {}), Ok(()));
+        assert_eq!(
+            checked(&|options| options.connect = "tls/localhost:7447".into()),
+            Ok(())
+        );
         for connect in ["tcp/192.0.2.1:7447", "tcp/0.0.0.0:7447", "7447", "tcp/"] {
-            assert!(with(&|o| o.connect = connect.into()).is_err(), "{connect}");
+            assert!(
+                checked(&|options| options.connect = connect.into()).is_err(),
+                "{connect}"
+            );
         }
-        assert!(with(&|o| o.nodes = 0).is_err());
-        assert!(with(&|o| o.nodes = 2_000_000).is_err());
-        let more_sessions_than_nodes = with(&|o| o.sessions = 200);
-        assert!(more_sessions_than_nodes.is_err());
-        assert!(with(&|o| o.clip_s = f64::NAN).is_err());
-        assert!(with(&|o| o.gather = 0).is_err());
+        assert!(checked(&|options| options.nodes = 0).is_err());
+        assert!(checked(&|options| options.nodes = 2_000_000).is_err());
+        // More than nodes.
+        assert!(checked(&|options| options.sessions = 200).is_err());
+        assert!(checked(&|options| options.clip_s = f64::NAN).is_err());
+        assert!(checked(&|options| options.gather = 0).is_err());
     }
 }

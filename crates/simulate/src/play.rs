@@ -1,8 +1,9 @@
 //! Simulates one node on a Zenoh session that it shares with others.
 
 use super::error::SimulateError;
-use super::node::{SimNode, mix, unit};
+use super::node::SimNode;
 use super::options::{Options, now_ns};
+use super::random::{mix, unit};
 use super::totals::{Counts, Totals};
 use albireo_wire::{
     BatchCompression, Desired, NodeKeys, RefusalReason, ReportAnswer, ReportRefusal,
@@ -38,9 +39,9 @@ const SETTLED: Duration = Duration::from_secs(20);
 /// The answer to a request; else the refusal, if one was received.
 type Answer<T> = Result<T, Option<ReportRefusal>>;
 
-/// A request to the hub with its answer.
-enum Asked {
-    Desired(Answer<Desired>),
+/// A request to the hub that has ended.
+enum EndedRequest {
+    Pull(Answer<Desired>),
     Batch(SentBatch),
 }
 
@@ -94,15 +95,15 @@ pub(crate) struct Player {
     keys: NodeKeys,
     options: Arc<Options>,
     totals: Arc<Totals>,
-    asked: JoinSet<Asked>,
+    requests: JoinSet<EndedRequest>,
     /// True while a batch is in flight.
-    sending: bool,
+    is_sending: bool,
     /// The time to resend an unacknowledged batch.
-    again: Option<Instant>,
-    /// The pause after the next one.
+    resend_at: Option<Instant>,
+    /// The pause after the next unacknowledged batch.
     pause: Duration,
     /// True once no more clips are made: the remaining reports are sent even if there are few.
-    ending: bool,
+    is_ending: bool,
 }
 
 impl Player {
@@ -121,15 +122,15 @@ impl Player {
             keys,
             options,
             totals,
-            asked: JoinSet::new(),
-            sending: false,
-            again: None,
+            requests: JoinSet::new(),
+            is_sending: false,
+            resend_at: None,
             pause: FIRST_PAUSE,
-            ending: false,
+            is_ending: false,
         })
     }
 
-    /// Runs until `end`, then sends the rest.
+    /// Runs until `end`, then sends the remaining reports.
     pub(crate) async fn play(
         mut self,
         began: Instant,
@@ -153,12 +154,12 @@ impl Player {
         let mut next_status = began + spread(status.min(FIRST_STATUSES), DRAW_FIRST_STATUS);
         let mut next_clip = began + spread(clip, DRAW_FIRST_CLIP);
         self.pull();
-        while !(self.ending && self.node.waiting() == 0) {
-            let again = self.again;
+        while !(self.is_ending && self.node.waiting() == 0) {
+            let resend_at = self.resend_at;
             tokio::select! {
-                Some(Ok(asked)) = self.asked.join_next() => self.answered(asked, began),
+                Some(Ok(request)) = self.requests.join_next() => self.request_ended(request, began),
                 () = notice.notified() => self.pull(),
-                () = sleep_until(next_status), if !self.ending => {
+                () = sleep_until(next_status), if !self.is_ending => {
                     let status = Duration::from_secs_f64(self.node.heartbeat_s);
                     // All nodes are known soon; from then on, their times are spread over the whole period.
                     let is_among_first = next_status < began + FIRST_STATUSES;
@@ -168,21 +169,21 @@ impl Player {
                     } else {
                         status
                     };
-                    self.status();
+                    self.send_status();
                 }
-                () = sleep_until(next_clip), if !self.ending => {
+                () = sleep_until(next_clip), if !self.is_ending => {
                     next_clip += clip;
                     self.node.made += 1;
                     self.count(|counts| counts.made += 1);
-                    self.send(self.options.gather);
+                    self.send_batch(self.options.gather);
                 }
-                () = sleep_until(again.unwrap_or(began)), if again.is_some() => {
-                    self.again = None;
-                    self.send(1);
+                () = sleep_until(resend_at.unwrap_or(began)), if resend_at.is_some() => {
+                    self.resend_at = None;
+                    self.send_batch(1);
                 }
-                () = end.cancelled(), if !self.ending => {
-                    self.ending = true;
-                    self.send(1);
+                () = end.cancelled(), if !self.is_ending => {
+                    self.is_ending = true;
+                    self.send_batch(1);
                 }
             }
         }
@@ -207,13 +208,13 @@ impl Player {
             .map_err(SimulateError::at(format!("notice of {}", self.node.name)))
     }
 
-    fn answered(&mut self, asked: Asked, began: Instant) {
-        match asked {
-            Asked::Desired(Ok(desired)) => self.take(&desired),
+    fn request_ended(&mut self, request: EndedRequest, began: Instant) {
+        match request {
+            EndedRequest::Pull(Ok(desired)) => self.apply(&desired),
             // The next notice or report brings it.
-            Asked::Desired(Err(_)) => {}
-            Asked::Batch(sent) => {
-                self.sending = false;
+            EndedRequest::Pull(Err(_)) => {}
+            EndedRequest::Batch(sent) => {
+                self.is_sending = false;
                 match sent.answer {
                     Ok(answer) => self.acknowledged(sent.reports, sent.took, &answer, began),
                     Err(refusal) => self.send_later(refusal),
@@ -230,16 +231,20 @@ impl Player {
         began: Instant,
     ) {
         let is_settled = began.elapsed() >= SETTLED.min(self.options.duration / 3);
-        if is_settled && !self.ending {
+        if is_settled && !self.is_ending {
             self.totals.answers.add(took);
         }
         self.pause = FIRST_PAUSE;
-        self.node.answered(reports);
+        self.node.acknowledge(reports);
         self.count(|counts| counts.acknowledged += reports);
-        let least = if self.ending { 1 } else { self.options.gather };
-        self.send(least);
+        let least = if self.is_ending {
+            1
+        } else {
+            self.options.gather
+        };
+        self.send_batch(least);
         if let Some(desired) = &answer.desired {
-            self.take(desired);
+            self.apply(desired);
         }
     }
 
@@ -251,22 +256,22 @@ impl Player {
             Some(_) => counts.refused += 1,
             None => counts.no_reply += 1,
         });
-        let wanted_ms = refusal.and_then(|refusal| refusal.retry_after_ms);
-        let pause = self.pause.max(Duration::from_millis(wanted_ms.unwrap_or(0)));
-        // So that nodes refused at the same time do not come back at the same time.
-        let spread = unit(mix(self.node.made, now_ns()));
+        let hub_wants_ms = refusal.and_then(|refusal| refusal.retry_after_ms);
+        let pause = self.pause.max(Duration::from_millis(hub_wants_ms.unwrap_or(0)));
+        // Half to one and a half of the pause, so that nodes refused at the same time do not come back at the same time.
+        let factor = 0.5 + unit(mix(self.node.made, now_ns()));
         self.pause = (self.pause * 2).min(LONGEST_PAUSE);
-        self.again = Some(Instant::now() + pause.mul_f64(0.5 + spread));
+        self.resend_at = Some(Instant::now() + pause.mul_f64(factor));
     }
 
-    fn take(&mut self, desired: &Desired) {
-        if self.node.take(desired) && !self.ending {
-            // A change is reported immediately.
-            self.status();
+    fn apply(&mut self, desired: &Desired) {
+        let is_status_due = self.node.apply(desired);
+        if is_status_due && !self.is_ending {
+            self.send_status();
         }
     }
 
-    fn status(&mut self) {
+    fn send_status(&mut self) {
         let Ok(payload) = self.node.status_payload(now_ns()) else {
             return;
         };
@@ -282,8 +287,8 @@ impl Player {
     }
 
     /// Sends the oldest reports if at least `least` wait and no batch is in flight.
-    fn send(&mut self, least: u64) {
-        if self.sending || self.node.waiting() < least {
+    fn send_batch(&mut self, least: u64) {
+        if self.is_sending || self.node.waiting() < least {
             return;
         }
         let Some(batch) = self.node.batch(MOST_REPORTS, now_ns()) else {
@@ -293,7 +298,7 @@ impl Player {
         let Ok(payload) = batch.to_payload(BatchCompression::Quick) else {
             return;
         };
-        self.sending = true;
+        self.is_sending = true;
         self.count(|counts| {
             counts.batches += 1;
             counts.batch_bytes += payload.len() as u64;
@@ -301,9 +306,9 @@ impl Player {
         let answer = ask(self.session.clone(), self.keys.report(), payload);
         let reports = batch.reports.len() as u64;
         let sent = Instant::now();
-        self.asked.spawn(async move {
+        self.requests.spawn(async move {
             let answer = answer.await;
-            Asked::Batch(SentBatch {
+            EndedRequest::Batch(SentBatch {
                 reports,
                 took: sent.elapsed(),
                 answer,
@@ -311,6 +316,7 @@ impl Player {
         });
     }
 
+    /// Asks for the desired settings.
     fn pull(&mut self) {
         let request = RevisionMessage {
             v: VERSION,
@@ -319,21 +325,21 @@ impl Player {
         if let Ok(payload) = serde_json::to_vec(&request) {
             self.count(|counts| counts.pulls += 1);
             let answer = ask(self.session.clone(), self.keys.pull(), payload);
-            self.asked.spawn(async { Asked::Desired(answer.await) });
+            self.requests.spawn(async { EndedRequest::Pull(answer.await) });
         }
     }
 }
 
 /// Sends a query with a payload and returns its first answer.
 async fn ask<T: DeserializeOwned>(session: Session, key: String, payload: Vec<u8>) -> Answer<T> {
-    let asked = session
+    let sent = session
         .get(key)
         .payload(payload)
         .encoding(Encoding::APPLICATION_JSON)
         .congestion_control(CongestionControl::Drop)
         .timeout(ANSWER_WITHIN)
         .await;
-    let Ok(replies) = asked else {
+    let Ok(replies) = sent else {
         return Err(None);
     };
     let Ok(reply) = replies.recv_async().await else {

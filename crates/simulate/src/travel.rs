@@ -1,6 +1,7 @@
 //! The ways of simulated nodes: each drives its own rounds in a made-up town.
 
-use crate::node::{DRAW_WAY, mix, unit};
+use crate::node::DRAW_WAY;
+use crate::random::{mix, unit};
 use albireo_wire::{ClipTravel, significant};
 use std::f64::consts::TAU;
 
@@ -50,9 +51,11 @@ mod tests {
             let first = travel(seed, 4, 40.0);
             let second = travel(seed, 5, 40.0);
             assert_eq!(first.check(), Ok(()));
-            let end = first.track[11];
-            let start = second.track[0];
-            assert!((0..2).all(|axis| (end[axis] - start[axis]).abs() < 2e-5));
+            let [end_longitude, end_latitude] = *first.track.last().unwrap();
+            let [longitude, latitude] = second.track[0];
+            // Both are rounded to five decimals.
+            assert!((end_longitude - longitude).abs() < 2e-5);
+            assert!((end_latitude - latitude).abs() < 2e-5);
         }
     }
 }
