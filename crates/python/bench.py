@@ -14,7 +14,9 @@ import albireo
 
 warnings.simplefilter("ignore")
 SIZE = (1280, 720)
-OBJECTS, FRAMES, ROUNDS = 30, 600, 5
+OBJECTS = 30
+FRAMES = 600
+ROUNDS = 5
 random = np.random.default_rng(0)
 START = random.uniform((0, 0), (900, 650), (OBJECTS, 2))
 SPEED = random.uniform(-0.5, 0.5, (OBJECTS, 2))

@@ -57,23 +57,23 @@ pub(crate) fn read(
         )));
     }
     detections.clear();
-    let scores = confidence.iter().zip(class_id.iter());
-    for (row, (&confidence, &class)) in xyxy.rows().into_iter().zip(scores) {
+    for row in 0..boxes {
+        let class = class_id[row];
         if class.fract() != 0.0 || !(0.0..=65_535.0).contains(&class) {
             return Err(PyValueError::new_err(format!(
                 "a class is {class}; classes are whole numbers from 0 to 65535"
             )));
         }
         let corners = Corners {
-            x1: row[0],
-            y1: row[1],
-            x2: row[2],
-            y2: row[3],
+            x1: xyxy[[row, 0]],
+            y1: xyxy[[row, 1]],
+            x2: xyxy[[row, 2]],
+            y2: xyxy[[row, 3]],
         };
         detections.push(Detection {
             bounding_box: corners.normalise(size),
             class: ClassId(class as u16),
-            confidence,
+            confidence: confidence[row],
         });
     }
     Ok(())

@@ -124,19 +124,21 @@ impl Decider {
             picture: self.size,
         };
         // Other threads of Python may run while a picture is examined, which takes long.
-        let need = if self.grey.is_there() {
+        let need = if self.grey.has_picture() {
             py.detach(|| self.ask(head, empty))
         } else {
             self.ask(head, empty)
         };
         self.grey.forget();
-        let wanted = need == Need::Detections;
-        if wanted && self.policy.waits() {
+        let wants_detector = need == Need::Detections;
+        if !wants_detector {
+            self.finish_frame(index, Answer::Final);
+        } else if self.policy.waits() {
             self.order.wait(index);
         } else {
-            self.finish_frame(index, wanted);
+            self.finish_frame(index, Answer::Early);
         }
-        Ok(wanted)
+        Ok(wants_detector)
     }
 
     /// Takes the detections of a frame that was answered earlier, or `None` if the detector failed; returns the final
@@ -201,7 +203,7 @@ impl Decider {
         }
         let frames = settling.take().into_iter().map(|frame| {
             let boxes = arrays(py, &frame.boxes, self.size);
-            (frame.frame, frame.state, frame.settled, boxes)
+            (frame.number, frame.state, frame.settled, boxes)
         });
         Ok(frames.collect())
     }
@@ -219,7 +221,7 @@ impl Decider {
         read(&found, self.size, &mut self.detections)?;
         let evidence = Evidence::Detections(&self.detections);
         self.policy.deliver(frame, evidence, &mut self.outcome).map_err(wrong)?;
-        self.finish_frame(frame, false);
+        self.finish_frame(frame, Answer::Final);
         Ok(arrays(py, &self.outcome.boxes, self.size))
     }
 
@@ -229,7 +231,7 @@ impl Decider {
         self.policy
             .deliver(frame, Evidence::Unavailable, &mut self.outcome)
             .map_err(wrong)?;
-        self.finish_frame(frame, false);
+        self.finish_frame(frame, Answer::Final);
         Ok(arrays(py, &self.outcome.boxes, self.size))
     }
 
@@ -391,13 +393,21 @@ impl Decider {
         }
     }
 
-    /// Makes a frame decided and passes its answer to the settler. `pending` is true if late detections will change it.
-    fn finish_frame(&mut self, frame: u64, pending: bool) {
+    /// Makes a frame decided and passes its answer to the settler.
+    fn finish_frame(&mut self, frame: u64, answer: Answer) {
         self.order.decide(frame);
         if let Some(settling) = &mut self.settling {
-            settling.frame(frame, &self.outcome, pending);
+            settling.frame(frame, &self.outcome, answer == Answer::Early);
         }
     }
+}
+
+/// Whether the answer of a frame may still change.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Answer {
+    Final,
+    /// Late detections will change it.
+    Early,
 }
 
 /// Builds the policy `NAME[:ARGUMENT]` under a profile.

@@ -55,7 +55,7 @@ impl Grey {
     }
 
     /// True if there is a picture for the next frame.
-    pub(crate) const fn is_there(&self) -> bool {
+    pub(crate) const fn has_picture(&self) -> bool {
         self.size.is_some()
     }
 

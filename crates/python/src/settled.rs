@@ -5,7 +5,7 @@ use std::time::Duration;
 
 /// A settled frame, copied from the settler's buffers.
 pub(crate) struct Settled {
-    pub frame: u64,
+    pub number: u64,
     pub state: &'static str,
     /// False if it was emitted as answered, because no detector call came in time.
     pub settled: bool,
@@ -15,7 +15,7 @@ pub(crate) struct Settled {
 impl From<SettledFrame<'_>> for Settled {
     fn from(frame: SettledFrame<'_>) -> Self {
         Self {
-            frame: frame.index,
+            number: frame.index,
             state: frame.state.as_str(),
             settled: frame.settled,
             boxes: frame.boxes.to_vec(),

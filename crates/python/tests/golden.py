@@ -20,7 +20,8 @@ from albireo._core import SOURCES
 STATES = ["E", "P", "E+I", "I", "AI"]
 
 out = pathlib.Path(sys.argv[2])
-spent = frames = 0
+spent = 0.0
+frames = 0
 for line in open(sys.argv[1]):
     job = json.loads(line)
     skip = Skipper(job["policy"], threshold=job["threshold"], size=job["size"], profile="reference")
@@ -39,8 +40,8 @@ for line in open(sys.argv[1]):
         tau = -1.0 if core.tau_max is None else core.tau_max
         numbers.extend([STATES.index(skip.state), tau, core.active, len(boxes.xyxy)])
         sources = [SOURCES.index(source) for source in boxes.source]
-        for row in zip(boxes.xyxy.tolist(), boxes.confidence, boxes.class_id, boxes.tracker_id, sources):
-            numbers.extend([*row[0], *row[1:]])
+        for corners, *columns in zip(boxes.xyxy.tolist(), boxes.confidence, boxes.class_id, boxes.tracker_id, sources):
+            numbers.extend([*corners, *columns])
         objects = core.objects()
         numbers.append(len(objects))
         for record in objects:

@@ -38,12 +38,15 @@ class Arrays(unittest.TestCase):
             boxes = skip.update((XYXY.astype(dtype), np.array([0.9, 0.8], dtype), np.array([1, 2])))
             self.assertEqual((boxes.xyxy.dtype, boxes.confidence.dtype), (dtype, dtype))
             np.testing.assert_allclose(boxes.xyxy, XYXY)
-            skip.wants_detector(1) and skip.unavailable()
+            if skip.wants_detector(1):
+                skip.unavailable()
             self.assertEqual(skip.predict().xyxy.dtype, dtype)
 
     def test_returned_boxes_are_accepted_as_a_result(self):
-        one, two = Skipper(size=SIZE), Skipper(size=SIZE)
-        one.wants_detector(0), two.wants_detector(0)
+        one = Skipper(size=SIZE)
+        two = Skipper(size=SIZE)
+        one.wants_detector(0)
+        two.wants_detector(0)
         boxes = one.update((XYXY, np.array([0.9, 0.8]), np.array([1, 2])))
         np.testing.assert_array_equal(two.update(boxes).xyxy, boxes.xyxy)
 
@@ -62,8 +65,10 @@ class Arrays(unittest.TestCase):
             self.assertEqual(list(boxes[which]), [second])
         with self.assertRaises(IndexError):
             boxes[2]
-        skip.update(boxes[:0]) if skip.wants_detector(1) else None
-        self.assertEqual(list(boxes[:0]), [])
+        nothing = boxes[:0]
+        self.assertEqual(list(nothing), [])
+        if skip.wants_detector(1):
+            skip.update(nothing)
 
     def test_invalid_results_are_rejected_with_the_reason(self):
         skip = Skipper(size=SIZE)
@@ -179,22 +184,22 @@ class Ultralytics(unittest.TestCase):
     ROWS = np.array(FOUND["rows"], np.float32)
     NAMES = {int(number): name for number, name in FOUND["names"].items()}
 
-    def results(self, device):
-        data = Tensor(self.ROWS) if device else self.ROWS.copy()
+    def results(self, on_device=False):
+        data = Tensor(self.ROWS) if on_device else self.ROWS.copy()
         return Results(np.zeros((*self.FOUND["orig_shape"], 3), np.uint8), "busy.jpg", self.NAMES, data)
 
     def test_results_are_returned_as_results_with_ids(self):
-        for device in (False, True):
-            with self.subTest(device=device):
+        for on_device in (False, True):
+            with self.subTest(on_device=on_device):
                 height, width = self.FOUND["orig_shape"]
                 skip = Skipper("fixed-skip-in-tracker", threshold=2, size=(width, height))
                 for n in range(4):
                     image = np.full((height, width, 3), n, np.uint8)
-                    shown = skip.update(self.results(device)) if skip.wants_detector(n) else skip.predict(image)
+                    shown = skip.update(self.results(on_device)) if skip.wants_detector(n) else skip.predict(image)
                     self.assertIsInstance(shown, Results)
                     boxes = shown.boxes
-                    array = (lambda t: t.cpu().numpy()) if device else np.asarray
-                    self.assertEqual(isinstance(boxes.data, Tensor), device)
+                    array = (lambda tensor: tensor.cpu().numpy()) if on_device else np.asarray
+                    self.assertEqual(isinstance(boxes.data, Tensor), on_device)
                     self.assertEqual(array(boxes.data).dtype, np.float32)
                     self.assertEqual(array(boxes.id).tolist(), list(range(len(self.ROWS))))
                     self.assertEqual(array(boxes.cls).tolist(), self.ROWS[:, 5].tolist())
@@ -207,9 +212,9 @@ class Ultralytics(unittest.TestCase):
         skip = Skipper(size=(1280, 720))
         skip.wants_detector(0)
         with self.assertRaisesRegex(ValueError, "640x360 pixels; this skipper takes 1280x720"):
-            skip.update(self.results(False))
+            skip.update(self.results())
         with self.assertRaisesRegex(TypeError, "has no boxes"):
-            skip.update(self.results(False).new())
+            skip.update(self.results().new())
 
 
 if __name__ == "__main__":

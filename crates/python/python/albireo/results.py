@@ -122,7 +122,8 @@ class Picture(NamedTuple):
         return np.ascontiguousarray(self.image[..., 2::-1])
 
 
-Back: TypeAlias = Callable[[Boxes, Union[Picture, None]], Any]
+Restore: TypeAlias = Callable[[Boxes, Union[Picture, None]], Any]
+"""Makes of `Boxes` the type that a result had; the picture is that of the frame, where it is given."""
 
 
 def checked_order(color_order: Any) -> ColorOrder:
@@ -135,7 +136,7 @@ def checked_order(color_order: Any) -> ColorOrder:
     )
 
 
-def read(result: Any, size: tuple[int, int], names: dict[int, str]) -> tuple[Arrays, Back]:
+def read(result: Any, size: tuple[int, int], names: dict[int, str]) -> tuple[Arrays, Restore]:
     """The boxes, confidences and classes of a result, and the function that makes the same type of boxes again.
 
     `names` gets the names of classes, where supervision's detections have them.
@@ -165,7 +166,7 @@ def as_boxes(boxes: Boxes, _picture: Picture | None) -> Boxes:
     return boxes
 
 
-def _read_tuple(result: tuple[Any, ...]) -> tuple[Arrays, Back]:
+def _read_tuple(result: tuple[Any, ...]) -> tuple[Arrays, Restore]:
     if len(result) != 3:
         raise ValueError(f"a tuple of detections is (xyxy, confidence, class_id), not of length {len(result)}")
     xyxy, dtype = _boxes(result[0])
@@ -173,14 +174,15 @@ def _read_tuple(result: tuple[Any, ...]) -> tuple[Arrays, Back]:
     if dtype == np.float64:
         return arrays, as_boxes
 
-    def back(boxes: Boxes, _picture: Picture | None) -> Boxes:
-        boxes.xyxy, boxes.confidence = boxes.xyxy.astype(dtype), boxes.confidence.astype(dtype)
+    def restore(boxes: Boxes, _picture: Picture | None) -> Boxes:
+        boxes.xyxy = boxes.xyxy.astype(dtype)
+        boxes.confidence = boxes.confidence.astype(dtype)
         return boxes
 
-    return arrays, back
+    return arrays, restore
 
 
-def _read_rows(rows: NDArray[Any]) -> tuple[Arrays, Back]:
+def _read_rows(rows: NDArray[Any]) -> tuple[Arrays, Restore]:
     if rows.ndim != 2 or rows.shape[1] != 6:
         raise ValueError(
             f"an array of detections has the shape {rows.shape}; it must be (N, 6): x1, y1, x2, y2, confidence, class"
@@ -188,13 +190,13 @@ def _read_rows(rows: NDArray[Any]) -> tuple[Arrays, Back]:
     xyxy, dtype = _boxes(rows[:, :4])
     arrays = xyxy, _column(rows[:, 4], "confidence"), _column(rows[:, 5], "class")
 
-    def back(boxes: Boxes, _picture: Picture | None) -> NDArray[Any]:
+    def restore(boxes: Boxes, _picture: Picture | None) -> NDArray[Any]:
         return np.column_stack([boxes.xyxy, boxes.tracker_id, boxes.confidence, boxes.class_id]).astype(dtype)
 
-    return arrays, back
+    return arrays, restore
 
 
-def _read_supervision(result: Any, names: dict[int, str]) -> tuple[Arrays, Back]:
+def _read_supervision(result: Any, names: dict[int, str]) -> tuple[Arrays, Restore]:
     xyxy, dtype = _boxes(result.xyxy)
     count = len(xyxy)
     confidence = np.ones(count) if result.confidence is None else _column(result.confidence, "confidence")
@@ -204,7 +206,7 @@ def _read_supervision(result: Any, names: dict[int, str]) -> tuple[Arrays, Back]
         names.update(zip(class_id.tolist(), map(str, known)))
     kind = type(result)
 
-    def back(boxes: Boxes, _picture: Picture | None) -> Any:
+    def restore(boxes: Boxes, _picture: Picture | None) -> Any:
         data: dict[str, Any] = {"source": boxes.source}
         if names:
             data["class_name"] = np.array([names.get(number, "") for number in boxes.class_id.tolist()], dtype=str)
@@ -216,10 +218,10 @@ def _read_supervision(result: Any, names: dict[int, str]) -> tuple[Arrays, Back]
             data=data,
         )
 
-    return (xyxy, confidence, class_id), back
+    return (xyxy, confidence, class_id), restore
 
 
-def _read_ultralytics(result: Any, size: tuple[int, int]) -> tuple[Arrays, Back]:
+def _read_ultralytics(result: Any, size: tuple[int, int]) -> tuple[Arrays, Restore]:
     found = result.boxes
     if found is None:
         raise TypeError("the result has no boxes: oriented boxes and classifications cannot be tracked")
@@ -232,7 +234,7 @@ def _read_ultralytics(result: Any, size: tuple[int, int]) -> tuple[Arrays, Back]
     # A tensor on the device of the result, where it is one.
     make = getattr(found.data, "new_tensor", None)
 
-    def back(boxes: Boxes, picture: Picture | None) -> Any:
+    def restore(boxes: Boxes, picture: Picture | None) -> Any:
         rows = np.column_stack([boxes.xyxy, boxes.tracker_id, boxes.confidence, boxes.class_id]).astype(dtype)
         shown = blank.new()
         if picture is not None:
@@ -241,7 +243,7 @@ def _read_ultralytics(result: Any, size: tuple[int, int]) -> tuple[Arrays, Back]
         shown.source = boxes.source
         return shown
 
-    return arrays, back
+    return arrays, restore
 
 
 def _numbers(value: Any, what: str) -> NDArray[Any]:

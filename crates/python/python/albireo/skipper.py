@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from . import _core
 from .results import (
-    Back, Boxes, ColorOrder, Columns, Foreign, Image, Picture, Result, as_boxes, checked_order, named, read
+    Restore, Boxes, ColorOrder, Columns, Foreign, Image, Picture, Result, as_boxes, checked_order, named, read
 )
 
 if TYPE_CHECKING:
@@ -133,7 +133,7 @@ class Skipper(Generic[Shown]):
         self._late = bool(late)
         self._settle = bool(settle)
         self._names: dict[int, str] = {}
-        self._back: Back = as_boxes
+        self._restore: Restore = as_boxes
         self._log: list[tuple[Any, ...]] | None = [] if resumable else None
         self._looked = False
         self._states: Counter[str] = Counter()
@@ -195,18 +195,18 @@ class Skipper(Generic[Shown]):
         """
         n = _number(n)
         if result is None:
-            boxes, back = named(self._core.deliver(n, None)), self._back
+            boxes = named(self._core.deliver(n, None))
             self._failed += 1
         else:
-            arrays, back = read(result, self._size, self._names)
+            arrays, restore = read(result, self._size, self._names)
             boxes = named(self._core.deliver(n, arrays))
-            self._back = back
+            self._restore = restore
         # It was counted as predicted when it was answered.
         state, cause, _ = self._core.delivered
         self._states["P"] -= 1
         self._states[state] += 1
         self._causes[cause or "?"] += 1
-        return back(boxes, None)
+        return self._restore(boxes, None)
 
     def settled(self, *, end: bool = False) -> list[tuple[int, Shown]]:
         """Frames that became final since the last call, each once and in order, with their boxes.
@@ -214,15 +214,16 @@ class Skipper(Generic[Shown]):
         Needs `settle=True`. Boxes between two detector calls are interpolated; a frame is returned when the next call is
         known, at most 256 frames later. `end=True` returns the remaining frames.
         """
-        return [(n, self._back(named(arrays), None)) for n, _, _, arrays in self._core.settled(end)]
+        return [(n, self._restore(named(arrays), None)) for n, _, _, arrays in self._core.settled(end)]
 
     def _begin(self, n: int | None, empty: bool | None) -> bool:
         core = self._core
         if n is not None:
             n = _number(n)
-        before = core.wants
+        was_left = core.wants
         wanted = core.begin(n, None if empty is None else bool(empty))
-        self._abandoned += before
+        if was_left:
+            self._abandoned += 1
         if self._log is not None:
             self._log.append(("begin", core.threshold, core.frame, empty))
         if not core.wants:
@@ -240,11 +241,11 @@ class Skipper(Generic[Shown]):
 
         Invalid detections (not finite, sides of zero or less, invalid confidence) are dropped and counted.
         """
-        arrays, back = read(result, self._size, self._names)
+        arrays, restore = read(result, self._size, self._names)
         boxes = named(self._core.update(*arrays))
-        self._back = back
+        self._restore = restore
         self._called(("update", *arrays))
-        return back(boxes, None)
+        return restore(boxes, None)
 
     def unavailable(self, image: Image | None = None, *, color_order: ColorOrder = "bgr") -> Shown:
         """Ends a frame that needed the detector without it, and returns the predicted boxes.
@@ -284,7 +285,7 @@ class Skipper(Generic[Shown]):
     def reset(self) -> None:
         """Forgets all objects: the next frame begins a new stream. Threshold and totals stay."""
         self._core.reset()
-        self._back = as_boxes
+        self._restore = as_boxes
         if self._log is not None:
             self._log.append(("reset",))
 
@@ -380,7 +381,7 @@ class Skipper(Generic[Shown]):
     def _shown(self, boxes: Boxes, image: Image | None, color_order: ColorOrder) -> Shown:
         """Boxes as the type that `update` last took."""
         picture = None if image is None else Picture(image, checked_order(color_order))
-        shown: Shown = self._back(boxes, picture)
+        shown: Shown = self._restore(boxes, picture)
         return shown
 
     def _called(self, event: tuple[Any, ...]) -> None:
@@ -402,14 +403,14 @@ class Skipper(Generic[Shown]):
             raise TypeError("a skipper that has looked at pictures cannot be pickled: they are not kept")
         state = self.__dict__.copy()
         # The type of boxes is known again with the next update.
-        del state["_core"], state["_back"]
+        del state["_core"], state["_restore"]
         return state | {"threshold": self.threshold}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         threshold = state.pop("threshold")
         self.__dict__.update(state)
         self._core = _core.Decider(*self._made_with)
-        self._back = as_boxes
+        self._restore = as_boxes
         for name, *given in self._log or []:
             if name == "begin":
                 held, n, empty = given

@@ -117,7 +117,7 @@ def track(
         swapped = " (the video comes first)" if callable(video) else ""
         raise TypeError(f"the detector is called with a picture; {type(detector).__name__} cannot be called{swapped}")
     color_order = checked_order(color_order)
-    bar = _progress_bar(progress)
+    new_bar = _progress_bar(progress)
     pictures: Iterable[Any]
     total: int | None
     if isinstance(video, (str, PathLike, int)):
@@ -125,7 +125,8 @@ def track(
         capture, total = _open(source)
         pictures = _frames(capture, source, total, color_order)
     elif isinstance(video, Iterable):
-        pictures, total = video, len(video) if isinstance(video, Sized) else None
+        pictures = video
+        total = len(video) if isinstance(video, Sized) else None
     else:
         raise TypeError(
             f"video is the path of a video, the number of a camera or an iterable of pictures, not {type(video).__name__}"
@@ -135,17 +136,17 @@ def track(
     Skipper(policy, size=(1, 1), **settings)
 
     def frames(tracking: Tracking[Any]) -> Iterator[Tracked[Any]]:
-        shown = None if bar is None else bar(total=total, unit=" frames")
+        bar = None if new_bar is None else new_bar(total=total, unit=" frames")
         try:
             for frame, skip in _track(pictures, detector, policy, color_order, settings):
                 tracking._skipper = skip
-                if shown is not None:
-                    shown.update()
-                    shown.set_postfix_str(f"{skip.skipped:.0%} skipped", refresh=False)
+                if bar is not None:
+                    bar.update()
+                    bar.set_postfix_str(f"{skip.skipped:.0%} skipped", refresh=False)
                 yield frame
         finally:
-            if shown is not None:
-                shown.close()
+            if bar is not None:
+                bar.close()
 
     return Tracking(frames)
 
@@ -156,8 +157,10 @@ def _track(
     skip: Skipper[Any] | None = None
     for n, image in enumerate(pictures):
         shape: tuple[int, ...] = getattr(image, "shape", ())
-        whole = 0 not in shape and getattr(image, "dtype", None) == np.uint8
-        if not whole or not (len(shape) == 2 or (len(shape) == 3 and shape[2] in (3, 4))):
+        has_pixels = 0 not in shape and getattr(image, "dtype", None) == np.uint8
+        is_grey = len(shape) == 2
+        is_colored = len(shape) == 3 and shape[2] in (3, 4)
+        if not has_pixels or not (is_grey or is_colored):
             raise TypeError(f"picture {n} is no array of shape (rows, columns) or (rows, columns, 3) in uint8, but {_kind(image)}")
         size = (shape[1], shape[0])
         if skip is None:
@@ -181,12 +184,14 @@ def _one(found: Any) -> Any:
 
 
 def _kind(image: Any) -> str:
-    shape, dtype = getattr(image, "shape", None), getattr(image, "dtype", None)
-    return type(image).__name__ if shape is None else f"{dtype} of shape {tuple(shape)}"
+    shape = getattr(image, "shape", None)
+    if shape is None:
+        return type(image).__name__
+    return f"{getattr(image, 'dtype', None)} of shape {tuple(shape)}"
 
 
 def _progress_bar(progress: bool | None) -> Any:
-    """tqdm's bar, or None where none is wanted."""
+    """The class of tqdm's bar, or None where none is wanted."""
     if progress is False or (progress is None and not sys.stderr.isatty()):
         return None
     try:
@@ -219,8 +224,8 @@ def _frames(video: Any, source: str | int, total: int | None, color_order: Color
     read = 0
     try:
         while True:
-            there, image = video.read()
-            if not there:
+            is_read, image = video.read()
+            if not is_read:
                 break
             read += 1
             yield cv2.cvtColor(image, cv2.COLOR_BGR2RGB) if color_order == "rgb" else image
