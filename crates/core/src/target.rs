@@ -154,9 +154,9 @@ impl ThresholdRange {
         least: Option<f64>,
         most: Option<f64>,
     ) -> Result<Self, TargetError> {
-        let (threshold, safe) = match threshold {
-            Some(threshold) if threshold.name == "u" => (threshold, (1.5e-4, 2e-3)),
-            Some(threshold) if threshold.name == "lambda" => (threshold, (0.05, 1.2)),
+        let (threshold, default_least, default_most) = match threshold {
+            Some(threshold) if threshold.name == "u" => (threshold, 1.5e-4, 2e-3),
+            Some(threshold) if threshold.name == "lambda" => (threshold, 0.05, 1.2),
             other => {
                 return Err(TargetError::Policy {
                     policy: policy.to_owned(),
@@ -165,8 +165,8 @@ impl ThresholdRange {
             }
         };
         let range = Self {
-            least: least.unwrap_or(safe.0),
-            most: most.unwrap_or(safe.1),
+            least: least.unwrap_or(default_least),
+            most: most.unwrap_or(default_most),
         };
         let inside = threshold.check(range.least).is_ok() && threshold.check(range.most).is_ok();
         if inside && range.least > 0.0 && range.least < range.most {

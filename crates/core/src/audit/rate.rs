@@ -22,24 +22,38 @@ pub struct AuditRate {
     pub independent: f64,
 }
 
+/// Sums over frames: the boxes of one side, how many of them are paired, and the squares and product of both counts.
+#[derive(Clone, Copy)]
+pub(super) struct SideSums {
+    pub paired: u64,
+    pub boxes: u64,
+    pub paired_squared: u64,
+    pub boxes_paired: u64,
+    pub boxes_squared: u64,
+}
+
+/// An interval of shares.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Interval {
+    pub low: f64,
+    pub high: f64,
+}
+
 impl AuditRate {
-    /// Returns the share `paired` of `boxes`, given the sums over frames of `paired²`, `boxes·paired` and `boxes²`.
-    /// `None` without boxes.
-    pub(super) fn new([paired, boxes]: [u64; 2], squares: [u64; 3]) -> Option<Self> {
-        if boxes == 0 {
+    /// Returns the share of the boxes that are paired. `None` without boxes.
+    pub(super) fn new(sums: SideSums) -> Option<Self> {
+        if sums.boxes == 0 {
             return None;
         }
-        let count = boxes as f64;
-        let paired = (paired as f64).min(count);
-        let effect = design_effect(paired, count, squares.map(|sum| sum as f64));
-        let independent = (count / effect).clamp(1.0, count);
-        let rate = paired / count;
-        let (low, high) = wilson(rate, independent);
+        let boxes = sums.boxes as f64;
+        let rate = (sums.paired as f64).min(boxes) / boxes;
+        let independent = (boxes / design_effect(sums)).clamp(1.0, boxes);
+        let Interval { low, high } = wilson(rate, independent);
         Some(Self {
             rate,
             low,
             high,
-            boxes,
+            boxes: sums.boxes,
             independent,
         })
     }
@@ -58,30 +72,36 @@ impl AuditRate {
 
 /// The interval of E. B. Wilson, "Probable inference, the law of succession, and statistical inference", Journal of the
 /// American Statistical Association 22, 1927.
-pub(super) fn wilson(rate: f64, count: f64) -> (f64, f64) {
+pub(super) fn wilson(rate: f64, count: f64) -> Interval {
     let z2 = QUANTILE_95 * QUANTILE_95;
-    let center = (rate + z2 / (2.0 * count)) / (1.0 + z2 / count);
-    let reach = QUANTILE_95 / (1.0 + z2 / count)
-        * (rate * (1.0 - rate) / count + z2 / (4.0 * count * count)).sqrt();
+    let scale = 1.0 + z2 / count;
+    let center = (rate + z2 / (2.0 * count)) / scale;
+    let spread = (rate * (1.0 - rate) / count + z2 / (4.0 * count * count)).sqrt();
+    let reach = QUANTILE_95 / scale * spread;
     // Rounding would not give exactly 0 or 1 at the ends.
     let low = if rate <= 0.0 { 0.0 } else { center - reach };
     let high = if rate >= 1.0 { 1.0 } else { center + reach };
-    (low.max(0.0), high.min(1.0))
+    Interval {
+        low: low.max(0.0),
+        high: high.min(1.0),
+    }
 }
 
 /// The variance of the rate relative to independent boxes (L. Kish's design effect), because frames are drawn, not
 /// boxes. The variance is that of a ratio over drawn frames.
 ///
 /// One more frame is assumed, half of it shown: a few frames that all agree give no certainty.
-pub(super) fn design_effect(
-    paired: f64,
-    boxes: f64,
-    [paired_2, product, boxes_2]: [f64; 3],
-) -> f64 {
-    let crowd = (boxes_2 / boxes).max(1.0);
+pub(super) fn design_effect(sums: SideSums) -> f64 {
+    let boxes = sums.boxes as f64;
+    let paired = (sums.paired as f64).min(boxes);
+    let paired_squared = sums.paired_squared as f64;
+    let boxes_paired = sums.boxes_paired as f64;
+    let boxes_squared = sums.boxes_squared as f64;
+    let crowd = (boxes_squared / boxes).max(1.0);
     let rate = ((paired + crowd / 2.0) / (boxes + crowd)).min(1.0);
     let assumed = crowd * crowd / 2.0 * ((1.0 - rate).powi(2) + rate * rate);
-    let residuals = paired_2 - 2.0 * rate * product + rate * rate * boxes_2 + assumed;
+    let residuals =
+        paired_squared - 2.0 * rate * boxes_paired + rate * rate * boxes_squared + assumed;
     let clustered = residuals / (boxes + crowd);
     let independent = rate * (1.0 - rate);
     if independent > 0.0 && clustered.is_finite() {

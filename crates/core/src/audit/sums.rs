@@ -1,7 +1,7 @@
 //! Counts of compared frames, which can be summed over clips, cameras and nodes.
 
 use super::AUDIT_OVERLAP;
-use super::rate::AuditRate;
+use super::rate::{AuditRate, SideSums};
 use crate::detection::Detection;
 use crate::geometry::{BoundingBox, Corners};
 use crate::objects::{ComponentSolver, Edge, is_usable};
@@ -142,20 +142,26 @@ impl AuditSums {
     /// Returns the recall of the compared frames alone, as if no frame had been missed.
     pub(crate) fn compared_recall(&self) -> Option<AuditRate> {
         let squares = &self.squares;
-        AuditRate::new(
-            [self.paired, self.detected],
-            [squares.paired, squares.detected_paired, squares.detected],
-        )
+        AuditRate::new(SideSums {
+            paired: self.paired,
+            boxes: self.detected,
+            paired_squared: squares.paired,
+            boxes_paired: squares.detected_paired,
+            boxes_squared: squares.detected,
+        })
     }
 
     /// Returns the precision against the detector: the share of the shown boxes that it confirms. The interval includes
     /// the missed frames. `None` if nothing was shown.
     pub fn precision(&self) -> Option<AuditRate> {
         let squares = &self.squares;
-        let compared = AuditRate::new(
-            [self.paired, self.shown],
-            [squares.paired, squares.shown_paired, squares.shown],
-        )?;
+        let compared = AuditRate::new(SideSums {
+            paired: self.paired,
+            boxes: self.shown,
+            paired_squared: squares.paired,
+            boxes_paired: squares.shown_paired,
+            boxes_squared: squares.shown,
+        })?;
         Some(compared.widened(self.missed_boxes))
     }
 }

@@ -1,4 +1,4 @@
-use super::rate::{design_effect, wilson};
+use super::rate::{SideSums, design_effect, wilson};
 use super::*;
 use crate::detection::{ClassId, Detection};
 use crate::geometry::BoundingBox;
@@ -97,9 +97,9 @@ fn the_drawn_share_is_as_configured_and_reproducible() {
 #[test]
 fn the_interval_is_wilsons_with_one_box_per_frame() {
     // 8 of 10: R's prop.test(8, 10, correct = FALSE) says 0.4901625 to 0.9433178.
-    let rate = wilson(0.8, 10.0);
-    assert!((rate.0 - 0.490_162_5).abs() < 1e-6, "{rate:?}");
-    assert!((rate.1 - 0.943_317_8).abs() < 1e-6, "{rate:?}");
+    let interval = wilson(0.8, 10.0);
+    assert!((interval.low - 0.490_162_5).abs() < 1e-6, "{interval:?}");
+    assert!((interval.high - 0.943_317_8).abs() < 1e-6, "{interval:?}");
 }
 
 #[test]
@@ -111,8 +111,14 @@ fn one_frame_with_twenty_boxes_is_no_certainty() {
     assert!(rate.independent < 1.5 && rate.low < 0.3, "{rate:?}");
 }
 
-/// The numbers of boxes and of shown boxes per frame. Crowds and misses are correlated over time, as on roads.
-fn road(frames: usize) -> Vec<(usize, usize)> {
+/// The numbers of detected boxes and of shown ones among them.
+struct Counts {
+    boxes: usize,
+    paired: usize,
+}
+
+/// The counts of each frame. Crowds and misses are correlated over time, as on roads.
+fn road(frames: usize) -> Vec<Counts> {
     let mut random = random(1);
     let mut bad = false;
     (0..frames)
@@ -124,7 +130,7 @@ fn road(frames: usize) -> Vec<(usize, usize)> {
             let boxes = (random() * 9.0) as usize;
             let miss = if bad { 0.6 } else { 0.05 };
             let paired = (0..boxes).filter(|_| random() >= miss).count();
-            (boxes, paired)
+            Counts { boxes, paired }
         })
         .collect()
 }
@@ -132,22 +138,26 @@ fn road(frames: usize) -> Vec<(usize, usize)> {
 #[test]
 fn intervals_cover_the_full_comparison_at_their_rate() {
     let frames = road(5_000);
-    let boxes: usize = frames.iter().map(|frame| frame.0).sum();
-    let paired: usize = frames.iter().map(|frame| frame.1).sum();
+    let boxes: usize = frames.iter().map(|frame| frame.boxes).sum();
+    let paired: usize = frames.iter().map(|frame| frame.paired).sum();
     let truth = paired as f64 / boxes as f64;
-    let (mut held, mut naive, mut mean) = (0, 0, 0.0);
+    let mut held = 0;
+    let mut naive = 0;
+    let mut mean = 0.0;
     let rounds = 400;
     for seed in 0..rounds {
         let draw = AuditDraw::new(0.02, seed);
         let mut sums = AuditSums::default();
-        for (_, &(boxes, paired)) in (0..).zip(&frames).filter(|(index, _)| draw.draw(*index)) {
-            add_crowd(&mut sums, boxes, paired);
+        for (index, frame) in (0..).zip(&frames) {
+            if draw.draw(index) {
+                add_crowd(&mut sums, frame.boxes, frame.paired);
+            }
         }
         let rate = sums.recall().unwrap();
         mean += rate.rate / rounds as f64;
         held += usize::from((rate.low..=rate.high).contains(&truth));
         let independent = wilson(rate.rate, rate.boxes as f64);
-        naive += usize::from((independent.0..=independent.1).contains(&truth));
+        naive += usize::from((independent.low..=independent.high).contains(&truth));
     }
     assert!((mean - truth).abs() < 0.01, "{mean} {truth}");
     let least = rounds as usize * 93 / 100;
@@ -243,15 +253,22 @@ proptest! {
         let frames: Vec<(f64, f64)> = frames.iter()
             .map(|&(boxes, share)| (f64::from(boxes), (f64::from(boxes) * share).round()))
             .collect();
-        let sum = |of: &dyn Fn(f64, f64) -> f64| frames.iter().map(|&(m, k)| of(m, k)).sum::<f64>();
-        let (boxes, paired) = (sum(&|m, _| m), sum(&|_, k| k));
+        // Of each frame with m boxes, k of them paired.
+        let sum = |value: &dyn Fn(f64, f64) -> f64| frames.iter().map(|&(m, k)| value(m, k)).sum::<f64>();
+        let boxes = sum(&|m, _| m);
+        let paired = sum(&|_, k| k);
         let crowd = sum(&|m, _| m * m) / boxes;
         let rate = (paired + crowd / 2.0) / (boxes + crowd);
         let more = |shown: f64| (shown - rate * crowd).powi(2);
         let residuals = sum(&|m, k| (k - rate * m).powi(2)) + (more(0.0) + more(crowd)) / 2.0;
         let expected = residuals / (boxes + crowd) / (rate * (1.0 - rate));
-        let squares = [sum(&|_, k| k * k), sum(&|m, k| m * k), sum(&|m, _| m * m)];
-        let found = design_effect(paired, boxes, squares);
+        let found = design_effect(SideSums {
+            paired: paired as u64,
+            boxes: boxes as u64,
+            paired_squared: sum(&|_, k| k * k) as u64,
+            boxes_paired: sum(&|m, k| m * k) as u64,
+            boxes_squared: sum(&|m, _| m * m) as u64,
+        });
         prop_assert!((found - expected.max(1.0)).abs() < 1e-9 * expected, "{found} {expected}");
     }
 }

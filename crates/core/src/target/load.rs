@@ -78,16 +78,17 @@ impl LoadControl {
         };
         let lately = self.window.load();
         let Some(share) = lately.share else {
-            return nothing_measured(if lately.seconds < WINDOW_S {
+            let status = if lately.seconds < WINDOW_S {
                 TargetStatus::Measuring
             } else {
                 TargetStatus::NoFrames
-            });
+            };
+            return nothing_measured(status);
         };
         if let Some(watts) = lately.watts {
             self.power.learn(share, watts, seconds);
         }
-        let reported = self.reported.load().of(self.target);
+        let reported = self.reported.load().value_for(self.target);
         let (Some(actual), Some(error)) = (reported, self.error(&lately)) else {
             return nothing_measured(TargetStatus::NoPower);
         };
@@ -108,23 +109,28 @@ impl LoadControl {
         }
         let is_held = (actual / self.target.value() - 1.0).abs() <= HELD;
         // The status waits at an end, because the window still contains earlier threshold values.
-        let beyond = !is_held
-            && ((error > 0.0 && lever.is_at_most()) || (error < 0.0 && lever.is_at_least()));
-        self.beyond_s = if beyond { self.beyond_s + seconds } else { 0.0 };
-        let end = if error > 0.0 {
+        let is_at_end = if error > 0.0 {
+            lever.is_at_most()
+        } else {
+            error < 0.0 && lever.is_at_least()
+        };
+        if is_at_end && !is_held {
+            self.beyond_s += seconds;
+        } else {
+            self.beyond_s = 0.0;
+        }
+        let status = if is_held {
+            TargetStatus::Held
+        } else if self.beyond_s <= WINDOW_S {
+            TargetStatus::Moving
+        } else if error > 0.0 {
             TargetStatus::CannotBeMet
         } else {
             TargetStatus::MoreThanKept
         };
         Verdict {
             actual: Some(actual),
-            status: if is_held {
-                TargetStatus::Held
-            } else if self.beyond_s > WINDOW_S {
-                end
-            } else {
-                TargetStatus::Moving
-            },
+            status,
             boxes: None,
         }
     }
@@ -219,7 +225,7 @@ impl Window {
 
 impl Load {
     /// Returns the measured value for a target.
-    fn of(&self, target: Target) -> Option<f64> {
+    fn value_for(&self, target: Target) -> Option<f64> {
         match target {
             Target::SkipRate(_) => self.share.map(|share| 1.0 - share),
             Target::Watts(_) => self.watts,

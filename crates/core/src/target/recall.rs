@@ -34,13 +34,20 @@ const HELD: f64 = 0.01;
 /// Seconds with skipped frames and none drawn after which the status is "no audit".
 const NO_AUDIT_AFTER_S: f64 = 600.0;
 
+/// The comparisons between two moves of the threshold.
+#[derive(Clone, Debug)]
+struct Lot {
+    /// Logarithm of the threshold.
+    logarithm: f64,
+    sums: AuditSums,
+}
+
 #[derive(Clone, Debug)]
 pub(super) struct RecallControl {
     wanted: f64,
     /// Comparisons since the threshold last moved.
-    lot: AuditSums,
-    /// The previous lots, each with the logarithm of its threshold.
-    lots: VecDeque<(f64, AuditSums)>,
+    current: AuditSums,
+    previous: VecDeque<Lot>,
     verdict: Verdict,
     without_audit_s: f64,
 }
@@ -49,8 +56,8 @@ impl RecallControl {
     pub(super) fn new(wanted: f64) -> Self {
         Self {
             wanted,
-            lot: AuditSums::default(),
-            lots: VecDeque::new(),
+            current: AuditSums::default(),
+            previous: VecDeque::new(),
             verdict: Verdict {
                 actual: None,
                 status: TargetStatus::Measuring,
@@ -61,7 +68,7 @@ impl RecallControl {
     }
 
     pub(super) fn step(&mut self, measured: &Measured, lever: &mut Lever) -> Verdict {
-        self.lot.merge(&measured.audit);
+        self.current.merge(&measured.audit);
         if measured.audit.is_empty() {
             if measured.skipped > 0 {
                 self.without_audit_s += measured.seconds.max(0.0);
@@ -69,7 +76,7 @@ impl RecallControl {
         } else {
             self.without_audit_s = 0.0;
         }
-        let recall = self.lot.compared_recall();
+        let recall = self.current.compared_recall();
         let enough = recall.is_some_and(|recall| recall.independent >= ENOUGH);
         if enough {
             self.decide(lever);
@@ -84,21 +91,22 @@ impl RecallControl {
 
     /// Moves the threshold by the lot that is complete and those before it.
     fn decide(&mut self, lever: &mut Lever) {
-        let lot = std::mem::take(&mut self.lot);
-        if lot.missed_share() > MOST_MISSED {
+        let sums = std::mem::take(&mut self.current);
+        if sums.missed_share() > MOST_MISSED {
             self.verdict.status = TargetStatus::Measuring;
             return;
         }
-        self.lots.push_back((lever.logarithm(), lot));
-        while self.lots.len() > MOST_LOTS {
-            self.lots.pop_front();
+        let logarithm = lever.logarithm();
+        self.previous.push_back(Lot { logarithm, sums });
+        while self.previous.len() > MOST_LOTS {
+            self.previous.pop_front();
         }
-        self.lots.retain(|(x, _)| (x - lever.logarithm()).abs() <= NEAR);
-        let mut all = AuditSums::default();
-        for (_, lot) in &self.lots {
-            all.merge(lot);
+        self.previous.retain(|lot| (lot.logarithm - logarithm).abs() <= NEAR);
+        let mut pooled = AuditSums::default();
+        for lot in &self.previous {
+            pooled.merge(&lot.sums);
         }
-        let Some(recall) = all.compared_recall() else {
+        let Some(recall) = pooled.compared_recall() else {
             return;
         };
         let off = recall.low - self.wanted;
@@ -107,18 +115,19 @@ impl RecallControl {
         if off.abs() > HELD {
             lever.push((gain * off).clamp(-LARGEST, LARGEST));
         }
+        let status = if off.abs() <= HELD {
+            TargetStatus::Held
+        } else if off < 0.0 && lever.is_at_least() {
+            TargetStatus::CannotBeMet
+        } else if off > 0.0 && lever.is_at_most() {
+            TargetStatus::MoreThanKept
+        } else {
+            TargetStatus::Moving
+        };
         self.verdict = Verdict {
             actual: Some(recall.low),
             boxes: Some(recall.boxes),
-            status: if off.abs() <= HELD {
-                TargetStatus::Held
-            } else if off < 0.0 && lever.is_at_least() {
-                TargetStatus::CannotBeMet
-            } else if off > 0.0 && lever.is_at_most() {
-                TargetStatus::MoreThanKept
-            } else {
-                TargetStatus::Moving
-            },
+            status,
         };
     }
 }

@@ -125,7 +125,9 @@ fn load_targets_settle_within_a_minute_of_a_step_of_the_scene_and_of_the_detecto
             (0.6, 30.0, 20, "more frames"),
         ];
         for (busy, detector_ms, rate, what) in scenes {
-            (plant.busy, plant.detector_ms, plant.rate) = (busy, detector_ms, rate);
+            plant.busy = busy;
+            plant.detector_ms = detector_ms;
+            plant.rate = rate;
             settles(&mut controller, &mut plant, what);
         }
     }
@@ -252,7 +254,8 @@ fn without_frames_or_power_the_threshold_rests_and_the_reason_is_reported() {
 #[test]
 fn a_recall_target_pauses_while_more_than_a_fifth_of_the_audit_is_missed() {
     let mut plant = Plant::new(71);
-    (plant.recall, plant.missed_of_ten) = (Some(0.99), 4);
+    plant.recall = Some(0.99);
+    plant.missed_of_ten = 4;
     let mut controller = TargetController::new(Target::Recall(0.85), RANGE, 0.3).unwrap();
     let before = controller.threshold();
     let states = run(&mut controller, &mut plant, 3600);
@@ -287,7 +290,8 @@ fn the_lower_bound_of_recall_is_held_and_an_impossible_one_is_reported() {
     assert!((last.threshold - RANGE.least).abs() < 1e-9 && last.unmet_s > 3600.0);
 
     // Nothing is drawn any more: the status reports it, and the threshold stays.
-    (plant.recall, plant.busy) = (None, 0.3);
+    plant.recall = None;
+    plant.busy = 0.3;
     let states = run(&mut controller, &mut plant, 701);
     assert_eq!(states[700].status, TargetStatus::NoAudit);
 }
