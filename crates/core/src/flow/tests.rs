@@ -37,7 +37,8 @@ impl Texture {
             let waves = (0..length).map(|at| self.0.map(|wave| angle(wave, at).sin_cos()));
             waves.collect::<Vec<_>>()
         };
-        let (columns, rows) = (along(0, WIDTH), along(1, HEIGHT));
+        let columns = along(0, WIDTH);
+        let rows = along(1, HEIGHT);
         let value = |index: usize| {
             let angles = columns[index % WIDTH].iter().zip(&rows[index / WIDTH]);
             let waves =
@@ -82,8 +83,9 @@ proptest! {
         let texture = Texture::new(seed);
         let before = pyramid(&texture.picture([x, y], [0.0; 2], 1.0));
         let after = pyramid(&texture.picture([x, y], [shift_x, shift_y], scale));
-        let (right, down) = (width / 2.0, height / 2.0);
-        let area = corners([x - right, y - down, x + right, y + down]);
+        let half_width = width / 2.0;
+        let half_height = height / 2.0;
+        let area = corners([x - half_width, y - half_height, x + half_width, y + half_height]);
         let mut flow = BoxFlow::new(6);
         let followed = flow.follow(&before, &after, area, [0.0; 2]);
         prop_assert_eq!(followed.points, 36);

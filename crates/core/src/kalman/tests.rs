@@ -16,11 +16,11 @@ fn sizes() -> impl Strategy<Value = PictureSize> {
 
 /// Parameters from a third to three times the default.
 fn parameters() -> impl Strategy<Value = FilterParameters> {
-    prop::array::uniform11(0.33f64..3.0).prop_map(|f| {
+    prop::array::uniform11(0.33f64..3.0).prop_map(|all_factors| {
         let mut parameters = FilterParameters::default();
         for (part, factors) in [
-            (&mut parameters.process, &f[..5]),
-            (&mut parameters.initial, &f[5..10]),
+            (&mut parameters.process, &all_factors[..5]),
+            (&mut parameters.initial, &all_factors[5..10]),
         ] {
             part.center *= factors[0];
             part.size *= factors[1];
@@ -28,7 +28,7 @@ fn parameters() -> impl Strategy<Value = FilterParameters> {
             part.size_velocity *= factors[3];
             part.acceleration *= factors[4];
         }
-        parameters.measurement.deviation *= f[10];
+        parameters.measurement.deviation *= all_factors[10];
         parameters
     })
 }
@@ -48,7 +48,8 @@ proptest! {
     ) {
         for motion in [MotionModel::ConstantAcceleration, MotionModel::ConstantSize] {
             let model = FilterModel::new(&FilterParameters { motion, ..parameters }, size);
-            let (mut filter, mut dense) = (Filter::new(&model, first), DenseFilter::new(&model, first));
+            let mut filter = Filter::new(&model, first);
+            let mut dense = DenseFilter::new(&model, first);
             for measured in &life {
                 filter.predict(&model);
                 dense.predict();
@@ -60,12 +61,14 @@ proptest! {
                     filter.update(&model, measured);
                     dense.update(measured);
                 }
-                let (mean, covariance) = (filter.mean(), filter.covariance());
+                let mean = filter.mean();
+                let covariance = filter.covariance();
                 prop_assert!(close(mean.as_slice(), dense.mean.as_slice()), "{mean} {}", dense.mean);
                 prop_assert!(close(covariance.as_slice(), dense.covariance.as_slice()));
                 prop_assert!((filter.tau() - dense.tau()).abs() <= 1e-12);
                 // Eight dimensions have no velocity of the size: it is and remains zero, and correlates with nothing.
-                let (velocity, correlated) = (mean.rows(6, 2), covariance.rows(6, 2));
+                let velocity = mean.rows(6, 2);
+                let correlated = covariance.rows(6, 2);
                 let is_absent = velocity.iter().chain(correlated.iter()).all(|&value| value == 0.0);
                 prop_assert_eq!(is_absent, motion == MotionModel::ConstantSize);
             }
@@ -78,9 +81,12 @@ proptest! {
         size in sizes(), first in boxes(), exponent in -12.0f64..2.0,
     ) {
         let model = FilterModel::new(&parameters, size);
-        let (gauge, gate) = (Filter::new(&model, first).gauge(&model), 10f64.powf(exponent));
-        let (expected, reach) = (gauge.expected, gauge.reach(gate));
-        let (x, y) = (expected.center_x, expected.center_y);
+        let gauge = Filter::new(&model, first).gauge(&model);
+        let gate = 10f64.powf(exponent);
+        let expected = gauge.expected;
+        let reach = gauge.reach(gate);
+        let x = expected.center_x;
+        let y = expected.center_y;
         prop_assert!(reach.x1 < x && x < reach.x2 && reach.y1 < y && y < reach.y2);
         for (x, y) in [(reach.x1, y), (reach.x2, y), (x, reach.y1), (x, reach.y2)] {
             let at_edge = gauge.squared_distance(BoundingBox::new(x, y, expected.width, expected.height));
@@ -91,14 +97,15 @@ proptest! {
 
     #[test]
     fn sides_are_clamped_to_their_minimum_and_nothing_else_changes(
-        size in sizes(), first in boxes(), least in (0.0..1.0, 0.0..1.0),
+        size in sizes(), first in boxes(), least_width in 0.0..1.0, least_height in 0.0..1.0,
     ) {
         let model = FilterModel::new(&FilterParameters::default(), size);
         let mut filter = Filter::new(&model, first);
         let before = filter.mean();
-        filter.clamp_size(least.0, least.1);
+        filter.clamp_size(least_width, least_height);
         let mut expected = before;
-        (expected[2], expected[3]) = (before[2].max(least.0), before[3].max(least.1));
+        expected[2] = before[2].max(least_width);
+        expected[3] = before[3].max(least_height);
         prop_assert_eq!(filter.mean(), expected);
     }
 

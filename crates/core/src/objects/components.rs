@@ -156,19 +156,28 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Number of pairs and their cost for the best way to pair the rows from `row` on.
+    /// Number of pairs and their cost for the best way to pair the rows from `row` on. The bits of `used` are the columns
+    /// that have a row.
     fn best(row: u32, rows: u32, edges: &[Edge], used: u32) -> (i32, f64) {
         if row == rows {
             return (0, 0.0);
         }
-        let of_row = edges.iter().filter(|edge| edge.row == row);
-        let free = of_row.filter(|edge| used & (1 << edge.column) == 0);
-        let paired = free.map(|edge| {
-            let (pairs, cost) = best(row + 1, rows, edges, used | (1 << edge.column));
-            (pairs + 1, cost + edge.cost)
-        });
-        let all = paired.chain([best(row + 1, rows, edges, used)]);
-        all.max_by(|a, b| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1))).unwrap()
+        // Without a pair of this row, and then with each of its edges.
+        let (mut most_pairs, mut least_cost) = best(row + 1, rows, edges, used);
+        for edge in edges {
+            let column = 1 << edge.column;
+            if edge.row != row || used & column != 0 {
+                continue;
+            }
+            let (mut pairs, mut cost) = best(row + 1, rows, edges, used | column);
+            pairs += 1;
+            cost += edge.cost;
+            if pairs > most_pairs || (pairs == most_pairs && cost < least_cost) {
+                most_pairs = pairs;
+                least_cost = cost;
+            }
+        }
+        (most_pairs, least_cost)
     }
 
     fn graphs() -> impl Strategy<Value = (u32, u32, Vec<Edge>)> {
@@ -198,16 +207,16 @@ mod tests {
             prop_assert_eq!(&pairs, &[(1, 0)]);
             pairs.clear();
             solver.solve(rows as usize, columns as usize, &edges, &mut pairs);
-            let cost_of = |pair: &(u32, u32)| {
-                edges.iter().find(|e| (e.row, e.column) == *pair).map(|e| e.cost)
-            };
-            let total: Option<f64> = pairs.iter().map(cost_of).sum();
+            let mut total = 0.0;
+            for (index, &(row, column)) in pairs.iter().enumerate() {
+                let edge = edges.iter().find(|edge| edge.row == row && edge.column == column);
+                total += edge.unwrap().cost;
+                let mut earlier = pairs[..index].iter();
+                prop_assert!(earlier.all(|pair| pair.0 != row && pair.1 != column));
+            }
             let (count, cost) = best(0, rows, &edges, 0);
             prop_assert_eq!(pairs.len() as i32, count);
-            prop_assert!((total.unwrap() - cost).abs() < 1e-9);
-            for (index, &(row, column)) in pairs.iter().enumerate() {
-                prop_assert!(pairs[..index].iter().all(|&(r, c)| r != row && c != column));
-            }
+            prop_assert!((total - cost).abs() < 1e-9);
         }
     }
 }

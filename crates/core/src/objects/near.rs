@@ -131,7 +131,8 @@ mod tests {
             (begin * scale, (begin + length) * scale)
         };
         let corners = (side(), side()).prop_map(move |(x, y)| {
-            let ((x1, x2), (y1, y2)) = (interval(x), interval(y));
+            let (x1, x2) = interval(x);
+            let (y1, y2) = interval(y);
             Corners { x1, y1, x2, y2 }
         });
         prop::collection::vec(corners, 0..100)
@@ -160,20 +161,19 @@ mod tests {
 
     #[test]
     fn of_many_boxes_few_that_do_not_overlap_are_let_through() {
-        let row = |place: u32| {
+        let in_row = |place: u32| {
             let x1 = f64::from(place);
-            let corners = Corners {
+            Corners {
                 x1,
                 y1: 0.0,
                 x2: x1 + 0.5,
                 y2: 1.0,
-            };
-            (corners, place)
+            }
         };
         let mut boxes = NearBoxes::default();
-        boxes.fill((0..320).map(row));
+        boxes.fill((0..320).map(|place| (in_row(place), place)));
         let mut near = Vec::new();
-        boxes.visit(row(100).0, |place| near.push(place));
+        boxes.visit(in_row(100), |place| near.push(place));
         assert!(
             near.contains(&100) && near.len() <= 2 * 320 / BINS + 1,
             "{near:?}"

@@ -330,7 +330,9 @@ impl Policy for WithPause {
             } else {
                 FrameState::P
             };
-            outcome.boxes.iter_mut().for_each(|found| found.source = BoxSource::Predicted);
+            for found in &mut outcome.boxes {
+                found.source = BoxSource::Predicted;
+            }
         }
         if self.state.looking && outcome.cause.is_some_and(|cause| cause != CallCause::Screen) {
             outcome.cause = Some(CallCause::EmptyRoad);

@@ -276,8 +276,7 @@ impl Policy for ExpectedLoss {
 
     /// The screen can only save a call that is due: a screen that never reports "empty" changes no decision. If it is
     /// unavailable, the next evidence is requested (with optical flow the picture, else the detections), and the frame is
-    /// `I`, not `E+I`. Evidence that was not requested counts
-    /// as unavailable.
+    /// `I`, not `E+I`. Evidence that was not requested counts as unavailable.
     fn answer(&mut self, evidence: Evidence<'_>) -> Need {
         match (self.progress.need, evidence) {
             (Need::Screen, evidence) => {

@@ -53,10 +53,12 @@ impl Progress {
 
     /// Ends with the detector's answer.
     pub(crate) fn detected(&mut self, rescued: bool) -> Need {
-        self.state = match (self.screened, rescued) {
-            (true, _) => FrameState::EI,
-            (false, true) => FrameState::AI,
-            (false, false) => FrameState::I,
+        self.state = if self.screened {
+            FrameState::EI
+        } else if rescued {
+            FrameState::AI
+        } else {
+            FrameState::I
         };
         self.ask(Need::Nothing)
     }

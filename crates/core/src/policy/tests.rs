@@ -226,8 +226,8 @@ fn a_frame_without_the_detector_is_predicted_and_the_next_one_asks_again() {
                 waited += 1;
                 assert!(waited < 20, "{what} never asks the detector");
             }
-            let of = |record: &ObjectRecord| (record.id, record.misses, record.since_update);
-            let before: Vec<_> = run.records().iter().map(of).collect();
+            let counts = |record: &ObjectRecord| (record.id, record.misses, record.since_update);
+            let before: Vec<_> = run.records().iter().map(counts).collect();
             for blind in 1..3 {
                 assert_eq!(run.blind(), FrameState::P, "{what}");
                 assert!(run.outcome.degraded, "{what}");
@@ -235,13 +235,16 @@ fn a_frame_without_the_detector_is_predicted_and_the_next_one_asks_again() {
                 // No miss is counted.
                 let since = before.iter().map(|&(id, misses, since)| (id, misses, since + blind));
                 let records = run.records();
-                assert!(records.iter().map(of).eq(since), "{what}: {records:?}");
+                assert!(records.iter().map(counts).eq(since), "{what}: {records:?}");
             }
             assert!(!run.see(&found).is_skipped(), "{what}");
             assert!(!run.outcome.degraded, "{what}");
             let seen_again = before.iter().map(|&(id, misses, _)| (id, misses, 0));
             let records = run.records();
-            assert!(records.iter().map(of).eq(seen_again), "{what}: {records:?}");
+            assert!(
+                records.iter().map(counts).eq(seen_again),
+                "{what}: {records:?}"
+            );
         }
     }
 }

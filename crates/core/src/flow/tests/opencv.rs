@@ -21,7 +21,8 @@ fn pyramid(file: &Path) -> Pyramid {
         let word = std::str::from_utf8(words.next().unwrap()).unwrap();
         word.parse().unwrap()
     };
-    let (width, height) = (number(), number());
+    let width = number();
+    let height = number();
     let rest = words.next().unwrap();
     filled(width, height, rest.strip_prefix(b"255\n").unwrap())
 }
@@ -36,7 +37,9 @@ fn points_move_as_in_opencv() {
     let mut fixture: serde_json::Value = serde_json::from_str(&text).unwrap();
     let pairs: Vec<PicturePair> = serde_json::from_value(fixture["pairs"].take()).unwrap();
     let mut tracker = PointTracker::default();
-    let (mut points, mut theirs, mut ours) = (0, 0, 0);
+    let mut points = 0;
+    let mut theirs = 0;
+    let mut ours = 0;
     let mut differences = Vec::new();
     for pair in &pairs {
         let before = pyramid(&folder.join(&pair.before));
@@ -60,15 +63,16 @@ fn points_move_as_in_opencv() {
     }
     differences.sort_by(f32::total_cmp);
     let both = differences.len();
-    let at = |share: f64| differences[((both - 1) as f64 * share) as usize];
-    let above = differences.iter().filter(|d| **d > 0.1).count() as f64 / both as f64;
+    let quantile = |share: f64| differences[((both - 1) as f64 * share) as usize];
+    let above = differences.iter().filter(|difference| **difference > 0.1).count();
+    let above = above as f64 / both as f64;
     println!(
         "{points} points, {both} trusted by both, {theirs} by OpenCV alone, {ours} by us alone; difference median \
          {:.4}, 99 % {:.4}, 99.9 % {:.4}, largest {:.4} px; above 0.1 px: {:.3} %",
-        at(0.5),
-        at(0.99),
-        at(0.999),
-        at(1.0),
+        quantile(0.5),
+        quantile(0.99),
+        quantile(0.999),
+        quantile(1.0),
         100.0 * above,
     );
     if by_hand {

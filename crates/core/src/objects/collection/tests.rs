@@ -134,8 +134,9 @@ fn hostile_detections_are_counted_and_have_no_effect() {
     frame(&mut clean, &[seen(0.5)]);
     assert_eq!(objects.states(), clean.states());
     assert_eq!(objects.rejected_detections(), 8);
-    let usable: Vec<_> = objects.sightings().iter().map(|s| s.usable).collect();
+    let usable: Vec<_> = objects.sightings().iter().map(|sighting| sighting.usable).collect();
     assert_eq!(usable.iter().filter(|usable| **usable).count(), 1);
+    // Four boxes were put before it.
     assert!(usable[4]);
 }
 

@@ -94,35 +94,47 @@ fn associate_without_index(
     states: &[ObjectState],
     detections: &[Detection],
 ) -> Vec<Option<u32>> {
-    let mut detection_of = vec![None; states.len()];
-    for stage in 0..2 {
-        let mut edges = Vec::new();
-        for (row, state) in (0..).zip(states) {
-            let competes = match stage {
-                0 => state.since_update <= settings.iou_frames,
-                _ => detection_of[row as usize].is_none(),
-            };
-            for (column, other) in (0..).zip(detections).filter(|_| competes) {
-                let own = state.filter.bounding_box();
-                // The overlap follows from the cost: 1e-30, a rounding error, is no overlap.
-                let cost = 1.0 - own.intersection_over_union(other.bounding_box);
-                let gauge = state.filter.gauge(&model());
-                let distance = gauge.squared_distance(other.bounding_box);
-                let cost = match stage {
-                    0 => (1.0 - cost >= settings.iou_gate && cost < 1.0).then_some(cost),
-                    _ => (distance < settings.mahalanobis_gate).then_some(distance),
-                };
-                let cost = cost.filter(|_| !detection_of.contains(&Some(column)));
-                edges.extend(cost.map(|cost| Edge { row, column, cost }));
+    let mut overlapping = Vec::new();
+    for (row, state) in (0..).zip(states) {
+        if state.since_update > settings.iou_frames {
+            continue;
+        }
+        for (column, detection) in (0..).zip(detections) {
+            let own = state.filter.bounding_box();
+            // The overlap follows from the cost: 1e-30, a rounding error, is no overlap.
+            let cost = 1.0 - own.intersection_over_union(detection.bounding_box);
+            if 1.0 - cost >= settings.iou_gate && cost < 1.0 {
+                overlapping.push(Edge { row, column, cost });
             }
         }
-        let mut pairs = Vec::new();
-        ComponentSolver::default().solve(states.len(), detections.len(), &edges, &mut pairs);
-        for (row, column) in pairs {
-            detection_of[row as usize] = Some(column);
+    }
+    let mut matches = vec![None; states.len()];
+    add_best(&mut matches, &overlapping, detections.len());
+
+    let mut near = Vec::new();
+    for (row, state) in (0..).zip(states) {
+        if matches[row as usize].is_some() {
+            continue;
+        }
+        for (column, detection) in (0..).zip(detections) {
+            let gauge = state.filter.gauge(&model());
+            let cost = gauge.squared_distance(detection.bounding_box);
+            if cost < settings.mahalanobis_gate && !matches.contains(&Some(column)) {
+                near.push(Edge { row, column, cost });
+            }
         }
     }
-    detection_of
+    add_best(&mut matches, &near, detections.len());
+    matches
+}
+
+/// Adds the best pairs among `edges` to the matches of the states.
+fn add_best(matches: &mut [Option<u32>], edges: &[Edge], detections: usize) {
+    let mut pairs = Vec::new();
+    ComponentSolver::default().solve(matches.len(), detections, edges, &mut pairs);
+    for (row, column) in pairs {
+        matches[row as usize] = Some(column);
+    }
 }
 
 /// Boxes on a coarse grid with few sizes, so that many coincide and costs tie; or boxes anywhere, some large, some far outside.
@@ -166,7 +178,8 @@ proptest! {
         let mut taken = vec![false; detections.len()];
         for (state, matched) in states.iter().zip(&matches) {
             let Some(index) = *matched else { continue };
-            prop_assert!(!std::mem::replace(&mut taken[index as usize], true));
+            prop_assert!(!taken[index as usize]);
+            taken[index as usize] = true;
             let measured = detections[index as usize].bounding_box;
             let iou = state.filter.bounding_box().intersection_over_union(measured);
             let distance = state.filter.gauge(&model()).squared_distance(measured);

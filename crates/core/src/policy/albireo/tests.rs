@@ -35,12 +35,17 @@ fn in_the_paper_detector_frames_report_the_detectors_boxes_and_rescues() {
         assert_eq!(reported.confidence, found.confidence);
         assert_eq!(reported.source, BoxSource::Detected);
     }
-    let of = |b: &OutputBox| (b.object.unwrap().0, b.confirmed);
-    assert_eq!([of(&boxes[0]), of(&boxes[1])], [(1, false), (0, true)]);
+    let assert_objects = |boxes: &[OutputBox]| {
+        assert_eq!(boxes[0].object.unwrap().0, 1);
+        assert!(!boxes[0].confirmed);
+        assert_eq!(boxes[1].object.unwrap().0, 0);
+        assert!(boxes[1].confirmed);
+    };
+    assert_objects(boxes);
 
     assert_eq!(run.see(&[seen(0.8, 0.6)]), FrameState::AI);
     let boxes = &run.outcome.boxes;
-    assert_eq!([of(&boxes[0]), of(&boxes[1])], [(1, false), (0, true)]);
+    assert_objects(boxes);
     assert_eq!(boxes[1].source, BoxSource::Rescued);
     assert_eq!(boxes[1].confidence, 0.7);
     assert_ne!(boxes[1].bounding_box, found[1].bounding_box);
@@ -147,7 +152,8 @@ fn gaps_predictions_and_abandoned_frames_leave_the_same_objects() {
         run.index = gap.index;
         run
     };
-    let (mut predicted, mut abandoned) = (again(), again());
+    let mut predicted = again();
+    let mut abandoned = again();
     gap.frame(4, FrameEvidence::default());
     for _ in 0..4 {
         predicted.blind();
@@ -201,7 +207,7 @@ fn decided(size: PictureSize, settings: AlbireoSettings, u: f64) -> Vec<Decided>
                 let age = (index + 47 * car) % 120;
                 let missed = next() < 0.1;
                 let mut jitter = || 0.004 * (next() - 0.5);
-                let at = BoundingBox::new(
+                let place = BoundingBox::new(
                     0.1 + 0.007 * age as f64 + jitter(),
                     0.3 + 0.08 * car as f64 + jitter(),
                     0.06 + jitter(),
@@ -209,7 +215,7 @@ fn decided(size: PictureSize, settings: AlbireoSettings, u: f64) -> Vec<Decided>
                 );
                 if age < 100 && !missed {
                     found.push(Detection {
-                        bounding_box: at.pixel_corners(size).normalise(size),
+                        bounding_box: place.pixel_corners(size).normalise(size),
                         ..seen(0.5, 0.9)
                     });
                 }

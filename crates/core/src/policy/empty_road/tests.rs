@@ -20,8 +20,11 @@ fn paused(asked: &str, pause: PauseFrames) -> Run<WithPause> {
 
 /// The states of frames without a screen model in which the detector, if called, finds `found`, joined by spaces.
 fn states(run: &mut Run<WithPause>, frames: usize, found: &[Detection]) -> String {
-    let each = (0..frames).map(|_| run.frame(1, FrameEvidence::detections(found)).as_str());
-    each.collect::<Vec<_>>().join(" ")
+    let mut states = Vec::new();
+    for _ in 0..frames {
+        states.push(run.frame(1, FrameEvidence::detections(found)).as_str());
+    }
+    states.join(" ")
 }
 
 #[test]
@@ -189,8 +192,12 @@ fn late_states(delay: u64, frames: u64) -> Vec<FrameState> {
         let need = late.frame(head(index), &mut outcome);
         assert!(outcome.state.is_skipped() && !outcome.degraded && outcome.cause.is_none());
         states.push(outcome.state);
-        look = look.or((need != Need::Nothing).then_some(index));
-        if let Some(frame) = look.filter(|frame| frame + delay == index) {
+        if look.is_none() && need != Need::Nothing {
+            look = Some(index);
+        }
+        if let Some(frame) = look
+            && frame + delay == index
+        {
             assert_eq!(
                 late.deliver(frame, Evidence::Unavailable, &mut outcome),
                 Ok(Need::Detections)
@@ -247,16 +254,20 @@ impl Event {
     }
 }
 
-/// What a look showed, and how many frames ago.
-type Look = (u64, bool);
+#[derive(Clone, Copy)]
+struct Look {
+    frames_ago: u64,
+    found: bool,
+}
 
 /// The definition, from the whole history: the latest looks, newest first, and the frames since the start.
 fn passes(history: &[Look], start: u64, pause: PauseFrames) -> bool {
-    let found = history.iter().find(|(_, found)| *found);
-    let since_found = found.map_or(start, |(ago, _)| *ago);
-    let empty_looks = history.iter().take_while(|(_, found)| !found).count();
-    let since_look = history.first().map_or(start, |(ago, _)| *ago);
-    empty_looks > 0 && since_found > u64::from(pause.after) && since_look < u64::from(pause.every)
+    let last_find = history.iter().find(|look| look.found);
+    let since_find = last_find.map_or(start, |look| look.frames_ago);
+    let last_look = history.first();
+    let since_look = last_look.map_or(start, |look| look.frames_ago);
+    let was_empty = last_look.is_some_and(|look| !look.found);
+    was_empty && since_find > u64::from(pause.after) && since_look < u64::from(pause.every)
 }
 
 proptest! {
@@ -266,11 +277,14 @@ proptest! {
     fn a_frame_is_passed_over_exactly_by_the_definition(script in prop::collection::vec(event(), 1..80)) {
         let mut run = paused("albireo", PauseFrames::OFF);
         let mut plain = Albireo::new(AlbireoSettings::paper(), 3e-4).unwrap();
-        let (mut history, mut start): (Vec<Look>, u64) = (Vec::new(), 0);
+        let mut history: Vec<Look> = Vec::new();
+        let mut start = 0;
         for event in &script {
             run.policy.set_pause(event.pause);
             start += u64::from(event.step);
-            history.iter_mut().for_each(|(ago, _)| *ago += u64::from(event.step));
+            for look in &mut history {
+                look.frames_ago += u64::from(event.step);
+            }
             run.frame(event.step, event.known());
             // The same policy without a pause, in the same state: does it ask a screen?
             let index = run.index - 1;
@@ -283,10 +297,13 @@ proptest! {
             }
             while need != Need::Nothing {
                 let Ok(evidence) = crate::policy::EvidenceAtHand::evidence(&mut known, need);
-                match evidence {
-                    Evidence::Screen { empty: true } if !passed => history.insert(0, (0, false)),
-                    Evidence::Detections(found) => history.insert(0, (0, !found.is_empty())),
-                    _ => {}
+                let found = match evidence {
+                    Evidence::Screen { empty: true } if !passed => Some(false),
+                    Evidence::Detections(found) => Some(!found.is_empty()),
+                    _ => None,
+                };
+                if let Some(found) = found {
+                    history.insert(0, Look { frames_ago: 0, found });
                 }
                 need = plain.answer(evidence);
             }

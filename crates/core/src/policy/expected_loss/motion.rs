@@ -359,9 +359,13 @@ mod tests {
         }
 
         fn differs_earlier(&self, earlier: &Earlier) -> f64 {
-            let (own, p) = (self.x[2] - earlier.a, &self.p);
-            let [pxa, pva, paa] = [earlier.pxa, earlier.pva, earlier.paa];
-            Vector4::new(own, p[(0, 2)] - pxa, p[(1, 2)] - pva, p[(2, 2)] - paa).norm()
+            let differences = Vector4::new(
+                self.x[2] - earlier.a,
+                self.p[(0, 2)] - earlier.pxa,
+                self.p[(1, 2)] - earlier.pva,
+                self.p[(2, 2)] - earlier.paa,
+            );
+            differences.norm()
         }
     }
 
@@ -380,14 +384,16 @@ mod tests {
             p: Matrix3::new(0.3, 0.05, 0.3, 0.05, 0.1, 0.05, 0.3, 0.05, 0.3),
         };
         for round in 0..50 {
-            let (stretch, g) = (1.0 + 0.01 * f64::from(round % 5), 0.97);
+            let stretch = 1.0 + 0.01 * f64::from(round % 5);
+            let g = 0.97;
             axis.predict(stretch, g, 0.02);
             earlier.predict(g);
             textbook.predict(stretch, g, 0.02);
             assert!(textbook.differs(&axis) < 1e-12);
             assert!(textbook.differs_earlier(&earlier) < 1e-12);
             // A shift since the earlier position, which ends the comparison with it.
-            let (mut shifted, mut expected) = (axis, textbook);
+            let mut shifted = axis;
+            let mut expected = textbook;
             let (s, covariance) = earlier.difference(&axis, 0.01);
             earlier.measure(&mut shifted, 0.7, 0.01);
             expected.update(RowVector3::new(1.0, 0.0, -1.0), 0.7, 0.01);
@@ -395,7 +401,8 @@ mod tests {
             let variance = axis.p00 - covariance * covariance / s;
             assert!((shifted.p00 - variance).abs() < 1e-12);
             let z = 1.0 + 0.1 * f64::from(round);
-            let (y, s) = (z - axis.x, axis.p00 + 0.04);
+            let y = z - axis.x;
+            let s = axis.p00 + 0.04;
             earlier.update(&axis, z, 0.04);
             assert!((axis.update(z, 0.04) - y * y / s).abs() < 1e-12);
             textbook.update(RowVector3::new(1.0, 0.0, 0.0), z, 0.04);
@@ -421,7 +428,8 @@ mod tests {
             }
             (filter.axes[X].x - at(28)[X]).abs()
         };
-        let (with, without) = (error(0.15), error(0.0));
+        let with = error(0.15);
+        let without = error(0.0);
         assert!(with < 0.5 * without, "{with} {without}");
     }
 }

@@ -136,6 +136,16 @@ proptest! {
     }
 }
 
+/// Evidence that a frame waits for.
+#[derive(Clone, Copy)]
+struct Awaited {
+    /// Index in the script.
+    frame: usize,
+    need: Need,
+    /// Index in the script of the frame after which it arrives.
+    arrives: usize,
+}
+
 /// Plays the script with a camera that answers at once; each answer must be what `new` decides early. Returns its name.
 fn compare<P: Policy + Clone + 'static>(
     new: &P,
@@ -146,11 +156,11 @@ fn compare<P: Policy + Clone + 'static>(
     let mut answer = Outcome::default();
     // Number of pieces of evidence given to each frame.
     let mut given = vec![0; script.len()];
-    // The pending frame, what it needs, and after which frame that arrives.
-    let mut waits: Option<(usize, Need, usize)> = None;
+    let mut awaited: Option<Awaited> = None;
     let mut settled: Vec<(usize, Outcome)> = Vec::new();
     // The policy before the first frame that may still get evidence, and its index: what came before is final.
-    let (mut before, mut first) = (new.clone(), 0);
+    let mut before = new.clone();
+    let mut first = 0;
     for (number, event) in script.iter().enumerate() {
         if let Some(value) = event.threshold(late.policy()) {
             late.set_threshold(value).unwrap();
@@ -158,35 +168,47 @@ fn compare<P: Policy + Clone + 'static>(
         let need = late.frame(event.head, &mut answer);
         prop_assert_eq!(answer.state, FrameState::P);
         if need != Need::Nothing {
-            prop_assert!(waits.is_none(), "one frame at a time");
-            waits = Some((number, need, number + event.delay));
+            prop_assert!(awaited.is_none(), "one frame at a time");
+            awaited = Some(Awaited {
+                frame: number,
+                need,
+                arrives: number + event.delay,
+            });
         }
         let played = &script[first..=number];
         let mut policy = before.clone();
         let mut live = play(&mut policy, played, &given[first..]).pop().unwrap();
-        (live.degraded, live.cause) = (false, None);
+        live.degraded = false;
+        live.cause = None;
         prop_assert_eq!(&answer, &live, "{}", name);
         prop_assert_eq!(records(late.policy()), records(&policy), "{}", name);
         let mut came = false;
-        while let Some((frame, need, at)) = waits
-            && at <= number
+        while let Some(Awaited {
+            frame,
+            need,
+            arrives,
+        }) = awaited
+            && arrives <= number
         {
             came = true;
-            let of_frame = &script[frame];
+            let event = &script[frame];
             let mut outcome = Outcome::default();
-            let mut known = of_frame.known();
+            let mut known = event.known();
             let Ok(evidence) = known.evidence(need);
-            let need = late.deliver(of_frame.head.index, evidence, &mut outcome);
+            let need = late.deliver(event.head.index, evidence, &mut outcome).unwrap();
             given[frame] += 1;
-            waits = match need.unwrap() {
-                Need::Nothing => {
-                    settled.push((frame, outcome));
-                    None
-                }
-                need => Some((frame, need, number + of_frame.delay)),
-            };
+            if need == Need::Nothing {
+                settled.push((frame, outcome));
+                awaited = None;
+            } else {
+                awaited = Some(Awaited {
+                    frame,
+                    need,
+                    arrives: number + event.delay,
+                });
+            }
         }
-        prop_assert_eq!(late.pending().is_some(), waits.is_some());
+        prop_assert_eq!(late.pending().is_some(), awaited.is_some());
         if came {
             policy = before.clone();
             let after = play(&mut policy, played, &given[first..]);
@@ -196,8 +218,9 @@ fn compare<P: Policy + Clone + 'static>(
                 prop_assert_eq!(outcome, &after[frame - first], "{}, frame {}", name, frame);
             }
         }
-        if waits.is_none() {
-            (before, first) = (policy, number + 1);
+        if awaited.is_none() {
+            before = policy;
+            first = number + 1;
         }
     }
     let mut policy = new.clone();

@@ -34,7 +34,12 @@ fn at(state: FrameState, x: f64) -> Outcome {
     answer(state, &[reported(0, x, 0.8, source)])
 }
 
-type Given = (u64, bool, Vec<OutputBox>);
+#[derive(Debug, PartialEq)]
+struct Given {
+    index: u64,
+    settled: bool,
+    boxes: Vec<OutputBox>,
+}
 
 /// Frames, one every 100 ms, and what came out.
 struct Stream {
@@ -59,17 +64,19 @@ impl Stream {
         self.settler.late(index, outcome, note_in(&mut self.given));
     }
 
-    fn of_each<T>(&self, what: impl Fn(&Given) -> T) -> Vec<T> {
-        self.given.iter().map(what).collect()
-    }
-
     fn indices(&self) -> Vec<u64> {
-        self.of_each(|given| given.0)
+        self.given.iter().map(|given| given.index).collect()
     }
 }
 
 fn note_in(given: &mut Vec<Given>) -> impl FnMut(SettledFrame<'_>) {
-    move |frame| given.push((frame.index, frame.settled, frame.boxes.to_vec()))
+    move |frame| {
+        given.push(Given {
+            index: frame.index,
+            settled: frame.settled,
+            boxes: frame.boxes.to_vec(),
+        });
+    }
 }
 
 #[test]
@@ -97,12 +104,12 @@ fn boxes_between_two_calls_are_interpolated_with_the_confidence_of_the_second() 
     ];
     stream.frame(4, &answer(FrameState::AI, &second), false);
     assert_eq!(stream.indices(), [0, 1, 2, 3, 4]);
-    for (index, settled, boxes) in &stream.given[1..4] {
-        assert!(settled);
-        let mut drawn = boxes.clone();
-        drawn.sort_by_key(|b| b.object.unwrap().0);
-        let x = 0.1 + 0.1 * *index as f64;
-        let new = 0.3 * *index as f64 / 4.0;
+    for given in &stream.given[1..4] {
+        assert!(given.settled);
+        let mut drawn = given.boxes.clone();
+        drawn.sort_by_key(|drawn| drawn.object.unwrap().0);
+        let x = 0.1 + 0.1 * given.index as f64;
+        let new = 0.3 * given.index as f64 / 4.0;
         let expected = [(0, x, 0.7), (1, 0.5, 0.6), (2, 0.7, 0.4), (3, 0.9, new)];
         for (drawn, (object, x, confidence)) in drawn.iter().zip(expected) {
             assert_eq!(drawn.object, Some(ObjectId(object)));
@@ -112,7 +119,7 @@ fn boxes_between_two_calls_are_interpolated_with_the_confidence_of_the_second() 
         }
         assert_eq!(drawn.len(), 4);
     }
-    assert_eq!(stream.given[4].2, second);
+    assert_eq!(stream.given[4].boxes, second);
 }
 
 #[test]
@@ -124,12 +131,13 @@ fn a_frame_that_waited_too_long_is_sent_as_it_was_answered() {
         stream.frame(index, &own, false);
     }
     assert_eq!(stream.indices(), [0, 1]);
-    assert_eq!(stream.given[1], (1, false, own.boxes));
+    assert!(!stream.given[1].settled);
+    assert_eq!(stream.given[1].boxes, own.boxes);
     stream.frame(6, &answer(FrameState::E, &[]), false);
     assert_eq!(stream.indices(), [0, 1, 2, 3, 4, 5, 6]);
-    assert!(stream.given[2..].iter().all(|(_, settled, _)| *settled));
+    assert!(stream.given[2..].iter().all(|given| given.settled));
     // The screen saw nothing: what was predicted before is half believed.
-    assert_eq!(stream.given[5].2[0].confidence, 0.4);
+    assert_eq!(stream.given[5].boxes[0].confidence, 0.4);
 }
 
 #[test]
@@ -161,9 +169,9 @@ fn late_detections_settle_the_frames_before_them_and_after_them() {
     assert_eq!(stream.indices(), [0, 1, 2]);
     stream.late(2, &detected(0.7));
     stream.frame(4, &detected(0.5), false);
-    let places = stream.of_each(|(.., boxes)| boxes[0].bounding_box.center_x);
-    for (place, expected) in places.iter().zip([0.1, 0.2, 0.3, 0.4, 0.5]) {
-        assert!((place - expected).abs() < 1e-12, "{places:?}");
+    for (given, expected) in stream.given.iter().zip([0.1, 0.2, 0.3, 0.4, 0.5]) {
+        let place = given.boxes[0].bounding_box.center_x;
+        assert!((place - expected).abs() < 1e-12, "{place} {expected}");
     }
     // The detector looked, but nothing came of it: no call.
     stream.frame(5, &predicted, true);
@@ -179,11 +187,17 @@ fn a_late_answer_still_settles_later_frames() {
     stream.frame(0, &predicted, true);
     stream.frame(1, &predicted, false);
     stream.frame(2, &predicted, false);
-    assert_eq!(stream.given, [(0, false, predicted.boxes.clone())]);
+    let first = Given {
+        index: 0,
+        settled: false,
+        boxes: predicted.boxes.clone(),
+    };
+    assert_eq!(stream.given, [first]);
     stream.late(0, &detected(0.1));
     stream.frame(3, &detected(0.4), false);
-    assert_eq!(stream.of_each(|given| given.1), [false, true, true, true]);
-    assert!((stream.given[2].2[0].bounding_box.center_x - 0.3).abs() < 1e-12);
+    let settled: Vec<_> = stream.given.iter().map(|given| given.settled).collect();
+    assert_eq!(settled, [false, true, true, true]);
+    assert!((stream.given[2].boxes[0].bounding_box.center_x - 0.3).abs() < 1e-12);
 }
 
 #[test]
@@ -194,26 +208,52 @@ fn a_restarted_stream_sends_the_old_frames_first() {
     stream.frame(0, &at(FrameState::P, 0.5), false);
     stream.frame(1, &at(FrameState::I, 0.5), false);
     assert_eq!(stream.indices(), [5, 6, 0, 1]);
-    assert!(stream.given[1..3].iter().all(|(_, settled, _)| !settled));
+    assert!(stream.given[1..3].iter().all(|given| !given.settled));
 }
 
-/// State, pending, lost frames before it, and places of boxes by object.
-type Event = (usize, bool, u64, BTreeMap<u64, f64>);
+#[derive(Clone, Debug)]
+struct Event {
+    state: FrameState,
+    /// The detector's answer arrives later.
+    pending: bool,
+    /// Number of frames lost before this one.
+    lost: u64,
+    /// Places of boxes by object.
+    boxes: BTreeMap<u64, f64>,
+}
+
+prop_compose! {
+    fn event()(
+        state in prop::sample::select(FrameState::ALL.to_vec()),
+        pending in prop::bool::weighted(0.3),
+        lost in prop_oneof![4 => Just(0u64), 1 => 1..9u64],
+        boxes in prop::collection::btree_map(0..4u64, 0.0..1.0, 0..4),
+    ) -> Event {
+        Event { state, pending, lost, boxes }
+    }
+}
 
 fn events() -> impl Strategy<Value = Vec<Event>> {
-    let boxes = prop::collection::btree_map(0..4u64, 0.0..1.0, 0..4);
-    let pending = prop::bool::weighted(0.3);
-    let lost = prop_oneof![4 => Just(0u64), 1 => 1..9u64];
-    prop::collection::vec((0..5usize, pending, lost, boxes), 1..80)
+    prop::collection::vec(event(), 1..80)
 }
 
-fn outcome((state, _, _, boxes): &Event) -> Outcome {
-    let state = FrameState::ALL[*state];
-    let boxes = boxes.iter().map(|(object, x)| OutputBox {
-        object: Some(ObjectId(*object)),
-        ..at(state, *x).boxes[0]
-    });
-    answer(state, &boxes.collect::<Vec<_>>())
+fn outcome(event: &Event) -> Outcome {
+    let mut boxes = Vec::new();
+    for (object, x) in &event.boxes {
+        boxes.push(OutputBox {
+            object: Some(ObjectId(*object)),
+            ..at(event.state, *x).boxes[0]
+        });
+    }
+    answer(event.state, &boxes)
+}
+
+/// The answer of the detector that a frame waits for.
+struct Late {
+    frame: u64,
+    /// Number of the frame after which it arrives.
+    arrives: u64,
+    outcome: Outcome,
 }
 
 proptest! {
@@ -221,20 +261,20 @@ proptest! {
     fn every_frame_is_sent_once_and_in_order(script in events(), longest in 0..12u32, late in 1..5u64) {
         let mut stream = Stream::new(MOMENT * longest);
         let mut pushed = Vec::new();
-        let mut waits: Option<(u64, u64, Outcome)> = None;
+        let mut awaited: Option<Late> = None;
         let mut index = 0;
         for event in &script {
-            index += 1 + event.2;
-            let last = outcome(event);
-            if event.1 && waits.is_none() {
+            index += 1 + event.lost;
+            let outcome = outcome(event);
+            if event.pending && awaited.is_none() {
                 stream.frame(index, &answer(FrameState::P, &[]), true);
-                waits = Some((index, index + late, last));
+                awaited = Some(Late { frame: index, arrives: index + late, outcome });
             } else {
-                stream.frame(index, &last, false);
+                stream.frame(index, &outcome, false);
             }
             pushed.push(index);
-            if let Some((frame, _, last)) = waits.take_if(|(_, at, _)| *at <= index) {
-                stream.late(frame, &last);
+            if let Some(late) = awaited.take_if(|late| late.arrives <= index) {
+                stream.late(late.frame, &late.outcome);
             }
             prop_assert!(pushed.starts_with(&stream.indices()));
             let oldest = pushed.get(stream.given.len()).copied().unwrap_or(index);
@@ -253,7 +293,8 @@ proptest! {
                 own.state = FrameState::I;
             }
             stream.frame(index, &own, false);
-            prop_assert_eq!(stream.given.last(), Some(&(index, true, own.boxes)));
+            let expected = Given { index, settled: true, boxes: own.boxes };
+            prop_assert_eq!(stream.given.last(), Some(&expected));
         }
     }
 }

@@ -18,9 +18,12 @@ const SIZE: PictureSize = PictureSize::new(160, 90);
 
 /// A surface of this brightness, with the noise of a sensor.
 fn surface(brightness: u8, seed: u32) -> Vec<u8> {
-    let noise = |at: u32| (at.wrapping_mul(2_654_435_761).wrapping_add(seed * 97) >> 13) % 7;
-    let pixels = 0..SIZE.width * SIZE.height;
-    pixels.map(|at| (u32::from(brightness) + noise(at)) as u8).collect()
+    let mut pixels = Vec::new();
+    for index in 0..SIZE.width * SIZE.height {
+        let noise = (index.wrapping_mul(2_654_435_761).wrapping_add(seed * 97) >> 13) % 7;
+        pixels.push((u32::from(brightness) + noise) as u8);
+    }
+    pixels
 }
 
 /// The same with a person far away in it: two columns, five rows.
@@ -61,11 +64,14 @@ impl Camera {
 
     /// The frames, from 0, in which the detector is called while the surface has this brightness.
     fn looks(&mut self, brightness: u8, frames: u32, found: &[Detection]) -> Vec<u32> {
-        let each = (0..frames).filter(|_| {
+        let mut looks = Vec::new();
+        for frame in 0..frames {
             let pixels = surface(brightness, self.seed);
-            self.calls(&pixels, found)
-        });
-        each.collect()
+            if self.calls(&pixels, found) {
+                looks.push(frame);
+            }
+        }
+        looks
     }
 }
 
@@ -105,7 +111,8 @@ fn what_stands_in_an_unchanged_picture_is_reported_as_it_was_found() {
     assert_eq!(outcome.boxes[0].bounding_box, car[0].bounding_box);
     // The policy of the paper predicts by itself, and pays for no comparison then.
     let mut camera = Camera::under("albireo");
-    let (mut called, mut compared) = (0, 0);
+    let mut called = 0;
+    let mut compared = 0;
     for _ in 0..300 {
         let pixels = surface(100, camera.seed);
         called += u32::from(camera.calls(&pixels, &car));

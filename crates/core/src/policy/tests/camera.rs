@@ -132,8 +132,11 @@ impl<P: Policy + ?Sized> Run<P> {
 
     /// Source, centre and confidence of each box reported.
     pub(in crate::policy) fn reported(&self) -> Vec<(BoxSource, f64, f64)> {
-        let of = |b: &OutputBox| (b.source, b.bounding_box.center_x, b.confidence);
-        self.outcome.boxes.iter().map(of).collect()
+        let mut reported = Vec::new();
+        for shown in &self.outcome.boxes {
+            reported.push((shown.source, shown.bounding_box.center_x, shown.confidence));
+        }
+        reported
     }
 }
 
@@ -142,8 +145,8 @@ const GREY: PictureSize = PictureSize::new(320, 180);
 /// A textured world that has moved to the right by this many pixels.
 pub(in crate::policy) fn textured(size: PictureSize, shift: f64) -> Vec<u8> {
     let value = |index: u32| {
-        let (x, y) = (index % size.width, index / size.width);
-        let (x, y) = (f64::from(x) - shift, f64::from(y));
+        let x = f64::from(index % size.width) - shift;
+        let y = f64::from(index / size.width);
         let waves = [(0.31, 0.11), (-0.17, 0.29), (0.07, -0.41), (0.53, 0.23)];
         let sum: f64 = waves.iter().map(|(a, b)| (a * x + b * y).sin()).sum();
         (128.0 + 28.0 * sum) as u8
@@ -156,7 +159,8 @@ pub(in crate::policy) fn textured(size: PictureSize, shift: f64) -> Vec<u8> {
 /// detector with its error in pixels of the small picture, and the frames with the detector.
 pub(in crate::policy) fn ride(asked: &str, hidden: usize) -> (Vec<(BoxSource, f64)>, Vec<usize>) {
     let mut run = Run::new(asked, Profile::Paper);
-    let (mut skipped, mut calls) = (Vec::new(), Vec::new());
+    let mut skipped = Vec::new();
+    let mut calls = Vec::new();
     for index in 0..12 {
         let shift = 3.0 * index as f64;
         let pixels = if index < hidden {

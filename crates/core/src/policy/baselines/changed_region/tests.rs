@@ -13,15 +13,24 @@ fn slow(width: usize, before: &[u8], after: &[u8], difference: u8) -> u64 {
         let mut pixels = 0;
         let mut next = vec![start];
         while let Some(place) = next.pop() {
-            if !std::mem::replace(&mut open[place], false) {
+            if !open[place] {
                 continue;
             }
+            open[place] = false;
             pixels += 1;
             let column = place % width;
-            next.extend((column > 0).then(|| place - 1));
-            next.extend((column + 1 < width).then_some(place + 1));
-            next.extend((place >= width).then(|| place - width));
-            next.extend((place + width < open.len()).then_some(place + width));
+            if column > 0 {
+                next.push(place - 1);
+            }
+            if column + 1 < width {
+                next.push(place + 1);
+            }
+            if place >= width {
+                next.push(place - width);
+            }
+            if place + width < open.len() {
+                next.push(place + width);
+            }
         }
         largest = largest.max(pixels);
     }
