@@ -13,6 +13,7 @@ as a difference to the first policy.
 
 import collections
 import csv
+import dataclasses
 import json
 import os
 import pathlib
@@ -30,10 +31,16 @@ POLICIES = ["albireo"] + [
 ]
 
 
+def area(box):
+    x1, y1, x2, y2 = box
+    return (x2 - x1) * (y2 - y1)
+
+
 def overlap(a, b):
-    width, height = min(a[2], b[2]) - max(a[0], b[0]), min(a[3], b[3]) - max(a[1], b[1])
+    """The intersection over the union of two boxes (x1, y1, x2, y2)."""
+    width = min(a[2], b[2]) - max(a[0], b[0])
+    height = min(a[3], b[3]) - max(a[1], b[1])
     shared = max(width, 0) * max(height, 0)
-    area = lambda box: (box[2] - box[0]) * (box[3] - box[1])
     return shared / (area(a) + area(b) - shared)
 
 
@@ -43,14 +50,18 @@ def tracks(rows, confidence, gap):
     for frame, x1, y1, x2, y2, score, kind in rows:
         if float(score) >= confidence:
             frames[int(frame)].append((tuple(map(float, (x1, y1, x2, y2))), kind))
-    found, live = [], []
+    found = []
+    live = []
     for frame in sorted(frames):
         live = [track for track in live if frame - track[-1][0] <= gap]
-        pairs = sorted(
-            ((overlap(track[-1][1], box), i, j) for i, track in enumerate(live) for j, (box, _) in enumerate(frames[frame])),
-            reverse=True,
-        )
-        used, taken = set(), set()
+        pairs = []
+        for i, track in enumerate(live):
+            _, last_box, _ = track[-1]
+            for j, (box, _) in enumerate(frames[frame]):
+                pairs.append((overlap(last_box, box), i, j))
+        pairs.sort(reverse=True)
+        used = set()
+        taken = set()
         for value, i, j in pairs:
             if value >= LEAST_IOU and i not in used and j not in taken:
                 used.add(i)
@@ -88,14 +99,34 @@ def prepare(source, target, confidence):
     (target / "sequences.json").write_text(json.dumps({"sequences": entries}))
 
 
+@dataclasses.dataclass
+class Figures:
+    """The sums over the rows of a clip."""
+
+    frames: float = 0
+    calls: float = 0
+    boxes: float = 0
+    found: float = 0
+    newcomers: float = 0
+    late_frames: float = 0
+
+
+def number(row, name):
+    return float(row[name] or 0)
+
+
 def figures(rows):
-    """Calls as a share of frames, sums of found boxes, boxes, frames of delay and newcomers of one clip."""
-    number = lambda row, name: float(row[name] or 0)
-    calls = sum(number(row, "detector_frames") for row in rows) / sum(number(row, "frames") for row in rows)
-    boxes, new = (lambda row: number(row, "gt_boxes")), (lambda row: number(row, "newcomers"))
-    found = sum(number(row, "recall") * boxes(row) for row in rows)
-    late = sum(number(row, "newcomer_frames") * new(row) for row in rows)
-    return calls, found, sum(map(boxes, rows)), late, sum(map(new, rows))
+    sums = Figures()
+    for row in rows:
+        boxes = number(row, "gt_boxes")
+        newcomers = number(row, "newcomers")
+        sums.frames += number(row, "frames")
+        sums.calls += number(row, "detector_frames")
+        sums.boxes += boxes
+        sums.found += number(row, "recall") * boxes
+        sums.newcomers += newcomers
+        sums.late_frames += number(row, "newcomer_frames") * newcomers
+    return sums
 
 
 def main():
@@ -116,12 +147,15 @@ def main():
     first = {clip: figures(rows) for clip, rows in next(iter(clips.values())).items()}
     print(f"{'policy':40} {'calls':>6} {'recall':>7} {'worst':>6} {'late':>6} {'worst':>6}")
     for policy, by_clip in clips.items():
-        of = {clip: figures(rows) for clip, rows in by_clip.items()}
-        calls = sum(row[0] for row in of.values()) / len(of)
-        found, boxes, late, new = (sum(row[i] for row in of.values()) for i in range(1, 5))
-        lost = max((first[clip][1] - row[1]) / row[2] for clip, row in of.items() if row[2])
-        later = max((row[3] - first[clip][3]) / row[4] for clip, row in of.items() if row[4])
-        print(f"{policy:40} {calls:6.3f} {100 * found / boxes:6.1f}% {-100 * lost:+6.1f} {late / new:6.2f} {later:+6.2f}")
+        by_clip = {clip: figures(rows) for clip, rows in by_clip.items()}
+        calls = sum(clip.calls / clip.frames for clip in by_clip.values()) / len(by_clip)
+        recall = sum(clip.found for clip in by_clip.values()) / sum(clip.boxes for clip in by_clip.values())
+        delay = sum(clip.late_frames for clip in by_clip.values()) / sum(clip.newcomers for clip in by_clip.values())
+        most_lost = max((first[name].found - clip.found) / clip.boxes for name, clip in by_clip.items() if clip.boxes)
+        most_delay = max(
+            (clip.late_frames - first[name].late_frames) / clip.newcomers for name, clip in by_clip.items() if clip.newcomers
+        )
+        print(f"{policy:40} {calls:6.3f} {100 * recall:6.1f}% {-100 * most_lost:+6.1f} {delay:6.2f} {most_delay:+6.2f}")
 
 
 if __name__ == "__main__":

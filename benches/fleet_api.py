@@ -4,10 +4,14 @@ import sys
 import time
 import urllib.request
 
-hub, seconds = sys.argv[1], float(sys.argv[2])
+hub = sys.argv[1]
+seconds = float(sys.argv[2])
 HOUR = 3_600_000
+DAY = 24 * HOUR
 now_ms = int(time.time() * 1000)
-hour, day = now_ms // HOUR * HOUR, now_ms // HOUR // 24 * 24 * HOUR
+# The begin of this hour and of this day.
+hour = now_ms // HOUR * HOUR
+day = now_ms // DAY * DAY
 node = "sim-000007"
 # What the pages ask.
 paths = {

@@ -44,7 +44,7 @@ struct Arguments {
 
 impl Arguments {
     fn read() -> Self {
-        let models = concat!(
+        let model = concat!(
             env!("CARGO_MANIFEST_DIR"),
             "/tests/fixtures/models/boxes.onnx"
         );
@@ -52,7 +52,7 @@ impl Arguments {
             programs: Vec::new(),
             cameras: vec![1, 2, 4, 8],
             time: Duration::from_secs(30),
-            model: models.into(),
+            model: model.into(),
             head: "auto".to_owned(),
             skip: 1,
         };
@@ -62,9 +62,10 @@ impl Arguments {
             match argument.as_str() {
                 "--program" => read.programs.push(value().into()),
                 "--cameras" => {
-                    let numbers = value();
-                    let numbers = numbers.split(',').map(str::parse);
-                    read.cameras = numbers.map(|number| number.expect("a number")).collect();
+                    read.cameras.clear();
+                    for number in value().split(',') {
+                        read.cameras.push(number.parse().expect("a number"));
+                    }
                 }
                 "--minutes" => {
                     let minutes: f64 = value().parse().expect("minutes");
@@ -111,18 +112,19 @@ struct Resident {
 }
 
 impl Resident {
-    fn of(process: &Process) -> Self {
-        let status = std::fs::read_to_string(format!("/proc/{}/status", process.0.id()))
-            .expect("the process runs");
-        let of = |name: &str| {
-            let line = status.lines().find_map(|line| line.strip_prefix(name));
-            let kilobytes =
-                line.and_then(|line| line.split_whitespace().next()?.parse::<f64>().ok());
-            kilobytes.expect("the system reports its memory") * 1024.0 / 1e6
+    fn read(process: &Process) -> Self {
+        let file = format!("/proc/{}/status", process.0.id());
+        let status = std::fs::read_to_string(file).expect("the process runs");
+        let megabytes = |name: &str| {
+            let value = status.lines().find_map(|line| line.strip_prefix(name));
+            let value = value.expect("the system reports its memory");
+            let kilobytes = value.trim().strip_suffix(" kB").expect("kB");
+            let kilobytes: f64 = kilobytes.parse().expect("a number");
+            kilobytes * 1024.0 / 1e6
         };
         Self {
-            all: of("VmRSS:"),
-            own: of("RssAnon:"),
+            all: megabytes("VmRSS:"),
+            own: megabytes("RssAnon:"),
         }
     }
 }
@@ -151,7 +153,7 @@ fn bare(arguments: &Arguments) -> Resident {
     let mut line = String::new();
     BufReader::new(output).read_line(&mut line).expect("it says when it is ready");
     assert_eq!(line.trim(), "ready");
-    Resident::of(&process)
+    Resident::read(&process)
 }
 
 fn node(
@@ -170,7 +172,7 @@ fn node(
     );
     text += &match arguments.skip {
         1 => "policy.name = \"vanilla\"\n".to_owned(),
-        of => format!("policy.name = \"fixed-skip\"\npolicy.fixed_skip.n = {of}\n"),
+        frames => format!("policy.name = \"fixed-skip\"\npolicy.fixed_skip.n = {frames}\n"),
     };
     for camera in 0..cameras {
         text += &format!("[[camera]]\nname = \"camera-{camera}\"\n");
@@ -277,10 +279,11 @@ async fn main() {
                 .port();
             let node = node(program, &arguments, cameras, folder.path(), port);
             let name = program.to_string_lossy();
-            let name: String =
-                name.chars().rev().take(32).collect::<Vec<_>>().into_iter().rev().collect();
+            // Its last characters, as many as the column has.
+            let left_out = name.chars().count().saturating_sub(32);
+            let name: String = name.chars().skip(left_out).collect();
             send(port, cameras, arguments.time, &pictures, |since| {
-                let now = Resident::of(&node);
+                let now = Resident::read(&node);
                 println!(
                     "{name:<32} {cameras:>7} {:>8.1} {:>9.1} {:>9.1} {:>8.1}",
                     since.as_secs_f64() / 60.0,

@@ -17,7 +17,11 @@ import time
 import paho.mqtt.client as mqtt
 
 PORT = 17883
-STATUS_BYTES, BATCH_BYTES = 90, 2_600
+STATUS_BYTES = 90
+BATCH_BYTES = 2_600
+# Seconds between the messages of a node.
+STATUS_S = 30
+BATCH_S = 320
 
 
 def cpu_seconds(pid: int) -> float:
@@ -59,16 +63,21 @@ def main() -> None:
             hub.subscribe("albireo/#", qos=1)
             sessions = [client(f"s{index}") for index in range(connections)]
             time.sleep(1)
-            rate = nodes / 30 + nodes / 320
-            before, begun, sent = cpu_seconds(broker.pid), time.monotonic(), 0
-            status, batch = b"s" * STATUS_BYTES, b"b" * BATCH_BYTES
-            while (passed := time.monotonic() - begun) < seconds:
+            node_rate = 1 / STATUS_S + 1 / BATCH_S
+            rate = nodes * node_rate
+            before = cpu_seconds(broker.pid)
+            begun = time.monotonic()
+            passed = 0.0
+            sent = 0
+            while passed < seconds:
                 while sent < passed * rate:
                     node = random.randrange(nodes)
-                    payload = batch if random.random() < (1 / 320) / (1 / 30 + 1 / 320) else status
+                    is_batch = random.random() < 1 / BATCH_S / node_rate
+                    payload = b"b" * BATCH_BYTES if is_batch else b"s" * STATUS_BYTES
                     sessions[node % connections].publish(f"albireo/@status/{node}", payload, qos=1)
                     sent += 1
                 time.sleep(0.02)
+                passed = time.monotonic() - begun
             used = cpu_seconds(broker.pid) - before
             print(
                 f"mosquitto: {sent} messages of {nodes} nodes on {connections} connections in {seconds} s "

@@ -39,13 +39,12 @@ fn picture() -> EncodedPicture {
     let width = SIZE.width as usize;
     let height = SIZE.height as usize;
     let mut noise = 1_u32;
-    let mut pixels: Vec<u8> = (0..width * height)
-        .map(|at| {
-            // The generator of Numerical Recipes; its upper two bits are the noise.
-            noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            (at % width * 200 / width) as u8 + (noise >> 30) as u8
-        })
-        .collect();
+    let mut pixels = Vec::new();
+    for index in 0..width * height {
+        // The generator of Numerical Recipes; its upper two bits are the noise.
+        noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        pixels.push((index % width * 200 / width) as u8 + (noise >> 30) as u8);
+    }
     pixels.resize(width * height * 3 / 2, 128);
     let raw = EncodedPicture {
         format: PictureFormat::Nv12,
@@ -106,9 +105,9 @@ impl Answerer {
              power.source = \"none\"\n{settings}"
         );
         std::fs::write(&file, text).expect("the configuration is written");
-        let mut program = Command::new(
-            std::env::var_os("ALBIREO_BIN").unwrap_or(env!("CARGO_BIN_EXE_albireo").into()),
-        );
+        let built = env!("CARGO_BIN_EXE_albireo").into();
+        let program = std::env::var_os("ALBIREO_BIN").unwrap_or(built);
+        let mut program = Command::new(program);
         program.args(["node", "--config"]).arg(&file);
         Self::start(program, port)
     }
@@ -163,13 +162,11 @@ async fn run_echo(port: u16) {
     let _frames = session
         .declare_subscriber(FRAME)
         .callback(move |sample| {
-            let seq = zenoh::Wait::wait(
-                answers
-                    .put(vec![b' '; ANSWER_BYTES])
-                    .encoding(Encoding::APPLICATION_JSON)
-                    .attachment(sample.attachment().cloned()),
-            );
-            seq.expect("Zenoh takes an answer");
+            let put = answers
+                .put(vec![b' '; ANSWER_BYTES])
+                .encoding(Encoding::APPLICATION_JSON)
+                .attachment(sample.attachment().cloned());
+            zenoh::Wait::wait(put).expect("Zenoh takes an answer");
         })
         .await
         .expect("a subscriber");
@@ -201,6 +198,25 @@ impl Turn {
     fn percentile(&self, share: f64) -> f64 {
         let place = (self.times.len() as f64 * share) as usize;
         self.times.get(place).copied().unwrap_or(f64::NAN)
+    }
+}
+
+/// The medians of the turns at one rate, in milliseconds.
+struct Summary {
+    median: f64,
+    /// The 99th percentile.
+    late: f64,
+    /// The processor's time per frame.
+    processor: f64,
+}
+
+impl Summary {
+    fn new(turns: &[Turn]) -> Self {
+        Self {
+            median: median(turns.iter().map(|turn| turn.percentile(0.5))),
+            late: median(turns.iter().map(|turn| turn.percentile(0.99))),
+            processor: median(turns.iter().map(|turn| turn.processor)),
+        }
     }
 }
 
@@ -283,9 +299,9 @@ impl Line {
             }
             let put = self.put(picture).await;
             let answer = tokio::time::timeout(Duration::from_secs(20), self.arrived.recv()).await;
-            let at = answer.ok().flatten().expect("every frame is answered");
+            let arrived = answer.ok().flatten().expect("every frame is answered");
             if number >= WARM_UP {
-                times.push((at - put).as_secs_f64() * 1e3);
+                times.push((arrived - put).as_secs_f64() * 1e3);
             }
         }
         let processor = (processor_time(self.pid) - began) * 1e3 / frames as f64;
@@ -337,35 +353,30 @@ async fn main() {
     }
     let mut turns: Vec<[Vec<Turn>; 2]> = vec![Default::default(); answerers.len()];
     for _ in 0..rounds {
-        for (at, (rate, frames)) in TURNS.into_iter().enumerate() {
+        for (place, (rate, frames)) in TURNS.into_iter().enumerate() {
             for (line, turns) in lines.iter_mut().zip(&mut turns) {
-                turns[at].push(line.turn(&picture, rate, frames).await);
+                turns[place].push(line.turn(&picture, rate, frames).await);
             }
         }
     }
-    let mut medians = Vec::new();
+    let mut summaries = Vec::new();
     for ((name, _), rates) in answerers.iter().zip(&turns) {
-        let mut cells = Vec::new();
-        for turns in rates {
-            for share in [0.5, 0.99] {
-                cells.push(median(turns.iter().map(|turn| turn.percentile(share))));
-            }
-            cells.push(median(turns.iter().map(|turn| turn.processor)));
-        }
+        let [slow, fast] = rates.each_ref().map(|turns| Summary::new(turns));
         print!("{name:<22}");
-        for (place, cell) in cells.iter().enumerate() {
-            let width = if place % 3 == 2 { 14 } else { 9 };
-            print!(" {cell:>width$.3}");
+        for summary in [&slow, &fast] {
+            print!(" {:>9.3}", summary.median);
+            print!(" {:>9.3}", summary.late);
+            print!(" {:>14.3}", summary.processor);
         }
         println!();
-        medians.push(cells);
+        summaries.push([slow, fast]);
     }
-    if let [echo, node, ..] = &medians[..] {
-        println!(
-            "the node adds {:.3} ms at 30 frames/s and {:.3} ms at 1000; its processor time is {:.2} times the echo's",
-            node[0] - echo[0],
-            node[3] - echo[3],
-            node[5] / echo[5]
-        );
-    }
+    let [echo_slow, echo_fast] = &summaries[0];
+    let [node_slow, node_fast] = &summaries[1];
+    println!(
+        "the node adds {:.3} ms at 30 frames/s and {:.3} ms at 1000; its processor time is {:.2} times the echo's",
+        node_slow.median - echo_slow.median,
+        node_fast.median - echo_fast.median,
+        node_fast.processor / echo_fast.processor
+    );
 }

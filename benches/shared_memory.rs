@@ -18,7 +18,6 @@ use albireo_wire::{DetectionsMessage, FrameAttachment, VERSION, read};
 use bytes::Bytes;
 use std::collections::HashMap;
 use std::process::{Child, Command, Stdio};
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::mpsc::unbounded_channel;
 use zenoh::Wait;
@@ -36,9 +35,9 @@ fn raw() -> EncodedPicture {
     let pixels = SIZE.width as usize * SIZE.height as usize;
     let mut noise = 1_u32;
     let mut bytes = Vec::with_capacity(pixels * 3 / 2);
-    for at in 0..pixels {
+    for index in 0..pixels {
         noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        let stripe = if (at / 97) % 19 < 9 { 90 } else { 120 };
+        let stripe = if (index / 97) % 19 < 9 { 90 } else { 120 };
         bytes.push(stripe + u8::from(noise >> 24 > 253) * 20);
     }
     bytes.resize(pixels * 3 / 2, 128);
@@ -52,10 +51,9 @@ fn raw() -> EncodedPicture {
 
 /// A smooth picture, whose file is as small as that of a typical camera.
 fn jpeg() -> EncodedPicture {
-    let pixels = SIZE.width as usize * SIZE.height as usize;
-    let mut bytes: Vec<u8> = (0..pixels)
-        .map(|at| (at % SIZE.width as usize * 255 / SIZE.width as usize) as u8)
-        .collect();
+    let width = SIZE.width as usize;
+    let pixels = width * SIZE.height as usize;
+    let mut bytes: Vec<u8> = (0..pixels).map(|index| (index % width * 255 / width) as u8).collect();
     bytes.resize(pixels * 3 / 2, 128);
     let soft = EncodedPicture {
         format: PictureFormat::Nv12,
@@ -114,13 +112,28 @@ fn processor_time(pid: &str) -> Duration {
     Duration::from_millis(ticks * 10)
 }
 
+/// A way to send pictures.
+struct Way {
+    name: &'static str,
+    uses_shared_memory: bool,
+    picture: EncodedPicture,
+}
+
+/// The moments of a sent frame.
+struct Sent {
+    /// When the copy of its bytes began.
+    began: Instant,
+    /// When they were in the send buffer.
+    placed: Instant,
+}
+
 /// The results of one turn, in milliseconds per frame.
 struct Turn {
-    placings: Vec<f64>,
+    copies: Vec<f64>,
     /// The times from the put to the answer, without the copy.
-    placed: Vec<f64>,
-    /// The same times with the copy.
     latencies: Vec<f64>,
+    /// The same times with the copy.
+    whole_latencies: Vec<f64>,
     node_ms: f64,
     sender_ms: f64,
     missing: u64,
@@ -130,7 +143,8 @@ struct Turn {
     clippy::too_many_lines,
     reason = "one measurement, from the session to its figures, in the order of time"
 )]
-async fn turn(port: u16, pid: u32, sharing: bool, picture: &EncodedPicture, first: u64) -> Turn {
+async fn turn(port: u16, pid: u32, way: &Way, first: u64) -> Turn {
+    let picture = &way.picture;
     let mut config = zenoh::Config::default();
     for (key, value) in [
         ("mode", "\"client\"".to_owned()),
@@ -165,15 +179,18 @@ async fn turn(port: u16, pid: u32, sharing: bool, picture: &EncodedPicture, firs
     while !publisher.matching_status().await.expect("a status").matching() {
         matching.recv_async().await.expect("the node listens");
     }
-    let memory = sharing.then(|| shared_memory(picture.bytes.len()));
-    let (mut placings, mut sent) = (Vec::new(), HashMap::new());
+    let memory = way.uses_shared_memory.then(|| shared_memory(picture.bytes.len()));
+    let mut copies = Vec::new();
+    let mut sent = HashMap::new();
     let mut clock = tokio::time::interval(Duration::from_secs_f64(1.0 / RATE));
     let pid = pid.to_string();
-    let mut began = (Duration::ZERO, Duration::ZERO);
+    let mut node_began = Duration::ZERO;
+    let mut sender_began = Duration::ZERO;
     for number in 0..WARM_UP + FRAMES {
         clock.tick().await;
         if number == WARM_UP {
-            began = (processor_time(&pid), processor_time("self"));
+            node_began = processor_time(&pid);
+            sender_began = processor_time("self");
         }
         let seq = first + number;
         let attachment = FrameAttachment {
@@ -187,15 +204,15 @@ async fn turn(port: u16, pid: u32, sharing: bool, picture: &EncodedPicture, firs
             PictureFormat::Jpeg => "image/jpeg".to_owned(),
             raw => format!("image/raw;{}", raw.as_str()),
         };
-        let placing = Instant::now();
+        let began = Instant::now();
         let payload = match &memory {
             Some(memory) => place(memory, &picture.bytes),
             None => ZBytes::from(picture.bytes.as_ref()),
         };
         let placed = Instant::now();
         if number >= WARM_UP {
-            placings.push((placed - placing).as_secs_f64() * 1e3);
-            sent.insert(seq, (placing, placed));
+            copies.push((placed - began).as_secs_f64() * 1e3);
+            sent.insert(seq, Sent { began, placed });
         }
         publisher
             .put(payload)
@@ -204,27 +221,29 @@ async fn turn(port: u16, pid: u32, sharing: bool, picture: &EncodedPicture, firs
             .wait()
             .expect("Zenoh takes a frame");
     }
-    let (mut latencies, mut from_placed) = (Vec::new(), Vec::new());
-    while let Ok(Some((seq, at))) =
+    let mut latencies = Vec::new();
+    let mut whole_latencies = Vec::new();
+    while let Ok(Some((seq, answered))) =
         tokio::time::timeout(Duration::from_secs(1), arrived.recv()).await
     {
-        if let Some((placing, placed)) = sent.remove(&seq) {
-            latencies.push((at - placing).as_secs_f64() * 1e3);
-            from_placed.push((at - placed).as_secs_f64() * 1e3);
+        if let Some(frame) = sent.remove(&seq) {
+            latencies.push((answered - frame.placed).as_secs_f64() * 1e3);
+            whole_latencies.push((answered - frame.began).as_secs_f64() * 1e3);
         }
     }
-    let ended = (processor_time(&pid), processor_time("self"));
+    let node_time = processor_time(&pid) - node_began;
+    let sender_time = processor_time("self") - sender_began;
     session.close().await.expect("the session is closed");
-    for times in [&mut placings, &mut from_placed, &mut latencies] {
+    for times in [&mut copies, &mut latencies, &mut whole_latencies] {
         times.sort_by(f64::total_cmp);
     }
     let a_frame = |time: Duration| time.as_secs_f64() * 1e3 / FRAMES as f64;
     Turn {
-        placings,
-        placed: from_placed,
+        copies,
         latencies,
-        node_ms: a_frame(ended.0 - began.0),
-        sender_ms: a_frame(ended.1 - began.1),
+        whole_latencies,
+        node_ms: a_frame(node_time),
+        sender_ms: a_frame(sender_time),
         missing: sent.len() as u64,
     }
 }
@@ -257,7 +276,8 @@ async fn main() {
         .expect("a port")
         .port();
     let node = node(folder.path(), port);
-    let (raw, jpeg) = (Arc::new(raw()), Arc::new(jpeg()));
+    let raw = raw();
+    let jpeg = jpeg();
     println!(
         "1920x1080 at {RATE} frames/s, {rounds} rounds of {FRAMES} frames; milliseconds per frame; JPEG of {} kB",
         jpeg.bytes.len() / 1000
@@ -267,34 +287,48 @@ async fn main() {
         "", "placing", "placed", "99 %", "in all", "99 %", "node cpu", "sender cpu", "missing"
     );
     let ways = [
-        ("raw, shared memory", true, &raw),
-        ("raw, as bytes", false, &raw),
-        ("JPEG, as bytes", false, &jpeg),
+        Way {
+            name: "raw, shared memory",
+            uses_shared_memory: true,
+            picture: raw.clone(),
+        },
+        Way {
+            name: "raw, as bytes",
+            uses_shared_memory: false,
+            picture: raw,
+        },
+        Way {
+            name: "JPEG, as bytes",
+            uses_shared_memory: false,
+            picture: jpeg,
+        },
     ];
     let mut turns: [Vec<Turn>; 3] = Default::default();
     let mut first = 0;
     for _ in 0..rounds {
-        for ((_, sharing, picture), turns) in ways.iter().zip(&mut turns) {
-            turns.push(turn(port, node.0.id(), *sharing, picture, first).await);
+        for (way, turns) in ways.iter().zip(&mut turns) {
+            turns.push(turn(port, node.0.id(), way, first).await);
             first += WARM_UP + FRAMES;
         }
     }
-    for ((name, ..), turns) in ways.iter().zip(&turns) {
-        let at = |times: fn(&Turn) -> &Vec<f64>, share: f64| {
-            let of = |turn: &Turn| {
-                let times = times(turn);
+    for (way, turns) in ways.iter().zip(&turns) {
+        let percentile = |times_of_turn: fn(&Turn) -> &Vec<f64>, share: f64| {
+            let mut percentiles = Vec::new();
+            for turn in turns {
+                let times = times_of_turn(turn);
                 let place = (times.len() as f64 * share) as usize;
-                times.get(place).copied().unwrap_or(f64::NAN)
-            };
-            median(turns.iter().map(of).collect())
+                percentiles.push(times.get(place).copied().unwrap_or(f64::NAN));
+            }
+            median(percentiles)
         };
         println!(
-            "{name:<20} {:>8.3} {:>8.3} {:>8.3} {:>8.3} {:>8.3} {:>9.3} {:>10.3} {:>8}",
-            at(|turn| &turn.placings, 0.5),
-            at(|turn| &turn.placed, 0.5),
-            at(|turn| &turn.placed, 0.99),
-            at(|turn| &turn.latencies, 0.5),
-            at(|turn| &turn.latencies, 0.99),
+            "{:<20} {:>8.3} {:>8.3} {:>8.3} {:>8.3} {:>8.3} {:>9.3} {:>10.3} {:>8}",
+            way.name,
+            percentile(|turn| &turn.copies, 0.5),
+            percentile(|turn| &turn.latencies, 0.5),
+            percentile(|turn| &turn.latencies, 0.99),
+            percentile(|turn| &turn.whole_latencies, 0.5),
+            percentile(|turn| &turn.whole_latencies, 0.99),
             median(turns.iter().map(|turn| turn.node_ms).collect()),
             median(turns.iter().map(|turn| turn.sender_ms).collect()),
             turns.iter().map(|turn| turn.missing).sum::<u64>()

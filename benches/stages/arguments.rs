@@ -51,7 +51,7 @@ pub(crate) fn load_average() -> Option<String> {
 }
 
 /// The name of a file, for headings.
-pub(crate) fn name_of(path: &Path) -> anyhow::Result<String> {
+pub(crate) fn file_name(path: &Path) -> anyhow::Result<String> {
     let name = path.file_name().context("the model has no file name")?;
     Ok(name.to_string_lossy().into_owned())
 }

@@ -15,7 +15,7 @@ use albireo_vision::picture::{
 };
 use albireo_vision::screen::decoding_target;
 use anyhow::{Context, bail};
-use arguments::{Arguments, load_average, name_of};
+use arguments::{Arguments, file_name, load_average};
 use clap::Parser;
 use ours::{Line, OurPath};
 use python::PythonPath;
@@ -33,16 +33,18 @@ fn main() -> anyhow::Result<()> {
         let file = folder.path().join(format!("{number:05}.jpg"));
         std::fs::write(&file, &frame.bytes).with_context(|| file.display().to_string())?;
     }
+    let bytes: usize = frames.iter().map(|frame| frame.bytes.len()).sum();
     println!(
         "{} pictures of {}, {} kB each; {} rounds; {} cores{}.",
         frames.len(),
-        frames.first().map_or_else(String::new, |frame| frame.size.to_string()),
-        frames.iter().map(|frame| frame.bytes.len()).sum::<usize>() / frames.len() / 1000,
+        frames[0].size,
+        bytes / frames.len() / 1000,
         arguments.rounds,
         std::thread::available_parallelism().map_or(1, usize::from),
-        load_average().map_or_else(String::new, |load| format!(
-            ", load average {load} at the start"
-        )),
+        match load_average() {
+            Some(load) => format!(", load average {load} at the start"),
+            None => String::new(),
+        },
     );
     if cfg!(debug_assertions) {
         println!(
@@ -134,7 +136,7 @@ async fn measure(
 
     println!(
         "\n{}: head {head}, input {}, {}, threads: {};\ndecoded to {}; {:.1} objects per frame",
-        name_of(model)?,
+        file_name(model)?,
         path.network.input_format().size,
         detector.provider().as_str(),
         config.threads,
@@ -150,14 +152,13 @@ async fn measure(
 }
 
 fn decoded(frames: &[EncodedPicture], input: InputFormat) -> anyhow::Result<Vec<Arc<Picture>>> {
-    frames
-        .iter()
-        .map(|frame| {
-            let mut picture = Picture::default();
-            decode_for(input, frame, &mut picture)?;
-            Ok(Arc::new(picture))
-        })
-        .collect()
+    let mut pictures = Vec::new();
+    for frame in frames {
+        let mut picture = Picture::default();
+        decode_for(input, frame, &mut picture)?;
+        pictures.push(Arc::new(picture));
+    }
+    Ok(pictures)
 }
 
 /// Decodes `frame` like the node for a detector with this input, without a screen.
@@ -166,7 +167,13 @@ fn decode_for(
     frame: &EncodedPicture,
     into: &mut Picture,
 ) -> anyhow::Result<()> {
-    let (limits, layout) = (FrameLimits::default(), PixelLayout::Rgb8);
+    let limits = FrameLimits::default();
     let target = decoding_target(input, None, frame.size);
-    Ok(decode(frame, &limits, layout, Some(target), into)?)
+    Ok(decode(
+        frame,
+        &limits,
+        PixelLayout::Rgb8,
+        Some(target),
+        into,
+    )?)
 }

@@ -21,12 +21,16 @@ GREY = (114, 114, 114)
 def letterbox(picture, rows, columns, head):
     height, width = picture.shape[:2]
     scale = min(rows / height, columns / width)
-    size = round(width * scale), round(height * scale)
-    resized = cv2.resize(picture, size, interpolation=cv2.INTER_LINEAR)
-    free = columns - size[0], rows - size[1]
-    left, top = (0, 0) if head == "yolox" else (free[0] // 2, free[1] // 2)
-    edges = top, free[1] - top, left, free[0] - left
-    padded = cv2.copyMakeBorder(resized, *edges, cv2.BORDER_CONSTANT, value=GREY)
+    new_width = round(width * scale)
+    new_height = round(height * scale)
+    resized = cv2.resize(picture, (new_width, new_height), interpolation=cv2.INTER_LINEAR)
+    free_columns = columns - new_width
+    free_rows = rows - new_height
+    left = 0 if head == "yolox" else free_columns // 2
+    top = 0 if head == "yolox" else free_rows // 2
+    bottom = free_rows - top
+    right = free_columns - left
+    padded = cv2.copyMakeBorder(resized, top, bottom, left, right, cv2.BORDER_CONSTANT, value=GREY)
     planes = padded if head == "yolox" else padded[..., ::-1]
     tensor = numpy.ascontiguousarray(planes.transpose(2, 0, 1)[None], dtype=numpy.float32)
     if head != "yolox":
@@ -56,14 +60,16 @@ def read(output, head, grid):
         scores = scores * output[:, 4:5]
     best = scores.max(1)
     chosen = best >= CONFIDENCE
-    boxes, scores, best = output[chosen, :4], scores[chosen], best[chosen]
-    if True:
-        if head == "yolox":
-            stride = grid[chosen, 2:]
-            centres, sides = (boxes[:, :2] + grid[chosen, :2]) * stride, numpy.exp(boxes[:, 2:]) * stride
-        else:
-            centres, sides = boxes[:, :2], boxes[:, 2:]
-        boxes = numpy.hstack([centres - sides / 2, sides])
+    boxes = output[chosen, :4]
+    scores = scores[chosen]
+    best = best[chosen]
+    centres = boxes[:, :2]
+    sides = boxes[:, 2:]
+    if head == "yolox":
+        stride = grid[chosen, 2:]
+        centres = (centres + grid[chosen, :2]) * stride
+        sides = numpy.exp(sides) * stride
+    boxes = numpy.hstack([centres - sides / 2, sides])
     return boxes, best, scores.argmax(1)
 
 
@@ -107,7 +113,9 @@ def main(model, folder, head, threads):
     print(versions, flush=True)
     for _ in sys.stdin:
         times = stages()
-        detections = sum(frame(data, times) for data in files)
+        detections = 0
+        for data in files:
+            detections += frame(data, times)
         print(json.dumps({**times, "detections": detections}), flush=True)
 
 

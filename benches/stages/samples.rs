@@ -72,7 +72,7 @@ impl Samples {
     }
 
     /// The median and 95th percentile of a stage; `None` if it was never measured.
-    pub(crate) fn of(&self, stage: Stage) -> Option<[f64; 2]> {
+    pub(crate) fn stage(&self, stage: Stage) -> Option<[f64; 2]> {
         summary(&self.stages[stage as usize])
     }
 

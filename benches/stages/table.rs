@@ -7,7 +7,7 @@ const MODEL_MS: f64 = 10.0;
 
 /// Prints a line per stage, and the sum of albireo's own stages.
 pub(crate) fn print(ours: &Samples, python: Option<&Samples>) {
-    let model = ours.of(Stage::Model).map(|[model, _]| model);
+    let model = ours.stage(Stage::Model).map(|[model, _]| model);
     let header = format!(
         "{:<25}{:>8}{:>8}{:>11}{:>11}",
         "milliseconds", "median", "95 %", "of model", "of 10 ms"
@@ -17,7 +17,7 @@ pub(crate) fn print(ours: &Samples, python: Option<&Samples>) {
         None => println!("{header}"),
     }
     for stage in Stage::ALL {
-        let Some(times) = ours.of(stage) else {
+        let Some(times) = ours.stage(stage) else {
             continue;
         };
         let mut line = beginning(stage.title(), times);
@@ -25,7 +25,7 @@ pub(crate) fn print(ours: &Samples, python: Option<&Samples>) {
             Stage::Decode | Stage::Model => line += &" ".repeat(22),
             _ => line += &shares(times, model),
         }
-        if let Some([median, late]) = python.and_then(|python| python.of(stage)) {
+        if let Some([median, late]) = python.and_then(|python| python.stage(stage)) {
             line += &format!("{median:>8.3}{late:>8.3}");
         }
         println!("{}", line.trim_end());

@@ -58,26 +58,25 @@ impl Throughput {
         pictures: &[Arc<Picture>],
     ) -> anyhow::Result<()> {
         let start = Instant::now();
-        let cameras: Vec<_> = (0..CAMERAS)
-            .map(|camera| {
-                let detector = detector.clone();
-                let own: Vec<_> = pictures.iter().skip(camera).step_by(CAMERAS).cloned().collect();
-                tokio::spawn(async move {
-                    let mut model = 0.0;
-                    for picture in own {
-                        let detected = detector.detect(CameraSlot(camera), picture).await?;
-                        model += detected.output.model.as_secs_f64() * 1e3;
-                    }
-                    anyhow::Ok(model)
-                })
-            })
-            .collect();
+        let mut cameras = Vec::new();
+        for camera in 0..CAMERAS {
+            let detector = detector.clone();
+            let own: Vec<_> = pictures.iter().skip(camera).step_by(CAMERAS).cloned().collect();
+            cameras.push(tokio::spawn(async move {
+                let mut model = 0.0;
+                for picture in own {
+                    let detected = detector.detect(CameraSlot(camera), picture).await?;
+                    model += detected.output.model.as_secs_f64();
+                }
+                anyhow::Ok(model)
+            }));
+        }
         let mut model = 0.0;
         for camera in cameras {
-            model += camera.await?? / 1e3;
+            model += camera.await??;
         }
-        self.model_queued.push(pictures.len() as f64 / model);
         let frames = pictures.len() as f64;
+        self.model_queued.push(frames / model);
         self.queued.push(frames / start.elapsed().as_secs_f64());
         Ok(())
     }
@@ -114,7 +113,7 @@ impl Throughput {
     /// The lines under the table.
     pub(crate) fn print(&self) {
         let ratio_of = |rates: &[f64], base: &[f64]| {
-            let ratios: Vec<_> = rates.iter().zip(base).map(|(one, of)| one / of).collect();
+            let ratios: Vec<_> = rates.iter().zip(base).map(|(rate, base)| rate / base).collect();
             median(&ratios)
         };
         let ratio = |base: &[f64]| ratio_of(&self.queued, base);

@@ -31,6 +31,13 @@ struct Way {
     times: Vec<f64>,
 }
 
+impl Way {
+    /// The median of the times, which are sorted.
+    fn median(&self) -> f64 {
+        self.times[self.times.len() / 2]
+    }
+}
+
 fn way(name: &'static str, decode: impl FnMut(&[u8], &mut Vec<u8>) + 'static) -> Way {
     Way {
         name,
@@ -85,7 +92,8 @@ fn jpeg_decoder(divisor: u16) -> impl FnMut(&[u8], &mut Vec<u8>) {
 }
 
 fn ways() -> Vec<Way> {
-    let [rgb, grey] = [PixelFormat::RGB, PixelFormat::GRAY];
+    let rgb = PixelFormat::RGB;
+    let grey = PixelFormat::GRAY;
     vec![
         way("zune-jpeg, colour", zune(ColorSpace::RGB)),
         way("zune-jpeg, luma", zune(ColorSpace::Luma)),
@@ -112,20 +120,22 @@ fn ways() -> Vec<Way> {
 fn files() -> Vec<(String, Vec<Vec<u8>>)> {
     let named: Vec<_> = std::env::args().skip(1).collect();
     if !named.is_empty() {
-        let read = |name: String| {
+        let mut groups = Vec::new();
+        for name in named {
             let file = std::fs::read(&name).unwrap_or_else(|error| panic!("{name}: {error}"));
-            (name, vec![file])
-        };
-        return named.into_iter().map(read).collect();
+            groups.push((name, vec![file]));
+        }
+        return groups;
     }
-    let sized = |(width, height)| {
+    let mut groups = Vec::new();
+    for (width, height) in [(640, 360), (1280, 720), (1920, 1080)] {
         let scene = BoxScene::new(7, PictureSize::new(width, height));
         let files: Vec<_> = (0..4)
             .map(|index| scene.frame(index * 20).jpeg(85).expect("a JPEG file"))
             .collect();
-        (format!("{width}x{height}, a scene of boxes"), files)
-    };
-    [(640, 360), (1280, 720), (1920, 1080)].map(sized).into()
+        groups.push((format!("{width}x{height}, a scene of boxes"), files));
+    }
+    groups
 }
 
 fn main() {
@@ -153,13 +163,15 @@ fn main() {
             "{:<32} {:>8} {:>8} {:>8}",
             "milliseconds", "median", "95 %", "ratio"
         );
-        // The first way is ours.
-        let mut ours = None;
         for way in &mut ways {
             way.times.sort_by(f64::total_cmp);
-            let median = way.times[way.times.len() / 2];
+        }
+        // The first way is ours.
+        let our_median = ways[0].median();
+        for way in &ways {
+            let median = way.median();
             let high = way.times[way.times.len() * 95 / 100];
-            let ratio = median / *ours.get_or_insert(median);
+            let ratio = median / our_median;
             println!("{:<32} {median:>8.3} {high:>8.3} {ratio:>8.2}", way.name);
         }
         println!();

@@ -1,5 +1,6 @@
 //! Shares fixtures between benches and tests: slowly moving boxes with noise and some misses, as a detector reports
-//! them; a camera whose frames a policy decides; pictures of boxes with their exact places; the processor clock, and the quartiles of many rounds.
+//! them; a camera whose frames a policy decides; pictures of boxes with their exact places; the processor clock, and
+//! the quartiles of many rounds.
 
 mod camera;
 mod pictures;
@@ -56,9 +57,10 @@ impl Scene {
             random: Pcg64Mcg::seed_from_u64(11),
         };
         for _ in 0..objects {
-            let [x, y] = [(); 2].map(|()| scene.between(LEAST_CENTER, MOST_CENTER));
+            let x = scene.between(LEAST_CENTER, MOST_CENTER);
+            let y = scene.between(LEAST_CENTER, MOST_CENTER);
             let side = scene.between(0.03, 0.12);
-            let velocity = [(); 2].map(|()| scene.between(-2e-3, 2e-3));
+            let velocity = [scene.between(-2e-3, 2e-3), scene.between(-2e-3, 2e-3)];
             let place = BoundingBox::new(x, y, side, side);
             scene.objects.push(Moving { place, velocity });
         }
@@ -78,17 +80,15 @@ impl Scene {
     fn frame(&mut self, missed: usize) -> Vec<Detection> {
         let mut seen = Vec::new();
         for index in 0..self.objects.len() {
-            let noise = [(); 4].map(|()| self.between(-1e-3, 1e-3));
             let object = &mut self.objects[index];
             object.advance();
-            let place = object.place;
+            let mut noisy = object.place;
+            noisy.center_x += self.between(-1e-3, 1e-3);
+            noisy.center_y += self.between(-1e-3, 1e-3);
+            noisy.width += self.between(-1e-3, 1e-3);
+            noisy.height += self.between(-1e-3, 1e-3);
             seen.push(Detection {
-                bounding_box: BoundingBox::new(
-                    place.center_x + noise[0],
-                    place.center_y + noise[1],
-                    place.width + noise[2],
-                    place.height + noise[3],
-                ),
+                bounding_box: noisy,
                 class: ClassId((index % 7) as u16),
                 confidence: 0.9,
             });

@@ -77,11 +77,13 @@ impl BoxScene {
         let height = self.size.height as f32;
         let stripe = STRIPE * height / 360.0;
         // The middle of the pixel decides whether it belongs to a box.
-        let within = |at: u32, low: f64, high: f64| (low..high).contains(&(f64::from(at) + 0.5));
+        let within =
+            |pixel: u32, low: f64, high: f64| (low..high).contains(&(f64::from(pixel) + 0.5));
         let hit = boxes
             .iter()
             .find(|(_, place)| within(x, place.x1, place.x2) && within(y, place.y1, place.y2));
-        let (x, y) = (x as f32, y as f32);
+        let x = x as f32;
+        let y = y as f32;
         if let Some((class, place)) = hit {
             // The stripes move with the box.
             let shade = shade(x - place.x1 as f32, y - place.y1 as f32, stripe);

@@ -27,10 +27,9 @@ const ROUNDS: usize = 101;
 
 /// The settings of glibc's allocator, which make it keep freed memory. By default it returns memory to the system and
 /// requests it again within a frame. For contestants that allocate per frame, that costs more than their own work.
-const TUNABLES: (&str, &str) = (
-    "GLIBC_TUNABLES",
-    "glibc.malloc.trim_threshold=1073741824:glibc.malloc.mmap_threshold=1073741824:glibc.malloc.top_pad=67108864",
-);
+const TUNABLES: &str = "glibc.malloc.trim_threshold=1073741824:glibc.malloc.mmap_threshold=1073741824:glibc.malloc.top_pad=67108864";
+/// The variable from which glibc reads them.
+const TUNABLES_VARIABLE: &str = "GLIBC_TUNABLES";
 
 /// A box for trackforge: left, top, width, height in pixels; score; class.
 type Measured = ([f32; 4], f32, i64);
@@ -109,8 +108,24 @@ fn measured(detection: &Detection) -> Measured {
     )
 }
 
-/// Plays a film once. Returns the microseconds per frame and the number of boxes at the end.
-type Contestant<'a> = Box<dyn FnMut() -> (f64, usize) + 'a>;
+/// What it took to play a film once.
+struct Played {
+    microseconds_per_frame: f64,
+    /// The number of boxes at the end.
+    boxes: usize,
+}
+
+impl Played {
+    fn since(begin: f64, boxes: usize) -> Self {
+        Self {
+            microseconds_per_frame: (processor_seconds() - begin) * 1e6 / FRAMES as f64,
+            boxes,
+        }
+    }
+}
+
+/// Plays a film once.
+type Contestant<'a> = Box<dyn FnMut() -> Played + 'a>;
 
 fn ours<'a, P: Policy + 'a>(mut policy: P, film: &'a Film) -> Contestant<'a> {
     let mut outcome = Outcome::default();
@@ -125,18 +140,17 @@ fn ours<'a, P: Policy + 'a>(mut policy: P, film: &'a Film) -> Contestant<'a> {
                 step: 1,
                 picture: PICTURE,
             });
-            loop {
-                need = match need {
-                    Need::Nothing => break,
-                    Need::Screen => policy.answer(Evidence::Screen { empty: false }),
-                    _ => policy.answer(Evidence::Detections(detections)),
-                };
+            while need != Need::Nothing {
+                need = policy.answer(match need {
+                    Need::Screen => Evidence::Screen { empty: false },
+                    _ => Evidence::Detections(detections),
+                });
             }
             policy.finish(&mut outcome);
             black_box(&outcome);
             assert!(!outcome.state.is_skipped());
         }
-        (per_frame(begin), outcome.boxes.len())
+        Played::since(begin, outcome.boxes.len())
     })
 }
 
@@ -153,12 +167,8 @@ fn theirs<'a, T: Clone>(
         for frame in frames {
             boxes = black_box(update(frame));
         }
-        (per_frame(begin), boxes)
+        Played::since(begin, boxes)
     })
-}
-
-fn per_frame(begin: f64) -> f64 {
-    (processor_seconds() - begin) * 1e6 / FRAMES as f64
 }
 
 fn contestants(film: &Film) -> Result<Vec<(&'static str, Contestant<'_>)>, Box<dyn Error>> {
@@ -217,9 +227,9 @@ fn contestants(film: &Film) -> Result<Vec<(&'static str, Contestant<'_>)>, Box<d
 
 fn main() -> Result<ExitCode, Box<dyn Error>> {
     // glibc reads the variable once, at process start.
-    if std::env::var_os(TUNABLES.0).is_none() {
+    if std::env::var_os(TUNABLES_VARIABLE).is_none() {
         let mut again = Command::new(std::env::current_exe()?);
-        let status = again.env(TUNABLES.0, TUNABLES.1).status()?;
+        let status = again.env(TUNABLES_VARIABLE, TUNABLES).status()?;
         return Ok(if status.success() {
             ExitCode::SUCCESS
         } else {
@@ -231,11 +241,8 @@ fn main() -> Result<ExitCode, Box<dyn Error>> {
 }
 
 fn measure() -> Result<(), Box<dyn Error>> {
-    println!(
-        "{}={}\n",
-        TUNABLES.0,
-        std::env::var(TUNABLES.0).unwrap_or_default()
-    );
+    let tunables = std::env::var(TUNABLES_VARIABLE).unwrap_or_default();
+    println!("{TUNABLES_VARIABLE}={tunables}\n");
     println!(
         "Processor time of a frame on which the detector ran, µs: median of {ROUNDS} rounds of {FRAMES} frames (quartiles)\n"
     );
@@ -246,14 +253,15 @@ fn measure() -> Result<(), Box<dyn Error>> {
         let mut times = vec![Vec::new(); contestants.len()];
         for round in 0..=ROUNDS {
             for ((name, play), times) in contestants.iter_mut().zip(&mut times) {
-                let (time, boxes) = play();
+                let played = play();
                 assert!(
-                    boxes * 10 >= objects * 8,
-                    "{name} follows {boxes} of {objects} objects: its time means nothing"
+                    played.boxes * 10 >= objects * 8,
+                    "{name} follows {} of {objects} objects: its time means nothing",
+                    played.boxes
                 );
                 // The first round warms up caches and filters.
                 if round > 0 {
-                    times.push(time);
+                    times.push(played.microseconds_per_frame);
                 }
             }
         }
