@@ -133,18 +133,9 @@ pub(super) fn run(arguments: &CertArguments) -> anyhow::Result<()> {
             days,
         } => {
             let mut authority = place.open()?;
-            let who: Vec<(Role, String)> = match (role, name) {
+            let who = match (role, name) {
                 (Some(role), Some(name)) => vec![(*role, name.clone())],
-                _ => {
-                    let within_s = i64::from(within.unwrap_or(0)) * 86_400;
-                    let until_s = unix_milliseconds() / 1000 + within_s;
-                    authority
-                        .entries()
-                        .iter()
-                        .filter(|entry| entry.revoked_s.is_none() && entry.ends_s <= until_s)
-                        .map(|entry| (entry.role, entry.name.clone()))
-                        .collect()
-                }
+                _ => expiring(&authority, within.unwrap_or(0)),
             };
             if who.is_empty() {
                 println!("no certificate expires that soon");
@@ -168,6 +159,18 @@ pub(super) fn run(arguments: &CertArguments) -> anyhow::Result<()> {
         CertCommand::List { json: false } => list(&place.open()?),
     }
     Ok(())
+}
+
+/// Returns role and name of each valid certificate that ends within so many days.
+fn expiring(authority: &Authority, days: u32) -> Vec<(Role, String)> {
+    let until_s = unix_milliseconds() / 1000 + i64::from(days) * 86_400;
+    let mut expiring = Vec::new();
+    for entry in authority.entries() {
+        if entry.revoked_s.is_none() && entry.ends_s <= until_s {
+            expiring.push((entry.role, entry.name.clone()));
+        }
+    }
+    expiring
 }
 
 fn issue(authority: &mut Authority, role: Role, members: &Members) -> anyhow::Result<()> {

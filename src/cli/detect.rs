@@ -117,11 +117,11 @@ pub(super) fn run(arguments: &DetectArguments) -> anyhow::Result<()> {
     for path in &arguments.pictures {
         for file in picture_files(path)? {
             pictures += 1;
-            let outcome =
-                read_picture_file(&file).map_err(anyhow::Error::from).and_then(|encoded| {
-                    detect(arguments, &mut network, &file, &encoded, &names)
-                        .with_context(|| file.display().to_string())
-                });
+            let outcome = match read_picture_file(&file) {
+                Ok(encoded) => detect(arguments, &mut network, &file, &encoded, &names)
+                    .with_context(|| file.display().to_string()),
+                Err(error) => Err(error.into()),
+            };
             // One bad file does not hide what is in the others.
             if let Err(error) = outcome {
                 unusable += 1;
@@ -133,7 +133,7 @@ pub(super) fn run(arguments: &DetectArguments) -> anyhow::Result<()> {
         for found in network.preparation().inputs() {
             println!("{found}");
         }
-        if let (None, []) = (network.input().open, arguments.pictures.as_slice()) {
+        if arguments.pictures.is_empty() && network.input().open.is_none() {
             print_waste(&network);
         }
     }
@@ -192,7 +192,7 @@ fn not_reported(counts: &HeadCounts, left_out: &[String]) -> Vec<String> {
     } else {
         " (--all-classes reports them)"
     };
-    [
+    let reasons = [
         (counts.other_class, format!("of classes that are not reported{of_others}")),
         (
             counts.rejected,
@@ -206,11 +206,15 @@ fn not_reported(counts: &HeadCounts, left_out: &[String]) -> Vec<String> {
             "of a class number for which there is no name (--class-names)".to_owned(),
         ),
         (counts.over_limit, "beyond the limit of detections (--most)".to_owned()),
-    ]
-    .into_iter()
-    .filter(|(count, _)| *count > 0)
-    .map(|(count, reason)| format!("not reported: {} {reason}", counted(count, "box", "boxes")))
-    .collect()
+    ];
+    let mut lines = Vec::new();
+    for (count, reason) in reasons {
+        if count > 0 {
+            let boxes = counted(count, "box", "boxes");
+            lines.push(format!("not reported: {boxes} {reason}"));
+        }
+    }
+    lines
 }
 
 fn configuration(arguments: &DetectArguments) -> DetectorConfig {

@@ -28,7 +28,9 @@ fn set(config: &mut NodeConfig, pair: &str) -> anyhow::Result<()> {
         "reconnect_max_ms" => config.uplink.retry_max_ms = Some(value.parse()?),
         "ring" => {
             let ring = value.parse()?;
-            config.cameras.iter_mut().for_each(|camera| camera.ring = ring);
+            for camera in &mut config.cameras {
+                camera.ring = ring;
+            }
         }
         _ => bail!("is not a constant that tests change"),
     }

@@ -145,9 +145,13 @@ struct RunArguments {
 /// When data cannot be read, an argument is invalid, or a file cannot be written.
 pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
     match &arguments.what {
-        What::Recorded(of) => compare(recorded::read(&of.folder)?, &of.folder, &of.run),
-        What::MotChallenge(of) => compare(mot_challenge::read(&of.folder)?, &of.folder, &of.run),
-        What::Kitti(of) => compare(kitti::read(&of.folder)?, &of.folder, &of.run),
+        What::Recorded(FolderArguments { folder, run }) => {
+            compare(recorded::read(folder)?, folder, run)
+        }
+        What::MotChallenge(FolderArguments { folder, run }) => {
+            compare(mot_challenge::read(folder)?, folder, run)
+        }
+        What::Kitti(FolderArguments { folder, run }) => compare(kitti::read(folder)?, folder, run),
         What::Bdd100k {
             ground_truth,
             detections,
@@ -202,10 +206,10 @@ fn compare(data: DataSet, path: &Path, arguments: &RunArguments) -> anyhow::Resu
     let bar = progress::bar(Some(steps as u64), "clips x policies");
     let results = run_policies(&data.clips, &policies, &settings, &|| bar.inc(1))?;
     bar.finish_and_clear();
-    let streams = streams_asked(arguments)
-        .into_iter()
-        .map(|stream| streams::run(&data.clips, &policies, &settings, stream))
-        .collect::<Result<Vec<_>, _>>()?;
+    let mut streams = Vec::new();
+    for stream in streams_asked(arguments) {
+        streams.push(streams::run(&data.clips, &policies, &settings, stream)?);
+    }
     let report = Report {
         title: format!("Stored detections of {}", path.display()),
         settings: listed(arguments, &results)?,
@@ -257,9 +261,14 @@ fn print(report: &Report, streams: &[StreamResults], arguments: &RunArguments) {
 
 /// Returns the streams that are judged besides the boxes of a detector that takes no time.
 fn streams_asked(arguments: &RunArguments) -> Vec<Stream> {
-    let at_arrival = arguments.detector_ms.clone().map(|detector| Stream::AtArrival { detector });
-    let settled = arguments.settled.then_some(Stream::Settled);
-    at_arrival.into_iter().chain(settled).collect()
+    let mut streams = Vec::new();
+    if let Some(detector) = arguments.detector_ms.clone() {
+        streams.push(Stream::AtArrival { detector });
+    }
+    if arguments.settled {
+        streams.push(Stream::Settled);
+    }
+    streams
 }
 
 fn policies(arguments: &RunArguments, pixels: bool) -> anyhow::Result<Vec<PolicySpec>> {
@@ -313,18 +322,22 @@ const ALL: &str = "all";
 
 /// Describes how many of all frames are judged.
 fn frames_judged(results: &[ClipResult]) -> String {
-    let of_first = || {
-        let first = results.first().map(|result| &result.policy);
-        results.iter().filter(move |result| Some(&result.policy) == first)
-    };
-    let all: usize = of_first().map(|result| result.frames).sum();
-    match of_first().map(|result| result.unlabelled_frames).sum() {
-        0_usize => ALL.to_owned(),
-        unlabelled => format!(
-            "{} of {all}; nobody labelled the others, which count for calls, time and energy",
-            all - unlabelled
-        ),
+    let mut frames = 0;
+    let mut unlabelled = 0;
+    for result in results {
+        // Every policy has the same clips.
+        if result.policy == results[0].policy {
+            frames += result.frames;
+            unlabelled += result.unlabelled_frames;
+        }
     }
+    if unlabelled == 0 {
+        return ALL.to_owned();
+    }
+    format!(
+        "{} of {frames}; nobody labelled the others, which count for calls, time and energy",
+        frames - unlabelled
+    )
 }
 
 /// Lists the settings that decide what the figures mean.

@@ -134,8 +134,11 @@ impl Played {
     ) -> Vec<Vec<ScoredBox>> {
         let mut boxes = vec![Vec::new(); frames];
         for answer in self.answers() {
-            let frame = answer.seq.checked_sub(first).and_then(|frame| usize::try_from(frame).ok());
-            let Some(place) = frame.and_then(|frame| boxes.get_mut(frame)) else {
+            // What is below is a frame of the warm-up.
+            let Some(frame) = answer.seq.checked_sub(first) else {
+                continue;
+            };
+            let Some(place) = boxes.get_mut(frame as usize) else {
                 continue;
             };
             for found in &answer.boxes {
@@ -417,7 +420,7 @@ pub(super) fn node_configuration(
     Ok(config)
 }
 
-/// A clip without detections, with its whole ground truth; `alone` and `report` as for [`GroundTruth::attach_to`].
+/// A clip without detections, with its whole ground truth; `is_alone` and `report` as for [`GroundTruth::attach_to`].
 ///
 /// # Errors
 /// When the ground truth is for other pictures.
@@ -426,12 +429,12 @@ pub(super) fn with_truth(
     name: &str,
     size: PictureSize,
     frames: u64,
-    alone: bool,
+    is_alone: bool,
     report: &mut LoadReport,
 ) -> anyhow::Result<Clip> {
     let frames = usize::try_from(frames)?;
     let mut clip = Clip::new(name.to_owned(), size, frames);
-    truth.attach_to(&mut clip, alone, Some(frames), report)?;
+    truth.attach_to(&mut clip, is_alone, Some(frames), report)?;
     Ok(clip)
 }
 
@@ -506,6 +509,7 @@ mod tests {
     use super::*;
     use albireo_core::policy::EmptyRoad;
     use albireo_eval::compare::variants;
+    use albireo_eval::spec::Base;
     use albireo_wire::Target;
 
     #[test]
@@ -544,16 +548,22 @@ mod tests {
         let NodeConfig { mqtt, record, .. } = NodeConfig::default();
         for policy in ["albireo", "vanilla"] {
             let asked = [policy.to_owned(), "albireo:1e-3,pause_s=0.2".to_owned()];
-            let policies = variants(&asked, &[], (&base.policy, EmptyRoad::default())).unwrap();
+            let settings = Base {
+                config: &base.policy,
+                empty_road: EmptyRoad::default(),
+            };
+            let policies = variants(&asked, &[], settings).unwrap();
             let config = configuration(&base, &policies[0], Delivery::Newest).unwrap();
             assert_eq!(config.screen.pause_s, 0.0);
             assert!(!config.uplink.is_set() && config.zenoh.connect.is_empty());
-            assert_eq!((config.target.hold, config.node.state_dir), (None, None));
+            assert_eq!(config.target.hold, None);
+            assert_eq!(config.node.state_dir, None);
             assert_eq!(config.node.answer, AnswerTime::WhenKnown);
             assert!(!config.settle.enabled);
             // A slow run of a long clip is one report, and nobody else is told of it.
             assert_eq!(config.clip.longest_s, 3600.0);
-            assert_eq!((&config.mqtt, &config.record), (&mqtt, &record));
+            assert_eq!(config.mqtt, mqtt);
+            assert_eq!(config.record, record);
             let config = configuration(&base, &policies[1], Delivery::Newest).unwrap();
             assert_eq!(config.screen.pause_s, 0.2);
         }

@@ -132,11 +132,13 @@ pub(super) async fn run(arguments: PublishArguments) -> anyhow::Result<()> {
                 sending.fetch_add(1, Ordering::Relaxed);
                 failed = false;
             }
-            // Logged once for a series of failures.
-            Err(error) if !std::mem::replace(&mut failed, true) => {
-                tracing::warn!("a frame was not sent: {error:#}");
+            Err(error) => {
+                // Logged once for a series of failures.
+                if !failed {
+                    tracing::warn!("a frame was not sent: {error:#}");
+                }
+                failed = true;
             }
-            Err(_) => {}
         },
     };
     let ended = source.run(each, shutdown).await;
@@ -204,8 +206,12 @@ impl Outlet {
             self.seq = 0;
             self.sender.begin_stream()?;
         }
-        let recorded_ns = recorded.as_ref().and_then(|recorded| recorded.time_ns);
-        let clip = recorded.map(|recorded| recorded.drive.to_string());
+        let mut time_ns = None;
+        let mut clip = None;
+        if let Some(recorded) = recorded {
+            time_ns = recorded.time_ns;
+            clip = Some(recorded.drive.to_string());
+        }
         let seq = self.seq;
         self.seq += 1;
         let picture = picture.map_err(|fault| anyhow!("a picture cannot be sent: {fault}"))?;
@@ -214,7 +220,7 @@ impl Outlet {
             attachment: FrameAttachment {
                 v: VERSION,
                 seq: Some(seq),
-                t_ns: recorded_ns.or_else(|| Some(unix_nanoseconds())),
+                t_ns: Some(time_ns.unwrap_or_else(unix_nanoseconds)),
                 clip,
                 ..FrameAttachment::default()
             },

@@ -34,14 +34,13 @@ pub(super) struct RouterArguments {
 pub(super) fn run(arguments: RouterArguments) -> anyhow::Result<()> {
     let options = arguments.options;
     let http = options.http();
-    let log = LogConfig {
-        format: if arguments.log_json {
-            LogFormat::Json
-        } else {
-            LogFormat::Human
-        },
-        level: arguments.log_level,
+    let format = if arguments.log_json {
+        LogFormat::Json
+    } else {
+        LogFormat::Human
     };
+    let level = arguments.log_level;
+    let log = LogConfig { format, level };
     let mut findings = Findings::default();
     http.check(&[], &mut findings);
     log.check(&mut findings);
@@ -51,7 +50,9 @@ pub(super) fn run(arguments: RouterArguments) -> anyhow::Result<()> {
     if arguments.check {
         options.zenoh()?;
         println!("the files can be used");
-        options.exposed_here().iter().for_each(|finding| println!("note: {finding}"));
+        for finding in options.exposed_here() {
+            println!("note: {finding}");
+        }
         return Ok(());
     }
     logging::start(&log)?;

@@ -135,7 +135,8 @@ impl Show {
 
     /// Prints the heading of the clips' table once.
     fn heading(&mut self) {
-        if !std::mem::replace(&mut self.has_heading, true) {
+        if !self.has_heading {
+            self.has_heading = true;
             self.say(&format!("\n{}", row(HEADING.map(str::to_owned))));
         }
     }
@@ -226,31 +227,36 @@ fn mark(energy: &ClipEnergy) -> &'static str {
 
 impl Summary {
     pub(super) fn print(&self) {
-        let reports = || self.reports.iter();
-        let count = |of: fn(&ClipReport) -> u64| reports().map(|report| of(report)).sum::<u64>();
         let mut states = FrameStates::default();
-        reports().for_each(|report| states += report.states);
-        let degraded = count(|report| report.degraded_frames);
+        let mut degraded = 0;
+        let mut dropped = 0;
+        let mut joules = 0.0;
+        let mut is_whole = true;
+        for report in &self.reports {
+            states += report.states;
+            degraded += report.degraded_frames;
+            dropped += report.dropped.total();
+            joules += report.energy.joules.unwrap_or(0.0);
+            is_whole &= report.energy.is_whole();
+        }
         let frames = states.frames();
         println!(
-            "\n{} in {}, {:.0} s; detector skipped on {:.1} % ({} of {frames}), dropped {}",
+            "\n{} in {}, {:.0} s; detector skipped on {:.1} % ({} of {frames}), dropped {dropped}",
             counted(frames, "frame", "frames"),
             counted(self.reports.len() as u64, "clip", "clips"),
             self.seconds,
             states.skip_rate(degraded) * 100.0,
             states.skipped(degraded),
-            count(|report| report.dropped.total()),
         );
-        let joules: f64 = reports().filter_map(|report| report.energy.joules).sum();
         let last = self.reports.last();
         let source = last.map_or("", |last| last.energy.source.as_str());
-        let gaps = if reports().all(|report| report.energy.is_whole()) {
+        let gaps = if is_whole {
             ""
         } else {
             ", without the time that no sample covers (+)"
         };
         // The sum has the quality of its worst part.
-        match reports().map(|report| report.energy.quality).max() {
+        match self.reports.iter().map(|report| report.energy.quality).max() {
             Some(EnergyQuality::Measured | EnergyQuality::Partial) => {
                 println!("energy {joules:.1} J, measured by {source}{gaps}");
             }

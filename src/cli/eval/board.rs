@@ -13,7 +13,7 @@ use albireo_eval::data::{Clip, GroundTruth, LoadReport, Rules, TruthFormat};
 use albireo_eval::footage::{FrameSource, SourceName, VideoEncoding};
 use albireo_eval::judge::{Classes, Interpolation, Truth, accuracy};
 use albireo_eval::settings::ScreenRule;
-use albireo_eval::spec::{PolicySpec, Sweep, resolve_with_pause};
+use albireo_eval::spec::{Base, PolicySpec, Sweep, resolve_with_pause};
 use albireo_node::camera::clip::LONGEST_REPORT_S;
 use albireo_node::config::NodeConfig;
 use albireo_service::{logging, signals};
@@ -122,7 +122,7 @@ pub(super) async fn run(arguments: &BoardArguments) -> anyhow::Result<()> {
     let shutdown = signals::shutdown(None)?;
     let meter = choose_meter(&mut config.power).await?;
     let clips = measured_clips(arguments, &mut truth, names.len() == 1)?;
-    let setup = setup::of(arguments, &config)?;
+    let setup = setup::describe(arguments, &config)?;
     let mut file = RunsFile::open(&arguments.out, &setup, arguments.restart)?;
     for clip in &clips {
         if let Some(content) = &clip.content {
@@ -235,12 +235,17 @@ fn time_left(elapsed: Duration, done: u64, all: u64) -> String {
 
 fn policies(arguments: &BoardArguments, config: &NodeConfig) -> anyhow::Result<Vec<PolicySpec>> {
     // Labels name no screen: it is the node's own.
+    let base = Base {
+        config: &config.policy,
+        empty_road: config.screen.empty_road(),
+    };
+    let pixels = true;
     let specs = resolve_with_pause(
         &arguments.policy,
         &arguments.sweep,
-        (&config.policy, config.screen.empty_road()),
+        base,
         ScreenRule::Nonempty,
-        true,
+        pixels,
     )?;
     let plain = |spec: PolicySpec| PolicySpec {
         label: spec.label.split("-erd-").next().unwrap_or_default().to_owned(),

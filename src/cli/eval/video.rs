@@ -247,9 +247,9 @@ impl Evaluation<'_> {
                 };
                 let most = self.pass_settings.max_frames.unwrap_or(whole);
                 let mut clip = Clip::new(source.name().to_owned(), first.size, whole.min(most));
-                let alone = self.names.len() == 1;
+                let is_alone = self.names.len() == 1;
                 let report = &mut LoadReport::default();
-                truth.attach_to(&mut clip, alone, Some(whole), report)?;
+                truth.attach_to(&mut clip, is_alone, Some(whole), report)?;
             }
         }
         Ok(())
@@ -280,7 +280,9 @@ impl Evaluation<'_> {
         )?;
         clip.frame_rate = rate;
         let pass = clip.pass.take();
-        self.times.extend(pass.iter().flat_map(|pass| &pass.times).copied());
+        if let Some(pass) = &pass {
+            self.times.extend(&pass.times);
+        }
         if let Some(truth) = &mut self.truth {
             // The frames behind a limit were not looked at.
             let looked_at = clip.frames + clip.unusable.len();
@@ -306,20 +308,20 @@ impl Evaluation<'_> {
             return Ok(());
         }
 
-        let mut of_clip = run::run([&clip], &self.policies, &self.settings, &|| ())?;
+        let mut results = run::run([&clip], &self.policies, &self.settings, &|| ())?;
         // The pictures of the frames that lost most are read again: keeping all pictures until these frames are known
         // would take too much memory.
-        if let Err(error) = attach_pictures(source, &mut of_clip, &clip.unusable) {
+        if let Err(error) = attach_pictures(source, &mut results, &clip.unusable) {
             let name = &clip.name;
             let note = format!("{name}: no pictures of the frames that lost most: {error}");
             self.report.notes.push(note);
         }
-        self.results.extend(of_clip);
-        for (at, stream) in streams_asked(&self.arguments).into_iter().enumerate() {
-            let of_clip = streams::run([&clip], &self.policies, &self.settings, stream)?;
-            match self.streams.get_mut(at) {
-                Some(clips_before) => clips_before.extend(of_clip),
-                None => self.streams.push(of_clip),
+        self.results.extend(results);
+        for (number, stream) in streams_asked(&self.arguments).into_iter().enumerate() {
+            let results = streams::run([&clip], &self.policies, &self.settings, stream)?;
+            match self.streams.get_mut(number) {
+                Some(clips_before) => clips_before.extend(results),
+                None => self.streams.push(results),
             }
         }
         Ok(())
@@ -346,8 +348,9 @@ impl Evaluation<'_> {
             ),
         };
         let mut notes = times_of_steps(&self.times);
-        let inputs = self.models.inputs().into_iter();
-        notes.extend(inputs.map(|words| ("Input of the detector".to_owned(), words)));
+        for input in self.models.inputs() {
+            notes.push(("Input of the detector".to_owned(), input));
+        }
         let mut settings = vec![("Judged".to_owned(), basis.clone())];
         settings.extend(listed(&self.arguments, &self.results)?);
         settings.push((
@@ -409,23 +412,23 @@ fn times_of_steps(times: &[StepTimes]) -> Vec<(String, String)> {
         ("decoding to grey", |times| times.grey),
         ("decoding to a small grey picture", |times| times.small),
     ];
-    let row = |(step, time): (&str, StepTime)| {
-        let spread = Spread::of(times.iter().map(time).collect())?;
+    let frames = counted(times.len() as u64, "frame", "frames");
+    let mut rows = Vec::new();
+    for (step, time) in steps {
+        let Some(spread) = Spread::of(times.iter().map(time).collect()) else {
+            continue;
+        };
         // The time of a step that was not taken is 0.
         if spread.mean == 0.0 {
-            return None;
+            continue;
         }
         let value = format!(
-            "mean {:.2} ms, p50 {:.2}, p95 {:.2}, p99 {:.2} (measured on this machine, {})",
-            spread.mean,
-            spread.p50,
-            spread.p95,
-            spread.p99,
-            counted(times.len() as u64, "frame", "frames")
+            "mean {:.2} ms, p50 {:.2}, p95 {:.2}, p99 {:.2} (measured on this machine, {frames})",
+            spread.mean, spread.p50, spread.p95, spread.p99,
         );
-        Some((format!("Time of {step}"), value))
-    };
-    steps.into_iter().filter_map(row).collect()
+        rows.push((format!("Time of {step}"), value));
+    }
+    rows
 }
 
 /// Loads the models of the pass.
@@ -484,18 +487,15 @@ fn pass_over(
     };
     let bar = progress::bar(total, "frames").with_prefix(format!("{}: ", source.name()));
     if bar.is_hidden() {
-        eprintln!(
-            "{}: processing {}",
-            source.name(),
-            total.map_or_else(
-                || "all frames".to_owned(),
-                |total| counted(total, "frame", "frames")
-            )
-        );
+        let frames = match total {
+            Some(total) => counted(total, "frame", "frames"),
+            None => "all frames".to_owned(),
+        };
+        eprintln!("{}: processing {frames}", source.name());
     }
-    let pictured = run_pass(source, models, settings, report, &mut || bar.inc(1));
+    let clip = run_pass(source, models, settings, report, &mut || bar.inc(1));
     bar.finish_and_clear();
-    Ok(pictured?)
+    Ok(clip?)
 }
 
 /// Runs the detector over videos and pictures. `rate` is the frames per second of pictures.
@@ -510,7 +510,7 @@ pub(super) fn detect_all(
         ..PassSettings::default()
     };
     let mut report = LoadReport::default();
-    let mut pictured = Vec::new();
+    let mut detected_clips = Vec::new();
     for clip in clips {
         for mut source in clip.open_clips(rate, VideoEncoding::default())? {
             let mut detected = pass_over(source.as_mut(), &mut models, &settings, &mut report)?;
@@ -518,31 +518,36 @@ pub(super) fn detect_all(
             if matches!(clip, SourceName::Pictures(_) | SourceName::Archive(_)) {
                 detected.frame_rate = rate;
             }
-            pictured.push(detected);
-            save_last(pass, &pictured)?;
+            detected_clips.push(detected);
+            save_last(pass, &detected_clips)?;
         }
     }
     end_pass(pass, &report);
-    Ok(pictured)
+    Ok(detected_clips)
 }
 
 /// Prints how many frames the screen or the pause called empty, and how many of these wrongly, in a line per policy under
 /// which there are any. The results are in the order of the policies.
 fn print_screens(results: &[ClipResult]) {
-    for of in results.chunk_by(|a, b| a.policy == b.policy) {
-        let sum = |count: fn(&ClipResult) -> usize| of.iter().map(count).sum::<usize>();
-        let empty: u64 = of.iter().map(|result| result.states.e).sum();
+    for clips in results.chunk_by(|a, b| a.policy == b.policy) {
+        let mut empty = 0;
+        let mut frames = 0;
+        let mut occupied = 0;
+        let mut missed = 0;
+        for clip in clips {
+            empty += clip.states.e;
+            frames += clip.frames;
+            occupied += clip.occupied_frames;
+            missed += clip.false_empty_frames;
+        }
         if empty == 0 {
             continue;
         }
-        let frames = sum(|result| result.frames);
-        let occupied = sum(|result| result.occupied_frames);
-        let missed = sum(|result| result.false_empty_frames);
         let share = 100.0 * missed as f64 / occupied.max(1) as f64;
         println!(
             "Screen under {}: {empty} of {frames} frames called empty; false-empty rate {share:.1} % \
              ({missed} of the {occupied} frames in which the detector finds something)",
-            of[0].policy
+            clips[0].policy
         );
     }
 }

@@ -53,10 +53,10 @@ impl Client {
             url.query_pairs_mut().extend_pairs(query);
         }
         let request = self.http.request(method, url);
-        Ok(match &self.token {
-            Some(token) => request.bearer_auth(token),
-            None => request,
-        })
+        match &self.token {
+            Some(token) => Ok(request.bearer_auth(token)),
+            None => Ok(request),
+        }
     }
 
     async fn send(&self, request: RequestBuilder) -> anyhow::Result<Response> {
@@ -132,8 +132,9 @@ impl Client {
             unread.extend_from_slice(&bytes);
             while let Some(end) = unread.iter().position(|byte| *byte == b'\n') {
                 let text: Vec<u8> = unread.drain(..=end).collect();
-                let read = serde_json::from_slice(&text);
-                line(read.context("a line of the answer cannot be read")?)?;
+                let read =
+                    serde_json::from_slice(&text).context("a line of the answer cannot be read")?;
+                line(read)?;
             }
         }
         Ok(())

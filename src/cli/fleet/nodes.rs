@@ -74,11 +74,13 @@ pub(super) async fn list(context: &Context, arguments: ListArguments) -> anyhow:
             ("down", (sort != "name").to_string()),
             ("sort", sort.clone()),
         ];
-        query.extend(state.clone().map(|state| ("state", state)));
+        if let Some(state) = &state {
+            query.push(("state", state.clone()));
+        }
         let page: NodeList = context.client.get("/api/v1/nodes", &query).await?;
-        let empty = page.nodes.is_empty();
+        let is_empty = page.nodes.is_empty();
         found.extend(page.nodes);
-        if empty || page.total <= found.len() {
+        if is_empty || page.total <= found.len() {
             break;
         }
     }
@@ -142,7 +144,9 @@ fn facts(node: &NodeView) -> String {
         why => format!("{} for {since}: {why}", node.state),
     };
     let mut lines = vec![("node", node.node.clone()), ("state", state)];
-    lines.extend(node.heard_ms.map(|at| ("heard", when(at))));
+    if let Some(heard_ms) = node.heard_ms {
+        lines.push(("heard", when(heard_ms)));
+    }
     let status = node.status.as_deref();
     if let Some(status) = status {
         let provider = status.provider.as_deref().unwrap_or("no provider yet");
@@ -178,10 +182,14 @@ fn facts(node: &NodeView) -> String {
             lines.push(("camera", format!("{name}: {state}, {value} ({source})")));
         }
     }
-    let shown = lines.iter().filter(|(_, value)| !value.is_empty());
-    shown
-        .map(|(name, value)| cut(&format!("{name:<12} {value}"), width()) + "\n")
-        .collect()
+    let mut text = String::new();
+    for (name, value) in lines {
+        if !value.is_empty() {
+            text += &cut(&format!("{name:<12} {value}"), width());
+            text.push('\n');
+        }
+    }
+    text
 }
 
 /// Formats the target of a node with its last reported state.
@@ -201,8 +209,12 @@ pub(super) async fn energy(context: &Context, arguments: EnergyArguments) -> any
         from
     };
     let mut query = vec![("since_ms", from.to_string()), ("sort", arguments.sort)];
-    query.extend(arguments.by.map(|by| ("by", by)));
-    query.extend(arguments.node.map(|node| ("node", node)));
+    if let Some(by) = arguments.by {
+        query.push(("by", by));
+    }
+    if let Some(node) = arguments.node {
+        query.push(("node", node));
+    }
     let energy: Energy = context.client.get("/api/v1/energy", &query).await?;
     context.print(&energy, sums)
 }
@@ -278,8 +290,12 @@ fn overview(page: &NodeList) -> String {
         joined(counts),
         counted(page.waiting, "report", "reports")
     );
-    let text = cut(&line, width()) + "\n\n";
-    let shown = &page.nodes;
-    let unwell = shown.partition_point(|node| node.state != PresenceState::Online);
-    text + &list_of(if unwell > 0 { &shown[..unwell] } else { shown })
+    let line = cut(&line, width());
+    let unwell = page.nodes.partition_point(|node| node.state != PresenceState::Online);
+    let shown = if unwell > 0 {
+        &page.nodes[..unwell]
+    } else {
+        &page.nodes
+    };
+    format!("{line}\n\n{}", list_of(shown))
 }

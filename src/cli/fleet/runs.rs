@@ -8,7 +8,7 @@ use super::{Context, Ended};
 use albireo_hub::http::Runs;
 use albireo_hub::tuning::effect::Scale;
 use albireo_hub::tuning::metric::Figure;
-use albireo_hub::tuning::run::{ArmResult, Entry, Kind, Phase, Run, TrialResult};
+use albireo_hub::tuning::run::{Entry, Kind, Phase, Run, TrialResult};
 use anyhow::bail;
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -318,11 +318,11 @@ fn headline(run: &Run) -> String {
     let values = values(&run.kind);
     let state = state(run);
     if let Kind::Trial { .. } = run.kind {
-        let mut all = BTreeMap::<_, usize>::new();
+        let mut sums = BTreeMap::<_, usize>::new();
         for (outcome, nodes) in run.stages.iter().flat_map(|group| &group.counts) {
-            *all.entry(*outcome).or_default() += nodes;
+            *sums.entry(*outcome).or_default() += nodes;
         }
-        let counts = counts(&all);
+        let counts = counts(&sums);
         let seed = run.seed;
         return format!("trial {id} of {values}: {state}; {counts}; seed {seed}");
     }
@@ -331,8 +331,8 @@ fn headline(run: &Run) -> String {
         _ => String::new(),
     };
     let stage = run.stage;
-    let of = run.stages.len();
-    format!("rollout {id} to {values}: {state}, stage {stage} of {of}{reason}")
+    let stages = run.stages.len();
+    format!("rollout {id} to {values}: {state}, stage {stage} of {stages}{reason}")
 }
 
 fn list(found: &[Run]) -> String {
@@ -355,7 +355,10 @@ fn list(found: &[Run]) -> String {
 fn whole(run: &Run) -> String {
     let mut text = headline(run) + "\n";
     let Kind::Rollout { plan, .. } = &run.kind else {
-        return text + &run.result.as_ref().map(result).unwrap_or_default();
+        if let Some(measured) = &run.result {
+            text += &result(measured);
+        }
+        return text;
     };
     let _ = writeln!(
         text,
@@ -424,23 +427,27 @@ fn entry_text(entry: &Entry, begun_ms: i64) -> String {
 /// Formats the measurements of a trial.
 fn result(result: &TrialResult) -> String {
     let level = result.confidence * 100.0;
-    let row = |shown: Figure, arm: &ArmResult| {
-        let found = arm.figures.iter().find(|found| found.figure == shown)?;
-        let relative = shown.scale() == Scale::Relative;
-        let difference = found.difference.as_ref().map(|difference| interval(difference, relative));
-        Some([
-            shown.to_string(),
-            threshold(&arm.value),
-            found.nodes.to_string(),
-            found.clips.to_string(),
-            figure(found.before),
-            figure(found.mean),
-            difference.unwrap_or("-".to_owned()),
-        ])
-    };
     let mut rows = Vec::new();
     for shown in Figure::ALL {
-        rows.extend(result.values.iter().filter_map(|arm| row(shown, arm)));
+        let is_relative = shown.scale() == Scale::Relative;
+        for arm in &result.values {
+            let Some(found) = arm.figures.iter().find(|found| found.figure == shown) else {
+                continue;
+            };
+            let difference = match &found.difference {
+                Some(difference) => interval(difference, is_relative),
+                None => "-".to_owned(),
+            };
+            rows.push([
+                shown.to_string(),
+                threshold(&arm.value),
+                found.nodes.to_string(),
+                found.clips.to_string(),
+                figure(found.before),
+                figure(found.mean),
+                difference,
+            ]);
+        }
     }
     let headings = "figure|>value|>nodes|>clips|>before|>during|difference";
     let table = table(headings, rows);

@@ -86,8 +86,8 @@ fn outcome(line: &NodeSetting, to: Option<&DesiredSetting>) -> String {
 }
 
 /// Formats a setting that may be unknown.
-fn known(one: Option<&DesiredSetting>) -> String {
-    one.map_or_else(|| "-".to_owned(), setting)
+fn known(value: Option<&DesiredSetting>) -> String {
+    value.map_or_else(|| "-".to_owned(), setting)
 }
 
 fn judge(last: Option<&Revision>) -> Ended {
@@ -140,7 +140,9 @@ pub(super) async fn revisions(
         });
     }
     let mut query = vec![("limit", arguments.limit.to_string())];
-    query.extend(arguments.node.map(|node| ("node", node)));
+    if let Some(node) = arguments.node {
+        query.push(("node", node));
+    }
     let found: Revisions = context.client.get("/api/v1/revisions", &query).await?;
     context.print(&found, |found| list(&found.revisions))
 }

@@ -29,28 +29,28 @@ pub(super) fn table<const N: usize>(
     let plain = |heading: &&str| heading.trim_start_matches('>').to_owned();
     let mut lines: Vec<Vec<String>> = vec![headings.iter().map(plain).collect()];
     lines.extend(rows.into_iter().map(|row| row.map(clean).into()));
+    let mut widths = vec![0; headings.len()];
+    for line in &lines {
+        for (width, cell) in widths.iter_mut().zip(line) {
+            *width = cell.chars().count().max(*width);
+        }
+    }
     let longest = width();
-    let width = |column: usize| {
-        let widths = lines.iter().map(|line| line[column].chars().count());
-        widths.max().unwrap_or(0)
-    };
-    let shown = |line: &Vec<String>| {
-        let cells: Vec<String> = line
-            .iter()
-            .zip(&headings)
-            .enumerate()
-            .map(|(column, (cell, heading))| {
-                let wide = width(column);
-                if heading.starts_with('>') {
-                    format!("{cell:>wide$}")
-                } else {
-                    format!("{cell:<wide$}")
-                }
-            })
-            .collect();
-        cut(cells.join("  ").trim_end(), longest) + "\n"
-    };
-    lines.iter().map(shown).collect()
+    let mut text = String::new();
+    for line in &lines {
+        let mut cells = Vec::new();
+        for (column, cell) in line.iter().enumerate() {
+            let width = widths[column];
+            cells.push(if headings[column].starts_with('>') {
+                format!("{cell:>width$}")
+            } else {
+                format!("{cell:<width$}")
+            });
+        }
+        text += &cut(cells.join("  ").trim_end(), longest);
+        text.push('\n');
+    }
+    text
 }
 
 /// Cuts the text to at most `width` characters.

@@ -11,9 +11,14 @@ use std::collections::BTreeMap;
 
 /// Reads `90`, `90s`, `30m`, `2h`, `7d` as seconds.
 pub(super) fn seconds(text: &str) -> Result<f64, String> {
-    let mut units = [('s', 1.0), ('m', 60.0), ('h', 3_600.0), ('d', 86_400.0)].into_iter();
-    let found = units.find_map(|(letter, unit)| Some((text.strip_suffix(letter)?, unit)));
-    let (number, unit) = found.unwrap_or((text, 1.0));
+    let mut number = text;
+    let mut unit = 1.0;
+    for (letter, seconds) in [('s', 1.0), ('m', 60.0), ('h', 3_600.0), ('d', 86_400.0)] {
+        if let Some(before) = text.strip_suffix(letter) {
+            number = before;
+            unit = seconds;
+        }
+    }
     match number.trim().parse::<f64>() {
         Ok(number) if number >= 0.0 && number.is_finite() => Ok(number * unit),
         _ => Err(format!("`{text}` is not a time such as 90s, 30m, 2h or 7d")),

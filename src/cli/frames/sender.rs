@@ -109,7 +109,8 @@ impl FrameSender {
     /// When the session is closed.
     pub(crate) fn begin_stream(&mut self) -> anyhow::Result<()> {
         let (stream, token) = new_stream(&self.session, &self.key)?;
-        (self.stream, self._token) = (stream, Arc::new(token));
+        self.stream = stream;
+        self._token = Arc::new(token);
         Ok(())
     }
 

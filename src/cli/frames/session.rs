@@ -52,9 +52,12 @@ pub async fn open_session(
         if let Some(error) = session::not_listening("--listen", &error) {
             return anyhow!(error);
         }
-        // It repeats the endpoints, and has no reason.
-        let reason = Some(error).filter(|said| !said.starts_with("Unable to connect to any of"));
-        let reason = reason.map(|said| format!(": {said}")).unwrap_or_default();
+        let reason = if error.starts_with("Unable to connect to any of") {
+            // It repeats the endpoints, and has no reason.
+            String::new()
+        } else {
+            format!(": {error}")
+        };
         anyhow!("no Zenoh session with {endpoints}{reason}; is the node running, and does it listen there?")
     })
 }

@@ -88,13 +88,23 @@ pub struct Sent {
     pub elapsed: Duration,
 }
 
-/// The part of a source that a picture belongs to: the pass, and the source's clip.
-type Part = (u64, Option<String>);
+/// The part of a source that a picture belongs to.
+#[derive(PartialEq)]
+struct Part {
+    /// How many times the source was read before.
+    pass: u64,
+    /// The source's clip.
+    clip: Option<String>,
+}
 
 /// What was read of a source.
 enum ReadItem {
-    /// A picture, and when it was recorded, if that is known.
-    Picture(Part, EncodedPicture, Option<u64>),
+    Picture {
+        part: Part,
+        picture: EncodedPicture,
+        /// When it was recorded, if that is known.
+        time_ns: Option<u64>,
+    },
     /// One of several files that cannot be used, and why.
     LeftOut(String),
 }
@@ -115,8 +125,12 @@ fn read_ahead(
                 Ok(None) => break,
                 Ok(Some(picture)) => {
                     is_empty = false;
-                    let part = (pass, source.clip().map(str::to_owned));
-                    ReadItem::Picture(part, picture, source.time_ns())
+                    let clip = source.clip().map(str::to_owned);
+                    ReadItem::Picture {
+                        part: Part { pass, clip },
+                        picture,
+                        time_ns: source.time_ns(),
+                    }
                 }
                 // The other files follow.
                 Err(fault) if source.picture_name().is_some() => {
@@ -139,6 +153,20 @@ fn read_ahead(
     Ok(())
 }
 
+/// Reads the source on a thread of its own, because reading it blocks.
+fn start_reading(
+    source: Box<dyn FrameSource>,
+    repeat: bool,
+) -> mpsc::Receiver<anyhow::Result<ReadItem>> {
+    let (sender, prepared) = mpsc::channel(AHEAD);
+    std::thread::spawn(move || {
+        if let Err(error) = read_ahead(source, repeat, &sender) {
+            let _ = sender.blocking_send(Err(error));
+        }
+    });
+    prepared
+}
+
 /// Names clips.
 struct Clips<'a> {
     options: &'a PublishOptions,
@@ -154,16 +182,17 @@ impl Clips<'_> {
     /// Returns the clip of the next frame, which belongs to `part`, `seconds` after the first frame.
     fn next(&mut self, part: Part, seconds: f64) -> Option<String> {
         let options = self.options;
-        let of_source = part.1.as_ref();
         if options.no_clip {
             return None;
         }
-        let several = options.repeat || options.clip_seconds.is_some();
-        let (name, numbered) = match &options.clip {
-            Some(name) => (name, several || of_source.is_some()),
-            None => (of_source.unwrap_or(&self.source), several),
+        let mut is_numbered = options.repeat || options.clip_seconds.is_some();
+        let name = if let Some(name) = &options.clip {
+            // All clips of the source have this name.
+            is_numbered |= part.clip.is_some();
+            name.clone()
+        } else {
+            part.clip.as_ref().unwrap_or(&self.source).clone()
         };
-        let name = name.clone();
         // Frame times have rounding errors, which are below half a millisecond.
         let is_over = |most: f64| seconds - self.since >= most - 0.0005;
         let part = Some(part);
@@ -172,12 +201,19 @@ impl Clips<'_> {
             self.since = seconds;
             self.begun += 1;
         }
-        Some(if numbered {
-            format!("{name}-{:04}", self.begun)
+        if is_numbered {
+            Some(format!("{name}-{:04}", self.begun))
         } else {
-            name
-        })
+            Some(name)
+        }
     }
+}
+
+/// When the first frame was sent: times count from there, because opening the source may take long.
+#[derive(Clone, Copy)]
+struct Begun {
+    instant: Instant,
+    unix_ns: u64,
 }
 
 /// Says when each frame is due.
@@ -257,14 +293,7 @@ pub async fn publish<F: Future<Output = anyhow::Result<Option<String>>>>(
         last: None,
         since: 0.0,
     };
-    let (sender, mut prepared) = mpsc::channel(AHEAD);
-    let repeat = options.repeat;
-    // The source has a thread of its own, because reading it blocks.
-    std::thread::spawn(move || {
-        if let Err(error) = read_ahead(source, repeat, &sender) {
-            let _ = sender.blocking_send(Err(error));
-        }
-    });
+    let mut prepared = start_reading(source, options.repeat);
     let mut sent = Sent::default();
     let mut begun = None;
     let mut pace = Pace {
@@ -279,24 +308,25 @@ pub async fn publish<F: Future<Output = anyhow::Result<Option<String>>>>(
             next = prepared.recv() => next,
         };
         let Some(next) = next else { break };
-        let (part, picture, recorded_ns) = match next? {
-            ReadItem::Picture(part, picture, recorded_ns) => (part, picture, recorded_ns),
+        let (part, picture, time_ns) = match next? {
+            ReadItem::Picture {
+                part,
+                picture,
+                time_ns,
+            } => (part, picture, time_ns),
             ReadItem::LeftOut(fault) => {
                 eprintln!("albireo: left out: {fault}");
                 sent.left_out += 1;
                 continue;
             }
         };
-        // Times count from the first picture: opening the source may take long.
-        let (began, clock) = match begun {
-            Some(start) => start,
-            None => {
-                pace.due = Instant::now();
-                let start = (pace.due, unix_nanoseconds());
-                begun = Some(start);
-                start
+        let begun = *begun.get_or_insert_with(|| {
+            pace.due = Instant::now();
+            Begun {
+                instant: pace.due,
+                unix_ns: unix_nanoseconds(),
             }
-        };
+        });
         tokio::select! {
             biased;
             () = shutdown.cancelled() => break,
@@ -305,9 +335,11 @@ pub async fn publish<F: Future<Output = anyhow::Result<Option<String>>>>(
         let seconds = sent.frames as f64 / rate;
         let bytes = picture.bytes.len() as u64;
         let seq = options.first_sequence + sent.frames;
-        let t_ns = recorded_ns.unwrap_or(clock.saturating_add((seconds * 1e9) as u64));
+        let expected_ns = begun.unix_ns.saturating_add((seconds * 1e9) as u64);
+        let t_ns = time_ns.unwrap_or(expected_ns);
+        let clip = clips.next(part, seconds);
         let frame = OutgoingFrame {
-            attachment: attachment(seq, t_ns, clips.next(part, seconds), &picture),
+            attachment: attachment(seq, t_ns, clip, &picture),
             picture,
         };
         let refused = tokio::select! {
@@ -317,13 +349,15 @@ pub async fn publish<F: Future<Output = anyhow::Result<Option<String>>>>(
         };
         if let Some(reason) = refused {
             sent.refused += 1;
-            sent.first_refusal.get_or_insert(reason);
+            if sent.first_refusal.is_none() {
+                sent.first_refusal = Some(reason);
+            }
         }
         sent.frames += 1;
         sent.bytes += bytes;
         sent.clips = clips.begun;
         sent.behind = pace.behind;
-        sent.elapsed = began.elapsed();
+        sent.elapsed = begun.instant.elapsed();
         progress(&sent);
     }
     Ok(sent)

@@ -28,7 +28,7 @@ const WITHOUT_EFFECT: [&str; 4] = [
 ///
 /// # Errors
 /// When a file that the configuration names cannot be read.
-pub(super) fn of(arguments: &BoardArguments, config: &NodeConfig) -> anyhow::Result<Setup> {
+pub(super) fn describe(arguments: &BoardArguments, config: &NodeConfig) -> anyhow::Result<Setup> {
     // Every argument is named here, so that a new one must be decided on.
     let BoardArguments {
         clips: _,
@@ -215,7 +215,7 @@ mod tests {
                 "",
             ];
             let command = Command::parse_from(always.iter().chain(arguments));
-            of(&command.board, &config).unwrap().settings
+            describe(&command.board, &config).unwrap().settings
         };
         let before = setup("", &[]);
         let now = setup(text, arguments);

@@ -22,12 +22,18 @@ fn options(arguments: &str) -> PublishOptions {
     parse(arguments).unwrap().options
 }
 
-/// Everything sent, with the time since the start.
+struct Arrived {
+    /// The time since the start.
+    after: Duration,
+    frame: OutgoingFrame,
+}
+
+/// Plays a source to a node that takes `slow` for each frame.
 async fn played(
     source: Box<dyn FrameSource>,
     options: PublishOptions,
     slow: impl Fn(u64) -> Duration,
-) -> (Vec<(Duration, OutgoingFrame)>, Sent) {
+) -> (Vec<Arrived>, Sent) {
     let frames = Mutex::new(Vec::new());
     let start = Instant::now();
     let sent = publish(
@@ -37,7 +43,8 @@ async fn played(
             let wait = slow(frame.attachment.seq.unwrap());
             async move {
                 tokio::time::sleep(wait).await;
-                frames.lock().unwrap().push((start.elapsed(), frame));
+                let after = start.elapsed();
+                frames.lock().unwrap().push(Arrived { after, frame });
                 Ok(None)
             }
         },
@@ -59,11 +66,11 @@ async fn frames_go_out_at_the_source_s_rate_or_a_given_one() {
         };
         let (frames, sent) = played(numbers(5), options, |_| Duration::ZERO).await;
         assert_eq!((sent.frames, sent.bytes, sent.behind), (5, 5, 0));
-        let began_ns = frames[0].1.attachment.t_ns.unwrap();
-        for (number, (when, frame)) in (0..).zip(&frames) {
+        let began_ns = frames[0].frame.attachment.t_ns.unwrap();
+        for (number, Arrived { after, frame }) in (0..).zip(&frames) {
             let expected = Duration::from_millis(period) * number;
-            let off = when.abs_diff(expected);
-            assert!(off < Duration::from_millis(5), "{when:?}");
+            let off = after.abs_diff(expected);
+            assert!(off < Duration::from_millis(5), "{after:?}");
             assert_eq!(frame.attachment.seq, Some(7 + u64::from(number)));
             // The capture times of the recording, whatever delays the sending.
             let captured_ns = u64::from(number) * period * 1_000_000;
@@ -82,8 +89,9 @@ async fn what_was_missed_is_not_made_up_for_in_a_burst() {
     // Frame 2 takes 450 ms at ten frames per second.
     let slow = |number| Duration::from_millis(if number == 2 { 450 } else { 0 });
     let (frames, sent) = played(numbers(6), PublishOptions::default(), slow).await;
-    let when: Vec<u128> = frames.iter().map(|(when, _)| (when.as_millis() + 5) / 10 * 10).collect();
-    assert_eq!(when, [0, 100, 650, 650, 750, 850]);
+    let rounded_ms = |arrived: &Arrived| (arrived.after.as_millis() + 5) / 10 * 10;
+    let times_ms: Vec<u128> = frames.iter().map(rounded_ms).collect();
+    assert_eq!(times_ms, [0, 100, 650, 650, 750, 850]);
     assert_eq!(sent.behind, 1);
 }
 
@@ -109,10 +117,10 @@ async fn clips_are_passes_lengths_of_time_or_those_of_the_source() {
             length => numbers(length.parse().unwrap()),
         };
         let (frames, sent) = played(source, options(arguments), |_| Duration::ZERO).await;
-        let sequence = frames.iter().map(|(_, frame)| frame.attachment.seq);
+        let sequence = frames.iter().map(|arrived| arrived.frame.attachment.seq);
         assert!(sequence.eq((0..sent.frames).map(Some)), "{case}");
         let clips: Vec<_> =
-            frames.iter().map(|(_, frame)| frame.attachment.clip.as_deref()).collect();
+            frames.iter().map(|arrived| arrived.frame.attachment.clip.as_deref()).collect();
         let found: Vec<_> = clips
             .chunk_by(|a, b| a == b)
             .map(|clip| format!("{} {}", clip.len(), clip[0].unwrap_or("none")))
