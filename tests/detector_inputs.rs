@@ -10,7 +10,7 @@ use albireo_vision::detector::{
     CameraSlot, Choice, DetectorConfig, DetectorHandle, DetectorNetwork, HeadName, InputUse,
 };
 use albireo_vision::onnx::OnnxSession;
-use albireo_vision::picture::Picture;
+use albireo_vision::picture::{InputTensor, Picture};
 use std::path::PathBuf;
 use std::process::Command;
 use std::sync::Arc;
@@ -245,10 +245,10 @@ fn shared_the_script_opens_the_published_file_into_ours_which_equals_it_at_its_s
 }
 
 /// A picture of the road as YOLOX-Nano's square input.
-fn decoded_square() -> Vec<f32> {
+fn decoded_square() -> InputTensor {
     let network = DetectorNetwork::open(&config(project("models/yolox_nano.onnx"))).unwrap();
     let picture = road("busy", 1).remove(0);
-    network.preparation().prepare(&picture).unwrap().values().to_vec()
+    network.preparation().prepare(&picture).unwrap().tensor().clone()
 }
 
 #[test]

@@ -6,7 +6,8 @@ use albireo_vision::detector::HeadName;
 use albireo_vision::detector::head::{self, HeadOverrides, Suppression, keep_best, suppress};
 use albireo_vision::onnx::{ElementType, Metadata, Signature, TensorSpec, TensorView};
 use albireo_vision::picture::{
-    ColorOrder, Fit, InputFormat, Letterbox, Picture, PixelLayout, TensorLayout, ValueRange,
+    ColorOrder, Fit, InputElement, InputFormat, Letterbox, Picture, PixelLayout, TensorLayout,
+    ValueRange,
 };
 use flate2::read::GzDecoder;
 use rstest::rstest;
@@ -173,9 +174,10 @@ fn the_input_agrees_with_the_vendors_code_up_to_rounding(
         color_order: ColorOrder::Rgb,
         value_range,
         layout: TensorLayout::Nchw,
+        element: InputElement::Float,
     });
     letterbox.fill(&picture).unwrap();
-    let ours = letterbox.tensor();
+    let ours = letterbox.tensor().to_floats();
     assert_eq!(ours.len(), fixture.input.values.len());
     let plane = ours.len() / 3;
     let mut largest = 0.0_f64;

@@ -22,6 +22,7 @@ mod detector_exports;
 mod detector_families;
 mod detector_inputs;
 mod detector_models;
+mod detector_pixels;
 mod detector_quantised;
 mod detector_session;
 mod documentation;

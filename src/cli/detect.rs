@@ -303,8 +303,10 @@ fn detect(
     if let Some(folder) = &arguments.write_input {
         let mut name = file.file_name().unwrap_or_default().to_owned();
         name.push(".f32");
-        let values = prepared.values().iter();
-        let bytes: Vec<u8> = values.flat_map(|value| value.to_le_bytes()).collect();
+        // As the model takes it, also where a GPU converts it.
+        let input = prepared.converted(network.input_format())?;
+        let values = input.tensor().to_floats();
+        let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
         write(&in_folder(folder, name.as_ref())?, &bytes)?;
     }
     Ok(())

@@ -1,5 +1,6 @@
 //! ONNX models on ONNX Runtime: the library, sessions and their execution providers, a model's signature and metadata.
 
+mod conversion;
 mod engine_cache;
 mod error;
 pub(crate) mod fault;

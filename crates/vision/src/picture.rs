@@ -26,7 +26,8 @@ pub use files::{PictureFileError, is_picture_file, picture_files, read_picture_f
 pub use format::{BayerPattern, EncodedPicture, Picture, PictureFormat, PixelLayout};
 pub use header::{format_of, picture_of_file, picture_of_kind};
 pub use letterbox::{
-    ColorOrder, Fit, InputFormat, InputMapping, Letterbox, TensorLayout, ValueRange,
+    ColorOrder, Fit, InputElement, InputFormat, InputMapping, InputTensor, Letterbox, TensorLayout,
+    ValueRange,
 };
 pub use limits::{FrameLimits, check_payload, check_picture};
 pub use mount::{Flip, Mask, Mount, Mounted};

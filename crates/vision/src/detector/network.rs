@@ -116,7 +116,7 @@ impl DetectorNetwork {
     /// [`warm_up`](Self::warm_up) at an input of `size`.
     fn warm_up_at(&mut self, size: PictureSize, batch_size: usize) -> Result<(), String> {
         // `self.preparation` would keep these buffers, and a batch of them may be large.
-        let preparation = Preparation::new(self.input_format());
+        let preparation = Preparation::new(self.preparation.format());
         let black = Picture::black(size);
         let mut pictures = Vec::new();
         for _ in 0..batch_size.max(1) {
@@ -149,7 +149,7 @@ impl DetectorNetwork {
     /// # Errors
     /// If the run failed.
     pub fn time_at(&mut self, size: PictureSize) -> Result<Duration, RunError> {
-        let black = Preparation::new(self.input_format())
+        let black = Preparation::new(self.preparation.format())
             .prepare_at(&Picture::black(size), size)
             .map_err(|error| RunError::BadPicture(error.to_string()))?;
         Ok(self.detect(&black)?.model)
@@ -226,7 +226,7 @@ impl DetectorNetwork {
 
     /// The input that the model expects; the largest, if its sides are open.
     pub fn input_format(&self) -> InputFormat {
-        self.preparation.format()
+        self.heads.largest().input_format
     }
 
     /// Names, types and shapes of the model's inputs and outputs, and its metadata.
@@ -329,7 +329,7 @@ impl DetectorNetwork {
     /// Runs the model on pictures of one size and reads its outputs.
     fn answer(&mut self, pictures: &[PreparedPicture]) -> Result<Answered, RunError> {
         let started = Instant::now();
-        let inputs: Vec<_> = pictures.iter().map(PreparedPicture::values).collect();
+        let inputs: Vec<_> = pictures.iter().map(PreparedPicture::tensor).collect();
         let format = self.preparation.format();
         let size = pictures.first().map_or(format.size, WorkerInput::size);
         let head = self.heads.at(size).map_err(RunError::Failed)?;
@@ -379,7 +379,7 @@ impl DetectorNetwork {
             return;
         };
         let format = self.preparation.format();
-        let (values, mapping) = format.cut(picture.values(), picture.source(), size);
+        let (values, mapping) = format.cut(picture.tensor(), picture.source(), size);
         let least = Agreement::least_confidence(self.confidence);
         let reader = &mut self.reader;
         let boxes = self.heads.at(size).and_then(|head| {

@@ -9,7 +9,7 @@ use super::{DetectorConfig, HeadName, HeadSetting, ModelInput, OpenSides, USUAL_
 use crate::onnx::has_half_weights;
 use crate::onnx::{EngineCache, ExecutionProvider, OnnxSession, PictureInput, SessionSettings};
 use crate::onnx::{ShapeRange, Signature, StartError, StartErrorKind, TensorSpec, TensorView};
-use crate::picture::{ColorOrder, Fit, ValueRange};
+use crate::picture::{ColorOrder, Fit, InputFormat, InputTensor, ValueRange};
 use albireo_core::geometry::PictureSize;
 use tracing::{info, warn};
 
@@ -41,6 +41,7 @@ pub(super) fn open(
         let mut session = OnnxSession::open(&settings)?;
         check_batch(config, session.signature())?;
         let heads = head_for(config, &mut session)?;
+        take_pixels(config, &mut session, &heads)?;
         return Ok((session, heads));
     }
     let mut looked_at = OnnxSession::open(&SessionSettings {
@@ -68,12 +69,38 @@ pub(super) fn open(
              detector.gpu.engine_cache to keep it"
         ),
     }
-    let opened = if among == Among::TensorRt {
+    let mut opened = if among == Among::TensorRt {
         OnnxSession::open_with_first(&settings)?
     } else {
         OnnxSession::open(&settings)?
     };
+    take_pixels(config, &mut opened, &heads)?;
     Ok((opened, heads))
+}
+
+/// Has pictures converted where the model runs, if a GPU may run it.
+fn take_pixels(
+    config: &DetectorConfig,
+    session: &mut OnnxSession,
+    heads: &Heads,
+) -> Result<(), StartError> {
+    let format = heads.largest().input_format;
+    if prepared_format(config, format) == format {
+        return Ok(());
+    }
+    session.take_pixels(&config.session_settings(), format)
+}
+
+/// What pictures are prepared as for a model that takes `format`: pixels, if a GPU is among the providers. That holds for
+/// the processor, too, if it runs the model because the GPU does not, so that a picture prepared for one session can be
+/// given to the next.
+fn prepared_format(config: &DetectorConfig, format: InputFormat) -> InputFormat {
+    let on_gpu = config.providers.iter().any(|provider| *provider != ExecutionProvider::Cpu);
+    if on_gpu && !config.gpu.processor_converts {
+        format.as_pixels()
+    } else {
+        format
+    }
 }
 
 /// The shapes that an engine is built for, if the model leaves some open: without them TensorRT would build another for
@@ -116,7 +143,7 @@ pub(super) fn model_input(
         PictureSize::new(1, 1)
     };
     ModelInput {
-        format,
+        format: prepared_format(config, format),
         open: (is_padded && signature.has_open_sides()).then_some(OpenSides { stride, least }),
         head: Some(head.name),
     }
@@ -245,6 +272,6 @@ pub(super) fn run_on_black<R>(
     read: impl FnOnce(&[TensorView<'_>]) -> R,
 ) -> Result<R, String> {
     let format = input.format(Fit::Stretch, ColorOrder::Rgb, ValueRange::To255);
-    let pixels = 3 * usize::try_from(format.size.pixels()).unwrap_or_default();
-    session.run(format.shape(), format.size, &[&vec![0.0; pixels]], read)
+    let zeros = InputTensor::zeros(format.element, format.size);
+    session.run(format.shape(), format.size, &[&zeros], read)
 }

@@ -244,7 +244,11 @@ pub fn compare_with_cpu(
         ..config.clone()
     };
     let mut network = DetectorNetwork::open(&on_cpu)?;
-    let boxes = network.detect(picture)?.detections;
+    // By other code than the graph in front of the model, which is compared, too.
+    let picture = picture
+        .converted(network.input_format())
+        .map_err(|fault| RunError::BadPicture(fault.to_string()))?;
+    let boxes = network.detect(&picture)?.detections;
     Ok(ProviderAgreement::of(
         provider,
         found,

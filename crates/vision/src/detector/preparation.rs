@@ -3,7 +3,8 @@
 
 use super::inputs::Inputs;
 use super::{InputUse, ModelInput};
-use crate::picture::{FrameFault, InputFormat, InputMapping, Letterbox, Picture};
+use crate::picture::{Fit, FrameFault, InputFormat, InputMapping, InputTensor, Letterbox};
+use crate::picture::{Picture, PixelLayout};
 use crate::worker::{RunError, WorkerInput};
 use albireo_core::geometry::PictureSize;
 use parking_lot::Mutex;
@@ -115,9 +116,36 @@ pub(crate) async fn prepare_off_thread(
 }
 
 impl PreparedPicture {
-    /// The input, in the shape of the format, before conversion to the model's element type.
-    pub fn values(&self) -> &[f32] {
-        self.letterbox.as_ref().map_or(&[], Letterbox::tensor)
+    /// The input, in the shape of the format.
+    pub fn tensor(&self) -> &InputTensor {
+        const NONE: &InputTensor = &InputTensor::Bytes(Vec::new());
+        self.letterbox.as_ref().map_or(NONE, Letterbox::tensor)
+    }
+
+    /// A copy in `format`, that of the model: converted, if the picture was prepared as pixels.
+    ///
+    /// # Errors
+    /// None of a picture that was prepared.
+    pub fn converted(&self, format: InputFormat) -> Result<Self, FrameFault> {
+        let InputTensor::Bytes(pixels) = self.tensor() else {
+            return Ok(self.copied());
+        };
+        let size = self.size();
+        let whole = InputFormat {
+            size,
+            fit: Fit::Stretch,
+            ..format
+        };
+        let mut letterbox = Letterbox::new(whole);
+        letterbox.fill(&Picture {
+            size,
+            source_size: size,
+            layout: PixelLayout::Rgb8,
+            pixels: pixels.clone(),
+        })?;
+        let mut converted = self.copied();
+        converted.letterbox = Some(letterbox);
+        Ok(converted)
     }
 
     /// A copy whose buffer is its own.
@@ -187,14 +215,16 @@ mod tests {
             picture.pixels.fill(value);
             preparation.prepare(&picture).unwrap()
         };
-        let holds = |one: &PreparedPicture, value: f32| one.values().iter().all(|&it| it == value);
+        let holds = |one: &PreparedPicture, value: f32| {
+            one.tensor().to_floats().iter().all(|&it| it == value)
+        };
         let (first, second) = (prepared(1), prepared(2));
         assert!(holds(&first, 1.0) && holds(&second, 2.0));
-        let buffer = first.values().as_ptr();
+        let buffer = first.tensor().to_floats().as_ptr();
         drop(first);
         let third = prepared(3);
         assert!(holds(&third, 3.0) && holds(&second, 2.0));
-        assert_eq!(third.values().as_ptr(), buffer);
+        assert_eq!(third.tensor().to_floats().as_ptr(), buffer);
         drop((second, third));
         assert_eq!(preparation.0.idle.lock().len(), 2);
     }

@@ -14,6 +14,9 @@ pub struct GpuConfig {
     /// no limit. Not a node setting.
     #[serde(skip)]
     pub memory_limit_mib: u32,
+    /// True if the processor converts pictures to the model's input for a GPU, too, to compare the two. Not a node setting.
+    #[serde(skip)]
+    pub processor_converts: bool,
     /// True if TensorRT may compute in half precision, normalisation of layers excepted. It does so for a model whose own
     /// weights are in half precision, too.
     pub fp16: bool,

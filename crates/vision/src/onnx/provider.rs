@@ -2,6 +2,8 @@
 
 use super::{GpuConfig, SessionSettings, StartError};
 use ort::ep::{ArenaExtendStrategy, CUDA, ExecutionProviderDispatch, TensorRT};
+use ort::memory::{AllocationDevice, Allocator, AllocatorType, MemoryInfo, MemoryType};
+use ort::session::Session;
 use serde::{Deserialize, Serialize};
 use tracing::warn;
 
@@ -44,6 +46,24 @@ pub(super) fn registrations(
         ExecutionProvider::Cuda => vec![cuda()],
         ExecutionProvider::TensorRt => vec![tensorrt(), cuda()],
     }
+}
+
+/// The memory in which `provider` runs a session.
+pub(super) fn memory(
+    provider: ExecutionProvider,
+    gpu: &GpuConfig,
+    session: &Session,
+) -> ort::Result<Allocator> {
+    if provider == ExecutionProvider::Cpu {
+        return Ok(Allocator::default());
+    }
+    let on_device = MemoryInfo::new(
+        AllocationDevice::CUDA,
+        gpu.device.cast_signed(),
+        AllocatorType::Device,
+        MemoryType::Default,
+    )?;
+    Allocator::new(session, on_device)
 }
 
 fn cuda(gpu: &GpuConfig) -> CUDA {

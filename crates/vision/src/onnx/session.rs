@@ -3,17 +3,21 @@
 use super::{
     ElementType, EngineCache, ExecutionProvider, GpuConfig, Metadata, Signature, StartError,
 };
-use super::{StartErrorKind, TensorSpec, fault, file_kind, onnxruntime, provider};
+use super::{StartErrorKind, TensorSpec, conversion::Conversion};
+use super::{fault, file_kind, onnxruntime, provider};
+use crate::picture::{InputFormat, InputTensor};
 use albireo_core::geometry::PictureSize;
 use half::f16;
 use half::slice::HalfFloatSliceExt;
 use ort::environment::Environment;
 use ort::logging::LogLevel;
+use ort::session::builder::SessionBuilder;
 use ort::session::{Session, SessionInputValue};
 use ort::value::{DynValue, Outlet, Tensor, TensorElementType, TensorRef, ValueType};
 use std::borrow::Cow;
 use std::path::PathBuf;
 use std::time::Duration;
+use tracing::warn;
 
 /// The shapes between which TensorRT must run a model, each for all inputs as `name:1x3x416x416,…`. ONNX Runtime runs only
 /// the first optimisation profile of an engine, so there is one for all shapes, built for the usual one
@@ -62,6 +66,8 @@ pub struct OnnxSession {
     signature: Signature,
     provider: ExecutionProvider,
     engines: Option<EngineCache>,
+    /// What turns pixels into the input.
+    conversion: Option<Conversion>,
     buffers: RunBuffers,
 }
 
@@ -124,6 +130,7 @@ impl OnnxSession {
             signature,
             provider,
             engines: settings.engines.clone(),
+            conversion: None,
             buffers: RunBuffers::default(),
         })
     }
@@ -148,9 +155,52 @@ impl OnnxSession {
         self.provider
     }
 
-    /// Runs the model on `pictures`, each as float32; converts them if the model takes float16 or bytes. `shape` is that
-    /// of one picture, and `size` its columns and rows. Further inputs of a model, such as the picture's size, are
-    /// filled from `size`. `read` gets the outputs in the order of the signature.
+    /// Has pictures of `format.as_pixels()` converted to `format`, the model's own, where the model runs; from then on
+    /// [`run`](Self::run) takes pixels.
+    ///
+    /// # Errors
+    /// If ONNX Runtime does not take the graph, not even on the processor.
+    pub(crate) fn take_pixels(
+        &mut self,
+        settings: &SessionSettings,
+        format: InputFormat,
+    ) -> Result<(), StartError> {
+        let element = self.signature.picture().map_or(&ElementType::Float32, |it| &it.element);
+        let environment = onnxruntime::environment(settings.onnxruntime.as_deref())?;
+        let open = |provider| {
+            Conversion::open(
+                format,
+                element,
+                &builder(&environment, settings, provider)?,
+                |session| provider::memory(provider, &settings.gpu, session),
+            )
+        };
+        // TensorRT would build an engine for a few sums.
+        let here = match self.provider {
+            ExecutionProvider::TensorRt => ExecutionProvider::Cuda,
+            provider => provider,
+        };
+        let opened = open(here).or_else(|error| {
+            warn!(
+                provider = here.as_str(),
+                error = in_words(&error),
+                "pictures are converted by the processor"
+            );
+            open(ExecutionProvider::Cpu)
+        });
+        let failed = |error: ort::Error| {
+            StartError::first_run(
+                &settings.model,
+                format_args!("the graph in front of it: {}", in_words(&error)),
+            )
+        };
+        self.conversion = Some(opened.map_err(failed)?);
+        Ok(())
+    }
+
+    /// Runs the model on `pictures`, each in the model's elements, or as float32 for float16, or as pixels if the session
+    /// takes these. `shape` is that of one picture, and `size` its columns and rows. Further inputs of a model, such as the
+    /// picture's size, are filled from `size`. `read` gets the outputs in the order of the signature.
     ///
     /// # Errors
     /// If ONNX Runtime fails: its words.
@@ -158,20 +208,27 @@ impl OnnxSession {
         &mut self,
         mut shape: [i64; 4],
         size: PictureSize,
-        pictures: &[&[f32]],
+        pictures: &[&InputTensor],
         read: impl FnOnce(&[TensorView<'_>]) -> R,
     ) -> Result<R, String> {
         let failed = |error: ort::Error| in_words(&error);
         let Self {
             session,
             signature,
+            conversion,
             buffers,
             ..
         } = self;
         let batch = pictures.len();
         shape[0] = i64::try_from(batch).unwrap_or(i64::MAX);
         let element = signature.picture().map(|input| &input.element);
-        let mut picture = Some(buffers.input(element, shape, pictures).map_err(failed)?);
+        let input = match conversion {
+            Some(conversion) => {
+                conversion.run(shape, buffers.bytes(pictures)).map(SessionInputValue::from)
+            }
+            None => buffers.input(element, shape, pictures),
+        };
+        let mut picture = Some(input.map_err(failed)?);
         let mut inputs: Vec<SessionInputValue<'_>> = Vec::with_capacity(signature.inputs.len());
         for input in &signature.inputs {
             match beside(input, size, batch) {
@@ -189,46 +246,66 @@ impl OnnxSession {
 }
 
 impl RunBuffers {
-    /// The input of `pictures` in these elements. A single picture in float32 is not copied.
+    /// The input of `pictures` in these elements. A single picture in the model's own is not copied.
     fn input<'a>(
         &'a mut self,
         element: Option<&ElementType>,
         shape: [i64; 4],
-        pictures: &[&'a [f32]],
+        pictures: &[&'a InputTensor],
     ) -> ort::Result<SessionInputValue<'a>> {
-        match (element, pictures) {
-            (Some(ElementType::Float16), _) => {
-                let length = pictures.iter().map(|values| values.len()).sum();
-                self.halves.resize(length, f16::ZERO);
-                let mut place = 0;
-                for values in pictures {
-                    // Converts eight at a time if the processor can; a loop over single values does not.
-                    self.halves[place..][..values.len()].convert_from_f32_slice(values);
-                    place += values.len();
-                }
-                let input = TensorRef::from_array_view((shape, self.halves.as_slice()))?;
+        match element {
+            Some(ElementType::Uint8) => {
+                let input = TensorRef::from_array_view((shape, self.bytes(pictures)))?;
                 Ok(SessionInputValue::from(input))
             }
-            (Some(ElementType::Uint8), _) => {
-                self.bytes.clear();
-                let values = pictures.iter().copied().flatten();
-                self.bytes.extend(values.map(|&value| value.round() as u8));
-                let input = TensorRef::from_array_view((shape, self.bytes.as_slice()))?;
+            Some(ElementType::Float16) => {
+                let input = TensorRef::from_array_view((shape, self.halves(pictures)))?;
                 Ok(SessionInputValue::from(input))
             }
-            (_, [one]) => {
-                let input = TensorRef::from_array_view((shape, *one))?;
-                Ok(SessionInputValue::from(input))
-            }
-            (_, several) => {
-                self.floats.clear();
-                for values in several {
-                    self.floats.extend_from_slice(values);
-                }
-                let input = TensorRef::from_array_view((shape, self.floats.as_slice()))?;
+            _ => {
+                let input = TensorRef::from_array_view((shape, self.floats(pictures)))?;
                 Ok(SessionInputValue::from(input))
             }
         }
+    }
+
+    fn bytes<'a>(&'a mut self, pictures: &[&'a InputTensor]) -> &'a [u8] {
+        if let [InputTensor::Bytes(one)] = pictures {
+            return one;
+        }
+        self.bytes.clear();
+        for picture in pictures {
+            match picture {
+                InputTensor::Bytes(values) => self.bytes.extend_from_slice(values),
+                InputTensor::Floats(values) => {
+                    self.bytes.extend(values.iter().map(|&value| value.round() as u8));
+                }
+            }
+        }
+        &self.bytes
+    }
+
+    fn floats<'a>(&'a mut self, pictures: &[&'a InputTensor]) -> &'a [f32] {
+        if let [InputTensor::Floats(one)] = pictures {
+            return one;
+        }
+        self.floats.clear();
+        for picture in pictures {
+            self.floats.extend_from_slice(&picture.to_floats());
+        }
+        &self.floats
+    }
+
+    fn halves(&mut self, pictures: &[&InputTensor]) -> &[f16] {
+        self.halves.clear();
+        for picture in pictures {
+            let values = picture.to_floats();
+            let start = self.halves.len();
+            self.halves.resize(start + values.len(), f16::ZERO);
+            // Converts eight at a time if the processor can; a loop over single values does not.
+            self.halves[start..].convert_from_f32_slice(&values);
+        }
+        &self.halves
     }
 }
 
@@ -291,6 +368,15 @@ fn build(
     settings: &SessionSettings,
     provider: ExecutionProvider,
 ) -> ort::Result<Session> {
+    builder(environment, settings, provider)?.commit_from_file(&settings.model)
+}
+
+/// The options of a session.
+fn builder(
+    environment: &Environment,
+    settings: &SessionSettings,
+    provider: ExecutionProvider,
+) -> ort::Result<SessionBuilder> {
     let threads = match settings.threads {
         0 => std::thread::available_parallelism().map_or(1, |cores| (cores.get() - 1).max(1)),
         threads => threads,
@@ -305,7 +391,7 @@ fn build(
     if !registrations.is_empty() {
         builder = builder.with_execution_providers(registrations)?;
     }
-    builder.commit_from_file(&settings.model)
+    Ok(builder)
 }
 
 /// Returns why the model does not load. A missing device shows only when the session is created, in words of many kinds,

@@ -1,7 +1,7 @@
 //! The signature of a model: names, element types and shapes of its inputs and outputs, and metadata.
 
 use super::Metadata;
-use crate::picture::{ColorOrder, Fit, InputFormat, TensorLayout, ValueRange};
+use crate::picture::{ColorOrder, Fit, InputElement, InputFormat, TensorLayout, ValueRange};
 use albireo_core::geometry::PictureSize;
 use std::fmt;
 
@@ -77,6 +77,11 @@ impl PictureInput {
                 value_range
             },
             layout: self.layout,
+            element: if self.takes_bytes {
+                InputElement::Byte
+            } else {
+                InputElement::Float
+            },
         }
     }
 }

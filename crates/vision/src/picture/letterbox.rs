@@ -6,6 +6,7 @@ use fast_image_resize::images::{TypedImage, TypedImageRef};
 use fast_image_resize::pixels::U8x3;
 use fast_image_resize::{FilterType, ResizeAlg, ResizeOptions, Resizer};
 use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 use std::error::Error;
 
 /// The order of the colour planes that a network expects.
@@ -30,7 +31,7 @@ impl ColorOrder {
 }
 
 /// The grey of the margin, the same for YOLOX and Ultralytics.
-const MARGIN: f32 = 114.0;
+const MARGIN: u8 = 114;
 
 /// The way a picture is fitted to the network's input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -105,9 +106,9 @@ impl ValueRange {
 
 /// The conversion of a colour's values: a factor, and an offset that is added afterwards.
 #[derive(Clone, Copy)]
-struct Conversion {
-    factor: f32,
-    offset: f32,
+pub(crate) struct Conversion {
+    pub(crate) factor: f32,
+    pub(crate) offset: f32,
 }
 
 impl Conversion {
@@ -138,7 +139,16 @@ pub enum TensorLayout {
     Nhwc,
 }
 
-/// The input that a network expects: one picture of `size`, float32.
+/// The type of a network's numbers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum InputElement {
+    /// float32, or float16 made of it.
+    Float,
+    /// Bytes, which are pixel values from 0 to 255.
+    Byte,
+}
+
+/// The input that a network expects: one picture of `size`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct InputFormat {
     /// Columns and rows of a plane; the largest, for a network with open sides.
@@ -151,9 +161,22 @@ pub struct InputFormat {
     pub value_range: ValueRange,
     /// The position of the colours.
     pub layout: TensorLayout,
+    /// The type of the numbers.
+    pub element: InputElement,
 }
 
 impl InputFormat {
+    /// The same picture as pixels: bytes of red, green and blue, side by side.
+    pub(crate) fn as_pixels(self) -> Self {
+        Self {
+            color_order: ColorOrder::Rgb,
+            value_range: ValueRange::To255,
+            layout: TensorLayout::Nhwc,
+            element: InputElement::Byte,
+            ..self
+        }
+    }
+
     /// The shape of the input.
     pub fn shape(&self) -> [i64; 4] {
         self.shape_of(self.size)
@@ -201,14 +224,32 @@ impl InputFormat {
         1.0 - covered / (size.pixels() as f64).max(1.0)
     }
 
-    /// Cuts the input of `size` out of `values`, the largest input filled with a picture of `source`; also returns its
+    /// Cuts the input of `size` out of `largest`, the largest input filled with a picture of `source`; also returns its
     /// mapping.
     pub(crate) fn cut(
         &self,
-        values: &[f32],
+        largest: &InputTensor,
         source: PictureSize,
         size: PictureSize,
-    ) -> (Vec<f32>, InputMapping) {
+    ) -> (InputTensor, InputMapping) {
+        match largest {
+            InputTensor::Floats(values) => {
+                let (cut, mapping) = self.cut_values(values, source, size);
+                (InputTensor::Floats(cut), mapping)
+            }
+            InputTensor::Bytes(values) => {
+                let (cut, mapping) = self.cut_values(values, source, size);
+                (InputTensor::Bytes(cut), mapping)
+            }
+        }
+    }
+
+    fn cut_values<T: Copy>(
+        &self,
+        values: &[T],
+        source: PictureSize,
+        size: PictureSize,
+    ) -> (Vec<T>, InputMapping) {
         let (from, _) = place(source, *self, self.size);
         let (to, mapping) = place(source, *self, size);
         let left = (from.left - to.left) as usize;
@@ -234,7 +275,7 @@ impl InputFormat {
     }
 
     /// The network's colour planes in order.
-    fn planes(&self) -> [ColorPlane; 3] {
+    pub(crate) fn planes(&self) -> [ColorPlane; 3] {
         let conversions = self.value_range.conversions();
         let order = match self.color_order {
             ColorOrder::Rgb => [0, 1, 2],
@@ -248,10 +289,57 @@ impl InputFormat {
 }
 
 /// One of a network's colour planes.
-struct ColorPlane {
+pub(crate) struct ColorPlane {
     /// The index of its colour in red, green, blue.
-    color: usize,
-    conversion: Conversion,
+    pub(crate) color: usize,
+    pub(crate) conversion: Conversion,
+}
+
+/// The numbers of an input, in the shape of its format.
+#[derive(Clone, Debug, PartialEq)]
+pub enum InputTensor {
+    /// As float32.
+    Floats(Vec<f32>),
+    /// As bytes.
+    Bytes(Vec<u8>),
+}
+
+impl InputTensor {
+    /// Zeros for an input of `size`.
+    pub(crate) fn zeros(element: InputElement, size: PictureSize) -> Self {
+        let values = 3 * size.width as usize * size.height as usize;
+        match element {
+            InputElement::Float => Self::Floats(vec![0.0; values]),
+            InputElement::Byte => Self::Bytes(vec![0; values]),
+        }
+    }
+
+    /// The numbers as float32; bytes keep their values.
+    pub fn to_floats(&self) -> Cow<'_, [f32]> {
+        match self {
+            Self::Floats(values) => Cow::Borrowed(values),
+            Self::Bytes(values) => values.iter().copied().map(f32::from).collect(),
+        }
+    }
+}
+
+/// A number of an input.
+trait Number: Copy {
+    /// The number of a pixel's value, converted.
+    fn of(value: u8, conversion: Conversion) -> Self;
+}
+
+impl Number for f32 {
+    fn of(value: u8, conversion: Conversion) -> Self {
+        conversion.apply(Self::from(value))
+    }
+}
+
+impl Number for u8 {
+    /// Bytes are pixel values, whatever the network makes of them.
+    fn of(value: u8, _: Conversion) -> Self {
+        value
+    }
 }
 
 /// The mapping from the input's pixels back to normalised coordinates of the source picture.
@@ -296,7 +384,7 @@ pub struct Letterbox {
     size: PictureSize,
     resizer: Resizer,
     resized: Vec<u8>,
-    tensor: Vec<f32>,
+    tensor: InputTensor,
     /// The placement for which the tensor's margin is filled.
     filled: Option<Placement>,
 }
@@ -309,13 +397,12 @@ impl Letterbox {
 
     /// Creates a letterbox for an input of `size`, at most that of the format.
     pub(crate) fn of_size(format: InputFormat, size: PictureSize) -> Self {
-        let plane = size.width as usize * size.height as usize;
         Self {
             format,
             size,
             resizer: Resizer::new(),
             resized: Vec::new(),
-            tensor: vec![0.0; 3 * plane],
+            tensor: InputTensor::zeros(format.element, size),
             filled: None,
         }
     }
@@ -326,7 +413,7 @@ impl Letterbox {
     }
 
     /// The input, in the shape of the format, with the content of the last [`fill`](Self::fill).
-    pub fn tensor(&self) -> &[f32] {
+    pub fn tensor(&self) -> &InputTensor {
         &self.tensor
     }
 
@@ -340,7 +427,10 @@ impl Letterbox {
         // Uses the size before the decoder scaled it, so that scaling moves nothing.
         let (placement, mapping) = place(picture.source_size, self.format, self.size);
         if self.filled != Some(placement) {
-            self.fill_margin();
+            match &mut self.tensor {
+                InputTensor::Floats(values) => fill_margin(&self.format, values),
+                InputTensor::Bytes(values) => fill_margin(&self.format, values),
+            }
             self.filled = Some(placement);
         }
         let fits = picture.size == PictureSize::new(placement.width, placement.height);
@@ -352,31 +442,16 @@ impl Letterbox {
             })?;
             &self.resized
         };
-        let convert = match self.format.layout {
-            TensorLayout::Nchw => convert::<1>,
-            TensorLayout::Nhwc => convert::<3>,
-        };
-        convert(&self.format, self.size, placement, pixels, &mut self.tensor);
-        Ok(mapping)
-    }
-
-    /// Sets every pixel to the margin's value.
-    fn fill_margin(&mut self) {
-        let values = self.format.planes().map(|plane| plane.conversion.apply(MARGIN));
-        match self.format.layout {
-            TensorLayout::Nchw => {
-                let plane_values = self.tensor.len() / 3;
-                let planes = self.tensor.chunks_exact_mut(plane_values.max(1));
-                for (plane, value) in planes.zip(values) {
-                    plane.fill(value);
-                }
+        match &mut self.tensor {
+            InputTensor::Floats(values) => {
+                put(&self.format, self.size, placement, pixels, values);
             }
-            TensorLayout::Nhwc => {
-                for pixel in self.tensor.chunks_exact_mut(3) {
-                    pixel.copy_from_slice(&values);
-                }
+            InputTensor::Bytes(values) if self.format == self.format.as_pixels() => {
+                copy_rows(self.size, placement, pixels, values);
             }
+            InputTensor::Bytes(values) => put(&self.format, self.size, placement, pixels, values),
         }
+        Ok(mapping)
     }
 
     fn resize(&mut self, picture: &Picture, placement: Placement) -> Result<(), Box<dyn Error>> {
@@ -394,14 +469,58 @@ impl Letterbox {
     }
 }
 
-/// Converts interleaved bytes to float32. `STEP` is the distance between two values of one colour in the tensor: 1 if
-/// each colour has a plane, 3 if colours are interleaved.
-fn convert<const STEP: usize>(
+/// Sets every pixel to the margin's value.
+fn fill_margin<T: Number>(format: &InputFormat, tensor: &mut [T]) {
+    let values = format.planes().map(|plane| T::of(MARGIN, plane.conversion));
+    match format.layout {
+        TensorLayout::Nchw => {
+            let plane_values = tensor.len() / 3;
+            let planes = tensor.chunks_exact_mut(plane_values.max(1));
+            for (plane, value) in planes.zip(values) {
+                plane.fill(value);
+            }
+        }
+        TensorLayout::Nhwc => {
+            for pixel in tensor.chunks_exact_mut(3) {
+                pixel.copy_from_slice(&values);
+            }
+        }
+    }
+}
+
+/// Copies pixels to their place in an input of pixels.
+fn copy_rows(size: PictureSize, placement: Placement, pixels: &[u8], tensor: &mut [u8]) {
+    let columns = size.width as usize;
+    let length = placement.width as usize * 3;
+    for (row, pixels) in pixels.chunks_exact(length).enumerate() {
+        let start = ((placement.top as usize + row) * columns + placement.left as usize) * 3;
+        tensor[start..][..length].copy_from_slice(pixels);
+    }
+}
+
+/// Puts pixels in their place, converted.
+fn put<T: Number>(
     format: &InputFormat,
     size: PictureSize,
     placement: Placement,
     pixels: &[u8],
-    tensor: &mut [f32],
+    tensor: &mut [T],
+) {
+    let convert = match format.layout {
+        TensorLayout::Nchw => convert::<1, T>,
+        TensorLayout::Nhwc => convert::<3, T>,
+    };
+    convert(format, size, placement, pixels, tensor);
+}
+
+/// Converts interleaved bytes. `STEP` is the distance between two values of one colour in the tensor: 1 if each colour has
+/// a plane, 3 if colours are interleaved.
+fn convert<const STEP: usize, T: Number>(
+    format: &InputFormat,
+    size: PictureSize,
+    placement: Placement,
+    pixels: &[u8],
+    tensor: &mut [T],
 ) {
     let columns = size.width as usize;
     let width = placement.width as usize;
@@ -417,7 +536,7 @@ fn convert<const STEP: usize>(
         for (index, plane) in planes.iter().enumerate() {
             let targets = tensor[index * color_distance + start..].chunks_mut(STEP);
             for (target, pixel) in targets.zip(pixels.chunks_exact(3)) {
-                target[0] = plane.conversion.apply(f32::from(pixel[plane.color]));
+                target[0] = T::of(pixel[plane.color], plane.conversion);
             }
         }
     }

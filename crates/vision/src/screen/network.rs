@@ -55,7 +55,7 @@ impl ScreenNetwork {
     fn infer(&mut self, picture: &PreparedPicture) -> Result<Logits, RunError> {
         let InputFormat { size, .. } = self.format;
         let shape = self.format.shape();
-        let ran = self.session.run(shape, size, &[picture.values()], |outputs| {
+        let ran = self.session.run(shape, size, &[picture.tensor()], |outputs| {
             let values = outputs.first().map(|output| output.values);
             match values {
                 Some(&[first, second]) if first.is_finite() && second.is_finite() => {

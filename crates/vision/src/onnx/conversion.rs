@@ -1,0 +1,278 @@
+//! A small graph in front of a model, which turns pixels into the model's input where the model runs: a GPU is sent a byte
+//! for each number instead of four, and the processor is spared the conversion.
+
+use super::ElementType;
+use crate::picture::{ColorOrder, InputFormat, TensorLayout};
+use ort::editor::{Graph, Model, Node, ONNX_DOMAIN, Opset};
+use ort::memory::Allocator;
+use ort::operator::Attribute;
+use ort::session::builder::SessionBuilder;
+use ort::session::{OutputSelector, RunOptions, Session};
+use ort::value::{
+    DynTensor, DynValue, Outlet, Shape, SymbolicDimensions, Tensor, TensorElementType, TensorRef,
+    ValueType,
+};
+
+/// The version of ONNX whose operators the graph uses; any since 13 has them.
+const OPSET: u32 = 17;
+
+const PIXELS: &str = "pixels";
+const CONVERTED: &str = "converted";
+
+/// The graph as a session, and where its output is put.
+pub(super) struct Conversion {
+    session: Session,
+    /// Memory of the device that runs the model.
+    memory: Allocator,
+    layout: TensorLayout,
+    element: TensorElementType,
+}
+
+impl Conversion {
+    /// Builds the graph that turns `format.as_pixels()` into `format`, in the elements that the model takes. `memory`
+    /// chooses where the output of the session is put.
+    pub(super) fn open(
+        format: InputFormat,
+        element: &ElementType,
+        options: &SessionBuilder,
+        memory: impl FnOnce(&Session) -> ort::Result<Allocator>,
+    ) -> ort::Result<Self> {
+        let element = match element {
+            ElementType::Float16 => TensorElementType::Float16,
+            ElementType::Uint8 => TensorElementType::Uint8,
+            _ => TensorElementType::Float32,
+        };
+        let mut model = Model::new([Opset::new(ONNX_DOMAIN, OPSET)?])?;
+        model.set_graph(graph(format, element)?)?;
+        let session = model.into_session(options)?;
+        Ok(Self {
+            memory: memory(&session)?,
+            session,
+            layout: format.layout,
+            element,
+        })
+    }
+
+    /// Converts pictures of `shape`, `[batch, rows, columns, 3]`, one after another. The result stays where the model runs.
+    pub(super) fn run(&mut self, shape: [i64; 4], pixels: &[u8]) -> ort::Result<DynValue> {
+        let [batch, rows, columns, colours] = shape;
+        let converted = match self.layout {
+            TensorLayout::Nchw => [batch, colours, rows, columns],
+            TensorLayout::Nhwc => shape,
+        };
+        let converted = DynTensor::new(&self.memory, self.element, converted)?;
+        let outputs = OutputSelector::default().preallocate(CONVERTED, converted);
+        let options = RunOptions::new()?.with_outputs(outputs);
+        let input = TensorRef::from_array_view((shape, pixels))?;
+        let mut outputs = self.session.run_with_options(ort::inputs![input], &options)?;
+        outputs
+            .remove(CONVERTED)
+            .ok_or_else(|| ort::Error::new("the graph in front of the model has no output"))
+    }
+}
+
+/// The nodes in the order in which they run.
+fn graph(format: InputFormat, element: TensorElementType) -> ort::Result<Graph> {
+    let mut graph = Graph::new()?;
+    let any_size = |shape: [i64; 4], ty| ValueType::Tensor {
+        ty,
+        shape: Shape::new(shape),
+        dimension_symbols: SymbolicDimensions::empty(4),
+    };
+    let (colours, shape) = match format.layout {
+        TensorLayout::Nchw => (1, [-1, 3, -1, -1]),
+        TensorLayout::Nhwc => (3, [-1, -1, -1, 3]),
+    };
+    let pixels = any_size([-1, -1, -1, 3], TensorElementType::Uint8);
+    graph.set_inputs([Outlet::new(PIXELS, pixels)])?;
+    graph.set_outputs([Outlet::new(CONVERTED, any_size(shape, element))])?;
+    let mut line = Line {
+        graph: &mut graph,
+        last: PIXELS.to_owned(),
+    };
+    if format.layout == TensorLayout::Nchw {
+        line.add(
+            "Transpose",
+            None,
+            [Attribute::new("perm", vec![0_i64, 3, 1, 2])?],
+        )?;
+    }
+    if format.color_order == ColorOrder::Bgr {
+        let order = tensor(&[3], &[2_i64, 1, 0])?;
+        line.graph.add_initializer("order", order, false)?;
+        line.add("Gather", Some("order"), [Attribute::new("axis", colours)?])?;
+    }
+    if element != TensorElementType::Uint8 {
+        line.cast(TensorElementType::Float32)?;
+        let planes = format.planes();
+        let mut each_colour = [1, 1, 1, 1];
+        each_colour[colours as usize] = 3;
+        let factors = planes.each_ref().map(|plane| plane.conversion.factor);
+        if factors != [1.0; 3] {
+            line.graph.add_initializer("factors", tensor(&each_colour, &factors)?, false)?;
+            line.add("Mul", Some("factors"), [])?;
+        }
+        let offsets = planes.map(|plane| plane.conversion.offset);
+        if offsets != [0.0; 3] {
+            line.graph.add_initializer("offsets", tensor(&each_colour, &offsets)?, false)?;
+            line.add("Add", Some("offsets"), [])?;
+        }
+        if element == TensorElementType::Float16 {
+            line.cast(TensorElementType::Float16)?;
+        }
+    }
+    // The output has a name of its own, whichever node is the last.
+    let end = Node::new(
+        "Identity",
+        ONNX_DOMAIN,
+        "end",
+        [&line.last],
+        [CONVERTED],
+        [],
+    )?;
+    graph.add_node(end)?;
+    Ok(graph)
+}
+
+/// Nodes, each of which takes what the one before it returns.
+struct Line<'a> {
+    graph: &'a mut Graph,
+    /// The output of the last one.
+    last: String,
+}
+
+impl Line<'_> {
+    /// Adds a node, with a second input beside the output of the last one.
+    fn add(
+        &mut self,
+        operator: &str,
+        beside: Option<&str>,
+        attributes: impl IntoIterator<Item = Attribute>,
+    ) -> ort::Result<()> {
+        let name = format!("{}-{}", self.last, operator.to_lowercase());
+        let mut inputs = vec![self.last.as_str()];
+        inputs.extend(beside);
+        let node = Node::new(operator, ONNX_DOMAIN, &name, inputs, [&name], attributes)?;
+        self.graph.add_node(node)?;
+        self.last = name;
+        Ok(())
+    }
+
+    fn cast(&mut self, to: TensorElementType) -> ort::Result<()> {
+        // Numbers of `TensorProto.DataType` of ONNX.
+        let to: i64 = match to {
+            TensorElementType::Float16 => 10,
+            _ => 1,
+        };
+        self.add("Cast", None, [Attribute::new("to", to)?])
+    }
+}
+
+/// A tensor that a graph can keep: in memory of ONNX Runtime.
+fn tensor<T: ort::value::PrimitiveTensorElementType + Copy + std::fmt::Debug>(
+    shape: &[i64],
+    values: &[T],
+) -> ort::Result<Tensor<T>> {
+    let mut tensor = Tensor::<T>::new(&Allocator::default(), Shape::new(shape.iter().copied()))?;
+    tensor.extract_tensor_mut().1.copy_from_slice(values);
+    Ok(tensor)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::onnx::onnxruntime;
+    use crate::picture::{Fit, InputElement, InputTensor, Letterbox, Picture, ValueRange};
+    use albireo_core::geometry::PictureSize;
+    use half::f16;
+
+    const SIZE: PictureSize = PictureSize::new(48, 32);
+
+    /// Two pictures of all grey levels and more.
+    fn pictures() -> [Picture; 2] {
+        [17, 101].map(|step| {
+            let mut picture = Picture::black(PictureSize::new(48, 20));
+            for (place, value) in picture.pixels.iter_mut().enumerate() {
+                *value = (place * step % 256) as u8;
+            }
+            picture
+        })
+    }
+
+    fn letterboxed(format: InputFormat) -> Vec<InputTensor> {
+        let fill = |picture| {
+            let mut letterbox = Letterbox::new(format);
+            letterbox.fill(&picture).unwrap();
+            letterbox.tensor().clone()
+        };
+        pictures().map(fill).into()
+    }
+
+    fn converted(format: InputFormat, element: &ElementType) -> DynValue {
+        let environment = onnxruntime::environment(None).unwrap();
+        let options = Session::builder(&environment).unwrap();
+        let memory = |_: &Session| Ok(Allocator::default());
+        let mut conversion = Conversion::open(format, element, &options, memory).unwrap();
+        let mut pixels = Vec::new();
+        for tensor in letterboxed(format.as_pixels()) {
+            match tensor {
+                InputTensor::Bytes(bytes) => pixels.extend(bytes),
+                InputTensor::Floats(_) => panic!("pixels are bytes"),
+            }
+        }
+        let mut shape = format.as_pixels().shape();
+        shape[0] = 2;
+        conversion.run(shape, &pixels).unwrap()
+    }
+
+    fn floats(format: InputFormat) -> Vec<f32> {
+        let tensors = letterboxed(format);
+        tensors.iter().flat_map(|tensor| tensor.to_floats().into_owned()).collect()
+    }
+
+    #[test]
+    #[ignore = "needs ONNX Runtime"]
+    fn the_graph_makes_the_very_numbers_that_the_letterbox_makes() {
+        for layout in [TensorLayout::Nchw, TensorLayout::Nhwc] {
+            for color_order in [ColorOrder::Rgb, ColorOrder::Bgr] {
+                for value_range in [ValueRange::To255, ValueRange::ToOne, ValueRange::ImageNet] {
+                    let format = InputFormat {
+                        size: SIZE,
+                        fit: Fit::Centre,
+                        color_order,
+                        value_range,
+                        layout,
+                        element: InputElement::Float,
+                    };
+                    let expected = floats(format);
+                    let found = converted(format, &ElementType::Float32);
+                    let (shape, values) = found.try_extract_tensor::<f32>().unwrap();
+                    assert_eq!(shape[1..], format.shape()[1..], "{format:?}");
+                    assert!(values == expected, "{format:?}");
+                    let found = converted(format, &ElementType::Float16);
+                    let (_, halves) = found.try_extract_tensor::<f16>().unwrap();
+                    assert!(
+                        halves.iter().copied().eq(expected.iter().map(|&it| f16::from_f32(it))),
+                        "{format:?}"
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    #[ignore = "needs ONNX Runtime"]
+    fn a_model_that_takes_bytes_gets_them_in_its_layout_and_order() {
+        let format = InputFormat {
+            size: SIZE,
+            fit: Fit::TopLeft,
+            color_order: ColorOrder::Bgr,
+            value_range: ValueRange::To255,
+            layout: TensorLayout::Nchw,
+            element: InputElement::Byte,
+        };
+        let found = converted(format, &ElementType::Uint8);
+        let (_, bytes) = found.try_extract_tensor::<u8>().unwrap();
+        assert!(bytes.iter().copied().map(f32::from).eq(floats(format)));
+    }
+}
