@@ -12,6 +12,7 @@ mod onnxruntime;
 mod provider;
 mod session;
 mod signature;
+mod waiting;
 
 pub(crate) use engine_cache::{EngineCache, last_build};
 pub use error::{StartError, StartErrorKind};

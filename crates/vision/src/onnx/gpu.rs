@@ -17,6 +17,10 @@ pub struct GpuConfig {
     /// True if the processor converts pictures to the model's input for a GPU, too, to compare the two. Not a node setting.
     #[serde(skip)]
     pub processor_converts: bool,
+    /// True if the processor may spin while it waits for the GPU, as CUDA chooses: an answer comes some hundredths of a
+    /// millisecond sooner, and a core is busy as long as the model runs. Otherwise it sleeps, in the whole program, from
+    /// the first session that does not spin.
+    pub spin: bool,
     /// True if TensorRT may compute in half precision, normalisation of layers excepted. It does so for a model whose own
     /// weights are in half precision, too.
     pub fp16: bool,

@@ -4,7 +4,7 @@ use super::{
     ElementType, EngineCache, ExecutionProvider, GpuConfig, Metadata, Signature, StartError,
 };
 use super::{StartErrorKind, TensorSpec, conversion::Conversion};
-use super::{fault, file_kind, onnxruntime, provider};
+use super::{fault, file_kind, onnxruntime, provider, waiting};
 use crate::picture::{InputFormat, InputTensor};
 use albireo_core::geometry::PictureSize;
 use half::f16;
@@ -17,7 +17,7 @@ use ort::value::{DynValue, Outlet, Tensor, TensorElementType, TensorRef, ValueTy
 use std::borrow::Cow;
 use std::path::PathBuf;
 use std::time::Duration;
-use tracing::warn;
+use tracing::{info, warn};
 
 /// The shapes between which TensorRT must run a model, each for all inputs as `name:1x3x416x416,…`. ONNX Runtime runs only
 /// the first optimisation profile of an engine, so there is one for all shapes, built for the usual one
@@ -120,6 +120,15 @@ impl OnnxSession {
     ) -> Result<Self, StartError> {
         let session = build(environment, settings, provider)
             .map_err(|error| refusal(environment, settings, provider, &in_words(&error)))?;
+        if provider != ExecutionProvider::Cpu
+            && !settings.gpu.spin
+            && let Err(reason) = waiting::sleep(settings.gpu.device)
+        {
+            info!(
+                reason,
+                "the processor keeps a core busy while it waits for the GPU"
+            );
+        }
         let signature = Signature {
             inputs: session.inputs().iter().map(spec).collect(),
             outputs: session.outputs().iter().map(spec).collect(),

@@ -1,0 +1,95 @@
+//! How the processor waits for a GPU: CUDA keeps a core busy with asking, unless it is told to sleep.
+
+use cudarc::driver::CudaContext;
+use cudarc::driver::sys::CUctx_flags;
+use std::thread::Builder;
+
+/// Has the threads that wait for `device` sleep until it is done, from now on and in the whole program.
+///
+/// # Errors
+/// If the driver is older than that of CUDA 12.1, which brought the call, or refuses.
+pub(super) fn sleep(device: u32) -> Result<(), String> {
+    // On a thread of its own: the call binds its thread to the device, and a driver without the call is a panic there.
+    let thread = Builder::new().name("cuda-waiting".to_owned()).spawn(move || {
+        let context = CudaContext::new(device as usize)?;
+        context.set_flags(CUctx_flags::CU_CTX_SCHED_BLOCKING_SYNC)
+    });
+    match thread.map(|thread| thread.join()) {
+        Ok(Ok(Ok(()))) => Ok(()),
+        Ok(Ok(Err(error))) => Err(error.to_string()),
+        Ok(Err(_)) => Err("its driver is older than that of CUDA 12.1".to_owned()),
+        Err(error) => Err(error.to_string()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::Path;
+    use std::process::Command;
+
+    /// A driver that writes down what it is asked for. Without `FLAGS` it is older than the call.
+    const DRIVER: &str = r#"
+        #include <stdio.h>
+        #include <stdlib.h>
+        static int asked(const char *what, int number) {
+            FILE *file = fopen(getenv("ASKED"), "a");
+            fprintf(file, "%s %d\n", what, number);
+            return fclose(file);
+        }
+        int cuInit(unsigned flags) { return 0; }
+        int cuDeviceGet(int *device, int ordinal) { *device = 40 + ordinal; return 0; }
+        int cuDeviceGetAttribute(int *value, int attribute, int device) { *value = 0; return 0; }
+        int cuDevicePrimaryCtxRetain(void **context, int device) {
+            *context = (void *)1;
+            return asked("retain", device);
+        }
+        int cuDevicePrimaryCtxRelease_v2(int device) { return asked("release", device); }
+        int cuCtxGetCurrent(void **context) { *context = 0; return 0; }
+        int cuCtxSetCurrent(void *context) { return 0; }
+        #ifdef FLAGS
+        int cuCtxSetFlags(unsigned flags) { return asked("flags", flags); }
+        #endif
+    "#;
+
+    /// Run by the tests in a process of its own, which has loaded no other driver.
+    #[test]
+    #[ignore = "is a part of the others"]
+    fn ask() {
+        println!("answer: {:?}", sleep(2));
+    }
+
+    /// What [`ask`] is answered by a driver built with `options`, and what that was asked for.
+    fn asked_of_a_driver(folder: &Path, options: &[&str]) -> (String, String) {
+        let (source, asked) = (folder.join("driver.c"), folder.join("asked"));
+        std::fs::write(&source, DRIVER).unwrap();
+        let mut compile = Command::new("cc");
+        compile
+            .args(["-shared", "-fPIC", "-o"])
+            .arg(folder.join("libcuda.so"))
+            .arg(source);
+        assert!(compile.args(options).status().unwrap().success());
+        let mut ask = Command::new(std::env::current_exe().unwrap());
+        ask.args([
+            "--exact",
+            "--ignored",
+            "--nocapture",
+            "onnx::waiting::tests::ask",
+        ]);
+        let ran = ask.env("LD_LIBRARY_PATH", folder).env("ASKED", &asked).output().unwrap();
+        let answer = String::from_utf8(ran.stdout).unwrap();
+        (answer, std::fs::read_to_string(asked).unwrap_or_default())
+    }
+
+    #[test]
+    fn the_driver_is_asked_to_let_threads_sleep_on_the_device_and_an_old_one_does_not_end_the_program()
+     {
+        let folder = tempfile::tempdir().unwrap();
+        let (answer, asked) = asked_of_a_driver(folder.path(), &["-DFLAGS"]);
+        assert!(answer.contains("answer: Ok(())"), "{answer}");
+        // CU_CTX_SCHED_BLOCKING_SYNC is 4.
+        assert_eq!(asked, "retain 42\nflags 4\nrelease 42\n");
+        let (answer, _) = asked_of_a_driver(folder.path(), &[]);
+        assert!(answer.contains("older than that of CUDA 12.1"), "{answer}");
+    }
+}
