@@ -6,10 +6,13 @@ use super::page::{NONE, median, ms};
 use super::pieces::{Row, Table, TableName};
 use albireo_eval::footage::{FrameSource, Pictures};
 use albireo_vision::detector::{
-    CameraSlot, DetectorConfig, DetectorHandle, DetectorNetwork, Preparation, PreparedPicture,
+    CameraSlot, DetectorConfig, DetectorHandle, DetectorNetwork, ExecutionProvider, Preparation,
+    PreparedPicture,
 };
 use albireo_vision::onnx::OnnxSession;
-use albireo_vision::picture::{EncodedPicture, FrameLimits, Picture, PixelLayout, decode};
+use albireo_vision::picture::{
+    EncodedPicture, FrameLimits, InputFormat, Picture, PixelLayout, decode,
+};
 use albireo_vision::screen::decoding_target;
 use anyhow::bail;
 use std::path::Path;
@@ -27,13 +30,17 @@ pub(crate) fn stages_table() -> Table {
         heading: "Milliseconds per frame, by stage",
         text: "One picture after the other on one thread, medians. *Model* is one run as the node does it: the input copied to the \
                device, the kernels, the output copied back; the share of copying is given below, under *Copies alone*. Decoding and \
-               letterbox are always the processor's. *Loading* includes the first runs."
+               letterbox are always the processor's. *Converted by* says where pixels become the model's numbers: in the letterbox, or \
+               on the GPU within *model*, by a graph in front of it. *Processor waits* says whether it spins, as CUDA does by \
+               itself, or sleeps. The last row of a model is the node's way. *Loading* includes the first runs."
             .to_owned(),
         columns: &[
             "model",
             "provider used",
             "input",
             "elements",
+            "converted by",
+            "processor waits",
             "loading, s",
             "decode",
             "letterbox",
@@ -108,11 +115,33 @@ pub(crate) async fn batches(arguments: &Arguments, model: &Path) -> anyhow::Resu
     Ok(rows)
 }
 
-/// A row with the time of each stage.
+/// A row with the time of each stage; on a GPU others, in which the processor spins, or converts the pictures.
 pub(crate) fn stages(arguments: &Arguments, model: &Path) -> anyhow::Result<Vec<Row>> {
+    let as_the_node = arguments.detector(model);
+    let mut spinning = as_the_node.clone();
+    spinning.gpu.spin = true;
+    let mut converting = as_the_node.clone();
+    converting.gpu.processor_converts = true;
+    // Spinning first: once told to sleep, the threads of a process sleep.
+    let ways = if arguments.is_gpu() {
+        vec![spinning, converting, as_the_node]
+    } else {
+        vec![as_the_node]
+    };
+    let each = arguments.limit() / 2 / ways.len() as u32;
+    ways.iter().map(|config| stages_of(arguments, model, config, each)).collect()
+}
+
+/// A row of what is measured in the time of `each`.
+fn stages_of(
+    arguments: &Arguments,
+    model: &Path,
+    config: &DetectorConfig,
+    each: Duration,
+) -> anyhow::Result<Row> {
     let start = Instant::now();
-    let until = start + arguments.limit() / 2;
-    let mut network = DetectorNetwork::open(&arguments.detector(model))?;
+    let until = start + each;
+    let mut network = DetectorNetwork::open(config)?;
     let loading = start.elapsed().as_secs_f64();
     let mut times: [Vec<f64>; 4] = Default::default();
     let mut picture = Picture::default();
@@ -144,14 +173,35 @@ pub(crate) fn stages(arguments: &Arguments, model: &Path) -> anyhow::Result<Vec<
         network.provider().as_str().to_owned(),
         network.input_format().size.to_string(),
         element,
+        converted_by(&network).to_owned(),
+        waits(arguments, config).to_owned(),
         format!("{loading:.2}"),
     ];
     row.extend(times.iter().map(|times| ms(median(times))));
     row.push(format!("{processor:.1}"));
-    Ok(vec![Row {
+    Ok(Row {
         table: TableName::Stages,
         cells: row,
-    }])
+    })
+}
+
+fn converted_by(network: &DetectorNetwork) -> &'static str {
+    if network.preparation().format() == network.input_format() {
+        "processor"
+    } else {
+        "GPU"
+    }
+}
+
+/// What the processor does while the GPU works.
+fn waits(arguments: &Arguments, config: &DetectorConfig) -> &'static str {
+    if !arguments.is_gpu() {
+        NONE
+    } else if config.gpu.spin {
+        "spins"
+    } else {
+        "sleeps"
+    }
 }
 
 /// Decodes like the node for this model, without a screen.
@@ -245,13 +295,14 @@ fn bare(
     longest: Duration,
 ) -> anyhow::Result<f64> {
     let mut session = OnnxSession::open(&config.session_settings())?;
+    let format = model_format(config)?;
     let mut prepared = Vec::new();
     for picture in pictures.iter().cycle().take(config.batch_size) {
-        prepared.push(preparation.prepare(picture)?);
+        prepared.push(preparation.prepare(picture)?.converted(format)?);
     }
-    let inputs: Vec<_> = prepared.iter().map(PreparedPicture::values).collect();
-    let shape = preparation.format().shape();
-    let size = preparation.format().size;
+    let inputs: Vec<_> = prepared.iter().map(PreparedPicture::tensor).collect();
+    let shape = format.shape();
+    let size = format.size;
     // The first runs lay out memory.
     for _ in 0..3 {
         session.run(shape, size, &inputs, |_| ()).map_err(anyhow::Error::msg)?;
@@ -263,6 +314,16 @@ fn bare(
         done += 1;
     }
     Ok((done * config.batch_size) as f64 / start.elapsed().as_secs_f64())
+}
+
+/// The model's own input, which a session takes that nothing stands before.
+fn model_format(config: &DetectorConfig) -> anyhow::Result<InputFormat> {
+    let on_processor = DetectorConfig {
+        providers: vec![ExecutionProvider::Cpu],
+        batch_size: 1,
+        ..config.clone()
+    };
+    Ok(DetectorNetwork::open(&on_processor)?.input_format())
 }
 
 /// The pictures for the detectors.
