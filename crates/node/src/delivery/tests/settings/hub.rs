@@ -7,6 +7,7 @@ use albireo_hub::ingest::Recorder;
 use albireo_hub::presence::Fleet;
 use albireo_hub::store::Store;
 use albireo_hub::tuning::DesiredSettings;
+use albireo_hub::tuning::Notice;
 use albireo_hub::tuning::Tuner;
 use albireo_hub::tuning::outcome::Outcome;
 use albireo_hub::tuning::revision::NewRevision;
@@ -25,7 +26,7 @@ struct Running {
     fleet: Arc<Fleet>,
     desired: Arc<DesiredSettings>,
     tuner: Tuner,
-    notices: Receiver<(String, u64)>,
+    notices: Receiver<Notice>,
 }
 
 pub(super) struct Hub {
@@ -123,7 +124,7 @@ impl Hub {
     pub(super) fn notices(&self) -> Vec<String> {
         let hub = self.running.iter();
         let notices = hub.flat_map(|hub| hub.notices.try_iter());
-        let mut nodes: Vec<String> = notices.map(|(node, _)| node).collect();
+        let mut nodes: Vec<String> = notices.map(|notice| notice.node).collect();
         nodes.sort_unstable();
         nodes
     }
